@@ -1,0 +1,52 @@
+"""What can go wrong, in two kinds.
+
+A *mistake of the user* (a wrong key, a file of another plan, a robot that is not installed) is an
+exception below `SalverError`; its message is one sentence that names the key or file, the value and
+what would be accepted. An *outcome of numerics* (infeasible, out of iterations) is a `Status`, carried
+by the result: it is not exceptional, and whoever reads the result must be able to ask for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+class SalverError(Exception):
+    """Base of every error that salver raises on purpose; the message is one sentence for a person."""
+
+
+class ScenarioError(SalverError):
+    """A scenario asks for something that cannot be, or is written wrongly."""
+
+
+class FileFormatError(SalverError):
+    """A file is truncated, foreign, or of a version that this salver cannot read."""
+
+
+class MissingDependencyError(SalverError):
+    """An optional package, a renderer or a robot interface is needed and not there."""
+
+
+class UnreachableError(SalverError):
+    """The arm cannot take the posture or follow the motion that was asked for."""
+
+
+@dataclass(frozen=True)
+class Status:
+    """How a computation ended.
+
+    code: a short machine-readable word: "optimal", "infeasible", "iteration_limit", ...
+    sentence: the same for a person, with figures: which constraint, when, by how much.
+    ok: whether what was asked for was achieved.
+    details: the figures of the sentence, for machines.
+    """
+
+    code: str
+    sentence: str
+    ok: bool
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.sentence

@@ -1,0 +1,105 @@
+"""The object as a rigid body: eq (1) of the paper, and its form linear in the inertial parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.geometry import GRAVITY_S, Array, hat
+
+N_INERTIAL = 10  # m, m c (3), I about B (6): Pinocchio's order, see docs/conventions.md
+
+_INERTIA_INDEX = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+
+
+def inertia_matrix(six: npt.ArrayLike) -> Array:
+    """Symmetric (..., 3, 3) of the six entries (xx, xy, yy, xz, yz, zz)."""
+    six = np.asarray(six, dtype=float)
+    matrix = np.empty((*six.shape[:-1], 3, 3))
+    for k, (i, j) in enumerate(_INERTIA_INDEX):
+        matrix[..., i, j] = matrix[..., j, i] = six[..., k]
+    return matrix
+
+
+def inertia_entries(matrix: npt.ArrayLike) -> Array:
+    """The six entries (xx, xy, yy, xz, yz, zz) of symmetric matrices (..., 3, 3)."""
+    m = np.asarray(matrix, dtype=float)
+    return np.stack([m[..., i, j] for i, j in _INERTIA_INDEX], axis=-1)
+
+
+def parallel_axis(mass: npt.ArrayLike, c: npt.ArrayLike) -> Array:
+    """What a mass at c adds to the inertia about the origin: m (|c|^2 1 - c c^T), (..., 3, 3)."""
+    skew = hat(c)
+    return -np.asarray(mass, dtype=float)[..., None, None] * (skew @ skew)
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """Ten inertial parameters of a body, about the origin of B and in its axes.
+
+    mass: kg. com_B: (3,) m. inertia_com: (3, 3) kg m^2 about the centre of mass, axes of B.
+    """
+
+    mass: float
+    com_B: Array
+    inertia_com: Array
+
+    @property
+    def phi(self) -> Array:
+        """(10,) inertial parameters (m, m c, I about B)."""
+        inertia_B = self.inertia_com + parallel_axis(self.mass, self.com_B)
+        return np.concatenate([[self.mass], self.mass * self.com_B, inertia_entries(inertia_B)])
+
+    @classmethod
+    def from_phi(cls, phi: npt.ArrayLike) -> RigidBody:
+        phi = np.asarray(phi, dtype=float)
+        c = phi[1:4] / phi[0]
+        return cls(float(phi[0]), c, inertia_matrix(phi[4:]) - parallel_axis(phi[0], c))
+
+    @property
+    def spatial_inertia(self) -> Array:
+        """M_b (6, 6) of eq (1), twist (v, omega) of the origin of B, in B."""
+        return spatial_inertia(self.phi)
+
+
+def spatial_inertia(phi: npt.ArrayLike) -> Array:
+    """M_b (..., 6, 6) of inertial parameters (..., 10): eq (1)."""
+    phi = np.asarray(phi, dtype=float)
+    matrix = np.zeros((*phi.shape[:-1], 6, 6))
+    moment = hat(phi[..., 1:4])
+    matrix[..., :3, :3] = phi[..., 0, None, None] * np.eye(3)
+    matrix[..., :3, 3:], matrix[..., 3:, :3] = -moment, moment
+    matrix[..., 3:, 3:] = inertia_matrix(phi[..., 4:])
+    return matrix
+
+
+def _inertia_regressor(x: Array) -> Array:
+    """L(x) (..., 3, 6) with I x = L(x) (xx, xy, yy, xz, yz, zz)."""
+    out = np.zeros((*x.shape, 6))
+    for k, (i, j) in enumerate(_INERTIA_INDEX):
+        out[..., i, k] = x[..., j]
+        out[..., j, k] = x[..., i]
+    return out
+
+
+def regressor(R_SB: Array, a_S: Array, omega_B: Array, alpha_B: Array) -> Array:
+    """Y (..., 6, 10): the wrench at B that the motion needs is Y phi, linear in phi.
+
+    a_S (..., 3) is the world acceleration of the origin of B; R_SB (..., 3, 3), omega_B and alpha_B
+    (..., 3) as in docs/conventions.md. Eq (1) written in its parameters; see Atkeson, An, Hollerbach 1986.
+    """
+    f = np.einsum("...ji,...j->...i", R_SB, a_S - GRAVITY_S)  # specific force at B, in B
+    y = np.zeros((*f.shape[:-1], 6, N_INERTIAL))
+    omega_hat = hat(omega_B)
+    y[..., :3, 0] = f
+    y[..., :3, 1:4] = hat(alpha_B) + omega_hat @ omega_hat
+    y[..., 3:, 1:4] = -hat(f)
+    y[..., 3:, 4:] = _inertia_regressor(alpha_B) + omega_hat @ _inertia_regressor(omega_B)
+    return y
+
+
+def wrench(phi: npt.ArrayLike, R_SB: Array, a_S: Array, omega_B: Array, alpha_B: Array) -> Array:
+    """F_B (..., 6): inverse dynamics of the body, eq (1)."""
+    return np.einsum("...ij,...j->...i", regressor(R_SB, a_S, omega_B, alpha_B), np.asarray(phi, dtype=float))
