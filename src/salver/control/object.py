@@ -1,0 +1,136 @@
+"""The object's closed loop: plant (18) and wrench-feedback controller (19), vectorised over leading axes.
+
+One definition for the planner, the nonlinear rollouts and the tests. On SE(3) the paper's `q* - q` and
+`V* - V` are read as transported errors, E = R^T R*: e_p = p* - p and e_v = v* - v in S, e_R = Log(E) and
+e_w = E omega* - omega in B. Then the nominal error obeys e_v' = -kd e_v - kp e_p and e_w' = -kd e_w - kp e_R
+exactly, along any reference; translation is linear in full, rotation up to e_R' = J_l(e_R)^-1 e_w, which is
+e_w for a rotation about a fixed axis and to first order always.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.geometry import GRAVITY_S, Array, hat, log
+from salver.models.rigid_body import inertia_matrix, spatial_inertia, wrench
+
+
+class Motion(Protocol):
+    """What the controller reads of a reference: arrays of equal leading axes (see docs/conventions.md)."""
+
+    @property
+    def p_SB(self) -> Array: ...
+    @property
+    def v_S(self) -> Array: ...
+    @property
+    def a_S(self) -> Array: ...
+    @property
+    def R_SB(self) -> Array: ...
+    @property
+    def omega_B(self) -> Array: ...
+    @property
+    def alpha_B(self) -> Array: ...
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Diagonal gains of eq (19): kp = (translation, rotation) in 1/s^2, kd likewise in 1/s."""
+
+    kp: tuple[float, float]
+    kd: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Tracking errors of eq (19) on SE(3), each (..., 3); the controller's e_p, e_R, e_v, e_w.
+
+    position_S: m. rotation_B: rad, Log(R^T R*). velocity_S: m/s. omega_B: rad/s, E omega* - omega.
+    transport: (..., 3, 3) E = R^T R*, the reference's axes seen from the object's.
+    """
+
+    position_S: Array
+    rotation_B: Array
+    velocity_S: Array
+    omega_B: Array
+    transport: Array
+
+
+def errors(reference: Motion, p_SB: Array, R_SB: Array, v_S: Array, omega_B: Array) -> Errors:
+    """Tracking errors of a state (..., 3), (..., 3, 3), (..., 3), (..., 3) against samples of the reference."""
+    transport = np.swapaxes(R_SB, -1, -2) @ reference.R_SB
+    return Errors(
+        reference.p_SB - p_SB,
+        log(transport),
+        reference.v_S - v_S,
+        apply(transport, reference.omega_B) - omega_B,
+        transport,
+    )
+
+
+def command(gains: Gains, reference: Motion, error: Errors) -> tuple[Array, Array]:
+    """Commanded acceleration (a_cmd_S, alpha_cmd_B), each (..., 3): the bracket of eq (19).
+
+    The reference's angular acceleration seen from the object has a part -omega x (E omega*), because E turns.
+    """
+    (kp, kp_R), (kd, kd_R) = gains.kp, gains.kd
+    a_cmd_S = reference.a_S + kd * error.velocity_S + kp * error.position_S
+    transported = apply(error.transport, reference.omega_B)
+    omega_B = transported - error.omega_B
+    alpha_cmd_B = (
+        apply(error.transport, reference.alpha_B)
+        - apply(hat(omega_B), transported)
+        + kd_R * error.omega_B
+        + kp_R * error.rotation_B
+    )
+    return a_cmd_S, alpha_cmd_B
+
+
+def wrench_command(
+    gains: Gains,
+    phi_nominal: npt.ArrayLike,
+    reference: Motion,
+    p_SB: Array,
+    R_SB: Array,
+    v_S: Array,
+    omega_B: Array,
+) -> Array:
+    """Wrench (..., 6) at B that eq (19) asks for; phi_nominal (10,) is all that the controller knows."""
+    a_cmd_S, alpha_cmd_B = command(gains, reference, errors(reference, p_SB, R_SB, v_S, omega_B))
+    return wrench(phi_nominal, R_SB, a_cmd_S, omega_B, alpha_cmd_B)
+
+
+def distribute(grasp_map: Array, wrench_B: Array) -> Array:
+    """Cone coefficients Lambda (..., n_lambda) of least norm that produce a wrench (..., 6): eq (19)."""
+    return wrench_B @ np.linalg.pinv(grasp_map).T
+
+
+def acceleration(
+    phi: npt.ArrayLike, R_SB: Array, omega_B: Array, wrench_B: Array, inverse_inertia: Array | None = None
+) -> tuple[Array, Array]:
+    """Plant: (a_S, alpha_B), each (..., 3), of a body with inertial parameters phi (..., 10) under a wrench at B.
+
+    Eq (18) with the full spatial inertia: B stays the origin when the true centre of mass lies elsewhere.
+    The inverse of `salver.models.rigid_body.wrench`. inverse_inertia: (..., 6, 6), to compute it only once.
+    """
+    phi = np.asarray(phi, dtype=float)
+    if inverse_inertia is None:
+        inverse_inertia = np.linalg.inv(spatial_inertia(phi))
+    omega_hat = hat(omega_B)
+    bias = np.concatenate(
+        [
+            apply(omega_hat, apply(omega_hat, phi[..., 1:4])),
+            apply(omega_hat, apply(inertia_matrix(phi[..., 4:]), omega_B)),
+        ],
+        axis=-1,
+    )
+    specific = apply(inverse_inertia, wrench_B - bias)  # (R^T (a - g), alpha)
+    return apply(R_SB, specific[..., :3]) + GRAVITY_S, specific[..., 3:]
+
+
+def apply(matrix: Array, vector: Array) -> Array:
+    """Stacked product: (..., i, j) and (..., j) to (..., i)."""
+    return (matrix @ vector[..., None])[..., 0]
