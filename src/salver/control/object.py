@@ -10,30 +10,13 @@ e_w for a rotation about a fixed axis and to first order always.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import GRAVITY_S, Array, hat, log
 from salver.models.rigid_body import inertia_matrix, spatial_inertia, wrench
-
-
-class Motion(Protocol):
-    """What the controller reads of a reference: arrays of equal leading axes (see docs/conventions.md)."""
-
-    @property
-    def p_SB(self) -> Array: ...
-    @property
-    def v_S(self) -> Array: ...
-    @property
-    def a_S(self) -> Array: ...
-    @property
-    def R_SB(self) -> Array: ...
-    @property
-    def omega_B(self) -> Array: ...
-    @property
-    def alpha_B(self) -> Array: ...
+from salver.trajectory import MotionSamples
 
 
 @dataclass(frozen=True)
@@ -59,8 +42,11 @@ class Errors:
     transport: Array
 
 
-def errors(reference: Motion, p_SB: Array, R_SB: Array, v_S: Array, omega_B: Array) -> Errors:
-    """Tracking errors of a state (..., 3), (..., 3, 3), (..., 3), (..., 3) against samples of the reference."""
+def errors(reference: MotionSamples, p_SB: Array, R_SB: Array, v_S: Array, omega_B: Array) -> Errors:
+    """Tracking errors of a state (..., 3), (..., 3, 3), (..., 3), (..., 3) against samples of the reference.
+
+    Leading axes broadcast: one instant of the reference (1, 3) serves many states (n, 3).
+    """
     transport = np.swapaxes(R_SB, -1, -2) @ reference.R_SB
     return Errors(
         reference.p_SB - p_SB,
@@ -71,7 +57,7 @@ def errors(reference: Motion, p_SB: Array, R_SB: Array, v_S: Array, omega_B: Arr
     )
 
 
-def command(gains: Gains, reference: Motion, error: Errors) -> tuple[Array, Array]:
+def command(gains: Gains, reference: MotionSamples, error: Errors) -> tuple[Array, Array]:
     """Commanded acceleration (a_cmd_S, alpha_cmd_B), each (..., 3): the bracket of eq (19).
 
     The reference's angular acceleration seen from the object has a part -omega x (E omega*), because E turns.
@@ -92,7 +78,7 @@ def command(gains: Gains, reference: Motion, error: Errors) -> tuple[Array, Arra
 def wrench_command(
     gains: Gains,
     phi_nominal: npt.ArrayLike,
-    reference: Motion,
+    reference: MotionSamples,
     p_SB: Array,
     R_SB: Array,
     v_S: Array,
@@ -118,7 +104,7 @@ def acceleration(
     """
     phi = np.asarray(phi, dtype=float)
     if inverse_inertia is None:
-        inverse_inertia = np.linalg.inv(spatial_inertia(phi))
+        inverse_inertia = np.asarray(np.linalg.inv(spatial_inertia(phi)), dtype=float)
     omega_hat = hat(omega_B)
     bias = np.concatenate(
         [
