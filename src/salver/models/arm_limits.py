@@ -1,0 +1,84 @@
+"""Limits of known arms, as their makers publish them, and where their models are found.
+
+A URDF holds position, velocity and torque limits at best. What a motion may ask for also includes
+acceleration, jerk and the rate of torque; those numbers come from the makers' documents cited here. A limit
+that no maker publishes is infinite: it is not checked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from salver.geometry import Array
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of n joints, each (n,): rad, rad/s, rad/s^2, rad/s^3, N m, N m/s; infinite when unknown."""
+
+    q_min: Array
+    q_max: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+    torque: Array
+    torque_rate: Array
+
+    def scaled(self, velocity: float, acceleration: float, jerk: float, torque: float) -> JointLimits:
+        """The share of the limits that a plan may use; positions and torque rate stay as they are."""
+        return JointLimits(
+            self.q_min,
+            self.q_max,
+            velocity * self.velocity,
+            acceleration * self.acceleration,
+            jerk * self.jerk,
+            torque * self.torque,
+            self.torque_rate,
+        )
+
+
+@dataclass(frozen=True)
+class KnownArm:
+    """An arm that can be asked for by name.
+
+    urdf: path below example-robot-data's folder of robots. flange: frame that carries the tray, z outwards.
+    limits: name of a `JointLimits` field -> n numbers; what is missing is taken from the URDF.
+    source: where the numbers are published.
+    """
+
+    urdf: str
+    flange: str
+    limits: dict[str, list[float]]
+    source: str
+
+
+KNOWN_ARMS: dict[str, KnownArm] = {
+    "panda": KnownArm(
+        urdf="panda_description/urdf/panda.urdf",
+        flange="panda_link8",
+        limits={
+            "q_min": [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
+            "q_max": [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
+            "velocity": [2.1750, 2.1750, 2.1750, 2.1750, 2.6100, 2.6100, 2.6100],
+            "acceleration": [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0],
+            "jerk": [7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0],
+            "torque": [87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0],
+            "torque_rate": [1000.0] * 7,
+        },
+        source="Franka Emika, Franka Control Interface documentation, 'Robot and interface specifications', "
+        "limits for Panda; the same numbers are in libfranka, include/franka/rate_limiting.h",
+    ),
+    "ur10": KnownArm(
+        urdf="ur_description/urdf/ur10_robot.urdf",
+        flange="tool0",
+        limits={
+            "velocity": [2.0943951, 2.0943951, 3.14159265, 3.14159265, 3.14159265, 3.14159265],
+            "acceleration": [5.0] * 6,
+            "torque": [330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
+        },
+        source="Universal Robots, UR10/CB3 User Manual, version 3.13 (speeds: 120 and 180 degrees/s) and the article "
+        "'Max. joint torques'. No joint acceleration is published, the maker says that only torque limits it; 5 rad/s^2 "
+        "is the conservative figure of the maker's own driver: Universal_Robots_ROS2_Driver, "
+        "ur_moveit_config/config/joint_limits.yaml. Jerk and torque rate are not published",
+    ),
+}
