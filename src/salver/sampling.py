@@ -1,0 +1,250 @@
+"""Samples of the uncertain parameters: what the perturbed runs of a campaign are made of.
+
+Every method fills the *set* of the scenario, a box (eq 8 of the paper) or an ellipsoid (eq 9), and keeps
+only combinations that a physical object can have. Run k is reproducible from (seed, k) alone with `uniform`,
+`corners` and `sobol`, however many runs there are; a Latin hypercube is one design of all n runs together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from salver.errors import SalverError
+from salver.geometry import Array
+from salver.models.parameters import INERTIAL, UncertainSet, inertial_vector
+from salver.models.rigid_body import inertia_matrix
+
+if TYPE_CHECKING:
+    from salver.models.bodies import Body
+
+Method = Literal["uniform", "corners", "lhs", "sobol"]
+METHODS: tuple[str, ...] = get_args(Method)
+
+# Methods by which run k does not depend on how many runs there are: more runs can be added later.
+EXTENSIBLE = ("uniform", "corners", "sobol")
+
+_TRIES = 1000  # draws for one run before the set is called impossible
+
+Possible = Callable[[Array], bool]
+
+
+def draw(
+    uncertain: UncertainSet, n: int, seed: int = 0, method: Method = "uniform", bodies: Sequence[Body] | None = None
+) -> Array:
+    """Values (n, n_p) of the parameters of n runs, in the unit of each, in the order of `uncertain.names`.
+
+    uniform: independent, uniform over the volume of the set. corners: the extreme points first (all low, all
+    high, then the others in a seeded order; of an ellipsoid, its points of least and largest value in each
+    parameter, then its diagonals), uniform once they are used up. lhs: a Latin hypercube (of a box; of an
+    ellipsoid its image under a volume-preserving map). sobol: a scrambled Sobol sequence, mapped likewise.
+
+    With `bodies`, combinations that no object can have are left out: mass, friction or inertia not positive,
+    principal moments against the triangle inequality, a centre of mass outside the shape, and, where the
+    nominal object satisfies it, an inertia that no mass distribution within the shape has.
+    Raises SalverError when (almost) no combination is possible.
+    """
+    if n < 0:
+        raise SalverError(f"The number of runs is {n}; it must be 0 or more.")
+    if method not in METHODS:
+        raise SalverError(f'There is no sampling method "{method}"; known are {", ".join(METHODS)}.')
+    if uncertain.size == 0:
+        return np.zeros((n, 0))
+    possible = _possible(uncertain, bodies)
+    return {"uniform": _uniform, "corners": _corners, "lhs": _latin, "sobol": _sobol}[method](
+        uncertain, n, seed, possible
+    )
+
+
+def _uniform(uncertain: UncertainSet, n: int, seed: int, possible: Possible, first: int = 0) -> Array:
+    """Runs first .. first + n - 1, each from its own generator."""
+    values = np.empty((n, uncertain.size))
+    for row, k in enumerate(range(first, first + n)):
+        rng = np.random.default_rng([seed, k])
+        for _ in range(_TRIES):
+            values[row] = from_unit_cube(uncertain, rng.random(cube_dimension(uncertain)))
+            if possible(values[row]):
+                break
+        else:
+            raise _nothing_possible(uncertain, _TRIES)
+    return values
+
+
+def _corners(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> Array:
+    values: list[Array] = []
+    for s in _extreme_points(uncertain, seed):
+        if len(values) == n:
+            break
+        value = uncertain.nominal + uncertain.factor @ s
+        if possible(value):
+            values.append(value)
+    rest = _uniform(uncertain, n - len(values), seed, possible, first=len(values))
+    return np.vstack([*values, rest]) if values else rest
+
+
+def _extreme_points(uncertain: UncertainSet, seed: int) -> Iterator[Array]:
+    """Points of the unit box or ball whose images are the corners of the set, each once."""
+    radius = 1.0 if uncertain.kind == "box" else 1 / np.sqrt(uncertain.size)
+    if uncertain.kind == "ellipsoid" and uncertain.size > 1:
+        # A s is largest in parameter j where s points along row j of A.
+        rows = uncertain.factor / np.linalg.norm(uncertain.factor, axis=1, keepdims=True)
+        for row in rows:
+            yield -row
+            yield row
+    for signs in sign_vectors(uncertain.size, seed):
+        yield radius * signs
+
+
+def sign_vectors(n_p: int, seed: int) -> Iterator[Array]:
+    """All 2^n_p vectors of signs, each once: all low, all high, then the others in a seeded order.
+
+    Nothing is enumerated in advance, so many parameters cost no memory.
+    """
+    yield -np.ones(n_p)
+    yield np.ones(n_p)
+    total = 2**n_p
+    rng = np.random.default_rng([seed, n_p])
+    if n_p <= 12:
+        for code in rng.permutation(np.arange(1, total - 1)):
+            yield _signs(int(code), n_p)
+        return
+    seen = {0, total - 1}
+    while len(seen) < total:
+        code = int.from_bytes(rng.bytes((n_p + 7) // 8), "little") % total
+        if code not in seen:
+            seen.add(code)
+            yield _signs(code, n_p)
+
+
+def _signs(code: int, n_p: int) -> Array:
+    return np.array([1.0 if code >> j & 1 else -1.0 for j in range(n_p)])
+
+
+def _latin(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> Array:
+    from scipy.stats import qmc
+
+    if n == 0:
+        return np.zeros((0, uncertain.size))
+    cube = qmc.LatinHypercube(cube_dimension(uncertain), rng=np.random.default_rng(seed)).random(n)
+    values = from_unit_cube(uncertain, cube)
+    for k, value in enumerate(values):
+        if not possible(value):  # a stratum that cannot be: that run is drawn freely instead
+            values[k] = _uniform(uncertain, 1, seed, possible, first=k)[0]
+    return values
+
+
+def _sobol(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> Array:
+    from scipy.stats import qmc
+
+    power = max(0, int(np.ceil(np.log2(max(n, 1)))))
+    last = min(30, max(power, int(np.ceil(np.log2(max(n, 1) * _TRIES)))))
+    for m in range(power, last + 1):
+        sequence = qmc.Sobol(cube_dimension(uncertain), scramble=True, rng=np.random.default_rng(seed))
+        values = from_unit_cube(uncertain, sequence.random_base2(m))
+        kept = values[[possible(value) for value in values]]
+        if len(kept) >= n:
+            return kept[:n]
+        if m >= power + 6 and len(kept) == 0:
+            break
+    raise _nothing_possible(uncertain, 2**m)
+
+
+def cube_dimension(uncertain: UncertainSet) -> int:
+    """How many uniform numbers make one point: one more for a ball than for a box."""
+    return uncertain.size + (uncertain.kind == "ellipsoid" and uncertain.size > 1)
+
+
+def from_unit_cube(uncertain: UncertainSet, cube: Array) -> Array:
+    """The point of the set (..., n_p) of a point of the unit cube (..., cube_dimension), volume-preserving.
+
+    For a ball: a direction from normal numbers, a radius that is the n_p-th root of a uniform number.
+    """
+    n_p = uncertain.size
+    if cube_dimension(uncertain) == n_p:
+        s = 2 * cube - 1
+    else:
+        from scipy.special import ndtri
+
+        normal = ndtri(np.clip(cube[..., :n_p], 1e-15, 1 - 1e-15))
+        length = np.linalg.norm(normal, axis=-1, keepdims=True)
+        s = normal / np.where(length > 0, length, 1.0) * cube[..., n_p:] ** (1 / n_p)
+    return uncertain.nominal + s @ uncertain.factor.T
+
+
+def _possible(uncertain: UncertainSet, bodies: Sequence[Body] | None) -> Possible:
+    """Whether an object with these parameters can exist."""
+    tests: list[Possible] = []
+    for j, name in enumerate(uncertain.names):
+        if name.rpartition(".")[2] in ("mass", "friction"):
+            tests.append(lambda p, j=j: bool(p[j] > 0))  # type: ignore[misc]
+    for body in bodies or ():
+        test = _inertial_test(uncertain, body, len(bodies or ()) > 1)
+        if test is not None:
+            tests.append(test)
+    return lambda p: all(test(p) for test in tests)
+
+
+def _inertial_test(uncertain: UncertainSet, body: Body, several: bool) -> Possible | None:
+    """The test of one body's mass, centre of mass and inertia together; None when they are certain."""
+    prefix = f"{body.name}." if several else ""
+    columns = [
+        (j, INERTIAL.index(bare)) for j, n in enumerate(uncertain.names) if (bare := _bare(n, prefix)) in INERTIAL
+    ]
+    if not columns:
+        return None
+    nominal = inertial_vector(body.inertial)
+    polytope = _hull(body)
+    within_shape = _inside_shape(nominal, polytope)
+
+    def test(p: Array) -> bool:
+        values = nominal.copy()
+        for j, i in columns:
+            values[i] = p[j]
+        return _inertia_possible(values, polytope, within_shape)
+
+    return test
+
+
+def _bare(name: str, prefix: str) -> str:
+    """The parameter's own name when it belongs to the object of this prefix, else nothing."""
+    return name.removeprefix(prefix) if name.startswith(prefix) else ""
+
+
+def _hull(body: Body) -> Array:
+    """(k, 4) half-spaces n . x + d <= 0 of the shape's convex hull, in B."""
+    from scipy.spatial import ConvexHull
+
+    return np.asarray(ConvexHull(body.solid.bounding_points_G - body.com_G).equations)
+
+
+def _inertia_possible(values: Array, polytope: Array, within_shape: bool) -> bool:
+    mass, com, inertia = values[0], values[1:4], inertia_matrix(values[4:])
+    # Positive definite second moments are the same as positive principal moments with the triangle inequality.
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    if mass <= 0 or np.linalg.eigvalsh(second)[0] < 0:
+        return False
+    if np.any(polytope[:, :3] @ com + polytope[:, 3] > 1e-12):
+        return False
+    return not within_shape or _inside_shape(values, polytope)
+
+
+def _inside_shape(values: Array, polytope: Array) -> bool:
+    """Whether second moments are small enough for a mass distribution within the convex hull (necessary).
+
+    For two half-spaces with h_i(x) = -n_i . x - d_i >= 0 inside, every such distribution has E[h_i h_j] >= 0
+    (localising conditions of order one; see Heins and Schoellig 2025).
+    """
+    mass, com, inertia = values[0], values[1:4], inertia_matrix(values[4:])
+    second = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass + np.outer(com, com)
+    n, d = polytope[:, :3], polytope[:, 3]
+    products = n @ second @ n.T + np.outer(n @ com, d) + np.outer(d, n @ com) + np.outer(d, d)
+    return bool(np.all(products >= -1e-12))
+
+
+def _nothing_possible(uncertain: UncertainSet, tries: int) -> SalverError:
+    return SalverError(
+        f"None of {tries} samples of the uncertain set ({', '.join(uncertain.names)}) is an object that can exist; "
+        "narrow the ranges of inertia and centre of mass, or correct their nominal values."
+    )
