@@ -179,7 +179,7 @@ def _robots_folder() -> Path:
         package = metadata.distribution("example-robot-data")
     except metadata.PackageNotFoundError:
         raise MissingDependencyError(
-            "The arm models are not installed; install the package example-robot-data, or give a URDF file as arm.model."
+            "The arm models are not installed; install the package example-robot-data, or give a .urdf file."
         ) from None
     return Path(str(package.locate_file("cmeel.prefix/share/example-robot-data/robots"))).resolve()
 
@@ -208,7 +208,7 @@ def _chain(path: Path, flange: str) -> tuple[str, tuple[str, ...]]:
     names = {link.get("name") for link in root.iter("link")}
     if root.tag != "robot" or not names:
         raise ScenarioError(
-            f"The URDF {path} describes no robot: its root element is <{root.tag}>, not <robot> with links."
+            f"The URDF {path} describes no robot: its root is <{root.tag}>; it must be <robot> with links."
         )
     if flange not in names:
         shown = ", ".join(sorted(str(name) for name in names))
@@ -235,9 +235,7 @@ def _chain(path: Path, flange: str) -> tuple[str, tuple[str, ...]]:
             elif element.get("type") == "continuous":
                 element.set("type", "revolute")
                 limit = element.find("limit")
-                limit = (
-                    ElementTree.SubElement(element, "limit", effort="inf", velocity="inf") if limit is None else limit
-                )
+                limit = ElementTree.SubElement(element, "limit", effort="0", velocity="0") if limit is None else limit
                 limit.set("lower", str(-2 * np.pi))
                 limit.set("upper", str(2 * np.pi))
         elif element.tag in ("gazebo", "transmission"):

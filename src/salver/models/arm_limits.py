@@ -77,8 +77,22 @@ KNOWN_ARMS: dict[str, KnownArm] = {
             "torque": [330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
         },
         source="Universal Robots, UR10/CB3 User Manual, version 3.13 (speeds: 120 and 180 degrees/s) and the article "
-        "'Max. joint torques'. No joint acceleration is published, the maker says that only torque limits it; 5 rad/s^2 "
-        "is the conservative figure of the maker's own driver: Universal_Robots_ROS2_Driver, "
+        "'Max. joint torques'. No joint acceleration is published, the maker says that only torque limits it; "
+        "5 rad/s^2 is the conservative figure of the maker's own driver: Universal_Robots_ROS2_Driver, "
         "ur_moveit_config/config/joint_limits.yaml. Jerk and torque rate are not published",
+    ),
+    "xarm7": KnownArm(
+        urdf="xarm_description/urdf/xarm7.urdf",
+        flange="link_eef",
+        limits={
+            "q_min": [-6.283185, -2.059488, -6.283185, -0.191986, -6.283185, -1.692969, -6.283185],
+            "q_max": [6.283185, 2.094395, 6.283185, 3.926990, 6.283185, 3.141593, 6.283185],
+            "velocity": [3.14159265] * 7,
+            "acceleration": [20.0] * 7,
+            "torque": [50.0, 50.0, 32.0, 32.0, 32.0, 20.0, 20.0],
+        },
+        source="UFACTORY, xArm user manual, technical specifications (180 degrees/s); xArm-Python-SDK, "
+        "xarm/core/config/x_config.py (positions) and xarm/x3/base.py (20 rad/s^2); xarm_ros, "
+        "xarm_description/urdf/xarm7.urdf.xacro (torques). Jerk and torque rate are not published",
     ),
 }
