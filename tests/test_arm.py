@@ -139,7 +139,9 @@ def test_contact_weight_loads_the_joints_like_a_heavier_tray():
     contacts = support_contacts(0.02 * np.array([[1, 1, -1], [-1, 1, -1], [-1, -1, -1], [1, -1, -1]]), 0.5)
     p_EB = np.array([0, 0, height])
     _, R_SB = arm.object_pose(q, p_EB, np.eye(3))
-    forces = np.tile(-R_SB.T @ (mass * GRAVITY_S) / 4, 4)
+    weight_B = np.array([*(-R_SB.T @ (mass * GRAVITY_S)), 0, 0, 0])
+    forces = np.linalg.pinv(contacts.grasp_matrix) @ weight_B
+    assert forces.reshape(4, 3)[:, 2] == pytest.approx(mass * 9.81 / 4, rel=1e-4)
     load = arm.contact_jacobian(q, contacts, p_EB, np.eye(3)).T @ forces
     v = arm.object_jacobian(q, p_EB, np.eye(3))[:3]
     assert load == pytest.approx(-v.T @ R_SB.T @ (mass * GRAVITY_S), abs=1e-12)
