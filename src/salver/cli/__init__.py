@@ -1,0 +1,65 @@
+"""The command `salver`. Each command is a function in a module of its own; this file only gathers them.
+
+Modules of commands import what is heavy (CasADi, MuJoCo, Pinocchio, plotting) inside their functions, so that
+`salver --help` answers at once.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Annotated
+
+import typer
+
+from salver import __version__
+from salver.cli.common import handled
+
+app = typer.Typer(
+    name="salver",
+    help="Carry loose objects on a tray: plan robustly, simulate, check, report.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+
+# In the order of use; each is the function of that name in the module of that name.
+COMMANDS = (
+    "demo",
+    "scenarios",
+    "plan",
+    "simulate",
+    "campaign",
+    "audit",
+    "tradeoff",
+    "report",
+    "figures",
+    "render",
+    "export",
+    "execute",
+)
+
+for _name in COMMANDS:
+    if find_spec(f"salver.cli.{_name}") is not None:
+        app.command(_name)(handled(getattr(import_module(f"salver.cli.{_name}"), _name)))
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"salver {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    app()

@@ -1,0 +1,60 @@
+"""`salver scenarios`: what is ready-made."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from salver.cli.common import Json, print_json, result_console
+
+if TYPE_CHECKING:
+    from salver.scenario import CarriedObject, Scenario
+
+
+def scenarios(json: Json = False) -> None:
+    """List the ready-made scenarios.
+
+    Example: `salver scenarios`
+    """
+    from salver import scenario as model
+
+    found = [model.load(name) for name in model.names()]
+    if json:
+        print_json([_record(item) for item in found])
+        return
+
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for column in ("name", "duration", "objects", "uncertain", "summary"):
+        table.add_column(column, no_wrap=column in ("name", "duration"), justify="left")
+    for item in found:
+        duration = "free" if item.motion.duration is None else f"{item.motion.duration:g} s"
+        record = _record(item)
+        objects = ", ".join(_object_in_words(o) for o in item.objects)
+        table.add_row(item.name, duration, objects, ", ".join(record["uncertain"]) or "nothing", item.summary)
+    result_console().print(table)
+
+
+def _record(item: Scenario) -> dict[str, Any]:
+    from salver.models.bodies import uncertain_set
+
+    uncertain = uncertain_set(item)
+    return {
+        "name": item.name,
+        "summary": item.summary,
+        "source": item.source,
+        "duration": item.motion.duration,
+        "objects": [
+            {"name": o.name, "shape": o.shape.type, "mass": o.mass, "friction": o.friction} for o in item.objects
+        ],
+        "uncertain": {
+            name: {"nominal": nominal, "half_range": half}
+            for name, nominal, half in zip(uncertain.names, uncertain.nominal, uncertain.half_range, strict=True)
+        },
+        "arm": item.arm.model if item.arm else None,
+        "digest": item.digest,
+    }
+
+
+def _object_in_words(item: CarriedObject) -> str:
+    return f"{item.name} {item.mass:g} kg, friction {item.friction:g}"
