@@ -1,0 +1,78 @@
+"""Stacks of 3-vectors that may carry their derivative: first-order forward differentiation by hand-sized rules.
+
+The planner needs the derivative of sensitivities by the coefficients of the reference. Written once on
+these, the formulas of `salver.sensitivity.tray` serve both plain evaluation (no tangent) and planning.
+
+Shapes: value (T, P, 3), tangent (T, P, 3, n_z) or None for zero; T instants, P parameters (or 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.geometry import Array, hat
+
+
+def _sum(a: Array | None, b: Array | None) -> Array | None:
+    if a is None:
+        return b
+    return a if b is None else a + b
+
+
+@dataclass(frozen=True)
+class Dual:
+    value: Array
+    tangent: Array | None = None
+
+    def __add__(self, other: Dual) -> Dual:
+        return Dual(self.value + other.value, _sum(self.tangent, other.tangent))
+
+    def __neg__(self) -> Dual:
+        return Dual(-self.value, None if self.tangent is None else -self.tangent)
+
+    def __sub__(self, other: Dual) -> Dual:
+        return self + (-other)
+
+    def scaled(self, factor: float | Array) -> Dual:
+        """Times a constant, or a constant (P, 1) that differs between parameters."""
+        factor = np.asarray(factor, dtype=float)
+        tangent = None if self.tangent is None else self.tangent * factor[..., None]
+        return Dual(self.value * factor, tangent)
+
+    def mapped(self, matrix: Array) -> Dual:
+        """Times constant matrices (..., 3, 3)."""
+        value = (matrix @ self.value[..., None])[..., 0]
+        return Dual(value, None if self.tangent is None else matrix @ self.tangent)
+
+    def cross(self, other: Dual) -> Dual:
+        left, right = hat(self.value), hat(other.value)
+        value = (left @ other.value[..., None])[..., 0]
+        tangent = _sum(
+            None if other.tangent is None else left @ other.tangent,
+            None if self.tangent is None else -(right @ self.tangent),
+        )
+        return Dual(value, tangent)
+
+
+@dataclass(frozen=True)
+class DualRotation:
+    """R_SB (T, 1, 3, 3) and the body-frame derivative of its perturbation dtheta (T, 1, 3, n_z) or None."""
+
+    matrix: Array
+    tangent: Array | None = None
+
+    def to_body(self, vector_S: Dual) -> Dual:
+        """R^T u; turning R by dtheta adds (R^T u) x dtheta."""
+        turned = vector_S.mapped(np.swapaxes(self.matrix, -1, -2))
+        if self.tangent is None:
+            return turned
+        return Dual(turned.value, _sum(turned.tangent, hat(turned.value) @ self.tangent))
+
+    def to_world(self, vector_B: Dual) -> Dual:
+        """R u; turning R by dtheta adds R (dtheta x u)."""
+        turned = vector_B.mapped(self.matrix)
+        if self.tangent is None:
+            return turned
+        return Dual(turned.value, _sum(turned.tangent, -(self.matrix @ hat(vector_B.value) @ self.tangent)))

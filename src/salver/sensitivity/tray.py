@@ -1,0 +1,147 @@
+"""Closed-loop sensitivity of the carried object in its exact form: a linear filter of the inertial regressor.
+
+To first order in the parameters the tracking error of object and controller obeys
+    e'' + kd e' + kp e = D(t) dp,    D = [R D_v; D_w],    [D_v; D_w] = M_n^-1 Y(t) dphi/dp,
+translation in S, rotation in B, and the state deviates by -e. This is section III of the paper solved for
+its own plant (18) and controller (19); `salver.sensitivity.engine` integrates the same variational equations
+in general form, and the tests hold both against central differences of the nonlinear closed loop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.control.object import Gains
+from salver.geometry import GRAVITY_S, Array
+from salver.models.rigid_body import RigidBody, inertia_matrix
+from salver.sensitivity.dual import Dual, DualRotation
+from salver.sensitivity.filter import ErrorFilter, QuadratureGrid
+from salver.trajectory import MotionSamples, Reference
+
+
+@dataclass(frozen=True)
+class BodyMotion:
+    """What the object feels along a motion: rotation, specific force R^T (a - g), omega, alpha in B; (T, 1, 3)."""
+
+    rotation: DualRotation
+    force: Dual
+    omega: Dual
+    alpha: Dual
+
+    @classmethod
+    def of(
+        cls,
+        samples: MotionSamples,
+        a_tangent: Array | None = None,
+        theta_tangent: Array | None = None,
+        omega_tangent: Array | None = None,
+        alpha_tangent: Array | None = None,
+    ) -> BodyMotion:
+        """From samples (T), with derivatives (T, 3, n_z) of a_S, of the rotation (in B), of omega_B and alpha_B."""
+
+        def dual(value: Array, tangent: Array | None) -> Dual:
+            return Dual(value[:, None], None if tangent is None else tangent[:, None])
+
+        rotation = DualRotation(samples.R_SB[:, None], None if theta_tangent is None else theta_tangent[:, None])
+        return cls(
+            rotation,
+            rotation.to_body(dual(samples.a_S - GRAVITY_S, a_tangent)),
+            dual(samples.omega_B, omega_tangent),
+            dual(samples.alpha_B, alpha_tangent),
+        )
+
+
+@dataclass(frozen=True)
+class TraySensitivity:
+    """First-order reaction of the closed loop, time axis first.
+
+    Duals (T, n_p, 3): dp in S, dtheta in B, dv in S, domega in B (the rows of Pi), and df, dtau of the wrench at B.
+    """
+
+    dp: Dual
+    dtheta: Dual
+    dv: Dual
+    domega: Dual
+    df: Dual
+    dtau: Dual
+
+    @property
+    def state(self) -> Array:
+        """Pi (T, 12, n_p)."""
+        rows = [self.dp.value, self.dtheta.value, self.dv.value, self.domega.value]
+        return np.swapaxes(np.concatenate(rows, axis=-1), 1, 2)
+
+    @property
+    def wrench(self) -> Array:
+        """d wrench_B / dp (T, 6, n_p); Theta = pinv(grasp_map) @ wrench."""
+        return np.swapaxes(np.concatenate([self.df.value, self.dtau.value], axis=-1), 1, 2)
+
+
+@dataclass(frozen=True)
+class TrayLoop:
+    """Object and controller: nominal body (centre of mass at B's origin), gains, and d phi / d p (10, n_p)."""
+
+    body: RigidBody
+    gains: Gains
+    phi_jacobian: Array
+
+    def grid(self, t: Array) -> QuadratureGrid:
+        return QuadratureGrid.for_gains(t, self.gains.kp)
+
+    def nominal_wrench(self, motion: BodyMotion) -> tuple[Dual, Dual]:
+        """(f, tau) at B of the nominal body, eq (1)."""
+        inertia = self.body.inertia_com
+        torque = motion.alpha.mapped(inertia) + motion.omega.cross(motion.omega.mapped(inertia))
+        return motion.force.scaled(self.body.mass), torque
+
+    def forcing(self, motion: BodyMotion) -> tuple[Dual, Dual]:
+        """D: (R D_v in S, D_w in B), each (T, n_p, 3)."""
+        by_mass = self.phi_jacobian[0, :, None]
+        by_moment = Dual(self.phi_jacobian[1:4].T[None])
+        by_inertia = inertia_matrix(self.phi_jacobian[4:].T)
+        omega, alpha, force = motion.omega, motion.alpha, motion.force
+        f = force.scaled(by_mass) + alpha.cross(by_moment) + omega.cross(omega.cross(by_moment))
+        tau = by_moment.cross(force) + alpha.mapped(by_inertia) + omega.cross(omega.mapped(by_inertia))
+        return (
+            motion.rotation.to_world(f.scaled(1 / self.body.mass)),
+            tau.mapped(np.linalg.inv(self.body.inertia_com)),
+        )
+
+    def sensitivity(self, grid: QuadratureGrid, at_grid: BodyMotion, at_times: BodyMotion) -> TraySensitivity:
+        """Pi and the wrench sensitivity on `grid.t`, of a motion given there and at `grid.times`."""
+        (kp, kp_R), (kd, kd_R) = self.gains.kp, self.gains.kd
+        forcing_S, forcing_B = self.forcing(at_times)
+        e_p, e_v = _respond(ErrorFilter(grid, kp, kd), forcing_S)
+        e_R, e_w = _respond(ErrorFilter(grid, kp_R, kd_R), forcing_B)
+        force, omega, alpha, inertia = at_grid.force, at_grid.omega, at_grid.alpha, self.body.inertia_com
+        dtheta = -e_R
+        domega = -e_w - dtheta.cross(omega)
+        feedback = at_grid.rotation.to_body(e_v.scaled(kd) + e_p.scaled(kp))
+        df = (force.cross(dtheta) + feedback).scaled(self.body.mass)
+        dalpha = (
+            -dtheta.cross(alpha)
+            - domega.cross(omega)
+            + omega.cross(dtheta.cross(omega))
+            + e_w.scaled(kd_R)
+            + e_R.scaled(kp_R)
+        )
+        dtau = (
+            dalpha.mapped(inertia) + domega.cross(omega.mapped(inertia)) + omega.cross(domega.mapped(inertia))
+        )
+        return TraySensitivity(-e_p, dtheta, -e_v, domega, df, dtau)
+
+    def along(self, reference: Reference, t: Array) -> TraySensitivity:
+        """Sensitivities along a reference at uniform instants t (T,), the first of which is its start."""
+        grid = self.grid(t)
+        at_grid, at_times = BodyMotion.of(reference.sample(t)), BodyMotion.of(reference.sample(grid.times))
+        return self.sensitivity(grid, at_grid, at_times)
+
+
+def _respond(error_filter: ErrorFilter, forcing: Dual) -> tuple[Dual, Dual]:
+    e, rate = error_filter.respond(forcing.value)
+    if forcing.tangent is None:
+        return Dual(e), Dual(rate)
+    de, drate = error_filter.respond(forcing.tangent)
+    return Dual(e, de), Dual(rate, drate)
