@@ -1,0 +1,315 @@
+"""The contact wrench cone: which wrenches unilateral frictional contacts can give, exactly.
+
+The cone is {G F-hat Lambda : Lambda >= 0} (paper, eqs 2 to 5; Balkcom and Trinkle 2002). The paper asks for
+pinv(G F-hat) F >= 0, which singles out one distribution of the internal forces: sufficient, not necessary.
+Here the condition is a list of half spaces, A F <= 0, found once for each contact geometry.
+
+For a support polygon with one friction coefficient the tangential part of the cone, (f_x, f_y, tau_z) taken
+in the contact plane, is proportional to the coefficient: which normal forces are possible does not depend on
+it. So the facets are computed once with coefficient 1, and the least friction for a wrench is a ratio.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from salver.geometry import Array, hat
+from salver.models.contact import ContactSet, cone_edges
+
+_TANGENTIAL = np.array([True, True, False, False, False, True])
+_ACTIVE = 1e-9  # a generator this close to a facet's plane (of unit size) lies in it
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Facets of a contact wrench cone.
+
+    rows: (n_f, 6), A F <= 0 exactly for the F (force, moment at the origin of B) in the cone. Rows have unit
+    length once moments are divided by `length`: -max(A F) is then the smallest disturbance (force in N,
+    or moment over `length`) that takes F out of the cone.
+    friction_limited: (n_f,) True where the facet depends on friction (leaving it means sliding), False where
+    only the support polygon matters (leaving it means tipping or lifting).
+    length: m, radius of the support about its centre.
+    """
+
+    rows: Array
+    friction_limited: np.ndarray
+    length: float
+
+
+def facets(contacts: ContactSet) -> Array:
+    """A (n_f, 6) with A F <= 0 if and only if the contacts can give the wrench F_B (see `Facets.rows`)."""
+    return cone_facets(contacts).rows
+
+
+def cone_facets(contacts: ContactSet) -> Facets:
+    """Facets of the k-edged contact wrench cone, cached by geometry."""
+    length = support_length(contacts)
+    if _is_planar_support(contacts):
+        unit = _unit_facets(_polygon_key(contacts, length), contacts.edges, contacts.phase)
+        rows = unit * np.where(_TANGENTIAL, 1 / contacts.friction[0], 1.0)
+        limited = np.any(np.abs(unit[:, _TANGENTIAL]) > 1e-9, axis=1)
+    else:
+        rays = contacts.grasp_map.T @ _shift_to_centre(contacts).T / np.array([1, 1, 1, length, length, length])
+        rows = hull_facets(rays)
+        limited = np.ones(len(rows), dtype=bool)
+    rows = rows / np.array([1, 1, 1, length, length, length]) @ _shift_to_centre(contacts)
+    size = np.linalg.norm(rows * np.array([1, 1, 1, length, length, length]), axis=1)
+    return Facets(rows / size[:, None], limited, length)
+
+
+def margin(rows: Array, wrench_B: Array) -> Array:
+    """Distance (T,) in N of wrenches (T, 6) from the boundary of A F <= 0; negative outside."""
+    return -(wrench_B @ rows.T).max(axis=-1)
+
+
+def support_length(contacts: ContactSet) -> float:
+    """Largest distance of a contact point from the centre of all, m; 1 for a single point."""
+    radius = float(np.linalg.norm(contacts.p_BC - contacts.p_BC.mean(axis=0), axis=1).max())
+    return radius if radius > 0 else 1.0
+
+
+def friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
+    """Least uniform friction coefficient (T,) at which the k-edged cone contains wrenches (T, 6).
+
+    Infinite where no friction would do: the wrench pulls, or its centre of pressure is off the support.
+    """
+    wrench_B = np.atleast_2d(wrench_B)
+    if not _is_planar_support(contacts):
+        raise ValueError("friction_needed is defined for contacts in one plane with one friction coefficient")
+    length = support_length(contacts)
+    unit = _unit_facets(_polygon_key(contacts, length), contacts.edges, contacts.phase)
+    scaled = wrench_B @ _shift_to_centre(contacts).T / np.array([1, 1, 1, length, length, length])
+    tangential = scaled[:, _TANGENTIAL] @ unit[:, _TANGENTIAL].T
+    normal = -scaled[:, ~_TANGENTIAL] @ unit[:, ~_TANGENTIAL].T
+    tiny = 1e-12 * np.abs(scaled).max(axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(tangential > tiny, np.where(normal > tiny, tangential / normal, np.inf), 0.0)
+    possible = np.all((normal >= -tiny) | (np.abs(tangential) > tiny), axis=1)
+    return np.where(possible & (scaled[:, 2] > 0), ratio.max(axis=1), np.inf)
+
+
+def zero_moment_point(contacts: ContactSet, wrench_B: Array) -> Array:
+    """(T, 2) centre of pressure in the contact plane, about the mean contact point, axes of the contacts, m."""
+    centred = np.atleast_2d(wrench_B) @ _shift_to_centre(contacts).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([-centred[:, 4] / centred[:, 2], centred[:, 3] / centred[:, 2]], axis=1)
+
+
+def tip_over_margin(contacts: ContactSet, wrench_B: Array) -> Array:
+    """Distance (T,) of the zero-moment point to the nearest edge of the support polygon, m.
+
+    Negative outside; minus infinity where the normal force is not pressing.
+    """
+    wrench_B = np.atleast_2d(wrench_B)
+    normal, offset = polygon_half_planes(support_polygon(contacts))
+    with np.errstate(invalid="ignore"):
+        distance = (offset - zero_moment_point(contacts, wrench_B) @ normal.T).min(axis=1)
+    pressing = wrench_B[:, :3] @ contacts.R_BC[0][:, 2] > 0
+    return np.where(pressing, distance, -np.inf)
+
+
+def reach_lp(contacts: ContactSet, wrench_B: Array, direction_B: Array) -> float:
+    """Largest s with F + s d in the cone, for one wrench and direction (6,), by a linear programme.
+
+    Works on the lifted contact forces Lambda >= 0 and knows nothing of facets: the reference for them.
+    Infinite if every s >= some value does; minus infinity if the line misses the cone.
+    """
+    from scipy.optimize import linprog
+
+    scale = np.array([1, 1, 1, *([1 / support_length(contacts)] * 3)])
+    balance = np.hstack([contacts.grasp_map, -direction_B[:, None]]) * scale[:, None]
+    cost = np.zeros(balance.shape[1])
+    cost[-1] = -1.0
+    bounds = [(0, None)] * (len(cost) - 1) + [(None, None)]
+    result = linprog(cost, A_eq=balance, b_eq=scale * wrench_B, bounds=bounds, method="highs")
+    if result.status == 3:
+        return float("inf")
+    return float(result.x[-1]) if result.status == 0 else float("-inf")
+
+
+def coulomb_friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
+    """Least uniform coefficient (T,) for wrenches (T, 6) under true (round) Coulomb cones.
+
+    With normal forces n_i and tangential forces f_i at the support points, the set of (f_x, f_y, tau_z) with
+    |f_i| <= n_i is scaled by the coefficient; its gauge is one second-order cone programme for each wrench:
+    largest s with s (f_x, f_y, tau_z) in the set for coefficient 1. The answer is 1/s. At most
+    1/cos(pi/k) below `friction_needed` of k edges.
+    """
+    import clarabel
+    from scipy import sparse
+
+    length = support_length(contacts)
+    scaled = np.atleast_2d(wrench_B) @ _shift_to_centre(contacts).T / np.array([1, 1, 1, length, length, length])
+    xy = support_polygon(contacts) / length
+    n = len(xy)
+    # Unknowns: s, then (n_i, f_ix, f_iy) for each vertex, which is the order of a second-order cone.
+    balance = np.zeros((6, 1 + 3 * n))
+    for i, (x, y) in enumerate(xy):
+        balance[[2, 3, 4], 1 + 3 * i] = 1, y, -x
+        balance[0, 2 + 3 * i] = balance[1, 3 + 3 * i] = 1
+        balance[5, 2 + 3 * i], balance[5, 3 + 3 * i] = -y, x
+    cost = np.zeros(1 + 3 * n)
+    cost[0] = -1.0
+    cones = [clarabel.ZeroConeT(6), *[clarabel.SecondOrderConeT(3)] * n]
+    selection = sparse.hstack([sparse.csc_matrix((3 * n, 1)), -sparse.eye(3 * n)])
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    quadratic = sparse.csc_matrix((1 + 3 * n, 1 + 3 * n))
+    needed = np.full(len(scaled), np.inf)
+    for t, row in enumerate(scaled):
+        if row[2] <= 0:
+            continue
+        unit = row / row[2]
+        size = np.linalg.norm(unit[_TANGENTIAL])
+        if size < 1e-12:
+            needed[t] = 0.0 if tip_over_margin(contacts, wrench_B[t]).item() >= 0 else np.inf
+            continue
+        balance[_TANGENTIAL, 0] = -unit[_TANGENTIAL] / size
+        target = np.where(_TANGENTIAL, 0.0, unit)
+        constraint = sparse.csc_matrix(sparse.vstack([balance, selection]))
+        solver = clarabel.DefaultSolver(
+            quadratic, cost, constraint, np.concatenate([target, np.zeros(3 * n)]), cones, settings
+        )
+        solution = solver.solve()
+        if solution.status in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved) and solution.x[0] > 0:
+            needed[t] = size / solution.x[0]
+    return needed
+
+
+def rectangle_cone(half_x: float, half_y: float, friction: float) -> Array:
+    """A (16, 6) of a rectangular contact with |f_x|, |f_y| <= mu f_z at each point, moments at its centre.
+
+    Closed form of Caron, Pham, Nakamura, "Stability of surface contacts for humanoid robots", ICRA 2015,
+    eqs 17-23. The same cone as `facets` of four corners with four edges at phase 45 degrees and sqrt(2) mu.
+    """
+    x, y, mu = half_x, half_y, friction
+    rows = [[s, 0, -mu, 0, 0, 0] for s in (1, -1)] + [[0, s, -mu, 0, 0, 0] for s in (1, -1)]
+    rows += [[0, 0, -y, s, 0, 0] for s in (1, -1)] + [[0, 0, -x, 0, s, 0] for s in (1, -1)]
+    for s in (1, -1):
+        for e in (1, -1):
+            rows.append([s * y, e * x, -mu * (x + y), mu * s, mu * e, 1])
+            rows.append([s * y, e * x, -mu * (x + y), -mu * s, -mu * e, -1])
+    return np.array(rows, dtype=float)
+
+
+def hull_facets(rays: Array) -> Array:
+    """Rows (n_f, d), unit length, of the half spaces whose intersection is the cone over rays (n, d).
+
+    The cone must be pointed (no line in it). If the rays do not span the space, the missing directions enter as
+    pairs of opposite rows. Each facet is fitted again to the rays that lie in it, so it is good to rounding.
+    Raises ValueError if the cone contains a line.
+    """
+    rays = rays / np.linalg.norm(rays, axis=1)[:, None]
+    _, singular, basis = np.linalg.svd(rays, full_matrices=True)
+    rank = int(np.sum(singular > 1e-9 * singular[0]))
+    missing, basis = basis[rank:], basis[:rank]
+    flat = rays @ basis.T
+    axis = _interior_direction(flat)
+    height = flat @ axis
+    across = np.linalg.svd(axis[None, :])[2][1:]
+    points = flat @ across.T / height[:, None]
+    inside = [_refit(flat, normal @ across + offset * axis) for normal, offset in _half_spaces(points)]
+    found: dict[bytes, Array] = {}
+    for row in inside:
+        found.setdefault((np.abs(flat @ row) < _ACTIVE * 10).tobytes(), row)
+    rows = np.array(list(found.values())) @ basis
+    return np.vstack([rows, missing, -missing])
+
+
+def _half_spaces(points: Array) -> list[tuple[Array, float]]:
+    """(normal, offset) with normal . x + offset <= 0 for the convex hull of points (n, d)."""
+    from scipy.spatial import ConvexHull
+
+    if points.shape[1] == 0:
+        return [(np.zeros(0), -1.0)]
+    if points.shape[1] == 1:
+        return [(np.array([1.0]), -float(points.max())), (np.array([-1.0]), float(points.min()))]
+    equations = ConvexHull(points).equations
+    # Qhull triangulates facets: the same plane comes once for each simplex.
+    equations = equations[np.unique(np.round(equations, 9), axis=0, return_index=True)[1]]
+    return [(row[:-1], float(row[-1])) for row in equations]
+
+
+def _interior_direction(rays: Array) -> Array:
+    """Unit vector with a positive product with every ray (n, d)."""
+    from scipy.optimize import linprog
+
+    mean = rays.mean(axis=0)
+    if np.linalg.norm(mean) > 0 and (rays @ mean).min() > 1e-2 * np.linalg.norm(mean):
+        return mean / np.linalg.norm(mean)
+    d = rays.shape[1]
+    result = linprog(
+        np.append(np.zeros(d), -1.0),
+        A_ub=np.column_stack([-rays, np.ones(len(rays))]),
+        b_ub=np.zeros(len(rays)),
+        bounds=[(-1, 1)] * d + [(None, None)],
+        method="highs",
+    )
+    if result.x is None or result.x[-1] < 1e-9:
+        raise ValueError("the contacts press against each other: their wrench cone contains a line and has no facets")
+    return result.x[:-1] / np.linalg.norm(result.x[:-1])
+
+
+def _refit(rays: Array, row: Array) -> Array:
+    """The plane through the rays that lie in a facet's plane, as a unit row with the sign of `row`."""
+    row = row / np.linalg.norm(row)
+    active = rays[np.abs(rays @ row) < 1e-7]
+    if len(active) < rays.shape[1] - 1:
+        return row
+    normal = np.linalg.svd(active, full_matrices=True)[2][-1]
+    normal = normal if normal @ row > 0 else -normal
+    # Neighbouring facets of a round cone can be so close that their rays were mixed: then it is not an improvement.
+    return normal if (rays @ normal).max() <= (rays @ row).max() + 1e-12 else row
+
+
+def support_polygon(contacts: ContactSet) -> Array:
+    """Convex hull (n, 2) of the contact points, counter-clockwise, in the contacts' axes about their mean, m."""
+    from scipy.spatial import ConvexHull
+
+    centred = (contacts.p_BC - contacts.p_BC.mean(axis=0)) @ contacts.R_BC[0]
+    return centred[ConvexHull(centred[:, :2]).vertices, :2]
+
+
+def polygon_half_planes(polygon: Array) -> tuple[Array, Array]:
+    """Unit outward normals (n, 2) and offsets (n,), inside where normal . x <= offset, of a convex
+    counter-clockwise polygon (n, 2)."""
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
+    return normal, np.einsum("ij,ij->i", normal, polygon)
+
+
+def _is_planar_support(contacts: ContactSet) -> bool:
+    """At least three contact points, not in a line, in one plane across a common normal, with one friction."""
+    if contacts.count < 3 or np.ptp(contacts.friction) > 0 or np.ptp(contacts.R_BC, axis=0).max() > 1e-12:
+        return False
+    centred = (contacts.p_BC - contacts.p_BC.mean(axis=0)) @ contacts.R_BC[0]
+    extent = np.linalg.svd(centred[:, :2], compute_uv=False)
+    return bool(np.ptp(centred[:, 2]) <= 1e-9 * extent[0] and extent[1] > 1e-6 * extent[0])
+
+
+def _shift_to_centre(contacts: ContactSet) -> Array:
+    """(6, 6) wrench at the origin of B to the wrench at the mean contact point, in the axes of contact 0."""
+    rotation = contacts.R_BC[0].T
+    shift = np.zeros((6, 6))
+    shift[:3, :3] = shift[3:, 3:] = rotation
+    shift[3:, :3] = -rotation @ hat(contacts.p_BC.mean(axis=0))
+    return shift
+
+
+def _polygon_key(contacts: ContactSet, length: float) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in support_polygon(contacts) / length)
+
+
+@lru_cache(maxsize=256)
+def _unit_facets(polygon: tuple[tuple[float, float], ...], edges: int, phase: float) -> Array:
+    """Facets (n_f, 6) for a polygon about the origin, with friction 1 and moments about the origin."""
+    tangents = cone_edges(1.0, edges, phase) * np.sqrt(2)
+    rays = [(e[0], e[1], 1, y, -x, x * e[1] - y * e[0]) for x, y in polygon for e in tangents.T]
+    rows = hull_facets(np.array(rays))
+    rows[np.abs(rows) < 1e-13] = 0.0
+    rows.setflags(write=False)
+    return rows

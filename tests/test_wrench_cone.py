@@ -1,0 +1,187 @@
+"""The contact wrench cone: facets against linear and second-order programmes, and against closed forms."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from salver.geometry import exp
+from salver.models import shapes
+from salver.models.contact import ContactSet, support_contacts
+from salver.models.wrench_cone import (
+    cone_facets,
+    coulomb_friction_needed,
+    facets,
+    friction_needed,
+    hull_facets,
+    margin,
+    reach_lp,
+    rectangle_cone,
+    tip_over_margin,
+)
+
+G = 9.81
+CUBE = np.array([[0.02, 0.02, -0.02], [-0.02, 0.02, -0.02], [-0.02, -0.02, -0.02], [0.02, -0.02, -0.02]])
+
+
+def polygon_contacts(
+    n: int, edges: int, friction: float = 0.3, offset: tuple[float, float] = (0.01, -0.02)
+) -> ContactSet:
+    polygon = shapes.cylinder(0.03, 0.1, n).base_polygon + offset
+    return support_contacts(np.column_stack([polygon, np.full(n, -0.05)]), friction, edges, 0.2)
+
+
+def reach_by_facets(rows: np.ndarray, wrench: np.ndarray, direction: np.ndarray) -> float:
+    """Largest s with F + s d inside, minus infinity if the line misses the cone."""
+    value, rate = rows @ wrench, rows @ direction
+    up = np.min(-value[rate > 1e-13] / rate[rate > 1e-13], initial=np.inf)
+    down = np.max(-value[rate < -1e-13] / rate[rate < -1e-13], initial=-np.inf)
+    return up if up >= down else -np.inf
+
+
+@pytest.mark.parametrize(("n", "edges"), [(3, 3), (3, 4), (4, 4), (5, 7), (6, 4), (8, 8), (12, 4), (12, 12)])
+def test_facets_agree_with_linear_programme(n: int, edges: int) -> None:
+    rng = np.random.default_rng(n * 100 + edges)
+    contacts = polygon_contacts(n, edges)
+    rows, grasp_map = facets(contacts), contacts.grasp_map
+    assert (rows @ grasp_map).max() < 1e-11
+    outside = 0
+    for _ in range(12):
+        # Around a wrench inside and around one that need not be.
+        wrench = grasp_map @ rng.exponential(size=grasp_map.shape[1]) * rng.choice([1.0, -1.0])
+        direction = rng.normal(size=6) * [1, 1, 1, 0.03, 0.03, 0.03]
+        expected = reach_lp(contacts, wrench, direction)
+        outside += expected < 0
+        assert_allclose(reach_by_facets(rows, wrench, direction), expected, rtol=1e-8)
+    assert 0 < outside < 12
+
+
+def test_every_facet_touches_five_independent_generators() -> None:
+    contacts = polygon_contacts(8, 4)
+    rows, grasp_map = facets(contacts), contacts.grasp_map
+    scale = np.array([1, 1, 1, *([1 / cone_facets(contacts).length] * 3)])
+    for row in rows:
+        active = (scale[:, None] * grasp_map)[:, np.abs(row @ grasp_map) < 1e-9]
+        assert np.linalg.matrix_rank(active, tol=1e-6) == 5
+
+
+@pytest.mark.parametrize(("n", "count"), [(3, 25), (6, 86), (12, 232)])
+def test_number_of_facets_of_regular_polygons(n: int, count: int) -> None:
+    polygon = shapes.cylinder(0.03, 0.1, n).base_polygon
+    contacts = support_contacts(np.column_stack([polygon, np.full(n, -0.05)]), 0.3)
+    assert len(facets(contacts)) == count
+
+
+def test_rectangle_agrees_with_closed_form() -> None:
+    half_x, half_y, mu = 0.11, 0.04, 0.35
+    corners = [[half_x, half_y, 0], [-half_x, half_y, 0], [-half_x, -half_y, 0], [half_x, -half_y, 0]]
+    contacts = support_contacts(corners, np.sqrt(2) * mu, 4, np.pi / 4)
+    ours = cone_facets(contacts)
+    closed = rectangle_cone(half_x, half_y, mu)
+    scale = np.array([1, 1, 1, *([ours.length] * 3)])
+    closed = closed / np.linalg.norm(closed * scale, axis=1)[:, None]
+    distance = np.abs(ours.rows[:, None] - closed[None]).max(axis=2)
+    assert len(ours.rows) == len(closed) == 16
+    assert distance.min(axis=0).max() < 1e-12
+    assert distance.min(axis=1).max() < 1e-12
+
+
+def test_margin_is_the_smallest_disturbance() -> None:
+    contacts = polygon_contacts(5, 6)
+    cone = cone_facets(contacts)
+    wrench = np.array([0.1, 0.05, 2.0, 0.01, -0.02, 0.001])
+    m = margin(cone.rows, wrench[None])[0]
+    scale = np.array([1, 1, 1, *([cone.length] * 3)])
+    rng = np.random.default_rng(0)
+    assert m > 0
+    for _ in range(200):
+        d = rng.normal(size=6)
+        d /= np.linalg.norm(d)
+        assert reach_by_facets(cone.rows, wrench, d * scale) >= m * (1 - 1e-12)
+    worst = cone.rows[np.argmax(cone.rows @ wrench)]
+    assert_allclose(reach_lp(contacts, wrench, worst * scale**2), m, rtol=1e-8)
+
+
+def test_level_acceleration_by_hand() -> None:
+    """A cube follows a level tray at a: friction a/g, zero-moment point h a/g behind the centre."""
+    contacts = support_contacts(CUBE, 0.5)
+    a = np.array([0.0, 1.0, 4.905, 6.0])
+    wrench = 0.256 * np.column_stack([a, 0 * a, 0 * a + G, 0 * a, 0 * a, 0 * a])
+    assert_allclose(friction_needed(contacts, wrench), a / G, atol=1e-12)
+    assert_allclose(coulomb_friction_needed(contacts, wrench), a / G, atol=1e-6)
+    assert_allclose(tip_over_margin(contacts, wrench), 0.02 - 0.02 * a / G, atol=1e-12)
+    m = margin(facets(contacts), wrench)
+    assert m[0] > m[1] > 0 > m[3]
+    assert abs(m[2]) < 1e-12
+
+
+def test_no_friction_helps_past_tipping_or_pulling() -> None:
+    contacts = support_contacts(CUBE, 0.5)
+    tipping = np.array([1.001 * G, 0, G, 0, 0, 0])
+    pulling = np.array([0, 0, -1.0, 0, 0, 0])
+    assert np.all(np.isinf(friction_needed(contacts, np.stack([tipping, pulling]))))
+    assert np.all(np.isinf(coulomb_friction_needed(contacts, np.stack([tipping, pulling]))))
+    assert tip_over_margin(contacts, tipping)[0] < 0
+    assert tip_over_margin(contacts, pulling)[0] == -np.inf
+
+
+def test_friction_needed_is_where_the_wrench_enters_the_cone() -> None:
+    rng = np.random.default_rng(3)
+    points = np.array(
+        [[0.05, 0.0, -0.1], [0.01, 0.06, -0.1], [-0.04, 0.02, -0.1], [-0.02, -0.05, -0.1], [0.03, -0.04, -0.1]]
+    )
+    contacts = support_contacts(points, 0.4, 6, 0.1)
+    wrench = (contacts.grasp_map @ rng.exponential(size=(contacts.grasp_map.shape[1], 8))).T
+    needed = friction_needed(contacts, wrench)
+    assert np.all(needed <= 0.4)
+    for f, mu in zip(wrench, needed, strict=True):
+        for factor, inside in ((1.001, True), (0.999, False)):
+            rows = facets(support_contacts(points, mu * factor, 6, 0.1))
+            assert (margin(rows, f[None])[0] >= 0) == inside
+
+
+def test_pyramids_bracket_the_round_cone() -> None:
+    rng = np.random.default_rng(4)
+    for n in (3, 4, 6):
+        contacts = polygon_contacts(n, 24)
+        wrench = (contacts.grasp_map @ rng.exponential(size=(contacts.grasp_map.shape[1], 6))).T
+        ratio = coulomb_friction_needed(contacts, wrench) / friction_needed(contacts, wrench)
+        assert np.all(ratio <= 1 + 1e-6)
+        assert np.all(ratio >= np.cos(np.pi / 24) - 1e-6)
+        assert ratio.min() < 1 - 1e-4  # they do differ
+
+
+def test_pure_torsion_of_a_round_cone() -> None:
+    """Corners at distance r under a central load N give mu N r in all; edges of a pyramid may give less."""
+    contacts = support_contacts(CUBE, 0.5)
+    r, normal = 0.02 * np.sqrt(2), 3.0
+    wrench = np.array([[0, 0, normal, 0, 0, 0.3 * normal * r]])
+    assert_allclose(coulomb_friction_needed(contacts, wrench), 0.3, rtol=1e-6)
+    assert_allclose(friction_needed(contacts, wrench), 0.3 * np.sqrt(2), rtol=1e-10)
+
+
+def test_contacts_with_different_friction_and_normals() -> None:
+    rng = np.random.default_rng(5)
+    tilted = exp(np.array([[0.1, 0, 0], [0, 0.2, 0], [-0.1, 0, 0], [0, 0, 0.3]]))
+    contacts = ContactSet(CUBE, tilted, np.array([0.2, 0.5, 0.3, 0.4]), 4, 0.0)
+    rows = facets(contacts)
+    for _ in range(6):
+        wrench, direction = (
+            contacts.grasp_map @ rng.exponential(size=16),
+            rng.normal(size=6) * [1, 1, 1, 0.02, 0.02, 0.02],
+        )
+        assert_allclose(reach_by_facets(rows, wrench, direction), reach_lp(contacts, wrench, direction), rtol=1e-8)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_contacts_leave_directions_without_force(count: int) -> None:
+    contacts = support_contacts(CUBE[:count], 0.5)
+    rows = facets(contacts)
+    inside = contacts.grasp_map @ np.ones(4 * count)
+    assert margin(rows, inside[None])[0] > -1e-12
+    off = inside + np.array([0, 0, 0, 1e-3, 1e-3, 0])  # a moment that no force at these points gives
+    assert margin(rows, off[None])[0] < -1e-4
+
+
+def test_opposing_contacts_have_no_facets() -> None:
+    with pytest.raises(ValueError, match="press against each other"):
+        hull_facets(np.vstack([np.eye(6), -np.eye(6)]))
