@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import math
@@ -42,10 +43,12 @@ def write_atomic(path: str | Path, data: bytes | str) -> Path:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except OSError as error:
-        raise SalverError(f"{path} cannot be written: {_reason(error)}.") from None
-    finally:
-        temporary.unlink(missing_ok=True)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError):
+            raise SalverError(f"{path} cannot be written: {_reason(error)}.") from None
+        raise
     return path
 
 
@@ -75,8 +78,8 @@ def load_npz(path: str | Path, required: tuple[str, ...] = ()) -> dict[str, np.n
         raise FileFormatError(f"{path} cannot be read: {_reason(error)}.") from None
     except (ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError):
         raise FileFormatError(
-            f"{path} is truncated or is not a file of arrays that salver wrote; write it again with the command it came "
-            "from."
+            f"{path} is truncated or is not a file of arrays that salver wrote; write it again with the command "
+            "it came from."
         ) from None
     missing = [name for name in required if name not in arrays]
     if missing:
