@@ -119,4 +119,4 @@ def acceleration(
 
 def apply(matrix: Array, vector: Array) -> Array:
     """Stacked product: (..., i, j) and (..., j) to (..., i)."""
-    return (matrix @ vector[..., None])[..., 0]
+    return np.einsum("...ij,...j->...i", matrix, vector)

@@ -1,0 +1,233 @@
+"""The perturbed closed loop without an engine: eqs (18), (19) in full, for many true bodies at once.
+
+Integrated in the controller's own error coordinates (e_p, e_R, e_v, e_w), which is an exact change of
+variables on SE(3): the rotation error is a rotation vector that the integrator re-centres on the reference
+at every instant, so no drift off the group can occur. The reference itself then carries no integration
+error, and what is integrated is the deviation: its *relative* accuracy is that of the integrator, however
+small the deviation is. Finite differences of these rollouts are therefore good to many digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import RK45
+
+from salver.control.object import Errors, Gains, acceleration, apply, command
+from salver.geometry import Array, exp, right_jacobian_inverse
+from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
+from salver.trajectory import MotionSamples, Reference
+
+# Longest step times the fastest rate of the error dynamics. Dormand and Prince's fifth-order pair then errs
+# by less than 1e-6 of the largest deviation; half the function evaluations of RK4 at that accuracy
+# (measured in benchmarks/rollouts.py).
+STEP_TIMES_RATE = 0.25
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """Motions of n bodies with different true parameters under the same controller and reference.
+
+    t: (T,) s. deviation: (n, T, 12) of the true state from the reference: (dp in S, dtheta in B with
+    R = R* Exp(dtheta), dv in S, domega = omega - omega* in B). cone_coefficients: (n, T, n_lambda) Lambda, N.
+    Row i is one body's record, time first.
+    """
+
+    t: Array
+    deviation: Array
+    cone_coefficients: Array
+
+
+def rollout(
+    reference: Reference,
+    body: RigidBody,
+    grasp_map: Array,
+    gains: Gains,
+    phi_samples: npt.ArrayLike,
+    t: npt.ArrayLike,
+    initial_deviation: npt.ArrayLike | None = None,
+    max_step: float | None = None,
+) -> Rollout:
+    """Closed loop (18), (19) from t = 0 at the reference's initial state, for true bodies phi (n, 10).
+
+    body: what the controller believes. grasp_map: (6, n_lambda) G F_hat. t: (T,) increasing times >= 0.
+    initial_deviation: (12,) or (n, 12) start off the reference, as `Rollout.deviation`; zero by default.
+    max_step: longest step, s; by default from the gains (10 ms at the paper's).
+    Raises ValueError when t does not increase from a value >= 0.
+    """
+    phi = np.atleast_2d(np.asarray(phi_samples, dtype=float))
+    t = np.atleast_1d(np.asarray(t, dtype=float))
+    if t[0] < 0 or np.any(np.diff(t) <= 0):
+        raise ValueError("t must increase from a value that is not negative")
+    grasp_inverse = np.asarray(np.linalg.pinv(grasp_map), dtype=float)
+    inverse_inertia = np.asarray(np.linalg.inv(spatial_inertia(phi)), dtype=float)
+    loop = _Loop(gains, body.phi, grasp_map, grasp_inverse, phi, inverse_inertia)
+    fastest = max(*gains.kd, *np.sqrt(gains.kp))
+    grid, is_output = _grid(t, STEP_TIMES_RATE / fastest if max_step is None else max_step)
+    steps = np.diff(grid)
+    # No stage may lie after its step's end by rounding: beyond its duration a reference is at rest.
+    stage_times = np.minimum(grid[:-1, None] + steps[:, None] * RK45.C, grid[1:, None])
+    stages = reference.sample(stage_times.ravel())
+    knots = reference.sample(grid)
+
+    state = _from_deviation(initial_deviation, len(phi), _at(knots, 0))
+    deviation = np.empty((len(phi), len(t), 12))
+    coefficients = np.empty((len(phi), len(t), grasp_map.shape[1]))
+    row = 0
+    for k in range(len(grid)):
+        rate, inputs = loop.rate(_at(knots, k), state)
+        if is_output[k]:
+            deviation[:, row], coefficients[:, row] = _deviation(_at(knots, k), state), inputs
+            row += 1
+        if k == len(steps):
+            break
+        rates = [rate]
+        for i in range(1, RK45.n_stages):
+            inner = state + steps[k] * _combine(RK45.A[i], rates)
+            rates.append(loop.rate(_at(stages, k * RK45.n_stages + i), inner)[0])
+        state = state + steps[k] * _combine(RK45.B, rates)
+    return Rollout(t, deviation, coefficients)
+
+
+def _combine(weights: Array, rates: Sequence[Array]) -> Array:
+    total = weights[0] * rates[0]
+    for weight, rate in zip(weights[1:], rates[1:], strict=False):
+        if weight:
+            total += weight * rate
+    return total
+
+
+def _grid(t: Array, max_step: float) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Step ends from 0 to t[-1] that meet every requested time, and which of them were requested."""
+    ends = t if t[0] == 0 else np.concatenate([[0.0], t])
+    pieces, marks = [np.zeros(1)], [np.array([t[0] == 0])]
+    for a, b in pairwise(ends):
+        count = int(np.ceil((b - a) / max_step * (1 - 1e-12)))
+        pieces.append(np.linspace(a, b, count + 1)[1:])
+        marks.append(np.arange(1, count + 1) == count)
+    return np.concatenate(pieces), np.concatenate(marks)
+
+
+def _at(samples: MotionSamples, k: int) -> MotionSamples:
+    one = slice(k, k + 1)
+    s = samples
+    return MotionSamples(s.t[one], s.p_SB[one], s.v_S[one], s.a_S[one], s.R_SB[one], s.omega_B[one], s.alpha_B[one])
+
+
+@dataclass(frozen=True)
+class _Loop:
+    gains: Gains
+    phi_nominal: Array
+    grasp_map: Array
+    grasp_inverse: Array
+    phi: Array
+    inverse_inertia: Array
+
+    def rate(self, reference: MotionSamples, state: Array) -> tuple[Array, Array]:
+        """d/dt of the errors (n, 12) = (e_p, e_R, e_v, e_w), and the input Lambda (n, n_lambda)."""
+        e_p, e_R, e_v, e_w = state[:, :3], state[:, 3:6], state[:, 6:9], state[:, 9:]
+        transport = exp(e_R)
+        R_SB = reference.R_SB @ np.swapaxes(transport, -1, -2)
+        transported = apply(transport, reference.omega_B)
+        omega = transported - e_w
+        a_cmd, alpha_cmd = command(self.gains, reference, Errors(e_p, e_R, e_v, e_w, transport))
+        inputs = wrench(self.phi_nominal, R_SB, a_cmd, omega, alpha_cmd) @ self.grasp_inverse.T
+        a_S, alpha = acceleration(self.phi, R_SB, omega, inputs @ self.grasp_map.T, self.inverse_inertia)
+        e_w_rate = apply(transport, reference.alpha_B) - np.cross(omega, transported) - alpha
+        e_R_rate = apply(right_jacobian_inverse(-e_R), e_w)
+        return np.concatenate([e_v, e_R_rate, reference.a_S - a_S, e_w_rate], axis=1), inputs
+
+
+def _deviation(reference: MotionSamples, state: Array) -> Array:
+    """Errors (n, 12) to the deviation of the state, rows of docs/conventions.md."""
+    e_p, e_R, e_v, e_w = state[:, :3], state[:, 3:6], state[:, 6:9], state[:, 9:]
+    domega = apply(exp(e_R) - np.eye(3), reference.omega_B) - e_w
+    return np.concatenate([-e_p, -e_R, -e_v, domega], axis=1)
+
+
+def _from_deviation(deviation: npt.ArrayLike | None, n: int, reference: MotionSamples) -> Array:
+    """Inverse of `_deviation`, (n, 12)."""
+    if deviation is None:
+        return np.zeros((n, 12))
+    d = np.broadcast_to(np.asarray(deviation, dtype=float), (n, 12))
+    e_w = apply(exp(-d[:, 3:6]) - np.eye(3), reference.omega_B) - d[:, 9:]
+    return np.concatenate([-d[:, :3], -d[:, 3:6], -d[:, 6:9], e_w], axis=1)
+
+
+STATE_NAMES = tuple(f"{part}_{axis}" for part in ("dp", "dtheta", "dv", "domega") for axis in "xyz")
+ROUNDING = 1e-9  # in the unit of each quantity; leaving a tube by less is not leaving it
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How n sampled records (n, T, c) lie in c tubes: eq (12).
+
+    names: (c,) of the quantities. excess: (n, c) the largest |value - nominal| - radius over time, in the unit of
+    the quantity; negative when the record stays inside. relative: (n, c) excess over the *largest* radius of that
+    tube (with one parameter a radius passes through zero, so a ratio at an instant says nothing).
+    when: (n, c) time of the excess, s. tolerance: share of the largest radius that does not count as leaving.
+    """
+
+    names: tuple[str, ...]
+    excess: Array
+    relative: Array
+    when: Array
+    tolerance: float
+
+    @property
+    def outside(self) -> npt.NDArray[np.bool_]:
+        """(n, c) whether a record left a tube."""
+        return (self.excess > ROUNDING) & (self.relative > self.tolerance)
+
+    @property
+    def left(self) -> int:
+        """How many of the n records left at least one of their tubes."""
+        return int(self.outside.any(axis=1).sum())
+
+    @property
+    def inside_share(self) -> float:
+        """Share of the records that stayed in all of their tubes."""
+        return 1 - self.left / len(self.excess)
+
+    @property
+    def worst(self) -> tuple[int, int]:
+        """(sample, quantity) with the largest relative excess among those outside; of all when none is."""
+        score = np.where(self.outside, self.relative, -np.inf)
+        if not self.outside.any():
+            score = np.where(np.isfinite(self.relative), self.relative, -np.inf)
+        sample, quantity = np.unravel_index(np.argmax(score), score.shape)
+        return int(sample), int(quantity)
+
+    def __str__(self) -> str:
+        n, (i, j) = len(self.excess), self.worst
+        if not self.left:
+            return f"all {n} records stayed in their {len(self.names)} tubes"
+        share = f"{100 * self.relative[i, j]:.2g} % of the largest radius"
+        where = f"{self.names[j]} at t = {self.when[i, j]:.3g} s"
+        return f"{self.left} of {n} records left a tube, the worst by {self.excess[i, j]:.3g} ({share}) in {where}"
+
+
+def coverage(
+    t: npt.ArrayLike,
+    values: Array,
+    nominal: Array,
+    radius: Array,
+    names: Sequence[str],
+    tolerance: float = 1e-6,
+) -> Coverage:
+    """Which of the sampled records `values` (n, T, c) left the tubes nominal +- radius, each (T, c).
+
+    For states pass `Rollout.deviation`, nominal zero and `STATE_NAMES`; for inputs `Rollout.cone_coefficients`.
+    The default tolerance is the rollouts' own accuracy.
+    """
+    beyond = np.abs(values - nominal) - radius
+    at = beyond.argmax(axis=1)
+    excess = np.take_along_axis(beyond, at[:, None], axis=1)[:, 0]
+    peak = radius.max(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(excess == 0, 0.0, excess / peak)
+    return Coverage(tuple(names), excess, relative, np.asarray(t, dtype=float)[at], tolerance)
