@@ -52,6 +52,29 @@ class BodyMotion:
             dual(samples.alpha_B, alpha_tangent),
         )
 
+    def of_frame(self, p_BX: Array, R_BX: Array) -> BodyMotion:
+        """What a body with frame X feels that moves rigidly with B."""
+        arm = Dual(p_BX[None, None])
+        force = self.force + self.alpha.cross(arm) + self.omega.cross(self.omega.cross(arm))
+        turn, tangent = R_BX.T, self.rotation.tangent
+        return BodyMotion(
+            DualRotation(self.rotation.matrix @ R_BX, None if tangent is None else turn @ tangent),
+            force.mapped(turn),
+            self.omega.mapped(turn),
+            self.alpha.mapped(turn),
+        )
+
+    def wrench(self, phi: Array) -> tuple[Dual, Dual]:
+        """(f, tau) (T, P, 3) at B of bodies with inertial parameters phi (10, P): eq (1), linear in phi.
+
+        Columns may as well be directions d phi: then these are the columns of Y(t) d phi.
+        """
+        mass, moment, inertia = phi[0, :, None], Dual(phi[1:4].T[None]), inertia_matrix(phi[4:].T)
+        omega, alpha, force = self.omega, self.alpha, self.force
+        f = force.scaled(mass) + alpha.cross(moment) + omega.cross(omega.cross(moment))
+        tau = moment.cross(force) + alpha.mapped(inertia) + omega.cross(omega.mapped(inertia))
+        return f, tau
+
 
 @dataclass(frozen=True)
 class TraySensitivity:
@@ -90,20 +113,9 @@ class TrayLoop:
     def grid(self, t: Array) -> QuadratureGrid:
         return QuadratureGrid.for_gains(t, self.gains.kp)
 
-    def nominal_wrench(self, motion: BodyMotion) -> tuple[Dual, Dual]:
-        """(f, tau) at B of the nominal body, eq (1)."""
-        inertia = self.body.inertia_com
-        torque = motion.alpha.mapped(inertia) + motion.omega.cross(motion.omega.mapped(inertia))
-        return motion.force.scaled(self.body.mass), torque
-
     def forcing(self, motion: BodyMotion) -> tuple[Dual, Dual]:
         """D: (R D_v in S, D_w in B), each (T, n_p, 3)."""
-        by_mass = self.phi_jacobian[0, :, None]
-        by_moment = Dual(self.phi_jacobian[1:4].T[None])
-        by_inertia = inertia_matrix(self.phi_jacobian[4:].T)
-        omega, alpha, force = motion.omega, motion.alpha, motion.force
-        f = force.scaled(by_mass) + alpha.cross(by_moment) + omega.cross(omega.cross(by_moment))
-        tau = by_moment.cross(force) + alpha.mapped(by_inertia) + omega.cross(omega.mapped(by_inertia))
+        f, tau = motion.wrench(self.phi_jacobian)
         return (
             motion.rotation.to_world(f.scaled(1 / self.body.mass)),
             tau.mapped(np.linalg.inv(self.body.inertia_com)),

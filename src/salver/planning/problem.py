@@ -1,0 +1,271 @@
+"""The optimisation problem of the paper, eqs (13) to (17), with derivatives.
+
+Variables z are what the boundary conditions leave free of the reference's coefficients: all rest-to-rest
+references are a = particular + null_space z (eq 26), for position and for body angular velocity alike. The
+goal orientation is met by an equality on z, because SO(3) is not flat.
+
+    minimise    integral of |S Pi(t)|^2 dt                       (13)
+    subject to  c(t) - r(t) >= margin on a grid of instants      (16)
+
+c is linear in the wrench of each carried object (`salver.planning.conditions`). With fixed orientation, and
+unless the paper's condition meets an uncertain centre of mass, cost residuals and constraints are affine in z:
+the problem is convex.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from salver.control.object import Gains
+from salver.geometry import GRAVITY_S, Array, log, right_jacobian_inverse
+from salver.models.bodies import Body, bodies, uncertain_set
+from salver.models.parameters import COM, UncertainSet, phi_jacobian
+from salver.planning.conditions import Contact, Rows, contacts_for, rows_of
+from salver.scenario import Scenario
+from salver.sensitivity.dual import Dual
+from salver.sensitivity.filter import QuadratureGrid
+from salver.sensitivity.tray import BodyMotion, TrayLoop
+from salver.trajectory import (
+    MotionSamples,
+    PolynomialReference,
+    boundary_solution,
+    chebyshev_basis,
+    geodesic_angular_velocity,
+    position_boundary,
+)
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """The problem around z. Residuals (n_r,) with cost = |residual|^2; constraints on T instants, n_c each.
+
+    rows: the contact conditions, one item for each carried object.
+    goal (3,) and goal_jacobian (3, n_z): rotation vector from the goal orientation; empty when fixed.
+    """
+
+    residual: Array
+    residual_jacobian: Array
+    rows: tuple[Rows, ...]
+    goal: Array
+    goal_jacobian: Array
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The planning problem of a scenario on a uniform grid of `nodes` instants."""
+
+    scenario: Scenario
+    nodes: int
+
+    @cached_property
+    def duration(self) -> float:
+        assert self.scenario.motion.duration is not None
+        return self.scenario.motion.duration
+
+    @cached_property
+    def body(self) -> Body:
+        """The object whose closed loop is planned: the first."""
+        return bodies(self.scenario)[0]
+
+    @cached_property
+    def uncertain(self) -> UncertainSet:
+        return uncertain_set(self.scenario)
+
+    @cached_property
+    def loop(self) -> TrayLoop:
+        gains = Gains(self.scenario.control.kp, self.scenario.control.kd)
+        own = tuple(name.removeprefix(f"{self.body.name}.") for name in self.uncertain.names)
+        return TrayLoop(self.body.inertial, gains, phi_jacobian(self.body.inertial, own))
+
+    @cached_property
+    def contacts(self) -> list[Contact]:
+        return contacts_for(self.scenario)
+
+    @cached_property
+    def grid(self) -> QuadratureGrid:
+        return self.loop.grid(np.linspace(0, self.duration, self.nodes))
+
+    @property
+    def rotates(self) -> bool:
+        return self.scenario.motion.orientation == "free" or self._turn > 1e-12
+
+    @cached_property
+    def _turn(self) -> float:
+        motion = self.scenario.motion
+        return float(np.linalg.norm(log(motion.start.rotation.T @ motion.goal.rotation)))
+
+    @property
+    def is_affine(self) -> bool:
+        """Whether cost residuals and constraints are affine in z, so that one convex solve is the answer.
+
+        In the closed loop an uncertain centre of mass turns the object against the reference, and the force it
+        feels is then turned: a product of two things that depend on z.
+        """
+        turned = any(name.split(".")[-1] in COM for name in self.uncertain.names)
+        return not self.rotates and not (turned and self.scenario.contact.condition == "paper")
+
+    # Variables -------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _position(self) -> tuple[Array, Array]:
+        """Particular solution (n + 1, 3) and null space (n + 1, n - 5) of eq (26) for position."""
+        motion = self.scenario.motion
+        values = position_boundary(self.duration, np.array(motion.start.position), np.array(motion.goal.position))
+        solution = boundary_solution(motion.degree, values)
+        return solution.particular, solution.null_space
+
+    @cached_property
+    def _spin(self) -> tuple[Array, Array]:
+        """The same for body angular velocity (degree n - 1): zero with zero derivative at both ends."""
+        motion = self.scenario.motion
+        degree = motion.degree - 1
+        null_space = boundary_solution(degree, np.zeros((4, 3)), (0, 1)).null_space
+        particular = np.zeros((degree + 1, 3))
+        turn = geodesic_angular_velocity(self.duration, motion.start.rotation, motion.goal.rotation)
+        if turn is not None:
+            particular[: len(turn)] = turn
+        return particular, null_space
+
+    @property
+    def size(self) -> int:
+        """n_z. Position first, axis by axis, then angular velocity, axis by axis."""
+        return self._n_position + (3 * self._spin[1].shape[1] if self.rotates else 0)
+
+    @property
+    def _n_position(self) -> int:
+        return 3 * self._position[1].shape[1]
+
+    def reference(self, z: Array) -> PolynomialReference:
+        """The reference of z. z = 0 is the paper's initial guess, the minimum-norm solution a = M^+ d."""
+        particular, null_space = self._position
+        position = particular + null_space @ z[: self._n_position].reshape(3, -1).T
+        angular_velocity = None
+        if self.rotates:
+            particular, null_space = self._spin
+            angular_velocity = particular + null_space @ z[self._n_position :].reshape(3, -1).T
+        return PolynomialReference(
+            self.duration, self.scenario.motion.start.rotation, position, angular_velocity
+        )
+
+    # Cost ------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def row_scale(self) -> tuple[float, float, float, float]:
+        """Weights of the blocks (dp, dtheta, dv, domega) of Pi; see `docs/weighting.md`."""
+        return row_scale(self.scenario.objective.weighting, self.body, self.loop.gains)
+
+    @cached_property
+    def column_scale(self) -> Array:
+        """(n_p, n_p) that multiplies Pi from the right: half-ranges when scaled, nothing in the paper's norms."""
+        if self.scenario.objective.weighting == "scaled":
+            return self.uncertain.factor
+        return np.eye(self.uncertain.size)
+
+    @cached_property
+    def time_weights(self) -> Array:
+        """(T,) fourth-order end-corrected trapezoidal weights of the grid, s."""
+        weights = np.full(self.nodes, self.duration / (self.nodes - 1))
+        correction = np.array([9 / 24, 28 / 24, 23 / 24])
+        weights[:3] *= correction
+        weights[-3:] *= correction[::-1]
+        return weights
+
+    # Derivatives -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def _bases(self) -> tuple[_Bases, _Bases]:
+        return self._basis_at(self.grid.t), self._basis_at(self.grid.times)
+
+    def _basis_at(self, t: Array) -> _Bases:
+        s, rate = 2 * t / self.duration - 1, 2 / self.duration
+        null_position, null_spin = self._position[1], self._spin[1]
+
+        def spread(basis: Array, offset: int) -> Array:
+            """(T, m) for one axis to (T, 3, n_z), each axis in its own block of columns."""
+            out = np.zeros((len(t), 3, self.size))
+            m = basis.shape[1]
+            for axis in range(3):
+                out[:, axis, offset + axis * m : offset + (axis + 1) * m] = basis
+            return out
+
+        position = [rate**k * chebyshev_basis(s, len(null_position) - 1, k) @ null_position for k in (0, 2)]
+        a = spread(position[1], 0)
+        if not self.rotates:
+            return _Bases(a, None, None)
+        spin = [rate**k * chebyshev_basis(s, len(null_spin) - 1, k) @ null_spin for k in range(2)]
+        return _Bases(a, spread(spin[0], self._n_position), spread(spin[1], self._n_position))
+
+    def _motions(self, reference: PolynomialReference) -> tuple[MotionSamples, BodyMotion, BodyMotion, Array | None]:
+        """Samples on the grid, body motions there and between with derivatives by z, and dtheta/dz on the grid."""
+        on_grid, between = reference.sample(self.grid.t), reference.sample(self.grid.times)
+        basis_grid, basis_between = self._bases
+        theta_grid = theta_between = None
+        if basis_between.omega is not None:
+            # dtheta' = domega - omega x dtheta, so R dtheta is the running integral of R domega.
+            turned_grid, turned_between = self.grid.cumulative(between.R_SB @ basis_between.omega)
+            theta_grid = np.swapaxes(on_grid.R_SB, 1, 2) @ turned_grid
+            theta_between = np.swapaxes(between.R_SB, 1, 2) @ turned_between
+        return (
+            on_grid,
+            BodyMotion.of(on_grid, basis_grid.a, theta_grid, basis_grid.omega, basis_grid.alpha),
+            BodyMotion.of(between, basis_between.a, theta_between, basis_between.omega, basis_between.alpha),
+            theta_grid,
+        )
+
+    def linearise(self, z: Array) -> Linearisation:
+        """Cost residuals, constraints and their derivatives at z."""
+        reference = self.reference(z)
+        on_grid, motion, between, theta = self._motions(reference)
+        sensitivity = self.loop.sensitivity(self.grid, motion, between)
+        weights = np.sqrt(self.time_weights)[:, None, None]
+        residual, jacobian = [np.zeros(0)], [np.zeros((0, self.size))]
+        blocks = (sensitivity.dp, sensitivity.dtheta, sensitivity.dv, sensitivity.domega)
+        for scale, block in zip(self.row_scale, blocks, strict=True):
+            if scale > 0:
+                value, tangent = _times_columns(block, self.column_scale, self.size)
+                residual.append((scale * weights * value).ravel())
+                jacobian.append((scale * weights[..., None] * tangent).reshape(value.size, self.size))
+        rows = tuple(rows_of(c, self.uncertain, motion, sensitivity, self.size) for c in self.contacts)
+        goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
+        if theta is not None:
+            goal = log(self.scenario.motion.goal.rotation.T @ on_grid.R_SB[-1])
+            goal_jacobian = right_jacobian_inverse(goal) @ theta[-1]
+        return Linearisation(np.concatenate(residual), np.concatenate(jacobian), rows, goal, goal_jacobian)
+
+
+@dataclass(frozen=True)
+class _Bases:
+    """d a_S, d omega_B, d alpha_B by z at some instants: (T, 3, n_z), or None when the orientation is fixed."""
+
+    a: Array
+    omega: Array | None
+    alpha: Array | None
+
+
+def row_scale(weighting: str, body: Body, gains: Gains) -> tuple[float, float, float, float]:
+    """Weights of the blocks (dp, dtheta, dv, domega) of the state sensitivity in the cost.
+
+    paper: the plain norm of the whole state, metres beside radians. pose: the plain norm of its pose rows.
+    scaled: every row as a displacement of the contact points, in m: rotations by the radius of the base,
+    rates by the natural frequency of their error dynamics, so that |e|^2 + |e'|^2 / kp is the energy of the
+    error over its stiffness; columns by their half-range. It depends neither on units nor on which parameters
+    are listed, and rates count as much as the displacements that they turn into.
+    """
+    if weighting == "paper":
+        return 1.0, 1.0, 1.0, 1.0
+    if weighting == "pose":
+        return 1.0, 1.0, 0.0, 0.0
+    radius = float(np.linalg.norm(body.base_polygon_B, axis=1).max())
+    (kp, kp_R) = gains.kp
+    return 1.0, radius, kp**-0.5, radius * kp_R**-0.5
+
+
+def _times_columns(block: Dual, columns: Array, n_z: int) -> tuple[Array, Array]:
+    """(T, n_p, 3) and its tangent with the parameter axis multiplied by a matrix."""
+    value = np.einsum("tpi,pq->tqi", block.value, columns)
+    if block.tangent is None:
+        return value, np.zeros((*value.shape, n_z))
+    return value, np.einsum("tpiz,pq->tqiz", block.tangent, columns)
