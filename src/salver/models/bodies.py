@@ -12,6 +12,7 @@ from salver.geometry import Array, exp
 from salver.models import shapes
 from salver.models.contact import ContactSet, support_contacts
 from salver.models.parameters import COM, INERTIA, UncertainSet, inertial_vector
+from salver.models.polygons import intersection
 from salver.models.rigid_body import RigidBody, inertia_matrix
 
 if TYPE_CHECKING:
@@ -27,7 +28,8 @@ class Body:
     Its frame B has its origin at the nominal centre of mass and axes of the shape (z up).
     inertial: nominal inertial parameters in B (centre of mass at the origin).
     p_EB, R_EB: pose of B in the tray frame E. com_G: origin of B in the shape frame G.
-    supports: what it stands on: names of objects, or ("tray",). contacts: with all of them, in B.
+    supports: what it stands on: names of objects, or ("tray",). contacts: with all of them, in B, in the order
+    of supports; regions: how many contact points belong to each.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Body:
     com_G: Array
     supports: tuple[str, ...]
     contacts: ContactSet
+    regions: tuple[int, ...]
 
     @property
     def friction(self) -> float:
@@ -47,6 +50,12 @@ class Body:
     def com_height(self) -> float:
         """Height of the nominal centre of mass over the base, m."""
         return float(self.com_G[2] - self.solid.base_z)
+
+    @property
+    def z_range_E(self) -> tuple[float, float]:
+        """Heights of base and top over the tray, m."""
+        centre = float(self.p_EB[2] - self.com_G[2])
+        return centre + self.solid.base_z, centre - self.solid.base_z
 
     @cached_property
     def base_polygon_B(self) -> Array:
@@ -63,6 +72,11 @@ def solid_of(shape: object) -> shapes.Solid:
         return shapes.cylinder(shape.radius, shape.height, shape.support_points)  # type: ignore[attr-defined]
     if kind == "prism":
         return shapes.prism(np.array(shape.polygon), shape.height)  # type: ignore[attr-defined]
+    if kind == "composite":
+        parts = [(solid_of(part.shape), np.array(part.position), part.mass) for part in shape.parts]  # type: ignore[attr-defined]
+        return shapes.composite(parts)
+    if kind == "mesh":
+        return shapes.mesh(shape.file, shape.scale)  # type: ignore[attr-defined]
     raise ValueError(f'shape type "{kind}" is not supported')
 
 
@@ -89,7 +103,10 @@ def inset(polygon: Array, distance: float) -> Array:
     offset = np.einsum("ij,ij->i", normal, polygon) + distance
     previous = np.roll(normal, 1, axis=0), np.roll(offset, 1)
     return np.array(
-        [np.linalg.solve(np.stack([previous[0][i], normal[i]]), [previous[1][i], offset[i]]) for i in range(len(polygon))]
+        [
+            np.linalg.solve(np.stack([previous[0][i], normal[i]]), [previous[1][i], offset[i]])
+            for i in range(len(polygon))
+        ]
     )
 
 
@@ -97,6 +114,7 @@ def bodies(scenario: Scenario) -> list[Body]:
     """All carried objects of a scenario, at rest, in the scenario's order."""
     made: dict[str, Body] = {}
     top: dict[str, float] = {TRAY: 0.0}
+    surface: dict[str, Array] = {}
     phase = np.deg2rad(scenario.contact.edge_phase_deg)
     for item in scenario.objects:
         solid = solid_of(item.shape)
@@ -106,13 +124,31 @@ def bodies(scenario: Scenario) -> list[Body]:
         R_EB = exp(np.array([0.0, 0.0, np.deg2rad(item.yaw_deg)]))
         centre_E = np.array([*item.at, base - solid.base_z])
         polygon = inset(solid.base_polygon, item.support_inset)
-        points_B = np.column_stack([polygon, np.full(len(polygon), solid.base_z)]) - com_G
+        regions = [_standing_on(polygon, centre_E, R_EB, surface.get(name)) for name in supports]
+        corners = np.vstack(regions)
+        points_B = np.column_stack([corners, np.full(len(corners), solid.base_z)]) - com_G
         contacts = support_contacts(points_B, item.friction, scenario.contact.edges, phase)
         made[item.name] = Body(
-            item.name, solid, inertial_of(item, solid), centre_E + R_EB @ com_G, R_EB, com_G, supports, contacts
+            item.name,
+            solid,
+            inertial_of(item, solid),
+            centre_E + R_EB @ com_G,
+            R_EB,
+            com_G,
+            supports,
+            contacts,
+            tuple(len(region) for region in regions),
         )
         top[item.name] = base + solid.height
+        surface[item.name] = centre_E[:2] + solid.top_polygon @ R_EB[:2, :2].T
     return list(made.values())
+
+
+def _standing_on(polygon: Array, centre_E: Array, R_EB: Array, surface_E: Array | None) -> Array:
+    """The part (n, 2), in the shape frame, of a base polygon that rests on a surface in E (None: the whole tray)."""
+    if surface_E is None:
+        return polygon
+    return intersection(polygon, (surface_E - centre_E[:2]) @ R_EB[:2, :2])
 
 
 def uncertain_set(scenario: Scenario) -> UncertainSet:
@@ -185,7 +221,9 @@ def check(item: CarriedObject) -> None:
     body = inertial_of(item, solid)
     principal = np.linalg.eigvalsh(body.inertia_com)
     if principal[0] <= 0:
-        raise ValueError(f"inertia of {item.name} has the principal moment {principal[0]:.3g} kg m^2; all must be positive")
+        raise ValueError(
+            f"inertia of {item.name} has the principal moment {principal[0]:.3g} kg m^2; all must be positive"
+        )
     if principal[2] > (principal[0] + principal[1]) * (1 + 1e-9):
         raise ValueError(
             f"inertia of {item.name} has principal moments {', '.join(f'{x:.3g}' for x in principal)} kg m^2; no mass "
@@ -195,7 +233,9 @@ def check(item: CarriedObject) -> None:
     if not _inside_hull(com_G, solid.bounding_points_G):
         raise ValueError(f"com of {item.name} = {tuple(item.com)} m lies outside its shape; it must be inside")
     if 2 * item.support_inset >= np.ptp(solid.base_polygon, axis=0).min():
-        raise ValueError(f"support_inset of {item.name} = {item.support_inset} m leaves nothing of its base to stand on")
+        raise ValueError(
+            f"support_inset of {item.name} = {item.support_inset} m leaves nothing of its base to stand on"
+        )
 
 
 def _inside_hull(point: Array, vertices: Array) -> bool:
@@ -217,15 +257,18 @@ def check_arrangement(scenario: Scenario) -> None:
                     f'{item.name} stands on "{support}", which is neither "tray" nor an object listed before it'
                 )
         known.add(item.name)
+    items = bodies(scenario)
+    _check_stacking(scenario, items)
     half = 0.5 * np.array(scenario.tray.size)
-    for body in bodies(scenario):
+    for body in items:
         if body.supports == (TRAY,):
             corners = (body.R_EB @ body.contacts.p_BC.T).T[:, :2] + body.p_EB[:2]
             beyond = np.abs(corners) - half
             if beyond.max() > 1e-9:
                 raise ValueError(
                     f"{body.name} stands {1e3 * beyond.max():.1f} mm over the edge of the tray, which is "
-                    f"{scenario.tray.size[0]:g} x {scenario.tray.size[1]:g} m; move it with at, or give the tray a larger size"
+                    f"{scenario.tray.size[0]:g} x {scenario.tray.size[1]:g} m; move it with at, or give the tray a larger "
+                    "size"
                 )
     names = uncertain_set(scenario.model_copy(update={"uncertainty": _without_correlation(scenario)})).names
     for key in scenario.uncertainty.correlation:
@@ -241,6 +284,29 @@ def check_arrangement(scenario: Scenario) -> None:
         matrix = _correlation(list(names), scenario.uncertainty.correlation)
         if matrix is not None and np.linalg.eigvalsh(matrix)[0] <= 0:
             raise ValueError("uncertainty.correlation is not positive definite; no distribution has it")
+
+
+def _check_stacking(scenario: Scenario, items: list[Body]) -> None:
+    """Raise ValueError when an object stands beside or askew on its supports, or where another one is."""
+    made = {body.name: body for body in items}
+    for body in items:
+        for name, count in zip(body.supports, body.regions, strict=True):
+            if count < 3:
+                raise ValueError(f"{body.name} stands beside {name}, not on it; move it with at")
+        tops = [0.0 if n == TRAY else made[n].z_range_E[1] for n in body.supports]
+        if np.ptp(tops) > 1e-6:
+            raise ValueError(
+                f"{body.name} stands on {' and '.join(body.supports)}, whose tops differ by "
+                f"{1e3 * np.ptp(tops):.1f} mm; they must be level"
+            )
+    outlines = [body.p_EB[:2] + (body.solid.outline_polygon - body.com_G[:2]) @ body.R_EB[:2, :2].T for body in items]
+    for i, body in enumerate(items):
+        for j in range(i):
+            other = items[j]
+            low = max(body.z_range_E[0], other.z_range_E[0])
+            high = min(body.z_range_E[1], other.z_range_E[1])
+            if high - low > 1e-6 and len(intersection(outlines[i], outlines[j])):
+                raise ValueError(f"{body.name} and {other.name} are in the same place; move one of them with at")
 
 
 def _without_correlation(scenario: Scenario) -> object:

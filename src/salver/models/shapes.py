@@ -6,10 +6,13 @@ A shape has its own frame G: origin at the centre of its bounding height, z up, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from salver.geometry import Array
+from salver.models.polygons import convex_hull
+from salver.models.rigid_body import parallel_axis
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,7 @@ class Solid:
     height: m along z. base_polygon: (n, 2) vertices, counter-clockwise, of the convex support polygon
     in G, m. centroid_G: (3,) centre of volume. unit_inertia: (3, 3) about it, kg m^2 per kg.
     bounding_points_G: (k, 3) points whose convex hull contains the solid (for "is the centre of mass inside").
+    top_polygon: (m, 2) the flat top that another object can stand on. outline_polygon: seen from above.
     """
 
     height: float
@@ -26,6 +30,8 @@ class Solid:
     centroid_G: Array
     unit_inertia: Array
     bounding_points_G: Array
+    top_polygon: Array
+    outline_polygon: Array
 
     @property
     def base_z(self) -> float:
@@ -37,7 +43,7 @@ def box(size: tuple[float, float, float]) -> Solid:
     x, y, z = size
     polygon = 0.5 * np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
     inertia = np.diag([y * y + z * z, x * x + z * z, x * x + y * y]) / 12
-    return Solid(z, polygon, np.zeros(3), inertia, _extrude(polygon, z))
+    return Solid(z, polygon, np.zeros(3), inertia, _extrude(polygon, z), polygon, polygon)
 
 
 def cylinder(radius: float, height: float, support_points: int = 8) -> Solid:
@@ -47,7 +53,7 @@ def cylinder(radius: float, height: float, support_points: int = 8) -> Solid:
     across = (3 * radius**2 + height**2) / 12
     inertia = np.diag([across, across, 0.5 * radius**2])
     outer = polygon / np.cos(np.pi / support_points)  # circumscribed: contains the disc
-    return Solid(height, polygon, np.zeros(3), inertia, _extrude(outer, height))
+    return Solid(height, polygon, np.zeros(3), inertia, _extrude(outer, height), polygon, polygon)
 
 
 def prism(polygon: Array, height: float) -> Solid:
@@ -65,7 +71,84 @@ def prism(polygon: Array, height: float) -> Solid:
     sxx, syy, sxy = second[0, 0], second[1, 1], second[0, 1]
     szz = height**2 / 12
     inertia = np.array([[syy + szz, -sxy, 0], [-sxy, sxx + szz, 0], [0, 0, sxx + syy]])
-    return Solid(height, p, np.array([*centre, 0.0]), inertia, _extrude(p, height))
+    return Solid(height, p, np.array([*centre, 0.0]), inertia, _extrude(p, height), p, p)
+
+
+def composite(parts: list[tuple[Solid, Array, float]]) -> Solid:
+    """Parts (solid, position of its G, mass) rigidly joined; they may touch or overlap, masses add up.
+
+    The support polygon is the hull of the bases of the lowest parts, the top that of the tops of the highest.
+    Position is then relative to the middle of the whole's bounding height, which is the composite's G.
+    """
+    low = min(position[2] - 0.5 * solid.height for solid, position, _ in parts)
+    high = max(position[2] + 0.5 * solid.height for solid, position, _ in parts)
+    middle = np.array([0.0, 0.0, 0.5 * (low + high)])
+    tolerance = 1e-9 + 1e-6 * (high - low)
+    base = [s.base_polygon + p[:2] for s, p, _ in parts if p[2] - 0.5 * s.height <= low + tolerance]
+    top = [s.top_polygon + p[:2] for s, p, _ in parts if p[2] + 0.5 * s.height >= high - tolerance]
+    masses = np.array([mass for *_, mass in parts])
+    centres = np.array([s.centroid_G + p - middle for s, p, _ in parts])
+    share = masses / masses.sum()
+    centroid = share @ centres
+    inertia = sum(
+        w * (s.unit_inertia + parallel_axis(1.0, c - centroid))
+        for w, c, (s, _, _) in zip(share, centres, parts, strict=True)
+    )
+    points = np.vstack([s.bounding_points_G + p - middle for s, p, _ in parts])
+    return Solid(
+        high - low,
+        convex_hull(np.vstack(base)),
+        centroid,
+        np.asarray(inertia),
+        points,
+        convex_hull(np.vstack(top)),
+        convex_hull(points[:, :2]),
+    )
+
+
+def mesh(file: str, scale: float = 1.0) -> Solid:
+    """A closed surface mesh (STL, OBJ, PLY, ...), z up, as read from `file` and scaled to metres.
+
+    It stands on the hull of its lowest vertices (within 0.1 % of its height); inertia is that of a uniform
+    solid. G is at the middle of the bounding box. Raises ValueError, one sentence, for a file that is missing or
+    unreadable, a surface that is not closed, or a base that is not an area.
+    """
+    import trimesh
+    from scipy.spatial import ConvexHull
+
+    path = Path(file).expanduser()
+    if not path.is_file():
+        raise ValueError(f'the mesh file "{file}" does not exist; give the path of an STL, OBJ or PLY file')
+    try:
+        surface = trimesh.load(path, force="mesh")
+    except Exception as error:  # trimesh raises what its many readers raise
+        raise ValueError(f'the mesh file "{file}" cannot be read ({error}); give an STL, OBJ or PLY file') from None
+    if not isinstance(surface, trimesh.Trimesh) or len(surface.faces) == 0:
+        raise ValueError(f'the mesh file "{file}" holds no triangles; give an STL, OBJ or PLY file of a closed surface')
+    if not surface.is_watertight or surface.volume <= 0:
+        raise ValueError(
+            f'the mesh in "{file}" is not a closed surface with outward normals, so it has no volume and no inertia; '
+            "close its holes"
+        )
+    bounds = scale * np.asarray(surface.bounds)
+    vertices = scale * np.asarray(surface.vertices) - bounds.mean(axis=0)
+    height = float(np.ptp(bounds[:, 2]))
+    if height > 5:
+        raise ValueError(f'the mesh in "{file}" is {height:g} m high; set scale (0.001 for a file in millimetres)')
+    near = 1e-3 * height
+    base = convex_hull(vertices[vertices[:, 2] <= -0.5 * height + near, :2])
+    if len(base) < 3:
+        raise ValueError(f'the mesh in "{file}" stands on a point or an edge; turn it so that a flat side is below')
+    unit_inertia = scale**2 * np.asarray(surface.moment_inertia) / surface.volume
+    return Solid(
+        height,
+        base,
+        scale * np.asarray(surface.center_mass) - bounds.mean(axis=0),
+        unit_inertia,
+        vertices[ConvexHull(vertices).vertices],
+        convex_hull(vertices[vertices[:, 2] >= 0.5 * height - near, :2]),
+        convex_hull(vertices[:, :2]),
+    )
 
 
 def _edge_second_moment(p: Array, q: Array) -> Array:

@@ -18,6 +18,7 @@ import numpy as np
 
 from salver.geometry import Array, hat
 from salver.models.contact import ContactSet, cone_edges
+from salver.models.polygons import half_planes
 
 _TANGENTIAL = np.array([True, True, False, False, False, True])
 _ACTIVE = 1e-9  # a generator this close to a facet's plane (of unit size) lies in it
@@ -105,7 +106,7 @@ def tip_over_margin(contacts: ContactSet, wrench_B: Array) -> Array:
     Negative outside; minus infinity where the normal force is not pressing.
     """
     wrench_B = np.atleast_2d(wrench_B)
-    normal, offset = polygon_half_planes(support_polygon(contacts))
+    normal, offset = half_planes(support_polygon(contacts))
     with np.errstate(invalid="ignore"):
         distance = (offset - zero_moment_point(contacts, wrench_B) @ normal.T).min(axis=1)
     pressing = wrench_B[:, :3] @ contacts.R_BC[0][:, 2] > 0
@@ -272,14 +273,6 @@ def support_polygon(contacts: ContactSet) -> Array:
 
     centred = (contacts.p_BC - contacts.p_BC.mean(axis=0)) @ contacts.R_BC[0]
     return centred[ConvexHull(centred[:, :2]).vertices, :2]
-
-
-def polygon_half_planes(polygon: Array) -> tuple[Array, Array]:
-    """Unit outward normals (n, 2) and offsets (n,), inside where normal . x <= offset, of a convex
-    counter-clockwise polygon (n, 2)."""
-    edge = np.roll(polygon, -1, axis=0) - polygon
-    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
-    return normal, np.einsum("ij,ij->i", normal, polygon)
 
 
 def _is_planar_support(contacts: ContactSet) -> bool:

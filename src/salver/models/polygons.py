@@ -1,0 +1,56 @@
+"""Convex polygons: half-planes, insets, intersections. Vertices (n, 2) counter-clockwise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from salver.geometry import Array
+
+
+def half_planes(polygon: Array) -> tuple[Array, Array]:
+    """Unit outward normals (n, 2) and offsets (n,): inside where normal . x <= offset."""
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
+    return normal, np.einsum("ij,ij->i", normal, polygon)
+
+
+def convex_hull(points: Array) -> Array:
+    """Vertices (n, 2) of the convex hull of points (m, 2); empty when they lie in a line."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except (QhullError, ValueError):
+        return np.empty((0, 2))
+
+
+def from_half_planes(normal: Array, offset: Array) -> Array:
+    """Vertices (n, 2) of a bounded region normal . x <= offset; empty when it has no area."""
+    i, j = np.triu_indices(len(normal), 1)
+    cross = normal[i, 0] * normal[j, 1] - normal[i, 1] * normal[j, 0]
+    meet = np.abs(cross) > 1e-9
+    i, j, cross = i[meet], j[meet], cross[meet]
+    x = (offset[i] * normal[j, 1] - offset[j] * normal[i, 1]) / cross
+    y = (normal[i, 0] * offset[j] - normal[j, 0] * offset[i]) / cross
+    points = np.stack([x, y], axis=1)
+    size = max(float(np.abs(offset).max()), 1e-6)
+    points = points[np.all(points @ normal.T <= offset + 1e-9 * size, axis=1)]
+    if len(points) < 3:
+        return np.empty((0, 2))
+    # The same corner is found once for each pair of edges through it.
+    points = points[np.unique(np.round(points / (1e-8 * size)).astype(np.int64), axis=0, return_index=True)[1]]
+    return convex_hull(points) if len(points) >= 3 else np.empty((0, 2))
+
+
+def intersection(first: Array, second: Array) -> Array:
+    """Vertices of the common region, counter-clockwise; empty when it has no area."""
+    pairs = half_planes(first), half_planes(second)
+    return from_half_planes(np.vstack([n for n, _ in pairs]), np.concatenate([o for _, o in pairs]))
+
+
+def eroded(polygon: Array, half_range: Array) -> Array:
+    """The part that stays covered however the polygon is shifted within |dx|, |dy| <= half_range (2,)."""
+    if not np.any(half_range):
+        return polygon
+    normal, offset = half_planes(polygon)
+    return from_half_planes(normal, offset - np.abs(normal) @ half_range)
