@@ -1,0 +1,77 @@
+"""The creep of MuJoCo's contacts, so that it is never taken for slip.
+
+A contact that sticks is held there by J qacc = -b v_rel: the constraint sees the acceleration J qacc and not the
+J-dot qdot that comes with it on any curved joint motion. So the velocity between object and tray settles at
+(J-dot qdot of the object - J-dot qdot of the tray) / b instead of zero, whatever the friction, and an object that is
+carried around a bend is displaced for good. With b = 2 / (d_max timeconst) of the friction rows, and half a step less
+because velocity is updated before position (semi-implicit integration), the law is
+
+    d(slip)/dt = -(d_max timeconst / 2 - timestep / 2) P (bias of the tray's point - bias of the object's point)
+
+with P the projection onto the contact plane. A free body's own bias at a point r from its origin is
+omega x (omega x r). Nothing here is fitted; tests/test_creep.py compares it with the engine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.geometry import Array, hat
+from salver.models.arm import ArmModel
+
+
+@dataclass(frozen=True)
+class TrayBias:
+    """What the joints' velocities alone accelerate the tray by, at N instants, in E.
+
+    linear (N, 3): of the origin of E, m/s^2. angular (N, 3): rad/s^2. omega (N, 3): the tray's angular velocity.
+    """
+
+    linear: Array
+    angular: Array
+    omega: Array
+
+    def of_point(self, p_E: Array) -> Array:
+        """(N, 3) of a point (3,) fixed to the tray."""
+        spin = hat(self.omega)
+        return self.linear + (hat(self.angular) + spin @ spin) @ p_E
+
+
+def tray_bias(arm: ArmModel, q: Array, dq: Array, R_tilt: Array) -> TrayBias:
+    """J-dot qdot of the real tray along (q, dq), each (N, n); R_tilt (3, 3): its axes in the assumed E."""
+    drift = np.array([arm.drift(a, b) for a, b in zip(q, dq, strict=True)]).reshape(-1, 6)
+    twist = np.array([arm.body_jacobian(a) @ b for a, b in zip(q, dq, strict=True)]).reshape(-1, 6)
+    linear = drift[:, :3] + np.cross(twist[:, 3:], twist[:, :3])
+    return TrayBias(linear @ R_tilt, drift[:, 3:] @ R_tilt, twist[:, 3:] @ R_tilt)
+
+
+def still_bias(count: int) -> TrayBias:
+    """Of a tray that is the engine's world."""
+    zero = np.zeros((count, 3))
+    return TrayBias(zero, zero, zero)
+
+
+def gain(contact_time: float, timestep: float, damping_width: float) -> float:
+    """Seconds: creep speed per unit of bias acceleration."""
+    return 0.5 * damping_width * contact_time - 0.5 * timestep
+
+
+def on_tray(t: Array, bias: TrayBias, p_EB: Array, p_EP: Array, gain_s: float) -> Array:
+    """Creep (N, 3) in E since t[0] of the object's point P (3,) on the tray; the object's B is at p_EB (3,)."""
+    spin = hat(bias.omega)
+    own = spin @ spin @ (p_EP - p_EB)
+    return _integral(t, -gain_s * (bias.of_point(p_EP) - own))
+
+
+def on_object(t: Array, bias: TrayBias, p_EB: Array, p_EB_below: Array, gain_s: float) -> Array:
+    """Creep (N, 3) in E of an object at p_EB on another one at p_EB_below, relative to that one."""
+    spin = hat(bias.omega)
+    return _integral(t, -gain_s * (spin @ spin @ (p_EB - p_EB_below)))
+
+
+def _integral(t: Array, rate: Array) -> Array:
+    rate = rate * [1.0, 1.0, 0.0]
+    step = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t)[:, None]
+    return np.vstack([np.zeros(3), np.cumsum(step, axis=0)])

@@ -1,0 +1,158 @@
+"""What really stands on the tray in one run: the scenario's objects with drawn parameters instead of nominal ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.errors import ScenarioError
+from salver.geometry import Array, exp
+from salver.models.bodies import TRAY, Body, bodies, inertial_of, solid_of
+from salver.models.parameters import INERTIAL, NAMES, inertial_vector
+from salver.models.rigid_body import RigidBody, inertia_matrix
+from salver.models.shapes import Solid, cylinder
+from salver.scenario import CarriedObject, Scenario
+
+ROUND_POINTS = 24  # support points of a round base: the inscribed polygon is at most 0.9 % inside the circle
+TILT = ("tilt_x", "tilt_y")
+
+
+@dataclass(frozen=True)
+class Load:
+    """One loose object with its true parameters.
+
+    inertial: true inertial parameters in B, whose origin is the *nominal* centre of mass (docs/conventions.md).
+    friction: Coulomb coefficient towards everything it stands on. p_EB, R_EB: pose at the start.
+    supports: name of each support ("tray" or an object) -> (k, 3) points of its base that rest on it, in B.
+    outline_B: (n, 3) all those points: what slips, lifts and tips is told by them.
+    nominal: the same object as the planner sees it.
+    """
+
+    name: str
+    solid: Solid
+    shape: object
+    com_G: Array
+    inertial: RigidBody
+    friction: float
+    p_EB: Array
+    R_EB: Array
+    supports: Mapping[str, Array]
+    nominal: Body
+
+    @property
+    def outline_B(self) -> Array:
+        return np.concatenate(list(self.supports.values()))
+
+    @property
+    def base_centre_B(self) -> Array:
+        """(3,) centre of the base, in B."""
+        return np.array([0.0, 0.0, self.solid.base_z]) - self.com_G
+
+
+@dataclass(frozen=True)
+class TrueWorld:
+    """loads: the objects, in the scenario's order. tilt: (3,) rotation vector of the real tray in the assumed E, rad."""
+
+    loads: tuple[Load, ...]
+    tilt: Array
+
+    @property
+    def R_tilt(self) -> Array:
+        """(3, 3) the real tray's axes in the assumed E."""
+        return exp(self.tilt)
+
+
+def true_world(scenario: Scenario, parameters: Mapping[str, float] | None = None) -> TrueWorld:
+    """Put values (absolute, in the parameter's unit) in place of nominal ones.
+
+    Names as in docs/conventions.md, with `object.` in front when there are several objects.
+    Raises ScenarioError for an unknown name, a value that cannot be, or an object that then stands on nothing.
+    """
+    values = {name: float(value) for name, value in (parameters or {}).items()}
+    several = len(scenario.objects) > 1
+    known = [f"{item.name}.{n}" if several else n for item in scenario.objects for n in NAMES if n not in TILT]
+    known += TILT
+    for name, value in values.items():
+        if name not in known:
+            shown = ", ".join(known if len(known) < 40 else [*known[:13], "...", *TILT])
+            raise ScenarioError(f'There is no parameter "{name}" in {scenario.name}; known are {shown}.')
+        if not np.isfinite(value):
+            raise ScenarioError(f"Parameter {name} = {value}; it must be a finite number.")
+    loads: list[Load] = []
+    for item, nominal in zip(scenario.objects, bodies(scenario), strict=True):
+        prefix = f"{item.name}." if several else ""
+        own = {n: values[prefix + n] for n in NAMES if prefix + n in values}
+        loads.append(_load(item, nominal, own, scenario, loads))
+    return TrueWorld(tuple(loads), np.array([values.get("tilt_x", 0.0), values.get("tilt_y", 0.0), 0.0]))
+
+
+def _load(item: CarriedObject, nominal: Body, own: Mapping[str, float], scenario: Scenario, below: list[Load]) -> Load:
+    shape = item.shape
+    solid = cylinder(shape.radius, shape.height, ROUND_POINTS) if shape.type == "cylinder" else solid_of(shape)
+    inertial = inertial_vector(inertial_of(item, solid))
+    for k, name in enumerate(INERTIAL):
+        inertial[k] = own.get(name, inertial[k])
+    body = RigidBody(float(inertial[0]), inertial[1:4], inertia_matrix(inertial[4:]))
+    friction = own.get("friction", item.friction)
+    _check(item.name, body, friction)
+    p_EB = nominal.p_EB + np.array([own.get("position_x", 0.0), own.get("position_y", 0.0), 0.0])
+    supports = _supports(nominal, solid, p_EB, scenario, below)
+    return Load(item.name, solid, shape, nominal.com_G, body, friction, p_EB, nominal.R_EB, supports, nominal)
+
+
+def _check(name: str, body: RigidBody, friction: float) -> None:
+    if body.mass <= 0:
+        raise ScenarioError(f"mass of {name} = {body.mass:g} kg; it must be positive.")
+    if friction <= 0:
+        raise ScenarioError(f"friction of {name} = {friction:g}; it must be positive.")
+    principal = np.linalg.eigvalsh(body.inertia_com)
+    if principal[0] <= 0 or principal[2] > (principal[0] + principal[1]) * (1 + 1e-9):
+        raise ScenarioError(
+            f"inertia of {name} has principal moments {', '.join(f'{x:.3g}' for x in principal)} kg m^2; all must be "
+            "positive and none larger than the sum of the other two."
+        )
+
+
+def _supports(body: Body, solid: Solid, p_EB: Array, scenario: Scenario, below: list[Load]) -> dict[str, Array]:
+    """Corners of the overlap of the object's base with what it stands on, in B."""
+    R_EB = body.R_EB
+    base_z = solid.base_z - body.com_G[2]
+    base_B = np.column_stack([solid.base_polygon - body.com_G[:2], np.full(len(solid.base_polygon), base_z)])
+    base_E = (p_EB + base_B @ R_EB.T)[:, :2]
+    supports: dict[str, Array] = {}
+    for name in body.supports:
+        if name == TRAY:
+            half = 0.5 * np.array(scenario.tray.size)
+            surface = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+        else:
+            lower = next(load for load in below if load.name == name)
+            top_B = lower.solid.base_polygon - lower.com_G[:2]
+            surface = (lower.p_EB + np.column_stack([top_B, np.zeros(len(top_B))]) @ lower.R_EB.T)[:, :2]
+        overlap = clip(base_E, surface)
+        if len(overlap) >= 3:
+            points = np.column_stack([overlap - p_EB[:2], np.zeros(len(overlap))]) @ R_EB
+            points[:, 2] = base_z
+            supports[name] = points
+    if not supports:
+        raise ScenarioError(f"{body.name} stands beside {' and '.join(body.supports)}; its base must overlap with it.")
+    return supports
+
+
+def clip(polygon: Array, window: Array) -> Array:
+    """Intersection (k, 2) of two convex counter-clockwise polygons (n, 2), (m, 2): Sutherland and Hodgman 1974."""
+    points = list(polygon)
+    for a, b in zip(window, np.roll(window, -1, axis=0), strict=True):
+        normal = np.array([a[1] - b[1], b[0] - a[0]]) / np.linalg.norm(b - a)  # to the inside
+        depth = [float(normal @ (p - a)) for p in points]
+        kept: list[Array] = []
+        for i, (p, d) in enumerate(zip(points, depth, strict=True)):
+            q, e = points[i - 1], depth[i - 1]
+            if (d >= -1e-12) != (e >= -1e-12):
+                kept.append(q + (p - q) * e / (e - d))
+            if d >= -1e-12:
+                kept.append(p)
+        points = kept
+    corners = np.array(points).reshape(-1, 2)
+    return corners[np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1) > 1e-9]

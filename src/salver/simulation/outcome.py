@@ -1,0 +1,155 @@
+"""From a trace to what happened to each object: slip, lift, tip, contact; and the word for it.
+
+An object is measured against what it stands on: the tray, or the object below it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.simulation import creep
+from salver.simulation.loads import Load
+from salver.simulation.scene import DAMPING_WIDTH, Scene
+from salver.simulation.trace import Trace
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """From where on a thing counts as having happened.
+
+    slip: m along the support, creep taken off; ten times what the creep law leaves over in the paper's move.
+    tip: rad out of its resting orientation: a cube of 4 cm has then lifted one side by 1.4 mm.
+    lift: m that the whole base is above its support.
+    """
+
+    slip: float = 5e-4
+    tip: float = float(np.deg2rad(2.0))
+    lift: float = 1e-3
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """What m objects did at N instants; see SimulationRecord for the fields. lost (N, m): no longer on the tray.
+
+    p_EB (N, m, 3), R_EB (N, m, 3, 3): pose relative to the real tray.
+    """
+
+    p_EB: Array
+    R_EB: Array
+    slip_E: Array
+    creep_E: Array
+    slip: Array
+    lift: Array
+    tip_angle: Array
+    lost: Array
+
+
+def behaviour(scene: Scene, trace: Trace, bias: creep.TrayBias, tray_size: tuple[float, float]) -> Behaviour:
+    """Measure every object. The first instant with t >= 0 is the rest that displacements are counted from."""
+    start = int(np.searchsorted(trace.t, -1e-9))
+    R_EX = np.swapaxes(trace.R_XE, -1, -2)
+    p_EB = np.einsum("tij,tmj->tmi", R_EX, trace.p_XB - trace.p_XE[:, None])
+    R_EB = np.einsum("tij,tmjk->tmik", R_EX, trace.R_XB)
+    count, m = p_EB.shape[:2]
+    slip_E, creep_E = np.zeros((count, m, 3)), np.zeros((count, m, 3))
+    slip, tip, lift = np.zeros((count, m)), np.zeros((count, m)), np.full((count, m), np.inf)
+    lost = np.zeros((count, m), bool)
+    index = {load.name: k for k, load in enumerate(scene.loads)}
+    gain = creep.gain(scene.contact_time, scene.model.opt.timestep, DAMPING_WIDTH)
+    for k, load in enumerate(scene.loads):
+        below = index.get(next(iter(load.supports)))
+        creep_E[:, k] = _creep(trace.t, bias, load, load.base_centre_B, scene, below, gain)
+        if below is not None:
+            creep_E[:, k] += creep_E[:, below]
+        creep_E[:, k] -= creep_E[start, k]
+        centre = _points(p_EB[:, k], R_EB[:, k], load.base_centre_B)
+        slip_E[:, k] = centre - centre[start]
+        to_support = _in_support(p_EB, R_EB, k, below)
+        for point in load.outline_B:
+            d = _points(*to_support, point)
+            own_creep = _creep(trace.t, bias, load, point, scene, below, gain)
+            if below is not None:
+                own_creep = own_creep @ scene.loads[below].R_EB
+            moved = d - d[start] - (own_creep - own_creep[start])
+            slip[:, k] = np.maximum(slip[:, k], np.hypot(moved[:, 0], moved[:, 1]))
+            lift[:, k] = np.minimum(lift[:, k], d[:, 2] - d[start, 2])
+        relative = np.swapaxes(to_support[1][start], 0, 1) @ to_support[1]
+        tip[:, k] = np.arctan2(np.hypot(relative[:, 0, 2], relative[:, 1, 2]), relative[:, 2, 2])
+        beyond = np.abs(centre[:, :2]) > 0.5 * np.array(tray_size) + load.solid.height
+        lost[:, k] = np.any(beyond, axis=1) | (p_EB[:, k, 2] < 0)
+    return Behaviour(p_EB, R_EB, slip_E, creep_E, slip, np.maximum(lift, 0), tip, lost)
+
+
+def _points(p: Array, rotation: Array, point: Array) -> Array:
+    return p + rotation @ point
+
+
+def _in_support(p_EB: Array, R_EB: Array, k: int, below: int | None) -> tuple[Array, Array]:
+    """Pose (N, 3), (N, 3, 3) of object k relative to what it stands on."""
+    if below is None:
+        return p_EB[:, k], R_EB[:, k]
+    back = np.swapaxes(R_EB[:, below], -1, -2)
+    return np.einsum("tij,tj->ti", back, p_EB[:, k] - p_EB[:, below]), back @ R_EB[:, k]
+
+
+def _creep(
+    t: Array, bias: creep.TrayBias, load: Load, point_B: Array, scene: Scene, below: int | None, gain: float
+) -> Array:
+    if below is None:
+        return creep.on_tray(t, bias, load.p_EB, load.p_EB + load.R_EB @ point_B, gain)
+    return creep.on_object(t, bias, load.p_EB, scene.loads[below].p_EB, gain)
+
+
+def judge(t: Array, seen: Behaviour, touches: Array, thresholds: Thresholds, names: tuple[str, ...]) -> dict[str, Any]:
+    """Figures per object and over all, from t = 0 on, with the outcome: the worst of lost, tips, lifts, slides, holds.
+
+    first_* is the time of the first instant over the threshold, or None. Lost objects' figures end where they are lost.
+    """
+    moving = t >= -1e-9
+    objects = []
+    for k, name in enumerate(names):
+        kept = moving & ~np.logical_or.accumulate(seen.lost[:, k])
+        at = t[kept]
+        slip, lift, tip = seen.slip[kept, k], seen.lift[kept, k], seen.tip_angle[kept, k]
+        events = {
+            "first_slip": _first(at, slip > thresholds.slip),
+            "first_lift": _first(at, lift > thresholds.lift),
+            "first_tip": _first(at, tip > thresholds.tip),
+            "lost_at": _first(t[moving], seen.lost[moving, k]),
+        }
+        objects.append(
+            {
+                "name": name,
+                "outcome": next((word for word, event in _WORST_FIRST.items() if events[event] is not None), "holds"),
+                "peak_slip": _largest(slip),
+                "final_slip": float(slip[-1]) if len(slip) else None,
+                "peak_creep": _largest(np.linalg.norm(seen.creep_E[kept, k], axis=-1)),
+                "peak_lift": _largest(lift),
+                "peak_tip_angle": _largest(tip),
+                **events,
+                "contact_lost": float(np.sum(~touches[moving, k]) * (t[1] - t[0])),
+            }
+        )
+    order = [*_WORST_FIRST, "holds"]
+    worst = min(objects, key=lambda o: order.index(str(o["outcome"])))
+    return {
+        "outcome": worst["outcome"],
+        "worst_object": worst["name"],
+        "objects": objects,
+        "thresholds": {"slip": thresholds.slip, "tip_angle": thresholds.tip, "lift": thresholds.lift},
+    }
+
+
+_WORST_FIRST = {"lost": "lost_at", "tips": "first_tip", "lifts": "first_lift", "slides": "first_slip"}
+
+
+def _first(t: Array, happened: Array) -> float | None:
+    return float(t[np.argmax(happened)]) if np.any(happened) else None
+
+
+def _largest(x: Array) -> float:
+    return float(np.max(x, initial=0.0))

@@ -1,0 +1,98 @@
+"""The record of one run: what happened, as arrays and as a summary; saved and loaded."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.errors import FileFormatError
+from salver.files import load_npz, read_json, save_npz, write_json
+from salver.geometry import Array
+
+FOLDER = "simulation"
+OUTCOMES = ("holds", "slides", "tips", "lifts", "lost", "limit")
+
+
+@dataclass(frozen=True)
+class SimulationRecord:
+    """One run at T instants, with m objects, n joints (n = 0 without an arm), n_c feet of the first object.
+
+    t (T,): s, 0 at the start of the motion. q, dq, tau (T, n): true joint state and applied torque.
+    p_SE (T, 3), quat_SE_wxyz (T, 4): the real tray. p_SB (T, m, 3), quat_SB_wxyz (T, m, 4): the objects.
+    slip_E (T, m, 3): displacement of the centre of each base relative to the tray since t = 0, in E, as seen in the
+    engine. creep_E (T, m, 3): how much of it is the engine's creep (salver.simulation.creep).
+    slip (T, m): largest displacement of any corner of the base along what it stands on, creep taken off, m.
+    lift (T, m): height of the lowest corner of the base over what it stands on, m. tip_angle (T, m): rad.
+    in_contact (T, m). contact_force_E (T, m, 3): sum of contact forces on each object from what it stands on, in E, N.
+    contact_points_B (n_c, 3), contact_forces_B (T, n_c, 3): feet of the first object and the force on it there, in B.
+    cone_coefficients (T, n_lambda): Lambda that the first object's contact wrench implies, pinv(G F_hat) F_B, N.
+    e_p, e_o (T,): m and rad between the first object and its reference. tray_e_p, tray_e_o: same for the tray.
+    object_names: m names. parameters: the values that were not nominal. summary: figures, see `salver simulate --help`.
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    tau: Array
+    p_SE: Array
+    quat_SE_wxyz: Array
+    p_SB: Array
+    quat_SB_wxyz: Array
+    slip_E: Array
+    creep_E: Array
+    slip: Array
+    lift: Array
+    tip_angle: Array
+    in_contact: Array
+    contact_force_E: Array
+    contact_points_B: Array
+    contact_forces_B: Array
+    cone_coefficients: Array
+    e_p: Array
+    e_o: Array
+    tray_e_p: Array
+    tray_e_o: Array
+    object_names: tuple[str, ...]
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    summary: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def outcome(self) -> str:
+        """One of `OUTCOMES`."""
+        return str(self.summary["outcome"])
+
+    def save(self, directory: str | Path, stem: str = "plan") -> Path:
+        """Write DIRECTORY/simulation/STEM.npz and .json, atomically; returns the path of the first."""
+        folder = Path(directory) / FOLDER
+        path = save_npz(folder / f"{stem}.npz", **{name: getattr(self, name) for name in ARRAYS})
+        write_json(
+            folder / f"{stem}.json",
+            {"objects": list(self.object_names), "parameters": dict(self.parameters), **self.summary},
+        )
+        return path
+
+
+_META = ("object_names", "parameters", "summary")
+ARRAYS = tuple(f.name for f in dataclasses.fields(SimulationRecord) if f.name not in _META)
+
+
+def load_record(directory: str | Path, stem: str = "plan") -> SimulationRecord:
+    """Read what `SimulationRecord.save` wrote. Raises FileFormatError."""
+    folder = Path(directory) / FOLDER
+    arrays = load_npz(folder / f"{stem}.npz", required=ARRAYS)
+    path = folder / f"{stem}.json"
+    summary = read_json(path)
+    if not isinstance(summary, dict) or summary.get("outcome") not in OUTCOMES:
+        raise FileFormatError(f"{path} is no summary of a simulation; write it again with salver simulate.")
+    names = tuple(summary.pop("objects", ()))
+    parameters = summary.pop("parameters", {})
+    if np.shape(arrays["p_SB"])[1:2] != (len(names),):
+        raise FileFormatError(f"{path} and {stem}.npz are of different runs; write them again with salver simulate.")
+    return SimulationRecord(
+        **{name: arrays[name] for name in ARRAYS}, object_names=names, parameters=parameters, summary=summary
+    )

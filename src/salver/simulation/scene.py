@@ -1,0 +1,319 @@
+"""The scene in MuJoCo: an arm with a tray, or a tray alone, loose objects on it, obstacles around.
+
+Contact is set up so that it is known exactly. An object stands on small feet, spheres at the corners of its
+base (24 of them for a round one): each gives one contact, at a known point, against what it stands on, with
+an explicit pair that carries the interface's friction. A hull, raised by a hair, catches it once it tips.
+
+Without an arm the tray is at rest in the engine and the world moves: frame E is the engine's world, and what
+the tray's acceleration does is applied as forces (see salver.simulation.tray_frame).
+
+Engine settings are those under which sticking sticks (measured in tests/test_physics_calibration.py): elliptic cones,
+impratio 1000, contact time constant of two steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from salver.errors import MissingDependencyError
+from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
+from salver.models.arm import ArmModel
+from salver.models.bodies import TRAY
+from salver.scenario import Cylinder, Obstacle, Scenario
+from salver.simulation.loads import Load, TrueWorld
+
+try:
+    import mujoco
+except ImportError:  # pragma: no cover - tested in a process of its own
+    raise MissingDependencyError(
+        "The physics engine is not installed; install the package mujoco (pip install mujoco) to simulate."
+    ) from None
+
+FOOT_RADIUS = 5e-4  # m
+HULL_GAP = 3e-4  # m between the hull's base and the feet: closed once an object tips
+DAMPING_WIDTH = 0.95  # d_max of solimp: with solref it sets the contact's damping 2 / (d_max timeconst)
+DAMPING_RATIO = (
+    2.0  # of the contact's spring: at 1, with a time constant of two steps, feet chatter near the friction limit
+)
+SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
+ARM_PREFIX = "arm/"
+TRAY_BODY = "salver:tray"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A compiled scene and where things are in it.
+
+    model: mujoco.MjModel. arm: the arm, or None when the tray is the engine's world.
+    world: the objects as they truly are. tray_id, object_ids: MuJoCo bodies. n: joints of the arm.
+    qpos_ids, qvel_ids: (m,) first index of each object's free joint. contact_time: solref[0], s.
+    foot_object, foot_support, foot_number: (n_geom,) per geom: index of the object whose foot it is (-1: no
+    foot), index of the object it rests on (-1: tray), number of the foot in `Load.outline_B`.
+    """
+
+    model: Any
+    arm: ArmModel | None
+    world: TrueWorld
+    tray_id: int
+    object_ids: Array
+    qpos_ids: Array
+    qvel_ids: Array
+    contact_time: float
+    foot_object: Array
+    foot_support: Array
+    foot_number: Array
+
+    @property
+    def n(self) -> int:
+        return 0 if self.arm is None else self.arm.n
+
+    @property
+    def loads(self) -> tuple[Load, ...]:
+        return self.world.loads
+
+    def place(self, data: Any, q: Array | None = None) -> None:
+        """Put the arm at q (n,) at rest, and every object at its place on the tray, at rest with it."""
+        data.qvel[:] = 0
+        if q is not None:
+            data.qpos[: self.n] = q
+        mujoco.mj_kinematics(self.model, data)
+        p_SE, R_SE = self.tray_pose(data)
+        for load, i in zip(self.loads, self.qpos_ids, strict=True):
+            data.qpos[i : i + 3] = p_SE + R_SE @ load.p_EB
+            data.qpos[i + 3 : i + 7] = quat_wxyz_from_matrix(R_SE @ load.R_EB)
+        mujoco.mj_forward(self.model, data)
+
+    def tray_pose(self, data: Any) -> tuple[Array, Array]:
+        """(p_SE, R_SE) of the real tray's surface, tilt included."""
+        return data.xpos[self.tray_id].copy(), data.xmat[self.tray_id].reshape(3, 3).copy()
+
+
+def build(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False) -> Scene:
+    """Compile the scene of one run. visual: with the arm's meshes and a floor, for pictures (no other effect)."""
+    spec = mujoco.MjSpec()
+    _options(spec, scenario.physics.timestep, gravity=arm is not None)
+    root = spec.worldbody
+    if arm is not None:
+        parent = _add_arm(spec, arm, scenario.physics.joint_friction, visual)
+        parent = parent.add_body(name=TRAY_BODY, pos=arm.p_FE, quat=quat_wxyz_from_matrix(world.R_tilt))
+        com_E = world.R_tilt.T @ (arm.tray_com_F - arm.p_FE)
+        inertia = world.R_tilt.T @ np.diag(scenario.tray.inertia) @ world.R_tilt
+        _set_inertia(parent, scenario.tray.mass, com_E, inertia)
+    else:
+        parent = root.add_body(name=TRAY_BODY)
+    x, y = scenario.tray.size
+    thickness = scenario.tray.thickness
+    parent.add_geom(
+        name=_tray_geom(),
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[x / 2, y / 2, thickness / 2],
+        pos=[0, 0, -thickness / 2],
+        rgba=[0.75, 0.77, 0.80, 1],
+        **_INERT,
+    )
+    for k, load in enumerate(world.loads):
+        _add_load(spec, load, k)
+    if arm is not None:
+        for k, obstacle in enumerate(scenario.obstacles):
+            _add_obstacle(root, obstacle, k)
+    contact_time = 2 * scenario.physics.timestep
+    _add_pairs(spec, world.loads, len(scenario.obstacles) if arm is not None else 0, contact_time)
+    return _compiled(spec, arm, world, contact_time)
+
+
+# Geoms meet only through explicit pairs, and add no mass of their own.
+_INERT: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0}
+
+
+def _options(spec: Any, timestep: float, gravity: bool) -> None:
+    option = spec.option
+    option.timestep = timestep
+    option.gravity = [0, 0, -9.81] if gravity else [0, 0, 0]
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.impratio = 1000
+    option.tolerance = 1e-14
+    option.iterations = 100
+    option.noslip_iterations = 0
+    # A diverged run must be seen as such: no silent return to the initial state.
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+def _set_inertia(body: Any, mass: float, com: Array, inertia: Array) -> None:
+    """MuJoCo takes a body's inertial frame as given only if position, mass and inertia are all explicit."""
+    body.mass = mass
+    body.ipos = com
+    i = inertia
+    body.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+    body.explicitinertial = True
+
+
+def _add_arm(spec: Any, arm: ArmModel, friction: float, visual: bool) -> Any:
+    """Attach the arm's URDF at its base; returns the flange's body."""
+    root = ElementTree.fromstring(arm.urdf)
+    for link in root.iter("link"):
+        for tag in ("visual",) if visual else ("visual", "collision"):
+            for element in link.findall(tag):
+                link.remove(element)
+    extension = ElementTree.SubElement(root, "mujoco")
+    ElementTree.SubElement(
+        extension, "compiler", fusestatic="false", discardvisual="false", balanceinertia="false", strippath="false"
+    )
+    robot = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    for geom in robot.geoms:
+        geom.contype = geom.conaffinity = 0
+        geom.group = 0
+        geom.rgba = [0.93, 0.93, 0.95, 1]
+    for joint in robot.joints:
+        k = arm.joint_names.index(joint.name)
+        limited = np.isfinite(arm.limits.q_min[k]) and np.isfinite(arm.limits.q_max[k])
+        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE if limited else mujoco.mjtLimited.mjLIMITED_FALSE
+        if limited:
+            joint.range = [arm.limits.q_min[k], arm.limits.q_max[k]]
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        joint.damping = np.zeros(3)  # what friction there is comes from the scenario; the URDF's is not in eq (20)
+        joint.frictionloss = friction
+    half = 0.5 * arm.base_yaw
+    base = spec.worldbody.add_frame(pos=arm.base_position, quat=[np.cos(half), 0, 0, np.sin(half)])
+    spec.attach(robot, frame=base, prefix=ARM_PREFIX)
+    return spec.body(ARM_PREFIX + arm.flange)
+
+
+def _tray_geom() -> str:
+    return "salver:tray"
+
+
+def _foot(k: int, number: int) -> str:
+    return f"salver:foot:{k}:{number}"
+
+
+def _hull(k: int) -> str:
+    return f"salver:hull:{k}"
+
+
+def _obstacle(k: int) -> str:
+    return f"salver:obstacle:{k}"
+
+
+_COLOURS = ((0.80, 0.36, 0.22), (0.20, 0.45, 0.70), (0.35, 0.60, 0.30), (0.75, 0.60, 0.20), (0.50, 0.35, 0.60))
+
+
+def _add_load(spec: Any, load: Load, k: int) -> None:
+    body = spec.worldbody.add_body(name=f"salver:object:{k}")
+    body.add_freejoint(name=f"salver:object:{k}")
+    _set_inertia(body, load.inertial.mass, load.inertial.com_B, load.inertial.inertia_com)
+    for number, point in enumerate(load.outline_B):
+        body.add_geom(
+            name=_foot(k, number),
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[FOOT_RADIUS, 0, 0],
+            pos=point + [0, 0, FOOT_RADIUS],
+            group=4,
+            **_INERT,
+        )
+    rgba = [*_COLOURS[k % len(_COLOURS)], 1]
+    centre, height = -load.com_G, load.solid.height
+    raised = centre + [0, 0, HULL_GAP / 2]
+    if load.shape.type == "box":  # type: ignore[attr-defined]
+        sides = 2 * load.solid.base_polygon.max(axis=0)
+        body.add_geom(
+            name=_hull(k),
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[sides[0] / 2, sides[1] / 2, (height - HULL_GAP) / 2],
+            pos=raised,
+            rgba=rgba,
+            **_INERT,
+        )
+    elif isinstance(load.shape, Cylinder):
+        body.add_geom(
+            name=_hull(k),
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[load.shape.radius, (height - HULL_GAP) / 2, 0],
+            pos=raised,
+            rgba=rgba,
+            **_INERT,
+        )
+    else:
+        points = load.solid.bounding_points_G.copy()
+        points[:, 2] = np.maximum(points[:, 2], load.solid.base_z + HULL_GAP)
+        mesh = spec.add_mesh(name=f"salver:mesh:{k}", uservert=points.ravel().tolist())
+        body.add_geom(
+            name=_hull(k), type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, pos=centre, rgba=rgba, **_INERT
+        )
+
+
+def _add_obstacle(root: Any, obstacle: Obstacle, k: int) -> None:
+    shapes = {
+        "box": (mujoco.mjtGeom.mjGEOM_BOX, [0.5 * x for x in obstacle.size or ()]),
+        "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, [obstacle.radius or 0.0, 0, 0]),
+        "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, [obstacle.radius or 0.0, 0.5 * (obstacle.length or 0.0), 0]),
+    }
+    kind, size = shapes[obstacle.type]
+    root.add_geom(
+        name=_obstacle(k),
+        type=kind,
+        size=size,
+        pos=obstacle.position,
+        quat=quat_wxyz_from_matrix(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg))),
+        rgba=[0.55, 0.57, 0.62, 0.6],
+        **_INERT,
+    )
+
+
+def _add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: int, contact_time: float) -> None:
+    def pair(first: str, second: str, friction: float) -> None:
+        spec.add_pair(
+            geomname1=first,
+            geomname2=second,
+            condim=3,
+            friction=[friction, friction, 0, 0, 0],
+            solref=[contact_time, DAMPING_RATIO],
+            solimp=SOLIMP,
+        )
+
+    index = {load.name: k for k, load in enumerate(loads)}
+    for k, load in enumerate(loads):
+        for number, support in _foot_supports(load):
+            pair(_tray_geom() if support == TRAY else _hull(index[support]), _foot(k, number), load.friction)
+        pair(_tray_geom(), _hull(k), load.friction)
+        for j in range(k):
+            pair(_hull(j), _hull(k), min(load.friction, loads[j].friction))
+        for j in range(obstacles):
+            pair(_obstacle(j), _hull(k), load.friction)
+    for j in range(obstacles):
+        pair(_obstacle(j), _tray_geom(), 0.5)
+
+
+def _foot_supports(load: Load) -> Iterable[tuple[int, str]]:
+    return enumerate(name for name, points in load.supports.items() for _ in points)
+
+
+def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: float) -> Scene:
+    model = spec.compile()
+    foot = np.full((3, model.ngeom), -1)
+    index = {load.name: k for k, load in enumerate(world.loads)}
+    for k, load in enumerate(world.loads):
+        for number, support in _foot_supports(load):
+            geom = model.geom(_foot(k, number)).id
+            foot[:, geom] = k, -1 if support == TRAY else index[support], number
+    joints = [model.joint(f"salver:object:{k}").id for k in range(len(world.loads))]
+    return Scene(
+        model=model,
+        arm=arm,
+        world=world,
+        tray_id=model.body(TRAY_BODY).id,
+        object_ids=np.array([model.body(f"salver:object:{k}").id for k in range(len(world.loads))]),
+        qpos_ids=model.jnt_qposadr[joints],
+        qvel_ids=model.jnt_dofadr[joints],
+        contact_time=contact_time,
+        foot_object=foot[0],
+        foot_support=foot[1],
+        foot_number=foot[2],
+    )

@@ -1,0 +1,124 @@
+"""What a run leaves behind at every command: poses, joints, contacts; before anything is made of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from salver.geometry import Array, matrix_from_quat_wxyz
+from salver.simulation.scene import Scene
+
+
+@dataclass(frozen=True)
+class Trace:
+    """N instants, m objects, n joints, n_f feet (of all objects, object by object).
+
+    t (N,) s, 0 when the motion starts. q, dq, tau (N, n). p_XE, R_XE: the real tray in the engine's world X.
+    p_XB, R_XB (N, m, ...): the objects. foot_force_B (N, n_f, 3): force on the object at each foot, in its B, N.
+    force_X (N, m, 3): sum of all contact forces on an object from what it stands on. touches (N, m): whether there is any.
+    foreign (N, m): whether it touches what it should not (another object's side, an obstacle, its own side).
+    """
+
+    t: Array
+    q: Array
+    dq: Array
+    tau: Array
+    p_XE: Array
+    R_XE: Array
+    p_XB: Array
+    R_XB: Array
+    foot_force_B: Array
+    force_X: Array
+    touches: Array
+    foreign: Array
+
+
+class Recorder:
+    """Collects a `Trace`, one `take` per command, between the position stage of a step and the next step."""
+
+    def __init__(self, scene: Scene, count: int) -> None:
+        n, m = scene.n, len(scene.loads)
+        self.scene = scene
+        self.t = np.empty(count)
+        self.q, self.dq, self.tau = (np.empty((count, n)) for _ in range(3))
+        self.bodies = np.concatenate([[scene.tray_id], scene.object_ids])
+        self.position = np.empty((count, m + 1, 3))
+        self.quaternion = np.empty((count, m + 1, 4))
+        self.contacts: list[tuple[Array, Array, Array]] = []
+        self.count = 0
+
+    def joints(self, t: float, q: Array, dq: Array, tau: Array) -> None:
+        """The state that a command acts on, and the command."""
+        k = self.count
+        self.t[k], self.q[k], self.dq[k], self.tau[k] = t, q, dq, tau
+
+    def take(self, data: Any) -> None:
+        """Poses and contact forces of that state: `data` has been stepped once since, so both are of its start."""
+        k = self.count
+        self.position[k] = data.xpos[self.bodies]
+        self.quaternion[k] = data.xquat[self.bodies]
+        contact = data.contact
+        address = contact.efc_address
+        if len(address):
+            force = data.efc_force[address[:, None] + _ROWS]
+            self.contacts.append((contact.geom.copy(), contact.frame.copy(), force))
+        else:
+            self.contacts.append(_NO_CONTACT)
+        self.count = k + 1
+
+    def trace(self) -> Trace:
+        scene, count = self.scene, self.count
+        m = len(scene.loads)
+        R = matrix_from_quat_wxyz(self.quaternion[:count])
+        R_XB = R[:, 1:]
+        sizes = [len(c[0]) for c in self.contacts]
+        instant = np.repeat(np.arange(count), sizes)
+        geom, frame, local = (np.concatenate([c[i] for c in self.contacts]) for i in range(3))
+        # Contact forces act on the second geom, in a frame whose rows are the normal and two tangents.
+        force = np.einsum("cij,ci->cj", frame.reshape(-1, 3, 3), local)
+        loaded = np.linalg.norm(force, axis=1) > 0
+        owner = _owner(scene)
+        offset = np.concatenate([[0], np.cumsum([len(load.outline_B) for load in scene.loads])])
+        foot_force = np.zeros((count, offset[-1], 3))
+        total = np.zeros((count, m, 3))
+        touches, foreign = np.zeros((count, m), bool), np.zeros((count, m), bool)
+        for side, sign in ((1, 1.0), (0, -1.0)):
+            mine, other = geom[:, side], geom[:, 1 - side]
+            foot = loaded & (scene.foot_object[mine] >= 0)
+            k, at = scene.foot_object[mine[foot]], instant[foot]
+            touches[at, k] = True
+            np.add.at(total, (at, k), sign * force[foot])
+            number = offset[k] + scene.foot_number[mine[foot]]
+            np.add.at(foot_force, (at, number), sign * np.einsum("cji,cj->ci", R_XB[at, k], force[foot]))
+            other_is_foot = scene.foot_object[other] >= 0
+            side_hit = loaded & (owner[mine] >= 0) & ~foot & ~other_is_foot
+            foreign[instant[side_hit], owner[mine[side_hit]]] = True
+            touches[instant[side_hit], owner[mine[side_hit]]] = True
+            np.add.at(total, (instant[side_hit], owner[mine[side_hit]]), sign * force[side_hit])
+        return Trace(
+            t=self.t[:count],
+            q=self.q[:count],
+            dq=self.dq[:count],
+            tau=self.tau[:count],
+            p_XE=self.position[:count, 0],
+            R_XE=R[:, 0],
+            p_XB=self.position[:count, 1:],
+            R_XB=R_XB,
+            foot_force_B=foot_force,
+            force_X=total,
+            touches=touches,
+            foreign=foreign,
+        )
+
+
+_ROWS = np.arange(3)
+_NO_CONTACT = (np.empty((0, 2), int), np.empty((0, 9)), np.empty((0, 3)))
+
+
+def _owner(scene: Scene) -> Array:
+    """Per geom, the index of the object it belongs to; -1 for tray, arm and obstacles."""
+    index = np.full(scene.model.nbody, -1)
+    index[scene.object_ids] = np.arange(len(scene.object_ids))
+    return index[scene.model.geom_bodyid]

@@ -1,0 +1,65 @@
+"""Physics as seen from a moving tray: what its motion does to the objects, as forces.
+
+Without an arm the tray moves exactly as the reference says. Moving a body by force in a physics engine is never exact,
+and MuJoCo's contacts know nothing of the velocity of a body whose pose is merely set; both are avoided by simulating
+in frame E, where the tray is at rest. With E accelerating at a_E (its origin, in E), turning at omega and alpha, a
+body of mass m and inertia I about its centre of mass c, seen to move at v and to turn at w, needs besides the
+contact forces (Landau and Lifshitz, Mechanics, section 39, and the same for Euler's equation):
+
+    f   = m (g_E - a_E - alpha x c - omega x (omega x c) - 2 omega x v)
+    tau = - I (alpha + omega x w) - (omega + w) x I (omega + w) + w x I w
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from salver.geometry import GRAVITY_S, Array, hat
+from salver.trajectory import MotionSamples
+
+
+@dataclass(frozen=True)
+class TrayMotion:
+    """Motion of frame E at N instants, in E: specific = g_E - a_E (N, 3), and what turning adds, as matrices.
+
+    omega, alpha (N, 3). turn (N, 3, 3): hat(omega). pull (N, 3, 3): hat(alpha) + hat(omega)^2.
+    """
+
+    specific: Array
+    omega: Array
+    alpha: Array
+    turn: Array
+    pull: Array
+    turns: bool
+
+    @classmethod
+    def of(cls, motion: MotionSamples) -> TrayMotion:
+        specific = np.einsum("tji,tj->ti", motion.R_SB, GRAVITY_S - motion.a_S)
+        turn = hat(motion.omega_B)
+        pull = hat(motion.alpha_B) + turn @ turn
+        turns = bool(np.any(motion.omega_B) or np.any(motion.alpha_B))
+        return cls(specific, motion.omega_B, motion.alpha_B, turn, pull, turns)
+
+
+def apply(motion: TrayMotion, k: int, model: Any, data: Any, object_ids: Array, qvel_ids: Array) -> None:
+    """Set the forces of instant k on the objects. Poses and velocities in `data` must be current."""
+    wrench = data.xfrc_applied
+    if not motion.turns:
+        for i in object_ids:
+            wrench[i, :3] = model.body_mass[i] * motion.specific[k]
+        return
+    specific, omega, alpha = motion.specific[k], motion.omega[k], motion.alpha[k]
+    turn, pull = motion.turn[k], motion.pull[k]
+    for i, j in zip(object_ids, qvel_ids, strict=True):
+        c = data.xipos[i]
+        w = data.xmat[i].reshape(3, 3) @ data.qvel[j + 3 : j + 6]
+        v = data.qvel[j : j + 3] + hat(w) @ (c - data.xpos[i])
+        axes = data.ximat[i].reshape(3, 3)
+        inertia = (axes * model.body_inertia[i]) @ axes.T
+        wrench[i, :3] = model.body_mass[i] * (specific - pull @ c - 2 * (turn @ v))
+        # (omega + w) x I (omega + w) - w x I w, without the product that cancels
+        spin = turn @ inertia @ (omega + w) - hat(inertia @ omega) @ w
+        wrench[i, 3:] = -(inertia @ (alpha + turn @ w)) - spin
