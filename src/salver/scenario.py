@@ -8,30 +8,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from salver.errors import ScenarioError
+from salver.validation import sentences
 
 SCENARIO_DIR = Path(__file__).parent / "scenarios"
 
 
-def _finite(x: float) -> float:
-    if not math.isfinite(x):
-        raise ValueError("must be a finite number")
-    return x
-
-
-Number = Annotated[float, AfterValidator(_finite)]
-Positive = Annotated[float, Field(gt=0), AfterValidator(_finite)]
-NonNegative = Annotated[float, Field(ge=0), AfterValidator(_finite)]
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Whole = Annotated[int, Field(strict=True)]
+Positive = Annotated[Number, Field(gt=0)]
+NonNegative = Annotated[Number, Field(ge=0)]
 Vector3 = tuple[Number, Number, Number]
-Metres = Annotated[float, Field(gt=0, le=5), AfterValidator(_finite)]
+Metres = Annotated[Number, Field(gt=0, le=5)]
 
 
 class Model(BaseModel):
@@ -69,11 +64,11 @@ class Motion(Model):
 
     start: Pose
     goal: Pose
-    duration: Annotated[float, Field(gt=0, le=120), AfterValidator(_finite)] | None = None
-    degree: Annotated[int, Field(ge=5, le=30)] = 9
-    nodes: Annotated[int, Field(ge=11, le=2001)] = 61
+    duration: Annotated[Number, Field(gt=0, le=120)] | None = None
+    degree: Annotated[Whole, Field(ge=5, le=30)] = 9
+    nodes: Annotated[Whole, Field(ge=11, le=2001)] = 61
     orientation: Literal["fixed", "free"] = "fixed"
-    max_tilt_deg: Annotated[float, Field(gt=0, le=90)] | None = None
+    max_tilt_deg: Annotated[Number, Field(gt=0, le=90)] | None = None
     goal_yaw: Literal["fixed", "free"] = "fixed"
 
 
@@ -86,13 +81,26 @@ class Cylinder(Model):
     type: Literal["cylinder"]
     radius: Metres
     height: Metres
-    support_points: Annotated[int, Field(ge=3, le=64)] = 8
+    support_points: Annotated[Whole, Field(ge=3, le=64)] = 8
 
 
 class Prism(Model):
     type: Literal["prism"]
     polygon: Annotated[list[tuple[Number, Number]], Field(min_length=3)]
     height: Metres
+
+    @model_validator(mode="after")
+    def _convex(self) -> Prism:
+        corners = np.array(self.polygon)
+        edges = np.roll(corners, -1, axis=0) - corners
+        after = np.roll(edges, -1, axis=0)
+        turns = np.arctan2(edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0], np.sum(edges * after, axis=1))
+        # Once round, always to the left: convex, with no corner twice.
+        if turns.min() <= 1e-9 or abs(turns.sum() - 2 * np.pi) > 1e-6:
+            raise ValueError("polygon must go once round a convex outline, counter-clockwise, without repeated corners")
+        if np.abs(corners).max() > 5:
+            raise ValueError(f"polygon reaches {np.abs(corners).max():g} m from its origin; its corners are in metres")
+        return self
 
 
 class Mesh(Model):
@@ -122,24 +130,27 @@ def _relative(value: Any) -> Any:
     if isinstance(value, str):
         text = value.strip()
         try:
-            return {"relative": float(text.removesuffix("%")) / 100} if text.endswith("%") else {"relative": text}
+            if not text.endswith("%"):
+                raise ValueError
+            return {"relative": float(text.removesuffix("%")) / 100}
         except ValueError:
-            raise ValueError(f'"{value}" is neither a percentage such as "10%" nor a half-range in SI units') from None
+            raise ValueError(f'"{value}" is not a percentage; write "10%", or a half-range in SI units') from None
     return value
 
 
 class Relative(Model):
-    relative: Annotated[float, Field(ge=0, lt=1), AfterValidator(_finite)]
+    relative: Annotated[Number, Field(ge=0, lt=1)]
 
 
-Range = Annotated[Relative | NonNegative, BeforeValidator(_relative)]
-Range3 = Annotated[Relative | tuple[NonNegative, NonNegative, NonNegative], BeforeValidator(_relative)]
+_EITHER = 'a percentage below 100 % such as "10%", or {} in SI units, at least 0'
+Range = Annotated[Relative | NonNegative, BeforeValidator(_relative), Field(description=_EITHER.format("a half-range"))]
 AbsoluteRange3 = tuple[NonNegative, NonNegative, NonNegative]
 Range6 = Annotated[
     Relative
     | tuple[NonNegative, NonNegative, NonNegative]
     | tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative],
     BeforeValidator(_relative),
+    Field(description=_EITHER.format("three or six half-ranges")),
 ]
 
 
@@ -160,13 +171,17 @@ class Uncertainty(Model):
 class CarriedObject(Model):
     """One loose object. `at` is where its shape's centre stands on the tray (or on `on`), m."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")] = "object"
+    name: Annotated[
+        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="letters, digits, - and _, a letter first")
+    ] = "object"
     shape: Shape
-    mass: Annotated[float, Field(gt=0, le=100), AfterValidator(_finite)]
+    mass: Annotated[Number, Field(gt=0, le=100)]
     com: Vector3 = (0.0, 0.0, 0.0)
     inertia: Vector3 | tuple[Number, Number, Number, Number, Number, Number] | None = None
-    friction: Annotated[float, Field(gt=0, le=5), AfterValidator(_finite)]
-    on: str | list[str] = "tray"
+    friction: Annotated[Number, Field(gt=0, le=5)]
+    on: str | list[str] = Field(
+        default="tray", description='"tray", the name of an object listed before, or a list of these'
+    )
     at: tuple[Number, Number] = (0.0, 0.0)
     yaw_deg: Number = 0.0
     support_inset: NonNegative = 0.0
@@ -177,7 +192,22 @@ class CarriedObject(Model):
         from salver.models import bodies
 
         bodies.check(self)
+        for key in ("mass", "friction"):
+            nominal, half = getattr(self, key), getattr(self.uncertainty, key)
+            if isinstance(half, float) and half >= nominal:
+                raise ValueError(
+                    f"uncertainty.{key} = {half:g} reaches down to zero from {key} = {nominal:g}; it must be less "
+                    "than that"
+                )
         return self
+
+    @property
+    def least_friction(self) -> float:
+        """The least coefficient of friction within its range."""
+        half = self.uncertainty.friction
+        if half is None:
+            return self.friction
+        return self.friction - half if isinstance(half, float) else self.friction * (1 - half.relative)
 
 
 class UncertaintySet(Model):
@@ -185,14 +215,16 @@ class UncertaintySet(Model):
 
     set: Literal["box", "ellipsoid"] = "box"
     tilt_deg: tuple[NonNegative, NonNegative] | None = None
-    correlation: dict[str, Annotated[float, Field(gt=-1, lt=1)]] = {}
+    correlation: dict[str, Annotated[Number, Field(gt=-1, lt=1)]] = Field(
+        default={}, description='numbers between -1 and 1 under keys such as "mass,com_x"'
+    )
 
 
 class Contact(Model):
     """Which contact condition the plan must keep, and how friction cones are linearised."""
 
     condition: Literal["paper", "exact"] = "paper"
-    edges: Annotated[int, Field(ge=3, le=32)] = 4
+    edges: Annotated[Whole, Field(ge=3, le=32)] = 4
     edge_phase_deg: Number = 0.0
     margin: NonNegative = 1e-3
 
@@ -228,10 +260,10 @@ class Arm(Model):
     base_position: Vector3 = (0.0, 0.0, 0.0)
     base_yaw_deg: Number = 0.0
     start_posture: list[Number] | None = None
-    velocity_scale: Annotated[float, Field(gt=0, le=1)] = 0.98
-    acceleration_scale: Annotated[float, Field(gt=0, le=1)] = 0.95
-    jerk_scale: Annotated[float, Field(gt=0, le=1)] = 0.95
-    torque_scale: Annotated[float, Field(gt=0, le=1)] = 1.0
+    velocity_scale: Annotated[Number, Field(gt=0, le=1)] = 0.98
+    acceleration_scale: Annotated[Number, Field(gt=0, le=1)] = 0.95
+    jerk_scale: Annotated[Number, Field(gt=0, le=1)] = 0.95
+    torque_scale: Annotated[Number, Field(gt=0, le=1)] = 1.0
 
 
 class Obstacle(Model):
@@ -257,13 +289,13 @@ class Obstacle(Model):
 class Physics(Model):
     """Physics engine and what lies between controller and arm."""
 
-    timestep: Annotated[float, Field(gt=0, le=5e-3)] = 5e-4
-    command_period: Annotated[float, Field(gt=0, le=0.02)] = 1e-3
+    timestep: Annotated[Number, Field(gt=0, le=5e-3)] = 5e-4
+    command_period: Annotated[Number, Field(gt=0, le=0.02)] = 1e-3
     settle_before: NonNegative = 0.2
     settle_after: NonNegative = 0.5
     position_noise: NonNegative = 0.0
     velocity_noise: NonNegative = 0.0
-    delay_steps: Annotated[int, Field(ge=0, le=20)] = 0
+    delay_steps: Annotated[Whole, Field(ge=0, le=20)] = 0
     joint_friction: NonNegative = 0.0
     feedback: Literal["joints", "object"] = "joints"
 
@@ -271,10 +303,16 @@ class Physics(Model):
 class Scenario(Model):
     """Everything that a plan depends on. Same scenario, same seed: same plan."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    name: Annotated[
+        str,
+        Field(
+            pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$",
+            description="letters, digits, points, - and _, a letter or digit first",
+        ),
+    ]
     summary: str = ""
     source: str = ""
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Annotated[Whole, Field(ge=0)] = 0
     motion: Motion
     objects: Annotated[list[CarriedObject], Field(min_length=1)]
     uncertainty: UncertaintySet = UncertaintySet()
@@ -291,6 +329,16 @@ class Scenario(Model):
         from salver.models import bodies
 
         bodies.check_arrangement(self)
+        for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
+            tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
+            for item in self.objects:
+                least = item.least_friction
+                holds = np.rad2deg(np.arctan(least))
+                if tilt > holds + 1e-6:
+                    raise ValueError(
+                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where {item.name} slides already at rest; with "
+                        f"its least friction of {least:.4g} at most {holds:.4g} deg hold"
+                    )
         return self
 
     @property
@@ -319,7 +367,7 @@ def parse(data: dict[str, Any], where: str) -> Scenario:
     try:
         return Scenario.model_validate(data)
     except ValidationError as error:
-        raise ScenarioError("\n".join(_sentence(e, where) for e in error.errors())) from None
+        raise ScenarioError("\n".join(sentences(error, Scenario, data, where))) from None
 
 
 def load(name_or_path: str | Path) -> Scenario:
@@ -329,7 +377,9 @@ def load(name_or_path: str | Path) -> Scenario:
         ready_made = SCENARIO_DIR / f"{name_or_path}.toml"
         if not ready_made.is_file():
             known = ", ".join(names())
-            raise ScenarioError(f'There is no ready-made scenario "{name_or_path}"; known are {known}, or give a .toml file.')
+            raise ScenarioError(
+                f'There is no ready-made scenario "{name_or_path}"; known are {known}, or give a .toml file.'
+            )
         path = ready_made
     try:
         text = path.read_text(encoding="utf-8")
@@ -347,54 +397,3 @@ def load(name_or_path: str | Path) -> Scenario:
 def names() -> list[str]:
     """Names of the ready-made scenarios."""
     return sorted(p.stem for p in SCENARIO_DIR.glob("*.toml"))
-
-
-def _sentence(error: Any, where: str) -> str:
-    """One sentence for one mistake: file, key, value, what would be accepted."""
-    skip = {"box", "cylinder", "prism", "mesh", "composite", "Relative", "function-before"}
-    key = ""
-    for part in error["loc"]:
-        if isinstance(part, int):
-            key += f"[{part}]"
-        elif part not in skip and "[" not in part and not part.startswith("constrained"):
-            key += f".{part}" if key else part
-    kind, context, value = error["type"], error.get("ctx", {}), error.get("input")
-    shown = "" if isinstance(value, dict) else f" = {value!r}"
-    if kind == "extra_forbidden":
-        return f"{where}: unknown key {key}{_suggestion(error['loc'])}."
-    if kind == "missing":
-        return f"{where}: {key} is missing; it is required."
-    if kind == "value_error":
-        text = str(context.get("error", error["msg"]))
-        return f"{where}: {key}: {text}." if key else f"{where}: {text}."
-    message = error["msg"][0].lower() + error["msg"][1:]
-    message = message.replace("input should be", "must be")
-    return f"{where}: {key}{shown}: {message}."
-
-
-def _suggestion(loc: tuple[Any, ...]) -> str:
-    """Nearest valid keys for an unknown one."""
-    import difflib
-
-    model: Any = Scenario
-    for part in loc[:-1]:
-        if isinstance(part, str) and hasattr(model, "model_fields") and part in model.model_fields:
-            model = _inner_model(model.model_fields[part].annotation)
-    fields = list(getattr(model, "model_fields", {}))
-    close = difflib.get_close_matches(str(loc[-1]), fields, n=1)
-    if close:
-        return f"; did you mean {close[0]}"
-    return f"; accepted are {', '.join(fields)}" if fields else ""
-
-
-def _inner_model(annotation: Any) -> Any:
-    """The first model inside an annotation such as list[X] or X | None."""
-    from typing import get_args
-
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for arg in get_args(annotation):
-        found = _inner_model(arg)
-        if found is not None:
-            return found
-    return None
