@@ -336,8 +336,8 @@ class Scenario(Model):
                 holds = np.rad2deg(np.arctan(least))
                 if tilt > holds + 1e-6:
                     raise ValueError(
-                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where {item.name} slides already at rest; with "
-                        f"its least friction of {least:.4g} at most {holds:.4g} deg hold"
+                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where {item.name} slides already at rest; "
+                        f"with its least friction of {least:.4g} at most {holds:.4g} deg hold"
                     )
         return self
 
