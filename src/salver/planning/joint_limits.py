@@ -1,0 +1,99 @@
+"""Does a joint motion keep the arm's limits? A verdict with joint, time and by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from salver.errors import Status
+from salver.geometry import Array
+from salver.models.arm import ArmModel
+from salver.models.bodies import Body
+from salver.trajectory import JointMotion
+
+_TOLERANCE = 1e-9  # relative; a motion planned up to a limit touches it
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The largest share of one kind of limit over a motion: share 1 is the limit."""
+
+    kind: str
+    share: float
+    joint: str
+    time: float
+    value: float
+    limit: float
+    unit: str
+
+
+def loaded(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
+    """The arm with bodies stuck to its tray: what its motors feel while nothing moves on the tray."""
+    model = arm.pin_model.copy()
+    frame = model.frames[arm.tray_id]
+    for body in bodies:
+        inertia = pin.Inertia(body.inertial.mass, body.inertial.com_B, body.inertial.inertia_com)
+        model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement * pin.SE3(body.R_EB, body.p_EB))
+    return replace(arm, pin_model=model, data=model.createData())
+
+
+def torques(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> Array:
+    """(T, n) torque at the motion's samples, arm and tray and what is carried: N m."""
+    load = loaded(arm, bodies)
+    states = zip(motion.q, motion.dq, motion.ddq, strict=True)
+    return np.array([load.inverse_dynamics(*state) for state in states])
+
+
+def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> list[Peak]:
+    """The largest share of each kind of the scenario's limits (`arm.planning_limits`).
+
+    Position is measured from the middle of the range. Between samples too: the spline is looked at twice as finely.
+    """
+    limits = arm.planning_limits
+    t = np.sort(np.concatenate([motion.t, 0.5 * (motion.t[1:] + motion.t[:-1])]))
+    q, dq, ddq = motion.sample(t)
+    jerk = motion.jerk(t)
+    torque = torques(arm, motion, bodies)
+    torque_rate = np.gradient(torque, motion.t, axis=0)
+    middle, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
+    kinds = [
+        ("position", t, q, (q - middle) / half, np.where(q > middle, limits.q_max, limits.q_min), "rad"),
+        ("velocity", t, dq, dq / limits.velocity, limits.velocity, "rad/s"),
+        ("acceleration", t, ddq, ddq / limits.acceleration, limits.acceleration, "rad/s^2"),
+        ("jerk", t, jerk, jerk / limits.jerk, limits.jerk, "rad/s^3"),
+        ("torque", motion.t, torque, torque / limits.torque, limits.torque, "N m"),
+        ("torque rate", motion.t, torque_rate, torque_rate / limits.torque_rate, limits.torque_rate, "N m/s"),
+    ]
+    found = []
+    for kind, time, values, shares, limit, unit in kinds:
+        k, i = np.unravel_index(int(np.argmax(np.abs(shares))), shares.shape)
+        bound = float(np.broadcast_to(limit, values.shape)[k, i])
+        found.append(
+            Peak(kind, float(abs(shares[k, i])), arm.joint_names[i], float(time[k]), float(values[k, i]), bound, unit)
+        )
+    return found
+
+
+def verdict(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> Status:
+    """Status "within_limits" or "limit_exceeded"; `details` has the peak of each kind of limit."""
+    found = peaks(arm, motion, bodies)
+    details = {peak.kind.replace(" ", "_"): vars(peak) for peak in found}
+    broken = sorted((peak for peak in found if peak.share > 1 + _TOLERANCE), key=lambda peak: -peak.share)
+    if not broken:
+        worst = max(found, key=lambda peak: peak.share)
+        return Status(
+            "within_limits",
+            f"{arm.name} follows within its limits; nearest is the {worst.kind} of {worst.joint}, at "
+            f"{100 * worst.share:.0f} % at t = {worst.time:.2f} s.",
+            True,
+            details,
+        )
+    parts = [
+        f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, "
+        f"{100 * (peak.share - 1):.3g} % over its limit of {peak.limit:.4g}"
+        for peak in broken
+    ]
+    return Status("limit_exceeded", f"{arm.name} cannot follow: {'; '.join(parts)}.", False, details)

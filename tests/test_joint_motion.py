@@ -1,0 +1,257 @@
+"""Joint motions: the tray goes where the object goes, derivatives belong together, limits are told of rightly."""
+
+import numpy as np
+import pytest
+from numpy.polynomial import Chebyshev
+
+from salver import scenario
+from salver.errors import ScenarioError, UnreachableError
+from salver.geometry import GRAVITY_S, exp, log
+from salver.models.arm import load_arm
+from salver.models.bodies import bodies
+from salver.planning.joint_limits import peaks, torques, verdict
+from salver.planning.joint_motion import follow, follow_scenario
+from salver.planning.posture import candidate_postures, check_start_posture
+from salver.trajectory import JointMotion, PolynomialReference, min_jerk_line
+
+CUBE = scenario.load("panda-cube")
+START, GOAL = np.array(CUBE.motion.start.position), np.array(CUBE.motion.goal.position)
+POSTURE = np.array(CUBE.arm.start_posture)
+UPRIGHT = np.eye(3)
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return load_arm(CUBE.arm, CUBE.tray)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return bodies(CUBE)[0]
+
+
+def line(duration=2.5, goal=GOAL, start=START):
+    return min_jerk_line(duration, start, goal, UPRIGHT, UPRIGHT)
+
+
+def tumbling(duration=2.0):
+    """A curved path with rotation about changing axes: min-jerk plus random polynomials at rest at both ends."""
+    base = min_jerk_line(duration, START, GOAL, UPRIGHT, exp(np.array([0.1, -0.2, 0.5])))
+    rng = np.random.default_rng(0)
+    hump = Chebyshev([0.5, 0, -0.5])  # 1 - s^2
+    wiggle = np.stack([(hump**3 * Chebyshev(rng.normal(size=4) * 0.05)).coef for _ in range(3)], axis=1)
+    turn = np.stack([(hump**2 * Chebyshev(rng.normal(size=4) * 0.3)).coef for _ in range(3)], axis=1)
+    position = wiggle + np.pad(base.position, ((0, 4), (0, 0)))
+    return PolynomialReference(duration, UPRIGHT, position, turn + np.pad(base.angular_velocity, ((0, 3), (0, 0))))
+
+
+PLACES = [
+    (np.array([0.0, 0.0, 0.02]), UPRIGHT),
+    (np.array([0.04, -0.03, 0.06]), exp(np.array([0.0, 0.0, 0.7]))),
+]
+
+
+@pytest.mark.parametrize("place", PLACES, ids=["centred", "off-centre and turned"])
+@pytest.mark.parametrize("name", ["panda", "ur10"])
+def test_tray_carries_the_object_along_the_reference(name, place):
+    arm = load_arm(scenario.Arm(model=name), CUBE.tray)
+    reference, (p_EB, R_EB) = tumbling(), place
+    motion, status = follow(arm, reference, p_EB, R_EB)
+    assert status.ok, status
+    t = np.random.default_rng(1).uniform(0, reference.duration, 100)
+    q, dq, ddq = motion.sample(t)
+    wanted = reference.sample(t)
+    for k in range(len(t)):
+        p, rotation = arm.object_pose(q[k], p_EB, R_EB)
+        assert p == pytest.approx(wanted.p_SB[k], abs=1e-9)
+        assert np.linalg.norm(log(rotation.T @ wanted.R_SB[k])) < 1e-9
+        jacobian = arm.object_jacobian(q[k], p_EB, R_EB)
+        twist = jacobian @ dq[k]
+        assert rotation @ twist[:3] == pytest.approx(wanted.v_S[k], abs=1e-7)
+        assert twist[3:] == pytest.approx(wanted.omega_B[k], abs=1e-7)
+        h = 1e-6
+        rate = jacobian @ ddq[k] + (
+            (arm.object_jacobian(q[k] + h * dq[k], p_EB, R_EB) - arm.object_jacobian(q[k] - h * dq[k], p_EB, R_EB))
+            @ dq[k]
+        ) / (2 * h)
+        acceleration = rotation @ (rate[:3] + np.cross(twist[3:], twist[:3]))
+        assert acceleration == pytest.approx(wanted.a_S[k], abs=1e-6)
+        assert rate[3:] == pytest.approx(wanted.alpha_B[k], abs=1e-6)
+
+
+def test_samples_are_exact_derivatives_of_each_other(panda, cube):
+    motion, _ = follow(panda, tumbling(), cube.p_EB, cube.R_EB, q_start=POSTURE)
+    h = motion.t[1] - motion.t[0]
+    # Central differences of fourth order: what is left is the sixth derivative of a slow polynomial.
+    q, dq = motion.q, motion.dq
+    assert (q[:-4] - 8 * q[1:-3] + 8 * q[3:-1] - q[4:]) / (12 * h) == pytest.approx(dq[2:-2], abs=1e-6)
+    assert (dq[:-4] - 8 * dq[1:-3] + 8 * dq[3:-1] - dq[4:]) / (12 * h) == pytest.approx(motion.ddq[2:-2], abs=1e-5)
+
+
+def test_starts_and_ends_at_rest_where_it_was_told(panda, cube):
+    motion, status = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=POSTURE)
+    assert status.ok, status
+    assert motion.q[0] == pytest.approx(POSTURE, abs=1e-5)
+    for k in (0, -1):
+        assert motion.dq[k] == pytest.approx(np.zeros(7), abs=1e-12)
+        assert motion.ddq[k] == pytest.approx(np.zeros(7), abs=1e-12)
+
+
+def test_redundancy_is_used(panda, cube):
+    """At T = 0.8 s the paper's posture would need 2.37 rad/s of joint 1 (limit 2.175) if the arm moved with least
+    joint speed; the swivel of the elbow brings that down."""
+    motion, _ = follow(panda, line(0.8), cube.p_EB, cube.R_EB, q_start=POSTURE)
+    assert np.abs(motion.dq[:, 0]).max() < 2.17
+    assert max(peak.share for peak in peaks(panda, motion)) < 1.03
+
+
+def test_a_chosen_start_is_no_worse_than_the_given_one(panda, cube):
+    def worst(q_start):
+        motion, status = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=q_start)
+        assert status.ok, status
+        smallest = min(np.linalg.svd(panda.body_jacobian(q))[1][-1] for q in motion.q[::20])
+        assert smallest > 0.1
+        return max(peak.share for peak in peaks(panda, motion, [cube]))
+
+    assert worst(None) <= worst(POSTURE)
+
+
+def test_same_seed_same_motion(panda, cube):
+    first, second = (follow(panda, line(), cube.p_EB, cube.R_EB, seed=3)[0] for _ in range(2))
+    assert np.array_equal(first.q, second.q)
+
+
+def test_candidates_are_different_and_reach(panda):
+    p, rotation = START - np.array([0, 0, 0.02]), UPRIGHT
+    found = candidate_postures(panda, p, rotation, seed=5)
+    assert len(found) > 3
+    for i, q in enumerate(found):
+        assert panda.tray_pose(q)[0] == pytest.approx(p, abs=1e-10)
+        assert np.all((q > panda.limits.q_min) & (q < panda.limits.q_max))
+        assert all(np.abs(q - other).max() > 0.01 for other in found[:i])
+
+
+def test_scenario_brings_its_posture_and_its_load(panda, cube):
+    motion, status = follow_scenario(CUBE, line())
+    alone, _ = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=POSTURE)
+    assert status.ok
+    assert np.array_equal(motion.q, alone.q)
+    elsewhere, _ = follow_scenario(CUBE, line(), panda, q_start=motion.q[0])
+    assert elsewhere.q[0] == pytest.approx(motion.q[0], abs=1e-12)
+    with pytest.raises(ScenarioError, match="has no arm"):
+        follow_scenario(CUBE.with_changes(arm=None), line())
+
+
+# ---- the verdict ----------------------------------------------------------------------------------------------
+
+
+def min_jerk_of_one_joint(joint, distance, duration, n=7, count=401):
+    u = np.linspace(0, 1, count)
+    quintic = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+    q, dq, ddq = (np.zeros((count, n)) + (POSTURE if d == 0 else 0) for d in range(3))
+    for d, x in enumerate((q, dq, ddq)):
+        x[:, joint] += distance * (quintic.deriv(d)(u) if d else quintic(u)) / duration**d
+    return JointMotion(u * duration, q, dq, ddq)
+
+
+def test_peaks_of_a_min_jerk_move_by_hand(panda):
+    """1.875 d/T at T/2; 10 d/(sqrt(3) T^2) at T (3 - sqrt 3)/6; 60 d/T^3 at both ends."""
+    distance, duration, joint = 0.9, 0.5, 2
+    found = {peak.kind: peak for peak in peaks(panda, min_jerk_of_one_joint(joint, distance, duration))}
+    limits = panda.planning_limits
+    velocity, acceleration, jerk = found["velocity"], found["acceleration"], found["jerk"]
+    assert velocity.joint == acceleration.joint == jerk.joint == "panda_joint3"
+    assert velocity.share == pytest.approx(1.875 * distance / duration / limits.velocity[joint], rel=1e-6)
+    assert velocity.time == pytest.approx(duration / 2)
+    assert velocity.limit == pytest.approx(0.98 * 2.175)
+    assert abs(acceleration.value) == pytest.approx(10 * distance / np.sqrt(3) / duration**2, rel=1e-4)
+    early = duration * (3 - np.sqrt(3)) / 6
+    assert min(abs(acceleration.time - early), abs(acceleration.time - (duration - early))) < 2e-3
+    assert jerk.share == pytest.approx(60 * distance / duration**3 / (0.95 * 5000), rel=1e-6)
+    assert found["position"].share == pytest.approx(2.197384 / 2.8973)
+
+
+def test_verdict_names_joint_time_and_excess(panda):
+    motion = min_jerk_of_one_joint(2, 0.9, 0.5)
+    status = verdict(panda, motion)
+    assert not status.ok
+    assert status.code == "limit_exceeded"
+    excess = 100 * (1.875 * 0.9 / 0.5 / (0.98 * 2.175) - 1)
+    assert f"velocity of panda_joint3 reaches 3.375 rad/s at t = 0.25 s, {excess:.3g} % over" in status.sentence
+    assert "acceleration of panda_joint3" in status.sentence
+    assert "torque of" not in status.sentence
+    slow = verdict(panda, min_jerk_of_one_joint(2, 0.9, 2.0))
+    assert slow.ok
+    assert slow.details["velocity"]["share"] == pytest.approx(1.875 * 0.9 / 2 / (0.98 * 2.175), rel=1e-6)
+
+
+def test_position_beyond_its_limit(panda):
+    status = verdict(panda, min_jerk_of_one_joint(3, 2.0, 5.0))
+    assert "position of panda_joint4 reaches 0.3219 rad at t = 5.00 s" in status.sentence
+
+
+def test_load_counts_in_the_torque(panda, cube):
+    motion = min_jerk_of_one_joint(0, 0.0, 1.0)
+    extra = torques(panda, motion, [cube])[0] - torques(panda, motion)[0]
+    v = panda.object_jacobian(POSTURE, cube.p_EB, cube.R_EB)[:3]
+    _, rotation = panda.object_pose(POSTURE, cube.p_EB, cube.R_EB)
+    assert extra == pytest.approx(-v.T @ rotation.T @ (0.256 * GRAVITY_S), abs=1e-12)
+    heavy = CUBE.with_changes(objects__0__mass=40.0, objects__0__inertia=[0.1, 0.1, 0.1])
+    status = verdict(panda, motion, bodies(heavy))
+    assert "torque of" in status.sentence
+
+
+def test_too_fast_says_so_and_still_returns_the_motion(panda, cube):
+    motion, status = follow(panda, line(0.4), cube.p_EB, cube.R_EB, q_start=POSTURE)
+    assert motion is not None
+    assert status.code == "limit_exceeded"
+    assert not status.ok
+
+
+# ---- out of reach, wrong start --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("q_start", [None, POSTURE], ids=["chosen start", "given start"])
+def test_goal_out_of_reach_tells_where_and_when(panda, cube, q_start):
+    motion, status = follow(panda, line(goal=[1.2, 0.1, 0.4]), cube.p_EB, cube.R_EB, q_start=q_start)
+    assert motion is None
+    assert status.code == "unreachable"
+    assert "panda cannot put its tray at (" in status.sentence
+    assert "at t = " in status.sentence
+    assert 0.7 < status.details["p_SE"][0] < 1.2
+
+
+def test_start_out_of_reach(panda, cube):
+    _, status = follow(panda, line(start=[2.0, 0.0, 0.4]), cube.p_EB, cube.R_EB)
+    assert status.code == "unreachable"
+    assert "(2.000, 0.000, 0.380) m, where the motion starts" in status.sentence
+
+
+@pytest.mark.parametrize(
+    ("posture", "error", "words"),
+    [
+        (POSTURE[:6], ScenarioError, ["arm.start_posture has 6 values", "7 joints"]),
+        (
+            POSTURE + np.array([0, 0.8, 0, 0, 0, 0, 0]),
+            ScenarioError,
+            ["arm.start_posture[1] = 1.83963", "[-1.763, 1.763]"],
+        ),
+        (POSTURE + np.array([0.1, 0, 0, 0, 0, 0, 0]), UnreachableError, ["mm from (0.542, -0.371, 0.380) m"]),
+        (
+            POSTURE + np.array([0, 0, 0, 0, 0, 0, 0.5]),
+            UnreachableError,
+            ["turns the tray 28.6 degrees about the tray's normal"],
+        ),
+    ],
+)
+def test_wrong_start_postures(panda, posture, error, words):
+    with pytest.raises(error) as caught:
+        check_start_posture(panda, posture, START - np.array([0, 0, 0.02]), UPRIGHT)
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
+def test_a_nearly_right_start_posture_is_corrected(panda):
+    nearly = POSTURE + 5e-4
+    exact = check_start_posture(panda, nearly, START - np.array([0, 0, 0.02]), UPRIGHT)
+    assert np.abs(exact - nearly).max() < 5e-3
+    assert panda.tray_pose(exact)[0] == pytest.approx(START - np.array([0, 0, 0.02]), abs=1e-10)
