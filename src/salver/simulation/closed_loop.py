@@ -9,23 +9,24 @@ small the deviation is. Finite differences of these rollouts are therefore good 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import RK45
+from scipy.integrate import DOP853
 
 from salver.control.object import Errors, Gains, acceleration, apply, command
 from salver.geometry import Array, exp, right_jacobian_inverse
 from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
 from salver.trajectory import MotionSamples, Reference
 
-# Longest step times the fastest rate of the error dynamics. Dormand and Prince's fifth-order pair then errs
-# by less than 1e-6 of the largest deviation; half the function evaluations of RK4 at that accuracy
-# (measured in benchmarks/rollouts.py).
-STEP_TIMES_RATE = 0.25
+# Longest step times the fastest rate of the error dynamics, for Dormand and Prince's method of eighth order
+# with its interpolant (Hairer, Norsett, Wanner 1993, section II.5): see benchmarks/rollouts.py for its error.
+STEP_TIMES_RATE = 0.5
+
+Stage = Callable[[int, Array], Array]  # (index of a stage, state) to the rate of the state
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,8 @@ def rollout(
 
     body: what the controller believes. grasp_map: (6, n_lambda) G F_hat. t: (T,) increasing times >= 0.
     initial_deviation: (12,) or (n, 12) start off the reference, as `Rollout.deviation`; zero by default.
-    max_step: longest step, s; by default from the gains (10 ms at the paper's).
+    max_step: longest step, s; by default from the gains (20 ms at the paper's). Give the spacing of the knots
+        of a reference that is only piecewise smooth and moves fast.
     Raises ValueError when t does not increase from a value >= 0.
     """
     phi = np.atleast_2d(np.asarray(phi_samples, dtype=float))
@@ -66,50 +68,79 @@ def rollout(
     grasp_inverse = np.asarray(np.linalg.pinv(grasp_map), dtype=float)
     inverse_inertia = np.asarray(np.linalg.inv(spatial_inertia(phi)), dtype=float)
     loop = _Loop(gains, body.phi, grasp_map, grasp_inverse, phi, inverse_inertia)
-    fastest = max(*gains.kd, *np.sqrt(gains.kp))
-    grid, is_output = _grid(t, STEP_TIMES_RATE / fastest if max_step is None else max_step)
+    if max_step is None:
+        max_step = STEP_TIMES_RATE / max(*gains.kd, *np.sqrt(gains.kp))
+    grid = _grid(float(t[-1]), reference.duration, max_step)
     steps = np.diff(grid)
+    nodes = np.concatenate([DOP853.C, DOP853.C_EXTRA])
     # No stage may lie after its step's end by rounding: beyond its duration a reference is at rest.
-    stage_times = np.minimum(grid[:-1, None] + steps[:, None] * RK45.C, grid[1:, None])
-    stages = reference.sample(stage_times.ravel())
-    knots = reference.sample(grid)
+    stages = reference.sample(np.minimum(grid[:-1, None] + steps[:, None] * nodes, grid[1:, None]).ravel())
+    knots, wanted = reference.sample(grid), reference.sample(t)
 
     state = _from_deviation(initial_deviation, len(phi), _at(knots, 0))
     deviation = np.empty((len(phi), len(t), 12))
     coefficients = np.empty((len(phi), len(t), grasp_map.shape[1]))
-    row = 0
-    for k in range(len(grid)):
-        rate, inputs = loop.rate(_at(knots, k), state)
-        if is_output[k]:
-            deviation[:, row], coefficients[:, row] = _deviation(_at(knots, k), state), inputs
-            row += 1
-        if k == len(steps):
-            break
-        rates = [rate]
-        for i in range(1, RK45.n_stages):
-            inner = state + steps[k] * _combine(RK45.A[i], rates)
-            rates.append(loop.rate(_at(stages, k * RK45.n_stages + i), inner)[0])
-        state = state + steps[k] * _combine(RK45.B, rates)
+
+    def record(row: int, state: Array) -> None:
+        samples = _at(wanted, row)
+        deviation[:, row], coefficients[:, row] = _deviation(samples, state), loop.rate(samples, state)[1]
+
+    if t[0] == 0:
+        record(0, state)
+    rate = loop.rate(_at(knots, 0), state)[0]
+    for k, h in enumerate(steps):
+
+        def evaluate(i: int, inner: Array, first: int = k * len(nodes)) -> Array:
+            return loop.rate(_at(stages, first + i), inner)[0]
+
+        end, slopes = _step(evaluate, state, rate, h)
+        rate = loop.rate(_at(knots, k + 1), end)[0]
+        rows = np.flatnonzero((t > grid[k]) & (t <= grid[k + 1]))
+        dense = None
+        for row in rows.tolist():
+            if t[row] == grid[k + 1]:
+                record(row, end)
+                continue
+            if dense is None:
+                dense = _interpolant(evaluate, state, end, [*slopes, rate], h)
+            record(row, dense((t[row] - grid[k]) / h))
+        state = end
     return Rollout(t, deviation, coefficients)
 
 
-def _combine(weights: Array, rates: Sequence[Array]) -> Array:
-    total = weights[0] * rates[0]
-    for weight, rate in zip(weights[1:], rates[1:], strict=False):
-        if weight:
-            total += weight * rate
-    return total
+def _grid(end: float, duration: float, max_step: float) -> Array:
+    """Ends of equal steps from 0 to `end`; the reference's own end, where its jerk jumps, is one of them."""
+    corners = [0.0, *([duration] if 0 < duration < end else []), end]
+    pieces = [np.linspace(a, b, int(np.ceil((b - a) / max_step)) + 1)[1:] for a, b in pairwise(corners)]
+    return np.concatenate([np.zeros(1), *pieces])
 
 
-def _grid(t: Array, max_step: float) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Step ends from 0 to t[-1] that meet every requested time, and which of them were requested."""
-    ends = t if t[0] == 0 else np.concatenate([[0.0], t])
-    pieces, marks = [np.zeros(1)], [np.array([t[0] == 0])]
-    for a, b in pairwise(ends):
-        count = int(np.ceil((b - a) / max_step * (1 - 1e-12)))
-        pieces.append(np.linspace(a, b, count + 1)[1:])
-        marks.append(np.arange(1, count + 1) == count)
-    return np.concatenate(pieces), np.concatenate(marks)
+def _combine(weights: Array, slopes: Sequence[Array]) -> Array:
+    return sum((w * slope for w, slope in zip(weights, slopes, strict=False) if w), start=np.zeros_like(slopes[0]))
+
+
+def _step(evaluate: Stage, state: Array, rate: Array, h: float) -> tuple[Array, list[Array]]:
+    """State after a step, and the slopes of its stages."""
+    slopes = [rate]
+    for i in range(1, DOP853.n_stages):
+        slopes.append(evaluate(i, state + h * _combine(DOP853.A[i], slopes)))
+    return state + h * _combine(DOP853.B, slopes), slopes
+
+
+def _interpolant(evaluate: Stage, start: Array, end: Array, slopes: list[Array], h: float) -> Callable[[float], Array]:
+    """State inside a step as a function of the elapsed share of it, of seventh order."""
+    for i, weights in enumerate(DOP853.A_EXTRA):
+        slopes.append(evaluate(DOP853.n_stages + i, start + h * _combine(weights, slopes)))
+    change, first, last = end - start, h * slopes[0], h * slopes[DOP853.n_stages]
+    parts = [change, first - change, 2 * change - (last + first), *(h * _combine(row, slopes) for row in DOP853.D)]
+
+    def state(x: float) -> Array:
+        value = np.zeros_like(start)
+        for i, part in enumerate(reversed(parts)):
+            value = (value + part) * (x if i % 2 == 0 else 1 - x)
+        return start + value
+
+    return state
 
 
 def _at(samples: MotionSamples, k: int) -> MotionSamples:

@@ -53,7 +53,7 @@ class Load:
 
 @dataclass(frozen=True)
 class TrueWorld:
-    """loads: the objects, in the scenario's order. tilt: (3,) rotation vector of the real tray in the assumed E, rad."""
+    """The objects, in the scenario's order, and tilt: (3,) rotation vector of the real tray in the assumed E, rad."""
 
     loads: tuple[Load, ...]
     tilt: Array

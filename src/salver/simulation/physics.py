@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
 from salver.errors import SalverError, ScenarioError
@@ -19,15 +18,16 @@ from salver.files import provenance
 from salver.geometry import Array, invert, log, quat_wxyz_from_matrix
 from salver.scenario import Scenario
 from salver.simulation import creep, tray_frame
+from salver.simulation.engine import mujoco
 from salver.simulation.loads import true_world
-from salver.simulation.outcome import Behaviour, Thresholds, behaviour, judge
+from salver.simulation.outcome import Thresholds, behaviour, judge
 from salver.simulation.record import SimulationRecord
 from salver.simulation.scene import Scene, build
 from salver.simulation.trace import Recorder, Trace
 from salver.trajectory import MotionSamples, Reference
 
 if TYPE_CHECKING:
-    from salver.planning.plan import Plan
+    pass
 
 
 @dataclass(frozen=True)

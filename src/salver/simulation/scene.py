@@ -20,26 +20,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from salver.errors import MissingDependencyError
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel
 from salver.models.bodies import TRAY
 from salver.scenario import Cylinder, Obstacle, Scenario
+from salver.simulation.engine import mujoco
 from salver.simulation.loads import Load, TrueWorld
-
-try:
-    import mujoco
-except ImportError:  # pragma: no cover - tested in a process of its own
-    raise MissingDependencyError(
-        "The physics engine is not installed; install the package mujoco (pip install mujoco) to simulate."
-    ) from None
 
 FOOT_RADIUS = 5e-4  # m
 HULL_GAP = 3e-4  # m between the hull's base and the feet: closed once an object tips
 DAMPING_WIDTH = 0.95  # d_max of solimp: with solref it sets the contact's damping 2 / (d_max timeconst)
-DAMPING_RATIO = (
-    2.0  # of the contact's spring: at 1, with a time constant of two steps, feet chatter near the friction limit
-)
+DAMPING_RATIO = 2.0  # of the contact's spring: at 1 and a time constant of two steps, feet chatter near the limit
 SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
 ARM_PREFIX = "arm/"
 TRAY_BODY = "salver:tray"
@@ -214,13 +205,13 @@ def _add_load(spec: Any, load: Load, k: int) -> None:
             name=_foot(k, number),
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[FOOT_RADIUS, 0, 0],
-            pos=point + [0, 0, FOOT_RADIUS],
+            pos=point + np.array([0, 0, FOOT_RADIUS]),
             group=4,
             **_INERT,
         )
     rgba = [*_COLOURS[k % len(_COLOURS)], 1]
     centre, height = -load.com_G, load.solid.height
-    raised = centre + [0, 0, HULL_GAP / 2]
+    raised = centre + np.array([0, 0, HULL_GAP / 2])
     if load.shape.type == "box":  # type: ignore[attr-defined]
         sides = 2 * load.solid.base_polygon.max(axis=0)
         body.add_geom(

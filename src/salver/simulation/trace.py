@@ -17,7 +17,7 @@ class Trace:
 
     t (N,) s, 0 when the motion starts. q, dq, tau (N, n). p_XE, R_XE: the real tray in the engine's world X.
     p_XB, R_XB (N, m, ...): the objects. foot_force_B (N, n_f, 3): force on the object at each foot, in its B, N.
-    force_X (N, m, 3): sum of all contact forces on an object from what it stands on. touches (N, m): whether there is any.
+    force_X (N, m, 3): sum of contact forces on an object from what it stands on. touches (N, m): whether there is any.
     foreign (N, m): whether it touches what it should not (another object's side, an obstacle, its own side).
     """
 

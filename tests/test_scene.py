@@ -1,0 +1,286 @@
+"""The scene in MuJoCo against Pinocchio, and every frame that something is read from against a hand-made answer."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from salver import scenario as scenarios
+from salver.errors import ScenarioError
+from salver.geometry import exp, matrix_from_quat_wxyz
+from salver.models.arm import load_arm
+from salver.scenario import parse
+from salver.simulation.loads import ROUND_POINTS, clip, true_world
+from salver.simulation.scene import FOOT_RADIUS, build
+from salver.simulation.trace import Recorder
+
+G = 9.81
+
+
+def paper(**changes):
+    return scenarios.load("panda-cube").with_changes(**changes)
+
+
+def two_objects(upper=None, lower=None):
+    data = scenarios.load("panda-cube").model_dump(mode="json", exclude_none=True)
+    base = {"shape": {"type": "box", "size": [0.06, 0.04, 0.03]}, "mass": 0.4, "friction": 0.5, "name": "lower"}
+    top = {"shape": {"type": "box", "size": [0.04, 0.04, 0.04]}, "mass": 0.1, "friction": 0.3, "name": "upper"}
+    data["objects"] = [base | (lower or {}), top | {"on": "lower"} | (upper or {})]
+    return parse(data, "test")
+
+
+def arm_scene(changes, parameters=None):
+    scenario = paper(**changes)
+    arm = load_arm(scenario.arm, scenario.tray)
+    scene = build(scenario, true_world(scenario, parameters), arm)
+    return scene, arm, mujoco.MjData(scene.model)
+
+
+@pytest.fixture(scope="module")
+def moved_base():
+    return arm_scene({"arm__base_position": [0.3, -0.2, 0.1], "arm__base_yaw_deg": 40.0})
+
+
+def random_states(arm, count=20):
+    rng = np.random.default_rng(3)
+    for _ in range(count):
+        yield rng.uniform(arm.limits.q_min, arm.limits.q_max), rng.uniform(-1, 1, arm.n) * arm.limits.velocity
+
+
+def set_state(scene, data, q, dq):
+    data.qpos[: scene.n], data.qvel[:] = q, 0
+    data.qvel[: scene.n] = dq
+    mujoco.mj_forward(scene.model, data)
+
+
+def test_mass_matrix_and_bias_equal_pinocchio(moved_base):
+    scene, arm, data = moved_base
+    full = np.zeros((scene.model.nv, scene.model.nv))
+    for q, dq in random_states(arm):
+        set_state(scene, data, q, dq)
+        mujoco.mj_fullM(scene.model, data, full)
+        np.testing.assert_allclose(full[: arm.n, : arm.n], arm.mass_matrix(q), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(data.qfrc_bias[: arm.n], arm.bias(q, dq), rtol=0, atol=1e-9)
+        assert not np.any(data.qfrc_passive[: arm.n])  # no damping that eq (20) does not have
+
+
+def test_tray_pose_jacobian_and_its_rate_equal_pinocchio(moved_base):
+    scene, arm, data = moved_base
+    linear, angular = np.zeros((2, 3, scene.model.nv))
+    for q, dq in random_states(arm):
+        set_state(scene, data, q, dq)
+        p, R = scene.tray_pose(data)
+        p_pin, R_pin = arm.tray_pose(q)
+        np.testing.assert_allclose(p, p_pin, atol=1e-9)
+        np.testing.assert_allclose(R, R_pin, atol=1e-9)
+        mujoco.mj_jac(scene.model, data, linear, angular, p, scene.tray_id)
+        body = np.vstack([R.T @ linear[:, : arm.n], R.T @ angular[:, : arm.n]])
+        np.testing.assert_allclose(body, arm.body_jacobian(q), rtol=0, atol=1e-9)
+        mujoco.mj_jacDot(scene.model, data, linear, angular, p, scene.tray_id)
+        # classical acceleration of the tray's origin for ddq = 0, from the rate of the body twist
+        twist, drift = arm.body_jacobian(q) @ dq, arm.drift(q, dq)
+        np.testing.assert_allclose(
+            R.T @ linear[:, : arm.n] @ dq, drift[:3] + np.cross(twist[3:], twist[:3]), rtol=0, atol=1e-9
+        )
+        np.testing.assert_allclose(R.T @ angular[:, : arm.n] @ dq, drift[3:], rtol=0, atol=1e-9)
+
+
+def test_base_pose_by_hand():
+    """Panda at q = 0 without its base moved: flange at x = 0.088 m, z = 0.333 + 0.316 + 0.384 - 0.107 m, z down."""
+    scene, _, data = arm_scene({"arm__base_position": [1.0, 2.0, 3.0], "arm__base_yaw_deg": 90.0})
+    set_state(scene, data, np.zeros(7), np.zeros(7))
+    p, R = scene.tray_pose(data)
+    np.testing.assert_allclose(p, [1.0, 2.088, 3.0 + 0.926 - 0.05], atol=1e-9)
+    np.testing.assert_allclose(R[:, 2], [0, 0, -1], atol=1e-9)
+
+
+def test_arm_limits_are_those_of_the_arm_model(moved_base):
+    scene, arm, _ = moved_base
+    np.testing.assert_allclose(scene.model.jnt_range[: arm.n, 0], arm.limits.q_min)
+    np.testing.assert_allclose(scene.model.jnt_range[: arm.n, 1], arm.limits.q_max)
+
+
+def test_tilted_tray_keeps_the_arms_mass_matrix():
+    """The tray's plate is mounted askew; its inertia is where the arm model has it."""
+    scene, arm, data = arm_scene({}, {"tilt_x": 0.3, "tilt_y": -0.1})
+    q = np.array(paper().arm.start_posture)
+    set_state(scene, data, q, np.zeros(7))
+    full = np.zeros((scene.model.nv, scene.model.nv))
+    mujoco.mj_fullM(scene.model, data, full)
+    np.testing.assert_allclose(full[: arm.n, : arm.n], arm.mass_matrix(q), atol=1e-9)
+    np.testing.assert_allclose(scene.tray_pose(data)[1], arm.tray_pose(q)[1] @ exp(np.array([0.3, -0.1, 0])), atol=1e-9)
+
+
+def test_object_inertia_in_the_engine():
+    """M of the free joint (v in S, omega in B) against mass, centre of mass and a full inertia matrix."""
+    parameters = {"mass": 0.3, "com_x": 0.003, "com_y": -0.004, "com_z": 0.01, "inertia_xy": 2e-5, "inertia_yz": -3e-5}
+    scenario = paper()
+    scene = build(scenario, true_world(scenario, parameters))
+    data = mujoco.MjData(scene.model)
+    data.qpos[3:7] = [0.9, 0.1, -0.3, 0.2]
+    mujoco.mj_forward(scene.model, data)
+    full = np.zeros((6, 6))
+    mujoco.mj_fullM(scene.model, data, full)
+    R = matrix_from_quat_wxyz(data.qpos[3:7])
+    body = scene.loads[0].inertial
+    assert body.mass == 0.3
+    assert body.com_B.tolist() == [0.003, -0.004, 0.01]
+    expected = body.spatial_inertia
+    expected[:3, 3:], expected[3:, :3] = R @ expected[:3, 3:], expected[3:, :3] @ R.T
+    np.testing.assert_allclose(full, expected, rtol=0, atol=1e-12)
+
+
+def settled(scenario, parameters=None, gravity=(0, 0, -G), steps=600):
+    """A tray that is the engine's world, under a constant gravity given in E; recorded once it rests."""
+    scene = build(scenario, true_world(scenario, parameters))
+    scene.model.opt.gravity[:] = gravity
+    data = mujoco.MjData(scene.model)
+    scene.place(data)
+    mujoco.mj_step(scene.model, data, nstep=steps)
+    recorder = Recorder(scene, 1)
+    none = np.empty(0)
+    recorder.joints(0.0, none, none, none)
+    mujoco.mj_step(scene.model, data)
+    recorder.take(data)
+    return scene, recorder.trace()
+
+
+def test_contact_forces_at_rest_by_hand():
+    """Centre of mass at (a, b) of a base 2c wide: each corner carries (m g / 4)(1 +- a/c)(1 +- b/c) at least squares."""
+    a, b, c, m = 0.005, -0.002, 0.02, 0.25
+    scene, trace = settled(paper(), {"mass": m, "com_x": a, "com_y": b})
+    corners = scene.loads[0].outline_B
+    np.testing.assert_allclose(corners[:, :2], c * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]))
+    forces = trace.foot_force_B[0]
+    expected = m * G / 4 * (1 + a * corners[:, 0] / c**2 + b * corners[:, 1] / c**2)
+    np.testing.assert_allclose(forces[:, 2], expected, rtol=2e-3)
+    np.testing.assert_allclose(forces[:, :2], 0, atol=1e-4)  # the feet sink unevenly: B tilts by some 1e-5 rad
+    np.testing.assert_allclose(trace.force_X[0, 0], [0, 0, m * G], atol=1e-6)
+    assert trace.touches[0, 0]
+    assert not trace.foreign[0, 0]
+
+
+def test_contact_forces_on_a_slope_by_hand():
+    """Gravity along +x of E by 10 degrees: friction points to -x, and the downhill feet carry more, by m g s h / (2 w)."""
+    m, angle = 0.256, np.deg2rad(10)
+    scene, trace = settled(paper(), gravity=(G * np.sin(angle), 0, -G * np.cos(angle)))
+    np.testing.assert_allclose(trace.force_X[0, 0], m * G * np.array([-np.sin(angle), 0, np.cos(angle)]), atol=1e-5)
+    normal = trace.foot_force_B[0, :, 2]
+    downhill = scene.loads[0].outline_B[:, 0] > 0
+    half_difference = m * G * np.sin(angle) * 0.02 / 0.04
+    np.testing.assert_allclose(normal[downhill].sum() - normal[~downhill].sum(), 2 * half_difference, rtol=1e-3)
+
+
+def test_contact_force_is_told_in_the_objects_axes():
+    """The same slope, the object turned by 90 degrees about z: friction to -x of E is to +y of B."""
+    angle = np.deg2rad(10)
+    data = scenarios.load("panda-cube").model_dump(mode="json", exclude_none=True)
+    data["objects"][0]["yaw_deg"] = 90.0
+    _, trace = settled(parse(data, "test"), gravity=(G * np.sin(angle), 0, -G * np.cos(angle)))
+    total_B = trace.foot_force_B[0].sum(axis=0)
+    np.testing.assert_allclose(total_B, 0.256 * G * np.array([0, np.sin(angle), np.cos(angle)]), atol=1e-4)
+    np.testing.assert_allclose(trace.force_X[0, 0], 0.256 * G * np.array([-np.sin(angle), 0, np.cos(angle)]), atol=1e-5)
+
+
+def test_stack_forces_by_hand():
+    """The upper of 0.1 kg rests on the lower of 0.4 kg: the tray carries both; what the lower gets is the difference."""
+    _, trace = settled(two_objects())
+    np.testing.assert_allclose(trace.foot_force_B[0, 4:].sum(axis=0), [0, 0, 0.1 * G], atol=1e-6)
+    np.testing.assert_allclose(trace.foot_force_B[0, :4].sum(axis=0), [0, 0, 0.5 * G], atol=1e-6)
+    np.testing.assert_allclose(trace.force_X[0], [[0, 0, 0.5 * G], [0, 0, 0.1 * G]], atol=1e-6)
+    assert trace.touches.all()
+    assert not trace.foreign.any()
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        {"type": "cylinder", "radius": 0.03, "height": 0.1},
+        {"type": "prism", "polygon": [[0.03, 0], [-0.02, 0.02], [-0.02, -0.02]], "height": 0.05},
+    ],
+)
+def test_round_and_prismatic_objects_rest(shape):
+    data = scenarios.load("panda-cube").model_dump(mode="json", exclude_none=True)
+    data["objects"][0] |= {"shape": shape}
+    data["objects"][0].pop("inertia")
+    scene, trace = settled(parse(data, "test"))
+    np.testing.assert_allclose(trace.force_X[0, 0], [0, 0, 0.256 * G], atol=1e-5)
+    load = scene.loads[0]
+    assert len(load.outline_B) == (ROUND_POINTS if shape["type"] == "cylinder" else 3)
+    np.testing.assert_allclose(trace.p_XB[0, 0], load.p_EB, atol=5e-5)
+    np.testing.assert_allclose(trace.R_XB[0, 0], load.R_EB, atol=1e-3)
+
+
+def test_place_puts_objects_where_the_parameters_say():
+    scene, arm, data = arm_scene({}, {"position_x": 0.01, "position_y": -0.02, "tilt_x": 0.02})
+    q = np.array(paper().arm.start_posture)
+    scene.place(data, q)
+    p, R = arm.tray_pose(q)
+    R = R @ exp(np.array([0.02, 0, 0]))
+    np.testing.assert_allclose(data.qpos[7:10], p + R @ [0.01, -0.02, 0.02], atol=1e-9)
+    np.testing.assert_allclose(matrix_from_quat_wxyz(data.qpos[10:14]), R, atol=1e-9)
+
+
+def test_feet_are_at_the_base():
+    scene = build(paper(), true_world(paper()))
+    feet = scene.foot_object >= 0
+    assert feet.sum() == 4
+    np.testing.assert_allclose(scene.model.geom_pos[feet][:, 2], -0.02 + FOOT_RADIUS)
+    np.testing.assert_array_equal(scene.foot_number[feet], range(4))
+    np.testing.assert_array_equal(scene.foot_support[feet], -1)
+
+
+def test_a_block_across_two_others_has_feet_on_both():
+    block = {"shape": {"type": "box", "size": [0.038, 0.09, 0.103]}, "mass": 0.18, "friction": 0.3}
+    data = scenarios.load("panda-cube").model_dump(mode="json", exclude_none=True)
+    lying = {"shape": {"type": "box", "size": [0.103, 0.09, 0.038]}, "mass": 0.18, "friction": 0.42}
+    data["objects"] = [
+        block | {"name": "left", "at": [-0.0325, 0]},
+        block | {"name": "right", "at": [0.0325, 0]},
+        lying | {"name": "top", "on": ["left", "right"]},
+    ]
+    scene, trace = settled(parse(data, "test"))
+    top = scene.loads[2]
+    assert set(top.supports) == {"left", "right"}
+    # the left block reaches from x = -0.0515 (also the top's end) to -0.0135
+    xs = np.unique(np.round(top.supports["left"][:, 0], 9))
+    np.testing.assert_allclose(xs, [-0.0515, -0.0135])
+    np.testing.assert_allclose(trace.force_X[0][:, 2], [1.5 * 0.18 * G, 1.5 * 0.18 * G, 0.18 * G], atol=1e-4)
+
+
+def test_clip_by_hand():
+    square = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
+    corner = clip(square, square + 1)
+    assert {tuple(p) for p in corner} == {(1, 1), (2, 1), (2, 2), (1, 2)}
+    np.testing.assert_array_equal(clip(square, square), square)
+    assert len(clip(square, square + 5)) == 0
+    # a diamond cut by a square: eight corners
+    diamond = 1.5 * np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
+    assert len(clip(diamond, square - 1)) == 8
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"weight": 1.0}, ['"weight"', "panda-cube", "mass"]),
+        ({"mass": -1.0}, ["mass", "-1", "positive"]),
+        ({"mass": float("nan")}, ["mass", "finite"]),
+        ({"friction": 0.0}, ["friction", "positive"]),
+        ({"inertia_xx": 1.0}, ["inertia", "sum of the other two"]),
+        ({"position_x": 0.5}, ["overlap", "tray"]),
+    ],
+)
+def test_impossible_parameters_get_a_sentence(parameters, words):
+    with pytest.raises(ScenarioError) as caught:
+        true_world(paper(), parameters)
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_parameters_of_several_objects_are_prefixed():
+    world = true_world(two_objects(), {"upper.mass": 0.2, "lower.friction": 0.9, "tilt_y": 0.01})
+    assert [load.inertial.mass for load in world.loads] == [0.4, 0.2]
+    assert [load.friction for load in world.loads] == [0.9, 0.3]
+    with pytest.raises(ScenarioError, match="mass"):
+        true_world(two_objects(), {"mass": 0.2})
