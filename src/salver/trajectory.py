@@ -8,7 +8,7 @@ at any degree (the monomial basis loses a digit per degree).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -66,8 +66,16 @@ class Reference(Protocol):
 
 def chebyshev_basis(s: npt.ArrayLike, degree: int, derivative: int = 0) -> Array:
     """(T, degree + 1) values of the `derivative`-th derivatives of T_0 ... T_degree at s in [-1, 1]."""
-    identity = np.eye(degree + 1)
-    return chebyshev.chebval(np.asarray(s, dtype=float), chebyshev.chebder(identity, derivative)).T
+    return chebyshev.chebvander(np.asarray(s, dtype=float), degree) @ _differentiation(degree, derivative)
+
+
+@lru_cache(maxsize=256)
+def _differentiation(degree: int, derivative: int) -> Array:
+    """(degree + 1, degree + 1): coefficients of the derivatives of T_0 ... T_degree, by columns."""
+    matrix = np.zeros((degree + 1, degree + 1))
+    coefficients = chebyshev.chebder(np.eye(degree + 1), derivative)
+    matrix[: len(coefficients)] = coefficients
+    return matrix
 
 
 def boundary_map(degree: int, orders: tuple[int, ...] = (0, 1, 2)) -> Array:

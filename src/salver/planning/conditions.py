@@ -102,9 +102,7 @@ def _half_range(uncertain: UncertainSet, name: str) -> float:
     return float(uncertain.half_range[uncertain.names.index(name)]) if name in uncertain.names else 0.0
 
 
-def rows_of(
-    contact: Contact, uncertain: UncertainSet, motion: BodyMotion, loop: TraySensitivity, n_z: int
-) -> Rows:
+def rows_of(contact: Contact, uncertain: UncertainSet, motion: BodyMotion, loop: TraySensitivity, n_z: int) -> Rows:
     """The condition of a body along a motion of B (with derivatives by z, or without)."""
     own_motion = motion.of_frame(contact.p_BX, contact.R_BX)
     wrench, wrench_jacobian = _stacked(*own_motion.wrench(contact.body.inertial.phi[:, None]), n_z)

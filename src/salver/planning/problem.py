@@ -20,10 +20,11 @@ from functools import cached_property
 import numpy as np
 
 from salver.control.object import Gains
-from salver.geometry import GRAVITY_S, Array, log, right_jacobian_inverse
+from salver.geometry import Array, log, right_jacobian_inverse
 from salver.models.bodies import Body, bodies, uncertain_set
-from salver.models.parameters import COM, UncertainSet, phi_jacobian
+from salver.models.parameters import COM, UncertainSet
 from salver.planning.conditions import Contact, Rows, contacts_for, rows_of
+from salver.planning.evaluation import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.filter import QuadratureGrid
@@ -36,6 +37,8 @@ from salver.trajectory import (
     geodesic_angular_velocity,
     position_boundary,
 )
+
+_COST_STEP = 0.35  # of sqrt(kp) h: the integral of the cost is then right to some 1e-4
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,11 @@ class Linearisation:
 
 @dataclass(frozen=True)
 class Problem:
-    """The planning problem of a scenario on a uniform grid of `nodes` instants."""
+    """The planning problem of a scenario; constraints hold at `nodes` uniform instants.
+
+    The cost is integrated on a grid finer than the nodes where the error dynamics are fast: `grid.t[::every]`
+    are the nodes.
+    """
 
     scenario: Scenario
     nodes: int
@@ -76,17 +83,20 @@ class Problem:
 
     @cached_property
     def loop(self) -> TrayLoop:
-        gains = Gains(self.scenario.control.kp, self.scenario.control.kd)
-        own = tuple(name.removeprefix(f"{self.body.name}.") for name in self.uncertain.names)
-        return TrayLoop(self.body.inertial, gains, phi_jacobian(self.body.inertial, own))
+        return tray_loop(self.scenario)
 
     @cached_property
     def contacts(self) -> list[Contact]:
         return contacts_for(self.scenario)
 
     @cached_property
+    def every(self) -> int:
+        fastest = np.sqrt(max(self.loop.gains.kp)) * self.duration / (self.nodes - 1)
+        return max(1, int(np.ceil(fastest / _COST_STEP)))
+
+    @cached_property
     def grid(self) -> QuadratureGrid:
-        return self.loop.grid(np.linspace(0, self.duration, self.nodes))
+        return self.loop.grid(np.linspace(0, self.duration, (self.nodes - 1) * self.every + 1))
 
     @property
     def rotates(self) -> bool:
@@ -146,9 +156,7 @@ class Problem:
         if self.rotates:
             particular, null_space = self._spin
             angular_velocity = particular + null_space @ z[self._n_position :].reshape(3, -1).T
-        return PolynomialReference(
-            self.duration, self.scenario.motion.start.rotation, position, angular_velocity
-        )
+        return PolynomialReference(self.duration, self.scenario.motion.start.rotation, position, angular_velocity)
 
     # Cost ------------------------------------------------------------------------------------------------
 
@@ -166,12 +174,7 @@ class Problem:
 
     @cached_property
     def time_weights(self) -> Array:
-        """(T,) fourth-order end-corrected trapezoidal weights of the grid, s."""
-        weights = np.full(self.nodes, self.duration / (self.nodes - 1))
-        correction = np.array([9 / 24, 28 / 24, 23 / 24])
-        weights[:3] *= correction
-        weights[-3:] *= correction[::-1]
-        return weights
+        return integration_weights(len(self.grid.t), self.duration)
 
     # Derivatives -----------------------------------------------------------------------------------------
 
@@ -228,6 +231,7 @@ class Problem:
                 value, tangent = _times_columns(block, self.column_scale, self.size)
                 residual.append((scale * weights * value).ravel())
                 jacobian.append((scale * weights[..., None] * tangent).reshape(value.size, self.size))
+        motion, sensitivity = motion.thinned(self.every), sensitivity.thinned(self.every)
         rows = tuple(rows_of(c, self.uncertain, motion, sensitivity, self.size) for c in self.contacts)
         goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
         if theta is not None:
@@ -243,6 +247,15 @@ class _Bases:
     a: Array
     omega: Array | None
     alpha: Array | None
+
+
+def integration_weights(instants: int, duration: float) -> Array:
+    """(T,) fourth-order end-corrected trapezoidal weights of a uniform grid, s (Gregory)."""
+    weights = np.full(instants, duration / (instants - 1))
+    correction = np.array([9 / 24, 28 / 24, 23 / 24])
+    weights[:3] *= correction
+    weights[-3:] *= correction[::-1]
+    return weights
 
 
 def row_scale(weighting: str, body: Body, gains: Gains) -> tuple[float, float, float, float]:

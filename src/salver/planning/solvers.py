@@ -43,7 +43,7 @@ class Solution:
         """Relative duality gap: (cost - lower bound) / cost."""
         if self.lower_bound is None:
             return None
-        return max(0.0, self.cost - self.lower_bound) / max(self.cost, 1e-300)
+        return _relative(self.cost, self.lower_bound)
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,12 @@ def solve_convex(problem: Problem) -> Solution:
     method = "convex quadratic programme, PIQP with tangent cuts"
     if step is not None and step.violation <= TOLERANCE:
         cost = _cost(model, step.d)
+        gap = _relative(cost, step.lower_bound)
         status = Status(
             "optimal",
-            f"Optimal: no reference of this degree has a smaller cost (duality gap {_relative(cost, step.lower_bound):.1e}).",
+            f"Optimal: no reference of this degree costs less (duality gap {gap:.1e}).",
             True,
-            {"gap": _relative(cost, step.lower_bound)},
+            {"gap": gap},
         )
         return Solution(step.d, cost, step.lower_bound, step.violation, step.rounds, method, status)
     relaxed = _solve_model(model, margin, 0.0, np.inf, elastic=True)
@@ -118,7 +119,7 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
     z, model = _meet_goal(problem, z, model)
     violation = _violation(model, margin)
     if violation > 1e-7:
-        status = infeasible(problem, model, z, False)
+        status = infeasible(problem, model, None, False)
     else:
         words = {
             "optimal": "Locally optimal: no small change of the reference lowers the cost.",
@@ -129,15 +130,14 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
     return Solution(z, _cost(model), bound, violation, evaluations, "sequential convex programming, PIQP", status)
 
 
-def infeasible(problem: Problem, model: Linearisation, z: Array, proven: bool) -> Status:
-    """Which constraint fails worst, when, and by how much, at the point of least violation."""
-    del z
+def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: bool) -> Status:
+    """Which constraint fails worst, when, and by how much: after the step d of the model, of least violation."""
     margin = problem.scenario.contact.margin
-    worst = min(model.rows, key=lambda rows: float(rows.slack()[0].min()))
-    slack = worst.slack()[0]
+    worst = min(model.rows, key=lambda rows: float(rows.slack(d)[0].min()))
+    slack = worst.slack(d)[0]
     k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
     short = margin - float(slack[k, i])
-    t = float(problem.grid.t[k])
+    t = float(problem.grid.t[k * problem.every])
     what = "cone coefficient" if problem.scenario.contact.condition == "paper" else "facet of the contact wrench cone"
     shown = "No reference of this degree and duration is safe" if proven else "No safe reference was found"
     sentence = (

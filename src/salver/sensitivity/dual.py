@@ -35,6 +35,10 @@ class Dual:
     def __sub__(self, other: Dual) -> Dual:
         return self + (-other)
 
+    def thinned(self, every: int) -> Dual:
+        """Each `every`-th instant."""
+        return Dual(self.value[::every], None if self.tangent is None else self.tangent[::every])
+
     def scaled(self, factor: float | Array) -> Dual:
         """Times a constant, or a constant (P, 1) that differs between parameters."""
         factor = np.asarray(factor, dtype=float)
@@ -62,6 +66,9 @@ class DualRotation:
 
     matrix: Array
     tangent: Array | None = None
+
+    def thinned(self, every: int) -> DualRotation:
+        return DualRotation(self.matrix[::every], None if self.tangent is None else self.tangent[::every])
 
     def to_body(self, vector_S: Dual) -> Dual:
         """R^T u; turning R by dtheta adds (R^T u) x dtheta."""

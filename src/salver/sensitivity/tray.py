@@ -52,6 +52,10 @@ class BodyMotion:
             dual(samples.alpha_B, alpha_tangent),
         )
 
+    def thinned(self, every: int) -> BodyMotion:
+        """Each `every`-th instant."""
+        return BodyMotion(*(part.thinned(every) for part in (self.rotation, self.force, self.omega, self.alpha)))
+
     def of_frame(self, p_BX: Array, R_BX: Array) -> BodyMotion:
         """What a body with frame X feels that moves rigidly with B."""
         arm = Dual(p_BX[None, None])
@@ -89,6 +93,11 @@ class TraySensitivity:
     domega: Dual
     df: Dual
     dtau: Dual
+
+    def thinned(self, every: int) -> TraySensitivity:
+        """Each `every`-th instant."""
+        parts = (self.dp, self.dtheta, self.dv, self.domega, self.df, self.dtau)
+        return TraySensitivity(*(part.thinned(every) for part in parts))
 
     @property
     def state(self) -> Array:
@@ -139,9 +148,7 @@ class TrayLoop:
             + e_w.scaled(kd_R)
             + e_R.scaled(kp_R)
         )
-        dtau = (
-            dalpha.mapped(inertia) + domega.cross(omega.mapped(inertia)) + omega.cross(domega.mapped(inertia))
-        )
+        dtau = dalpha.mapped(inertia) + domega.cross(omega.mapped(inertia)) + omega.cross(domega.mapped(inertia))
         return TraySensitivity(-e_p, dtheta, -e_v, domega, df, dtau)
 
     def along(self, reference: Reference, t: Array) -> TraySensitivity:

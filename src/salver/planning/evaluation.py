@@ -1,0 +1,97 @@
+"""What a reference means for the carried objects: wrench, coefficients, sensitivities and margins over time.
+
+Computed from the reference itself, not from the matrices of the planning problem, and at any instants: the
+check of a plan does not share the planner's linear algebra.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.control.object import Gains
+from salver.geometry import Array
+from salver.models.bodies import bodies, uncertain_set
+from salver.models.parameters import phi_jacobian
+from salver.planning.conditions import contacts_for, rows_of
+from salver.scenario import Scenario
+from salver.sensitivity.tray import BodyMotion, TrayLoop
+from salver.sensitivity.tubes import radius
+from salver.trajectory import MotionSamples, Reference
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A motion at T uniform instants and what it asks of the contact, time axis first.
+
+    samples: the motion of B. wrench_B (T, 6): nominal. cone_coefficients (T, n_lambda): Lambda of eq (19), and
+    cone_radius its tube (eq 11). state_sensitivity (T, 12, n_p), input_sensitivity (T, n_lambda, n_p).
+    slack (T, n_c): the scenario's own contact condition minus its tube, all objects side by side, before the
+    margin; slack_owner names the object of each column.
+    """
+
+    samples: MotionSamples
+    wrench_B: Array
+    cone_coefficients: Array
+    cone_radius: Array
+    state_sensitivity: Array
+    input_sensitivity: Array
+    slack: Array
+    slack_owner: tuple[str, ...]
+
+    @property
+    def t(self) -> Array:
+        return self.samples.t
+
+    def worst(self) -> tuple[float, float, str]:
+        """Least slack, its time, and the object it belongs to."""
+        k, i = np.unravel_index(int(np.argmin(self.slack)), self.slack.shape)
+        return float(self.slack[k, i]), float(self.t[k]), self.slack_owner[i]
+
+
+def tray_loop(scenario: Scenario) -> TrayLoop:
+    """The closed loop of the scenario's first object, with all its uncertain parameters."""
+    carried, uncertain = bodies(scenario), uncertain_set(scenario)
+    prefix = f"{carried[0].name}." if len(carried) > 1 else ""
+    own = tuple(n.removeprefix(prefix) if n.startswith(prefix) else "" for n in uncertain.names)
+    gains = Gains(scenario.control.kp, scenario.control.kd)
+    return TrayLoop(carried[0].inertial, gains, phi_jacobian(carried[0].inertial, own))
+
+
+def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluation:
+    """Evaluate a reference at uniform instants from its start to its end."""
+    loop, uncertain = tray_loop(scenario), uncertain_set(scenario)
+    grid = loop.grid(np.linspace(0, reference.duration, instants))
+    samples = reference.sample(grid.t)
+    motion = BodyMotion.of(samples)
+    sensitivity = loop.sensitivity(grid, motion, BodyMotion.of(reference.sample(grid.times)))
+    force, torque = motion.wrench(loop.body.phi[:, None])
+    wrench_B = np.concatenate([force.value, torque.value], axis=-1)[:, 0]
+    contacts = contacts_for(scenario)
+    distribution = np.linalg.pinv(contacts[0].body.contacts.grasp_map)
+    theta = distribution @ sensitivity.wrench
+    slack = [rows_of(contact, uncertain, motion, sensitivity, 0).slack()[0] for contact in contacts]
+    return Evaluation(
+        samples,
+        wrench_B,
+        wrench_B @ distribution.T,
+        radius(theta, uncertain),
+        sensitivity.state,
+        theta,
+        np.concatenate(slack, axis=1),
+        tuple(c.body.name for c, s in zip(contacts, slack, strict=True) for _ in range(s.shape[1])),
+    )
+
+
+def sensitivity_cost(scenario: Scenario, evaluation: Evaluation) -> float:
+    """Integral (13) of the weighted squared norm of Pi along an evaluated motion."""
+    from salver.planning.problem import integration_weights, row_scale
+
+    body = bodies(scenario)[0]
+    uncertain = uncertain_set(scenario)
+    scale = np.repeat(row_scale(scenario.objective.weighting, body, tray_loop(scenario).gains), 3)
+    columns = uncertain.factor if scenario.objective.weighting == "scaled" else np.eye(uncertain.size)
+    weighted = scale[:, None] * (evaluation.state_sensitivity @ columns)
+    weights = integration_weights(len(evaluation.t), float(evaluation.t[-1]))
+    return float(np.einsum("t,tij->", weights, weighted**2))

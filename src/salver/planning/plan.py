@@ -1,0 +1,378 @@
+"""A plan: a reference trajectory with everything that follows from it, which checks itself, saves and loads."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.errors import FileFormatError, ScenarioError, Status
+from salver.files import load_npz, provenance, read_json, save_npz, write_atomic, write_json
+from salver.geometry import Array, log, matrix_from_quat_wxyz
+from salver.models.bodies import uncertain_set
+from salver.planning.evaluation import Evaluation, evaluate, sensitivity_cost
+from salver.scenario import Scenario
+from salver.trajectory import (
+    JointMotion,
+    MotionSamples,
+    PolynomialReference,
+    Reference,
+    SampledReference,
+    min_jerk_line,
+)
+
+if TYPE_CHECKING:
+    from salver.models.parameters import UncertainSet
+    from salver.planning.solvers import Solution
+
+FINER = 10  # the check's grid against the planner's
+BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The plan's check of itself on a grid `FINER` times finer than the planner's.
+
+    boundary_error: largest miss of pose, twist and acceleration at both ends (SI units).
+    slack: least contact condition minus its tube, N; at time `time`, for object `body`.
+    violation: how far that is below zero; 0 when the condition holds everywhere.
+    """
+
+    instants: int
+    boundary_error: float
+    slack: float
+    time: float
+    body: str
+
+    @property
+    def violation(self) -> float:
+        return max(0.0, -self.slack)
+
+    @property
+    def ok(self) -> bool:
+        return self.violation == 0 and self.boundary_error <= BOUNDARY_TOLERANCE
+
+    @property
+    def sentence(self) -> str:
+        if self.boundary_error > BOUNDARY_TOLERANCE:
+            return f"The motion misses its start or goal by {self.boundary_error:.2g}."
+        if self.violation > 0:
+            return f"{self.body} leaves its contact condition by {self.violation:.3g} N at t = {self.time:.3f} s."
+        return (
+            f"Checked at {self.instants} instants: the contact condition keeps {self.slack:.3g} N over its tube "
+            f"(least for {self.body}, at t = {self.time:.3f} s)."
+        )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A motion of the carried object (and of the arm, when there is one) with its guarantees.
+
+    method: "robust" (eqs 13-17), "baseline" (straight min-jerk line) or "fastest".
+    reference: the motion of B. joint: the arm's motion, or None. status: how planning ended; arm_status: whether
+    the arm can follow, None without an arm. solver: method, cost, duality gap, iterations, times.
+    tau: (T, n) feed-forward torque at `t`, or None. Arrays have the time axis first (docs/conventions.md).
+    """
+
+    scenario: Scenario
+    method: str
+    reference: Reference
+    status: Status
+    joint: JointMotion | None = None
+    arm_status: Status | None = None
+    tau: Array | None = None
+    solver: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def evaluation(self) -> Evaluation:
+        return evaluate(self.scenario, self.reference, FINER * (self.scenario.motion.nodes - 1) + 1)
+
+    @property
+    def duration(self) -> float:
+        return self.reference.duration
+
+    @property
+    def t(self) -> Array:
+        return self.evaluation.t
+
+    @property
+    def cone_coefficients(self) -> Array:
+        return self.evaluation.cone_coefficients
+
+    @property
+    def cone_radius(self) -> Array:
+        return self.evaluation.cone_radius
+
+    @property
+    def state_sensitivity(self) -> Array:
+        return self.evaluation.state_sensitivity
+
+    @property
+    def input_sensitivity(self) -> Array:
+        return self.evaluation.input_sensitivity
+
+    @property
+    def uncertain(self) -> UncertainSet:
+        return uncertain_set(self.scenario)
+
+    @cached_property
+    def cost(self) -> float:
+        """Integral (13) with the scenario's weighting."""
+        return sensitivity_cost(self.scenario, self.evaluation)
+
+    @property
+    def ok(self) -> bool:
+        """Whether what was asked for was achieved: safe in its own model, and the arm can follow."""
+        return self.status.ok and self.verification.ok and (self.arm_status is None or self.arm_status.ok)
+
+    @cached_property
+    def verification(self) -> Verification:
+        motion, samples = self.scenario.motion, self.evaluation.samples
+        ends = [0, -1]
+        goals = np.array([motion.start.position, motion.goal.position])
+        rotations = np.stack([motion.start.rotation, motion.goal.rotation])
+        turn = log(np.swapaxes(rotations, 1, 2) @ samples.R_SB[ends])
+        if motion.goal_yaw == "free":
+            turn = np.cross(rotations[:, :, 2], samples.R_SB[ends][:, :, 2])
+        still = [x[ends] for x in (samples.v_S, samples.a_S, samples.omega_B, samples.alpha_B)]
+        error = max(float(np.abs(x).max()) for x in (samples.p_SB[ends] - goals, turn, *still))
+        slack, when, body = self.evaluation.worst()
+        return Verification(len(self.t), error, slack, when, body)
+
+    def verify(self) -> Verification:
+        """Re-check boundary conditions and contact on the fine grid."""
+        return self.verification
+
+    def summary(self) -> dict[str, Any]:
+        """What `plan.json` holds."""
+        check = self.verification
+        lowest = self.cone_coefficients - self.cone_radius
+        out: dict[str, Any] = {
+            "method": self.method,
+            "ok": self.ok,
+            "status": _status_record(self.status),
+            "duration": self.duration,
+            "condition": self.scenario.contact.condition,
+            "weighting": self.scenario.objective.weighting,
+            "cost": self.cost,
+            "verification": {
+                "ok": check.ok,
+                "sentence": check.sentence,
+                "instants": check.instants,
+                "boundary_error": check.boundary_error,
+                "least_slack": check.slack,
+                "time": check.time,
+                "object": check.body,
+            },
+            "least_cone_coefficient": float(self.cone_coefficients.min()),
+            "least_cone_coefficient_in_tube": float(lowest.min()),
+            "solver": dict(self.solver),
+            "provenance": provenance(self.scenario),
+        }
+        if self.arm_status is not None:
+            out["arm"] = _status_record(self.arm_status)
+        return out
+
+    def arrays(self) -> dict[str, Array]:
+        """What `plan.npz` holds."""
+        e, uncertain = self.evaluation, self.uncertain
+        s = e.samples
+        from salver.models.bodies import bodies
+
+        out: dict[str, Any] = {
+            "t": s.t,
+            "p_SB": s.p_SB,
+            "v_S": s.v_S,
+            "a_S": s.a_S,
+            "quat_SB_wxyz": s.quat_SB_wxyz,
+            "omega_B": s.omega_B,
+            "alpha_B": s.alpha_B,
+            "wrench_B": e.wrench_B,
+            "grasp_map": bodies(self.scenario)[0].contacts.grasp_map,
+            "cone_coefficients": e.cone_coefficients,
+            "cone_radius": e.cone_radius,
+            "state_sensitivity": e.state_sensitivity,
+            "input_sensitivity": e.input_sensitivity,
+            "contact_slack": e.slack,
+            "parameter_names": np.array(uncertain.names, dtype=np.str_),
+            "parameter_half_range": uncertain.half_range,
+        }
+        if isinstance(self.reference, PolynomialReference):
+            out["position_coefficients"] = self.reference.position
+            out["R_start"] = self.reference.R_start
+            if self.reference.angular_velocity is not None:
+                out["angular_velocity_coefficients"] = self.reference.angular_velocity
+        if self.joint is not None:
+            out["q"], out["dq"], out["ddq"] = self.joint.sample(s.t)
+            out["joint_t"], out["joint_q"] = self.joint.t, self.joint.q
+            out["joint_dq"], out["joint_ddq"] = self.joint.dq, self.joint.ddq
+        if self.tau is not None:
+            out["tau"] = self.tau
+        return out
+
+    def save(self, directory: str | Path, stem: str = "plan") -> Path:
+        """Write `<stem>.npz`, `<stem>.json` and `scenario.toml` into a run directory, each atomically."""
+        directory = Path(directory)
+        write_scenario(self.scenario, directory)
+        save_npz(directory / f"{stem}.npz", **self.arrays())
+        write_json(directory / f"{stem}.json", self.summary())
+        return directory
+
+
+def write_scenario(scenario: Scenario, directory: Path) -> None:
+    """Write the resolved scenario. Raises ScenarioError when the directory belongs to another scenario."""
+    import tomli_w
+
+    path = directory / "scenario.toml"
+    if path.is_file():
+        from salver.scenario import load
+
+        existing = load(path)
+        if existing.digest != scenario.digest:
+            raise ScenarioError(
+                f"{directory} holds the plan of another scenario ({existing.name}, {existing.digest}; this one is "
+                f"{scenario.name}, {scenario.digest}); choose another directory with -o, or remove that one."
+            )
+    write_atomic(path, tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)))
+
+
+def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
+    """Read a plan back. Raises FileFormatError or ScenarioError with a sentence; executes nothing."""
+    from salver.scenario import load
+
+    directory = Path(directory)
+    if not (directory / "scenario.toml").is_file():
+        raise FileFormatError(
+            f"{directory} is not a run directory: it holds no scenario.toml; "
+            "make one with `salver plan SCENARIO -o DIR`."
+        )
+    scenario = load(directory / "scenario.toml")
+    arrays = load_npz(directory / f"{stem}.npz", ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B"))
+    summary = read_json(directory / f"{stem}.json")
+    if summary.get("provenance", {}).get("scenario_digest") != scenario.digest:
+        raise FileFormatError(f"{directory / stem}.json was made from another scenario than {directory}/scenario.toml.")
+    reference: Reference
+    if "position_coefficients" in arrays:
+        reference = PolynomialReference(
+            float(arrays["t"][-1]),
+            arrays["R_start"],
+            arrays["position_coefficients"],
+            arrays.get("angular_velocity_coefficients"),
+        )
+    else:
+        keys = ("t", "p_SB", "v_S", "a_S", "R_SB", "omega_B", "alpha_B")
+        arrays["R_SB"] = matrix_from_quat_wxyz(arrays["quat_SB_wxyz"])
+        reference = SampledReference(MotionSamples(*(arrays[key] for key in keys)))
+    joint = None
+    if "joint_t" in arrays:
+        joint = JointMotion(*(arrays[key] for key in ("joint_t", "joint_q", "joint_dq", "joint_ddq")))
+    return Plan(
+        scenario,
+        summary["method"],
+        reference,
+        _status_from(summary["status"]),
+        joint,
+        _status_from(summary["arm"]) if "arm" in summary else None,
+        arrays.get("tau"),
+        summary["solver"],
+    )
+
+
+def _status_record(status: Status) -> dict[str, Any]:
+    return {"code": status.code, "ok": status.ok, "sentence": status.sentence, "details": dict(status.details)}
+
+
+def _status_from(record: Mapping[str, Any]) -> Status:
+    return Status(record["code"], record["sentence"], record["ok"], record["details"])
+
+
+# Making plans ------------------------------------------------------------------------------------------------
+
+
+def plan_object(scenario: Scenario) -> Plan:
+    """The robust plan of the carried object alone, eqs (13) to (17), checked on the fine grid.
+
+    When the condition fails between the planner's nodes, it is planned again with twice as many.
+    """
+    from salver.planning.problem import Problem
+    from salver.planning.solvers import solve
+
+    _need_duration(scenario)
+    began = time.perf_counter()
+    nodes = scenario.motion.nodes
+    while True:
+        problem = Problem(scenario, nodes)
+        solution = solve(problem)
+        record = _solver_record(solution, nodes, time.perf_counter() - began)
+        plan = Plan(scenario, "robust", problem.reference(solution.z), solution.status, solver=record)
+        if not solution.status.ok or plan.verification.violation == 0 or nodes > FINER * scenario.motion.nodes:
+            return plan
+        nodes = 2 * nodes - 1
+
+
+def plan_baseline(scenario: Scenario) -> Plan:
+    """The paper's baseline: straight min-jerk line from start to goal, in the same duration."""
+    motion = scenario.motion
+    _need_duration(scenario)
+    reference = min_jerk_line(
+        float(motion.duration or 0),
+        np.array(motion.start.position),
+        np.array(motion.goal.position),
+        motion.start.rotation,
+        motion.goal.rotation,
+    )
+    plan = Plan(
+        scenario, "baseline", reference, Status("evaluated", "The straight min-jerk line, not optimised.", True)
+    )
+    if plan.verification.violation > 0:
+        sentence = f"The straight min-jerk line is not safe: {plan.verification.sentence}"
+        return replace(plan, status=Status("unsafe", sentence, False))
+    return plan
+
+
+def with_arm(plan: Plan) -> Plan:
+    """The same plan with the joint motion that follows it and whether the arm can; needs scenario.arm."""
+    from salver.planning.joint_motion import follow_plan
+
+    joint, status, tau = follow_plan(plan)
+    return replace(plan, joint=joint, arm_status=status, tau=tau)
+
+
+def make_plan(scenario: Scenario, method: str = "robust", arm: bool = True) -> Plan:
+    """A plan by method: "robust", "baseline" or "fastest", with the arm's motion when the scenario has an arm.
+
+    Raises ScenarioError when the scenario does not say what the method needs.
+    """
+    if method == "fastest" or (method == "robust" and scenario.motion.duration is None):
+        from salver.planning.fastest import plan_fastest
+
+        return plan_fastest(scenario)
+    makers = {"robust": plan_object, "baseline": plan_baseline}
+    if method not in makers:
+        raise ScenarioError(f'There is no planning method "{method}"; there are robust, baseline and fastest.')
+    plan = makers[method](scenario)
+    return with_arm(plan) if arm and scenario.arm is not None and plan.status.code != "infeasible" else plan
+
+
+def _need_duration(scenario: Scenario) -> None:
+    if scenario.motion.duration is None:
+        raise ScenarioError(
+            f"{scenario.name}: motion.duration is missing; give it in seconds, or ask for the fastest plan instead."
+        )
+
+
+def _solver_record(solution: Solution, nodes: int, seconds: float) -> dict[str, Any]:
+    return {
+        "name": solution.method,
+        "cost": solution.cost,
+        "lower_bound": solution.lower_bound,
+        "relative_gap": solution.gap,
+        "programmes": solution.iterations,
+        "nodes": nodes,
+        "seconds": seconds,
+    }
