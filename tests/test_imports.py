@@ -1,10 +1,16 @@
 """Importing salver is cheap and silent: nothing heavy is loaded until it is needed."""
 
+import ast
 import json
+import re
 import subprocess
 import sys
+from importlib import metadata
+from pathlib import Path
 
 import pytest
+
+import salver
 
 HEAVY = (
     "casadi",
@@ -45,3 +51,17 @@ after = (np.geterr(), np.get_printoptions(), random.getstate(), np.random.get_st
 print(json.dumps(before == after))
 """
     assert _run(code) is True
+
+
+def test_everything_imported_is_a_declared_dependency():
+    """Direct imports of other packages' dependencies would break when those packages drop them."""
+    declared = {re.split(r"[^A-Za-z0-9._-]", r, maxsplit=1)[0].lower() for r in metadata.requires("salver") or []}
+    distributions = metadata.packages_distributions()
+    optional = {"pylibfranka", "ray"}
+    for path in Path(salver.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.level == 0:
+                names.append(node.module)
+            for top in {name.split(".")[0] for name in names} - set(sys.stdlib_module_names) - {"salver"} - optional:
+                assert {d.lower() for d in distributions[top]} & declared, f"{path.name} imports {top}"
