@@ -335,12 +335,34 @@ def plan_baseline(scenario: Scenario) -> Plan:
     return plan
 
 
-def with_arm(plan: Plan) -> Plan:
-    """The same plan with the joint motion that follows it and whether the arm can; needs scenario.arm."""
-    from salver.planning.joint_motion import follow_plan
+def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
+    """The same plan with the joint motion that follows it, its torques, and whether the arm can; needs an arm.
 
-    joint, status, tau = follow_plan(plan)
+    q_start: posture to start from instead of the scenario's or the best one, so that two plans can share theirs.
+    """
+    from salver.models.arm import load_arm
+    from salver.models.bodies import bodies
+    from salver.planning.joint_limits import torques
+    from salver.planning.joint_motion import follow_scenario
+
+    scenario = plan.scenario
+    assert scenario.arm is not None
+    arm = load_arm(scenario.arm, scenario.tray)
+    joint, status = follow_scenario(scenario, plan.reference, arm, q_start)
+    tau = None
+    if joint is not None:
+        tau = torques(arm, JointMotion(plan.t, *joint.sample(plan.t)), bodies(scenario))
     return replace(plan, joint=joint, arm_status=status, tau=tau)
+
+
+def plan_pair(scenario: Scenario, method: str = "robust", arm: bool = True) -> tuple[Plan, Plan]:
+    """The plan asked for and the straight line of the same duration, from the same start posture."""
+    plan = make_plan(scenario, method, arm)
+    timed = plan.scenario if plan.scenario.motion.duration else scenario.with_changes(motion__duration=plan.duration)
+    baseline = replace(plan_baseline(timed), scenario=plan.scenario)
+    if arm and scenario.arm is not None:
+        baseline = with_arm(baseline, None if plan.joint is None else plan.joint.q[0])
+    return plan, baseline
 
 
 def make_plan(scenario: Scenario, method: str = "robust", arm: bool = True) -> Plan:
