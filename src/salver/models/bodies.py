@@ -267,8 +267,8 @@ def check_arrangement(scenario: Scenario) -> None:
             if beyond.max() > 1e-9:
                 raise ValueError(
                     f"{body.name} stands {1e3 * beyond.max():.1f} mm over the edge of the tray, which is "
-                    f"{scenario.tray.size[0]:g} x {scenario.tray.size[1]:g} m; move it with at, or give the tray a larger "
-                    "size"
+                    f"{scenario.tray.size[0]:g} x {scenario.tray.size[1]:g} m; move it with at, or give the tray "
+                    "a larger size"
                 )
     names = uncertain_set(scenario.model_copy(update={"uncertainty": _without_correlation(scenario)})).names
     for key in scenario.uncertainty.correlation:

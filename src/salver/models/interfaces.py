@@ -1,0 +1,179 @@
+"""Objects on a tray, on each other, or bridging two: who presses on whom.
+
+Objects that touch each other form a network of interfaces. Each body's balance, written at the tray frame E,
+    sum of the wrenches from below - sum of the wrenches it passes on from above = W_body,
+fixes all interface wrenches when every body stands on one thing (a tree): an interface carries what stands
+above it. A body on two supports (an arch) leaves six unknowns: w = share W + internal w_0 with w_0 free, and the
+network holds if some w_0 puts every interface wrench in its own contact wrench cone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from salver.geometry import Array, hat
+from salver.models.bodies import TRAY, Body
+from salver.models.contact import ContactSet
+from salver.models.polygons import eroded, intersection
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Body `upper` (index in the network) stands on body `lower`, or on the tray (None). contacts: in B of upper."""
+
+    name: str
+    upper: int
+    lower: int | None
+    contacts: ContactSet
+
+
+@dataclass(frozen=True)
+class ContactNetwork:
+    """Bodies that touch each other, directly or through others, and their interfaces.
+
+    share: (n_e, m, 6, 6) wrench at E that interface e carries of body j's required wrench at E.
+    internal: (n_e, 6, n_w) wrenches in balance with each other; n_w = 0 for a tree.
+    """
+
+    bodies: tuple[Body, ...]
+    interfaces: tuple[Interface, ...]
+    share: Array
+    internal: Array
+
+    @property
+    def determinate(self) -> bool:
+        return self.internal.shape[2] == 0
+
+    def with_contacts(self, contacts: list[ContactSet]) -> ContactNetwork:
+        """The same network (and the same share) with other contact sets, in the order of the interfaces."""
+        pairs = zip(self.interfaces, contacts, strict=True)
+        return replace(self, interfaces=tuple(replace(interface, contacts=c) for interface, c in pairs))
+
+
+def networks(items: list[Body]) -> tuple[ContactNetwork, ...]:
+    """The networks of bodies (in the scenario's order); a body alone on the tray is one of its own."""
+    group = {body.name: {body.name} for body in items}
+    for body in items:
+        for support in body.supports:
+            if support != TRAY:
+                merged = group[body.name] | group[support]
+                for name in merged:
+                    group[name] = merged
+    made, seen = [], set()
+    for body in items:
+        if body.name not in seen:
+            seen |= group[body.name]
+            made.append(_network(tuple(b for b in items if b.name in group[body.name])))
+    return tuple(made)
+
+
+def _network(items: tuple[Body, ...]) -> ContactNetwork:
+    index = {body.name: i for i, body in enumerate(items)}
+    interfaces = []
+    for i, body in enumerate(items):
+        start = 0
+        for support, count in zip(body.supports, body.regions, strict=True):
+            points = slice(start, start + count)
+            start += count
+            part = replace(
+                body.contacts,
+                p_BC=body.contacts.p_BC[points],
+                R_BC=body.contacts.R_BC[points],
+                friction=body.contacts.friction[points],
+            )
+            interfaces.append(Interface(f"{body.name} on {support}", i, index.get(support), part))
+    incidence = np.zeros((len(items), len(interfaces)))
+    for e, interface in enumerate(interfaces):
+        incidence[interface.upper, e] = 1
+        if interface.lower is not None:
+            incidence[interface.lower, e] = -1
+    return ContactNetwork(items, tuple(interfaces), _share(items, interfaces, incidence), _internal(incidence))
+
+
+def _share(items: tuple[Body, ...], interfaces: list[Interface], incidence: Array) -> Array:
+    """Of all distributions, the one with the least sum of squared forces at the contact points."""
+    m, n_e = incidence.shape
+    if m == n_e:
+        return np.linalg.inv(incidence)[:, :, None, None] * np.eye(6)
+    maps = [to_tray(items[f.upper].p_EB, items[f.upper].R_EB) @ f.contacts.grasp_matrix for f in interfaces]
+    forces = np.zeros((6 * n_e, sum(g.shape[1] for g in maps)))
+    column = 0
+    for e, g in enumerate(maps):
+        forces[6 * e : 6 * e + 6, column : column + g.shape[1]] = g
+        column += g.shape[1]
+    share = forces @ np.linalg.pinv(np.kron(incidence, np.eye(6)) @ forces)
+    return np.swapaxes(share.reshape(n_e, 6, m, 6), 1, 2)
+
+
+def _internal(incidence: Array) -> Array:
+    from scipy.linalg import null_space
+
+    basis = null_space(incidence)
+    n_e, n = basis.shape
+    return np.einsum("en,ij->einj", basis, np.eye(6)).reshape(n_e, 6, 6 * n)
+
+
+def to_tray(p_EB: Array, R_EB: Array) -> Array:
+    """(6, 6) wrench at B, in B, to the wrench at E, in E."""
+    matrix = np.zeros((6, 6))
+    matrix[:3, :3] = matrix[3:, 3:] = R_EB
+    matrix[3:, :3] = hat(p_EB) @ R_EB
+    return matrix
+
+
+def sure_contacts(
+    network: ContactNetwork, tray_half: Array, friction: dict[str, float], shift: dict[str, Array]
+) -> list[ContactSet]:
+    """Contact sets that remain whatever happens: least friction, and the area that every placement keeps.
+
+    tray_half: (2,) half size of the tray. friction: least coefficient by body. shift: (2,) half-ranges of the
+    position by body, m. A region that can vanish altogether is left as it is, so that the verdict is not
+    about it: `regions_lost` names such interfaces.
+    """
+    kept = []
+    for interface in network.interfaces:
+        upper = network.bodies[interface.upper]
+        contacts = replace(
+            interface.contacts, friction=np.full(interface.contacts.count, friction.get(upper.name, upper.friction))
+        )
+        region = _sure_region(network, interface, tray_half, shift)
+        if region is not None and len(region) >= 3:
+            p_BC = np.column_stack([region, np.full(len(region), contacts.p_BC[0, 2])])
+            contacts = replace(
+                contacts,
+                p_BC=p_BC,
+                R_BC=np.tile(contacts.R_BC[0], (len(p_BC), 1, 1)),
+                friction=np.full(len(p_BC), contacts.friction[0]),
+            )
+        kept.append(contacts)
+    return kept
+
+
+def regions_lost(network: ContactNetwork, tray_half: Array, shift: dict[str, Array]) -> list[str]:
+    """Interfaces whose contact region vanishes within the position uncertainty."""
+    regions = [(f.name, _sure_region(network, f, tray_half, shift)) for f in network.interfaces]
+    return [name for name, region in regions if region is not None and len(region) < 3]
+
+
+def _sure_region(
+    network: ContactNetwork, interface: Interface, tray_half: Array, shift: dict[str, Array]
+) -> Array | None:
+    """Region (n, 2) in B of the upper body that every placement keeps; None when nothing is uncertain."""
+    upper = network.bodies[interface.upper]
+    range_E = shift.get(upper.name, np.zeros(2)).copy()
+    if interface.lower is None:
+        surface_E = tray_half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    else:
+        lower = network.bodies[interface.lower]
+        range_E += shift.get(lower.name, np.zeros(2))
+        surface_E = lower.p_EB[:2] + (lower.solid.top_polygon - lower.com_G[:2]) @ lower.R_EB[:2, :2].T
+    if not np.any(range_E):
+        return None
+    sure_E = eroded(surface_E, range_E)
+    if len(sure_E) < 3:
+        return np.empty((0, 2))
+    # The base itself moves with the upper body; only where it meets the surface's edge does it lose area.
+    base_B = interface.contacts.p_BC[:, :2]
+    return intersection(base_B, (sure_E - upper.p_EB[:2]) @ upper.R_EB[:2, :2])
