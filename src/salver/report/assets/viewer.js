@@ -1,0 +1,467 @@
+// A small WebGL 2 viewer: arm, tray, objects, contact forces, friction cones. Metres, z up.
+"use strict";
+
+const Mat = {
+  multiply(a, b) {
+    const out = new Float32Array(16);
+    for (let c = 0; c < 4; c++)
+      for (let r = 0; r < 4; r++) {
+        let sum = 0;
+        for (let k = 0; k < 4; k++) sum += a[k * 4 + r] * b[c * 4 + k];
+        out[c * 4 + r] = sum;
+      }
+    return out;
+  },
+  perspective(fovy, aspect, near, far) {
+    const f = 1 / Math.tan(fovy / 2), d = 1 / (near - far);
+    return new Float32Array([f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (near + far) * d, -1, 0, 0, 2 * near * far * d, 0]);
+  },
+  lookAt(eye, target) {
+    const z = Vec.unit(Vec.sub(eye, target)), x = Vec.unit(Vec.cross([0, 0, 1], z)), y = Vec.cross(z, x);
+    return new Float32Array([
+      x[0], y[0], z[0], 0, x[1], y[1], z[1], 0, x[2], y[2], z[2], 0,
+      -Vec.dot(x, eye), -Vec.dot(y, eye), -Vec.dot(z, eye), 1,
+    ]);
+  },
+  // Pose (x y z qw qx qy qz), then a scale along the body's axes.
+  pose(p, o = 0, s = [1, 1, 1]) {
+    const [w, x, y, z] = [p[o + 3], p[o + 4], p[o + 5], p[o + 6]];
+    return new Float32Array([
+      s[0] * (1 - 2 * (y * y + z * z)), s[0] * 2 * (x * y + w * z), s[0] * 2 * (x * z - w * y), 0,
+      s[1] * 2 * (x * y - w * z), s[1] * (1 - 2 * (x * x + z * z)), s[1] * 2 * (y * z + w * x), 0,
+      s[2] * 2 * (x * z + w * y), s[2] * 2 * (y * z - w * x), s[2] * (1 - 2 * (x * x + y * y)), 0,
+      p[o], p[o + 1], p[o + 2], 1,
+    ]);
+  },
+  // Frame at `origin` whose z axis is along `axis`, columns scaled by (across, across, along).
+  along(origin, axis, across, length) {
+    const z = Vec.unit(axis), helper = Math.abs(z[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0];
+    const x = Vec.unit(Vec.cross(helper, z)), y = Vec.cross(z, x);
+    return new Float32Array([
+      ...Vec.scale(x, across), 0, ...Vec.scale(y, across), 0, ...Vec.scale(z, length), 0, ...origin, 1,
+    ]);
+  },
+  point(m, p) {
+    return [0, 1, 2].map((r) => m[r] * p[0] + m[4 + r] * p[1] + m[8 + r] * p[2] + m[12 + r]);
+  },
+  direction(m, p) {
+    return [0, 1, 2].map((r) => m[r] * p[0] + m[4 + r] * p[1] + m[8 + r] * p[2]);
+  },
+};
+
+const Vec = {
+  sub: (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]],
+  add: (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]],
+  scale: (a, s) => [a[0] * s, a[1] * s, a[2] * s],
+  dot: (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2],
+  cross: (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]],
+  norm: (a) => Math.hypot(a[0], a[1], a[2]),
+  unit: (a) => Vec.scale(a, 1 / (Math.hypot(a[0], a[1], a[2]) || 1)),
+};
+
+const VERTEX = `#version 300 es
+layout(location = 0) in vec3 position;
+layout(location = 1) in vec3 normal;
+uniform mat4 model, viewProjection;
+out vec3 n, p;
+void main() {
+  vec4 world = model * vec4(position, 1.0);
+  p = world.xyz;
+  n = transpose(inverse(mat3(model))) * normal;
+  gl_Position = viewProjection * world;
+}`;
+
+const FRAGMENT = `#version 300 es
+precision highp float;
+in vec3 n, p;
+uniform vec4 colour;
+uniform vec3 eye;
+uniform int mode;  // 0 lit, 1 flat colour, 2 ground with a 10 cm grid
+out vec4 fragment;
+float grid(vec2 x, float step, float width) {
+  vec2 d = abs(fract(x / step - 0.5) - 0.5) * step / fwidth(x);
+  return 1.0 - min(min(d.x, d.y) / width, 1.0);
+}
+void main() {
+  if (mode == 1) { fragment = colour; return; }
+  if (mode == 2) {
+    float fade = smoothstep(1.9, 0.5, length(p.xy - vec2(0.3, 0.0)));
+    float line = max(0.5 * grid(p.xy, 0.1, 1.0), grid(p.xy, 0.5, 1.2));
+    fragment = vec4(mix(colour.rgb, vec3(0.70, 0.73, 0.77), line * 0.8), fade);
+    return;
+  }
+  vec3 m = normalize(n), v = normalize(eye - p), key = normalize(vec3(0.35, -0.45, 0.85));
+  if (dot(m, v) < 0.0) m = -m;
+  float sky = 0.5 + 0.5 * m.z;
+  vec3 ambient = mix(vec3(0.46, 0.45, 0.44), vec3(0.70, 0.72, 0.76), sky);
+  float diffuse = max(dot(m, key), 0.0);
+  float glint = pow(max(dot(m, normalize(key + v)), 0.0), 40.0) * 0.18;
+  fragment = vec4(colour.rgb * (ambient * 0.72 + diffuse * 0.52) + glint, colour.a);
+}`;
+
+// Per-corner normals: smooth within a crease angle, sharp across it. Returns interleaved positions and normals.
+function shade(points, triangles, creaseCosine = 0.78) {
+  const count = triangles.length / 3, face = new Float32Array(count * 3), at = new Map();
+  const corner = (i) => points.slice(3 * i, 3 * i + 3);
+  for (let f = 0; f < count; f++) {
+    const [a, b, c] = [0, 1, 2].map((k) => corner(triangles[3 * f + k]));
+    face.set(Vec.cross(Vec.sub(b, a), Vec.sub(c, a)), 3 * f);  // its length is twice the area: the weight
+    for (let k = 0; k < 3; k++) {
+      const v = triangles[3 * f + k];
+      if (!at.has(v)) at.set(v, []);
+      at.get(v).push(f);
+    }
+  }
+  const out = new Float32Array(count * 18);
+  for (let f = 0; f < count; f++) {
+    const own = face.subarray(3 * f, 3 * f + 3), size = Vec.norm(own) || 1e-30;
+    for (let k = 0; k < 3; k++) {
+      const v = triangles[3 * f + k];
+      let sum = [0, 0, 0];
+      for (const g of at.get(v)) {
+        const other = face.subarray(3 * g, 3 * g + 3);
+        if (Vec.dot(own, other) >= creaseCosine * size * Vec.norm(other)) sum = Vec.add(sum, other);
+      }
+      out.set(corner(v), f * 18 + k * 6);
+      out.set(Vec.unit(sum), f * 18 + k * 6 + 3);
+    }
+  }
+  return out;
+}
+
+// Surfaces of revolution about z through (radius, height) pairs.
+function revolve(profile, sides = 28) {
+  const points = [], triangles = [];
+  for (const [r, z] of profile)
+    for (let i = 0; i < sides; i++) points.push(r * Math.cos((2 * Math.PI * i) / sides), r * Math.sin((2 * Math.PI * i) / sides), z);
+  for (let ring = 0; ring + 1 < profile.length; ring++)
+    for (let i = 0; i < sides; i++) {
+      const a = ring * sides + i, b = ring * sides + ((i + 1) % sides);
+      triangles.push(a, b, b + sides, a, b + sides, a + sides);
+    }
+  return shade(points, triangles);
+}
+
+function prism(polygon, low, high) {
+  const n = polygon.length, points = [], triangles = [];
+  for (const z of [low, high]) for (const [x, y] of polygon) points.push(x, y, z);
+  for (let i = 0; i < n; i++) {
+    const j = (i + 1) % n;
+    triangles.push(i, j, j + n, i, j + n, i + n);
+    if (i > 0 && i + 1 < n) triangles.push(0, i + 1, i, n, n + i, n + i + 1);
+  }
+  return shade(points, triangles);
+}
+
+function tube(path, radius, sides = 6) {
+  const points = [], triangles = [];
+  const n = path.length;
+  for (let i = 0; i < n; i++) {
+    const axis = Vec.sub(path[Math.min(i + 1, n - 1)], path[Math.max(i - 1, 0)]);
+    const m = Mat.along(path[i], Vec.norm(axis) > 0 ? axis : [0, 0, 1], radius, 1);
+    for (let k = 0; k < sides; k++)
+      points.push(...Mat.point(m, [Math.cos((2 * Math.PI * k) / sides), Math.sin((2 * Math.PI * k) / sides), 0]));
+    if (i > 0)
+      for (let k = 0; k < sides; k++) {
+        const a = (i - 1) * sides + k, b = (i - 1) * sides + ((k + 1) % sides);
+        triangles.push(a, b, b + sides, a, b + sides, a + sides);
+      }
+  }
+  return shade(points, triangles);
+}
+
+function bytes(text) {
+  const raw = atob(text), out = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i++) out[i] = raw.charCodeAt(i);
+  return out.buffer;
+}
+
+const float32 = (text) => new Float32Array(bytes(text));
+
+function unpackMesh(mesh) {
+  const q = new Uint16Array(bytes(mesh.vertices)), points = new Array(q.length);
+  for (let i = 0; i < q.length; i++) points[i] = mesh.low[i % 3] + (mesh.span[i % 3] * q[i]) / 65535;
+  return shade(points, Array.from(new Uint16Array(bytes(mesh.triangles))));
+}
+
+// The frame before time t and how far t lies towards the next one.
+function locate(times, t) {
+  const last = times.length - 1;
+  if (t <= times[0]) return [0, 0];
+  if (t >= times[last]) return [last, 0];
+  let low = 0, high = last;
+  while (high - low > 1) {
+    const middle = (low + high) >> 1;
+    if (times[middle] <= t) low = middle;
+    else high = middle;
+  }
+  return [low, (t - times[low]) / (times[high] - times[low])];
+}
+
+// Poses (7 numbers each) of `count` bodies at time t: positions linearly, quaternions by normalised interpolation.
+function posesAt(track, times, count, t) {
+  const [i, u] = locate(times, t), width = 7 * count, out = new Float32Array(width), j = u > 0 ? i + 1 : i;
+  for (let k = 0; k < count; k++) {
+    const a = i * width + 7 * k, b = j * width + 7 * k;
+    let sign = 0;
+    for (let c = 3; c < 7; c++) sign += track[a + c] * track[b + c];
+    sign = sign < 0 ? -1 : 1;
+    let norm = 0;
+    for (let c = 0; c < 7; c++) {
+      const other = c < 3 ? track[b + c] : sign * track[b + c];
+      out[7 * k + c] = (1 - u) * track[a + c] + u * other;
+      if (c >= 3) norm += out[7 * k + c] ** 2;
+    }
+    for (let c = 3; c < 7; c++) out[7 * k + c] /= Math.sqrt(norm);
+  }
+  return out;
+}
+
+function valuesAt(track, times, width, t) {
+  const [i, u] = locate(times, t), j = u > 0 ? i + 1 : i, out = [];
+  for (let k = 0; k < width; k++) out.push((1 - u) * track[i * width + k] + u * track[j * width + k]);
+  return out;
+}
+
+function createViewer(canvas, scene) {
+  const gl = canvas.getContext("webgl2", { antialias: true, stencil: true, alpha: true, preserveDrawingBuffer: true });
+  if (!gl) return null;
+  const program = compile(gl), where = {};
+  for (const name of ["model", "viewProjection", "colour", "eye", "mode"]) where[name] = gl.getUniformLocation(program, name);
+
+  const upload = (data) => {
+    const array = gl.createVertexArray(), buffer = gl.createBuffer();
+    gl.bindVertexArray(array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+    for (const k of [0, 1]) {
+      gl.enableVertexAttribArray(k);
+      gl.vertexAttribPointer(k, 3, gl.FLOAT, false, 24, 12 * k);
+    }
+    return { array, count: data.length / 6 };
+  };
+
+  const half = scene.tray.size.map((x) => x / 2), [hx, hy] = half, thick = scene.tray.thickness;
+  const shapes = {
+    ground: upload(prism([[-2.5, -2.5], [2.5, -2.5], [2.5, 2.5], [-2.5, 2.5]], -0.002, 0)),
+    tray: upload(prism([[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy]], -thick, 0)),
+    post: upload(revolve([[0.032, -scene.tray.height], [0.026, -thick], [0, -thick]])),
+    shaft: upload(revolve([[0, 0], [1, 0], [1, 1], [0, 1]], 14)),
+    head: upload(revolve([[0, 0], [1, 0], [0, 1]], 18)),
+    cone: upload(revolve([[0, 0], [1, 1]], 40)),
+    rim: upload(revolve([[1, 1], [0.985, 0.985]], 40)),
+  };
+  const links = scene.meshes.map((mesh) => ({ shape: upload(unpackMesh(mesh)), joint: mesh.joint, colour: mesh.colour }));
+  const objects = scene.objects.map((o) => ({
+    shape: upload(o.polygon ? prism(o.polygon, o.low, o.high) : shade(o.points.flat(), o.triangles.flat())),
+    edges: o.polygon ? o.polygon.flatMap((p, i) => {
+      const q = o.polygon[(i + 1) % o.polygon.length], sharp = o.polygon.length <= 8;
+      const rims = [o.low, o.high].map((z) => [[...p, z], [...q, z]]);
+      return sharp ? [...rims, [[...p, o.low], [...p, o.high]]] : rims;
+    }) : [],
+    colour: o.colour,
+  }));
+  const variants = scene.variants.map((v) => ({
+    ...v,
+    joints: float32(v.joints), tray: float32(v.tray), objects: float32(v.objects), forces: float32(v.forces), contacts: float32(v.contacts),
+    path: upload(tube(v.path, 0.0016)),
+  }));
+
+  const options = { forces: false, cones: false, path: true, layout: "side", camera: "whole" };
+  const home = { azimuth: scene.azimuth, elevation: 0.3, distance: 1, pan: [0, 0, 0] }, orbit = { ...home };
+  const bounds = scene.bounds, middle = bounds[0].map((x, i) => (x + bounds[1][i]) / 2);
+  const reach = Vec.norm(Vec.sub(bounds[1], bounds[0]));
+
+  function draw(shape, model, colour, mode = 0) {
+    gl.uniformMatrix4fv(where.model, false, model);
+    gl.uniform4fv(where.colour, colour);
+    gl.uniform1i(where.mode, mode);
+    gl.bindVertexArray(shape.array);
+    gl.drawArrays(gl.TRIANGLES, 0, shape.count);
+  }
+
+  const identity = Mat.pose([0, 0, 0, 1, 0, 0, 0]);
+  const light = Vec.unit([0.35, -0.45, 0.85]);
+  const flatten = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, -light[0] / light[2], -light[1] / light[2], 0, 0, 0, 0, 0.001, 1]);
+
+  function solids(variant, t) {
+    const list = [], joints = posesAt(variant.joints, variant.t, scene.joints, t);
+    const tray = Mat.pose(posesAt(variant.tray, variant.t, 1, t));
+    for (const link of links) list.push([link.shape, Mat.pose(joints, 7 * link.joint), link.colour, true]);
+    list.push([shapes.tray, tray, scene.tray.colour, true]);
+    if (scene.meshes.length) list.push([shapes.post, tray, [0.35, 0.37, 0.4], true]);
+    const poses = posesAt(variant.objects, variant.t, objects.length, t);
+    objects.forEach((o, i) => list.push([o.shape, Mat.pose(poses, 7 * i), o.colour, false]));
+    return { list, poses };
+  }
+
+  function drawContacts(variant, t, B) {
+    const n = variant.contactCount, force = valuesAt(variant.forces, variant.t, 3 * n, t);
+    const points = valuesAt(variant.contacts, variant.t, 3 * n, t), mu = scene.contacts.friction;
+    const normal = Vec.unit(Mat.direction(B, scene.contacts.normal));
+    const translucent = [];
+    for (let i = 0; i < n; i++) {
+      const at = points.slice(3 * i, 3 * i + 3), f = force.slice(3 * i, 3 * i + 3), size = Vec.norm(f);
+      const across = Vec.sub(f, Vec.scale(normal, Vec.dot(f, normal)));
+      const inside = Vec.norm(across) <= mu * Vec.dot(f, normal) + 1e-6;
+      const colour = inside ? [0.0, 0.45, 0.70, 1] : [0.84, 0.29, 0.0, 1];
+      if (options.forces && size > 1e-6) {
+        const length = size * scene.contacts.metresPerNewton, head = Math.min(0.011, 0.5 * length), axis = Vec.unit(f);
+        draw(shapes.shaft, Mat.along(at, f, 0.0013, length - head), colour);
+        draw(shapes.head, Mat.along(Vec.add(at, Vec.scale(axis, length - head)), f, 0.0038, head), colour);
+      }
+      if (options.cones) translucent.push([at, normal, mu, inside]);
+    }
+    return translucent;
+  }
+
+  function drawConesOf(list) {
+    const height = scene.contacts.coneHeight;
+    for (const [at, normal, mu, inside] of list) {
+      const rgb = inside ? [0.0, 0.62, 0.45] : [0.84, 0.29, 0.0], model = Mat.along(at, normal, mu * height, height);
+      draw(shapes.cone, model, [...rgb, 0.22]);
+      draw(shapes.rim, model, [...rgb, 0.8], 1);
+    }
+  }
+
+  function drawEdges(object, model, colour) {
+    for (const [a, b] of object.edges) {
+      const p = Mat.point(model, a), q = Mat.point(model, b), d = Vec.sub(q, p);
+      draw(shapes.shaft, Mat.along(p, d, 0.0005, Vec.norm(d)), colour, 1);
+    }
+  }
+
+  function camera(pane, t) {
+    let target = middle, distance = 1.28 * reach;
+    if (options.camera === "close") {
+      const tray = posesAt(pane[0].variant.tray, pane[0].variant.t, 1, t);
+      target = [tray[0], tray[1], tray[2] + 0.02];
+      distance = 1.9 * Math.max(...scene.tray.size);
+    }
+    target = Vec.add(target, orbit.pan);
+    distance *= orbit.distance;
+    const c = Math.cos(orbit.elevation), eye = Vec.add(target, Vec.scale([c * Math.cos(orbit.azimuth), c * Math.sin(orbit.azimuth), Math.sin(orbit.elevation)], distance));
+    return { eye, target, distance };
+  }
+
+  function renderPane(pane, t, x, y, width, height) {
+    gl.viewport(x, y, width, height);
+    gl.scissor(x, y, width, height);
+    const aspect = width / height, { eye, target, distance } = camera(pane, t);
+    const fov = 0.6 * Math.max(1, Math.min(1.7, 0.95 / aspect));
+    const matrix = Mat.multiply(Mat.perspective(fov, aspect, 0.02 * distance, 20 * distance), Mat.lookAt(eye, target));
+    gl.uniformMatrix4fv(where.viewProjection, false, matrix);
+    gl.uniform3fv(where.eye, eye);
+    gl.enable(gl.BLEND);
+    gl.depthMask(false);
+    draw(shapes.ground, identity, [0.955, 0.96, 0.965, 1], 2);
+    gl.depthMask(true);
+    const seeInside = options.forces || options.cones;
+    for (const { variant, ghost } of pane) {
+      const { list, poses } = solids(variant, t);
+      if (!ghost) {  // shadow on the ground, each pixel darkened once
+        gl.enable(gl.STENCIL_TEST);
+        gl.stencilFunc(gl.EQUAL, 0, 255);
+        gl.stencilOp(gl.KEEP, gl.INCR, gl.INCR);
+        gl.depthMask(false);
+        for (const [shape, model] of list) draw(shape, Mat.multiply(flatten, model), [0.1, 0.12, 0.16, 0.13], 1);
+        gl.depthMask(true);
+        gl.disable(gl.STENCIL_TEST);
+      }
+      const tint = (c) => (ghost ? c.map((x, i) => 0.45 * x + 0.55 * variant.colour[i]) : c);
+      if (options.path) draw(variant.path, identity, [...variant.colour, 1]);
+      if (ghost) {  // depth first, then colour: only the nearest surface of the ghost shows; behind what coincides
+        gl.enable(gl.POLYGON_OFFSET_FILL);
+        gl.polygonOffset(2, 2);
+        gl.colorMask(false, false, false, false);
+        for (const [shape, model] of list) draw(shape, model, [0, 0, 0, 1], 1);
+        gl.colorMask(true, true, true, true);
+        gl.depthFunc(gl.LEQUAL);
+        for (const [shape, model, colour] of list) draw(shape, model, [...tint(colour), 0.35]);
+        gl.depthFunc(gl.LESS);
+        gl.disable(gl.POLYGON_OFFSET_FILL);
+        continue;
+      }
+      for (const [shape, model, colour, isArm] of list) if (isArm || !seeInside) draw(shape, model, [...colour, 1]);
+      if (seeInside) {
+        const cones = drawContacts(variant, t, Mat.pose(poses));
+        objects.forEach((o, i) => drawEdges(o, Mat.pose(poses, 7 * i), [...o.colour.map((x) => 0.55 * x), 1]));
+        gl.depthMask(false);
+        drawConesOf(cones);
+        objects.forEach((o, i) => draw(o.shape, Mat.pose(poses, 7 * i), [...o.colour, 0.22]));
+        gl.depthMask(true);
+      }
+    }
+  }
+
+  function panes() {
+    const all = variants.map((variant) => ({ variant, ghost: false }));
+    if (options.layout === "side" || all.length === 1) return all.map((x) => [x]);
+    if (options.layout === "overlay") return [[all[0], ...all.slice(1).map((x) => ({ ...x, ghost: true }))]];
+    return [[all[0]]];
+  }
+
+  function render(t) {
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const width = Math.max(2, Math.round(canvas.clientWidth * ratio)), height = Math.max(2, Math.round(canvas.clientHeight * ratio));
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    gl.disable(gl.SCISSOR_TEST);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.enable(gl.DEPTH_TEST);
+    gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.useProgram(program);
+    const list = panes(), each = Math.floor(width / list.length);
+    list.forEach((pane, i) => renderPane(pane, t, i * each, 0, each, height));
+    return list.map((pane) => pane.map(({ variant }) => variant.key));
+  }
+
+  return { options, orbit, render, reset: () => Object.assign(orbit, home, { pan: [0, 0, 0] }) };
+}
+
+function compile(gl) {
+  const program = gl.createProgram();
+  for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    const shader = gl.createShader(kind);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+    gl.attachShader(program, shader);
+  }
+  gl.linkProgram(program);
+  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
+  return program;
+}
+
+// Drag turns, wheel zooms, shift-drag moves; changed() is called after each.
+function attachOrbit(canvas, viewer, changed) {
+  let last = null;
+  canvas.addEventListener("pointerdown", (event) => {
+    last = [event.clientX, event.clientY];
+    canvas.setPointerCapture(event.pointerId);
+  });
+  canvas.addEventListener("pointerup", () => (last = null));
+  canvas.addEventListener("pointermove", (event) => {
+    if (!last) return;
+    const dx = event.clientX - last[0], dy = event.clientY - last[1], o = viewer.orbit;
+    last = [event.clientX, event.clientY];
+    if (event.shiftKey) {
+      const s = 0.0016 * o.distance;
+      o.pan = Vec.add(o.pan, [s * dx * Math.sin(o.azimuth), -s * dx * Math.cos(o.azimuth), s * dy]);
+    } else {
+      o.azimuth -= 0.008 * dx;
+      o.elevation = Math.max(-0.1, Math.min(1.5, o.elevation + 0.006 * dy));
+    }
+    changed();
+  });
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    viewer.orbit.distance = Math.max(0.15, Math.min(4, viewer.orbit.distance * Math.exp(0.0012 * event.deltaY)));
+    changed();
+  }, { passive: false });
+  canvas.addEventListener("dblclick", () => {
+    viewer.reset();
+    changed();
+  });
+}

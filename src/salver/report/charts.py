@@ -1,0 +1,262 @@
+"""Charts of the page: what each shows, as data for the page's own plotting script."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models import wrench_cone
+from salver.report.style import CYCLE, ROLE_COLOURS, VERMILION
+from salver.sensitivity import tubes
+
+if TYPE_CHECKING:
+    from salver.models.arm_limits import JointLimits
+    from salver.report.run import Motion, Run
+
+Spec = dict[str, Any]
+POINTS = 240  # per curve: more than the pixels of a chart
+DASH = {"plan": "", "baseline": "6 3"}
+
+
+def thin(t: Array, *curves: Array) -> list[list[float]]:
+    """Time and curves at no more than POINTS instants, to five digits."""
+    keep = np.unique(np.round(np.linspace(0, len(t) - 1, min(len(t), POINTS))).astype(int))
+    return [_digits(x[keep]) for x in (t, *curves)]
+
+
+def _digits(values: Array) -> list[float]:
+    return [float(f"{v:.5g}") for v in np.asarray(values, dtype=float)]
+
+
+def series(motion: Motion, name: str, t: Array, y: Array, **style: Any) -> Spec:
+    """A curve in the colour and dash of the motion it belongs to."""
+    x, values = thin(t, y)
+    return {"name": name, "colour": ROLE_COLOURS[motion.stem], "dash": DASH[motion.stem], "x": x, "y": values, **style}
+
+
+def time_chart(title: str, y: str, curves: list[Spec], note: str = "", unit: str = "", **more: Any) -> Spec:
+    return {"title": title, "note": note, "x": "time, s", "y": y, "series": curves, "unit": unit, "time": True, **more}
+
+
+def margin_charts(run: Run) -> list[Spec]:
+    """The four ways to ask how close to sliding, tipping or lifting a motion comes."""
+    contacts = run.bodies[0].contacts
+    mu = float(contacts.friction[0])
+    rows = wrench_cone.facets(contacts)
+    floor, exact, needed, tip = [], [], [], []
+    for m in run.motions:
+        wrench = m.arrays["wrench_B"]
+        floor.append(series(m, m.label, m.t, m.cone_floor.min(axis=1)))
+        exact.append(series(m, m.label, m.t, wrench_cone.margin(rows, wrench)))
+        needed.append(series(m, m.label, m.t, wrench_cone.friction_needed(contacts, wrench)))
+        tip.append(series(m, m.label, m.t, 1e3 * wrench_cone.tip_over_margin(contacts, wrench)))
+    name = run.bodies[0].name
+    lines = [{"y": mu, "label": f"available: {mu:g}", "colour": VERMILION}]
+    uncertainty = run.scenario.objects[0].uncertainty.friction
+    if uncertainty is not None:
+        half = uncertainty if isinstance(uncertainty, float) else uncertainty.relative * mu
+        lines.append({"y": mu - half, "label": f"least assumed: {mu - half:.3g}", "colour": VERMILION, "below": True})
+    return [
+        time_chart(
+            "Least cone coefficient, lower edge of its tube",
+            "min (Λ − r), N",
+            floor,
+            "The paper's condition: above zero for every body in the uncertain set. Sufficient, not necessary: it "
+            "judges one distribution of the internal forces.",
+            "N",
+            lines=[{"y": 0, "label": ""}],
+        ),
+        time_chart(
+            "Friction needed",
+            "coefficient",
+            needed,
+            f"Least friction coefficient at which the contacts can give the nominal wrench on the {name}, whatever the "
+            "distribution. Below the line it sticks.",
+            lines=lines,
+            zero=True,
+        ),
+        time_chart(
+            "Distance to sliding, tipping or lifting",
+            "wrench-cone margin, N",
+            exact,
+            "Exact: the smallest disturbing force (or moment over the base radius) that would take the nominal wrench "
+            "out of the contact wrench cone.",
+            "N",
+            lines=[{"y": 0, "label": ""}],
+        ),
+        time_chart(
+            "Distance to tipping over",
+            "distance to edge, mm",
+            tip,
+            f"How far inside its base the centre of pressure of the {name} stays. At zero it starts to tip.",
+            "mm",
+            lines=[{"y": 0, "label": ""}],
+        ),
+    ]
+
+
+def cone_charts(run: Run) -> list[Spec]:
+    """All cone coefficients of each motion with their tubes, on one scale."""
+    low = min(float(m.cone_floor.min()) for m in run.motions)
+    high = max(float((m.arrays["cone_coefficients"] + m.arrays["cone_radius"]).max()) for m in run.motions)
+    pad = 0.06 * (high - low)
+    charts = []
+    for m in run.motions:
+        nominal, radius = m.arrays["cone_coefficients"], m.arrays["cone_radius"]
+        bands, curves = [], []
+        for i, (centre, r) in enumerate(zip(nominal.T, radius.T, strict=True)):
+            t, y, bottom, top = thin(m.t, centre, centre - r, centre + r)
+            colour = ROLE_COLOURS[m.stem]
+            bands.append({"x": t, "low": bottom, "high": top, "colour": colour, "opacity": 0.10})
+            curves.append({"name": f"Λ{i + 1}", "quiet": True, "colour": colour, "width": 0.9, "x": t, "y": y})
+        charts.append(
+            time_chart(
+                f"{m.label}: {nominal.shape[1]} coefficients and their tubes",
+                "Λ, N",
+                curves,
+                bands=bands,
+                range=[min(low - pad, 0.0 - pad), high + pad],
+                lines=[{"y": 0, "label": ""}],
+            )
+        )
+    return charts
+
+
+def sensitivity_charts(run: Run) -> list[Spec]:
+    """How far wrong parameters take the object off its reference, and how much they change the contact forces."""
+    wanted = [
+        (
+            "Position",
+            "tube radius, mm",
+            slice(0, 3),
+            1e3,
+            "mm",
+            "How far the object may stray, the assumed parameters wrong.",
+        ),
+        ("Orientation", "tube radius, mrad", slice(3, 6), 1e3, "mrad", "The same for its attitude."),
+    ]
+    charts = []
+    for title, label, rows, factor, unit, note in wanted:
+        curves = [
+            series(m, m.label, m.t, factor * np.linalg.norm(_state_radius(run, m)[:, rows], axis=1))
+            for m in run.motions
+            if "state_sensitivity" in m.arrays
+        ]
+        if any(max(c["y"]) > 1e-6 for c in curves):
+            charts.append(time_chart(title, label, curves, note, unit, zero=True))
+    forces = [series(m, m.label, m.t, m.arrays["cone_radius"].max(axis=1)) for m in run.motions]
+    charts.append(
+        time_chart(
+            "Contact forces",
+            "widest tube r, N",
+            forces,
+            "Half-width of the widest tube among the cone coefficients.",
+            "N",
+            zero=True,
+        )
+    )
+    names = [str(n) for n in run.plan.arrays["parameter_names"]]
+    if len(names) > 1:
+        charts.append(_by_parameter(run.plan, names))
+    return charts
+
+
+def _by_parameter(plan: Motion, names: list[str]) -> Spec:
+    half = plan.arrays["parameter_half_range"]
+    effect = np.abs(plan.arrays["input_sensitivity"] * half).max(axis=1)
+    curves = []
+    for i, name in enumerate(names):
+        t, y = thin(plan.t, effect[:, i])
+        curves.append(
+            {
+                "name": name.replace("_", " "),
+                "colour": CYCLE[i % len(CYCLE)],
+                "dash": "" if i < len(CYCLE) else "4 3",
+                "x": t,
+                "y": y,
+            }
+        )
+    return time_chart(
+        f"{plan.label}: which parameter matters",
+        "largest |Θ δ|, N",
+        curves,
+        "Share of each parameter in the widest tube.",
+        "N",
+        zero=True,
+    )
+
+
+def _state_radius(run: Run, m: Motion) -> Array:
+    from salver.models.bodies import uncertain_set
+
+    uncertain = uncertain_set(run.scenario).restricted(tuple(str(n) for n in m.arrays["parameter_names"]))
+    return tubes.radius(m.arrays["state_sensitivity"], uncertain)
+
+
+def reference_charts(run: Run) -> list[Spec]:
+    """Where the object is taken, per axis, relative to the start."""
+    charts = []
+    for axis, name in enumerate("xyz"):
+        curves = [series(m, m.label, m.t, m.arrays["p_SB"][:, axis]) for m in run.motions]
+        charts.append(time_chart(f"Position {name}", f"{name}, m", curves, unit="m", height=170))
+    tilt = [series(m, m.label, m.t, np.rad2deg(np.arccos(np.clip(m.R_SB[:, 2, 2], -1, 1)))) for m in run.motions]
+    if max(max(c["y"]) for c in tilt) > 0.05:
+        charts.append(time_chart("Tilt of the tray", "angle from level, °", tilt, unit="°", height=170, zero=True))
+    return charts
+
+
+def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
+    """Joint velocity and torque as a share of what the maker allows, one curve a joint."""
+    charts = []
+    for m in run.motions:
+        for key, limit, what in (("dq", limits.velocity, "velocity"), ("tau", limits.torque, "torque")):
+            if key not in m.arrays or not np.all(np.isfinite(limit)):
+                continue
+            share = 100 * m.arrays[key] / limit
+            curves = []
+            for j, column in enumerate(share.T):
+                t, y = thin(m.t, column)
+                curves.append({"name": f"{j + 1}", "colour": CYCLE[j % len(CYCLE)], "width": 1.4, "x": t, "y": y})
+            lines = [
+                {"y": s * 100, "label": "limit" if s > 0 else "", "colour": VERMILION, "optional": True}
+                for s in (1, -1)
+            ]
+            charts.append(
+                time_chart(
+                    f"{m.label}: joint {what}", f"% of the limit, joints 1–{share.shape[1]}", curves, lines=lines
+                )
+            )
+    return charts
+
+
+def simulation_charts(run: Run) -> list[Spec]:
+    """What the physics engine (or the real arm) says: tracking errors as in Fig. 8, slip, lift."""
+    wanted = [
+        ("e_p", "Position error of the object", "e_p, mm", 1e3, "mm"),
+        ("e_o", "Orientation error of the object", "e_o, mrad", 1e3, "mrad"),
+        ("slip", "Slip on the tray", "displacement, mm", 1e3, "mm"),
+        ("tip_angle", "Tip angle", "angle, °", 180 / np.pi, "°"),
+    ]
+    charts = []
+    for key, title, label, factor, unit in wanted:
+        curves = []
+        for m in run.motions:
+            values = record_curve(m, key)
+            if values is not None and m.simulation is not None:
+                curves.append(series(m, m.label, m.simulation.t, factor * values))
+        if curves:
+            charts.append(time_chart(title, label, curves, unit=unit, zero=True))
+    return charts
+
+
+def record_curve(m: Motion, key: str) -> Array | None:
+    """A quantity over time (T,) of a motion's record, the largest over the objects; None when it has none."""
+    if m.simulation is None:
+        return None
+    arrays = m.simulation.arrays
+    if key not in arrays:
+        return None
+    values = arrays[key]
+    return values if values.ndim == 1 else values.max(axis=1)

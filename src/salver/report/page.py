@@ -1,0 +1,108 @@
+"""`salver report`: one self-contained page for a run directory, to be opened from disk without a network."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver import __version__
+from salver.files import write_atomic
+from salver.models import wrench_cone
+from salver.report import sections
+from salver.report.charts import thin
+from salver.report.replay import replay_scene
+from salver.report.run import Run, read_run
+from salver.report.style import ROLE_COLOURS
+from salver.report.words import asked, verdict
+
+if TYPE_CHECKING:
+    from salver.models.arm import ArmModel
+
+
+def write_report(directory: str | Path, path: str | Path | None = None) -> Path:
+    """Write the page of a run directory, by default DIR/report.html. Returns where it is.
+
+    Shows what the directory has: a plan alone, with a simulation, with a campaign. Raises FileFormatError when it
+    is no run directory.
+    """
+    run = read_run(directory)
+    target = Path(path) if path is not None else run.directory / "report.html"
+    return write_atomic(target, page(run))
+
+
+def page(run: Run) -> str:
+    """The whole page as text."""
+    arm = _arm(run)
+    made = sections.build(run, arm)
+    answer = verdict(run)
+    data = {"replay": _replay(run, arm), "charts": made.specs}
+    return _fill(
+        _asset("page.html"),
+        title=escape(f"{run.scenario.name}: {answer.headline}"),
+        name=escape(run.scenario.name),
+        css=_asset("page.css"),
+        level=answer.level,
+        headline=escape(answer.headline),
+        detail=escape(answer.detail),
+        asked=escape(asked(run)),
+        tiles=sections.tiles(run),
+        navigation="".join(f'<a href="#{key}">{escape(title)}</a>' for key, title in made.titles),
+        replay=_asset("replay.html"),
+        sections=made.html,
+        version=escape(__version__),
+        directory=escape(run.directory.name or str(run.directory)),
+        # "</" would end the script element; in JSON "<\/" is the same text.
+        data=json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
+        script=_asset("viewer.js") + _asset("plots.js") + _asset("main.js"),
+    )
+
+
+def _fill(template: str, **parts: str) -> str:
+    """Each {{key}} of the template replaced, in one pass: what is put in is not searched again."""
+    pieces = template.split("{{")
+    out = [pieces[0]]
+    for piece in pieces[1:]:
+        key, rest = piece.split("}}", 1)
+        out += [parts[key], rest]
+    return "".join(out)
+
+
+def _asset(name: str) -> str:
+    return resources.files("salver.report").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+def _arm(run: Run) -> ArmModel | None:
+    if run.scenario.arm is None or any("q" not in m.arrays for m in run.motions):
+        return None
+    from salver.models.arm import load_arm
+
+    return load_arm(run.scenario.arm, run.scenario.tray)
+
+
+def _replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
+    """The 3-D scene, a caption for each motion, and friction in use over time (1 at its largest) for the scrubber."""
+    scene = replay_scene(run, arm)
+    used = []
+    contacts = run.bodies[0].contacts
+    for motion, variant in zip(run.motions, scene["variants"], strict=True):
+        variant["caption"] = _caption(variant["source"], motion.simulation.summary if motion.simulation else {})
+        share = wrench_cone.friction_needed(contacts, motion.arrays["wrench_B"]) / contacts.friction[0]
+        used.append(np.clip(np.nan_to_num(share, posinf=1.0), 0.0, 1.0))
+    largest = max(float(np.max(share)) for share in used) or 1.0
+    strips = []
+    for motion, share in zip(run.motions, used, strict=True):
+        t, y = thin(motion.t, share / largest)
+        strips.append({"x": t, "y": y, "colour": ROLE_COLOURS[motion.stem]})
+    scene["strips"] = strips
+    return scene
+
+
+def _caption(source: str, summary: dict[str, Any]) -> str:
+    if source == "plan":
+        return "as planned"
+    return f"{summary.get('source', 'physics engine')}: {summary.get('outcome', 'unknown')}"

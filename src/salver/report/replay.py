@@ -1,0 +1,195 @@
+"""What the 3-D replay shows: poses of links, tray and objects over time, contact points and forces."""
+
+from __future__ import annotations
+
+import base64
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.geometry import GRAVITY_S, Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.models.bodies import Body, solid_of
+from salver.report.meshes import link_meshes, pack
+from salver.report.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
+
+if TYPE_CHECKING:
+    from salver.models.arm import ArmModel
+    from salver.report.run import Motion, Run
+
+FRAME_RATE = 60.0  # Hz; the viewer interpolates between frames
+CONE_HEIGHT = 0.03  # m, of a drawn friction cone
+OBLIQUE = 0.45  # rad, of the camera off the direction across the motion
+REST_FORCE_LENGTH = 0.024  # m, of the arrow of a contact force at rest
+
+
+def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
+    """Everything that the viewer draws, ready for JSON; arrays are float32 in base64, time first."""
+    first = run.bodies[0]
+    weight_each = first.inertial.mass * abs(GRAVITY_S[2]) / first.contacts.count
+    variants = [_variant(motion, run, arm) for motion in run.motions]
+    return {
+        "meshes": [pack(mesh) for mesh in link_meshes(arm)] if arm else [],
+        "joints": arm.n + 1 if arm else 1,
+        "tray": {
+            "size": list(run.scenario.tray.size),
+            "thickness": run.scenario.tray.thickness,
+            "height": run.scenario.tray.height,
+            "colour": rgb(TRAY_COLOUR),
+        },
+        "objects": [
+            _outline(body, item.shape, OBJECT_COLOURS[i % len(OBJECT_COLOURS)])
+            for i, (body, item) in enumerate(zip(run.bodies, run.scenario.objects, strict=True))
+        ],
+        "contacts": {
+            "normal": first.contacts.R_BC[0, :, 2].tolist(),
+            "friction": first.friction,
+            "coneHeight": CONE_HEIGHT,
+            "metresPerNewton": REST_FORCE_LENGTH / weight_each,
+        },
+        "variants": variants,
+        "bounds": _bounds(run, arm),
+        "azimuth": _azimuth(run, arm),
+        "start": min(float(v["t"][0]) for v in variants),
+        "duration": max(float(v["t"][-1]) for v in variants),
+    }
+
+
+def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
+    body = run.bodies[0]
+    record = motion.simulation
+    source = record.arrays if record else motion.arrays
+    t = source["t"]
+    keep = _frames(t)
+    if record:
+        tray = np.hstack([source["p_SE"], source["quat_SE_wxyz"]])[keep]
+        objects = np.concatenate([source["p_SB"], source["quat_SB_wxyz"]], axis=2)[keep]
+    else:
+        tray, objects = _carried(motion, run.bodies, keep)
+    p, R = objects[:, 0, :3], matrix_from_quat_wxyz(objects[:, 0, 3:])
+    points_B = source["contact_points_B"] if record else body.contacts.p_BC
+    forces_B = source["contact_forces_B"] if record else contact_forces_B(motion, body)
+    contacts = p[:, None] + np.einsum("tij,cj->tci", R, points_B)
+    forces_S = np.einsum("tij,tcj->tci", R, forces_B[keep])
+    path = source["p_SB"] if not record else source["p_SB"][:, 0]
+    return {
+        "key": motion.stem,
+        "label": motion.label,
+        "colour": rgb(ROLE_COLOURS[motion.stem]),
+        "source": "simulation" if record else "plan",
+        "t": np.round(t[keep], 5).tolist(),
+        "joints": _pack(_joint_poses(source["q"][keep], arm)) if arm else _pack(np.tile(_IDENTITY, (len(keep), 1))),
+        "tray": _pack(tray),
+        "objects": _pack(objects),
+        "contactCount": len(points_B),
+        "contacts": _pack(contacts),
+        "forces": _pack(forces_S),
+        "path": np.round(path[_spread(len(path), 90)], 5).tolist(),
+    }
+
+
+_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+
+def contact_forces_B(motion: Motion, body: Body) -> Array:
+    """(T, n_c, 3) planned force of each contact on the object, in B: Lambda through the cone edges, eqs (4), (5)."""
+    edges = body.contacts.edges
+    coefficients = motion.arrays["cone_coefficients"][:, : edges * body.contacts.count]
+    forces_C = (coefficients @ body.contacts.cone_edges.T).reshape(len(coefficients), -1, 3)
+    return np.einsum("cij,tcj->tci", body.contacts.R_BC, forces_C)
+
+
+def _carried(motion: Motion, objects: list[Body], keep: np.ndarray) -> tuple[Array, Array]:
+    """Poses of tray (T, 7) and objects (T, m, 7) when everything follows the reference."""
+    p, R = motion.arrays["p_SB"][keep], motion.R_SB[keep]
+    first = objects[0]
+    R_SE = R @ first.R_EB.T
+    p_SE = p - R_SE @ first.p_EB
+    tray = np.hstack([p_SE, quat_wxyz_from_matrix(R_SE)])
+    poses = [np.hstack([p_SE + R_SE @ b.p_EB, quat_wxyz_from_matrix(R_SE @ b.R_EB)]) for b in objects]
+    return tray, np.stack(poses, axis=1)
+
+
+def _joint_poses(q: Array, arm: ArmModel) -> Array:
+    """(T, n + 1, 7) poses in S of the frames that the link meshes are given in; the first is the world."""
+    import pinocchio as pin
+
+    poses = np.tile(_IDENTITY, (len(q), arm.n + 1, 1))
+    for k, joints in enumerate(q):
+        pin.forwardKinematics(arm.pin_model, arm.data, joints)
+        for j in range(1, arm.n + 1):
+            placement = arm.data.oMi[j]
+            poses[k, j, :3] = placement.translation
+            poses[k, j, 3:] = quat_wxyz_from_matrix(placement.rotation)
+    return poses
+
+
+def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
+    """What an object looks like, in B: an upright prism, or the hull of anything else."""
+    kind = shape.type  # type: ignore[attr-defined]
+    offset = -body.com_G
+    if kind in ("box", "cylinder", "prism"):
+        polygon = solid_of(shape).base_polygon
+        if kind == "cylinder":
+            angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+            polygon = shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)  # type: ignore[attr-defined]
+        low = body.solid.base_z + offset[2]
+        return {
+            "polygon": np.round(polygon + offset[:2], 6).tolist(),
+            "low": float(low),
+            "high": float(low + body.solid.height),
+            "colour": rgb(colour),
+        }
+    from scipy.spatial import ConvexHull
+
+    points = body.solid.bounding_points_G + offset
+    hull = ConvexHull(points)
+    triangles = np.where(
+        (np.einsum("ij,ij->i", np.cross(*_edges(points, hull.simplices)), hull.equations[:, :3]) > 0)[:, None],
+        hull.simplices,
+        hull.simplices[:, ::-1],
+    )
+    return {"points": np.round(points, 6).tolist(), "triangles": triangles.tolist(), "colour": rgb(colour)}
+
+
+def _edges(points: Array, triangles: np.ndarray) -> tuple[Array, Array]:
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    return b - a, c - a
+
+
+def _bounds(run: Run, arm: ArmModel | None) -> list[list[float]]:
+    """Corners of a box around the whole motion, m, for the camera."""
+    paths = [m.arrays["p_SB"] for m in run.motions]
+    points = np.vstack(paths)
+    low, high = points.min(axis=0) - 0.12, points.max(axis=0) + 0.12
+    if arm:
+        low = np.minimum(low, arm.base_position)
+        joints = np.vstack(
+            [_joint_poses(m.arrays["q"][:: max(1, len(m.t) // 8)], arm)[..., :3].reshape(-1, 3) for m in run.motions]
+        )
+        low, high = np.minimum(low, joints.min(axis=0)), np.maximum(high, joints.max(axis=0))
+    return [low.tolist(), high.tolist()]
+
+
+def _azimuth(run: Run, arm: ArmModel | None) -> float:
+    """Where the camera stands, rad: the motion runs across the picture, the arm behind it, seen a little obliquely."""
+    path = run.plan.arrays["p_SB"]
+    along = path[-1, :2] - path[0, :2]
+    base = arm.base_position[:2] if arm else path[:, :2].mean(axis=0) - [1.0, 0.0]
+    outward = path[:, :2].mean(axis=0) - base
+    across = np.array([-along[1], along[0]]) if np.linalg.norm(along) > 0.05 else outward
+    across = across if across @ outward >= 0 else -across
+    return float(np.arctan2(across[1], across[0])) + OBLIQUE
+
+
+def _frames(t: Array) -> np.ndarray:
+    """Indices of about FRAME_RATE samples per second, both ends included."""
+    return _spread(len(t), int(np.ceil((t[-1] - t[0]) * FRAME_RATE)) + 1)
+
+
+def _spread(count: int, wanted: int) -> np.ndarray:
+    return np.unique(np.round(np.linspace(0, count - 1, min(count, wanted))).astype(int))
+
+
+def _pack(values: npt.ArrayLike) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()

@@ -1,0 +1,138 @@
+"""What a run directory holds, read once for the page and the figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver import scenario as scenarios
+from salver.errors import FileFormatError
+from salver.files import load_npz, read_json
+from salver.geometry import Array, matrix_from_quat_wxyz
+from salver.models.bodies import Body, bodies
+
+STEMS = ("plan", "baseline")
+_NEEDED = ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "wrench_B", "cone_coefficients", "cone_radius")
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run in the physics engine, or a log of the real arm: arrays, time first, and a summary."""
+
+    arrays: dict[str, np.ndarray]
+    summary: dict[str, Any]
+
+    @property
+    def t(self) -> Array:
+        return self.arrays["t"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A plan or the baseline, with what is known of it.
+
+    stem: "plan" or "baseline". arrays: those of plan.npz (docs: file formats). summary: plan.json.
+    simulation: its run in the physics engine, if there was one.
+    """
+
+    stem: str
+    arrays: dict[str, np.ndarray]
+    summary: dict[str, Any]
+    simulation: Record | None = None
+
+    @property
+    def label(self) -> str:
+        """For a legend: what kind of motion this is."""
+        if self.stem == "baseline":
+            return "Baseline"
+        return "Fastest" if self.summary.get("method") == "fastest" else "Robust"
+
+    @property
+    def t(self) -> Array:
+        return self.arrays["t"]
+
+    @property
+    def duration(self) -> float:
+        return float(self.t[-1])
+
+    @cached_property
+    def R_SB(self) -> Array:
+        return matrix_from_quat_wxyz(self.arrays["quat_SB_wxyz"])
+
+    @property
+    def cone_floor(self) -> Array:
+        """(T, n_lambda) lower edge of the tube, Lambda - r, N."""
+        return self.arrays["cone_coefficients"] - self.arrays["cone_radius"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory: the scenario, one or two motions, what later commands added."""
+
+    directory: Path
+    scenario: scenarios.Scenario
+    motions: list[Motion]
+    campaign: dict[str, Any] | None = None
+    runs: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @cached_property
+    def bodies(self) -> list[Body]:
+        return bodies(self.scenario)
+
+    @property
+    def plan(self) -> Motion:
+        return self.motions[0]
+
+    def motion(self, stem: str) -> Motion | None:
+        return next((m for m in self.motions if m.stem == stem), None)
+
+
+def read_run(directory: str | Path) -> Run:
+    """Read a run directory. Raises FileFormatError when it is none, or a file in it is damaged."""
+    directory = Path(directory)
+    if not (directory / "plan.npz").is_file():
+        raise FileFormatError(
+            f"{directory} is no run directory: it has no plan.npz; make one with `salver plan SCENARIO -o {directory}`."
+        )
+    scenario = scenarios.load(directory / "scenario.toml")
+    motions = [_motion(directory, stem) for stem in STEMS if (directory / f"{stem}.npz").is_file()]
+    campaign, runs = _campaign(directory / "campaign")
+    return Run(directory, scenario, motions, campaign, runs)
+
+
+def _motion(directory: Path, stem: str) -> Motion:
+    arrays = load_npz(directory / f"{stem}.npz", required=_NEEDED)
+    summary = read_json(directory / f"{stem}.json")
+    return Motion(stem, arrays, summary, _record(directory / "simulation" / stem))
+
+
+def _record(path: Path) -> Record | None:
+    if not path.with_suffix(".npz").is_file():
+        return None
+    arrays = load_npz(path.with_suffix(".npz"), required=("t",))
+    summary = read_json(path.with_suffix(".json"))
+    return Record(arrays, summary)
+
+
+def _campaign(directory: Path) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
+    """Summary and table of runs (column name to values) of a campaign, if there is a finished one."""
+    if not (directory / "campaign.json").is_file() or not (directory / "runs.parquet").is_file():
+        return None, {}
+    summary = read_json(directory / "campaign.json")
+    if "plans" not in summary:  # begun, not finished
+        return None, {}
+    import pyarrow
+    from pyarrow import parquet
+
+    try:
+        table = parquet.read_table(directory / "runs.parquet")
+    except pyarrow.ArrowException:
+        raise FileFormatError(
+            f"{directory / 'runs.parquet'} is truncated or no Parquet file; run `salver campaign` again, it resumes."
+        ) from None
+    columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
+    return summary, columns

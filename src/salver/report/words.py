@@ -1,0 +1,162 @@
+"""A scenario and its results in words: sentences for the top of the page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salver.models import wrench_cone
+from salver.models.bodies import uncertain_set
+from salver.report.charts import record_curve
+
+if TYPE_CHECKING:
+    from salver.report.run import Run
+
+_UNITS = {
+    "mass": (1e3, "g"),
+    "com": (1e3, "mm"),
+    "position": (1e3, "mm"),
+    "tilt": (180 / np.pi, "°"),
+    "friction": (1.0, ""),
+}
+_NAMES = {"com": "centre of mass", "position": "place on the tray"}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer in one line. level: "good", "warning" or "bad"."""
+
+    level: str
+    headline: str
+    detail: str
+
+
+def verdict(run: Run) -> Verdict:
+    """Campaign before simulation before plan: the strongest evidence there is decides."""
+    plan, name = run.plan, run.bodies[0].name
+    if not bool(plan.summary.get("ok", True)):
+        return Verdict("bad", "No safe plan was found", str(_why_not(run)))
+    promise = _promise(run)
+    outcomes = campaign_outcomes(run, plan.stem)
+    if outcomes:
+        total, held = sum(outcomes.values()), outcomes.get("holds", 0)
+        others = ", ".join(f"{n} {word}" for word, n in outcomes.items() if word != "holds")
+        if held == total:
+            return Verdict("good", f"The {name} stayed put in all {total} perturbed runs", promise)
+        level = "warning" if held > total / 2 else "bad"
+        return Verdict(
+            level, f"The {name} stayed put in {held} of {total} perturbed runs", f"The others: {others}. {promise}"
+        )
+    if plan.simulation is not None:
+        outcome = str(plan.simulation.summary.get("outcome", "unknown"))
+        slip = record_curve(plan, "slip")
+        moved = f" Largest slip in the physics engine: {_millimetres(float(np.max(slip)))}." if slip is not None else ""
+        if outcome == "holds":
+            return Verdict("good", f"The {name} stays put, in theory and in simulation", promise + moved)
+        return Verdict("bad", f"The {name} {outcome} in simulation", promise + moved)
+    floor = float(plan.cone_floor.min())
+    if floor > 0:
+        return Verdict("good", f"The {name} is predicted to stay put for every parameter in the assumed range", promise)
+    return Verdict(
+        "warning", f"The {name} is not guaranteed to stay put for every parameter in the assumed range", promise
+    )
+
+
+def _why_not(run: Run) -> str:
+    """The first sentence of plan.json that says what is wrong."""
+    summary = run.plan.summary
+    arm = summary.get("arm", {})
+    if arm and not arm.get("ok", True):
+        return str(arm.get("sentence", ""))
+    if not summary.get("verification", {}).get("ok", True):
+        return str(summary["verification"].get("sentence", ""))
+    return str(summary.get("status", {}).get("sentence", ""))
+
+
+def _promise(run: Run) -> str:
+    body, plan = run.bodies[0], run.plan
+    needed = float(np.max(wrench_cone.friction_needed(body.contacts, plan.arrays["wrench_B"])))
+    floor = float(plan.cone_floor.min())
+    return (
+        f"It needs a friction coefficient of {needed:.3f} at most, of the {body.friction:g} there is; "
+        f"the least cone coefficient, its tube taken off, is {_signed(floor)} N."
+    )
+
+
+def campaign_outcomes(run: Run, stem: str) -> dict[str, int]:
+    """Outcome to number of runs of one motion; empty without a campaign."""
+    if run.campaign is None or stem not in run.campaign["plans"]:
+        return {}
+    outcomes = run.campaign["plans"][stem]["outcomes"]
+    return {word: int(rate["count"]) for word, rate in outcomes.items() if rate["count"] or word == "holds"}
+
+
+def asked(run: Run) -> str:
+    """The task in a sentence or two."""
+    s, plan = run.scenario, run.plan
+    start, goal = (np.array(p.position) for p in (s.motion.start, s.motion.goal))
+    far, across = float(np.linalg.norm(goal - start)), goal - start
+    turned = np.rad2deg(
+        np.arccos(np.clip((np.trace(s.motion.start.rotation.T @ s.motion.goal.rotation) - 1) / 2, -1, 1))
+    )
+    what = " and ".join(_thing(run, i) for i in range(len(s.objects)))
+    carrier = (
+        f"A {s.arm.model.upper() if len(s.arm.model) <= 4 else s.arm.model.capitalize()} arm" if s.arm else "A tray"
+    )
+    parts = [f"{abs(across[i]):.2f} m along {axis}" for i, axis in enumerate("xyz") if abs(across[i]) > 5e-3]
+    text = (
+        f"{carrier} carries {what}, loose on a {s.tray.size[0] * 100:.0f} × {s.tray.size[1] * 100:.0f} cm tray, "
+        f"{far:.2f} m far ({', '.join(parts) or 'on the spot'}) from rest to rest in {plan.duration:.2f} s"
+    )
+    if turned > 0.05:
+        text += f", turning it by {turned:.0f}°"
+    return text + ". " + _unknown(run)
+
+
+def _thing(run: Run, i: int) -> str:
+    item = run.scenario.objects[i]
+    shape = item.shape
+    size = {
+        "box": lambda: " × ".join(f"{100 * x:.3g}" for x in shape.size) + " cm",  # type: ignore[union-attr]
+        "cylinder": lambda: f"radius {100 * shape.radius:.3g} cm, height {100 * shape.height:.3g} cm",  # type: ignore[union-attr]
+    }.get(shape.type, lambda: f"{100 * run.bodies[i].solid.height:.3g} cm high")()
+    return f"the {item.name} ({size}, {1e3 * item.mass:.4g} g, friction {item.friction:g})"
+
+
+def _unknown(run: Run) -> str:
+    uncertain = uncertain_set(run.scenario)
+    if not uncertain.size:
+        return "Everything about it is taken as known."
+    ranges = [
+        f"{name} ±{quantity(name, half)}" + (f" ({100 * half / abs(nominal):.3g} %)" if nominal else "")
+        for name, nominal, half in zip(uncertain.names, uncertain.nominal, uncertain.half_range, strict=True)
+    ]
+    joined = ranges[0] if len(ranges) == 1 else ", ".join(ranges[:-1]) + " and " + ranges[-1]
+    return f"Not known exactly: {pretty(joined)}."
+
+
+def pretty(name: str) -> str:
+    for key, word in _NAMES.items():
+        name = name.replace(f"{key}_", f"{word} ")
+    return name.replace("_", " ")
+
+
+def quantity(name: str, value: float) -> str:
+    """A parameter's value in the unit people use for it."""
+    base = name.split(".")[-1]
+    kind = next((key for key in _UNITS if base.startswith(key)), None)
+    if kind is None:
+        return f"{value:.3g} kg m²"
+    factor, unit = _UNITS[kind]
+    text = f"{factor * value:.4g}"
+    return text + unit if unit == "°" else f"{text} {unit}".rstrip()
+
+
+def _millimetres(metres: float) -> str:
+    return f"{1e3 * metres:.3g} mm" if metres >= 1e-4 else f"{1e6 * metres:.2g} µm"
+
+
+def _signed(value: float) -> str:
+    return f"{value:.3f}".replace("-", "−")
