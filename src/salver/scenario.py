@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -50,7 +51,7 @@ class Pose(Model):
             raise ValueError(f"position {self.position} is over 10 m away; positions are in metres")
         return self
 
-    @property
+    @cached_property
     def rotation(self) -> np.ndarray:
         from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy
 

@@ -98,7 +98,7 @@ class Problem:
     def grid(self) -> QuadratureGrid:
         return self.loop.grid(np.linspace(0, self.duration, (self.nodes - 1) * self.every + 1))
 
-    @property
+    @cached_property
     def rotates(self) -> bool:
         return self.scenario.motion.orientation == "free" or self._turn > 1e-12
 
@@ -184,7 +184,7 @@ class Problem:
 
     def _basis_at(self, t: Array) -> _Bases:
         s, rate = 2 * t / self.duration - 1, 2 / self.duration
-        null_position, null_spin = self._position[1], self._spin[1]
+        null_position = self._position[1]
 
         def spread(basis: Array, offset: int) -> Array:
             """(T, m) for one axis to (T, 3, n_z), each axis in its own block of columns."""
@@ -194,10 +194,10 @@ class Problem:
                 out[:, axis, offset + axis * m : offset + (axis + 1) * m] = basis
             return out
 
-        position = [rate**k * chebyshev_basis(s, len(null_position) - 1, k) @ null_position for k in (0, 2)]
-        a = spread(position[1], 0)
+        a = spread(rate**2 * chebyshev_basis(s, len(null_position) - 1, 2) @ null_position, 0)
         if not self.rotates:
             return _Bases(a, None, None)
+        null_spin = self._spin[1]
         spin = [rate**k * chebyshev_basis(s, len(null_spin) - 1, k) @ null_spin for k in range(2)]
         return _Bases(a, spread(spin[0], self._n_position), spread(spin[1], self._n_position))
 
