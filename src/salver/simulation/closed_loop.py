@@ -9,24 +9,21 @@ small the deviation is. Finite differences of these rollouts are therefore good 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import DOP853
 
 from salver.control.object import Errors, Gains, acceleration, apply, command
 from salver.geometry import Array, exp, right_jacobian_inverse
+from salver.integration import Rate, integrate
 from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
 from salver.trajectory import MotionSamples, Reference
 
-# Longest step times the fastest rate of the error dynamics, for Dormand and Prince's method of eighth order
-# with its interpolant (Hairer, Norsett, Wanner 1993, section II.5): see benchmarks/rollouts.py for its error.
-STEP_TIMES_RATE = 0.5
-
-Stage = Callable[[int, Array], Array]  # (index of a stage, state) to the rate of the state
+STEP_TIMES_RATE = (
+    0.5  # longest step times the fastest rate of the error dynamics; for its error see benchmarks/rollouts.py
+)
 
 
 @dataclass(frozen=True)
@@ -70,77 +67,20 @@ def rollout(
     loop = _Loop(gains, body.phi, grasp_map, grasp_inverse, phi, inverse_inertia)
     if max_step is None:
         max_step = STEP_TIMES_RATE / max(*gains.kd, *np.sqrt(gains.kp))
-    grid = _grid(float(t[-1]), reference.duration, max_step)
-    steps = np.diff(grid)
-    nodes = np.concatenate([DOP853.C, DOP853.C_EXTRA])
-    # No stage may lie after its step's end by rounding: beyond its duration a reference is at rest.
-    stages = reference.sample(np.minimum(grid[:-1, None] + steps[:, None] * nodes, grid[1:, None]).ravel())
-    knots, wanted = reference.sample(grid), reference.sample(t)
+    wanted = reference.sample(t)
+    start = _from_deviation(initial_deviation, len(phi), reference.sample(0.0))
 
-    state = _from_deviation(initial_deviation, len(phi), _at(knots, 0))
+    def rates_at(instants: Array) -> Rate:
+        samples = reference.sample(instants)
+        return lambda k, state: loop.rate(_at(samples, k), state)[0]
+
+    states = integrate(rates_at, start, 0.0, t, max_step, corners=(reference.duration,))
     deviation = np.empty((len(phi), len(t), 12))
     coefficients = np.empty((len(phi), len(t), grasp_map.shape[1]))
-
-    def record(row: int, state: Array) -> None:
+    for row, state in enumerate(states):
         samples = _at(wanted, row)
         deviation[:, row], coefficients[:, row] = _deviation(samples, state), loop.rate(samples, state)[1]
-
-    if t[0] == 0:
-        record(0, state)
-    rate = loop.rate(_at(knots, 0), state)[0]
-    for k, h in enumerate(steps):
-
-        def evaluate(i: int, inner: Array, first: int = k * len(nodes)) -> Array:
-            return loop.rate(_at(stages, first + i), inner)[0]
-
-        end, slopes = _step(evaluate, state, rate, h)
-        rate = loop.rate(_at(knots, k + 1), end)[0]
-        rows = np.flatnonzero((t > grid[k]) & (t <= grid[k + 1]))
-        dense = None
-        for row in rows.tolist():
-            if t[row] == grid[k + 1]:
-                record(row, end)
-                continue
-            if dense is None:
-                dense = _interpolant(evaluate, state, end, [*slopes, rate], h)
-            record(row, dense((t[row] - grid[k]) / h))
-        state = end
     return Rollout(t, deviation, coefficients)
-
-
-def _grid(end: float, duration: float, max_step: float) -> Array:
-    """Ends of equal steps from 0 to `end`; the reference's own end, where its jerk jumps, is one of them."""
-    corners = [0.0, *([duration] if 0 < duration < end else []), end]
-    pieces = [np.linspace(a, b, int(np.ceil((b - a) / max_step)) + 1)[1:] for a, b in pairwise(corners)]
-    return np.concatenate([np.zeros(1), *pieces])
-
-
-def _combine(weights: Array, slopes: Sequence[Array]) -> Array:
-    return sum((w * slope for w, slope in zip(weights, slopes, strict=False) if w), start=np.zeros_like(slopes[0]))
-
-
-def _step(evaluate: Stage, state: Array, rate: Array, h: float) -> tuple[Array, list[Array]]:
-    """State after a step, and the slopes of its stages."""
-    slopes = [rate]
-    for i in range(1, DOP853.n_stages):
-        slopes.append(evaluate(i, state + h * _combine(DOP853.A[i], slopes)))
-    return state + h * _combine(DOP853.B, slopes), slopes
-
-
-def _interpolant(evaluate: Stage, start: Array, end: Array, slopes: list[Array], h: float) -> Callable[[float], Array]:
-    """State inside a step as a function of the elapsed share of it, of seventh order."""
-    for i, weights in enumerate(DOP853.A_EXTRA):
-        slopes.append(evaluate(DOP853.n_stages + i, start + h * _combine(weights, slopes)))
-    change, first, last = end - start, h * slopes[0], h * slopes[DOP853.n_stages]
-    parts = [change, first - change, 2 * change - (last + first), *(h * _combine(row, slopes) for row in DOP853.D)]
-
-    def state(x: float) -> Array:
-        value = np.zeros_like(start)
-        for i, part in enumerate(reversed(parts)):
-            value = (value + part) * (x if i % 2 == 0 else 1 - x)
-        return start + value
-
-    return state
 
 
 def _at(samples: MotionSamples, k: int) -> MotionSamples:

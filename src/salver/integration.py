@@ -1,0 +1,80 @@
+"""Initial value problems at chosen accuracy: one explicit method of eighth order, equal steps, dense output.
+
+Dormand and Prince's method with its interpolant (Hairer, Norsett, Wanner, Solving Ordinary Differential
+Equations I, 1993, section II.5), with SciPy's coefficients. SciPy's own driver chooses steps from one state's
+error; here a whole stack of states marches together, with the reference sampled for all stages in one call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+from scipy.integrate import DOP853
+
+from salver.geometry import Array
+
+Rate = Callable[[int, Array], Array]  # (index of an instant, state) to the rate of the state
+_NODES = np.concatenate([DOP853.C, DOP853.C_EXTRA, [1.0]])  # of a step: its stages, those of the interpolant, its end
+
+
+def integrate(
+    rates_at: Callable[[Array], Rate],
+    state: Array,
+    start: float,
+    t: Array,
+    max_step: float,
+    corners: Sequence[float] = (),
+) -> Array:
+    """States (T, ...) at increasing instants t (T,) >= start, from `state` (...) at `start`.
+
+    rates_at: called once, with all instants (K,) at which rates will be needed; it answers with the function
+    of (k, state) that evaluates the rate at the k-th of them, having sampled there what depends on time alone.
+    corners: instants at which the rate is not smooth; steps end there.
+    """
+    inside = sorted({c for c in corners if start < c < t[-1]})
+    pieces = [
+        np.linspace(a, b, int(np.ceil((b - a) / max_step)) + 1)[1:] for a, b in pairwise([start, *inside, float(t[-1])])
+    ]
+    grid = np.concatenate([[start], *pieces])
+    steps = np.diff(grid)
+    # No stage may lie after its step's end by rounding: what is sampled there may belong to the next piece.
+    instants = np.minimum(grid[:-1, None] + steps[:, None] * _NODES, grid[1:, None])
+    rate = rates_at(instants.ravel())
+
+    out = np.empty((len(t), *state.shape))
+    out[t == start] = state
+    slope = rate(0, state) if len(steps) else state
+    for k, h in enumerate(steps):
+        first = k * len(_NODES)
+        slopes = [slope]
+        for i in range(1, DOP853.n_stages):
+            slopes.append(rate(first + i, state + h * _combine(DOP853.A[i], slopes)))
+        end = state + h * _combine(DOP853.B, slopes)
+        slope = rate(first + len(_NODES) - 1, end)
+        rows = np.flatnonzero((t > grid[k]) & (t <= grid[k + 1]))
+        out[rows[t[rows] == grid[k + 1]]] = end
+        rows = rows[t[rows] < grid[k + 1]]
+        if len(rows):
+            slopes.append(slope)
+            for i, weights in enumerate(DOP853.A_EXTRA, start=DOP853.n_stages):
+                slopes.append(rate(first + i, state + h * _combine(weights, slopes)))
+            for row in rows:
+                out[row] = state + _interpolate(end - state, slopes, h, (t[row] - grid[k]) / h)
+        state = end
+    return out
+
+
+def _combine(weights: Array, slopes: Sequence[Array]) -> Array:
+    return sum((w * slope for w, slope in zip(weights, slopes, strict=False) if w), start=np.zeros_like(slopes[0]))
+
+
+def _interpolate(change: Array, slopes: Sequence[Array], h: float, share: float) -> Array:
+    """Change of the state after a share of the step, of seventh order, from all its slopes."""
+    first, last = h * slopes[0], h * slopes[DOP853.n_stages]
+    parts = [change, first - change, 2 * change - (last + first), *(h * _combine(row, slopes) for row in DOP853.D)]
+    value = np.zeros_like(change)
+    for i, part in enumerate(reversed(parts)):
+        value = (value + part) * (share if i % 2 == 0 else 1 - share)
+    return value
