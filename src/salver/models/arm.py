@@ -8,7 +8,8 @@ uncertain (paper, section V). Two frames matter: F, the flange, and E, the centr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from salver.models.contact import ContactSet
 
 if TYPE_CHECKING:
     from salver import scenario
+    from salver.models.bodies import Body
 
 TRAY_FRAME = "salver_tray"
 
@@ -172,6 +174,16 @@ def load_arm(arm: scenario.Arm, tray: scenario.Tray) -> ArmModel:
         p_FE=p_FE,
         tray_com_F=com_F,
     )
+
+
+def with_load(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
+    """The arm with bodies stuck to its tray: what its motors feel while nothing moves on the tray."""
+    model = arm.pin_model.copy()
+    frame = model.frames[arm.tray_id]
+    for body in bodies:
+        inertia = pin.Inertia(body.inertial.mass, body.inertial.com_B, body.inertial.inertia_com)
+        model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement * pin.SE3(body.R_EB, body.p_EB))
+    return replace(arm, pin_model=model, data=model.createData())
 
 
 def _robots_folder() -> Path:

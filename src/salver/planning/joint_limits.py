@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.models.arm import ArmModel
+from salver.models.arm import ArmModel, with_load
 from salver.models.bodies import Body
 from salver.trajectory import JointMotion
 
@@ -30,19 +29,9 @@ class Peak:
     unit: str
 
 
-def loaded(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
-    """The arm with bodies stuck to its tray: what its motors feel while nothing moves on the tray."""
-    model = arm.pin_model.copy()
-    frame = model.frames[arm.tray_id]
-    for body in bodies:
-        inertia = pin.Inertia(body.inertial.mass, body.inertial.com_B, body.inertial.inertia_com)
-        model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement * pin.SE3(body.R_EB, body.p_EB))
-    return replace(arm, pin_model=model, data=model.createData())
-
-
 def torques(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> Array:
     """(T, n) torque at the motion's samples, arm and tray and what is carried: N m."""
-    load = loaded(arm, bodies)
+    load = with_load(arm, bodies)
     states = zip(motion.q, motion.dq, motion.ddq, strict=True)
     return np.array([load.inverse_dynamics(*state) for state in states])
 

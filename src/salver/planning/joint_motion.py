@@ -24,10 +24,10 @@ from scipy.optimize import minimize
 
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array, invert, log
-from salver.models.arm import ArmModel, load_arm
+from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.bodies import Body
 from salver.models.bodies import bodies as bodies_of
-from salver.planning.joint_limits import loaded, verdict
+from salver.planning.joint_limits import verdict
 from salver.planning.posture import REACHED, candidate_postures, check_start_posture, pose_error
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, MotionSamples, Reference
@@ -92,7 +92,7 @@ def follow(
     or UnreachableError when `q_start` is wrong (`salver.planning.posture.check_start_posture`).
     """
     coarse = tray_path(reference, p_EB, R_EB, np.linspace(0.0, reference.duration, COARSE_NODES))
-    load = loaded(arm, bodies)
+    load = with_load(arm, bodies)
     if q_start is not None:
         starts = [check_start_posture(arm, q_start, coarse.p_SE[0], coarse.R_SE[0])]
     else:

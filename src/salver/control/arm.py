@@ -1,0 +1,258 @@
+"""The arm's controller: computed torque that carries the object along its reference (paper, eqs 22 and 25).
+
+    tau = J_b^T F_cmd + M_r u + C_r dq + N_r,        u = J_b^+ (V'_cmd - J_b' dq) + (1 - J_b^+ J_b) ddq_0
+
+F_cmd and V'_cmd are those of the object's controller, eq (19), with the errors of `salver.control.object`; closed
+on the pose, so that nothing drifts. J_b^T F_cmd is the paper's J_c^T F_c: while the object sticks, J_c = G^T J_b
+(eq 24). ddq_0 is an acceleration, where eq (25) prints a velocity: a posture task around the joint reference.
+
+One `ArmController` is stepped by the simulation and by a robot's driver alike, once per command period.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg.lapack import dposv
+
+from salver.control.object import Gains
+from salver.errors import ScenarioError
+from salver.geometry import GRAVITY_S, Array
+from salver.models.arm import ArmModel, load_arm, with_load
+from salver.models.bodies import Body
+from salver.models.bodies import bodies as bodies_of
+from salver.scenario import Scenario
+from salver.trajectory import JointMotion, Reference
+
+OBJECT_FRAME = "salver_object"
+POSTURE_GAINS = (100.0, 20.0)  # 1/s^2, 1/s: critically damped, slower than the object's own loop
+_SINGULAR = 1e-3  # smallest pivot of J J^T's Cholesky factor; below it the pseudo-inverse is damped by as much
+
+
+@dataclass(slots=True)
+class ArmState:
+    """What the controller is told: joints q, dq (n,) in rad, rad/s; and, if the object is seen, its pose and twist.
+
+    p_SB (3,), R_SB (3, 3), v_S (3,), omega_B (3,) as in docs/conventions.md; needed with feedback = "object" only.
+    """
+
+    q: Array
+    dq: Array
+    p_SB: Array | None = None
+    R_SB: Array | None = None
+    v_S: Array | None = None
+    omega_B: Array | None = None
+
+
+@dataclass
+class Saturation:
+    """How often the controller asked for more than the motors give, and how near it came.
+
+    steps: control periods so far. torque, torque_rate: periods in which some joint was cut back to its
+    limit. peak_share: largest demanded torque over its limit, before cutting.
+    """
+
+    steps: int = 0
+    torque: int = 0
+    torque_rate: int = 0
+    peak_share: float = 0.0
+
+
+class ArmController:
+    """Carries the first of `bodies` along `reference`; the others are a load that sticks to the tray.
+
+    arm: with its tray. bodies: nominal; all that the controller knows of what it carries.
+    joint: joint motion that follows the reference; posture of the null space, or all there is to follow.
+    reference: motion of the object; may be None with space = "joint".
+    gains: of the object's loop, eq (19); in joint space, kp[0] and kd[0] of every joint.
+    feedback: "joints": the object is where forward kinematics puts it, on its place on the tray; "object": its pose
+    and twist are measured.
+    space: "object" closes the loop on the object's pose; "joint" on the joints, for plans made in joint space.
+    period: s between calls of `step`; the reference is evaluated beforehand at its multiples.
+    limit_torque: cut torques and their rates to the maker's limits, as the robot does.
+
+    Calls after the end hold the last posture, calls before t = 0 the first. The object has one work space: use one
+    controller per thread.
+    """
+
+    def __init__(
+        self,
+        arm: ArmModel,
+        bodies: Sequence[Body],
+        joint: JointMotion,
+        reference: Reference | None,
+        gains: Gains,
+        *,
+        feedback: Literal["joints", "object"] = "joints",
+        space: Literal["object", "joint"] = "object",
+        period: float = 1e-3,
+        limit_torque: bool = True,
+        posture_gains: tuple[float, float] = POSTURE_GAINS,
+    ) -> None:
+        if space == "object" and reference is None:
+            raise ValueError("a controller in object space needs the object's reference")
+        body = bodies[0]
+        self.arm, self.gains, self.feedback, self.space, self.period = arm, gains, feedback, space, period
+        self.saturation = Saturation()
+        self._mass, self._inertia = body.inertial.mass, body.inertial.inertia_com
+        self._posture_gains = posture_gains if space == "object" else (gains.kp[0], gains.kd[0])
+        self._model = _with_object_frame(with_load(arm, bodies if space == "joint" else bodies[1:]), body)
+        self._data = self._model.createData()
+        self._frame = self._model.getFrameId(OBJECT_FRAME)
+        self._zero = np.zeros(arm.n)
+        self._torque_limit = arm.limits.torque if limit_torque else np.full(arm.n, np.inf)
+        self._torque_step = arm.limits.torque_rate * period if limit_torque else np.full(arm.n, np.inf)
+        self._previous: Array | None = None
+
+        self._duration = joint.duration
+        t = np.arange(int(np.ceil(joint.duration / period - 1e-9)) + 1) * period
+        self._q, self._dq, self._ddq = joint.sample(np.minimum(t, joint.duration))
+        self._dddq = np.gradient(self._ddq, period, axis=0)
+        if reference is not None:
+            m = reference.sample(np.minimum(t, reference.duration))
+            self._p, self._v, self._a = m.p_SB, m.v_S, m.a_S
+            self._rotation, self._omega, self._alpha = m.R_SB, m.omega_B, m.alpha_B
+            self._jerk, self._angular_jerk = (np.gradient(x, period, axis=0) for x in (m.a_S, m.alpha_B))
+
+    def reset(self) -> None:
+        """Forget the last torque and the counts, before another run."""
+        self._previous = None
+        self.saturation = Saturation()
+
+    def step(self, state: ArmState, t: float) -> Array:
+        """Joint torques (n,), N m, for a state at time t, s."""
+        index, offset = self._instant(t)
+        model, data, q, dq = self._model, self._data, state.q, state.dq
+        q_star, dq_star, ddq_star = self._q[index], self._dq[index], self._ddq[index]
+        if offset:
+            q_star, dq_star, ddq_star = _ahead(offset, q_star, dq_star, ddq_star, self._dddq[index])
+        kp, kd = self._posture_gains
+        ddq = ddq_star + kp * (q_star - q) + kd * (dq_star - dq)
+
+        if self.space == "joint":
+            return self._limited(pin.rnea(model, data, q, dq, ddq))
+
+        pin.forwardKinematics(model, data, q, dq, self._zero)
+        placement = pin.updateFramePlacement(model, data, self._frame)
+        pin.computeJointJacobians(model, data)
+        jacobian = pin.getFrameJacobian(model, data, self._frame, pin.LOCAL)
+        drift = pin.getFrameAcceleration(model, data, self._frame, pin.LOCAL).vector
+        rate, wrench_B = self._object_command(state, index, offset, placement)
+        # ddq + J^+ (rate - drift - J ddq): eq (25) with the posture's acceleration in the null space.
+        gram = jacobian @ jacobian.T
+        missing = rate - drift - jacobian @ ddq
+        factor, multiplier, failed = dposv(gram, missing)
+        if failed or factor.diagonal().min() < _SINGULAR:
+            multiplier = np.linalg.solve(gram + _SINGULAR**2 * np.eye(6), missing)
+        ddq = ddq + jacobian.T @ multiplier
+        return self._limited(pin.rnea(model, data, q, dq, ddq) + jacobian.T @ wrench_B)
+
+    def _instant(self, t: float) -> tuple[int, float]:
+        """Nearest sample of the reference, and the time from there; 0 before the start and after the end."""
+        if t <= 0.0:
+            return 0, 0.0
+        if t >= self._duration:
+            return len(self._q) - 1, 0.0
+        index = round(t / self.period)
+        offset = t - index * self.period
+        return index, 0.0 if abs(offset) < 1e-9 else offset
+
+    def _object_command(self, state: ArmState, index: int, offset: float, placement: Any) -> tuple[Array, Array]:
+        """Rate of the body twist that eq (19) asks for, (6,), and the wrench at B for it, (6,)."""
+        p_star, v_star, a_star = self._p[index], self._v[index], self._a[index]
+        R_star, omega_star, alpha_star = self._rotation[index], self._omega[index], self._alpha[index]
+        if offset:
+            p_star, v_star, a_star = _ahead(offset, p_star, v_star, a_star, self._jerk[index])
+            turn, omega_star, alpha_star = _ahead(offset, 0.0, omega_star, alpha_star, self._angular_jerk[index])
+            R_star = R_star @ pin.exp3(turn)
+        if self.feedback == "object":
+            p, rotation, v, omega = state.p_SB, state.R_SB, state.v_S, state.omega_B
+            if p is None or rotation is None or v is None or omega is None:
+                raise ValueError("feedback from the object needs its pose and twist in the state")
+        else:
+            twist = pin.getFrameVelocity(self._model, self._data, self._frame, pin.LOCAL).vector
+            p, rotation = placement.translation, placement.rotation
+            v, omega = rotation @ twist[:3], twist[3:]
+
+        (kp, kp_R), (kd, kd_R) = self.gains.kp, self.gains.kd
+        inverse = rotation.T
+        transport = inverse @ R_star
+        transported = transport @ omega_star
+        spin = pin.skew(omega)
+        a_cmd_S = a_star + kd * (v_star - v) + kp * (p_star - p)
+        alpha_cmd = (
+            transport @ alpha_star - spin @ transported + kd_R * (transported - omega) + kp_R * pin.log3(transport)
+        )
+        rate = np.empty(6)
+        rate[:3] = inverse @ a_cmd_S - spin @ (inverse @ v)
+        rate[3:] = alpha_cmd
+        return rate, self._wrench(inverse @ (a_cmd_S - GRAVITY_S), omega, alpha_cmd)
+
+    def _wrench(self, specific_force: Array, omega: Array, alpha: Array) -> Array:
+        """Eq (1) of the nominal object: B is its centre of mass, so force and moment part."""
+        wrench = np.empty(6)
+        wrench[:3] = self._mass * specific_force
+        wrench[3:] = self._inertia @ alpha + pin.skew(omega) @ (self._inertia @ omega)
+        return wrench
+
+    def _limited(self, torque: Array) -> Array:
+        """Cut to what the motors give, rate first; counted in `saturation`."""
+        report = self.saturation
+        report.steps += 1
+        share = float(np.max(np.abs(torque) / self._torque_limit))
+        report.peak_share = max(report.peak_share, share)
+        if self._previous is not None:
+            change = torque - self._previous
+            if (np.abs(change) > self._torque_step).any():
+                report.torque_rate += 1
+                torque = self._previous + np.clip(change, -self._torque_step, self._torque_step)
+        if share > 1.0:
+            report.torque += 1
+            torque = np.clip(torque, -self._torque_limit, self._torque_limit)
+        self._previous = torque
+        return torque
+
+
+def controller_for(
+    scenario: Scenario,
+    joint: JointMotion,
+    reference: Reference | None,
+    *,
+    arm: ArmModel | None = None,
+    space: Literal["object", "joint"] = "object",
+) -> ArmController:
+    """The controller of a scenario: its arm, objects, gains, feedback and command period.
+
+    Raises ScenarioError when the scenario has no arm.
+    """
+    if scenario.arm is None:
+        raise ScenarioError(f"The scenario {scenario.name} has no arm; give it a table [arm] to control one.")
+    return ArmController(
+        load_arm(scenario.arm, scenario.tray) if arm is None else arm,
+        bodies_of(scenario),
+        joint,
+        reference,
+        Gains(scenario.control.kp, scenario.control.kd),
+        feedback=scenario.physics.feedback,
+        space=space,
+        period=scenario.physics.command_period,
+    )
+
+
+def _ahead(dt: float, x: Any, dx: Array, ddx: Array, dddx: Array) -> tuple[Any, Array, Array]:
+    """Value, rate and acceleration a time dt later, by Taylor's series."""
+    rate = dx + dt * (ddx + (0.5 * dt) * dddx)
+    return x + dt * (dx + (0.5 * dt) * (ddx + (dt / 3) * dddx)), rate, ddx + dt * dddx
+
+
+def _with_object_frame(arm: ArmModel, body: Body) -> Any:
+    """Pinocchio's model with the frame B of a body on the tray."""
+    model = arm.pin_model.copy()
+    tray = model.frames[arm.tray_id]
+    placement = tray.placement * pin.SE3(body.R_EB, body.p_EB)
+    model.addFrame(pin.Frame(OBJECT_FRAME, tray.parentJoint, arm.tray_id, placement, pin.FrameType.OP_FRAME))
+    return model
