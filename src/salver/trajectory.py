@@ -98,10 +98,15 @@ class BoundarySolution:
 
 def boundary_solution(degree: int, values: npt.ArrayLike, orders: tuple[int, ...] = (0, 1, 2)) -> BoundarySolution:
     """Solve eq (26) for one or more axes: values (2 len(orders), n_axes) with respect to normalised time."""
-    matrix = boundary_map(degree, orders)
-    _, sizes, v = np.linalg.svd(matrix)
-    rank = int(np.sum(sizes > 1e-12 * sizes[0]))
-    return BoundarySolution(np.linalg.pinv(matrix) @ np.asarray(values, dtype=float), v[rank:].T)
+    matrix, values = boundary_map(degree, orders), np.asarray(values, dtype=float)
+    # Rows of derivatives are up to degree^4 larger than those of values: scaled, all are met equally well.
+    scale = 1 / np.linalg.norm(matrix, axis=1)[:, None]
+    left, sizes, v = np.linalg.svd(scale * matrix)
+    rank = len(sizes)
+    inverse = v[:rank].T @ (left.T / sizes[:, None])
+    particular = inverse @ (scale * values)
+    particular += inverse @ (scale * (values - matrix @ particular))
+    return BoundarySolution(particular, v[rank:].T)
 
 
 # Gauss-Legendre points and the sixth-order Magnus step (Blanes, Casas, Oteo, Ros, 2009, section 5).

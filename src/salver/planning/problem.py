@@ -27,7 +27,7 @@ from salver.planning.conditions import Contact, Rows, contacts_for, rows_of
 from salver.planning.evaluation import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
-from salver.sensitivity.filter import QuadratureGrid
+from salver.sensitivity.filter import QuadratureGrid, fastest_rate
 from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.trajectory import (
     MotionSamples,
@@ -38,7 +38,7 @@ from salver.trajectory import (
     position_boundary,
 )
 
-_COST_STEP = 0.35  # of sqrt(kp) h: the integral of the cost is then right to some 1e-4
+_COST_STEP = 0.35  # of the fastest rate times h: the integral of the cost is then right to some 1e-4
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,9 @@ class Problem:
 
     @cached_property
     def every(self) -> int:
-        fastest = np.sqrt(max(self.loop.gains.kp)) * self.duration / (self.nodes - 1)
-        return max(1, int(np.ceil(fastest / _COST_STEP)))
+        gains = zip(self.loop.gains.kp, self.loop.gains.kd, strict=True)
+        step = max(fastest_rate(*pair) for pair in gains) * self.duration / (self.nodes - 1)
+        return max(1, int(np.ceil(step / _COST_STEP)))
 
     @cached_property
     def grid(self) -> QuadratureGrid:

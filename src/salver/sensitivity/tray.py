@@ -120,7 +120,7 @@ class TrayLoop:
     phi_jacobian: Array
 
     def grid(self, t: Array) -> QuadratureGrid:
-        return QuadratureGrid.for_gains(t, self.gains.kp)
+        return QuadratureGrid.for_gains(t, zip(self.gains.kp, self.gains.kd, strict=True))
 
     def forcing(self, motion: BodyMotion) -> tuple[Dual, Dual]:
         """D: (R D_v in S, D_w in B), each (T, n_p, 3)."""
