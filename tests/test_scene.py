@@ -147,7 +147,7 @@ def settled(scenario, parameters=None, gravity=(0, 0, -G), steps=600):
 
 
 def test_contact_forces_at_rest_by_hand():
-    """Centre of mass at (a, b) of a base 2c wide: each corner carries (m g / 4)(1 +- a/c)(1 +- b/c) at least squares."""
+    """Centre of mass at (a, b) over a base 2c wide: corner (x, y) carries (m g / 4)(1 + a x / c^2 + b y / c^2)."""
     a, b, c, m = 0.005, -0.002, 0.02, 0.25
     scene, trace = settled(paper(), {"mass": m, "com_x": a, "com_y": b})
     corners = scene.loads[0].outline_B
@@ -162,7 +162,7 @@ def test_contact_forces_at_rest_by_hand():
 
 
 def test_contact_forces_on_a_slope_by_hand():
-    """Gravity along +x of E by 10 degrees: friction points to -x, and the downhill feet carry more, by m g s h / (2 w)."""
+    """Gravity leans to +x of E by 10 degrees: friction points to -x, and the downhill feet carry more."""
     m, angle = 0.256, np.deg2rad(10)
     scene, trace = settled(paper(), gravity=(G * np.sin(angle), 0, -G * np.cos(angle)))
     np.testing.assert_allclose(trace.force_X[0, 0], m * G * np.array([-np.sin(angle), 0, np.cos(angle)]), atol=1e-5)
@@ -184,7 +184,7 @@ def test_contact_force_is_told_in_the_objects_axes():
 
 
 def test_stack_forces_by_hand():
-    """The upper of 0.1 kg rests on the lower of 0.4 kg: the tray carries both; what the lower gets is the difference."""
+    """The upper of 0.1 kg rests on the lower of 0.4 kg: the tray carries both."""
     _, trace = settled(two_objects())
     np.testing.assert_allclose(trace.foot_force_B[0, 4:].sum(axis=0), [0, 0, 0.1 * G], atol=1e-6)
     np.testing.assert_allclose(trace.foot_force_B[0, :4].sum(axis=0), [0, 0, 0.5 * G], atol=1e-6)

@@ -33,7 +33,8 @@ class Thresholds:
 
 @dataclass(frozen=True)
 class Behaviour:
-    """What m objects did at N instants; see SimulationRecord for the fields. lost (N, m): no longer on the tray.
+    """What m objects did at N instants; see SimulationRecord for the fields. lost (N, m): the centre of the base is
+    beyond the tray's edge.
 
     p_EB (N, m, 3), R_EB (N, m, 3, 3): pose relative to the real tray.
     """
@@ -79,7 +80,7 @@ def behaviour(scene: Scene, trace: Trace, bias: creep.TrayBias, tray_size: tuple
             lift[:, k] = np.minimum(lift[:, k], d[:, 2] - d[start, 2])
         relative = np.swapaxes(to_support[1][start], 0, 1) @ to_support[1]
         tip[:, k] = np.arctan2(np.hypot(relative[:, 0, 2], relative[:, 1, 2]), relative[:, 2, 2])
-        beyond = np.abs(centre[:, :2]) > 0.5 * np.array(tray_size) + load.solid.height
+        beyond = np.abs(centre[:, :2]) > 0.5 * np.array(tray_size)
         lost[:, k] = np.any(beyond, axis=1) | (p_EB[:, k, 2] < 0)
     return Behaviour(p_EB, R_EB, slip_E, creep_E, slip, np.maximum(lift, 0), tip, lost)
 
@@ -105,9 +106,9 @@ def _creep(
 
 
 def judge(t: Array, seen: Behaviour, touches: Array, thresholds: Thresholds, names: tuple[str, ...]) -> dict[str, Any]:
-    """Figures per object and over all, from t = 0 on, with the outcome: the worst of lost, tips, lifts, slides, holds.
+    """Figures per object and over all, from t = 0 on, with the outcome: the worst of tips, lifts, lost (it slid off), slides, holds.
 
-    first_* is the time of the first instant over the threshold, or None. Lost objects' figures end where they are lost.
+    first_* is the time of the first instant over the threshold, or None. Figures end when an object is lost.
     """
     moving = t >= -1e-9
     objects = []
@@ -139,12 +140,13 @@ def judge(t: Array, seen: Behaviour, touches: Array, thresholds: Thresholds, nam
     return {
         "outcome": worst["outcome"],
         "worst_object": worst["name"],
+        "slides_at_rest": bool(np.any(seen.slip[~moving].max(axis=0, initial=0.0) > thresholds.slip)),
         "objects": objects,
         "thresholds": {"slip": thresholds.slip, "tip_angle": thresholds.tip, "lift": thresholds.lift},
     }
 
 
-_WORST_FIRST = {"lost": "lost_at", "tips": "first_tip", "lifts": "first_lift", "slides": "first_slip"}
+_WORST_FIRST = {"tips": "first_tip", "lifts": "first_lift", "lost": "lost_at", "slides": "first_slip"}
 
 
 def _first(t: Array, happened: Array) -> float | None:

@@ -30,7 +30,7 @@ from salver.simulation.loads import Load, TrueWorld
 FOOT_RADIUS = 5e-4  # m
 HULL_GAP = 3e-4  # m between the hull's base and the feet: closed once an object tips
 DAMPING_WIDTH = 0.95  # d_max of solimp: with solref it sets the contact's damping 2 / (d_max timeconst)
-DAMPING_RATIO = 2.0  # of the contact's spring: at 1 and a time constant of two steps, feet chatter near the limit
+DAMPING_RATIO = 3.0  # of the contact's spring: at 1 feet chatter near the friction limit, at 10 they sink visibly
 SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
 ARM_PREFIX = "arm/"
 TRAY_BODY = "salver:tray"
