@@ -34,7 +34,7 @@ def test_regressor_agrees_with_pinocchio(body):
     assert body.spatial_inertia == pytest.approx(inertia.matrix())
     for _ in range(20):
         rotation, a, omega, alpha = exp(rng.normal(size=3)), *rng.normal(size=(3, 3))
-        specific = rotation.T @ (a + [0, 0, 9.81])
+        specific = rotation.T @ (a + np.array([0, 0, 9.81]))
         # Spatial acceleration of B has v' - ... : linear part is R^T a - omega x v; with v = 0 it is R^T a.
         motion, rate = pin.Motion(np.zeros(3), omega), pin.Motion(specific, alpha)
         expected = (inertia * rate + motion.cross(inertia * motion)).vector
