@@ -20,20 +20,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.geometry import Array, exp
 from salver.models.bodies import bodies, uncertain_set
 from salver.models.contact import ContactSet
-from salver.models.interfaces import ContactNetwork, networks, sure_contacts, to_tray
+from salver.models.interfaces import ContactNetwork, networks, shift_ranges, sure_contacts, to_tray
 from salver.models.parameters import INERTIAL, UncertainSet, inertial_vector, phi_of
 from salver.models.tray_motion import N_MOTION, at_rest, frame_map, wrench_map
 from salver.models.wrench_cone import cone_facets
 from salver.scenario import Scenario
 
 _MOST_MASSES = 3  # so many uncertain masses in one network are taken at all their extreme values
-_CHUNK = 64  # instants worked on at once: their terms fit in the cache
+_CHUNK = 50_000  # terms worked on at once: they fit in the cache
 
 
 @dataclass(frozen=True)
@@ -42,15 +44,17 @@ class ContactRows:
 
     Rows are divided by the normal force that the interface carries at rest on a level tray: a value of -0.2 means
     that a disturbance of a fifth of that weight leads out of the cone.
-    network: the bodies and interfaces. interface: (n,) index of each row's interface. friction_limited: (n,).
+    network: the bodies and interfaces. interface: (n,) index of each row's interface. label: (n,) what kind of
+    row it is; of the cone's facets, whether friction limits them.
     nominal: (n, 12) c_0. names: of the n_p parameters in `parameter` (n_p, n, 12), c_k, per half-range.
-    remainder: (n_r, n, 12) d_l. internal: (n, n_w) effect of the network's internal wrenches on the rows.
+    remainder: (n_r, n, 12) d_l. internal: (n, n_w) effect of the network's internal wrenches on the rows; zero
+    when positions are uncertain, because where those wrenches act is then unknown too.
     spread: (n_p, n_p), with A A^T the correlation of an ellipsoid; None for a box.
     """
 
     network: ContactNetwork
-    interface: Array
-    friction_limited: Array
+    interface: npt.NDArray[np.intp]
+    label: npt.NDArray[Any]
     nominal: Array
     names: tuple[str, ...]
     parameter: Array
@@ -61,17 +65,21 @@ class ContactRows:
     def worst(self, w: Array) -> Array:
         """(T, n) worst case over the uncertain set of every row at w (T, 12); internal wrenches at zero."""
         n, n_p = len(self.nominal), len(self.parameter)
-        columns = np.concatenate([self.parameter, self.remainder]).reshape(-1, N_MOTION).T
-        value = np.empty((len(w), n))
-        for start in range(0, len(w), _CHUNK):
-            part = w[start : start + _CHUNK]
-            terms = (part @ columns).reshape(len(part), -1, n)
+        felt = np.any(w != 0, axis=0)  # a tray that does not turn feels three of the twelve
+        columns = np.concatenate([self.parameter, self.remainder])[:, :, felt]
+        columns = columns[np.any(columns, axis=(1, 2)) | (np.arange(len(columns)) < n_p)]
+        flat = np.ascontiguousarray(columns.reshape(-1, columns.shape[2]).T)
+        value: Array = w @ self.nominal.T
+        if len(columns) == 0:
+            return value
+        chunk = max(1, _CHUNK // max(1, flat.shape[1]))
+        for start in range(0, len(w), chunk):
+            terms = (w[start : start + chunk, felt] @ flat).reshape(-1, len(columns), n)
             if self.spread is not None and n_p:
                 factored = np.tensordot(terms[:, :n_p], self.spread, axes=(1, 0))
                 terms[:, 0] = np.sqrt(np.square(factored).sum(axis=-1))
                 terms[:, 1:n_p] = 0.0
-            np.abs(terms, out=terms)
-            value[start : start + _CHUNK] = part @ self.nominal.T + terms.sum(axis=1)
+            value[start : start + chunk] += np.abs(terms, out=terms).sum(axis=1)
         return value
 
     def seen_from(self, p_EX: Array, R_EX: Array) -> ContactRows:
@@ -98,10 +106,16 @@ def contact_rows(scenario: Scenario, *, robust: bool = True, edges: int | None =
     )
 
 
-RowsOf = Callable[[ContactSet], tuple[Array, Array]]
+def name_prefixes(network: ContactNetwork, several: bool) -> dict[str, str]:
+    """What stands before a parameter's name, by body."""
+    return {body.name: f"{body.name}." if several else "" for body in network.bodies}
 
 
-def cone_rows(contacts: ContactSet) -> tuple[Array, Array]:
+Labels = npt.NDArray[Any]
+RowsOf = Callable[[ContactSet], tuple[Array, Labels]]
+
+
+def cone_rows(contacts: ContactSet) -> tuple[Array, Labels]:
     """Facets (n_f, 6) of the contact wrench cone, and which depend on friction (n_f,)."""
     cone = cone_facets(contacts)
     return cone.rows, cone.friction_limited
@@ -121,12 +135,10 @@ def network_rows(
     linear in the wrench at B of the upper body; its facets, unless another question is to be answered over the
     same uncertain set. per_weight: divided by the normal force at rest.
     """
-    own = {body.name: f"{body.name}." if several else "" for body in network.bodies}
+    own = name_prefixes(network, several)
     half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
     friction = {b.name: b.friction - half.get(own[b.name] + "friction", 0.0) for b in network.bodies}
-    shift = {
-        b.name: np.array([half.get(f"{own[b.name]}position_{axis}", 0.0) for axis in "xy"]) for b in network.bodies
-    }
+    shift = shift_ranges(network, half, own)
     contacts = sure_contacts(network, tray_half, friction, shift)
     model = _RowModel(network, [rows_of(c) for c in contacts], own, per_weight)
     acting = [
@@ -151,16 +163,19 @@ def network_rows(
     if uncertain.kind == "ellipsoid":
         part = uncertain.restricted(names)
         spread = np.eye(len(names)) if part.correlation is None else np.asarray(np.linalg.cholesky(part.correlation))
+    internal = np.concatenate([block[3] for block in blocks])
+    if any(np.any(s) for s in shift.values()):
+        internal = internal[:, :0]
     kept = np.abs(remainder).max(axis=(1, 2), initial=0.0) > 1e-12
     return ContactRows(
         network,
         np.tile(model.interface, copies),
-        np.tile(model.friction_limited, copies),
+        np.tile(model.label, copies),
         nominal,
         names,
         parameter,
         remainder[kept],
-        np.concatenate([block[3] for block in blocks]),
+        internal,
         spread,
     )
 
@@ -169,14 +184,14 @@ class _RowModel:
     """c(p) of one network: its rows (n, 12) at any values of the uncertain parameters."""
 
     def __init__(
-        self, network: ContactNetwork, asked: list[tuple[Array, Array]], prefix: dict[str, str], per_weight: bool
+        self, network: ContactNetwork, asked: list[tuple[Array, Labels]], prefix: dict[str, str], per_weight: bool
     ) -> None:
         self.network = network
         self.prefix = prefix
         self.per_weight = per_weight
         self.facets = [rows for rows, _ in asked]
         self.interface = np.repeat(np.arange(len(asked)), [len(rows) for rows in self.facets])
-        self.friction_limited = np.concatenate([limited for _, limited in asked])
+        self.label = np.concatenate([label for _, label in asked])
 
     def _place(self, body: int, deviation: dict[str, float]) -> Array:
         """(3,) origin of a body's B in E."""

@@ -123,6 +123,14 @@ def to_tray(p_EB: Array, R_EB: Array) -> Array:
     return matrix
 
 
+def shift_ranges(network: ContactNetwork, half_range: dict[str, float], prefix: dict[str, str]) -> dict[str, Array]:
+    """(2,) half-ranges of position_x, position_y by body, m, of half-ranges by parameter name."""
+    return {
+        body.name: np.array([half_range.get(f"{prefix[body.name]}position_{axis}", 0.0) for axis in "xy"])
+        for body in network.bodies
+    }
+
+
 def sure_contacts(
     network: ContactNetwork, tray_half: Array, friction: dict[str, float], shift: dict[str, Array]
 ) -> list[ContactSet]:

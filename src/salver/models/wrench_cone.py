@@ -132,53 +132,83 @@ def reach_lp(contacts: ContactSet, wrench_B: Array, direction_B: Array) -> float
     return float(result.x[-1]) if result.status == 0 else float("-inf")
 
 
+def unit_friction_rows(contacts: ContactSet) -> tuple[Array, Array]:
+    """Rows (t, n), each (n_f, 6), of the facets that friction limits: (t / mu + n) F_B <= 0 for a coefficient mu."""
+    length = support_length(contacts)
+    unit = _unit_facets(_polygon_key(contacts, length), contacts.edges, contacts.phase)
+    unit = unit[np.any(np.abs(unit[:, _TANGENTIAL]) > 1e-9, axis=1)]
+    back = _shift_to_centre(contacts) / np.array([1, 1, 1, length, length, length])[:, None]
+    return np.where(_TANGENTIAL, unit, 0.0) @ back, np.where(_TANGENTIAL, 0.0, unit) @ back
+
+
+def support_rows(contacts: ContactSet) -> tuple[Array, Array]:
+    """Rows (n, 6), in m: (row F_B) / f_z is how far the zero-moment point is beyond each edge; and the row of f_z."""
+    normal, offset = half_planes(support_polygon(contacts))
+    shift = _shift_to_centre(contacts)
+    rows = normal[:, 1, None] * shift[3] - normal[:, 0, None] * shift[4] - offset[:, None] * shift[2]
+    return rows, shift[2]
+
+
 def coulomb_friction_needed(contacts: ContactSet, wrench_B: Array) -> Array:
-    """Least uniform coefficient (T,) for wrenches (T, 6) under true (round) Coulomb cones.
+    """Least uniform coefficient (T,) for wrenches (T, 6) under true (round) Coulomb cones, to 1e-9 relative.
 
     With normal forces n_i and tangential forces f_i at the support points, the set of (f_x, f_y, tau_z) with
-    |f_i| <= n_i is scaled by the coefficient; its gauge is one second-order cone programme for each wrench:
-    largest s with s (f_x, f_y, tau_z) in the set for coefficient 1. The answer is 1/s. At most
-    1/cos(pi/k) below `friction_needed` of k edges.
+    |f_i| <= n_i is scaled by the coefficient, so the answer is 1/s for the largest s with s (f_x, f_y, tau_z) in the
+    set of coefficient 1. The round constraint is cut by tangents, each at the last solution, until the bracket
+    (tangents from outside, the solution shrunk into the cone from inside) closes. Between 1 and cos(pi/k) times
+    `friction_needed` of k edges.
     """
-    import clarabel
-    from scipy import sparse
-
     length = support_length(contacts)
     scaled = np.atleast_2d(wrench_B) @ _shift_to_centre(contacts).T / np.array([1, 1, 1, length, length, length])
+    inside = tip_over_margin(contacts, wrench_B) >= -1e-12 * length
     xy = support_polygon(contacts) / length
+    needed = np.full(len(scaled), np.inf)
+    for t in np.flatnonzero(inside):
+        unit = scaled[t] / scaled[t, 2]
+        size = float(np.linalg.norm(unit[_TANGENTIAL]))
+        needed[t] = 0.0 if size < 1e-12 else size / _largest_scale(xy, unit, unit[_TANGENTIAL] / size)
+    return needed
+
+
+def _largest_scale(xy: Array, unit: Array, direction: Array) -> float:
+    """Largest s with s direction = (f_x, f_y, tau_z) of forces |f_i| <= n_i at xy (n, 2), n_i fixed by `unit`."""
+    from scipy.optimize import linprog
+
     n = len(xy)
-    # Unknowns: s, then (n_i, f_ix, f_iy) for each vertex, which is the order of a second-order cone.
+    # Unknowns: s, n_i, f_ix, f_iy.
     balance = np.zeros((6, 1 + 3 * n))
-    for i, (x, y) in enumerate(xy):
-        balance[[2, 3, 4], 1 + 3 * i] = 1, y, -x
-        balance[0, 2 + 3 * i] = balance[1, 3 + 3 * i] = 1
-        balance[5, 2 + 3 * i], balance[5, 3 + 3 * i] = -y, x
+    balance[2, 1 : n + 1], balance[3, 1 : n + 1], balance[4, 1 : n + 1] = 1, xy[:, 1], -xy[:, 0]
+    balance[0, n + 1 : 2 * n + 1] = balance[1, 2 * n + 1 :] = 1
+    balance[5, n + 1 : 2 * n + 1], balance[5, 2 * n + 1 :] = -xy[:, 1], xy[:, 0]
+    balance[_TANGENTIAL, 0] = -direction
+    target = np.where(_TANGENTIAL, 0.0, unit)
     cost = np.zeros(1 + 3 * n)
     cost[0] = -1.0
-    cones = [clarabel.ZeroConeT(6), *[clarabel.SecondOrderConeT(3)] * n]
-    selection = sparse.hstack([sparse.csc_matrix((3 * n, 1)), -sparse.eye(3 * n)])
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    quadratic = sparse.csc_matrix((1 + 3 * n, 1 + 3 * n))
-    needed = np.full(len(scaled), np.inf)
-    for t, row in enumerate(scaled):
-        if row[2] <= 0:
-            continue
-        unit = row / row[2]
-        size = np.linalg.norm(unit[_TANGENTIAL])
-        if size < 1e-12:
-            needed[t] = 0.0 if tip_over_margin(contacts, wrench_B[t]).item() >= 0 else np.inf
-            continue
-        balance[_TANGENTIAL, 0] = -unit[_TANGENTIAL] / size
-        target = np.where(_TANGENTIAL, 0.0, unit)
-        constraint = sparse.csc_matrix(sparse.vstack([balance, selection]))
-        solver = clarabel.DefaultSolver(
-            quadratic, cost, constraint, np.concatenate([target, np.zeros(3 * n)]), cones, settings
-        )
-        solution = solver.solve()
-        if solution.status in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved) and solution.x[0] > 0:
-            needed[t] = size / solution.x[0]
-    return needed
+    bounds = [(0, None)] * (1 + n) + [(None, None)] * (2 * n)
+    angle = 2 * np.pi * np.arange(16) / 16
+    tangents = [np.kron(np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None], np.ones((1, n, 1)))]
+    best = 0.0
+    for _ in range(30):
+        rows = []
+        for d in np.concatenate(tangents):
+            block = np.zeros((n, 1 + 3 * n))
+            block[:, 1 : n + 1] = -np.eye(n)
+            block[:, n + 1 : 2 * n + 1], block[:, 2 * n + 1 :] = np.diag(d[:, 0]), np.diag(d[:, 1])
+            rows.append(block)
+        cuts = np.concatenate(rows)
+        x = linprog(
+            cost, A_ub=cuts, b_ub=np.zeros(len(cuts)), A_eq=balance, b_eq=target, bounds=bounds, method="highs"
+        ).x
+        forces = np.stack([x[n + 1 : 2 * n + 1], x[2 * n + 1 :]], axis=1)
+        size, normal = np.linalg.norm(forces, axis=1), x[1 : n + 1]
+        pressing = size > 1e-12
+        excess = float((size[pressing] / np.maximum(normal[pressing], 1e-300)).max(initial=1.0))
+        best = max(best, float(x[0]) / excess)
+        if x[0] - best <= 1e-9 * x[0]:
+            break
+        unit_forces = np.where(pressing[:, None], forces / np.where(pressing, size, 1.0)[:, None], [1.0, 0.0])
+        tangents.append(unit_forces[None])
+    return best
 
 
 def rectangle_cone(half_x: float, half_y: float, friction: float) -> Array:
