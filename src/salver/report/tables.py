@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from salver.files import write_atomic
+from salver.models import wrench_cone
 from salver.models.bodies import uncertain_set
 from salver.report.words import pretty, quantity
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
+    from salver.report.perturbed import Perturbed
     from salver.report.run import Motion, Run
 
 Rows = list[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text cells under column headings."""
+
+    head: Sequence[str]
+    rows: list[list[str]]
 
 
 def scenario_rows(run: Run) -> Rows:
@@ -107,3 +122,76 @@ def arm_usage(m: Motion, arm: ArmModel) -> dict[str, np.ndarray]:
         for kind, (values, limit) in candidates.items()
         if np.all(np.isfinite(limit))
     }
+
+
+def table_one(run: Run) -> Table:
+    """The paper's Table I for this scenario."""
+    return Table(("quantity", "value"), [list(row) for row in scenario_rows(run)])
+
+
+def numbers_table(run: Run, rollouts: Mapping[str, Perturbed]) -> Table:
+    """The numbers behind the figures, one column a motion, in SI units with their unit in the first column."""
+    contacts = run.bodies[0].contacts
+    rows: list[list[str]] = []
+
+    def add(label: str, value: Callable[[Motion], float | int | str | None]) -> None:
+        values = [value(m) for m in run.motions]
+        if any(v is not None for v in values):
+            rows.append([label, *("" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v) for v in values)])
+
+    add("duration [s]", lambda m: m.duration)
+    add("sensitivity cost, eq (13)", lambda m: m.summary.get("cost"))
+    add("length of the path [m]", lambda m: float(np.linalg.norm(np.diff(m.arrays["p_SB"], axis=0), axis=1).sum()))
+    add("highest above the straight line [m]", lambda m: float(_rise(m).max()))
+    add("lowest below the straight line [m]", lambda m: float(_rise(m).min()))
+    add("least cone coefficient, nominal [N]", lambda m: float(m.arrays["cone_coefficients"].min()))
+    add("least cone coefficient, lower edge of its tube [N]", lambda m: float(m.cone_floor.min()))
+    add("widest tube radius of a coefficient [N]", lambda m: float(m.arrays["cone_radius"].max()))
+    add(
+        "integral of the largest tube radius [N s]",
+        lambda m: float(np.trapezoid(m.arrays["cone_radius"].max(axis=1), m.t)),
+    )
+    add("friction needed, nominal", lambda m: float(wrench_cone.friction_needed(contacts, m.arrays["wrench_B"]).max()))
+    rows_B = wrench_cone.facets(contacts)
+    add(
+        "least wrench-cone margin, nominal [N]", lambda m: float(wrench_cone.margin(rows_B, m.arrays["wrench_B"]).min())
+    )
+    add(
+        "least tip-over margin, nominal [m]",
+        lambda m: float(wrench_cone.tip_over_margin(contacts, m.arrays["wrench_B"]).min()),
+    )
+    add("perturbed bodies", lambda m: len(rollouts[m.stem].rollout.cone_coefficients))
+    add("perturbed bodies that left a tube", lambda m: rollouts[m.stem].coverage.left)
+    add("furthest out of a tube [N]", lambda m: float(rollouts[m.stem].coverage.excess.max()))
+    add("least cone coefficient, perturbed [N]", lambda m: float(rollouts[m.stem].rollout.cone_coefficients.min()))
+    add("largest position deviation, perturbed [m]", lambda m: _deviation(rollouts[m.stem], slice(0, 3)))
+    add("largest rotation deviation, perturbed [rad]", lambda m: _deviation(rollouts[m.stem], slice(3, 6)))
+    add("solver", lambda m: (m.summary.get("solver") or {}).get("name"))
+    add("solver time [s]", lambda m: (m.summary.get("solver") or {}).get("seconds"))
+    return Table(("quantity", *(m.label.lower() for m in run.motions)), rows)
+
+
+def _rise(m: Motion) -> np.ndarray:
+    """Height (T,) above the straight line from start to goal, at the same progress along it."""
+    p = m.arrays["p_SB"]
+    line = p[-1] - p[0]
+    progress = (p - p[0]) @ line / max(float(line @ line), 1e-12)
+    return p[:, 2] - (p[0, 2] + progress * line[2])
+
+
+def _deviation(runs: Perturbed, rows: slice) -> float:
+    return float(np.linalg.norm(runs.rollout.deviation[:, :, rows], axis=2).max())
+
+
+def write_table(stem: Path, table: Table) -> list[Path]:
+    """The table as STEM.csv and STEM.md."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table.head)
+    writer.writerows(table.rows)
+    lines = [table.head, ["---"] * len(table.head), *table.rows]
+    markdown = "".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |\n" for row in lines)
+    return [
+        write_atomic(stem.with_suffix(".csv"), text.getvalue()),
+        write_atomic(stem.with_suffix(".md"), markdown),
+    ]

@@ -1,0 +1,63 @@
+"""The perturbed runs behind Figs 5, 6 and 8: closed loops of other bodies than the planned one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salver import sampling
+from salver.control.object import Gains
+from salver.geometry import Array
+from salver.models.bodies import uncertain_set
+from salver.models.parameters import INERTIAL, inertial_vector, phi_of
+from salver.simulation.closed_loop import Coverage, Rollout, coverage, rollout
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
+    from salver.report.run import Run
+    from salver.simulation.record import SimulationRecord
+
+EXTRA_MASS = 0.05  # kg, of the paper's Fig. 8 (b)
+
+
+@dataclass(frozen=True)
+class Perturbed:
+    """n rollouts of one motion without an engine, and how they lie in its tubes."""
+
+    rollout: Rollout
+    coverage: Coverage
+
+
+def perturbed_rollouts(run: Run, stem: str, n: int, seed: int) -> Perturbed:
+    """n bodies drawn from the uncertain set (the same for every motion) under eqs (18), (19) along one motion."""
+    from salver.planning.plan import load_plan
+
+    plan = load_plan(run.directory, stem)
+    body = run.bodies[0]
+    uncertain = uncertain_set(run.scenario)
+    drawn = sampling.draw(uncertain, n, seed, "corners", run.bodies)
+    prefix = f"{body.name}." if len(run.bodies) > 1 else ""
+    inertial = np.tile(inertial_vector(body.inertial), (n, 1))
+    for column, name in enumerate(INERTIAL):
+        if prefix + name in uncertain.names:
+            inertial[:, column] = drawn[:, uncertain.names.index(prefix + name)]
+    gains = Gains(run.scenario.control.kp, run.scenario.control.kd)
+    made = rollout(plan.reference, body.inertial, body.contacts.grasp_map, gains, phi_of(inertial), plan.t)
+    names = [f"coefficient {i + 1}" for i in range(plan.cone_coefficients.shape[1])]
+    return Perturbed(made, coverage(plan.t, made.cone_coefficients, plan.cone_coefficients, plan.cone_radius, names))
+
+
+def heavier(plan: Plan, extra: float = EXTRA_MASS) -> SimulationRecord:
+    """The plan in the physics engine with its first object heavier by `extra` kg."""
+    from salver.simulation.physics import simulate
+
+    item = plan.scenario.objects[0]
+    prefix = f"{item.name}." if len(plan.scenario.objects) > 1 else ""
+    return simulate(plan, parameters={prefix + "mass": item.mass + extra})
+
+
+def envelope(coefficients: Array, radius: Array) -> tuple[Array, Array]:
+    """Least and largest value (T,) of all tubes together."""
+    return (coefficients - radius).min(axis=1), (coefficients + radius).max(axis=1)
