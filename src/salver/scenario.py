@@ -222,7 +222,11 @@ class UncertaintySet(Model):
 
 
 class Contact(Model):
-    """Which contact condition the plan must keep, and how friction cones are linearised."""
+    """Which contact condition the plan must keep, and how friction cones are linearised.
+
+    margin: what the condition must keep over its tube, in N of a cone coefficient (paper), or as a share of the
+    normal force at rest (exact).
+    """
 
     condition: Literal["paper", "exact"] = "paper"
     edges: Annotated[Whole, Field(ge=3, le=32)] = 4

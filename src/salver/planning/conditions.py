@@ -1,36 +1,88 @@
-"""What keeps the carried objects in place, as linear functions of their wrenches that must stay positive.
+"""What keeps the carried objects in place, as functions of the motion that must stay above a margin.
 
-paper: Lambda = pinv(G F-hat) wrench >= 0 with the tube of the closed loop's input sensitivity (eq 16). It asks
-for one particular distribution of the contact forces, and is sufficient.
-exact: the wrench that the motion needs lies in the contact wrench cone, A wrench <= 0, for the least friction.
-It is linear in the inertial parameters, so its spread over their set is not first order but exact: a body that
-follows its tray needs Y(t) phi, whatever its phi.
+paper: Lambda = pinv(G F-hat) wrench >= 0 with the tube of the closed loop's input sensitivity (eq 16), in N. It
+asks for one particular distribution of the contact forces, and is sufficient.
+exact: the wrench that the motion needs lies in the contact wrench cone of every interface, in the worst case over
+the uncertain set (`salver.models.contact_rows`), as a share of the normal force at rest. A body that follows its
+tray needs Y(t) phi whatever its phi, so this worst case is not first order.
+
+Both are a linear value minus a norm of linear terms, concave: at fixed orientation, concave in the plan's variables.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
+from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.models.bodies import Body, bodies, uncertain_set
-from salver.models.parameters import UncertainSet, phi_jacobian
-from salver.models.wrench_cone import facets
+from salver.models.bodies import TRAY, Body, bodies, uncertain_set
+from salver.models.contact_rows import ContactRows, contact_rows
+from salver.models.parameters import phi_jacobian
+from salver.models.tray_motion import PRODUCTS
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
 
+Indices = npt.NDArray[np.intp]
+UNITS = {"paper": "N", "exact": "of the weight"}
+
+
+class Rows(Protocol):
+    """Slack functions along a motion at T instants: they must stay above the margin. owner: (n,) whose each is."""
+
+    @property
+    def owner(self) -> tuple[str, ...]: ...
+
+    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
+        """Slack (T, n) and the terms of its spread (T, n, k), after a step (n_z,) of the linear model."""
+        ...
+
+    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
+        """Half spaces c0 + c d >= 0 that contain all steps d with positive slack at (instant, row), each (m,).
+
+        The slack is concave in d; these are its tangents where the spread's terms are (m, k). Returns c0 (m,),
+        c (m, n_z).
+        """
+        ...
+
+
+Condition = Callable[[BodyMotion, TraySensitivity, int], Rows]
+"""Rows along a motion of B and its closed loop's sensitivity, with derivatives by n_z variables (or none)."""
+
+
+def conditions_for(scenario: Scenario) -> list[Condition]:
+    """The contact conditions of everything that a scenario carries.
+
+    Raises ScenarioError when the paper's condition is asked for objects that stand on each other.
+    """
+    first = bodies(scenario)[0]
+    if scenario.contact.condition == "exact":
+        return [_exact(rows.seen_from(first.p_EB, first.R_EB)) for rows in contact_rows(scenario)]
+    for body in bodies(scenario):
+        if body.supports != (TRAY,):
+            raise ScenarioError(
+                f'{scenario.name}: contact.condition = "paper" knows objects on the tray only, and {body.name} stands '
+                f'on {" and ".join(body.supports)}; use "exact".'
+            )
+    return [_paper(scenario, body, first) for body in bodies(scenario)]
+
+
+# The paper's condition ---------------------------------------------------------------------------------------
+
 
 @dataclass(frozen=True)
-class Rows:
-    """Functions map @ wrench of one body that must stay above the margin: at T instants, with derivatives.
+class WrenchRows:
+    """map @ wrench of one body. map (n, 6); wrench (T, 6), wrench_jacobian (T, 6, n_z).
 
-    map (n_c, 6). wrench (T, 6) and wrench_jacobian (T, 6, n_z): nominal. spread (T, 6, n_p) and
-    spread_jacobian (T, 6, n_p, n_z): sensitivity of the wrench times the factor of the uncertain set.
+    spread (T, 6, n_p) and spread_jacobian (T, 6, n_p, n_z): sensitivity of the wrench times the set's factor.
     """
 
-    body: str
+    owner: tuple[str, ...]
     map: Array
     wrench: Array
     wrench_jacobian: Array
@@ -39,25 +91,15 @@ class Rows:
     box: bool
 
     def slack(self, step: Array | None = None) -> tuple[Array, Array]:
-        """Value minus tube radius (T, n_c), and the spread (T, n_c, n_p), after a step (n_z,) of the linear model."""
         wrench, spread = self.wrench, self.spread
         if step is not None:
             wrench, spread = wrench + self.wrench_jacobian @ step, spread + self.spread_jacobian @ step
-        sides = self.map @ spread
-        radius = np.abs(sides).sum(axis=-1) if self.box else np.linalg.norm(sides, axis=-1)
-        return wrench @ self.map.T - radius, sides
+        terms = self.map @ spread
+        radius = np.abs(terms).sum(axis=-1) if self.box else np.linalg.norm(terms, axis=-1)
+        return wrench @ self.map.T - radius, terms
 
-    def cuts(self, instant: Array, row: Array, sides: Array) -> tuple[Array, Array]:
-        """Half spaces c0 + c d >= 0 that contain all steps d with positive slack at some (instant, row).
-
-        The slack is concave in d; these are its tangents where the spread is `sides` (m, n_p). Returns c0 (m,),
-        c (m, n_z).
-        """
-        if self.box:
-            dual = np.sign(sides)
-        else:
-            dual = sides / np.maximum(np.linalg.norm(sides, axis=-1, keepdims=True), 1e-300)
-        maps = self.map[row]
+    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
+        maps, dual = self.map[row], np.sign(terms) if self.box else _unit(terms)
         weights = maps[:, :, None] * dual[:, None, :]
         offset = np.einsum("mi,mi->m", maps, self.wrench[instant])
         offset -= np.einsum("mip,mip->m", weights, self.spread[instant])
@@ -66,85 +108,100 @@ class Rows:
         return offset, slope
 
 
+def _paper(scenario: Scenario, body: Body, first: Body) -> Condition:
+    """Lambda of one body: the closed loop's tube for the first, that of a body that follows its tray for others."""
+    uncertain = uncertain_set(scenario)
+    prefix = f"{body.name}." if len(scenario.objects) > 1 else ""
+    own = tuple(n.removeprefix(prefix) if n.startswith(prefix) else "" for n in uncertain.names)
+    jacobian = phi_jacobian(body.inertial, own)
+    distribution: Array = np.linalg.pinv(body.contacts.grasp_map).astype(float)
+    p_BX, R_BX = first.R_EB.T @ (body.p_EB - first.p_EB), first.R_EB.T @ body.R_EB
+
+    def rows(motion: BodyMotion, loop: TraySensitivity, n_z: int) -> WrenchRows:
+        own_motion = motion.of_frame(p_BX, R_BX)
+        wrench, wrench_jacobian = _stacked(*own_motion.wrench(body.inertial.phi[:, None]), n_z)
+        change = (loop.df, loop.dtau) if body is first else own_motion.wrench(jacobian)
+        spread, spread_jacobian = _stacked(*change, n_z)
+        factor = uncertain.factor
+        return WrenchRows(
+            (body.name,) * len(distribution),
+            distribution,
+            wrench[:, 0],
+            wrench_jacobian[:, 0],
+            np.einsum("tpi,pq->tiq", spread, factor),
+            np.einsum("tpiz,pq->tiqz", spread_jacobian, factor, optimize=True),
+            uncertain.kind == "box",
+        )
+
+    return rows
+
+
+# The exact condition -----------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
-class Contact:
-    """The condition of one body: its rows, where it is relative to B, and how it depends on the parameters."""
+class MotionRows:
+    """value . w minus the spread's terms, of what B feels: w (T, 12) of `salver.models.tray_motion`.
 
-    body: Body
-    map: Array
-    p_BX: Array
-    R_BX: Array
-    phi_jacobian: Array
-    follows: bool  # whether the spread is that of a body that follows its tray, or the closed loop's
+    value (n, 12), spread (k, n, 12); the first `ball` terms are bounded by their norm, the others one by one.
+    """
 
+    owner: tuple[str, ...]
+    value: Array
+    spread: Array
+    ball: int
+    w: Array
+    w_jacobian: Array
 
-def contacts_for(scenario: Scenario) -> list[Contact]:
-    """The condition of every carried object, in the scenario's order."""
-    carried, uncertain = bodies(scenario), uncertain_set(scenario)
-    first, paper = carried[0], scenario.contact.condition == "paper"
-    several = len(carried) > 1
-    out = []
-    for body in carried:
-        prefix = f"{body.name}." if several else ""
-        own = tuple(n.removeprefix(prefix) if n.startswith(prefix) else "" for n in uncertain.names)
-        if paper:
-            rows = np.linalg.pinv(body.contacts.grasp_map)
-        else:
-            least = body.friction - _half_range(uncertain, prefix + "friction")
-            rows = -facets(replace(body.contacts, friction=np.full(body.contacts.count, least)))
-        p_BX = first.R_EB.T @ (body.p_EB - first.p_EB)
-        jacobian = phi_jacobian(body.inertial, own)
-        out.append(Contact(body, rows, p_BX, first.R_EB.T @ body.R_EB, jacobian, not paper or body is not first))
-    return out
+    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
+        w = self.w if step is None else self.w + self.w_jacobian @ step
+        terms = np.moveaxis(np.tensordot(w, self.spread, axes=(1, 2)), 1, 2)
+        radius = np.abs(terms[..., self.ball :]).sum(axis=-1) + np.linalg.norm(terms[..., : self.ball], axis=-1)
+        return w @ self.value.T - radius, terms
+
+    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
+        dual = np.sign(terms)
+        dual[:, : self.ball] = _unit(terms[:, : self.ball])
+        rows = self.value[row] - np.einsum("mk,kmi->mi", dual, self.spread[:, row])
+        return np.einsum("mi,mi->m", rows, self.w[instant]), np.einsum("mi,miz->mz", rows, self.w_jacobian[instant])
 
 
-def _half_range(uncertain: UncertainSet, name: str) -> float:
-    return float(uncertain.half_range[uncertain.names.index(name)]) if name in uncertain.names else 0.0
+def _exact(rows: ContactRows) -> Condition:
+    owner = tuple(rows.network.interfaces[int(e)].name for e in rows.interface)
+    ball, parameter = 0, rows.parameter
+    if rows.spread is not None and len(parameter):
+        ball, parameter = len(parameter), np.tensordot(rows.spread.T, parameter, axes=1)
+    spread = np.concatenate([parameter, rows.remainder])
+
+    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int) -> MotionRows:
+        del loop  # a body that follows its tray needs the same wrench whatever the controller does
+        return MotionRows(owner, -rows.nominal, spread, ball, *motion_vector(motion, n_z))
+
+    return along
 
 
-def rows_of(contact: Contact, uncertain: UncertainSet, motion: BodyMotion, loop: TraySensitivity, n_z: int) -> Rows:
-    """The condition of a body along a motion of B (with derivatives by z, or without)."""
-    own_motion = motion.of_frame(contact.p_BX, contact.R_BX)
-    wrench, wrench_jacobian = _stacked(*own_motion.wrench(contact.body.inertial.phi[:, None]), n_z)
-    if contact.follows:
-        change = _follower(contact, uncertain, own_motion)
-    else:
-        change = loop.df, loop.dtau
-    spread, spread_jacobian = _stacked(*change, n_z)
-    factor = uncertain.factor
-    return Rows(
-        contact.body.name,
-        contact.map,
-        wrench[:, 0],
-        wrench_jacobian[:, 0],
-        np.einsum("tpi,pq->tiq", spread, factor),
-        np.einsum("tpiz,pq->tiqz", spread_jacobian, factor, optimize=True),
-        uncertain.kind == "box",
-    )
+def motion_vector(motion: BodyMotion, n_z: int) -> tuple[Array, Array]:
+    """w (T, 12) of B (`salver.models.tray_motion.motion_vector`), with its derivative (T, 12, n_z)."""
+    omega = motion.omega.value[:, 0]
+    first, second = (list(index) for index in zip(*PRODUCTS, strict=True))
+    w = np.concatenate([motion.force.value[:, 0], motion.alpha.value[:, 0], omega[:, first] * omega[:, second]], axis=1)
+    tangent = np.zeros((*w.shape, n_z))
+    for columns, part in ((slice(0, 3), motion.force), (slice(3, 6), motion.alpha)):
+        if part.tangent is not None:
+            tangent[:, columns] = part.tangent[:, 0]
+    if motion.omega.tangent is not None:
+        turn = motion.omega.tangent[:, 0]
+        tangent[:, 6:] = omega[:, first, None] * turn[:, second] + omega[:, second, None] * turn[:, first]
+    return w, tangent
 
 
-def _follower(contact: Contact, uncertain: UncertainSet, motion: BodyMotion) -> tuple[Dual, Dual]:
-    """d wrench / d p of a body that follows its tray: inertial parameters, place on the tray, tilt of the tray."""
-    df, dtau = motion.wrench(contact.phi_jacobian)
-    body, n_p = contact.body.inertial, uncertain.size
-    place, tilt = np.zeros((1, n_p, 3)), np.zeros((1, n_p, 3))
-    for j, name in enumerate(uncertain.names):
-        owner, _, parameter = name.rpartition(".")
-        if owner in ("", contact.body.name) and parameter.startswith("position_"):
-            place[0, j] = contact.body.R_EB.T @ np.eye(3)["xy".index(parameter[-1])]
-        elif parameter.startswith("tilt_"):
-            tilt[0, j] = contact.body.R_EB.T @ np.eye(3)["xy".index(parameter[-1])]
-    if place.any():
-        shift = Dual(place)
-        df += (motion.alpha.cross(shift) + motion.omega.cross(motion.omega.cross(shift))).scaled(body.mass)
-    if tilt.any():
-        df += motion.force.cross(Dual(tilt)).scaled(body.mass)
-    return df, dtau
+def _unit(terms: Array) -> Array:
+    return terms / np.maximum(np.linalg.norm(terms, axis=-1, keepdims=True), 1e-300)
 
 
 def _stacked(force: Dual, torque: Dual, n_z: int) -> tuple[Array, Array]:
     """Wrench (T, P, 6) and its tangent (T, P, 6, n_z)."""
-    value = np.concatenate([force.value, np.broadcast_to(torque.value, force.value.shape)], axis=-1)
+    value = np.concatenate([force.value, torque.value], axis=-1)
     tangent = np.zeros((*value.shape, n_z))
     if force.tangent is not None:
         tangent[..., :3, :] = force.tangent

@@ -14,7 +14,7 @@ from salver.control.object import Gains
 from salver.geometry import Array
 from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import phi_jacobian
-from salver.planning.conditions import contacts_for, rows_of
+from salver.planning.conditions import conditions_for
 from salver.scenario import Scenario
 from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.sensitivity.tubes import radius
@@ -27,8 +27,8 @@ class Evaluation:
 
     samples: the motion of B. wrench_B (T, 6): nominal. cone_coefficients (T, n_lambda): Lambda of eq (19), and
     cone_radius its tube (eq 11). state_sensitivity (T, 12, n_p), input_sensitivity (T, n_lambda, n_p).
-    slack (T, n_c): the scenario's own contact condition minus its tube, all objects side by side, before the
-    margin; slack_owner names the object of each column.
+    slack (T, n_c): the scenario's own contact conditions minus their tubes, in the condition's unit, before the
+    margin; slack_owner names the object or interface of each column.
     """
 
     samples: MotionSamples
@@ -68,10 +68,9 @@ def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluat
     sensitivity = loop.sensitivity(grid, motion, BodyMotion.of(reference.sample(grid.times)))
     force, torque = motion.wrench(loop.body.phi[:, None])
     wrench_B = np.concatenate([force.value, torque.value], axis=-1)[:, 0]
-    contacts = contacts_for(scenario)
-    distribution = np.linalg.pinv(contacts[0].body.contacts.grasp_map)
+    distribution = np.linalg.pinv(bodies(scenario)[0].contacts.grasp_map)
     theta = distribution @ sensitivity.wrench
-    slack = [rows_of(contact, uncertain, motion, sensitivity, 0).slack()[0] for contact in contacts]
+    rows = [condition(motion, sensitivity, 0) for condition in conditions_for(scenario)]
     return Evaluation(
         samples,
         wrench_B,
@@ -79,8 +78,8 @@ def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluat
         radius(theta, uncertain),
         sensitivity.state,
         theta,
-        np.concatenate(slack, axis=1),
-        tuple(c.body.name for c, s in zip(contacts, slack, strict=True) for _ in range(s.shape[1])),
+        np.concatenate([part.slack()[0] for part in rows], axis=1),
+        tuple(owner for part in rows for owner in part.owner),
     )
 
 

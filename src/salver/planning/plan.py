@@ -15,6 +15,7 @@ from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import load_npz, provenance, read_json, save_npz, write_atomic, write_json
 from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.models.bodies import uncertain_set
+from salver.planning.conditions import UNITS
 from salver.planning.evaluation import Evaluation, evaluate, sensitivity_cost
 from salver.scenario import Scenario
 from salver.trajectory import (
@@ -39,7 +40,7 @@ class Verification:
     """The plan's check of itself on a grid `FINER` times finer than the planner's.
 
     boundary_error: largest miss of pose, twist and acceleration at both ends (SI units).
-    slack: least contact condition minus its tube, N; at time `time`, for object `body`.
+    slack: least contact condition minus its tube, in `unit`; at time `time`, for object or interface `body`.
     violation: how far that is below zero; 0 when the condition holds everywhere.
     """
 
@@ -48,6 +49,7 @@ class Verification:
     slack: float
     time: float
     body: str
+    unit: str
 
     @property
     def violation(self) -> float:
@@ -59,14 +61,13 @@ class Verification:
 
     @property
     def sentence(self) -> str:
+        where = f"{self.body}, at t = {self.time:.3f} s"
         if self.boundary_error > BOUNDARY_TOLERANCE:
             return f"The motion misses its start or goal by {self.boundary_error:.2g}."
         if self.violation > 0:
-            return f"{self.body} leaves its contact condition by {self.violation:.3g} N at t = {self.time:.3f} s."
-        return (
-            f"Checked at {self.instants} instants: the contact condition keeps {self.slack:.3g} N over its tube "
-            f"(least for {self.body}, at t = {self.time:.3f} s)."
-        )
+            return f"The contact condition is missed by {self.violation:.3g} {self.unit} ({where})."
+        kept = f"the contact condition keeps {self.slack:.3g} {self.unit} over its tube"
+        return f"Checked at {self.instants} instants: {kept} (least for {where})."
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ class Plan:
         still = [x[ends] for x in (samples.v_S, samples.a_S, samples.omega_B, samples.alpha_B)]
         error = max(float(np.abs(x).max()) for x in (samples.p_SB[ends] - goals, turn, *still))
         slack, when, body = self.evaluation.worst()
-        return Verification(len(self.t), error, slack, when, body)
+        return Verification(len(self.t), error, slack, when, body, UNITS[self.scenario.contact.condition])
 
     def verify(self) -> Verification:
         """Re-check boundary conditions and contact on the fine grid."""
@@ -167,6 +168,7 @@ class Plan:
                 "boundary_error": check.boundary_error,
                 "least_slack": check.slack,
                 "time": check.time,
+                "unit": check.unit,
                 "object": check.body,
             },
             "least_cone_coefficient": float(self.cone_coefficients.min()),

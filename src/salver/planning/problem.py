@@ -7,7 +7,7 @@ goal orientation is met by an equality on z, because SO(3) is not flat.
     minimise    integral of |S Pi(t)|^2 dt                       (13)
     subject to  c(t) - r(t) >= margin on a grid of instants      (16)
 
-c is linear in the wrench of each carried object (`salver.planning.conditions`). With fixed orientation, and
+c - r is the slack of the contact conditions (`salver.planning.conditions`). With fixed orientation, and
 unless the paper's condition meets an uncertain centre of mass, cost residuals and constraints are affine in z:
 the problem is convex.
 """
@@ -23,7 +23,7 @@ from salver.control.object import Gains
 from salver.geometry import Array, log, right_jacobian_inverse
 from salver.models.bodies import Body, bodies, uncertain_set
 from salver.models.parameters import COM, UncertainSet
-from salver.planning.conditions import Contact, Rows, contacts_for, rows_of
+from salver.planning.conditions import Condition, Rows, conditions_for
 from salver.planning.evaluation import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
@@ -45,7 +45,7 @@ _COST_STEP = 0.35  # of the fastest rate times h: the integral of the cost is th
 class Linearisation:
     """The problem around z. Residuals (n_r,) with cost = |residual|^2; constraints on T instants, n_c each.
 
-    rows: the contact conditions, one item for each carried object.
+    rows: the contact conditions.
     goal (3,) and goal_jacobian (3, n_z): rotation vector from the goal orientation; empty when fixed.
     """
 
@@ -86,8 +86,8 @@ class Problem:
         return tray_loop(self.scenario)
 
     @cached_property
-    def contacts(self) -> list[Contact]:
-        return contacts_for(self.scenario)
+    def conditions(self) -> list[Condition]:
+        return conditions_for(self.scenario)
 
     @cached_property
     def every(self) -> int:
@@ -233,7 +233,7 @@ class Problem:
                 residual.append((scale * weights * value).ravel())
                 jacobian.append((scale * weights[..., None] * tangent).reshape(value.size, self.size))
         motion, sensitivity = motion.thinned(self.every), sensitivity.thinned(self.every)
-        rows = tuple(rows_of(c, self.uncertain, motion, sensitivity, self.size) for c in self.contacts)
+        rows = tuple(condition(motion, sensitivity, self.size) for condition in self.conditions)
         goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
         if theta is not None:
             goal = log(self.scenario.motion.goal.rotation.T @ on_grid.R_SB[-1])

@@ -14,7 +14,7 @@ import piqp
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.planning.conditions import Rows
+from salver.planning.conditions import UNITS, Rows
 from salver.planning.problem import Linearisation, Problem
 
 TOLERANCE = 1e-9  # N (or the row's own unit): a constraint counts as kept within this
@@ -132,19 +132,19 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
 
 def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: bool) -> Status:
     """Which constraint fails worst, when, and by how much: after the step d of the model, of least violation."""
-    margin = problem.scenario.contact.margin
+    contact = problem.scenario.contact
     worst = min(model.rows, key=lambda rows: float(rows.slack(d)[0].min()))
     slack = worst.slack(d)[0]
     k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
-    short = margin - float(slack[k, i])
-    t = float(problem.grid.t[k * problem.every])
-    what = "cone coefficient" if problem.scenario.contact.condition == "paper" else "facet of the contact wrench cone"
+    short, t, owner = contact.margin - float(slack[k, i]), float(problem.grid.t[k * problem.every]), worst.owner[i]
+    what = "cone coefficient" if contact.condition == "paper" else "facet of the contact wrench cone"
     shown = "No reference of this degree and duration is safe" if proven else "No safe reference was found"
     sentence = (
-        f"{shown}: the best one still misses the condition on {worst.body} ({what} {i}) at t = {t:.3f} s by "
-        f"{short:.4g} N; a longer duration, more friction, a wider base or less uncertainty would help."
+        f"{shown}: the best one still misses the condition on {owner} ({what} {i}) at t = {t:.3f} s by "
+        f"{short:.4g} {UNITS[contact.condition]}; a longer duration, more friction, a wider base or less uncertainty "
+        "would help."
     )
-    details = {"object": worst.body, "constraint": int(i), "time": t, "violation": short, "proven": proven}
+    details = {"object": owner, "constraint": int(i), "time": t, "violation": short, "proven": proven}
     return Status("infeasible", sentence, False, details)
 
 
@@ -202,7 +202,7 @@ def _least(hessian: Array, gradient: Array, goal: Array, goal_jacobian: Array, r
     else:
         kkt = np.block([[hessian, goal_jacobian.T], [goal_jacobian, np.zeros((m, m))]])
         d = np.linalg.solve(kkt, np.concatenate([-gradient, -goal]))[:n]
-    return d if np.abs(d).max(initial=0.0) <= radius else None
+    return d.astype(float) if np.abs(d).max(initial=0.0) <= radius else None
 
 
 def _violated(rows: tuple[Rows, ...], d: Array, margin: float, s: float) -> tuple[Array, Array, float]:
@@ -331,7 +331,7 @@ def _convex_bound(problem: Problem) -> float | None:
         return None
     model = problem.linearise(np.zeros(problem.size))
     jacobian, residual = model.residual_jacobian, model.residual
-    d = np.linalg.lstsq(jacobian, -residual, rcond=None)[0]
+    d: Array = np.linalg.lstsq(jacobian, -residual, rcond=None)[0].astype(float)
     return _cost(model, d)
 
 
