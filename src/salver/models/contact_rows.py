@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,9 @@ from salver.models.interfaces import ContactNetwork, networks, shift_ranges, sur
 from salver.models.parameters import INERTIAL, UncertainSet, inertial_vector, phi_of
 from salver.models.tray_motion import N_MOTION, at_rest, frame_map, wrench_map
 from salver.models.wrench_cone import cone_facets
-from salver.scenario import Scenario
+
+if TYPE_CHECKING:
+    from salver.scenario import Scenario
 
 _MOST_MASSES = 3  # so many uncertain masses in one network are taken at all their extreme values
 _CHUNK = 50_000  # terms worked on at once: they fit in the cache

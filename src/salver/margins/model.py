@@ -1,0 +1,94 @@
+"""What margins need of a scenario, whatever the motion: its networks and their rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models.bodies import Body, bodies, uncertain_set
+from salver.models.contact import ContactSet
+from salver.models.contact_rows import ContactRows, Labels, RowsOf, cone_rows, network_rows
+from salver.models.interfaces import ContactNetwork, networks
+from salver.models.parameters import UncertainSet
+from salver.models.wrench_cone import support_rows
+from salver.scenario import Scenario
+
+EDGES = 8  # of the friction pyramids, when the scenario asks for fewer: at most 8 % short of the round cone
+_NOTHING = UncertainSet((), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class MarginModel:
+    """Everything of a scenario that does not depend on the motion; made once by `margin_model`."""
+
+    scenario: Scenario
+    edges: int
+    first: Body
+    networks: tuple[ContactNetwork, ...]
+    uncertain: UncertainSet
+
+    def rows(self, network: int, uncertain: UncertainSet, rows_of: RowsOf, per_weight: bool) -> ContactRows:
+        several, half = len(self.scenario.objects) > 1, 0.5 * np.array(self.scenario.tray.size)
+        return network_rows(self.networks[network], uncertain, several, half, rows_of, per_weight)
+
+    @cached_property
+    def nominal(self) -> tuple[ContactRows, ...]:
+        return tuple(self.rows(i, _NOTHING, cone_rows, True) for i in range(len(self.networks)))
+
+    @cached_property
+    def robust(self) -> tuple[ContactRows, ...]:
+        return tuple(self.rows(i, self.uncertain, cone_rows, True) for i in range(len(self.networks)))
+
+    @cached_property
+    def paper(self) -> tuple[tuple[ContactRows, ContactRows], ...]:
+        """Rows -pinv(G F-hat), in N: nominal and over the uncertain set, with the scenario's own cone edges."""
+        rows_of = coefficient_rows(self.scenario.contact.edges)
+        return tuple(
+            (self.rows(i, _NOTHING, rows_of, False), self.rows(i, self.uncertain, rows_of, False))
+            for i in range(len(self.networks))
+        )
+
+    @cached_property
+    def support(self) -> tuple[ContactRows, ...]:
+        """Rows of the support polygon's edges in N m, and of f_z and -f_z in N, over the uncertain set."""
+        return tuple(self.rows(i, self.uncertain, edge_rows, False) for i in range(len(self.networks)))
+
+    def with_only(self, names: tuple[str, ...]) -> MarginModel:
+        """The same scenario with only these parameters uncertain."""
+        return replace(self, uncertain=self.uncertain.restricted(names))
+
+
+def margin_model(scenario: Scenario, edges: int | None = None) -> MarginModel:
+    """The margin model of a scenario; the last few are kept. edges: of the friction pyramids (see `EDGES`)."""
+    return _margin_model(scenario.model_dump_json(exclude_none=True), edges or max(EDGES, scenario.contact.edges))
+
+
+@lru_cache(maxsize=16)
+def _margin_model(text: str, edges: int) -> MarginModel:
+    scenario = Scenario.model_validate_json(text)
+    contact = scenario.contact.model_copy(update={"edges": edges})
+    items = bodies(scenario.model_copy(update={"contact": contact}))
+    return MarginModel(scenario, edges, items[0], networks(items), uncertain_set(scenario))
+
+
+def coefficient_rows(edges: int) -> RowsOf:
+    def rows(contacts: ContactSet) -> tuple[Array, Labels]:
+        distribution: Array = np.linalg.pinv(replace(contacts, edges=edges).grasp_map)
+        return -distribution, np.zeros(len(distribution), dtype=bool)
+
+    return rows
+
+
+def edge_rows(contacts: ContactSet) -> tuple[Array, Labels]:
+    """Edges (label 0, N m), f_z (1, N) and -f_z (2, N)."""
+    edges, normal = support_rows(contacts)
+    return np.vstack([edges, normal, -normal]), np.array([0] * len(edges) + [1, 2])
+
+
+def friction_rows(contacts: ContactSet) -> tuple[Array, Labels]:
+    """Tangential (label 0) and normal (1) parts of the facets that friction limits."""
+    tangential, normal = unit_friction_rows(contacts)
+    return np.vstack([tangential, normal]), np.array([0] * len(tangential) + [1] * len(normal))

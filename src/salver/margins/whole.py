@@ -1,0 +1,134 @@
+"""Margins of everything on the tray along a motion, and the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salver.errors import Status
+from salver.geometry import Array
+from salver.margins.interface import InterfaceMargins
+from salver.margins.model import MarginModel, margin_model
+from salver.margins.motion import tray_motion
+from salver.models.contact_rows import ContactRows, name_prefixes
+from salver.models.interfaces import ContactNetwork, regions_lost, shift_ranges
+from salver.models.internal_wrench import internal_wrenches
+from salver.scenario import Scenario
+
+if TYPE_CHECKING:
+    from salver.trajectory import MotionSamples
+
+
+def margins(
+    scenario: Scenario, samples: MotionSamples, *, edges: int | None = None, tracking: Array | None = None
+) -> Margins:
+    """All margins of a motion of B, the frame of the scenario's first object (T instants).
+
+    edges: of the friction pyramids, inscribed; 8 unless the scenario has more. tracking: (T, 12, n_p) from
+    `tracking_motion`, when the tray does not follow the motion exactly.
+    """
+    return Margins(margin_model(scenario, edges), samples.t, tray_motion(scenario, samples), tracking)
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Margins of everything on the tray along one motion; computed when asked for.
+
+    t (T,); w (T, 12): motion of the tray frame E. tracking: (T, 12, n_p) or None, see `margins`.
+    """
+
+    model: MarginModel
+    t: Array
+    w: Array
+    tracking: Array | None = None
+
+    @cached_property
+    def interfaces(self) -> tuple[InterfaceMargins, ...]:
+        """One for every interface, network by network; within one, in the order of the objects."""
+        return tuple(
+            InterfaceMargins(self, i, e)
+            for i, net in enumerate(self.model.networks)
+            for e in range(len(net.interfaces))
+        )
+
+    def of(self, name: str) -> tuple[InterfaceMargins, ...]:
+        """The interfaces on which an object stands."""
+        return tuple(m for m in self.interfaces if m.object == name)
+
+    @cached_property
+    def exact(self) -> Array:
+        """(T,) least exact margin of all interfaces at nominal parameters, as a share of the normal force."""
+        return np.min([-self.nominal_values[i][0].max(axis=1) for i in range(len(self.model.networks))], axis=0)
+
+    @cached_property
+    def exact_worst(self) -> Array:
+        """(T,) the same in the worst case of the uncertain set."""
+        return np.min([-self.worst_values[i][0].max(axis=1) for i in range(len(self.model.networks))], axis=0)
+
+    @cached_property
+    def nominal_values(self) -> list[tuple[Array, Array]]:
+        """Rows (T, n) and internal wrenches (T, n_w) of each network."""
+        return [_balanced(rows.worst(self.w), rows) for rows in self.model.nominal]
+
+    @cached_property
+    def worst_values(self) -> list[tuple[Array, Array]]:
+        return [_balanced(self.worst_case(rows), rows) for rows in self.model.robust]
+
+    def worst_case(self, rows: ContactRows) -> Array:
+        """Worst case of the rows (T, n), with the tube of the tracking error added."""
+        value = rows.worst(self.w)
+        if self.tracking is not None:
+            scaled = self.tracking @ self.model.uncertain.factor
+            terms = np.einsum("fk,tkp->tfp", rows.nominal, scaled, optimize=True)
+            box = self.model.uncertain.kind == "box"
+            value += np.abs(terms).sum(axis=2) if box else np.linalg.norm(terms, axis=2)
+        return value
+
+    def verdict(self, worst: bool = False) -> Status:
+        """Holds, slides, tips or lifts: the first interface that fails, and when, in one sentence.
+
+        Nominal: with round Coulomb cones. Worst case: with inscribed pyramids over the whole uncertain set, so
+        "holds" is sure, "slides" and "tips" say that it cannot be excluded.
+        """
+        failures = [f for m in self.interfaces if (f := m.failure(worst)) is not None]
+        case = "in the worst case of the uncertain parameters " if worst else ""
+        lost = [name for net in self.model.networks for name in self._lost(net)] if worst else []
+        if lost:
+            sentence = f"{lost[0]} may stand beside it: the uncertain position is as large as the contact region."
+            return Status("tips", sentence, False, {"interface": lost[0], "time": float(self.t[0])})
+        if failures:
+            time, _, code, m = min(failures, key=lambda f: (f[0], f[1]))
+            sentence = f"{m.name} {case}{code} at {time:.3f} s: {m.reason(code, time, worst)}."
+            return Status(code, sentence[0].upper() + sentence[1:], False, {"interface": m.name, "time": time})
+        least = min(self.interfaces, key=lambda m: float((m.exact_worst if worst else m.exact).min()))
+        margin = least.exact_worst if worst else least.exact
+        k = int(np.argmin(margin))
+        sentence = (
+            f"Everything holds{' ' + case.rstrip() if case else ''}; the least margin is "
+            f"{100 * max(0.0, float(margin[k])):.1f} % of the weight ({least.name}, at {self.t[k]:.3f} s)."
+        )
+        details = {"interface": least.name, "time": float(self.t[k]), "margin": float(margin[k])}
+        return Status("holds", sentence, True, details)
+
+    def _lost(self, network: ContactNetwork) -> list[str]:
+        several = len(self.model.scenario.objects) > 1
+        half = dict(zip(self.model.uncertain.names, self.model.uncertain.half_range, strict=True))
+        shift = shift_ranges(network, half, name_prefixes(network, several))
+        return regions_lost(network, 0.5 * np.array(self.model.scenario.tray.size), shift)
+
+    def costs(self) -> dict[str, float]:
+        """What each uncertain parameter, alone, takes from the least exact margin (share of the normal force)."""
+        least = float(self.exact.min())
+        return {
+            name: least - float(Margins(self.model.with_only((name,)), self.t, self.w).exact_worst.min())
+            for name in self.model.uncertain.names
+        }
+
+
+def _balanced(value: Array, rows: ContactRows) -> tuple[Array, Array]:
+    """Rows with the best internal wrenches added, and those wrenches (T, n_w)."""
+    w_0 = internal_wrenches(value, rows.internal)
+    return value + w_0 @ rows.internal.T, w_0
