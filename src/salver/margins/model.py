@@ -13,7 +13,7 @@ from salver.models.contact import ContactSet
 from salver.models.contact_rows import ContactRows, Labels, RowsOf, cone_rows, network_rows
 from salver.models.interfaces import ContactNetwork, networks
 from salver.models.parameters import UncertainSet
-from salver.models.wrench_cone import support_rows
+from salver.models.wrench_cone import support_rows, unit_friction_rows
 from salver.scenario import Scenario
 
 EDGES = 8  # of the friction pyramids, when the scenario asks for fewer: at most 8 % short of the round cone
@@ -76,7 +76,7 @@ def _margin_model(text: str, edges: int) -> MarginModel:
 
 def coefficient_rows(edges: int) -> RowsOf:
     def rows(contacts: ContactSet) -> tuple[Array, Labels]:
-        distribution: Array = np.linalg.pinv(replace(contacts, edges=edges).grasp_map)
+        distribution = np.asarray(np.linalg.pinv(replace(contacts, edges=edges).grasp_map), dtype=float)
         return -distribution, np.zeros(len(distribution), dtype=bool)
 
     return rows
