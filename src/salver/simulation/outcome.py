@@ -106,7 +106,7 @@ def _creep(
 
 
 def judge(t: Array, seen: Behaviour, touches: Array, thresholds: Thresholds, names: tuple[str, ...]) -> dict[str, Any]:
-    """Figures per object and over all, from t = 0 on, with the outcome: the worst of tips, lifts, lost (it slid off), slides, holds.
+    """Figures per object and over all, from t = 0 on. The outcome is the worst of tips, lifts, lost, slides, holds.
 
     first_* is the time of the first instant over the threshold, or None. Figures end when an object is lost.
     """

@@ -7,15 +7,21 @@ command, with the objects as they truly are. `simulate_tray` leaves the arm out.
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.interpolate import interp1d
 
-from salver.errors import SalverError, ScenarioError
+from salver.control.arm import ArmController, ArmState, Saturation
+from salver.control.object import Gains
+from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.files import provenance
-from salver.geometry import Array, invert, log, quat_wxyz_from_matrix
+from salver.geometry import Array, invert, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.models.arm import ArmModel, load_arm
+from salver.models.arm_limits import JointLimits
 from salver.scenario import Scenario
 from salver.simulation import creep, tray_frame
 from salver.simulation.engine import mujoco
@@ -27,18 +33,137 @@ from salver.simulation.trace import Recorder, Trace
 from salver.trajectory import MotionSamples, Reference
 
 if TYPE_CHECKING:
-    pass
+    from salver.planning.plan import Plan
 
 
 @dataclass(frozen=True)
 class Options:
     """record_rate: samples per second kept in the record (measured at every command). thresholds: see there.
-    torque_rate_limit: hold the applied torque to the maker's rate, as the robot's own interface does.
+    limit_torque: cut torques and their rates to the maker's limits, as the robot does.
     """
 
     record_rate: float = 200.0
     thresholds: Thresholds = field(default_factory=Thresholds)
-    torque_rate_limit: bool = True
+    limit_torque: bool = True
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One run: what is simulated, and how. wanted_E: motion of the assumed tray frame at the commands."""
+
+    scenario: Scenario
+    parameters: Mapping[str, float]
+    options: Options
+    reference: Reference
+    scene: Scene
+    t: Array
+    wanted_E: MotionSamples
+
+
+def simulate(
+    plan: Plan, *, parameters: Mapping[str, float] | None = None, seed: int = 0, options: Options | None = None
+) -> SimulationRecord:
+    """Run a plan in the physics engine; with its arm when the scenario has one, else with an exactly moving tray.
+
+    parameters: true values by name, where not nominal (docs/conventions.md). seed: of the sensor noise.
+    Raises ScenarioError for parameters that cannot be, UnreachableError when the plan has no joint motion,
+    SalverError when the engine diverges.
+    """
+    scenario = plan.scenario
+    if scenario.arm is None:
+        return simulate_tray(plan.reference, scenario, parameters, options)
+    if plan.joint is None:
+        why = plan.arm_status.sentence if plan.arm_status is not None else "The plan was made without the arm."
+        raise UnreachableError(f"{scenario.name} has no joint motion to simulate: {why}")
+    began = time.perf_counter()
+    arm = load_arm(scenario.arm, scenario.tray)
+    run = _prepare(scenario, parameters, options, plan.reference, arm)
+    controller = ArmController(
+        arm,
+        [load.nominal for load in run.scene.loads],
+        plan.joint,
+        plan.reference,
+        Gains(scenario.control.kp, scenario.control.kd),
+        feedback=scenario.physics.feedback,
+        space="joint" if plan.method == "fastest" else "object",
+        period=scenario.physics.command_period,
+        limit_torque=run.options.limit_torque,
+    )
+    trace = _run_arm(run, controller, plan.joint.sample(0.0)[0][0], np.random.default_rng(seed))
+    bias = creep.tray_bias(arm, trace.q, trace.dq, run.scene.world.R_tilt)
+    summary = {
+        "method": plan.method,
+        "with_arm": True,
+        "seed": seed,
+        "arm": _arm_summary(arm.limits, trace, controller.saturation),
+    }
+    record = _record(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
+    record.summary["tube"] = _against_tube(plan, record)  # type: ignore[index]
+    return record
+
+
+def _run_arm(run: _Run, controller: ArmController, q_start: Array, rng: np.random.Generator) -> Trace:
+    """Command by command: sense, step the controller, apply its torque, step the engine."""
+    scene, physics = run.scene, run.scenario.physics
+    model, data, n = scene.model, mujoco.MjData(scene.model), scene.n
+    scene.place(data, q_start)
+    recorder = Recorder(scene, len(run.t))
+    steps = _steps_per_command(run.scenario)
+    sensed: deque[ArmState] = deque(maxlen=physics.delay_steps + 1)
+    qpos, qvel = data.qpos, data.qvel
+    i, j = int(scene.qpos_ids[0]), int(scene.qvel_ids[0])
+    noisy = physics.position_noise > 0 or physics.velocity_noise > 0
+    for now in run.t:
+        q, dq = qpos[:n].copy(), qvel[:n].copy()
+        state = ArmState(q, dq)
+        if noisy:
+            state.q = q + physics.position_noise * rng.standard_normal(n)
+            state.dq = dq + physics.velocity_noise * rng.standard_normal(n)
+        if physics.feedback == "object":
+            state.p_SB, state.R_SB = qpos[i : i + 3].copy(), matrix_from_quat_wxyz(qpos[i + 3 : i + 7])
+            state.v_S, state.omega_B = qvel[j : j + 3].copy(), qvel[j + 3 : j + 6].copy()
+        sensed.append(state)
+        tau = controller.step(sensed[0], now)
+        recorder.joints(now, q, dq, tau)
+        data.qfrc_applied[:n] = tau
+        mujoco.mj_step(model, data)
+        recorder.take(data)
+        if steps > 1:
+            mujoco.mj_step(model, data, nstep=steps - 1)
+    _check_engine(data, run.scenario)
+    return recorder.trace()
+
+
+def _arm_summary(limits: JointLimits, trace: Trace, saturation: Saturation) -> dict[str, Any]:
+    """How near the arm came to its limits; shares of 1 are limits. cut: share of commands that were cut back."""
+    outside = np.maximum(limits.q_min - trace.q, trace.q - limits.q_max).max(axis=0)
+    speed = np.abs(trace.dq).max(axis=0) / limits.velocity
+    return {
+        "torque_share_peak": saturation.peak_share,
+        "torque_cut": saturation.torque / max(1, saturation.steps),
+        "torque_rate_cut": saturation.torque_rate / max(1, saturation.steps),
+        "velocity_share_peak": float(speed.max()),
+        "position_margin": float(-outside.max()),
+        "limits_kept": bool(saturation.torque == 0 and speed.max() <= 1 and outside.max() <= 0),
+    }
+
+
+def _against_tube(plan: Plan, record: SimulationRecord) -> dict[str, float]:
+    """Lambda implied by the measured contact forces against nominal +- radius, while the plan lasts.
+
+    coverage: share of all (instant, coefficient) pairs inside the tube, to 1 mN. excess: most that one is outside, N.
+    """
+    moving = record.t <= plan.duration
+    t = record.t[moving]
+    grid = plan.t
+    nominal = interp1d(grid, plan.cone_coefficients, axis=0, kind="cubic")(t)
+    radius = interp1d(grid, plan.cone_radius, axis=0)(t)
+    beyond = np.abs(record.cone_coefficients[moving] - nominal) - radius
+    return {
+        "coverage": float(np.mean(beyond <= 1e-3)),
+        "excess": float(max(0.0, beyond.max())),
+        "radius_peak": float(radius.max()),
+    }
 
 
 def simulate_tray(
@@ -52,55 +177,48 @@ def simulate_tray(
     parameters: true values by name, where not nominal (docs/conventions.md). The tray's tilt adds to its motion.
     Raises ScenarioError for parameters that cannot be, SalverError when the engine diverges.
     """
-    options = options or Options()
     began = time.perf_counter()
-    scene = build(scenario, true_world(scenario, parameters))
-    steps = _steps_per_command(scenario)
-    t = _command_times(scenario, reference.duration)
-    first = scene.loads[0].nominal
-    tray_of_B = invert(first.p_EB, first.R_EB)
-    h = scenario.physics.timestep
-    fine = t[0] + h * np.arange(len(t) * steps)
-    assumed = reference.sample(fine).of_frame(*tray_of_B)
-    motion = tray_frame.TrayMotion.of(assumed.of_frame(np.zeros(3), scene.world.R_tilt))
-    data = mujoco.MjData(scene.model)
+    run = _prepare(scenario, parameters, options, reference, None)
+    scene, steps = run.scene, _steps_per_command(scenario)
+    fine = run.t[0] + scenario.physics.timestep * np.arange(len(run.t) * steps)
+    real = _tray_motion(reference, scene, fine).of_frame(np.zeros(3), scene.world.R_tilt)
+    motion = tray_frame.TrayMotion.of(real)
+    model, data = scene.model, mujoco.MjData(scene.model)
     scene.place(data)
-    recorder = Recorder(scene, len(t))
+    recorder = Recorder(scene, len(run.t))
     none = np.empty(0)
-    for k, now in enumerate(t):
+    for k, now in enumerate(run.t):
         recorder.joints(now, none, none, none)
         for i in range(steps):
-            mujoco.mj_step1(scene.model, data)
-            tray_frame.apply(motion, k * steps + i, scene.model, data, scene.object_ids, scene.qvel_ids)
-            mujoco.mj_step2(scene.model, data)
+            mujoco.mj_step1(model, data)
+            tray_frame.apply(motion, k * steps + i, model, data, scene.object_ids, scene.qvel_ids)
+            mujoco.mj_step2(model, data)
             if i == 0:
                 recorder.take(data)
     _check_engine(data, scenario)
-    trace = recorder.trace()
-    at_command = assumed_at(assumed, slice(None, None, steps))
-    summary = {"method": "reference", "with_arm": False, "duration": reference.duration}
-    world = at_command.p_SB, at_command.R_SB @ scene.world.R_tilt
-    return _record(
-        scene,
-        trace,
-        creep.still_bias(len(t)),
-        world,
-        at_command,
-        reference,
-        scenario,
-        parameters,
-        options,
-        summary,
-        began,
+    tray_S = run.wanted_E.p_SB, run.wanted_E.R_SB @ scene.world.R_tilt
+    summary = {"method": "reference", "with_arm": False}
+    return _record(run, recorder.trace(), creep.still_bias(len(run.t)), tray_S, summary, began)
+
+
+def _prepare(
+    scenario: Scenario,
+    parameters: Mapping[str, float] | None,
+    options: Options | None,
+    reference: Reference,
+    arm: ArmModel | None,
+) -> _Run:
+    scene = build(scenario, true_world(scenario, parameters), arm)
+    t = _command_times(scenario, reference.duration)
+    return _Run(
+        scenario, dict(parameters or {}), options or Options(), reference, scene, t, _tray_motion(reference, scene, t)
     )
 
 
-def assumed_at(motion: MotionSamples, keep: slice | Array) -> MotionSamples:
-    """Some of the instants."""
-    m = motion
-    return MotionSamples(
-        m.t[keep], m.p_SB[keep], m.v_S[keep], m.a_S[keep], m.R_SB[keep], m.omega_B[keep], m.alpha_B[keep]
-    )
+def _tray_motion(reference: Reference, scene: Scene, t: Array) -> MotionSamples:
+    """Motion of the assumed frame E when the first object keeps its place on the tray."""
+    first = scene.loads[0].nominal
+    return reference.sample(t).of_frame(*invert(first.p_EB, first.R_EB))
 
 
 def _steps_per_command(scenario: Scenario) -> int:
@@ -118,7 +236,7 @@ def _command_times(scenario: Scenario, duration: float) -> Array:
     period = scenario.physics.command_period
     before = round(scenario.physics.settle_before / period)
     after = int(np.ceil((duration + scenario.physics.settle_after) / period - 1e-9))
-    return period * np.arange(-before, after + 1)
+    return period * np.arange(-before, after + 1, dtype=np.float64)
 
 
 def _check_engine(data: Any, scenario: Scenario) -> None:
@@ -131,41 +249,37 @@ def _check_engine(data: Any, scenario: Scenario) -> None:
 
 
 def _record(
-    scene: Scene,
+    run: _Run,
     trace: Trace,
     bias: creep.TrayBias,
     tray_S: tuple[Array, Array],
-    assumed: MotionSamples,
-    reference: Reference,
-    scenario: Scenario,
-    parameters: Mapping[str, float] | None,
-    options: Options,
     summary: dict[str, Any],
     began: float,
 ) -> SimulationRecord:
-    """Measure, judge and thin out. tray_S: pose of the real tray in S; assumed: motion of E that was wanted."""
+    """Measure, judge and thin out. tray_S: pose of the real tray in S."""
+    scene, scenario, options = run.scene, run.scenario, run.options
     seen = behaviour(scene, trace, bias, scenario.tray.size)
     p_SE, R_SE = tray_S
     p_SB = p_SE[:, None] + np.einsum("tij,tmj->tmi", R_SE, seen.p_EB)
-    R_SB = np.einsum("tij,tmjk->tmik", R_SE, seen.R_EB)
-    wanted = reference.sample(trace.t)
-    e_p, e_o = _pose_error(wanted, p_SB[:, 0], R_SB[:, 0])
-    tray_e_p, tray_e_o = _pose_error(assumed, p_SE, R_SE)
+    R_SB = R_SE[:, None] @ seen.R_EB
+    e_p, e_o = _pose_error(run.reference.sample(trace.t), p_SB[:, 0], R_SB[:, 0])
+    tray_e_p, tray_e_o = _pose_error(run.wanted_E, p_SE, R_SE)
     first = scene.loads[0]
     points = first.outline_B
     forces = trace.foot_force_B[:, : len(points)]
     wrench = np.concatenate([forces.sum(axis=1), np.cross(points, forces).sum(axis=1)], axis=1)
     cone = wrench @ np.linalg.pinv(first.nominal.contacts.grasp_map).T
     names = tuple(load.name for load in scene.loads)
-    judged = judge(trace.t, seen, trace.touches, options.thresholds, names)
     moving = trace.t >= -1e-9
+    judged = judge(trace.t, seen, trace.touches, options.thresholds, names)
+    if judged["outcome"] == "holds" and not summary.get("arm", {}).get("limits_kept", True):
+        judged["outcome"] = "limit"
     every = max(1, round(1 / (options.record_rate * scenario.physics.command_period)))
-    start = int(np.argmax(moving))
-    keep = np.arange(start, len(trace.t), every)
-    force_E = np.einsum("tji,tmj->tmi", trace.R_XE, trace.force_X)
+    keep = np.arange(int(np.argmax(moving)), len(trace.t), every)
     summary = {
         **judged,
         **summary,
+        "duration": run.reference.duration,
         "e_p_peak": float(e_p[moving].max()),
         "e_o_peak": float(e_o[moving].max()),
         "tray_e_p_peak": float(tray_e_p[moving].max()),
@@ -189,7 +303,7 @@ def _record(
         lift=seen.lift[keep],
         tip_angle=seen.tip_angle[keep],
         in_contact=trace.touches[keep],
-        contact_force_E=force_E[keep],
+        contact_force_E=np.einsum("tji,tmj->tmi", trace.R_XE, trace.force_X)[keep],
         contact_points_B=points,
         contact_forces_B=forces[keep],
         cone_coefficients=cone[keep],
@@ -198,7 +312,7 @@ def _record(
         tray_e_p=tray_e_p[keep],
         tray_e_o=tray_e_o[keep],
         object_names=names,
-        parameters=dict(parameters or {}),
+        parameters=run.parameters,
         summary=summary,
     )
 
