@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 _MOST_MASSES = 3  # so many uncertain masses in one network are taken at all their extreme values
-_CHUNK = 50_000  # terms worked on at once: they fit in the cache
+_CHUNK = 20_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,15 @@ class ContactRows:
         columns = np.concatenate([self.parameter, self.remainder])[:, :, felt]
         columns = columns[np.any(columns, axis=(1, 2)) | (np.arange(len(columns)) < n_p)]
         flat = np.ascontiguousarray(columns.reshape(-1, columns.shape[2]).T)
-        value: Array = w @ self.nominal.T
-        if len(columns) == 0:
-            return value
-        chunk = max(1, _CHUNK // max(1, flat.shape[1]))
+        nominal = np.ascontiguousarray(self.nominal[:, felt].T)
+        value = np.empty((len(w), n))
+        chunk = max(1, _CHUNK // max(n, flat.shape[1]))
         for start in range(0, len(w), chunk):
-            terms = (w[start : start + chunk, felt] @ flat).reshape(-1, len(columns), n)
+            part = np.ascontiguousarray(w[start : start + chunk, felt])
+            np.matmul(part, nominal, out=value[start : start + chunk])
+            if len(columns) == 0:
+                continue
+            terms = (part @ flat).reshape(-1, len(columns), n)
             if self.spread is not None and n_p:
                 factored = np.tensordot(terms[:, :n_p], self.spread, axes=(1, 0))
                 terms[:, 0] = np.sqrt(np.square(factored).sum(axis=-1))
