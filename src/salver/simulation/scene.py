@@ -86,6 +86,11 @@ class Scene:
 
 def build(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False) -> Scene:
     """Compile the scene of one run. visual: with the arm's meshes and a floor, for pictures (no other effect)."""
+    return _compiled(specify(scenario, world, arm, visual=visual), arm, world, 2 * scenario.physics.timestep)
+
+
+def specify(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False) -> Any:
+    """The same, not yet compiled: a mujoco.MjSpec that can be changed or written as a file."""
     spec = mujoco.MjSpec()
     _options(spec, scenario.physics.timestep, gravity=arm is not None)
     root = spec.worldbody
@@ -114,7 +119,7 @@ def build(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, 
             _add_obstacle(root, obstacle, k)
     contact_time = 2 * scenario.physics.timestep
     _add_pairs(spec, world.loads, len(scenario.obstacles) if arm is not None else 0, contact_time)
-    return _compiled(spec, arm, world, contact_time)
+    return spec
 
 
 # Geoms meet only through explicit pairs, and add no mass of their own.
