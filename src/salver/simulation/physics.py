@@ -271,6 +271,8 @@ def _record(
     cone = wrench @ np.linalg.pinv(first.nominal.contacts.grasp_map).T
     names = tuple(load.name for load in scene.loads)
     moving = trace.t >= -1e-9
+    counted = moving & ~np.logical_or.accumulate(seen.lost[:, 0])  # what falls off the tray follows no reference
+    counted[np.argmax(moving)] = True
     judged = judge(trace.t, seen, trace.touches, options.thresholds, names)
     if judged["outcome"] == "holds" and not summary.get("arm", {}).get("limits_kept", True):
         judged["outcome"] = "limit"
@@ -280,11 +282,11 @@ def _record(
         **judged,
         **summary,
         "duration": run.reference.duration,
-        "e_p_peak": float(e_p[moving].max()),
-        "e_o_peak": float(e_o[moving].max()),
+        "e_p_peak": float(e_p[counted].max()),
+        "e_o_peak": float(e_o[counted].max()),
         "tray_e_p_peak": float(tray_e_p[moving].max()),
         "tray_e_o_peak": float(tray_e_o[moving].max()),
-        "cone_coefficient_min": float(cone[moving].min()),
+        "cone_coefficient_min": float(cone[counted].min()),
         "wall_time": time.perf_counter() - began,
         "provenance": provenance(scenario),
     }

@@ -1,0 +1,180 @@
+"""`salver simulate`: one run in the physics engine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salver.cli.common import Json, print_json, result_console, say
+from salver.errors import ScenarioError
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
+    from salver.simulation.record import SimulationRecord
+
+STEMS = ("plan", "baseline")
+
+
+def simulate(
+    directory: Annotated[Path, typer.Argument(help="Run directory that `salver plan` made.")],
+    stem: Annotated[str, typer.Option(help="Which plan: plan, baseline, or both.")] = "plan",
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="True value of a parameter, as mass=0.3 (SI units); repeat for several."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the sensor noise.")] = 0,
+    run: Annotated[
+        int | None, typer.Option(help="Repeat run number K of the directory's campaign: its parameters and its seed.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Run a plan once in the physics engine: arm, tray, loose objects, contact.
+
+    Tells whether each object held, slid, tipped or left the tray, how far the arm was from its limits, and how far the
+    measured contact forces are from the plan's tube. Without an arm in the scenario, the tray is moved exactly.
+    Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary).
+
+    Example: `salver simulate runs/panda-cube --stem both --set mass=0.306`
+
+    Ends with 0 when the run was made, whatever became of the object.
+    """
+    from salver.planning.plan import load_plan
+    from salver.simulation.physics import simulate as run_physics
+
+    if stem not in (*STEMS, "both"):
+        raise ScenarioError(f'--stem = "{stem}"; it must be plan, baseline or both.')
+    parameters = _parameters(set_ or [])
+    if run is not None:
+        from salver.campaign import parameters_of_run
+
+        if parameters:
+            raise ScenarioError("--run takes its parameters from the campaign; leave out --set.")
+        parameters, seed = parameters_of_run(directory, run)
+    results: dict[str, SimulationRecord] = {}
+    for name in STEMS if stem == "both" else (stem,):
+        plan = load_plan(directory, name)
+        _warn(plan, name)
+        results[name] = run_physics(plan, parameters=parameters, seed=seed)
+        results[name].save(directory, name)
+    if json:
+        print_json({name: {"parameters": record.parameters, **record.summary} for name, record in results.items()})
+    else:
+        show(results)
+        say(f"Written to {directory / 'simulation'}.")
+
+
+def _parameters(settings: list[str]) -> dict[str, float]:
+    values = {}
+    for text in settings:
+        name, equals, number = text.partition("=")
+        try:
+            values[name.strip()] = float(number)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise ScenarioError(f'--set "{text}" must be a name, an equals sign and a number, as in mass=0.3.')
+    return values
+
+
+def _warn(plan: Plan, stem: str) -> None:
+    if plan.arm_status is not None and not plan.arm_status.ok and plan.joint is not None:
+        say(f"salver: {stem}: {plan.arm_status.sentence}")
+
+
+def show(results: dict[str, SimulationRecord]) -> None:
+    """Runs side by side, for a person, on standard output."""
+    from rich.table import Table
+
+    console = result_console()
+    first = next(iter(results.values()))
+    drawn = ", ".join(f"{name} = {value:.6g}" for name, value in first.parameters.items())
+    console.print(f"True parameters (SI units): {drawn or 'nominal'}")
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    table.add_column("")
+    for name in results:
+        table.add_column(name, justify="right")
+    rows: dict[str, list[str]] = {}
+    for record in results.values():
+        for label, value in _lines(record).items():
+            rows.setdefault(label, []).append(value)
+    for label, values in rows.items():
+        table.add_row(label, *values)
+    console.print(table)
+    for name, record in results.items():
+        for sentence in sentences(record):
+            console.print(f"[bold]{name}[/bold]: {sentence}")
+
+
+def _lines(record: SimulationRecord) -> dict[str, str]:
+    summary = record.summary
+    several = len(record.object_names) > 1
+    lines = {"duration": f"{summary['duration']:.3f} s"}
+    for item in summary["objects"]:
+        name = f"{item['name']}: " if several else ""
+        lines[f"{name}outcome"] = item["outcome"]
+        lines[f"{name}slip, peak / final"] = f"{1e3 * item['peak_slip']:.3f} / {_millimetres(item['final_slip'])} mm"
+        lines[f"{name}lift, tip"] = f"{1e3 * item['peak_lift']:.2f} mm, {57.29578 * item['peak_tip_angle']:.2f} deg"
+        lines[f"{name}without contact for"] = f"{1e3 * item['contact_lost']:.0f} ms"
+    lines["object off its reference, peak"] = _pose(summary["e_p_peak"], summary["e_o_peak"])
+    lines["tray off its reference, peak"] = _pose(summary["tray_e_p_peak"], summary["tray_e_o_peak"])
+    lines["least measured cone coefficient"] = f"{1e3 * summary['cone_coefficient_min']:.1f} mN"
+    if "tube" in summary:
+        lines["... most outside the plan's tube"] = f"{1e3 * summary['tube']['excess']:.1f} mN"
+    if "arm" in summary:
+        arm = summary["arm"]
+        lines["torque, speed of their limits"] = (
+            f"{100 * arm['torque_share_peak']:.0f} %, {100 * arm['velocity_share_peak']:.0f} %"
+        )
+    return lines
+
+
+def _millimetres(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:.3f}"
+
+
+def _pose(position: float, angle: float) -> str:
+    return f"{1e3 * position:.3f} mm, {1e3 * angle:.2f} mrad"
+
+
+def sentences(record: SimulationRecord) -> list[str]:
+    """What a person must know about a run besides its figures."""
+    summary: Any = record.summary
+    told = []
+    for item in summary["objects"]:
+        told.append(_fate(item, summary))
+    arm = summary.get("arm")
+    if arm is None:
+        told.append("The scenario has no arm: the tray was moved exactly along the reference.")
+        return told
+    if arm["torque_cut"] > 0:
+        told.append(
+            f"The arm's torque saturated: {100 * arm['torque_share_peak']:.0f} % of its limit was asked for, and "
+            f"{100 * arm['torque_cut']:.1f} % of the commands were cut."
+        )
+    if arm["torque_rate_cut"] > 0:
+        told.append(f"{100 * arm['torque_rate_cut']:.1f} % of the commands were cut to the limit of torque rate.")
+    if arm["velocity_share_peak"] > 1:
+        told.append(f"A joint moved at {100 * arm['velocity_share_peak']:.0f} % of its speed limit.")
+    if arm["position_margin"] < 0:
+        told.append(f"A joint went {-arm['position_margin']:.3f} rad beyond its range.")
+    return told
+
+
+def _fate(item: dict[str, Any], summary: dict[str, Any]) -> str:
+    name, limits = item["name"], summary["thresholds"]
+    if summary["slides_at_rest"] and item["outcome"] != "holds":
+        return f"{name} slides on the tray already at rest: friction does not hold it at the start's inclination."
+    return {
+        "holds": f"{name} holds: it slid less than {1e3 * limits['slip']:g} mm, creep of the engine "
+        f"({1e6 * item['peak_creep']:.0f} um) not counted.",
+        "slides": f"{name} slides from t = {_time(item['first_slip'])} on, {1e3 * item['peak_slip']:.2f} mm at most.",
+        "tips": f"{name} tips by over {57.3 * limits['tip_angle']:.0f} degrees from t = {_time(item['first_tip'])} on.",
+        "lifts": f"{name} lifts off: over {1e3 * limits['lift']:g} mm from t = {_time(item['first_lift'])} on.",
+        "lost": f"{name} slid off the tray at t = {_time(item['lost_at'])}.",
+    }[item["outcome"]]
+
+
+def _time(t: float | None) -> str:
+    return "?" if t is None else f"{t:.3f} s"
