@@ -16,7 +16,7 @@ import numpy as np
 from salver.geometry import Array, hat
 from salver.models.bodies import TRAY, Body
 from salver.models.contact import ContactSet
-from salver.models.polygons import eroded, intersection
+from salver.models.polygons import eroded, half_planes, intersection
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def regions_lost(network: ContactNetwork, tray_half: Array, shift: dict[str, Arr
 def _sure_region(
     network: ContactNetwork, interface: Interface, tray_half: Array, shift: dict[str, Array]
 ) -> Array | None:
-    """Region (n, 2) in B of the upper body that every placement keeps; None when nothing is uncertain."""
+    """Region (n, 2) in B of the upper body that every placement keeps; None when it is all of it."""
     upper = network.bodies[interface.upper]
     range_E = shift.get(upper.name, np.zeros(2)).copy()
     if interface.lower is None:
@@ -184,4 +184,8 @@ def _sure_region(
         return np.empty((0, 2))
     # The base itself moves with the upper body; only where it meets the surface's edge does it lose area.
     base_B = interface.contacts.p_BC[:, :2]
-    return intersection(base_B, (sure_E - upper.p_EB[:2]) @ upper.R_EB[:2, :2])
+    sure_B = (sure_E - upper.p_EB[:2]) @ upper.R_EB[:2, :2]
+    normal, offset = half_planes(sure_B)
+    if np.all(base_B @ normal.T <= offset + 1e-12):
+        return None
+    return intersection(base_B, sure_B)
