@@ -59,7 +59,8 @@ bench: $(READY)
 
 docs: $(DOCS)
 	$(BIN)/python docs/make_figures.py
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@! grep -rnoE '<(script|link|img|iframe)[^>]*(src|href)="?(https?:)?//[^ >]*' site --include='*.html' | grep -v 'rel="canonical"' || { echo 'the site would ask other servers' >&2; exit 1; }
 
 lock: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv

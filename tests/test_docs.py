@@ -1,0 +1,138 @@
+"""Every code block of the README and of the documentation runs, in the order of its page, in a directory of its own.
+
+    ```python   executed, one namespace for each page
+    ```sh       executed by bash; lines that set up a clone (git, cd, make) are left to .ci/run
+    ```toml     written to the file that its first line names: # file: mine.toml
+    ```text     right after one of these: the output it must give; `...` stands for anything, numbers may differ by 5 %
+
+A block that needs hardware is preceded by a comment: <!-- not run: reason -->
+"""
+
+import contextlib
+import importlib
+import io
+import math
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.M | re.S)
+NUMBER = r"[-+]?(?:\d+\.\d*|\.\d+|\d+)(?:[eE][-+]?\d+)?"
+SET_UP = ("git ", "cd ", "make ", "source ")
+
+
+@dataclass(frozen=True)
+class Block:
+    language: str
+    code: str
+    line: int
+    expected: str | None
+
+
+def blocks_of(text):
+    found, position, skipped = [], 0, False
+    for match in FENCE.finditer(text):
+        between = text[position : match.start()]
+        position = match.end()
+        language, code = match[1], match[2]
+        if language == "text" and found and not between.strip() and not skipped:
+            last = found[-1]
+            found[-1] = Block(last.language, last.code, last.line, code)
+            continue
+        skipped = "<!-- not run:" in between.rstrip().rsplit("\n\n", 1)[-1]
+        if language in ("python", "sh", "toml") and not skipped:
+            found.append(Block(language, code, text.count("\n", 0, match.start()) + 2, None))
+    return found
+
+
+def run(block, namespace):
+    """Output of a block, run in the current directory."""
+    if block.language == "python":
+        with contextlib.redirect_stdout(io.StringIO()) as output:
+            exec(compile(block.code, "block", "exec"), namespace)
+        return output.getvalue()
+    if block.language == "toml":
+        name = re.match(r"# file: (\S+)\n", block.code)
+        if name:
+            Path(name[1]).write_text(block.code, encoding="utf-8")
+        return ""
+    lines = [line for line in block.code.splitlines() if not line.startswith(SET_UP)]
+    environment = {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+        "COLUMNS": "100",
+        "NO_COLOR": "1",
+    }
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", "\n".join(lines)], capture_output=True, text=True, env=environment
+    )
+    assert done.returncode == 0, f"exit code {done.returncode}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def assert_output(output, expected):
+    pattern, numbers = "", []
+    for token in re.findall(rf"\.\.\.|{NUMBER}|\s+|[^\d\s.+-]+|[.+-]", expected.strip()):
+        if token == "...":
+            pattern += ".*?"
+        elif re.fullmatch(NUMBER, token):
+            pattern += f"({NUMBER})"
+            numbers.append(float(token))
+        else:
+            pattern += r"\s+" if token.isspace() else re.escape(token)
+    match = re.fullmatch(pattern, output.strip(), re.S)
+    assert match, f"the page promises\n{expected}\nbut the block gives\n{output}"
+    for promised, given in zip(numbers, match.groups(), strict=True):
+        assert math.isclose(promised, float(given), rel_tol=0.05, abs_tol=1e-12), f"{promised} became {given}\n{output}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(p.relative_to(ROOT)) for p in PAGES])
+def test_blocks_of_the_page_run(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "__page__"}
+    for block in blocks_of(page.read_text(encoding="utf-8")):
+        try:
+            output = run(block, namespace)
+        except Exception as error:
+            raise AssertionError(f"{page.name}, line {block.line}: {error}\n{block.code}") from error
+        if block.expected is not None:
+            assert_output(output, block.expected)
+
+
+def test_links_between_pages_lead_somewhere():
+    for page in PAGES:
+        for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_the_comparison_of_outputs_notices_differences():
+    assert_output("mass 0.256 kg\n in 12.1 ms", "mass 0.25 kg in ... ms")
+    for output in ("mass 0.3 kg in 1 ms", "mass kg in 1 ms", "mass 0.256 g in 1 ms"):
+        with pytest.raises(AssertionError):
+            assert_output(output, "mass 0.256 kg in ... ms")
+
+
+def test_the_table_of_equations_names_things_that_exist():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    names = re.findall(r"`(salver\.[\w.]+)`", text)
+    assert len(names) > 20
+    for name in names:
+        parts = name.split(".")
+        for split in range(len(parts), 0, -1):
+            try:
+                found = importlib.import_module(".".join(parts[:split]))
+            except ModuleNotFoundError:
+                continue
+            for attribute in parts[split:]:
+                found = getattr(found, attribute)
+            break
+    for file, test in re.findall(r"`(test_\w+\.py)(?:::(\w+))?`", text):
+        content = (ROOT / "tests" / file).read_text(encoding="utf-8")
+        assert not test or f"def {test}(" in content, f"{file}::{test}"
