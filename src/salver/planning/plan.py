@@ -29,9 +29,11 @@ from salver.trajectory import (
 
 if TYPE_CHECKING:
     from salver.models.parameters import UncertainSet
+    from salver.planning.problem import Problem
     from salver.planning.solvers import Solution
 
 FINER = 10  # the check's grid against the planner's
+_REPLANS = 6  # how often a plan that fails between the nodes is planned again
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
 
 
@@ -299,22 +301,25 @@ def _status_from(record: Mapping[str, Any]) -> Status:
 def plan_object(scenario: Scenario) -> Plan:
     """The robust plan of the carried object alone, eqs (13) to (17), checked on the fine grid.
 
-    When the condition fails between the planner's nodes, it is planned again with twice as many.
+    When the condition fails between the planner's nodes, it is planned again with twice as many and with a margin
+    larger by what was missing.
     """
     from salver.planning.problem import Problem
     from salver.planning.solvers import solve
 
     _need_duration(scenario)
     began = time.perf_counter()
-    nodes = scenario.motion.nodes
-    while True:
-        problem = Problem(scenario, nodes)
+    problem = Problem(scenario, scenario.motion.nodes)
+    for _ in range(_REPLANS):
         solution = solve(problem)
-        record = _solver_record(solution, nodes, time.perf_counter() - began)
+        record = _solver_record(solution, problem, time.perf_counter() - began)
         plan = Plan(scenario, "robust", problem.reference(solution.z), solution.status, solver=record)
-        if not solution.status.ok or plan.verification.violation == 0 or nodes > FINER * scenario.motion.nodes:
+        missing = plan.verification.violation
+        if not solution.status.ok or missing == 0:
             return plan
-        nodes = 2 * nodes - 1
+        nodes = min(2 * problem.nodes - 1, FINER * (scenario.motion.nodes - 1) + 1)
+        problem = replace(problem, nodes=nodes, tightening=problem.tightening + 1.5 * missing)
+    return replace(plan, status=Status("unsafe", f"No safe plan was found: {plan.verification.sentence}", False))
 
 
 def plan_baseline(scenario: Scenario) -> Plan:
@@ -390,13 +395,14 @@ def _need_duration(scenario: Scenario) -> None:
         )
 
 
-def _solver_record(solution: Solution, nodes: int, seconds: float) -> dict[str, Any]:
+def _solver_record(solution: Solution, problem: Problem, seconds: float) -> dict[str, Any]:
     return {
         "name": solution.method,
         "cost": solution.cost,
         "lower_bound": solution.lower_bound,
         "relative_gap": solution.gap,
         "programmes": solution.iterations,
-        "nodes": nodes,
+        "nodes": problem.nodes,
+        "tightening": problem.tightening,
         "seconds": seconds,
     }

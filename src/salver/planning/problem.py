@@ -66,6 +66,12 @@ class Problem:
 
     scenario: Scenario
     nodes: int
+    tightening: float = 0.0
+
+    @property
+    def margin(self) -> float:
+        """What slacks must exceed: the scenario's margin and, after a failed check between the nodes, some more."""
+        return self.scenario.contact.margin + self.tightening
 
     @cached_property
     def duration(self) -> float:

@@ -7,7 +7,7 @@ relaxed programme bounds the optimum from below, which gives the duality gap tha
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import piqp
@@ -66,7 +66,7 @@ def solve(problem: Problem, start: Array | None = None) -> Solution:
 def solve_convex(problem: Problem) -> Solution:
     """Global optimum of the fixed-orientation problem, with the duality gap; or the least violation possible."""
     model = problem.linearise(np.zeros(problem.size))
-    margin = problem.scenario.contact.margin
+    margin = problem.margin
     step = _solve_model(model, margin, 0.0, np.inf)
     method = "convex quadratic programme, PIQP with tangent cuts"
     if step is not None and step.violation <= TOLERANCE:
@@ -92,7 +92,7 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
     about one axis. The cost's curvature beyond Gauss-Newton's is left to the trust region.
     """
     z = _initial(problem) if start is None else start
-    margin = problem.scenario.contact.margin
+    margin = problem.margin
     model = problem.linearise(z)
     scale = max(_cost(model), 1e-12)
     radius, evaluations, reason = 1.0, 0, "iteration_limit"
@@ -136,7 +136,7 @@ def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: 
     worst = min(model.rows, key=lambda rows: float(rows.slack(d)[0].min()))
     slack = worst.slack(d)[0]
     k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
-    short, t, owner = contact.margin - float(slack[k, i]), float(problem.grid.t[k * problem.every]), worst.owner[i]
+    short, t, owner = problem.margin - float(slack[k, i]), float(problem.grid.t[k * problem.every]), worst.owner[i]
     what = "cone coefficient" if contact.condition == "paper" else "facet of the contact wrench cone"
     shown = "No reference of this degree and duration is safe" if proven else "No safe reference was found"
     sentence = (
@@ -318,7 +318,7 @@ def _model_merit(model: Linearisation, step: _Step, margin: float, scale: float)
 def _initial(problem: Problem) -> Array:
     """z of the fixed-orientation solution; z = 0 when the orientation has to change."""
     z = np.zeros(problem.size)
-    fixed = Problem(problem.scenario.with_changes(motion__orientation="fixed"), problem.nodes)
+    fixed = replace(problem, scenario=problem.scenario.with_changes(motion__orientation="fixed"))
     if problem.rotates and fixed.is_affine:
         found = solve_convex(fixed).z
         z[: len(found)] = found

@@ -1,0 +1,125 @@
+"""Plans: what they promise, that they keep it between the nodes, and that files bring them back."""
+
+import json
+
+import numpy as np
+import pytest
+
+from salver.errors import FileFormatError, ScenarioError
+from salver.planning.evaluation import evaluate
+from salver.planning.plan import load_plan, make_plan, plan_baseline, plan_object
+from salver.scenario import load
+
+PAPER = load("panda-cube")
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return plan_object(PAPER)
+
+
+def test_paper_scenario_is_solved_to_proven_optimality_and_checks_itself(plan):
+    assert plan.ok
+    assert plan.solver["relative_gap"] < 1e-9
+    assert plan.verification.instants == 601
+    assert plan.verification.violation == 0
+    assert plan.verification.boundary_error < 1e-9
+
+
+def test_arrays_have_the_shapes_and_meaning_that_other_tools_rely_on(plan):
+    arrays = plan.arrays()
+    n = len(arrays["t"])
+    shapes = {"p_SB": 3, "v_S": 3, "a_S": 3, "quat_SB_wxyz": 4, "omega_B": 3, "alpha_B": 3, "wrench_B": 6}
+    for name, width in shapes.items():
+        assert arrays[name].shape == (n, width)
+    assert arrays["grasp_map"].shape == (6, 16)
+    assert arrays["cone_coefficients"].shape == arrays["cone_radius"].shape == (n, 16)
+    assert arrays["state_sensitivity"].shape == (n, 12, 1)
+    assert arrays["input_sensitivity"].shape == (n, 16, 1)
+    assert list(arrays["parameter_names"]) == ["mass"]
+    assert arrays["parameter_half_range"] == pytest.approx([0.0256])
+    # Wrench balance: the coefficients give back the wrench, and the wrench is the weight when at rest.
+    assert arrays["cone_coefficients"] @ arrays["grasp_map"].T == pytest.approx(arrays["wrench_B"], abs=1e-12)
+    assert arrays["wrench_B"][[0, -1]] == pytest.approx(np.array([[0, 0, 0.256 * 9.81, 0, 0, 0]] * 2), abs=1e-9)
+    assert arrays["cone_radius"] == pytest.approx(np.abs(arrays["input_sensitivity"][..., 0]) * 0.0256)
+
+
+def test_same_scenario_gives_identical_arrays(plan):
+    again = plan_object(load("panda-cube")).arrays()
+    for name, array in plan.arrays().items():
+        assert np.array_equal(array, again[name]), name
+
+
+@pytest.mark.parametrize("maker", [plan_object, plan_baseline])
+@pytest.mark.parametrize("name", ["panda-cube", "panda-cube-yaw"])
+def test_a_saved_plan_loads_as_it_was(tmp_path, maker, name):
+    plan = maker(load(name))
+    plan.save(tmp_path)
+    again = load_plan(tmp_path)
+    assert again.summary() == plan.summary()
+    assert again.status == plan.status
+    for key, array in plan.arrays().items():
+        assert np.array_equal(array, again.arrays()[key]), key
+    t = np.linspace(0, 2.5, 37)
+    assert np.array_equal(again.reference.sample(t).a_S, plan.reference.sample(t).a_S)
+
+
+def test_finer_grids_converge_to_the_same_sensitivities(plan):
+    coarse, fine = evaluate(PAPER, plan.reference, 61), evaluate(PAPER, plan.reference, 601)
+    assert coarse.state_sensitivity == pytest.approx(fine.state_sensitivity[::10], abs=1e-8)
+    assert coarse.cone_radius == pytest.approx(fine.cone_radius[::10], abs=1e-8)
+
+
+def test_violation_between_the_nodes_is_found_and_planned_away():
+    coarse = PAPER.with_changes(motion__nodes=11, motion__duration=1.0, contact__margin=0)
+    plan = plan_object(coarse)
+    assert plan.verification.violation == 0
+    assert plan.solver["nodes"] > 11
+
+
+def test_infeasible_plans_say_so_and_are_not_ok():
+    plan = plan_object(PAPER.with_changes(motion__duration=0.6))
+    assert plan.status.code == "infeasible"
+    assert not plan.ok
+    assert plan.summary()["ok"] is False
+
+
+def test_unsafe_baseline_is_reported_as_unsafe():
+    baseline = plan_baseline(PAPER.with_changes(motion__duration=1.0))
+    assert not baseline.ok
+    assert "not safe" in baseline.status.sentence
+
+
+def test_arm_follows_the_plan(tmp_path):
+    plan = make_plan(PAPER)
+    assert plan.arm_status.ok
+    plan.save(tmp_path)
+    again = load_plan(tmp_path)
+    assert again.tau.shape == (601, 7)
+    assert np.array_equal(again.joint.q, plan.joint.q)
+    assert again.arrays()["q"].shape == (601, 7)
+
+
+def test_foreign_and_damaged_run_directories_get_a_sentence(tmp_path, plan):
+    with pytest.raises(FileFormatError, match="not a run directory"):
+        load_plan(tmp_path)
+    plan.save(tmp_path)
+    with pytest.raises(ScenarioError, match="another scenario"):
+        plan_object(PAPER.with_changes(motion__duration=2.0)).save(tmp_path)
+    content = (tmp_path / "plan.npz").read_bytes()
+    (tmp_path / "plan.npz").write_bytes(content[: len(content) // 2])
+    with pytest.raises(FileFormatError, match=r"plan\.npz"):
+        load_plan(tmp_path)
+    (tmp_path / "plan.npz").write_bytes(content)
+    summary = json.loads((tmp_path / "plan.json").read_text())
+    summary["provenance"]["scenario_digest"] = "000000000000"
+    (tmp_path / "plan.json").write_text(json.dumps(summary))
+    with pytest.raises(FileFormatError, match="another scenario"):
+        load_plan(tmp_path)
+
+
+def test_methods_and_durations_that_do_not_exist_get_a_sentence():
+    with pytest.raises(ScenarioError, match="robust, baseline and fastest"):
+        make_plan(PAPER, "best")
+    with pytest.raises(ScenarioError, match=r"motion\.duration is missing"):
+        plan_object(PAPER.with_changes(motion__duration=None))

@@ -1,0 +1,172 @@
+"""Eqs (13) to (17): the planning problem's derivatives, its global optimum, and what it says when there is none."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from salver.errors import ScenarioError
+from salver.planning.conditions import conditions_for
+from salver.planning.plan import plan_baseline, plan_object
+from salver.planning.problem import Problem, integration_weights, row_scale
+from salver.planning.solvers import solve, solve_convex
+from salver.scenario import load
+
+PAPER = load("panda-cube")
+GOAL = [0.444272, 0.100574, 0.4]
+TEN = {"mass": "10%", "com": [0.002] * 3, "inertia": [3.4e-5, 5e-6, 3.4e-5, 5e-6, 5e-6, 3.4e-5]}
+
+
+def changed(**changes):
+    return PAPER.with_changes(**changes)
+
+
+def turning(**changes):
+    return changed(motion__orientation="free", motion__goal={"position": GOAL, "rpy_deg": [10, 0, 90]}, **changes)
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        PAPER,
+        turning(objects__0__uncertainty=TEN),
+        turning(objects__0__uncertainty=TEN, contact__condition="exact"),
+        turning(objects__0__uncertainty=TEN, contact__condition="exact", uncertainty={"set": "ellipsoid"}),
+    ],
+    ids=["paper", "ten parameters, turning", "exact", "exact ellipsoid"],
+)
+def test_derivatives_are_those_of_the_values(scenario):
+    problem = Problem(scenario, 41)
+    rng = np.random.default_rng(0)
+    z, d, h = 0.05 * rng.normal(size=problem.size), rng.normal(size=problem.size), 1e-6
+    here, ahead, behind = problem.linearise(z), problem.linearise(z + h * d), problem.linearise(z - h * d)
+    numeric = (ahead.residual - behind.residual) / (2 * h)
+    assert here.residual_jacobian @ d == pytest.approx(numeric, abs=1e-7 * np.abs(numeric).max())
+    assert here.goal_jacobian @ d == pytest.approx((ahead.goal - behind.goal) / (2 * h), abs=1e-8)
+    for now, up, down in zip(here.rows, ahead.rows, behind.rows, strict=True):
+        slack, terms = now.slack()
+        change = (up.slack()[0] - down.slack()[0]) / (2 * h)
+        instant, row = (index.ravel() for index in np.indices(slack.shape))
+        offset, slope = now.cuts(instant, row, terms[instant, row])
+        assert offset == pytest.approx(slack.ravel(), abs=1e-12)
+        # Where a term changes sign in between, its absolute value has no derivative.
+        smooth = np.all(np.sign(up.slack()[1]) == np.sign(down.slack()[1]), axis=-1).ravel()
+        assert smooth.mean() > 0.9
+        error = np.abs(slope @ d - change.ravel())[smooth]
+        assert error.max() < 1e-6 * np.abs(change).max()
+
+
+@pytest.mark.parametrize("weighting", ["scaled", "paper", "pose"])
+@pytest.mark.parametrize("duration", [2.5, 1.0])
+def test_convex_solution_is_the_global_optimum(weighting, duration):
+    """Against another solver on the same matrices, from a random start; SLSQP knows nothing of tangent cuts."""
+    problem = Problem(changed(objective__weighting=weighting, motion__duration=duration), 31)
+    solution = solve_convex(problem)
+    assert solution.status.code == "optimal"
+    assert solution.gap < 1e-8
+    model = problem.linearise(np.zeros(problem.size))
+    # In coordinates in which the cost is round, or SLSQP's steps are hopeless.
+    shape = np.linalg.qr(model.residual_jacobian)[1]
+    change = np.linalg.inv(shape)
+    unit = solution.cost
+
+    def cost(y):
+        r = model.residual + model.residual_jacobian @ (change @ y)
+        return r @ r / unit, 2 * (model.residual_jacobian @ change).T @ r / unit
+
+    def slack(y):
+        return (
+            np.concatenate([rows.slack(change @ y)[0].ravel() for rows in model.rows]) - problem.scenario.contact.margin
+        )
+
+    start = shape @ solution.z + 0.1 * np.sqrt(unit) * np.random.default_rng(0).normal(size=problem.size)
+    other = minimize(
+        cost, start, jac=True, method="SLSQP", constraints={"type": "ineq", "fun": slack}, options={"maxiter": 300}
+    )
+    assert other.success
+    assert solution.cost <= other.fun * unit * (1 + 1e-9)
+    assert solution.cost == pytest.approx(other.fun * unit, rel=1e-5)
+    assert slack(shape @ solution.z).min() >= -1e-9
+
+
+def test_ellipsoid_is_less_cautious_than_the_box_around_it():
+    both = {}
+    for kind in ("box", "ellipsoid"):
+        place = {"com": [0.003] * 3}
+        scenario = changed(
+            objects__0__uncertainty=place, uncertainty={"set": kind}, contact__condition="exact", motion__duration=0.75
+        )
+        both[kind] = solve(Problem(scenario, 31))
+        assert both[kind].status.ok
+    assert both["ellipsoid"].cost < both["box"].cost
+
+
+def test_more_freedom_never_costs_more():
+    costs = [solve(Problem(changed(motion__degree=degree), 61)).cost for degree in (5, 6, 7, 9, 12, 16)]
+    assert np.all(np.diff(costs) <= 1e-12 * costs[0])
+
+
+def test_infeasible_says_which_constraint_when_and_by_how_much_and_least_violation_is_least():
+    problem = Problem(changed(motion__duration=0.7), 41)
+    solution = solve(problem)
+    assert solution.status.code == "infeasible"
+    assert not solution.status.ok
+    details = solution.status.details
+    assert details["proven"]
+    assert f"t = {details['time']:.3f} s" in solution.status.sentence
+    model = problem.linearise(np.zeros(problem.size))
+
+    def worst(z):
+        return max(0.001 - rows.slack(z)[0].min() for rows in model.rows)
+
+    assert worst(solution.z) == pytest.approx(details["violation"], rel=1e-6)
+    rng = np.random.default_rng(0)
+    around = [worst(solution.z + scale * rng.normal(size=problem.size)) for scale in (1e-3, 1e-2) for _ in range(200)]
+    assert min(around) >= details["violation"] * (1 - 1e-4)
+
+
+@pytest.mark.parametrize("name", ["panda-cube-yaw", "panda-cube-tilted-goal", "panda-cube-10-parameters"])
+def test_free_orientation_and_uncertain_centre_of_mass_end_in_verified_plans(name):
+    plan = plan_object(load(name))
+    assert plan.status.ok
+    assert plan.verification.ok
+    assert plan.verification.boundary_error < 1e-9
+    assert plan.cost <= plan_baseline(load(name)).cost
+
+
+def test_sequential_answer_is_a_local_optimum():
+    scenario = turning(motion__duration=1.0, objects__0__uncertainty={"mass": "10%", "inertia": "10%"})
+    problem = Problem(scenario, 41)
+    solution = solve(problem)
+    assert solution.status.ok
+    model = problem.linearise(solution.z)
+    rng = np.random.default_rng(0)
+    feasible_and_better = 0
+    for _ in range(200):
+        d = 3e-4 * rng.normal(size=problem.size)
+        d -= np.linalg.pinv(model.goal_jacobian) @ (model.goal_jacobian @ d)
+        trial = problem.linearise(solution.z + d)
+        kept = min(rows.slack()[0].min() for rows in trial.rows) >= scenario.contact.margin
+        feasible_and_better += kept and trial.residual @ trial.residual < solution.cost * (1 - 1e-4)
+    assert feasible_and_better == 0
+
+
+def test_weightings_differ_as_documented():
+    body, gains = Problem(PAPER, 11).body, Problem(PAPER, 11).loop.gains
+    assert row_scale("paper", body, gains) == (1, 1, 1, 1)
+    assert row_scale("pose", body, gains) == (1, 1, 0, 0)
+    radius = 0.02 * np.sqrt(3)
+    assert row_scale("scaled", body, gains) == pytest.approx((1, radius, 500**-0.5, radius * 300**-0.5))
+
+
+def test_integration_weights_are_exact_for_cubics():
+    for n in (7, 12, 61):
+        t = np.linspace(0, 2, n)
+        assert integration_weights(n, 2.0) @ (t**3 - 2 * t + 1) == pytest.approx(4 - 4 + 2)
+
+
+def test_paper_condition_knows_only_objects_on_the_tray():
+    lower = PAPER.model_dump(mode="json", exclude_none=True)["objects"][0]
+    scenario = changed(objects=[lower, {**lower, "name": "upper", "on": "cube"}])
+    with pytest.raises(ScenarioError, match="upper stands on cube"):
+        conditions_for(scenario)
+    assert conditions_for(scenario.with_changes(contact__condition="exact"))
