@@ -1,0 +1,36 @@
+"""Plans for other programs: CSV, JSON, ROS 2, MuJoCo; and the driver of a real arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from salver.errors import SalverError
+
+FORMATS = {"csv": ".csv", "json": ".json", "ros2": "_bag", "yaml": ".yaml", "mujoco": "_mujoco"}
+
+
+def write_export(
+    directory: str | Path,
+    file_format: str,
+    path: str | Path | None = None,
+    stem: str = "plan",
+    rate: float | None = None,
+) -> list[Path]:
+    """Write the motion `stem` of a run directory in a format; returns the files. By default DIR/export/STEM + ending.
+
+    rate: samples per second, the plan's own instants when None. Raises SalverError for an unknown format or a
+    place that is taken, FileFormatError for a directory without such a plan.
+    """
+    if file_format not in FORMATS:
+        raise SalverError(f'There is no export format "{file_format}"; known are {", ".join(FORMATS)}.')
+    target = Path(path) if path is not None else Path(directory) / "export" / f"{stem}{FORMATS[file_format]}"
+    if file_format == "mujoco":
+        from salver.export.mujoco import write_scene
+
+        return write_scene(directory, target, stem)
+    from salver.export import ros, text
+    from salver.export.motion import read_motion
+
+    motion = read_motion(directory, stem, rate)
+    writers = {"csv": text.write_csv, "json": text.write_json, "ros2": ros.write_bag, "yaml": ros.write_yaml}
+    return writers[file_format](motion, target)

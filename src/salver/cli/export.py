@@ -1,0 +1,36 @@
+"""`salver export`: a plan for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salver.cli.common import Json, print_json, say
+
+
+def export(
+    directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it.")],
+    file_format: Annotated[str, typer.Option("--format", help="csv, json, ros2, yaml or mujoco.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
+    ] = None,
+    stem: Annotated[str, typer.Option(help="Which motion: plan or baseline.")] = "plan",
+    rate: Annotated[float | None, typer.Option(help="Samples per second; the plan's own instants by default.")] = None,
+    json: Json = False,
+) -> None:
+    """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML, MuJoCo scene.
+
+    Numbers keep all their digits; times are whole nanoseconds.
+
+    Example: `salver export runs/panda-cube --format ros2 -o cube_bag`
+    """
+    from salver.export import write_export
+
+    paths = write_export(directory, file_format, output, stem, rate)
+    if json:
+        print_json({"files": [str(path) for path in paths]})
+    else:
+        for path in paths:
+            say(f"Wrote {path}")

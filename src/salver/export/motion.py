@@ -1,0 +1,105 @@
+"""What every export writes: the planned motion of joints, tray and object, sampled once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from salver.errors import SalverError
+from salver.files import load_npz
+from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.models.bodies import bodies
+from salver.planning.plan import Plan, load_plan
+
+WORLD_FRAME = "world"
+
+
+@dataclass(frozen=True)
+class ExportedMotion:
+    """A plan's motion at T instants; time in whole nanoseconds, so that t is exact in every format.
+
+    ns (T,): int64, nanoseconds from the start. joint_names: n names, empty without an arm; q, dq, ddq, tau (T, n).
+    p_SE, quat_SE_wxyz: the tray. p_SB, quat_SB_wxyz, v_S, a_S, omega_B, alpha_B: the first object.
+    """
+
+    plan: Plan
+    ns: Array
+    joint_names: tuple[str, ...]
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    p_SE: Array
+    quat_SE_wxyz: Array
+    p_SB: Array
+    quat_SB_wxyz: Array
+    v_S: Array
+    a_S: Array
+    omega_B: Array
+    alpha_B: Array
+
+    @property
+    def t(self) -> Array:
+        """(T,) s."""
+        return self.ns * 1e-9
+
+
+def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = None) -> ExportedMotion:
+    """The motion `stem` of a run directory, at its own instants or at `rate` samples per second.
+
+    Raises FileFormatError for a directory without such a plan, SalverError for a rate that is not positive.
+    """
+    if rate is not None and not 0 < rate <= 1e5:
+        raise SalverError(
+            f"A rate of {rate:g} samples per second was asked for; it must be above 0 and at most 100000."
+        )
+    plan = load_plan(directory, stem)
+    ns = _instants(load_npz(Path(directory) / f"{stem}.npz")["t"], plan.duration, rate)
+    t = ns * 1e-9
+    samples = plan.reference.sample(t)
+    first = bodies(plan.scenario)[0]
+    R_SE = samples.R_SB @ first.R_EB.T
+    p_SE = samples.p_SB - np.einsum("tij,j->ti", R_SE, first.p_EB)
+    names, (q, dq, ddq), tau = _joints(plan, t)
+    return ExportedMotion(
+        plan=plan,
+        ns=ns,
+        joint_names=names,
+        q=q,
+        dq=dq,
+        ddq=ddq,
+        tau=tau,
+        p_SE=p_SE,
+        quat_SE_wxyz=quat_wxyz_from_matrix(R_SE),
+        p_SB=samples.p_SB,
+        quat_SB_wxyz=samples.quat_SB_wxyz,
+        v_S=samples.v_S,
+        a_S=samples.a_S,
+        omega_B=samples.omega_B,
+        alpha_B=samples.alpha_B,
+    )
+
+
+def _instants(t: Array, duration: float, rate: float | None) -> Array:
+    """Whole nanoseconds; the end of the motion is always the last instant."""
+    if rate is not None:
+        t = np.arange(int(np.floor(duration * rate)) + 1) / rate
+        t = t if duration - t[-1] < 1e-9 else np.append(t, duration)
+    return np.unique(np.round(t * 1e9).astype(np.int64))
+
+
+def _joints(plan: Plan, t: Array) -> tuple[tuple[str, ...], tuple[Array, Array, Array], Array]:
+    """Joint names, (q, dq, ddq), and feed-forward torque, between its samples by straight lines."""
+    none = np.zeros((len(t), 0))
+    if plan.joint is None or plan.scenario.arm is None:
+        return (), (none, none, none), none
+    from salver.models.arm import load_arm
+
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)
+    if plan.tau is None:
+        tau = none
+    else:
+        tau = np.stack([np.interp(t, plan.t, column) for column in plan.tau.T], axis=1)
+    return arm.joint_names, plan.joint.sample(t), tau

@@ -1,0 +1,135 @@
+"""The MuJoCo scene of a plan as files that others can open: XML, meshes, and the reference to follow."""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from salver.errors import SalverError
+from salver.export.motion import read_motion
+from salver.export.text import write_csv
+from salver.geometry import Array
+from salver.planning.plan import load_plan
+
+if TYPE_CHECKING:
+    from salver.models.arm import ArmModel
+
+START = "start"
+MESHES = "meshes"
+# Servo gains: stiff and overdamped, so that what is on the tray stays there while one looks.
+STIFFNESS, DAMPING = 4000.0, 200.0  # N m/rad, N m s/rad
+
+
+def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[Path]:
+    """A new directory: scene.xml, meshes/, motion.csv (the reference). Opens in MuJoCo's viewer.
+
+    The scene is the one that `salver simulate` runs, but for servos on the joints and compensated weight, so that it
+    holds itself up: set ctrl to the columns q_... of motion.csv to replay. Keyframe "start" has the arm at the start
+    and the objects on the tray. Raises SalverError when `path` exists, FileFormatError for a directory without such
+    a plan.
+    """
+    from salver.models.arm import load_arm
+    from salver.simulation import scene as scenes
+    from salver.simulation.engine import mujoco
+    from salver.simulation.loads import true_world
+
+    if path.exists():
+        raise SalverError(
+            f"{path} exists; a MuJoCo scene is a new directory: name another with -o, or remove that one."
+        )
+    plan = load_plan(directory, stem)
+    scenario = plan.scenario
+    arm = load_arm(scenario.arm, scenario.tray) if scenario.arm and plan.joint is not None else None
+    world = true_world(scenario)
+    spec = scenes.specify(scenario, world, arm, visual=True)
+    spec.modelname = scenario.name
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}.tmp"
+    temporary.mkdir(parents=True)
+    try:
+        _copy_meshes(spec, temporary)
+        if arm is not None:
+            _add_servos(spec, arm)
+        scene = scenes.build(scenario, world, arm, visual=True)
+        data = mujoco.MjData(scene.model)
+        q = plan.joint.sample(0.0)[0][0] if plan.joint is not None and arm is not None else None
+        scene.place(data, q)
+        spec.add_key(name=START, qpos=data.qpos, ctrl=q if q is not None else [])
+        model = spec.compile()
+        (temporary / "scene.xml").write_text(with_all_digits(spec.to_xml(), model), encoding="utf-8")
+        if arm is not None:
+            write_csv(read_motion(directory, stem), temporary / "motion.csv")
+        temporary.rename(path)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return sorted(p for p in path.rglob("*") if p.is_file())
+
+
+def _copy_meshes(spec: Any, folder: Path) -> None:
+    """Mesh files into the folder, and the scene told to find them there."""
+    for mesh in spec.meshes:
+        if not mesh.file:
+            continue
+        target = folder / MESHES / (mesh.name.replace("/", "_") + Path(mesh.file).suffix)
+        target.parent.mkdir(exist_ok=True)
+        shutil.copyfile(mesh.file, target)
+        mesh.file = str(target.resolve())
+
+
+def _add_servos(spec: Any, arm: ArmModel) -> None:
+    """A position servo on every joint, within the maker's torque, and weight compensated as in a real arm."""
+    from salver.simulation.engine import mujoco
+    from salver.simulation.scene import ARM_PREFIX, TRAY_BODY
+
+    for body in spec.bodies:
+        if body.name.startswith(ARM_PREFIX) or body.name == TRAY_BODY:
+            body.gravcomp = 1.0
+    for k, name in enumerate(arm.joint_names):
+        servo = spec.add_actuator(name=name, target=ARM_PREFIX + name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=STIFFNESS, kv=DAMPING)
+        if np.isfinite(arm.limits.torque[k]):
+            servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            servo.forcerange = [-arm.limits.torque[k], arm.limits.torque[k]]
+
+
+def with_all_digits(xml: str, model: Any) -> str:
+    """MuJoCo rounds numbers when it writes XML; put the poses and inertias of bodies and keyframes back in full."""
+    root = ElementTree.fromstring(xml)
+    compiler = root.find("compiler")
+    if compiler is not None:
+        compiler.set("meshdir", MESHES)
+    for element in root.iter("mesh"):
+        if element.get("file"):
+            element.set("file", Path(str(element.get("file"))).name)
+    for element in root.iter("body"):
+        body = model.body(element.get("name"))
+        _drop(element, "pos", "quat", "euler", "axisangle", "xyaxes", "zaxis")
+        element.set("pos", _digits(body.pos))
+        element.set("quat", _digits(body.quat))
+        inertial = element.find("inertial")
+        if inertial is not None:
+            _drop(inertial, "fullinertia", "euler", "axisangle", "xyaxes", "zaxis")
+            inertial.set("mass", _digits(body.mass))
+            inertial.set("pos", _digits(body.ipos))
+            inertial.set("quat", _digits(body.iquat))
+            inertial.set("diaginertia", _digits(body.inertia))
+    for element in root.iter("key"):
+        key = model.key(element.get("name"))
+        element.set("qpos", _digits(key.qpos))
+        if model.nu:
+            element.set("ctrl", _digits(key.ctrl))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _drop(element: ElementTree.Element, *names: str) -> None:
+    for name in names:
+        element.attrib.pop(name, None)
+
+
+def _digits(values: Array) -> str:
+    return " ".join(repr(float(x)) for x in np.ravel(values))

@@ -1,0 +1,167 @@
+"""ROS 2: a bag (mcap) with the joint trajectory and the paths of tray and object, and the same messages as YAML.
+
+Quaternions are xyzw here and only here. Times are whole nanoseconds from the start of the motion; the stamp of a
+message is 0 because a plan has no date.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.errors import SalverError
+from salver.export.motion import WORLD_FRAME, ExportedMotion
+from salver.files import write_atomic
+from salver.geometry import Array
+
+TOPICS = {
+    "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
+    "tray_path": "nav_msgs/msg/Path",
+    "object_path": "nav_msgs/msg/Path",
+}
+_BILLION = 1_000_000_000
+BAG_VERSION: Any = 8  # of the bag's metadata: the older of the two that are written
+
+
+def messages(motion: ExportedMotion) -> dict[str, dict[str, Any]]:
+    """Topic to message, as plain mappings in the order of the message definitions."""
+    out: dict[str, dict[str, Any]] = {}
+    if motion.joint_names:
+        out["joint_trajectory"] = {
+            "header": _header(0),
+            "joint_names": list(motion.joint_names),
+            "points": [
+                {
+                    "positions": motion.q[k],
+                    "velocities": motion.dq[k],
+                    "accelerations": motion.ddq[k],
+                    "effort": motion.tau[k],
+                    "time_from_start": _time(int(ns)),
+                }
+                for k, ns in enumerate(motion.ns)
+            ],
+        }
+    out["tray_path"] = _path(motion, motion.p_SE, motion.quat_SE_wxyz)
+    out["object_path"] = _path(motion, motion.p_SB, motion.quat_SB_wxyz)
+    return out
+
+
+def _path(motion: ExportedMotion, positions: Array, quat_wxyz: Array) -> dict[str, Any]:
+    poses = [
+        {
+            "header": _header(int(ns)),
+            "pose": {
+                "position": dict(zip("xyz", map(float, p), strict=True)),
+                "orientation": dict(zip("wxyz", map(float, q), strict=True)),
+            },
+        }
+        for ns, p, q in zip(motion.ns, positions, quat_wxyz, strict=True)
+    ]
+    for pose in poses:  # message order
+        orientation = pose["pose"]["orientation"]
+        pose["pose"]["orientation"] = {c: orientation[c] for c in "xyzw"}
+    return {"header": _header(0), "poses": poses}
+
+
+def _header(ns: int) -> dict[str, Any]:
+    return {"stamp": _time(ns), "frame_id": WORLD_FRAME}
+
+
+def _time(ns: int) -> dict[str, int]:
+    return {"sec": ns // _BILLION, "nanosec": ns % _BILLION}
+
+
+def write_bag(motion: ExportedMotion, path: Path) -> list[Path]:
+    """A rosbag2 directory with one mcap file, one message a topic. Raises SalverError when `path` exists."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    if path.exists():
+        raise SalverError(f"{path} exists; a ROS 2 bag is a new directory: name another with -o, or remove that one.")
+    store = get_typestore(Stores.ROS2_JAZZY)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}.tmp" / path.name
+    temporary.parent.mkdir()
+    try:
+        with Writer(temporary, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+            for topic, message in messages(motion).items():
+                kind = TOPICS[topic]
+                connection = writer.add_connection(f"/salver/{topic}", kind, typestore=store)
+                writer.write(connection, 0, store.serialize_cdr(_typed(store, kind, message), kind))
+        temporary.rename(path)
+    finally:
+        shutil.rmtree(temporary.parent)
+    return sorted(path.iterdir())
+
+
+# Message type of each member that is itself a message.
+_MEMBERS = {
+    "header": "std_msgs/msg/Header",
+    "stamp": "builtin_interfaces/msg/Time",
+    "time_from_start": "builtin_interfaces/msg/Duration",
+    "points": "trajectory_msgs/msg/JointTrajectoryPoint",
+    "poses": "geometry_msgs/msg/PoseStamped",
+    "pose": "geometry_msgs/msg/Pose",
+    "position": "geometry_msgs/msg/Point",
+    "orientation": "geometry_msgs/msg/Quaternion",
+}
+
+
+def _typed(store: Any, kind: str, value: dict[str, Any]) -> Any:
+    """A mapping as a message of rosbags."""
+    members: dict[str, Any] = {}
+    for name, item in value.items():
+        if isinstance(item, dict):
+            members[name] = _typed(store, _MEMBERS[name], item)
+        elif isinstance(item, list) and item and isinstance(item[0], dict):
+            members[name] = [_typed(store, _MEMBERS[name], element) for element in item]
+        else:
+            members[name] = item
+    return store.types[kind](**members)
+
+
+def write_yaml(motion: ExportedMotion, path: Path) -> list[Path]:
+    """One file a message, as `ros2 topic pub` reads them: PATH for the joint trajectory (for the tray's path when
+    there is no arm), PATH with _tray_path and _object_path before its ending for the others."""
+    made = []
+    found = messages(motion)
+    for topic, message in found.items():
+        own = path if topic == next(iter(found)) else path.with_name(f"{path.stem}_{topic}{path.suffix}")
+        made.append(write_atomic(own, f"# {TOPICS[topic]}\n" + "\n".join(_block(message, "")) + "\n"))
+    return made
+
+
+def _block(value: dict[str, Any], indent: str) -> list[str]:
+    """YAML lines of a mapping: what holds only scalars in one line, the rest indented.
+
+    A general emitter takes ten times as long for a thousand points.
+    """
+    lines = []
+    for key, item in value.items():
+        if isinstance(item, list) and item and isinstance(item[0], dict):
+            lines.append(f"{indent}{key}:")
+            for element in item:
+                first, *rest = _block(element, indent + "  ")
+                lines += [f"{indent}- {first.lstrip()}", *rest]
+        elif isinstance(item, dict) and any(isinstance(x, dict) for x in item.values()):
+            lines += [f"{indent}{key}:", *_block(item, indent + "  ")]
+        else:
+            lines.append(f"{indent}{key}: {_flow(item)}")
+    return lines
+
+
+def _flow(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, list | np.ndarray):
+        return "[" + ", ".join(_flow(item) for item in value) + "]"
+    if isinstance(value, float):
+        text = repr(float(value))
+        # YAML 1.1, which ROS reads, takes 1e-05 for a word.
+        return text if "e" not in text or "." in text else text.replace("e", ".0e")
+    return json.dumps(value)

@@ -1,0 +1,186 @@
+"""Exports are read back by other programs' readers and compared with the plan itself."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from salver import scenario
+from salver.errors import FileFormatError, SalverError
+from salver.export import FORMATS, write_export
+from salver.export.motion import read_motion
+from salver.models.bodies import bodies
+from salver.planning.plan import load_plan, make_plan
+
+TOLERANCE = 1e-12
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory whose tray tilts, so that no quaternion is trivial."""
+    case = scenario.load("panda-cube").with_changes(motion__goal__rpy_deg=[8.0, -5.0, 40.0])
+    folder = tmp_path_factory.mktemp("run")
+    make_plan(case, "baseline").save(folder, "plan")
+    return folder
+
+
+def _stacked(table: dict[str, np.ndarray], prefix: str, parts: str) -> np.ndarray:
+    return np.stack([table[f"{prefix}_{c}"] for c in parts], axis=1)
+
+
+def test_csv_keeps_every_digit(directory: Path, tmp_path: Path) -> None:
+    (path,) = write_export(directory, "csv", tmp_path / "motion.csv")
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file))
+    table = {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+    motion = read_motion(directory)
+    assert np.array_equal(table["t"], motion.t)
+    assert np.array_equal(_stacked(table, "p_SE", "xyz"), motion.p_SE)
+    assert np.array_equal(_stacked(table, "quat_SB", "wxyz"), motion.quat_SB_wxyz)
+    assert np.array_equal(np.stack([table[f"tau_{j}"] for j in motion.joint_names], axis=1), motion.tau)
+
+
+def test_json_keeps_every_digit_and_says_where_it_comes_from(directory: Path, tmp_path: Path) -> None:
+    (path,) = write_export(directory, "json", tmp_path / "motion.json")
+    document = json.loads(path.read_text())
+    motion = read_motion(directory)
+    for name in ("t", "q", "ddq", "tau", "p_SE", "quat_SE_wxyz", "alpha_B"):
+        assert np.array_equal(np.array(document[name]), getattr(motion, name)), name
+    assert document["provenance"]["scenario_digest"] == motion.plan.scenario.digest
+    assert scenario.parse(document["scenario"], "exported").digest == motion.plan.scenario.digest
+
+
+def test_exported_motion_is_the_plan(directory: Path) -> None:
+    """Against the plan's own arrays, the tray by forward kinematics of the exported joints."""
+    from salver.models.arm import load_arm
+
+    motion, plan = read_motion(directory), load_plan(directory)
+    assert np.abs(motion.t - plan.t).max() < 0.5e-9 + TOLERANCE
+    arrays = plan.arrays()
+    speed = np.abs(arrays["v_S"]).max()
+    assert np.abs(motion.p_SB - arrays["p_SB"]).max() < TOLERANCE + 1e-9 * speed
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+    for k in (0, len(motion.t) // 3, -1):
+        p_SE, _ = arm.tray_pose(motion.q[k])
+        assert np.abs(p_SE - motion.p_SE[k]).max() < 1e-5
+    body = bodies(plan.scenario)[0]
+    assert np.allclose(np.linalg.norm(motion.p_SB - motion.p_SE, axis=1), np.linalg.norm(body.p_EB), atol=1e-12)
+
+
+def test_rate_gives_that_many_samples_a_second_and_the_end(directory: Path) -> None:
+    motion = read_motion(directory, rate=1000.0)
+    assert len(motion.ns) == 2501
+    assert np.array_equal(motion.ns, np.arange(2501) * 1_000_000)
+    odd = read_motion(directory, rate=7.0)
+    assert odd.ns[-1] == 2_500_000_000
+    assert np.array_equal(odd.ns[:-1], np.round(np.arange(18) / 7 * 1e9).astype(int))
+
+
+def test_ros_bag_round_trip(directory: Path, tmp_path: Path) -> None:
+    from rosbags.highlevel import AnyReader
+
+    files = write_export(directory, "ros2", tmp_path / "bag")
+    assert {f.suffix for f in files} == {".mcap", ".yaml"}
+    motion = read_motion(directory)
+    with AnyReader([tmp_path / "bag"]) as reader:
+        read = {c.topic: reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()}
+    assert set(read) == {"/salver/joint_trajectory", "/salver/tray_path", "/salver/object_path"}
+    joints = read["/salver/joint_trajectory"]
+    assert tuple(joints.joint_names) == motion.joint_names
+    ns = np.array([p.time_from_start.sec * 10**9 + p.time_from_start.nanosec for p in joints.points])
+    assert np.array_equal(ns, motion.ns)
+    for field, values in (("positions", motion.q), ("velocities", motion.dq), ("accelerations", motion.ddq)):
+        assert np.abs(np.array([getattr(p, field) for p in joints.points]) - values).max() <= TOLERANCE
+    assert np.abs(np.array([p.effort for p in joints.points]) - motion.tau).max() <= TOLERANCE
+    for topic, p, quat in (
+        ("tray_path", motion.p_SE, motion.quat_SE_wxyz),
+        ("object_path", motion.p_SB, motion.quat_SB_wxyz),
+    ):
+        poses = read[f"/salver/{topic}"].poses
+        assert poses[0].header.frame_id == "world"
+        position = np.array([[q.pose.position.x, q.pose.position.y, q.pose.position.z] for q in poses])
+        turn = [q.pose.orientation for q in poses]
+        assert np.abs(position - p).max() <= TOLERANCE
+        assert np.abs(np.array([[q.w, q.x, q.y, q.z] for q in turn]) - quat).max() <= TOLERANCE
+        stamps = [q.header.stamp.sec * 10**9 + q.header.stamp.nanosec for q in poses]
+        assert np.array_equal(stamps, motion.ns)
+
+
+def test_yaml_messages_round_trip_in_both_versions_of_yaml(directory: Path, tmp_path: Path) -> None:
+    """ROS 2 reads YAML 1.1, where 1e-05 would be a word."""
+    from ruamel.yaml import YAML
+
+    files = write_export(directory, "yaml", tmp_path / "motion.yaml", rate=50.0)
+    motion = read_motion(directory, rate=50.0)
+    assert [f.name for f in files] == ["motion.yaml", "motion_tray_path.yaml", "motion_object_path.yaml"]
+    for version in ((1, 1), (1, 2)):
+        yaml = YAML(typ="safe", pure=True)
+        yaml.version = version
+        joints = yaml.load(files[0])
+        assert joints["joint_names"] == list(motion.joint_names)
+        numbers = np.array([p["velocities"] for p in joints["points"]])
+        assert numbers.dtype == float
+        assert np.abs(numbers - motion.dq).max() <= TOLERANCE
+        times = [p["time_from_start"]["sec"] * 10**9 + p["time_from_start"]["nanosec"] for p in joints["points"]]
+        assert np.array_equal(times, motion.ns)
+    path = YAML(typ="safe").load(files[1])
+    turn = [pose["pose"]["orientation"] for pose in path["poses"]]
+    assert np.abs(np.array([[q["w"], q["x"], q["y"], q["z"]] for q in turn]) - motion.quat_SE_wxyz).max() <= TOLERANCE
+
+
+def test_mujoco_scene_opens_elsewhere_and_holds_still(directory: Path, tmp_path: Path) -> None:
+    """Loaded by MuJoCo alone from a directory that was moved: masses, start pose, and nothing falls or slides."""
+    import mujoco
+
+    write_export(directory, "mujoco", tmp_path / "scene")
+    (tmp_path / "scene").rename(tmp_path / "moved")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "moved" / "scene.xml"))
+    data = mujoco.MjData(model)
+    plan = load_plan(directory)
+    body = bodies(plan.scenario)[0]
+    cube = model.body("salver:object:0").id
+    assert model.body_mass[cube] == pytest.approx(body.inertial.mass, abs=TOLERANCE)
+    assert np.abs(model.body_inertia[cube] - np.diag(body.inertial.inertia_com)).max() < TOLERANCE
+    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.xpos[cube] - plan.scenario.motion.start.position).max() < 1e-5
+    tray = model.body("salver:tray").id
+    before = data.xpos[cube] - data.xpos[tray]
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    assert np.abs(data.xpos[cube] - data.xpos[tray] - before).max() < 2e-5
+    assert np.abs(data.xpos[cube] - plan.scenario.motion.start.position).max() < 1e-3
+    with open(tmp_path / "moved" / "motion.csv", newline="") as file:
+        first = next(csv.DictReader(file))
+    q = [float(first[f"q_{name}"]) for name in (model.actuator(i).name for i in range(model.nu))]
+    assert np.abs(np.array(q) - model.key("start").ctrl).max() < TOLERANCE
+
+
+def test_without_an_arm_paths_alone_are_exported(tmp_path: Path) -> None:
+    case = scenario.load("panda-cube").with_changes(arm=None)
+    make_plan(case, "baseline").save(tmp_path / "run", "plan")
+    files = write_export(tmp_path / "run", "yaml", tmp_path / "m.yaml", rate=10)
+    assert [f.name for f in files] == ["m.yaml", "m_object_path.yaml"]
+    assert files[0].read_text().startswith("# nav_msgs/msg/Path\n")
+    assert "q_" not in write_export(tmp_path / "run", "csv", rate=10)[0].read_text().splitlines()[0]
+
+
+def test_mistakes_get_a_sentence(directory: Path, tmp_path: Path) -> None:
+    with pytest.raises(SalverError, match='no export format "xml"; known are csv, json, ros2, yaml, mujoco'):
+        write_export(directory, "xml")
+    for file_format in ("ros2", "mujoco"):
+        (tmp_path / file_format).mkdir()
+        with pytest.raises(SalverError, match=f"{file_format} exists; .* name another with -o"):
+            write_export(directory, file_format, tmp_path / file_format)
+    with pytest.raises(SalverError, match="rate of 0 samples per second"):
+        write_export(directory, "csv", tmp_path / "x.csv", rate=0)
+    for file_format in FORMATS:
+        with pytest.raises(FileFormatError, match="not a run directory"):
+            write_export(tmp_path, file_format, tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+    with pytest.raises(FileFormatError, match=r"nowhere\.npz cannot be read"):
+        write_export(directory, "csv", tmp_path / "x.csv", stem="nowhere")
