@@ -7,6 +7,7 @@ from salver import scenario
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log, vee
 from salver.models.arm import load_arm
+from salver.models.arm_geometry import arm_geometry
 from salver.models.arm_limits import KNOWN_ARMS
 from salver.models.contact import support_contacts
 
@@ -223,6 +224,36 @@ def test_any_urdf_with_its_gripper_left_off_and_side_joints_fixed(tmp_path):
     assert arm.gravity(np.array([0.3])) == pytest.approx(2 * 9.81 * 0.5 * np.sin(0.3))
     assert np.isinf(arm.limits.velocity).all()
     assert arm.tray_pose(np.array([np.pi / 2]))[0] == pytest.approx([0, 1, 0], abs=1e-12)
+
+
+CRANE = """<robot name="crane">
+  <link name="base"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
+  <link name="mast"/>
+  <link name="hook"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="mast"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="reach" type="prismatic"><parent link="mast"/><child link="hook"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def test_clearance_by_hand(tmp_path):
+    """Two cubes of 0.1 m, 0.3 m apart between centres: 0.2 m; turned by 45 degrees one shows its edge,
+    0.1 sqrt(2) / 2 from its centre. The tray, 0.5 m above the hook, is 0.445 m above the base's top."""
+    path = tmp_path / "crane.urdf"
+    path.write_text(CRANE)
+    tray = scenario.Tray(height=0.5, thickness=0.01, size=(0.2, 0.2))
+    parts = arm_geometry(make(str(path), tray, flange="hook", base_position=(1, 2, 3), base_yaw_deg=20))
+    assert parts.names == ("base", "hook", "tray")
+    assert parts.pairs == ((0, 1), (0, 2))
+    q = np.array([[0.0, 0.3], [np.pi / 4, 0.3], [0.0, 0.06]])
+    towards_edge = 0.3 - 0.05 - 0.05 * np.sqrt(2)
+    assert parts.clearance(q)[:2, 0] == pytest.approx([0.2, towards_edge], abs=1e-6)
+    assert parts.clearance(q)[2] == pytest.approx([-0.04, 0.44], abs=1e-6)
+    touch = parts.first_touch(q)
+    assert (touch.first, touch.second, touch.index) == ("base", "hook", 2)
+    assert parts.near(q[:2], 0.3).pairs == ((0, 1),)
+    assert parts.lowest(q) == pytest.approx(-0.05)
 
 
 @pytest.mark.parametrize(

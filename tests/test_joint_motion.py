@@ -8,10 +8,12 @@ from salver import scenario
 from salver.errors import ScenarioError, UnreachableError
 from salver.geometry import GRAVITY_S, exp, log
 from salver.models.arm import load_arm
+from salver.models.arm_geometry import arm_geometry
 from salver.models.bodies import bodies
 from salver.planning.joint_limits import peaks, torques, verdict
 from salver.planning.joint_motion import follow, follow_scenario
 from salver.planning.posture import candidate_postures, check_start_posture
+from salver.planning.redundancy import march, tray_path
 from salver.trajectory import JointMotion, PolynomialReference, min_jerk_line
 
 CUBE = scenario.load("panda-cube")
@@ -54,7 +56,7 @@ PLACES = [
 @pytest.mark.parametrize("place", PLACES, ids=["centred", "off-centre and turned"])
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_tray_carries_the_object_along_the_reference(name, place):
-    arm = load_arm(scenario.Arm(model=name), CUBE.tray)
+    arm = load_arm(scenario.Arm(model=name, base_position=(-0.4, 0, 0) if name == "ur10" else (0, 0, 0)), CUBE.tray)
     reference, (p_EB, R_EB) = tumbling(), place
     motion, status = follow(arm, reference, p_EB, R_EB)
     assert status.ok, status
@@ -97,12 +99,16 @@ def test_starts_and_ends_at_rest_where_it_was_told(panda, cube):
         assert motion.ddq[k] == pytest.approx(np.zeros(7), abs=1e-12)
 
 
-def test_redundancy_is_used(panda, cube):
-    """At T = 0.8 s the paper's posture would need 2.37 rad/s of joint 1 (limit 2.175) if the arm moved with least
-    joint speed; the swivel of the elbow brings that down."""
-    motion, _ = follow(panda, line(0.8), cube.p_EB, cube.R_EB, q_start=POSTURE)
-    assert np.abs(motion.dq[:, 0]).max() < 2.17
-    assert max(peak.share for peak in peaks(panda, motion)) < 1.03
+def test_redundancy_brings_speeds_down(cube):
+    """At T = 0.8 s the paper's posture needs over 2.3 rad/s of joint 1 (limit 2.175) when the arm moves with least joint
+    speed; a swivel of the elbow brings that down, where a small tray leaves room for it."""
+    arm = load_arm(CUBE.arm, scenario.Tray(size=(0.1, 0.1)))
+    path = tray_path(line(0.8), cube.p_EB, cube.R_EB, np.linspace(0, 0.8, 81))
+    least_speed, _ = march(arm, path, POSTURE)
+    assert np.abs(np.gradient(least_speed[:, 0], path.t)).max() > 2.3
+    motion, _ = follow(arm, line(0.8), cube.p_EB, cube.R_EB, q_start=POSTURE)
+    assert np.abs(motion.dq[:, 0]).max() < 2.175
+    assert max(peak.share for peak in peaks(arm, motion)) < 1.03
 
 
 def test_a_chosen_start_is_no_worse_than_the_given_one(panda, cube):
@@ -206,6 +212,49 @@ def test_too_fast_says_so_and_still_returns_the_motion(panda, cube):
     assert motion is not None
     assert status.code == "limit_exceeded"
     assert not status.ok
+
+
+# ---- self-collision -------------------------------------------------------------------------------------------
+
+FOREARM_THROUGH_TRAY = np.array([-0.5135, -0.9086, 1.5225, 0.957, -1.5708, 2.0843])
+
+
+def test_a_posture_with_the_tray_in_the_forearm_is_told():
+    arm = load_arm(scenario.Arm(model="ur10"), scenario.Tray(size=(0.285, 0.285)))
+    still = JointMotion(
+        np.array([0.0, 1.0]), *(np.tile(x, (2, 1)) for x in (FOREARM_THROUGH_TRAY, np.zeros(6), np.zeros(6)))
+    )
+    status = verdict(arm, still)
+    assert status.code == "self_collision"
+    assert status.sentence == "ur10 cannot follow: forearm_link and tray touch at t = 0.00 s."
+    small = load_arm(scenario.Arm(model="ur10"), scenario.Tray(size=(0.04, 0.04)))
+    assert verdict(small, still).ok
+
+
+def test_redundancy_keeps_the_tray_out_of_the_forearm(panda, cube):
+    """With least joint speed the paper's posture would take a tray 5 cm over the flange 2 cm into link 5."""
+    parts = arm_geometry(panda, [cube])
+    path = tray_path(line(), cube.p_EB, cube.R_EB, np.linspace(0, 2.5, 31))
+    least_speed, reached = march(panda, path, POSTURE)
+    assert reached == 31
+    assert parts.clearance(least_speed).min() < -0.015
+    touch = parts.first_touch(least_speed)
+    assert (touch.first, touch.second) == ("panda_link5", "tray")
+    motion, status = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=POSTURE)
+    assert status.ok, status
+    assert parts.clearance(motion.q).min() > 0.005
+
+
+def test_a_chosen_start_stays_above_the_base():
+    bottle = scenario.load("ur10-bottle")
+    start, goal = bottle.motion.start, bottle.motion.goal
+    reference = min_jerk_line(2.0, np.array(start.position), np.array(goal.position), UPRIGHT, UPRIGHT)
+    arm = load_arm(bottle.arm, bottle.tray)
+    motion, status = follow_scenario(bottle, reference, arm)
+    assert status.ok, status
+    parts = arm_geometry(arm, bodies(bottle))
+    assert parts.first_touch(motion.q) is None
+    assert parts.lowest(motion.q) > 0
 
 
 # ---- out of reach, wrong start --------------------------------------------------------------------------------

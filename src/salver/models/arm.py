@@ -42,6 +42,7 @@ class ArmModel:
     fixed, `package://` replaced by absolute paths. urdf_path: the file it came from.
     base_position, base_yaw: pose of the URDF's root in S, m and rad.
     p_FE: (3,) centre of the tray's top surface in F, m. tray_com_F: (3,) the tray's centre of mass in F.
+    tray_size: its edges along x and y of E, m.
     """
 
     name: str
@@ -59,6 +60,7 @@ class ArmModel:
     base_yaw: float
     p_FE: Array
     tray_com_F: Array
+    tray_size: tuple[float, float]
 
     @property
     def n(self) -> int:
@@ -173,6 +175,7 @@ def load_arm(arm: scenario.Arm, tray: scenario.Tray) -> ArmModel:
         base_yaw=yaw,
         p_FE=p_FE,
         tray_com_F=com_F,
+        tray_size=tray.size,
     )
 
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
+from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
 from salver.trajectory import JointMotion
 
+WITHIN_LIMITS, LIMIT_EXCEEDED, SELF_COLLISION = "within_limits", "limit_exceeded", "self_collision"
+COLLISION_SAMPLES = 61  # instants at which self-collision is looked for
 _TOLERANCE = 1e-9  # relative; a motion planned up to a limit touches it
 
 
@@ -66,23 +70,35 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
     return found
 
 
-def verdict(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> Status:
-    """Status "within_limits" or "limit_exceeded"; `details` has the peak of each kind of limit."""
+def verdict(
+    arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = (), parts: ArmGeometry | None = None
+) -> Status:
+    """Status "within_limits", "limit_exceeded" or "self_collision"; `details` has the peak of each kind of limit.
+
+    parts: the arm's geometry, when it is known already.
+    """
     found = peaks(arm, motion, bodies)
-    details = {peak.kind.replace(" ", "_"): vars(peak) for peak in found}
+    details: dict[str, Any] = {peak.kind.replace(" ", "_"): vars(peak) for peak in found}
     broken = sorted((peak for peak in found if peak.share > 1 + _TOLERANCE), key=lambda peak: -peak.share)
-    if not broken:
-        worst = max(found, key=lambda peak: peak.share)
-        return Status(
-            "within_limits",
-            f"{arm.name} follows within its limits; nearest is the {worst.kind} of {worst.joint}, at "
-            f"{100 * worst.share:.0f} % at t = {worst.time:.2f} s.",
-            True,
-            details,
-        )
-    parts = [
+    sentences = [
         f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, "
         f"{100 * (peak.share - 1):.3g} % over its limit of {peak.limit:.4g}"
         for peak in broken
     ]
-    return Status("limit_exceeded", f"{arm.name} cannot follow: {'; '.join(parts)}.", False, details)
+    samples = np.unique(np.linspace(0, len(motion.t) - 1, COLLISION_SAMPLES).astype(int))
+    touch = (arm_geometry(arm, bodies) if parts is None else parts).first_touch(motion.q[samples])
+    if touch is not None:
+        time = float(motion.t[samples[touch.index]])
+        details[SELF_COLLISION] = {"first": touch.first, "second": touch.second, "time": time}
+        sentences.append(f"{touch.first} and {touch.second} touch at t = {time:.2f} s")
+    if sentences:
+        code = LIMIT_EXCEEDED if broken else SELF_COLLISION
+        return Status(code, f"{arm.name} cannot follow: {'; '.join(sentences)}.", False, details)
+    worst = max(found, key=lambda peak: peak.share)
+    return Status(
+        WITHIN_LIMITS,
+        f"{arm.name} follows within its limits; nearest is the {worst.kind} of {worst.joint}, at "
+        f"{100 * worst.share:.0f} % at t = {worst.time:.2f} s.",
+        True,
+        details,
+    )

@@ -1,0 +1,139 @@
+"""Where the arm is: convex hulls of its links, the tray and what stands on it, and whether they touch one another.
+
+Hulls of the URDF's collision meshes, by Coal. A hull is larger than the link, so a posture that is found free is
+free; links that share a joint always touch and are not compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from salver.geometry import Array
+from salver.models.arm import ArmModel
+from salver.models.bodies import Body
+
+TRAY = "tray"
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Two parts that touch: their names, and the index of the first posture at which they do."""
+
+    first: str
+    second: str
+    index: int
+
+
+@dataclass(frozen=True, eq=False)
+class ArmGeometry:
+    """The arm's hulls, its tray and its load. Not for use by several threads at once.
+
+    names: of the parts: links of the URDF, "tray", names of carried objects.
+    pairs: (index, index) into names; those that can touch.
+    """
+
+    arm: ArmModel
+    model: Any
+    data: Any
+    names: tuple[str, ...]
+    pairs: tuple[tuple[int, int], ...]
+
+    def first_touch(self, q: Array) -> Touch | None:
+        """The first of postures (N, n) at which two parts touch, or None."""
+        for k, posture in enumerate(q):
+            if pin.computeCollisions(self.arm.pin_model, self.arm.data, self.model, self.data, posture, True):
+                for result, (i, j) in zip(self.data.collisionResults, self.pairs, strict=True):
+                    if result.isCollision():
+                        return Touch(self.names[i], self.names[j], k)
+        return None
+
+    def clearance(self, q: Array) -> Array:
+        """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap."""
+        distances = np.empty((len(q), len(self.pairs)))
+        for k, posture in enumerate(q):
+            pin.computeDistances(self.arm.pin_model, self.arm.data, self.model, self.data, posture)
+            distances[k] = [result.min_distance for result in self.data.distanceResults]
+        return distances
+
+    def near(self, q: Array, distance: float) -> ArmGeometry:
+        """The same parts with only those pairs that come within a distance (m) at one of the postures (N, n)."""
+        close = self.clearance(q).min(axis=0) < distance
+        return _with_pairs(self, tuple(pair for pair, keep in zip(self.pairs, close, strict=True) if keep))
+
+    def lowest(self, q: Array) -> float:
+        """Height over the base (m, the URDF's root) of the lowest point of links beyond the second joint."""
+        low = np.inf
+        beyond = [k for k, part in enumerate(self.model.geometryObjects) if part.parentJoint >= 2]
+        for posture in q:
+            pin.updateGeometryPlacements(self.arm.pin_model, self.arm.data, self.model, self.data, posture)
+            for k in beyond:
+                placement = self.data.oMg[k]
+                box = self.model.geometryObjects[k].geometry.aabb_local
+                centre, half = 0.5 * (box.min_ + box.max_), 0.5 * (box.max_ - box.min_)
+                axis = placement.rotation[2]
+                low = min(low, placement.translation[2] + axis @ centre - np.abs(axis) @ half)
+        return float(low - self.arm.base_position[2])
+
+
+@lru_cache(maxsize=1)
+def _loader() -> Any:
+    """Meshes stay in memory: every plan of a session asks for the same ones."""
+    return coal.CachedMeshLoader()
+
+
+def arm_geometry(arm: ArmModel, bodies: Sequence[Body] = ()) -> ArmGeometry:
+    """Hulls of an arm's links, of its tray and of the boxes around what it carries.
+
+    A link that has no mesh is left out; so are all when a mesh cannot be read.
+    """
+    model = arm.pin_model
+    try:
+        parts = pin.buildGeomFromUrdfString(model, arm.urdf, pin.GeometryType.COLLISION, mesh_loader=_loader())
+    except (ValueError, RuntimeError):
+        parts = pin.GeometryModel()
+    for part in parts.geometryObjects:
+        if isinstance(part.geometry, coal.BVHModelBase):
+            part.geometry.buildConvexHull(True, "Qt")
+            part.geometry = part.geometry.convex
+    links = [model.frames[part.parentFrame].name for part in parts.geometryObjects]
+
+    frame = model.frames[arm.tray_id]
+    thickness = 2 * float(arm.p_FE[2] - arm.tray_com_F[2])
+    _add_box(parts, TRAY, frame, np.array([0, 0, -0.5 * thickness]), np.eye(3), np.array([*arm.tray_size, thickness]))
+    for body in bodies:
+        points = body.solid.bounding_points_G - body.com_G
+        low, high = points.min(axis=0), points.max(axis=0)
+        centre = body.p_EB + body.R_EB @ (0.5 * (low + high))
+        _add_box(parts, body.name, frame, centre, body.R_EB, high - low)
+    for part in parts.geometryObjects:
+        part.geometry.computeLocalAABB()
+
+    joints = [part.parentJoint for part in parts.geometryObjects]
+    pairs = [
+        (i, j)
+        for j, second in enumerate(joints)
+        for i, first in enumerate(joints[:j])
+        if first != second and first != model.parents[second] and second != model.parents[first]
+    ]
+    names = (*links, TRAY, *(body.name for body in bodies))
+    return _with_pairs(ArmGeometry(arm, parts, None, names, ()), tuple(pairs))
+
+
+def _with_pairs(parts: ArmGeometry, pairs: tuple[tuple[int, int], ...]) -> ArmGeometry:
+    model = parts.model.copy()
+    model.removeAllCollisionPairs()
+    for i, j in pairs:
+        model.addCollisionPair(pin.CollisionPair(i, j))
+    return replace(parts, model=model, data=model.createData(), pairs=pairs)
+
+
+def _add_box(parts: Any, name: str, frame: Any, centre: Array, rotation: Array, size: Array) -> None:
+    placement = frame.placement * pin.SE3(rotation, centre)
+    parts.addGeometryObject(pin.GeometryObject(name, frame.parentJoint, placement, coal.Box(*size)))

@@ -1,0 +1,252 @@
+"""Joint motions along which the tray goes where it must, and the best use of the joints that are left over.
+
+The tray must go where the object goes: six conditions on n joints. A redundant arm has n - 6 left to choose. They
+are chosen as linear functions of the joints, C q = s(t), with C as near as possible to the null spaces of the
+Jacobian along the motion (an extended Jacobian: Baillieul 1985), and s(t) a polynomial at rest at both ends. So
+q(t) is the root of a square system at each instant, independent of the path that led there: nothing drifts, and
+velocity and acceleration are exact derivatives of it,
+
+    [J; C] dq = [V; s'],    [J; C] ddq = [V' - J' dq; s''].
+
+The coefficients of s(t) keep positions, speeds, accelerations and torques far from their limits, and the arm
+far from singular postures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import minimize
+
+from salver.geometry import Array, invert, log
+from salver.models.arm import ArmModel
+from salver.models.arm_geometry import ArmGeometry
+from salver.planning.posture import REACHED, pose_error
+from salver.trajectory import MotionSamples, Reference
+
+BUMPS = 3  # polynomial terms of s(t) besides its step from start to end
+_SOFT_MAX = 20  # exponent of the norm that stands for "the largest of all"
+_CLEAR = 0.04  # m; parts of the arm that are further apart than this do not count, 0 is a full limit
+_NEAR = 0.2  # m; parts further apart than this along the first guess are not looked at again
+_SINGULAR = 0.04  # smallest singular value of the body Jacobian (m or 1 per rad) that counts as a full limit
+
+
+@dataclass(frozen=True)
+class TrayPath:
+    """What the tray must do at N instants: pose, body twist (v, omega) and its rate, of frame E."""
+
+    t: Array
+    p_SE: Array
+    R_SE: Array
+    twist: Array
+    twist_rate: Array
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """Joints at N instants: q, dq, ddq (N, n), and the tray's body Jacobian (N, 6, n)."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+    jacobian: Array
+
+
+def tray_path(reference: Reference, p_EB: Array, R_EB: Array, t: Array) -> TrayPath:
+    """The tray's motion when the object keeps its place (p_EB, R_EB) on it."""
+    samples: MotionSamples = reference.sample(t).of_frame(*invert(p_EB, R_EB))
+    v = np.einsum("tji,tj->ti", samples.R_SB, samples.v_S)
+    a = np.einsum("tji,tj->ti", samples.R_SB, samples.a_S)
+    twist = np.hstack([v, samples.omega_B])
+    rate = np.hstack([a - np.cross(samples.omega_B, v), samples.alpha_B])
+    return TrayPath(t, samples.p_SB, samples.R_SB, twist, rate)
+
+
+# ---- kinematics along a path -----------------------------------------------------------------------------------
+
+
+def _kinematics(arm: ArmModel, q: Array) -> tuple[Array, Array, Array]:
+    """Tray positions (N, 3), rotations (N, 3, 3) and body Jacobians (N, 6, n) at postures (N, n)."""
+    model, data, frame = arm.pin_model, arm.data, arm.tray_id
+    p, rotation, jacobian = np.empty((len(q), 3)), np.empty((len(q), 3, 3)), np.empty((len(q), 6, arm.n))
+    for k, posture in enumerate(q):
+        pin.computeJointJacobians(model, data, posture)
+        placement = pin.updateFramePlacement(model, data, frame)
+        p[k], rotation[k] = placement.translation, placement.rotation
+        jacobian[k] = pin.getFrameJacobian(model, data, frame, pin.LOCAL)
+    return p, rotation, jacobian
+
+
+def _extended(jacobian: Array, rows: Array) -> Array:
+    """[J; C] (N, n, n)."""
+    return np.concatenate([jacobian, np.broadcast_to(rows, (len(jacobian), *rows.shape))], axis=1)
+
+
+def march(arm: ArmModel, path: TrayPath, q_start: Array) -> tuple[Array, int]:
+    """Postures (N, n) along the path by steps of least norm from q_start, and how many instants were reached."""
+    model, data, frame = arm.pin_model, arm.data, arm.tray_id
+    q = np.array(q_start, dtype=float)
+    postures = np.tile(q, (len(path.t), 1))
+    for k in range(1, len(path.t)):
+        for _ in range(12):
+            pin.computeJointJacobians(model, data, q)
+            placement = pin.updateFramePlacement(model, data, frame)
+            error = pose_error(placement.translation, placement.rotation, path.p_SE[k], path.R_SE[k])
+            if np.abs(error).max() < REACHED:
+                break
+            jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL)
+            q = q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-9 * np.eye(6), error)
+        else:
+            return postures, k
+        postures[k] = q
+        if np.abs(q - postures[k - 1]).max() > 1.0:
+            return postures, k
+    return postures, len(path.t)
+
+
+def solve_path(arm: ArmModel, path: TrayPath, q: Array, rows: Array, profile: tuple[Array, ...]) -> JointPath | None:
+    """Root of the extended system at every instant, by Newton's method from a guess (N, n), and its derivatives.
+
+    None where there is no root near the guess.
+    """
+    s, ds, dds = profile
+    q = q.copy()
+    for _ in range(15):
+        p, rotation, jacobian = _kinematics(arm, q)
+        inverse = np.swapaxes(rotation, 1, 2)
+        error = np.hstack([(inverse @ (path.p_SE - p)[..., None])[..., 0], log(inverse @ path.R_SE), s - q @ rows.T])
+        matrix = _extended(jacobian, rows)
+        size = np.abs(error).max()
+        if size < REACHED:
+            break
+        try:
+            step = _solved(matrix, error)
+        except np.linalg.LinAlgError:
+            return None
+        if not np.abs(step).max() < 1.0:  # also catches NaN
+            return None
+        q += step
+    else:
+        return None
+    dq = _solved(matrix, np.hstack([path.twist, ds]))
+    drift = np.array([arm.drift(a, b) for a, b in zip(q, dq, strict=True)])
+    ddq = _solved(matrix, np.hstack([path.twist_rate - drift, dds]))
+    return JointPath(q, dq, ddq, jacobian)
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    """Solutions (N, n) of stacked square systems."""
+    return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0], dtype=float)
+
+
+# ---- redundancy ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One way to use the redundancy: rows C (r, n), start s_0 (r,), coefficients (1 + bumps, r) of s(t)."""
+
+    rows: Array
+    start: Array
+    coefficients: Array
+    path: JointPath
+    cost: float
+
+    def profile(self, t: Array) -> tuple[Array, ...]:
+        return _profile(self.start, self.coefficients, t)
+
+
+@lru_cache(maxsize=8)
+def _basis(count: int) -> tuple[Array, Array, Array]:
+    """Values and two derivatives (N, 1 + bumps) of the terms of s(u) at N equidistant u in [0, 1].
+
+    All are at rest at both ends: a quintic step, and u^3 (1 - u)^3 times 1, w, w^2 with w = 2 u - 1.
+    """
+    u = np.linspace(0.0, 1.0, count)
+    step = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+    bump = 64 * np.polynomial.Polynomial([0, 0, 0, 1]) * np.polynomial.Polynomial([1, -1]) ** 3
+    terms = [step, *(bump * np.polynomial.Polynomial([-1, 2]) ** k for k in range(BUMPS))]
+    values, first, second = (np.stack([term.deriv(d)(u) if d else term(u) for term in terms], axis=1) for d in range(3))
+    return values, first, second
+
+
+def _profile(start: Array, coefficients: Array, t: Array) -> tuple[Array, ...]:
+    """s, ds/dt, d2s/dt2 (N, r) at N equidistant instants of the whole motion."""
+    duration = float(t[-1])
+    values, first, second = _basis(len(t))
+    return start + values @ coefficients, first @ coefficients / duration, second @ coefficients / duration**2
+
+
+def _usage(arm: ArmModel, parts: ArmGeometry, joints: JointPath) -> float:
+    """How near the path comes to the limits: a smooth stand-in for the largest of all shares, 1 at a limit.
+
+    `arm` includes what is carried.
+    """
+    limits = arm.planning_limits
+    half = 0.5 * (limits.q_max - limits.q_min)
+    torque = np.array(
+        [pin.rnea(arm.pin_model, arm.data, *state) for state in zip(joints.q, joints.dq, joints.ddq, strict=True)]
+    )
+    smallest = np.linalg.svd(joints.jacobian, compute_uv=False)[:, -1:]
+    shares = np.hstack(
+        [
+            (joints.q - limits.q_min - half) / half,
+            joints.dq / limits.velocity,
+            joints.ddq / limits.acceleration,
+            torque / limits.torque,
+            _SINGULAR / np.maximum(smallest, 1e-9),
+            np.maximum(0.0, 1 - parts.clearance(joints.q) / _CLEAR),
+        ]
+    )
+    largest = np.abs(shares).max()
+    return float(largest * np.mean((np.abs(shares) / largest) ** _SOFT_MAX) ** (1 / _SOFT_MAX))
+
+
+def _null_rows(jacobian: Array) -> Array:
+    """C (n - 6, n): the directions that are nearest to the null spaces of all Jacobians (N, 6, n) of a path.
+
+    Orthonormal, with signs that do not depend on the linear algebra underneath.
+    """
+    free = jacobian.shape[2] - 6
+    basis = np.linalg.svd(jacobian)[2][:, 6:]
+    rows = np.linalg.eigh(np.einsum("tri,trj->ij", basis, basis))[1][:, ::-1].T[:free]
+    largest = np.argmax(np.abs(rows), axis=1)
+    return rows * np.sign(rows[np.arange(free), largest])[:, None]
+
+
+def first_choice(arm: ArmModel, parts: ArmGeometry, path: TrayPath, postures: Array) -> Choice | None:
+    """The marched postures in the form C q = s(t), which they fit nearly."""
+    rows = _null_rows(_kinematics(arm, postures)[2])
+    s = postures @ rows.T
+    coefficients = np.linalg.lstsq(_basis(len(path.t))[0], s - s[0], rcond=None)[0]
+    joints = solve_path(arm, path, postures, rows, _profile(s[0], coefficients, path.t))
+    return None if joints is None else Choice(rows, s[0], coefficients, joints, _usage(arm, parts, joints))
+
+
+def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, free_start: bool) -> Choice:
+    """Improve the coefficients of s(t), and where it starts if that is free, by BFGS on `_usage`."""
+    rows = start.rows
+    if len(rows) == 0:
+        return start
+    best = start
+    parts = parts.near(start.path.q, _NEAR)
+
+    def at(x: Array) -> float:
+        nonlocal best
+        shift, coefficients = (x[: len(rows)], x[len(rows) :]) if free_start else (0.0, x)
+        s_0, coefficients = start.start + shift, coefficients.reshape(-1, len(rows))
+        joints = solve_path(arm, path, best.path.q, rows, _profile(s_0, coefficients, path.t))
+        if joints is None:
+            return 10 * best.cost
+        cost = _usage(arm, parts, joints)
+        if cost < best.cost:
+            best = Choice(rows, s_0, coefficients, joints, cost)
+        return cost
+
+    x = start.coefficients.ravel()
+    x = np.concatenate([np.zeros(len(rows)), x]) if free_start else x
+    minimize(at, x, method="BFGS", options={"maxiter": 12, "gtol": 1e-3, "eps": 1e-4})
+    return best
