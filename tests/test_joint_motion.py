@@ -100,7 +100,7 @@ def test_starts_and_ends_at_rest_where_it_was_told(panda, cube):
 
 
 def test_redundancy_brings_speeds_down(cube):
-    """At T = 0.8 s the paper's posture needs over 2.3 rad/s of joint 1 (limit 2.175) when the arm moves with least joint
+    """At T = 0.8 s the paper's posture needs over 2.3 rad/s of joint 1 (limit 2.175) if the arm moves with least joint
     speed; a swivel of the elbow brings that down, where a small tray leaves room for it."""
     arm = load_arm(CUBE.arm, scenario.Tray(size=(0.1, 0.1)))
     path = tray_path(line(0.8), cube.p_EB, cube.R_EB, np.linspace(0, 0.8, 81))
