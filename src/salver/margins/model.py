@@ -53,8 +53,8 @@ class MarginModel:
 
     @cached_property
     def support(self) -> tuple[ContactRows, ...]:
-        """Rows of the support polygon's edges in N m, and of f_z and -f_z in N, over the uncertain set."""
-        return tuple(self.rows(i, self.uncertain, edge_rows, False) for i in range(len(self.networks)))
+        """Rows of the support polygon's edges in m, and of f_z and -f_z, per weight, over the uncertain set."""
+        return tuple(self.rows(i, self.uncertain, edge_rows, True) for i in range(len(self.networks)))
 
     def with_only(self, names: tuple[str, ...]) -> MarginModel:
         """The same scenario with only these parameters uncertain."""
@@ -83,7 +83,7 @@ def coefficient_rows(edges: int) -> RowsOf:
 
 
 def edge_rows(contacts: ContactSet) -> tuple[Array, Labels]:
-    """Edges (label 0, N m), f_z (1, N) and -f_z (2, N)."""
+    """Edges (label 0), f_z (1) and -f_z (2)."""
     edges, normal = support_rows(contacts)
     return np.vstack([edges, normal, -normal]), np.array([0] * len(edges) + [1, 2])
 
