@@ -1,0 +1,129 @@
+"""A recorded or planned motion as it was read: samples in time, and the checks that every format shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from salver.errors import FileFormatError
+from salver.geometry import Array
+
+FEWEST = 8  # samples: below that no acceleration can be told from noise
+
+
+@dataclass(frozen=True)
+class TraySamples:
+    """Poses of the tray frame E (or of the object frame B) in S.
+
+    t (N,) s from the first sample; p (N, 3) m; quat_wxyz (N, 4), continuous in sign. frame: "E" or "B".
+    notes: what was repaired on reading, as sentences.
+    """
+
+    t: Array
+    p: Array
+    quat_wxyz: Array
+    frame: str
+    source: str
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class JointSamples:
+    """Joint positions q (N, n) at t (N,), with velocities and accelerations where the file has them.
+
+    names: (n,) of the joints, in the order of the columns.
+    """
+
+    t: Array
+    names: tuple[str, ...]
+    q: Array
+    dq: Array | None
+    ddq: Array | None
+    source: str
+    notes: tuple[str, ...] = field(default=())
+
+
+Samples = TraySamples | JointSamples
+
+
+def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) -> TraySamples:
+    """Check and repair poses. Raises FileFormatError, one sentence with the row."""
+    _finite({"time": t, "position": p, "quaternion": quat_wxyz}, source)
+    norm = np.linalg.norm(quat_wxyz, axis=1)
+    wrong = np.flatnonzero(np.abs(norm - 1) > 0.02)
+    if len(wrong):
+        raise FileFormatError(
+            f"{source}: the quaternion of sample {wrong[0] + 1} has norm {norm[wrong[0]]:.4g}; a rotation has norm 1."
+        )
+    if np.abs(p).max() > 100:
+        k = int(np.argmax(np.abs(p).max(axis=1)))
+        raise FileFormatError(
+            f"{source}: the position of sample {k + 1} is {np.abs(p[k]).max():.4g} m away; positions are in metres."
+        )
+    quat = quat_wxyz / norm[:, None]
+    flips = np.cumprod(np.where(np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0, -1.0, 1.0))
+    quat = quat * np.concatenate([[1.0], flips])[:, None]
+    keep, notes = _clock(t, source)
+    return TraySamples(t[keep] - t[0], p[keep], quat[keep], frame, source, notes)
+
+
+def joint_samples(
+    t: Array, names: tuple[str, ...], q: Array, dq: Array | None, ddq: Array | None, source: str
+) -> JointSamples:
+    """Check and repair joint positions. Raises FileFormatError, one sentence with the row."""
+    arrays = {"time": t, "positions": q, "velocities": dq, "accelerations": ddq}
+    _finite({name: array for name, array in arrays.items() if array is not None}, source)
+    keep, notes = _clock(t, source)
+    dq, ddq = (None if x is None else x[keep] for x in (dq, ddq))
+    return JointSamples(t[keep] - t[0], names, q[keep], dq, ddq, source, notes)
+
+
+def reordered(samples: JointSamples, names: tuple[str, ...]) -> JointSamples:
+    """The same motion with the columns of the joints `names`, in that order; others are left out."""
+    missing = [name for name in names if name not in samples.names]
+    if missing and len(samples.names) == len(names) and not any(name in names for name in samples.names):
+        return samples if _numbered(samples.names) else _refuse_names(samples, names, missing)
+    if missing:
+        _refuse_names(samples, names, missing)
+    order = [samples.names.index(name) for name in names]
+    dq, ddq = (None if x is None else x[:, order] for x in (samples.dq, samples.ddq))
+    return replace(samples, names=names, q=samples.q[:, order], dq=dq, ddq=ddq)
+
+
+def _numbered(names: tuple[str, ...]) -> bool:
+    """Whether the names only number the joints (q1, q2, ...), so that they fit any arm of that many joints."""
+    return all(name.lower().strip("q_[]").isdigit() for name in names)
+
+
+def _refuse_names(samples: JointSamples, names: tuple[str, ...], missing: list[str]) -> JointSamples:
+    raise FileFormatError(
+        f"{samples.source} has no joint {missing[0]}; it has {', '.join(samples.names)}, and the scenario's arm has "
+        f"{', '.join(names)}."
+    )
+
+
+def _finite(arrays: dict[str, Array], source: str) -> None:
+    for name, array in arrays.items():
+        bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+        if len(bad):
+            raise FileFormatError(f"{source}: the {name} of sample {bad[0] + 1} is not a finite number.")
+
+
+def _clock(t: Array, source: str) -> tuple[Array, tuple[str, ...]]:
+    """Indices to keep, and notes. Time may stand still (the later sample is dropped), never run backwards."""
+    step = np.diff(t)
+    back = np.flatnonzero(step < 0)
+    if len(back):
+        k = int(back[0])
+        raise FileFormatError(
+            f"{source}: time runs backwards from {t[k]:.6f} s to {t[k + 1]:.6f} s at sample {k + 2}; samples must be "
+            "in the order of time."
+        )
+    keep = np.concatenate([[0], 1 + np.flatnonzero(step > 0)])
+    notes = []
+    if len(keep) < len(t):
+        notes.append(f"{len(t) - len(keep)} samples repeat the time of the one before and were left out.")
+    if len(keep) < FEWEST:
+        raise FileFormatError(f"{source} has {len(keep)} samples at different times; an audit needs at least {FEWEST}.")
+    return keep, tuple(notes)

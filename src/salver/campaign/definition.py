@@ -1,0 +1,128 @@
+"""What a campaign is: which plans, how many runs, which samples. Everything a run depends on is in here."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from salver import sampling, scenario
+from salver.errors import FileFormatError, SalverError
+from salver.files import read_json
+from salver.geometry import Array
+from salver.models.bodies import bodies, uncertain_set
+
+Engine = Literal["physics", "closed-loop"]
+ENGINES: tuple[str, ...] = get_args(Engine)
+SUMMARY = "campaign.json"
+DEFAULT_FOLDER = "campaign"
+
+
+@dataclass(frozen=True)
+class Definition:
+    """n runs with the samples of (method, seed) for every plan.
+
+    plans: stem of the plan's file -> digest of its content. scenario: digest of the resolved scenario.
+    engine: "physics" (arm, tray and objects with contact) or "closed-loop" (eqs 18 and 19 alone, no contact).
+    """
+
+    scenario: str
+    plans: Mapping[str, str]
+    n: int
+    seed: int
+    method: str
+    engine: str
+
+    def extends(self, other: Definition) -> bool:
+        """Whether the runs of `other` are the first runs of this one."""
+        same_samples = other.n == self.n or (self.method in sampling.EXTENSIBLE and other.n < self.n)
+        return same_samples and {**asdict(self), "n": 0} == {**asdict(other), "n": 0}
+
+    def in_words(self) -> str:
+        return (
+            f"{self.n} runs of {' and '.join(self.plans)} (scenario {self.scenario}), method {self.method}, "
+            f"seed {self.seed}, engine {self.engine}"
+        )
+
+
+def define(directory: Path, stems: Sequence[str], n: int, seed: int, method: str, engine: str) -> Definition:
+    """Definition of a campaign in a run directory. Raises SalverError, one sentence for each mistake."""
+    if n < 1:
+        raise SalverError(f"A campaign of {n} runs was asked for; it needs at least 1.")
+    if seed < 0:
+        raise SalverError(f"The seed is {seed}; it must be 0 or more.")
+    if method not in sampling.METHODS:
+        raise SalverError(f'There is no sampling method "{method}"; known are {", ".join(sampling.METHODS)}.')
+    if engine not in ENGINES:
+        raise SalverError(f'There is no engine "{engine}"; known are {", ".join(ENGINES)}.')
+    case = load_scenario(directory)
+    if not uncertain_set(case).names:
+        raise SalverError(f"Nothing is uncertain in {case.name}: all runs would be the same; use simulate for one run.")
+    return Definition(case.digest, {stem: plan_digest(directory, stem) for stem in stems}, n, seed, method, engine)
+
+
+def load_scenario(directory: Path) -> scenario.Scenario:
+    """The resolved scenario of a run directory."""
+    path = directory / "scenario.toml"
+    if not path.is_file():
+        raise SalverError(f"{directory} holds no scenario.toml; it is not a directory that `salver plan` made.")
+    return scenario.load(path)
+
+
+def known_stems(directory: Path) -> list[str]:
+    """Plans of a run directory: "plan" and "baseline" first, then others."""
+    found = {path.stem for path in directory.glob("*.npz")}
+    first = [stem for stem in ("plan", "baseline") if stem in found]
+    return first + sorted(found - set(first))
+
+
+def plan_digest(directory: Path, stem: str) -> str:
+    """Content hash of a plan's arrays."""
+    path = directory / f"{stem}.npz"
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    except OSError:
+        known = ", ".join(known_stems(directory)) or "none"
+        raise SalverError(f'{directory} has no plan "{stem}" ({path.name}); it has {known}.') from None
+
+
+def samples(directory: Path, definition: Definition) -> tuple[tuple[str, ...], Array]:
+    """Names of the uncertain parameters and their values (n, n_p), absolute, in each parameter's unit."""
+    case = load_scenario(directory)
+    if case.digest != definition.scenario:
+        raise SalverError(
+            f"{directory / 'scenario.toml'} has the digest {case.digest}, but the campaign was made for "
+            f"{definition.scenario}; the scenario was changed afterwards."
+        )
+    uncertain = uncertain_set(case)
+    method: Any = definition.method
+    return uncertain.names, sampling.draw(uncertain, definition.n, definition.seed, method, bodies(case))
+
+
+def seed_of_run(seed: int, run: int) -> int:
+    """Seed of what is random inside run number `run` (sensor noise), the same for every plan."""
+    return int(np.random.default_rng([seed, run, 1]).integers(2**31))
+
+
+def read_definition(directory: str | Path, folder: str = DEFAULT_FOLDER) -> Definition:
+    """Definition of the campaign that a run directory holds. Raises SalverError when there is none."""
+    path = Path(directory) / folder / SUMMARY
+    if not path.is_file():
+        raise SalverError(f"{Path(directory)} holds no campaign ({folder}/{SUMMARY}); make one with `salver campaign`.")
+    try:
+        return Definition(**read_json(path)["definition"])
+    except (KeyError, TypeError):
+        raise FileFormatError(f"{path} is not a campaign that salver wrote; it has no definition.") from None
+
+
+def parameters_of_run(directory: str | Path, run: int, folder: str = DEFAULT_FOLDER) -> tuple[dict[str, float], int]:
+    """Parameters (absolute values, by name) and seed of run number `run` (0-based) of a directory's campaign."""
+    definition = read_definition(directory, folder)
+    if not 0 <= run < definition.n:
+        raise SalverError(f"There is no run {run}; the campaign has the runs 0 to {definition.n - 1}.")
+    names, values = samples(Path(directory), definition)
+    return dict(zip(names, map(float, values[run]), strict=True)), seed_of_run(definition.seed, run)

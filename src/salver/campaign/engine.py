@@ -1,0 +1,140 @@
+"""The campaign itself: what is left to do, done in parallel, journaled, put together into a table and a summary."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from salver.campaign import workers
+from salver.campaign.definition import DEFAULT_FOLDER, SUMMARY, Definition, define, known_stems, load_scenario
+from salver.campaign.journal import Item, Journal
+from salver.campaign.runners import BLOCK, Context
+from salver.campaign.summary import summarise, table, write_table
+from salver.errors import FileFormatError, SalverError
+from salver.files import provenance, read_json, write_json
+
+TABLE = "runs.parquet"
+Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A finished campaign. summary: what campaign.json holds. folder: where it and runs.parquet are."""
+
+    folder: Path
+    definition: Definition
+    summary: dict[str, Any]
+
+
+def run_campaign(
+    directory: str | Path,
+    n: int = 100,
+    seed: int = 0,
+    method: str = "uniform",
+    stems: Sequence[str] | None = None,
+    engine: str = "physics",
+    jobs: int | None = None,
+    ray: str | None = None,
+    folder: str = DEFAULT_FOLDER,
+    progress: Progress | None = None,
+) -> Campaign:
+    """n runs of each plan of a run directory, all plans on the same samples; goes on where an earlier one stopped.
+
+    stems: plans to run (default: plan and baseline). jobs: processes (default: all cores). ray: address of a Ray
+    cluster to use instead. progress(done, total, outcomes by (stem, outcome)) is called after each run.
+    Raises SalverError when the folder holds another campaign: nothing is overwritten.
+    """
+    directory = Path(directory)
+    load_scenario(directory)
+    stems = list(dict.fromkeys(stems or known_stems(directory)[:2]))
+    if not stems:
+        raise SalverError(f"{directory} holds no plan; make one with `salver plan`.")
+    if jobs is not None and jobs < 1:
+        raise SalverError(f"{jobs} jobs were asked for; it needs at least 1.")
+    definition = define(directory, stems, n, seed, method, engine)
+    place = directory / folder
+    _claim(place, definition)
+    with Journal(place) as journal:
+        previous = _claim(place, definition)  # again: another process may have come first
+        if previous is None or not previous.get("complete") or previous["definition"]["n"] != n:
+            head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
+            write_json(place / SUMMARY, head)
+        wanted = {(stem, run) for stem in stems for run in range(n)}
+        journal.records = {item: record for item, record in journal.records.items() if item in wanted}
+        counts = Counter((r["stem"], r["outcome"]) for r in journal.records.values())
+        if progress:
+            progress(len(journal.records), len(wanted), counts)
+        context = Context(directory, definition)
+        batches = _batches(wanted - journal.records.keys(), stems, engine)
+        with closing(_results(context, batches, jobs or _cores(), ray)) as results:
+            for records in results:
+                for record in records:
+                    journal.append(record)
+                    counts[record["stem"], record["outcome"]] += 1
+                    if progress:
+                        progress(len(journal.records), len(wanted), counts)
+        rows = table(journal.records, stems)
+    summary = {
+        "complete": True,
+        "definition": asdict(definition),
+        **summarise(rows, stems, directory, folder),
+        "provenance": _provenance(directory),
+    }
+    write_table(place / TABLE, rows)
+    write_json(place / SUMMARY, summary)
+    return Campaign(place, definition, summary)
+
+
+def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:
+    """What campaign.json already holds, if this campaign may go on from it; SalverError if not."""
+    path = place / SUMMARY
+    if not path.is_file():
+        return None
+    previous = read_json(path)
+    try:
+        existing = Definition(**previous["definition"])
+    except (KeyError, TypeError):
+        raise FileFormatError(
+            f"{path} is not a campaign that salver wrote; move it away or use another --folder."
+        ) from None
+    if not definition.extends(existing):
+        raise SalverError(
+            f"{place} holds another campaign: {existing.in_words()}; asked for were {definition.in_words()}. "
+            "Use another --folder to keep both."
+        )
+    return dict(previous)
+
+
+def _provenance(directory: Path) -> dict[str, Any]:
+    return provenance(load_scenario(directory))
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _batches(items: set[Item], stems: Sequence[str], engine: str) -> list[workers.Batch]:
+    """Work in the order of the runs, all plans of a run next to each other, so that a stopped campaign is paired."""
+    size = BLOCK if engine == "closed-loop" else 1
+    blocks: dict[tuple[int, int], list[int]] = {}
+    for stem, run in items:
+        blocks.setdefault((run // size, stems.index(stem)), []).append(run)
+    return [(stems[rank], tuple(sorted(runs))) for (_, rank), runs in sorted(blocks.items())]
+
+
+def _results(
+    context: Context, batches: list[workers.Batch], jobs: int, ray: str | None
+) -> Generator[workers.Records, None, None]:
+    if not batches:
+        return
+    if ray is not None:
+        yield from workers.ray_cluster(context, batches, ray)
+    elif min(jobs, len(batches)) == 1:
+        yield from workers.serial(context, batches)
+    else:
+        yield from workers.processes(context, batches, min(jobs, len(batches)))

@@ -1,0 +1,96 @@
+"""`salver audit`: will it slip? For a trajectory that the user already has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console
+
+if TYPE_CHECKING:
+    from salver.audit import Audit
+
+
+def audit(
+    trajectory: Annotated[
+        Path, typer.Argument(help="CSV of a tray or joint motion, JointTrajectory as YAML or JSON, or a ROS bag.")
+    ],
+    scenario: Annotated[str, typer.Option("--scenario", "-s", help="What is on the tray: a name or a .toml file.")],
+    topic: Annotated[str | None, typer.Option(help="Topic of the motion, when a bag has several.")] = None,
+    bandwidth: Annotated[
+        float | None, typer.Option(help="Smooth away what is faster than this, Hz. Default: found from the data.")
+    ] = None,
+    gap: Annotated[
+        float | None, typer.Option(help="Bridge up to so many seconds without samples. Default: 0.1 s and three steps.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Say whether what is on the tray holds, slides or tips along a given motion, nominally and in the worst case.
+
+    Exit code 0: everything holds in the worst case of the scenario's uncertain parameters; 3: it does not; 2: wrong
+    use.
+
+    CSV columns: t (s), then x, y, z (m), qw, qx, qy, qz of the tray, or the arm's joint names or q1 ... qn (rad).
+
+    Example: `salver audit motion.csv --scenario panda-cube`
+    """
+    from salver import scenario as model
+    from salver.audit import audit as run
+
+    result = run(trajectory, model.load(scenario), topic, bandwidth, gap)
+    if json:
+        print_json(result.summary())
+    else:
+        _show(result)
+    if not result.ok:
+        raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _show(result: Audit) -> None:
+    from rich.markup import escape
+
+    out = result_console()
+    motion, margins = result.motion, result.margins
+    lines = [
+        f"{result.source}: {motion.samples.t[-1] - motion.samples.t[0]:.3f} s, {_smoothing(result)}.",
+        *(f"Note: {note}" for note in motion.notes),
+        f"Nominal: {result.nominal.sentence}",
+        f"Worst case: {result.worst.sentence}",
+        *(
+            f"{m.name}: friction needed {m.friction_needed.max():.3f} nominal, {m.friction_needed_worst:.3f} worst "
+            f"case, of {m.friction:.3g}; tip-over margin {1e3 * m.tip_over.min():.1f} mm nominal, "
+            f"{1e3 * m.tip_over_worst.min():.1f} mm worst case."
+            for m in margins.interfaces
+        ),
+    ]
+    if result.costs:
+        name, cost = next(iter(result.costs.items()))
+        lines.append(f"Costs most of the margin: {name}, {100 * cost:.1f} % of the weight.")
+    lines.append(f"Pace, nominal: {_pace_words(result.pace.factor, result.pace.status.sentence)}")
+    lines.append(f"Pace, worst case: {_pace_words(result.pace_worst.factor, result.pace_worst.status.sentence)}")
+    for line in lines:
+        out.print(escape(line))
+
+
+def _smoothing(result: Audit) -> str:
+    motion = result.motion
+    if motion.bandwidth is None:
+        return "not smoothed"
+    noise = ", ".join(f"{value:.2g} {_UNITS[name]} of {name}" for name, value in motion.noise.items())
+    return (
+        f"smoothed to {motion.bandwidth:.3g} Hz; noise {noise}, which leaves {motion.acceleration_noise:.2g} m/s^2 in "
+        "the acceleration"
+    )
+
+
+_UNITS = {"position": "m", "orientation": "rad", "joints": "rad"}
+
+
+def _pace_words(factor: float | None, sentence: str) -> str:
+    if factor is None:
+        return sentence
+    if factor > 1:
+        return f"the same path must take {factor:.3f} times as long."
+    return f"the same path could be run in {factor:.3f} of the time."

@@ -1,0 +1,148 @@
+"""`salver campaign`: many perturbed runs of the plans of a directory."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salver.cli.common import Json, console, print_json, result_console, say
+
+if TYPE_CHECKING:
+    from salver.campaign.engine import Progress
+
+
+def campaign(
+    directory: Annotated[Path, typer.Argument(help="Run directory that `salver plan` made.")],
+    n: Annotated[int, typer.Option("-n", "--runs", help="Runs of each plan.")] = 100,
+    seed: Annotated[int, typer.Option(help="Seed of the samples: the same seed gives the same runs.")] = 0,
+    method: Annotated[
+        str,
+        typer.Option(help="How the uncertain set is sampled: uniform, corners (the extremes first), lhs or sobol."),
+    ] = "uniform",
+    stem: Annotated[
+        list[str] | None, typer.Option(help="Plan to run; repeat for several. Default: plan and baseline.")
+    ] = None,
+    engine: Annotated[
+        str, typer.Option(help="physics (arm, tray and objects with contact) or closed-loop (eqs 18, 19 alone).")
+    ] = "physics",
+    jobs: Annotated[int | None, typer.Option("-j", "--jobs", help="Processes. Default: one for each core.")] = None,
+    ray: Annotated[
+        str | None,
+        typer.Option(
+            help='Address of a Ray cluster to use instead ("auto" for this machine\'s, "local" to start one).'
+        ),
+    ] = None,
+    folder: Annotated[str, typer.Option(help="Folder in DIRECTORY for the results.")] = "campaign",
+    json: Json = False,
+) -> None:
+    """Run every plan of a directory many times with perturbed parameters, all plans on the same samples.
+
+    Stopped half way, even killed, the same command goes on where it was. Results: runs.parquet and campaign.json in
+    DIRECTORY/campaign. One run alone: `salver simulate DIRECTORY --run K`.
+
+    Example: `salver campaign out/panda-cube -n 100 --seed 0`
+    """
+    from salver.campaign import run_campaign
+
+    with _progress() as progress:
+        try:
+            result = run_campaign(directory, n, seed, method, stem, engine, jobs, ray, folder, progress)
+        except KeyboardInterrupt:
+            say("salver: stopped; the runs that were finished are kept, and the same command goes on from there.")
+            raise typer.Exit(130) from None
+    if json:
+        print_json(result.summary)
+        return
+    show(result.summary)
+    result_console().print(f"Runs: {result.folder / 'runs.parquet'}, summary: {result.folder / 'campaign.json'}")
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """A bar on standard error with the count of each outcome; plain lines where there is no terminal."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(
+        TextColumn("runs"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.description}"),
+        console=console(),
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task("", total=None)
+
+        def update(done: int, total: int, counts: Counter[tuple[str, str]]) -> None:
+            words = ", ".join(f"{stem} {outcome} {count}" for (stem, outcome), count in sorted(counts.items()))
+            bar.update(task, completed=done, total=total, description=words)
+
+        yield update
+
+
+def show(summary: dict[str, Any]) -> None:
+    """The summary as a table for a person: a column for each plan."""
+    from rich.table import Table
+
+    plans = summary["plans"]
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    table.add_column("")
+    for stem in plans:
+        table.add_column(stem)
+    outcomes = list(dict.fromkeys(name for plan in plans.values() for name in plan["outcomes"]))
+    for name in outcomes:
+        cells = [_rate(plan["outcomes"].get(name)) for plan in plans.values()]
+        table.add_row(name, *cells)
+    for name, (label, scale, unit) in _SHOWN.items():
+        if any(name in plan["quantiles"] for plan in plans.values()):
+            cells = [_range(plan["quantiles"].get(name), scale, unit) for plan in plans.values()]
+            table.add_row(label, *cells)
+    if any(plan["tube"] for plan in plans.values()):
+        table.add_row("left their tube", *(_rate(plan["tube"] and plan["tube"]["left"]) for plan in plans.values()))
+        table.add_row("furthest out", *(_excess(plan["tube"]) for plan in plans.values()))
+    out = result_console()
+    out.print(table)
+    for pair in summary["paired"]:
+        held = pair["holds"]
+        out.print(
+            f"Held: both {held['both']}, only {pair['first']} {held['only_first']}, only {pair['second']} "
+            f"{held['only_second']}, neither {held['neither']} (McNemar p = {held['p_value']:.3g})"
+        )
+    for stem, plan in plans.items():
+        worst = plan["worst_run"]
+        out.print(f"Worst run of {stem}: {worst['run']} ({worst['outcome']}); again with: {worst['replay']}")
+
+
+_SHOWN = {
+    "peak_slip": ("peak slip, median (max)", 1e3, "mm"),
+    "final_slip": ("final slip, median (max)", 1e3, "mm"),
+    "peak_tip_angle": ("peak tip angle, median (max)", 57.29577951308232, "deg"),
+    "e_p_peak": ("peak e_p, median (max)", 1e3, "mm"),
+    "e_o_peak": ("peak e_o, median (max)", 57.29577951308232, "deg"),
+    "cone_least": ("least Lambda, median (min)", 1.0, "N"),
+}
+
+
+def _rate(rate: dict[str, Any] | None) -> str:
+    if not rate:
+        return ""
+    return f"{rate['count']} of {rate['of']} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
+
+
+def _excess(tube: dict[str, Any] | None) -> str:
+    if not tube:
+        return ""
+    return f"{tube['worst_excess']:.3g} N ({100 * tube['worst_excess_relative']:.3g} % of the radius)"
+
+
+def _range(values: dict[str, float] | None, scale: float, unit: str) -> str:
+    if not values:
+        return ""
+    extreme = values["min"] if unit == "N" else values["max"]
+    return f"{scale * values['median']:.4g} {unit} ({scale * extreme:.4g})"

@@ -1,0 +1,329 @@
+"""Campaigns: the same table whether made at once, in pieces after a kill, serially, in parallel or on a cluster."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from salver import scenario as scenarios
+from salver.campaign import parameters_of_run, run_campaign, seed_of_run
+from salver.campaign.journal import Journal
+from salver.campaign.runners import run_scalars, tube_scalars
+from salver.campaign.summary import read_table, summarise, table, write_table
+from salver.errors import SalverError
+from salver.models.bodies import bodies, uncertain_set
+from salver.planning.plan import make_plan
+from salver.sampling import draw
+
+N = 30
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """A run directory with a robust plan and its baseline."""
+    directory = tmp_path_factory.mktemp("run")
+    case = scenarios.load("panda-cube").with_changes(
+        objects__0__uncertainty__inertia="10%", motion__duration=1.0, motion__degree=7
+    )
+    make_plan(case, "robust", arm=False).save(directory)
+    make_plan(case, "baseline", arm=False).save(directory, "baseline")
+    return directory
+
+
+@pytest.fixture
+def run_dir(planned, tmp_path):
+    return Path(shutil.copytree(planned, tmp_path / "run"))
+
+
+@pytest.fixture(scope="module")
+def finished(planned, tmp_path_factory):
+    """A campaign made at once, serially."""
+    directory = Path(shutil.copytree(planned, tmp_path_factory.mktemp("done") / "run"))
+    return run_campaign(directory, n=N, engine="closed-loop", jobs=1)
+
+
+def parquet(directory: Path) -> bytes:
+    return (directory / "campaign" / "runs.parquet").read_bytes()
+
+
+def test_all_plans_run_on_the_same_samples_within_the_set(finished):
+    columns = read_table(finished.folder / "runs.parquet")
+    assert columns["run"] == [k for k in range(N) for _ in range(2)]
+    assert columns["stem"] == ["plan", "baseline"] * N
+    mass = np.array(columns["mass"])
+    assert np.array_equal(mass[::2], mass[1::2])
+    assert len(set(mass)) == N
+    assert np.all(np.abs(mass - 0.256) <= 0.0256)
+
+
+def test_parameters_of_a_run_are_those_in_the_table_and_of_the_sampler(finished):
+    directory = finished.folder.parent
+    columns = read_table(finished.folder / "runs.parquet")
+    case = scenarios.load(directory / "scenario.toml")
+    drawn = draw(uncertain_set(case), N, 0, "uniform", bodies(case))
+    for k in (0, 7, N - 1):
+        parameters, seed = parameters_of_run(directory, k)
+        assert list(parameters.values()) == list(drawn[k])
+        assert all(columns[name][2 * k] == value for name, value in parameters.items())
+        assert seed == seed_of_run(0, k)
+    with pytest.raises(SalverError, match=f"no run {N}; the campaign has the runs 0 to {N - 1}"):
+        parameters_of_run(directory, N)
+
+
+def test_a_cube_of_another_mass_sags_as_the_step_response_says(finished):
+    # With r = m_n / m the vertical error obeys e'' + r kd e' + r kp e = (1 - r) g from rest: its peak is
+    # g |m - m_n| / (m_n kp) times one plus the overshoot. The horizontal error adds a little to the norm.
+    columns = read_table(finished.folder / "runs.parquet")
+    mass, error = np.array(columns["mass"][1::2]), np.array(columns["e_p_peak"][1::2])
+    r = 0.256 / mass
+    overshoot = np.exp(-np.pi * 12.5 * r / np.sqrt(500 * r - (12.5 * r) ** 2))
+    peak = 9.81 * np.abs(mass - 0.256) / 0.256 / 500 * (1 + overshoot)
+    assert np.all(error >= peak * (1 - 1e-3))
+    assert np.all(error <= peak * 1.1)
+
+
+def test_parallel_gives_the_identical_table(finished, run_dir):
+    run_campaign(run_dir, n=N, engine="closed-loop", jobs=2)
+    assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
+
+
+def test_more_runs_can_be_added_and_the_first_ones_stay(finished, run_dir):
+    run_campaign(run_dir, n=10, engine="closed-loop", jobs=1)
+    first = (run_dir / "campaign" / "journal.jsonl").read_bytes()
+    again = run_campaign(run_dir, n=N, engine="closed-loop", jobs=1)
+    assert (run_dir / "campaign" / "journal.jsonl").read_bytes().startswith(first)
+    assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
+    for stem, plan in again.summary["plans"].items():
+        assert plan | {"worst_run": 0} == finished.summary["plans"][stem] | {"worst_run": 0}  # it names the directory
+
+
+def test_a_finished_campaign_is_not_run_again(finished, monkeypatch):
+    from salver.campaign import workers
+
+    def refuse(*_):
+        raise AssertionError("a finished run was made again")
+
+    monkeypatch.setattr(workers, "serial", refuse)
+    before = (finished.folder / "runs.parquet").read_bytes()
+    again = run_campaign(finished.folder.parent, n=N, engine="closed-loop", jobs=1)
+    assert again.summary == finished.summary
+    assert (finished.folder / "runs.parquet").read_bytes() == before
+
+
+@pytest.mark.parametrize("cut", [0, 1, 37, 300])
+def test_a_journal_cut_off_anywhere_is_completed(finished, run_dir, cut):
+    shutil.copytree(finished.folder, run_dir / "campaign")
+    journal = run_dir / "campaign" / "journal.jsonl"
+    whole = journal.read_bytes()
+    half = len(whole) // 2 + cut
+    journal.write_bytes(whole[:half])
+    (run_dir / "campaign" / "runs.parquet").unlink()
+    run_campaign(run_dir, n=N, engine="closed-loop", jobs=1)
+    assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
+    items = [(r["stem"], r["run"]) for r in map(json.loads, journal.read_bytes().splitlines())]
+    assert len(items) == len(set(items)) == 2 * N
+
+
+def test_killed_at_any_moment_nothing_is_lost_or_done_twice(run_dir):
+    command = [sys.executable, "-c", "from salver.cli import main; main()", "campaign", str(run_dir), "-n", "160"]
+    command += ["--engine", "closed-loop", "--jobs", "2", "--json"]
+    journal = run_dir / "campaign" / "journal.jsonl"
+    done_before = 0
+    for lines in (1, 80):
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + 60
+        while process.poll() is None and time.monotonic() < deadline:
+            if journal.is_file() and journal.read_bytes().count(b"\n") >= done_before + lines:
+                break
+            time.sleep(0.01)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        done_before = journal.read_bytes().count(b"\n")
+        assert 0 < done_before < 320
+    kept = journal.read_bytes()
+    kept = kept[: kept.rfind(b"\n") + 1]
+    run_campaign(run_dir, n=160, engine="closed-loop", jobs=2)
+    assert journal.read_bytes().startswith(kept)
+    items = [(r["stem"], r["run"]) for r in map(json.loads, journal.read_bytes().splitlines())]
+    assert len(items) == len(set(items)) == 320
+    columns = read_table(run_dir / "campaign" / "runs.parquet")
+    assert len(columns["run"]) == 320
+
+
+def test_a_killed_campaign_leaves_no_worker_behind(run_dir):
+    command = [sys.executable, "-c", "from salver.cli import main; main()", "campaign", str(run_dir), "-n", "4000"]
+    command += ["--engine", "closed-loop", "--jobs", "2", "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    journal = run_dir / "campaign" / "journal.jsonl"
+    deadline = time.monotonic() + 60
+    while not (journal.is_file() and journal.stat().st_size) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    workers = _children(process.pid)
+    assert len(workers) >= 2
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    deadline = time.monotonic() + 20
+    while any(_alive(pid) for pid in workers) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(_alive(pid) for pid in workers)
+
+
+def _children(pid: int) -> list[int]:
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid:
+            found.append(int(stat.parent.name))
+    return found
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_a_worker_that_dies_costs_only_a_second_attempt(finished, run_dir):
+    import threading
+
+    killed = []
+
+    def kill_one():
+        deadline = time.monotonic() + 30
+        while not killed and time.monotonic() < deadline:
+            for pid in _children(os.getpid()):
+                if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                    time.sleep(0.5)
+                    os.kill(pid, signal.SIGKILL)
+                    killed.append(pid)
+                    break
+            time.sleep(0.01)
+
+    thread = threading.Thread(target=kill_one)
+    thread.start()
+    run_campaign(run_dir, n=N, engine="closed-loop", jobs=2)
+    thread.join()
+    assert killed
+    assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
+
+
+def test_the_directory_of_another_campaign_is_not_touched(finished, run_dir):
+    shutil.copytree(finished.folder, run_dir / "campaign")
+    before = {path.name: path.read_bytes() for path in (run_dir / "campaign").iterdir()}
+    for options in ({"seed": 1}, {"method": "sobol"}, {"n": 5}, {"stems": ["plan"]}, {"engine": "physics"}):
+        with pytest.raises(SalverError, match="holds another campaign: 30 runs of plan and baseline"):
+            run_campaign(run_dir, **{"n": N, "engine": "closed-loop", "jobs": 1, **options})
+    (run_dir / "plan.npz").write_bytes((run_dir / "baseline.npz").read_bytes())
+    with pytest.raises(SalverError, match="holds another campaign"):
+        run_campaign(run_dir, n=N, engine="closed-loop", jobs=1)
+    assert before == {path.name: path.read_bytes() for path in (run_dir / "campaign").iterdir()}
+
+
+def test_two_campaigns_at_once_in_one_directory_are_refused(run_dir):
+    with Journal(run_dir / "campaign"), pytest.raises(SalverError, match="Another campaign is running"):
+        run_campaign(run_dir, n=3, engine="closed-loop", jobs=1)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"n": 0}, "A campaign of 0 runs"),
+        ({"method": "random"}, 'no sampling method "random"'),
+        ({"engine": "gazebo"}, 'no engine "gazebo"; known are physics, closed-loop'),
+        ({"stems": ["fast"]}, 'has no plan "fast" .*; it has plan, baseline'),
+        ({"seed": -1}, "The seed is -1"),
+        ({"jobs": 0}, "0 jobs"),
+    ],
+)
+def test_wrong_use_is_one_sentence_and_leaves_nothing(run_dir, options, sentence):
+    with pytest.raises(SalverError, match=sentence):
+        run_campaign(run_dir, **{"n": 3, "engine": "closed-loop", **options})
+    assert not (run_dir / "campaign").exists()
+
+
+def test_directories_that_are_no_run_directory_are_refused(tmp_path):
+    with pytest.raises(SalverError, match=r"holds no scenario.toml"):
+        run_campaign(tmp_path)
+    with pytest.raises(SalverError, match="holds no campaign"):
+        parameters_of_run(tmp_path, 0)
+
+
+class _FlatPlan:
+    """A plan whose tube is known by hand: nominal 1 N and 2 N, radius 0.1 N and 0.2 N, for a second."""
+
+    t = np.linspace(0, 1, 11)
+    cone_coefficients = np.tile([1.0, 2.0], (11, 1))
+    cone_radius = np.tile([0.1, 0.2], (11, 1))
+
+
+def test_the_excess_over_the_tube_is_measured_where_the_motion_is():
+    t = np.array([-0.1, 0.0, 0.25, 0.5, 1.0, 1.2])
+    coefficients = np.tile([1.0, 2.0], (6, 1))
+    coefficients[0] = coefficients[-1] = 50.0  # before and after the motion: of no concern
+    coefficients[2, 0] = 0.75  # 0.25 below nominal, radius 0.1
+    coefficients[3, 1] = 2.15  # inside
+    found = tube_scalars(_FlatPlan(), t, coefficients)
+    assert found["tube_excess"] == pytest.approx(0.15)
+    assert found["tube_excess_relative"] == pytest.approx(0.15 / 0.2)
+    assert found["tube_excess_time"] == 0.25
+    assert found["cone_least"] == 0.75
+
+
+def record(stem, run, outcome, slip):
+    return {
+        "stem": stem,
+        "run": run,
+        "outcome": outcome,
+        "parameters": {"mass": 1.0 + run},
+        "scalars": {"peak_slip": slip},
+    }
+
+
+def test_summary_of_known_runs(tmp_path):
+    # plan slides once, baseline slides in three others: discordant 3 to 1 of four, p = 2 (1 + 4) / 16.
+    slides = {"plan": {3}, "baseline": {0, 1, 2}}
+    records = {
+        (stem, run): record(stem, run, "slides" if run in slides[stem] else "holds", 1e-3 * run)
+        for stem in slides
+        for run in range(10)
+    }
+    rows = table(records, ["plan", "baseline"])
+    summary = summarise(rows, ["plan", "baseline"], Path("out/x"))
+    assert summary["plans"]["plan"]["outcomes"]["holds"]["count"] == 9
+    assert summary["plans"]["baseline"]["outcomes"]["slides"]["low"] == pytest.approx(0.0667, abs=1e-4)
+    assert summary["paired"][0]["holds"]["p_value"] == pytest.approx(10 / 16)
+    # Worst is the worst outcome, then the largest slip: run 3 slid, run 9 held with a larger number.
+    assert summary["plans"]["plan"]["worst_run"]["run"] == 3
+    assert summary["plans"]["baseline"]["worst_run"]["replay"] == "salver simulate out/x --stem baseline --run 2"
+    assert summary["plans"]["plan"]["quantiles"]["peak_slip"]["max"] == pytest.approx(9e-3)
+    write_table(tmp_path / "runs.parquet", rows)
+    assert read_table(tmp_path / "runs.parquet")["mass"][:3] == [1.0, 1.0, 2.0]
+
+
+def test_figures_of_several_objects_are_told_apart():
+    objects = [
+        {"name": "a", "outcome": "holds", "peak_slip": 1e-4},
+        {"name": "b", "outcome": "slides", "peak_slip": 2e-3},
+    ]
+    flat = run_scalars({"outcome": "slides", "objects": objects, "wall_time": 3.0, "provenance": {}})
+    assert flat == {
+        "outcome": "slides",
+        "a.outcome": "holds",
+        "a.peak_slip": 1e-4,
+        "b.outcome": "slides",
+        "b.peak_slip": 2e-3,
+        "peak_slip": 2e-3,
+    }
+    one = run_scalars({"outcome": "holds", "objects": objects[:1]})
+    assert one == {"outcome": "holds", "peak_slip": 1e-4}
