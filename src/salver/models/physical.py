@@ -1,0 +1,94 @@
+"""Which inertial parameters an object of a given shape can have.
+
+Mass, centre of mass and inertia are the moments of order 0, 1, 2 of a mass distribution. Any distribution at
+all needs mass > 0 and positive second moments (which contains the triangle inequality of the principal
+moments; Traversaro et al. 2016, Wensing et al. 2018). One that lies within the shape's convex hull needs
+more: for any two faces with distances h_i(x), h_j(x) >= 0 inside, the mean of h_i h_j is not negative (moment
+conditions of order one; Heins and Schoellig, "Robust Nonprehensile Object Transportation with Uncertain Inertial
+Parameters", 2025). These are necessary. `mass_distribution` shows sufficiency: it finds point masses, or none.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.geometry import Array
+from salver.models.rigid_body import inertia_matrix
+
+if TYPE_CHECKING:
+    from salver.models.bodies import Body
+
+_TOLERANCE = 1e-9  # relative to the size of the shape
+
+
+def hull_faces(body: Body) -> Array:
+    """(k, 4) half-spaces n . x + d <= 0 of the shape's convex hull in B, each once; n are unit vectors."""
+    from scipy.spatial import ConvexHull
+
+    equations = np.asarray(ConvexHull(body.solid.bounding_points_G - body.com_G).equations)
+    return equations[np.unique(np.round(equations, 9), axis=0, return_index=True)[1]]
+
+
+def second_moments(values: Array) -> Array:
+    """(n, 3, 3) second moments about the centre of mass, per mass, of values (n, 10) of `parameters.INERTIAL`."""
+    inertia = inertia_matrix(values[:, 4:]) / values[:, 0, None, None]
+    return 0.5 * np.trace(inertia, axis1=1, axis2=2)[:, None, None] * np.eye(3) - inertia
+
+
+def realisable(body: Body, values: npt.ArrayLike, *, within_shape: bool = True) -> npt.NDArray[np.bool_]:
+    """(n,) whether a mass distribution can have the values (n, 10) of `parameters.INERTIAL`, in B.
+
+    within_shape: whether it lies within the shape's convex hull (necessary conditions, see above); otherwise the
+    centre of mass lies within the hull and the inertia is that of some distribution anywhere.
+    """
+    values = np.atleast_2d(np.asarray(values, dtype=float))
+    possible = values[:, 0] > 0
+    if not possible.any():
+        return np.asarray(possible)
+    faces = hull_faces(body)
+    normal, offset = faces[:, :3], faces[:, 3]
+    size = float(np.ptp(body.solid.bounding_points_G, axis=0).max())
+    kept = values[possible]
+    spread, com = second_moments(kept), kept[:, 1:4]
+    fine = np.linalg.eigvalsh(spread)[:, 0] >= -_TOLERANCE * size**2
+    inside = com @ normal.T + offset
+    fine &= np.all(inside <= _TOLERANCE * size, axis=1)
+    if within_shape:
+        # mean of (n_i . x + d_i)(n_j . x + d_j) = n_i . spread n_j + inside_i inside_j
+        products = normal @ spread @ normal.T + inside[:, :, None] * inside[:, None, :]
+        fine &= np.all(products >= -_TOLERANCE * size**2, axis=(1, 2))
+    result = np.zeros(len(values), dtype=bool)
+    result[possible] = fine
+    return result
+
+
+def mass_distribution(body: Body, values: npt.ArrayLike, per_axis: int = 9) -> tuple[Array, Array] | None:
+    """Point masses (points in B (k, 3), masses (k,)) within the shape's hull with the given inertial values (10,).
+
+    On a lattice of `per_axis` points along each side of the bounding box, and the hull's corners; None if there is
+    none on that lattice. A distribution proves that the values are possible.
+    """
+    from scipy.optimize import linprog
+
+    row = np.asarray(values, dtype=float)
+    faces = hull_faces(body)
+    corners = body.solid.bounding_points_G - body.com_G
+    axes = [
+        np.linspace(low, high, per_axis) for low, high in zip(corners.min(axis=0), corners.max(axis=0), strict=True)
+    ]
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    size = float(np.ptp(corners, axis=0).max())
+    lattice = lattice[np.all(lattice @ faces[:, :3].T + faces[:, 3] <= _TOLERANCE * size, axis=1)]
+    points = np.vstack([lattice, corners])
+    away = (points - row[1:4]) / size
+    pairs = np.triu_indices(3)
+    moments = np.vstack([np.ones(len(points)), away.T, (away[:, pairs[0]] * away[:, pairs[1]]).T])
+    target = np.concatenate([[1.0, 0, 0, 0], second_moments(row[None])[0][pairs] / size**2])
+    result = linprog(np.zeros(len(points)), A_eq=moments, b_eq=target, bounds=(0, None), method="highs")
+    if result.status != 0:
+        return None
+    used = result.x > 0
+    return points[used], row[0] * result.x[used]
