@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from salver.report.run import Motion, Run
 
 Spec = dict[str, Any]
+TIP_WORTH_SHOWING = 1e-3  # rad; less is the softness of the contact
 POINTS = 240  # per curve: more than the pixels of a chart
 DASH = {"plan": "", "baseline": "6 3"}
 
@@ -232,22 +233,26 @@ def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
 
 
 def simulation_charts(run: Run) -> list[Spec]:
-    """What the physics engine (or the real arm) says: tracking errors as in Fig. 8, slip, lift."""
+    """What the physics engine (or the real arm) says: tracking errors as in Fig. 8, slip, tip angle."""
     wanted = [
-        ("e_p", "Position error of the object", "e_p, mm", 1e3, "mm"),
-        ("e_o", "Orientation error of the object", "e_o, mrad", 1e3, "mrad"),
-        ("slip", "Slip on the tray", "displacement, mm", 1e3, "mm"),
-        ("tip_angle", "Tip angle", "angle, °", 180 / np.pi, "°"),
+        ("e_p", "Position error of the object", "e_p", (("mm", 1e3), ("µm", 1e6))),
+        ("e_o", "Orientation error of the object", "e_o", (("mrad", 1e3), ("µrad", 1e6))),
+        ("slip", "Slip on the tray", "displacement", (("mm", 1e3), ("µm", 1e6), ("nm", 1e9))),
+        ("tip_angle", "Tip angle", "angle", (("°", 180 / np.pi),)),
     ]
     charts = []
-    for key, title, label, factor, unit in wanted:
-        curves = []
-        for m in run.motions:
-            values = record_curve(m, key)
-            if values is not None and m.simulation is not None:
-                curves.append(series(m, m.label, m.simulation.t, factor * values))
-        if curves:
-            charts.append(time_chart(title, label, curves, unit=unit, zero=True))
+    for key, title, label, units in wanted:
+        found = [
+            (m, m.simulation.t, v) for m in run.motions if m.simulation and (v := record_curve(m, key)) is not None
+        ]
+        if not found:
+            continue
+        peak = max(float(np.nanmax(v)) for _, _, v in found)
+        if key == "tip_angle" and peak < TIP_WORTH_SHOWING:
+            continue
+        unit, factor = next(((u, f) for u, f in units if f * peak >= 0.1), units[-1])
+        curves = [series(m, m.label, t, factor * v) for m, t, v in found]
+        charts.append(time_chart(title, f"{label}, {unit}", curves, unit=unit, zero=True))
     return charts
 
 

@@ -211,14 +211,15 @@ def tracking(
                     ax.plot(record.t, 1e3 * getattr(record, key), label=m.label, **_style(m))
             ax.axvline(0, color=GREY, linewidth=0.5)
             ax.margins(x=0)
-            ax.set_ylim(bottom=0)
             if column == 0:
                 ax.set_ylabel(label)
             if row == 0:
                 ax.set_title(title, loc="left")
             else:
                 ax.set_xlabel("time [s]")
-    axes[0, 0].legend(loc="upper right")
+    for ax in axes[:, 0]:
+        ax.set_ylim(bottom=0)
+    axes[1, 1].legend(loc="best")
     return figure
 
 

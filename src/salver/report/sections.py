@@ -13,6 +13,7 @@ from salver.models import wrench_cone
 from salver.report import charts
 from salver.report.style import OUTCOME_COLOURS, ROLE_COLOURS
 from salver.report.tables import arm_usage, scenario_rows, solver_rows
+from salver.report.words import length
 from salver.statistics import clopper_pearson
 
 if TYPE_CHECKING:
@@ -20,12 +21,25 @@ if TYPE_CHECKING:
     from salver.report.run import Run
 
 
+NAVIGATION = {
+    "replay": "Replay",
+    "margins": "Margins",
+    "campaign": "Perturbed runs",
+    "simulation": "Simulation",
+    "forces": "Contact forces",
+    "sensitivity": "Sensitivity",
+    "motion": "Motion",
+    "arm": "Arm",
+    "provenance": "Task and provenance",
+}
+
+
 @dataclass
 class Sections:
     """What `build` gathers: HTML, (anchor, title) of each section, chart specs by key."""
 
     html: str = ""
-    titles: list[tuple[str, str]] = field(default_factory=lambda: [("replay", "Replay")])
+    titles: list[tuple[str, str]] = field(default_factory=lambda: [("replay", NAVIGATION["replay"])])
     specs: dict[str, charts.Spec] = field(default_factory=dict)
 
     def add(
@@ -34,7 +48,7 @@ class Sections:
         figures = "".join(self._figure(key, i, spec) for i, spec in enumerate(specs))
         if not figures and not extra:
             return
-        self.titles.append((key, title))
+        self.titles.append((key, NAVIGATION[key]))
         self.html += f'<section id="{key}"><h2>{escape(title)}</h2>'
         self.html += f"<p>{escape(intro)}</p>" if intro else ""
         self.html += f'<div class="charts {grid}">{figures}</div>' if figures else ""
@@ -113,10 +127,8 @@ def tiles(run: Run) -> str:
     ]
     slips = [charts.record_curve(m, "slip") for m in run.motions]
     if slips[0] is not None:
-        values = [1e3 * float(np.max(s)) if s is not None else float("nan") for s in slips]
-        shown.append(
-            ("Slip in simulation", f"{_number(values[0], 2)} mm", versus(values, 2, " mm") if len(values) > 1 else "")
-        )
+        moved = [length(float(np.max(s))) if s is not None else "not run" for s in slips]
+        shown.append(("Slip in simulation", moved[0], f"baseline {moved[1]}" if len(moved) > 1 else ""))
     if run.campaign is not None:
         held = run.campaign["plans"].get(plan.stem, {}).get("outcomes", {}).get("holds")
         if held:
@@ -310,11 +322,11 @@ def _bar(share: float, stem: str) -> str:
 def _provenance(run: Run) -> str:
     left = table(["asked", ""], [[escape(a), escape(b)] for a, b in scenario_rows(run)])
     right = table(["computed", ""], [[escape(a), escape(b)] for a, b in solver_rows(run)])
-    text = (run.directory / "scenario.toml").read_text(encoding="utf-8")
-    return (
-        f'<div class="columns"><div>{left}</div><div>{right}</div></div>'
-        f"<details><summary>The scenario file</summary><pre>{escape(text)}</pre></details>"
-    )
+    details = ""
+    for name in ("scenario.toml", *(f"{m.stem}.json" for m in run.motions)):
+        text = (run.directory / name).read_text(encoding="utf-8")
+        details += f"<details><summary>{name}</summary><pre>{escape(text)}</pre></details>"
+    return f'<div class="columns"><div>{left}</div><div>{right}</div></div>{details}'
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]], numeric: Iterable[int] = ()) -> str:

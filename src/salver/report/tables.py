@@ -71,34 +71,32 @@ def scenario_rows(run: Run) -> Rows:
 
 
 def solver_rows(run: Run) -> Rows:
-    """plan.json, flattened: whatever it says."""
-    rows: Rows = []
+    """How each motion was found and what made it; all of plan.json is on the page besides."""
+    rows: list[tuple[str, Any]] = []
     for m in run.motions:
-        rows += [(f"{m.label.lower()}: {key}", value) for key, value in _flatten(m.summary)]
-    return rows
+        name, summary = m.label.lower(), m.summary
+        solver = summary.get("solver") or {}
+        rows += [
+            (f"{name}: result", summary.get("status", {}).get("sentence")),
+            (f"{name}: check", summary.get("verification", {}).get("sentence")),
+            (f"{name}: arm", summary.get("arm", {}).get("sentence")),
+            (f"{name}: solver", solver.get("name")),
+            (f"{name}: sensitivity cost, eq (13)", _text(summary.get("cost"))),
+            (f"{name}: weighting", summary.get("weighting") if solver else None),
+        ]
+    made = run.plan.summary.get("provenance", {})
+    versions = ", ".join(f"{key} {value}" for key, value in made.get("versions", {}).items())
+    rows += [
+        ("scenario digest", made.get("scenario_digest")),
+        ("seed", _text(made.get("seed"))),
+        ("made by", f"salver {made['salver']}, Python {made.get('python')}, {made.get('platform')}" if made else None),
+        ("with", versions),
+    ]
+    return [(name, str(value)) for name, value in rows if value]
 
 
-def _flatten(value: Mapping[str, Any], prefix: str = "") -> Rows:
-    rows: Rows = []
-    for key, item in value.items():
-        name = f"{prefix}{key.replace('_', ' ')}"
-        if isinstance(item, Mapping):
-            rows += _flatten(item, f"{name}, ")
-        elif isinstance(item, list) and len(item) > 8:
-            rows.append((name, f"{len(item)} values"))
-        elif item is not None and item != "" and item != []:
-            rows.append((name, _text(item)))
-    return rows
-
-
-def _text(item: Any) -> str:
-    if isinstance(item, bool):
-        return "yes" if item else "no"
-    if isinstance(item, float):
-        return f"{item:.6g}"
-    if isinstance(item, list):
-        return ", ".join(_text(x) for x in item)
-    return str(item)
+def _text(item: Any) -> str | None:
+    return f"{item:.6g}" if isinstance(item, int | float) else item
 
 
 def _vector(values: Any, unit: str) -> str:

@@ -36,31 +36,28 @@ class Verdict:
 def verdict(run: Run) -> Verdict:
     """Campaign before simulation before plan: the strongest evidence there is decides."""
     plan, name = run.plan, run.bodies[0].name
-    if not bool(plan.summary.get("ok", True)):
-        return Verdict("bad", "No safe plan was found", str(_why_not(run)))
+    if not plan.summary.get("ok", True):
+        return Verdict("bad", "No safe plan was found", _why_not(run))
     promise = _promise(run)
     outcomes = campaign_outcomes(run, plan.stem)
     if outcomes:
         total, held = sum(outcomes.values()), outcomes.get("holds", 0)
         others = ", ".join(f"{n} {word}" for word, n in outcomes.items() if word != "holds")
         if held == total:
-            return Verdict("good", f"The {name} stayed put in all {total} perturbed runs", promise)
+            return Verdict("good", f"The {name} stayed put in all {total} perturbed runs", f"{promise}.")
         level = "warning" if held > total / 2 else "bad"
         return Verdict(
-            level, f"The {name} stayed put in {held} of {total} perturbed runs", f"The others: {others}. {promise}"
+            level, f"The {name} stayed put in {held} of {total} perturbed runs", f"The others: {others}. {promise}."
         )
     if plan.simulation is not None:
         outcome = str(plan.simulation.summary.get("outcome", "unknown"))
         slip = record_curve(plan, "slip")
-        moved = f" Largest slip in the physics engine: {_millimetres(float(np.max(slip)))}." if slip is not None else ""
+        moved = f"; slip in the physics engine {length(float(np.max(slip)))}" if slip is not None else ""
         if outcome == "holds":
-            return Verdict("good", f"The {name} stays put, in theory and in simulation", promise + moved)
-        return Verdict("bad", f"The {name} {outcome} in simulation", promise + moved)
-    floor = float(plan.cone_floor.min())
-    if floor > 0:
-        return Verdict("good", f"The {name} is predicted to stay put for every parameter in the assumed range", promise)
+            return Verdict("good", f"The {name} stays put, in theory and in simulation", f"{promise}{moved}.")
+        return Verdict("bad", f"In simulation the {name} {outcome}", f"{promise}{moved}.")
     return Verdict(
-        "warning", f"The {name} is not guaranteed to stay put for every parameter in the assumed range", promise
+        "good", f"The {name} is predicted to stay put for every parameter in the assumed range", f"{promise}."
     )
 
 
@@ -78,11 +75,11 @@ def _why_not(run: Run) -> str:
 def _promise(run: Run) -> str:
     body, plan = run.bodies[0], run.plan
     needed = float(np.max(wrench_cone.friction_needed(body.contacts, plan.arrays["wrench_B"])))
-    floor = float(plan.cone_floor.min())
-    return (
-        f"It needs a friction coefficient of {needed:.3f} at most, of the {body.friction:g} there is; "
-        f"the least cone coefficient, its tube taken off, is {_signed(floor)} N."
-    )
+    text = f"Needs a friction coefficient of {needed:.3f}, there is {body.friction:g}"
+    slack = plan.summary.get("verification", {}).get("least_slack")
+    if run.scenario.contact.condition == "paper":
+        return f"{text}; least cone coefficient within its tube {_signed(float(plan.cone_floor.min()))} N"
+    return text if slack is None else f"{text}; exact contact condition kept by {_signed(slack)} N in the worst case"
 
 
 def campaign_outcomes(run: Run, stem: str) -> dict[str, int]:
@@ -154,8 +151,9 @@ def quantity(name: str, value: float) -> str:
     return text + unit if unit == "°" else f"{text} {unit}".rstrip()
 
 
-def _millimetres(metres: float) -> str:
-    return f"{1e3 * metres:.3g} mm" if metres >= 1e-4 else f"{1e6 * metres:.2g} µm"
+def length(metres: float) -> str:
+    """A small length in the unit that suits it."""
+    return f"{1e3 * metres:.3g} mm" if abs(metres) >= 1e-4 else f"{1e6 * metres:.2g} µm"
 
 
 def _signed(value: float) -> str:

@@ -96,7 +96,7 @@ void main() {
   vec3 ambient = mix(vec3(0.46, 0.45, 0.44), vec3(0.70, 0.72, 0.76), sky);
   float diffuse = max(dot(m, key), 0.0);
   float glint = pow(max(dot(m, normalize(key + v)), 0.0), 40.0) * 0.18;
-  fragment = vec4(colour.rgb * (ambient * 0.72 + diffuse * 0.52) + glint, colour.a);
+  fragment = vec4(colour.rgb * (ambient * 0.80 + diffuse * 0.50) + glint, colour.a);
 }`;
 
 // Per-corner normals: smooth within a crease angle, sharp across it. Returns interleaved positions and normals.
