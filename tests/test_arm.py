@@ -256,6 +256,22 @@ def test_clearance_by_hand(tmp_path):
     assert parts.lowest(q) == pytest.approx(-0.05)
 
 
+def test_clearance_of_obstacles_by_hand(tmp_path):
+    """A ball, a lying capsule and a turned box above the base: 1 m less what each is thick, less half the cube."""
+    path = tmp_path / "crane.urdf"
+    path.write_text(CRANE)
+    arm = make(str(path), scenario.Tray(height=0.5), flange="hook")
+    around = [
+        scenario.Obstacle(type="sphere", radius=0.1, position=(0.5, 0, 1)),
+        scenario.Obstacle(type="capsule", radius=0.1, length=0.4, position=(0.5, 0, -1), rpy_deg=(0, 90, 0)),
+        scenario.Obstacle(type="box", size=(0.2, 0.2, 2.0), position=(0.5, 1.3, 0), rpy_deg=(90, 0, 0)),
+    ]
+    parts = arm_geometry(arm, [], around)
+    hook = [k for k, (i, _) in enumerate(parts.pairs) if parts.names[i] == "hook"]
+    distances = parts.clearance(np.array([[0.0, 0.5]]))[0, hook]
+    assert distances == pytest.approx([0.85, 0.85, 0.25], abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("text", "keys", "words"),
     [

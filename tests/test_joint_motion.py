@@ -12,6 +12,7 @@ from salver.models.arm_geometry import arm_geometry
 from salver.models.bodies import bodies
 from salver.planning.joint_limits import peaks, torques, verdict
 from salver.planning.joint_motion import follow, follow_scenario
+from salver.planning.plan import plan_pair
 from salver.planning.posture import candidate_postures, check_start_posture
 from salver.planning.redundancy import march, tray_path
 from salver.trajectory import JointMotion, PolynomialReference, min_jerk_line
@@ -214,7 +215,7 @@ def test_too_fast_says_so_and_still_returns_the_motion(panda, cube):
     assert not status.ok
 
 
-# ---- self-collision -------------------------------------------------------------------------------------------
+# ---- collision ------------------------------------------------------------------------------------------------
 
 FOREARM_THROUGH_TRAY = np.array([-0.5135, -0.9086, 1.5225, 0.957, -1.5708, 2.0843])
 
@@ -225,7 +226,7 @@ def test_a_posture_with_the_tray_in_the_forearm_is_told():
         np.array([0.0, 1.0]), *(np.tile(x, (2, 1)) for x in (FOREARM_THROUGH_TRAY, np.zeros(6), np.zeros(6)))
     )
     status = verdict(arm, still)
-    assert status.code == "self_collision"
+    assert status.code == "collision"
     assert status.sentence == "ur10 cannot follow: forearm_link and tray touch at t = 0.00 s."
     small = load_arm(scenario.Arm(model="ur10"), scenario.Tray(size=(0.04, 0.04)))
     assert verdict(small, still).ok
@@ -245,6 +246,23 @@ def test_redundancy_keeps_the_tray_out_of_the_forearm(panda, cube):
     assert parts.clearance(motion.q).min() > 0.005
 
 
+def test_an_obstacle_is_told_and_kept_clear_of_where_the_elbow_can(panda, cube):
+    free, _ = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=POSTURE)
+    elbow, _ = panda.link_pose(free.q[len(free.q) // 2], "panda_link4")
+    near_elbow = scenario.Obstacle(
+        type="sphere", radius=0.02, position=tuple(elbow + np.array([0, 0, 0.11])), name="lamp"
+    )
+    in_the_way = scenario.Obstacle(type="box", size=(0.1, 0.1, 0.1), position=(0.5, -0.13, 0.4), name="post")
+    parts = arm_geometry(panda, [cube], [near_elbow])
+    assert parts.first_touch(free.q).second == "lamp"
+    motion, status = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=POSTURE, obstacles=[near_elbow])
+    assert status.ok, status
+    assert parts.clearance(motion.q).min() > 0
+    _, status = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=POSTURE, obstacles=[in_the_way])
+    assert status.code == "collision"
+    assert "and post touch at t = " in status.sentence
+
+
 def test_a_chosen_start_stays_above_the_base():
     bottle = scenario.load("ur10-bottle")
     start, goal = bottle.motion.start, bottle.motion.goal
@@ -255,6 +273,14 @@ def test_a_chosen_start_stays_above_the_base():
     parts = arm_geometry(arm, bodies(bottle))
     assert parts.first_touch(motion.q) is None
     assert parts.lowest(motion.q) > 0
+
+
+def test_plan_and_baseline_of_the_second_arm_keep_its_limits():
+    plans = plan_pair(scenario.load("ur10-bottle"))
+    for plan in plans:
+        assert plan.status.ok, plan.status
+        assert plan.arm_status.ok, plan.arm_status
+    assert plans[0].joint.q[0] == pytest.approx(plans[1].joint.q[0], abs=1e-12)
 
 
 # ---- out of reach, wrong start --------------------------------------------------------------------------------

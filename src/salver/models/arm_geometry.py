@@ -1,4 +1,4 @@
-"""Where the arm is: convex hulls of its links, the tray and what stands on it, and whether they touch one another.
+"""Where the arm is: hulls of its links, the tray, what stands on it; whether they touch one another or an obstacle.
 
 Hulls of the URDF's collision meshes, by Coal. A hull is larger than the link, so a posture that is found free is
 free; links that share a joint always touch and are not compared.
@@ -9,15 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from salver.geometry import Array
+from salver.geometry import Array, matrix_from_rpy
 from salver.models.arm import ArmModel
 from salver.models.bodies import Body
+
+if TYPE_CHECKING:
+    from salver import scenario
 
 TRAY = "tray"
 
@@ -35,7 +38,7 @@ class Touch:
 class ArmGeometry:
     """The arm's hulls, its tray and its load. Not for use by several threads at once.
 
-    names: of the parts: links of the URDF, "tray", names of carried objects.
+    names: of the parts: links of the URDF, "tray", carried objects, obstacles.
     pairs: (index, index) into names; those that can touch.
     """
 
@@ -88,8 +91,10 @@ def _loader() -> Any:
     return coal.CachedMeshLoader()
 
 
-def arm_geometry(arm: ArmModel, bodies: Sequence[Body] = ()) -> ArmGeometry:
-    """Hulls of an arm's links, of its tray and of the boxes around what it carries.
+def arm_geometry(
+    arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[scenario.Obstacle] = ()
+) -> ArmGeometry:
+    """Hulls of an arm's links, its tray, the boxes around what it carries, and what stands around it in the world.
 
     A link that has no mesh is left out; so are all when a mesh cannot be read.
     """
@@ -112,17 +117,21 @@ def arm_geometry(arm: ArmModel, bodies: Sequence[Body] = ()) -> ArmGeometry:
         low, high = points.min(axis=0), points.max(axis=0)
         centre = body.p_EB + body.R_EB @ (0.5 * (low + high))
         _add_box(parts, body.name, frame, centre, body.R_EB, high - low)
+    for obstacle in obstacles:
+        placement = pin.SE3(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg)), np.array(obstacle.position))
+        parts.addGeometryObject(pin.GeometryObject(obstacle.name, 0, placement, _obstacle_shape(obstacle)))
     for part in parts.geometryObjects:
         part.geometry.computeLocalAABB()
 
+    fixed = len(parts.geometryObjects) - len(obstacles)
     joints = [part.parentJoint for part in parts.geometryObjects]
     pairs = [
         (i, j)
         for j, second in enumerate(joints)
         for i, first in enumerate(joints[:j])
-        if first != second and first != model.parents[second] and second != model.parents[first]
+        if first != second and (j >= fixed or (first != model.parents[second] and second != model.parents[first]))
     ]
-    names = (*links, TRAY, *(body.name for body in bodies))
+    names = (*links, TRAY, *(body.name for body in bodies), *(obstacle.name for obstacle in obstacles))
     return _with_pairs(ArmGeometry(arm, parts, None, names, ()), tuple(pairs))
 
 
@@ -132,6 +141,14 @@ def _with_pairs(parts: ArmGeometry, pairs: tuple[tuple[int, int], ...]) -> ArmGe
     for i, j in pairs:
         model.addCollisionPair(pin.CollisionPair(i, j))
     return replace(parts, model=model, data=model.createData(), pairs=pairs)
+
+
+def _obstacle_shape(obstacle: scenario.Obstacle) -> Any:
+    if obstacle.type == "box":
+        return coal.Box(*(obstacle.size or (0.0, 0.0, 0.0)))
+    if obstacle.type == "sphere":
+        return coal.Sphere(obstacle.radius or 0.0)
+    return coal.Capsule(obstacle.radius or 0.0, obstacle.length or 0.0)
 
 
 def _add_box(parts: Any, name: str, frame: Any, centre: Array, rotation: Array, size: Array) -> None:

@@ -15,8 +15,8 @@ from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
 from salver.trajectory import JointMotion
 
-WITHIN_LIMITS, LIMIT_EXCEEDED, SELF_COLLISION = "within_limits", "limit_exceeded", "self_collision"
-COLLISION_SAMPLES = 61  # instants at which self-collision is looked for
+WITHIN_LIMITS, LIMIT_EXCEEDED, COLLISION = "within_limits", "limit_exceeded", "collision"
+COLLISION_SAMPLES = 61  # instants at which parts that touch are looked for
 _TOLERANCE = 1e-9  # relative; a motion planned up to a limit touches it
 
 
@@ -73,7 +73,7 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
 def verdict(
     arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = (), parts: ArmGeometry | None = None
 ) -> Status:
-    """Status "within_limits", "limit_exceeded" or "self_collision"; `details` has the peak of each kind of limit.
+    """Status "within_limits", "limit_exceeded" or "collision"; `details` has the peak of each kind of limit.
 
     parts: the arm's geometry, when it is known already.
     """
@@ -89,10 +89,10 @@ def verdict(
     touch = (arm_geometry(arm, bodies) if parts is None else parts).first_touch(motion.q[samples])
     if touch is not None:
         time = float(motion.t[samples[touch.index]])
-        details[SELF_COLLISION] = {"first": touch.first, "second": touch.second, "time": time}
+        details[COLLISION] = {"first": touch.first, "second": touch.second, "time": time}
         sentences.append(f"{touch.first} and {touch.second} touch at t = {time:.2f} s")
     if sentences:
-        code = LIMIT_EXCEEDED if broken else SELF_COLLISION
+        code = LIMIT_EXCEEDED if broken else COLLISION
         return Status(code, f"{arm.name} cannot follow: {'; '.join(sentences)}.", False, details)
     worst = max(found, key=lambda peak: peak.share)
     return Status(

@@ -1,8 +1,8 @@
 """From a motion of the object to a motion of the joints, and whether the arm can follow it at all.
 
 The start posture is chosen among many (`salver.planning.posture`), the redundancy resolved for each
-(`salver.planning.redundancy`), and the best motion that keeps clear of itself is judged against every limit
-(`salver.planning.joint_limits`).
+(`salver.planning.redundancy`), and the best motion that keeps clear of itself and of obstacles is judged against
+every limit (`salver.planning.joint_limits`).
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
 from salver.models.bodies import bodies as bodies_of
-from salver.planning.joint_limits import SELF_COLLISION, verdict
+from salver.planning.joint_limits import COLLISION, verdict
 from salver.planning.posture import candidate_postures, check_start_posture
 from salver.planning.redundancy import Choice, TrayPath, first_choice, improved, march, solve_path, tray_path
-from salver.scenario import Scenario
+from salver.scenario import Obstacle, Scenario
 from salver.trajectory import JointMotion, Reference
 
 GRID_STEP = 5e-3  # s between samples of the joint motion; quintic in between
@@ -36,20 +36,22 @@ def follow(
     R_EB: Array,
     *,
     bodies: Sequence[Body] = (),
+    obstacles: Sequence[Obstacle] = (),
     q_start: Sequence[float] | Array | None = None,
     seed: int = 0,
 ) -> tuple[JointMotion | None, Status]:
     """Joint motion along which the tray carries the object's frame B along `reference`.
 
     p_EB, R_EB: place of B on the tray. bodies: all that is carried; its weight counts in the torques and its
-    size in collisions. q_start: (n,) where to start; None to have it chosen (same seed, same choice).
+    size in collisions. obstacles: in the world, to be kept clear of. q_start: (n,) where to start; None to have it
+    chosen (same seed, same choice).
 
-    Returns the motion and a status: "within_limits"; "limit_exceeded" or "self_collision", with the joint or the
+    Returns the motion and a status: "within_limits"; "limit_exceeded" or "collision", with the joint or the
     parts, the time and by how much (the motion is returned all the same); or "unreachable", with no motion.
     Raises ScenarioError or UnreachableError when `q_start` is wrong (`check_start_posture`).
     """
     path = tray_path(reference, p_EB, R_EB, np.linspace(0.0, reference.duration, COARSE_NODES))
-    parts = arm_geometry(arm, bodies)
+    parts = arm_geometry(arm, bodies, obstacles)
     if q_start is not None:
         starts = [check_start_posture(arm, q_start, path.p_SE[0], path.R_SE[0])]
     else:
@@ -59,7 +61,7 @@ def follow(
     if not whole:
         return None, _unreachable(arm, path, max((reached for _, reached in marched), default=0))
     if q_start is None:
-        whole = _clear_of_itself(parts, whole)
+        whole = _clear(parts, whole)
 
     fallback: tuple[JointMotion, Status] | None = None
     for choice in _choices(with_load(arm, bodies), parts, path, whole, q_start is None):
@@ -67,7 +69,7 @@ def follow(
         if motion is None:
             continue
         status = verdict(arm, motion, bodies, parts)
-        if status.code != SELF_COLLISION:
+        if status.code != COLLISION:
             return motion, status
         fallback = fallback or (motion, status)
     return fallback or (None, _singular(arm))
@@ -95,13 +97,14 @@ def follow_scenario(
         carried[0].p_EB,
         carried[0].R_EB,
         bodies=carried,
+        obstacles=scenario.obstacles,
         q_start=scenario.arm.start_posture if q_start is None else q_start,
         seed=scenario.seed,
     )
 
 
-def _clear_of_itself(parts: ArmGeometry, whole: list[Array]) -> list[Array]:
-    """Of marched postures, those free of self-collision, and of these those above the arm's base; all when none is.
+def _clear(parts: ArmGeometry, whole: list[Array]) -> list[Array]:
+    """Of marched postures, those free of collision, and of these those above the arm's base; all when none is.
 
     An arm mostly stands on something: unless it has to, it does not reach below.
     """
