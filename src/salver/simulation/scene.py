@@ -85,13 +85,15 @@ class Scene:
 
 
 def build(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False) -> Scene:
-    """Compile the scene of one run. visual: with the arm's meshes and a floor, for pictures (no other effect)."""
+    """Compile the scene of one run. visual: with meshes, floor and light, for pictures; physics is the same."""
     return _compiled(specify(scenario, world, arm, visual=visual), arm, world, 2 * scenario.physics.timestep)
 
 
 def specify(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False) -> Any:
     """The same, not yet compiled: a mujoco.MjSpec that can be changed or written as a file."""
     spec = mujoco.MjSpec()
+    if visual:
+        _add_surroundings(spec)
     _options(spec, scenario.physics.timestep, gravity=arm is not None)
     root = spec.worldbody
     if arm is not None:
@@ -155,18 +157,12 @@ def _add_arm(spec: Any, arm: ArmModel, friction: float, visual: bool) -> Any:
     """Attach the arm's URDF at its base; returns the flange's body."""
     root = ElementTree.fromstring(arm.urdf)
     for link in root.iter("link"):
-        for tag in ("visual",) if visual else ("visual", "collision"):
+        for tag in ("visual", "collision"):
             for element in link.findall(tag):
                 link.remove(element)
     extension = ElementTree.SubElement(root, "mujoco")
-    ElementTree.SubElement(
-        extension, "compiler", fusestatic="false", discardvisual="false", balanceinertia="false", strippath="false"
-    )
+    ElementTree.SubElement(extension, "compiler", fusestatic="false", discardvisual="false", balanceinertia="false")
     robot = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
-    for geom in robot.geoms:
-        geom.contype = geom.conaffinity = 0
-        geom.group = 0
-        geom.rgba = [0.93, 0.93, 0.95, 1]
     for joint in robot.joints:
         k = arm.joint_names.index(joint.name)
         limited = np.isfinite(arm.limits.q_min[k]) and np.isfinite(arm.limits.q_max[k])
@@ -179,7 +175,55 @@ def _add_arm(spec: Any, arm: ArmModel, friction: float, visual: bool) -> Any:
     half = 0.5 * arm.base_yaw
     base = spec.worldbody.add_frame(pos=arm.base_position, quat=[np.cos(half), 0, 0, np.sin(half)])
     spec.attach(robot, frame=base, prefix=ARM_PREFIX)
+    if visual:
+        _add_meshes(spec, arm)
     return spec.body(ARM_PREFIX + arm.flange)
+
+
+def _add_surroundings(spec: Any) -> None:
+    """A floor, a sky and soft light."""
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
+    spec.visual.headlight.specular = [0.1, 0.1, 0.1]
+    gradient, skybox = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtTexture.mjTEXTURE_SKYBOX
+    spec.add_texture(
+        name="salver:sky",
+        type=skybox,
+        builtin=gradient,
+        rgb1=[0.97, 0.98, 1],
+        rgb2=[0.80, 0.84, 0.9],
+        width=256,
+        height=1536,
+    )
+    spec.add_texture(
+        name="salver:floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.86, 0.87, 0.89],
+        rgb2=[0.81, 0.82, 0.85],
+        width=256,
+        height=256,
+    )
+    floor = spec.add_material(name="salver:floor", texrepeat=[4, 4], texuniform=True)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "salver:floor"
+    root = spec.worldbody
+    root.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], material="salver:floor", **_INERT)
+    root.add_light(pos=[1.5, -1.5, 3], dir=[-0.4, 0.4, -0.8], diffuse=[0.55, 0.55, 0.55], castshadow=True)
+
+
+def _add_meshes(spec: Any, arm: ArmModel) -> None:
+    from salver.simulation.meshes import arm_meshes
+
+    for link, parts in arm_meshes(arm).items():
+        body = spec.body(ARM_PREFIX + link)
+        for k, part in enumerate(parts):
+            name = f"salver:link:{link}:{k}"
+            mesh = spec.add_mesh(
+                name=name, uservert=part.vertices.ravel().tolist(), userface=part.faces.ravel().tolist()
+            )
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # pieces of a skin enclose no volume
+            geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=[*part.colour, 1], **_INERT)
+            geom.group = 0
 
 
 def _tray_geom() -> str:
