@@ -19,7 +19,8 @@ from salver.planning.problem import Linearisation, Problem
 
 TOLERANCE = 1e-9  # N (or the row's own unit): a constraint counts as kept within this
 _CUT_LIMIT = 60  # rounds of tangents
-_PENALTY = 1e4  # of one newton of violation, over the scale of the cost, in the sequential method
+_PROGRESS = 1e-6  # the sequential method ends when a step promises less, relative to the cost
+_PENALTY = 10.0  # first price of a unit of violation in the sequential method, in units of the starting cost
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,17 @@ class Solution:
 
 @dataclass(frozen=True)
 class _Step:
-    """Answer of one convex subproblem: the step, the lower bound of its model, violation of the model, rounds."""
+    """Answer of one convex subproblem.
+
+    d: the step. lower_bound, violation: of the model. rounds: programmes solved. price: sum of the multipliers, what
+    one unit of violation is worth.
+    """
 
     d: Array
     lower_bound: float
     violation: float
     rounds: int
+    price: float = 0.0
 
 
 def solve(problem: Problem, start: Array | None = None) -> Solution:
@@ -95,23 +101,31 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
     margin = problem.margin
     model = problem.linearise(z)
     scale = max(_cost(model), 1e-12)
-    radius, evaluations, reason = 1.0, 0, "iteration_limit"
-    merit = _merit(model, margin, scale)
+    radius, programmes, penalty, reason = 1.0, 0, _PENALTY * scale, "iteration_limit"
     for _ in range(iteration_limit):
         step = _solve_model(model, margin, 1e-9 * scale, radius)
         if step is None:
-            step = _solve_model(model, margin, 1e-9 * scale, radius, elastic=True, penalty=_PENALTY * scale)
+            step = _solve_model(model, margin, 1e-9 * scale, radius, elastic=True, penalty=1e3 * penalty)
             assert step is not None
-        predicted = merit - _model_merit(model, step, margin, scale)
-        evaluations += step.rounds
-        if predicted <= 1e-9 * scale:
+        programmes += step.rounds
+        penalty = max(penalty, 2 * step.price)
+        merit = _merit(model, margin, penalty)
+        predicted = merit - _model_merit(model, step, margin, penalty)
+        if predicted <= _PROGRESS * _cost(model):
             reason = "optimal"
             break
-        trial = problem.linearise(z + step.d)
-        trial_merit = _merit(trial, margin, scale)
-        ratio = (merit - trial_merit) / predicted
+        d, trial = step.d, problem.linearise(z + step.d)
+        ratio = (merit - _merit(trial, margin, penalty)) / predicted
+        if ratio < 0.5:  # the constraints bend: try again with what they turned out to be
+            corrected = _correction(trial, margin, radius)
+            if corrected is not None:
+                programmes += 1
+                again = problem.linearise(z + d + corrected)
+                better = (merit - _merit(again, margin, penalty)) / predicted
+                if better > ratio:
+                    d, trial, ratio = d + corrected, again, better
         if ratio > 1e-3:
-            z, model, merit = z + step.d, trial, trial_merit
+            z, model = z + d, trial
         radius = radius * 2.5 if ratio > 0.7 else radius * 0.35 if ratio < 0.2 else radius
         if radius < 1e-8:
             reason = "optimal"
@@ -122,12 +136,12 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
         status = infeasible(problem, model, None, False)
     else:
         words = {
-            "optimal": "Locally optimal: no small change of the reference lowers the cost.",
+            "optimal": "Locally optimal: a small change of the reference would save less than a millionth of the cost.",
             "iteration_limit": f"Stopped after {iteration_limit} iterations; the plan is safe but not quite optimal.",
         }
         status = Status(reason, words[reason], True)
     bound = _convex_bound(problem)
-    return Solution(z, _cost(model), bound, violation, evaluations, "sequential convex programming, PIQP", status)
+    return Solution(z, _cost(model), bound, violation, programmes, "sequential convex programming, PIQP", status)
 
 
 def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: bool) -> Status:
@@ -174,24 +188,24 @@ def _solve_model(
         hessian, gradient, penalty = 1e-6 * hessian / unit, 1e-6 * gradient / unit, 1.0
     offset, slope = np.zeros(0), np.zeros((0, n))
     d = _least(hessian, gradient, model.goal, model.goal_jacobian, radius)
-    bound, violation, s = -np.inf, np.inf, 0.0
+    bound, violation, s, price = -np.inf, np.inf, 0.0, 0.0
     if d is not None:
         bound = constant + float(gradient @ d + 0.5 * d @ hessian @ d)
     for rounds in range(1, _CUT_LIMIT + 1):
         if d is not None:
             new_offset, new_slope, violation = _violated(model.rows, d, margin, s)
             if len(new_offset) == 0:
-                return _Step(d, bound, violation, rounds)
+                return _Step(d, bound, violation, rounds, price)
             if n == 0:  # the boundary conditions leave nothing free
                 return _Step(d, bound, violation, rounds) if elastic else None
             offset, slope = np.concatenate([offset, new_offset]), np.concatenate([slope, new_slope])
         answer = _quadratic(hessian, gradient, model, offset, slope, radius, penalty if elastic else None)
         if answer is None:
             return None
-        d, s, dual_value = answer
+        d, s, dual_value, price = answer
         bound = constant + dual_value
     assert d is not None
-    return _Step(d, bound, violation, _CUT_LIMIT)
+    return _Step(d, bound, violation, _CUT_LIMIT, price)
 
 
 def _least(hessian: Array, gradient: Array, goal: Array, goal_jacobian: Array, radius: float) -> Array | None:
@@ -230,8 +244,8 @@ def _quadratic(
     slope: Array,
     radius: float,
     penalty: float | None,
-) -> tuple[Array, float, float] | None:
-    """One dense quadratic programme: (d, s, value of its dual), or None when it is infeasible.
+) -> tuple[Array, float, float, float] | None:
+    """One dense quadratic programme: (d, s, value of its dual, sum of multipliers), or None when it is infeasible.
 
     Scaled so that cost and rows are of order one, whatever their units. The dual value is computed from the
     multipliers themselves, so it is a bound even where the solver stopped early.
@@ -274,7 +288,8 @@ def _quadratic(
         return None
     x = np.asarray(result.x)
     value = unit * _dual_value(h, g, goal_jacobian, -model.goal, rows, -offset / norm, low, high, result)
-    return x[:n], float(x[n]) if elastic else 0.0, value
+    price = unit * float(np.sum(np.maximum(result.z_l, 0.0) / norm) + np.abs(result.y).max(initial=0.0))
+    return x[:n], float(x[n]) if elastic else 0.0, value, price
 
 
 def _dual_value(
@@ -307,12 +322,20 @@ def _violation(model: Linearisation, margin: float, d: Array | None = None) -> f
     return max(0.0, *(margin - float(rows.slack(d)[0].min()) for rows in model.rows))
 
 
-def _merit(model: Linearisation, margin: float, scale: float) -> float:
-    return _cost(model) + _PENALTY * scale * (_violation(model, margin) + float(np.abs(model.goal).sum()))
+def _merit(model: Linearisation, margin: float, penalty: float) -> float:
+    return _cost(model) + penalty * (_violation(model, margin) + float(np.abs(model.goal).sum()))
 
 
-def _model_merit(model: Linearisation, step: _Step, margin: float, scale: float) -> float:
-    return _cost(model, step.d) + _PENALTY * scale * _violation(model, margin, step.d)
+def _model_merit(model: Linearisation, step: _Step, margin: float, penalty: float) -> float:
+    return _cost(model, step.d) + penalty * _violation(model, margin, step.d)
+
+
+def _correction(trial: Linearisation, margin: float, radius: float) -> Array | None:
+    """Shortest step, in the metric of the cost, from a trial point back to what its own constraints allow."""
+    level = replace(trial, residual=np.zeros_like(trial.residual))
+    metric = float(np.mean(np.sum(trial.residual_jacobian**2, axis=0)))
+    step = _solve_model(level, margin, 1e-3 * metric, radius)
+    return None if step is None else step.d
 
 
 def _initial(problem: Problem) -> Array:
