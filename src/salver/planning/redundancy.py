@@ -31,6 +31,7 @@ BUMPS = 3  # polynomial terms of s(t) besides its step from start to end
 _SOFT_MAX = 20  # exponent of the norm that stands for "the largest of all"
 _CLEAR = 0.04  # m; parts of the arm that are further apart than this do not count, 0 is a full limit
 _NEAR = 0.2  # m; parts further apart than this along the first guess are not looked at again
+_SEARCH = 1e-6  # m and rad; accuracy of postures while coefficients are searched for
 _SINGULAR = 0.04  # smallest singular value of the body Jacobian (m or 1 per rad) that counts as a full limit
 
 
@@ -107,10 +108,12 @@ def march(arm: ArmModel, path: TrayPath, q_start: Array) -> tuple[Array, int]:
     return postures, len(path.t)
 
 
-def solve_path(arm: ArmModel, path: TrayPath, q: Array, rows: Array, profile: tuple[Array, ...]) -> JointPath | None:
+def solve_path(
+    arm: ArmModel, path: TrayPath, q: Array, rows: Array, profile: tuple[Array, ...], tolerance: float = REACHED
+) -> JointPath | None:
     """Root of the extended system at every instant, by Newton's method from a guess (N, n), and its derivatives.
 
-    None where there is no root near the guess.
+    tolerance: m and rad. None where there is no root near the guess.
     """
     s, ds, dds = profile
     q = q.copy()
@@ -120,7 +123,7 @@ def solve_path(arm: ArmModel, path: TrayPath, q: Array, rows: Array, profile: tu
         error = np.hstack([(inverse @ (path.p_SE - p)[..., None])[..., 0], log(inverse @ path.R_SE), s - q @ rows.T])
         matrix = _extended(jacobian, rows)
         size = np.abs(error).max()
-        if size < REACHED:
+        if size < tolerance:
             break
         try:
             step = _solved(matrix, error)
@@ -238,7 +241,7 @@ def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, f
         nonlocal best
         shift, coefficients = (x[: len(rows)], x[len(rows) :]) if free_start else (0.0, x)
         s_0, coefficients = start.start + shift, coefficients.reshape(-1, len(rows))
-        joints = solve_path(arm, path, best.path.q, rows, _profile(s_0, coefficients, path.t))
+        joints = solve_path(arm, path, best.path.q, rows, _profile(s_0, coefficients, path.t), _SEARCH)
         if joints is None:
             return 10 * best.cost
         cost = _usage(arm, parts, joints)
