@@ -72,7 +72,7 @@ class SimulationRecord:
         path = save_npz(folder / f"{stem}.npz", **{name: getattr(self, name) for name in ARRAYS})
         write_json(
             folder / f"{stem}.json",
-            {"objects": list(self.object_names), "parameters": dict(self.parameters), **self.summary},
+            {"object_names": list(self.object_names), "parameters": dict(self.parameters), **self.summary},
         )
         return path
 
@@ -89,7 +89,7 @@ def load_record(directory: str | Path, stem: str = "plan") -> SimulationRecord:
     summary = read_json(path)
     if not isinstance(summary, dict) or summary.get("outcome") not in OUTCOMES:
         raise FileFormatError(f"{path} is no summary of a simulation; write it again with salver simulate.")
-    names = tuple(summary.pop("objects", ()))
+    names = tuple(summary.pop("object_names", ()))
     parameters = summary.pop("parameters", {})
     if np.shape(arrays["p_SB"])[1:2] != (len(names),):
         raise FileFormatError(f"{path} and {stem}.npz are of different runs; write them again with salver simulate.")

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -132,7 +133,7 @@ def _context(width: int, height: int) -> Any:
         if name == "glfw" and not wanted and not os.environ.get("DISPLAY"):
             continue
         try:
-            module = __import__(f"mujoco.{name}", fromlist=["GLContext"])
+            module = import_module(f"mujoco.{name}")
             context = module.GLContext(width, height)
             context.make_current()
             return context

@@ -1,0 +1,263 @@
+"""Runs with the arm and its controller: outcome, creep, forces against the plan, limits, records, pictures."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from salver import scenario as scenarios
+from salver.errors import FileFormatError, MissingDependencyError, ScenarioError, UnreachableError
+from salver.geometry import matrix_from_quat_wxyz
+from salver.models.arm import load_arm
+from salver.models.rigid_body import wrench
+from salver.planning.plan import make_plan
+from salver.scenario import parse
+from salver.simulation.physics import simulate, simulate_tray
+from salver.simulation.record import load_record
+from salver.simulation.render import NoOpenGLError, painter, snapshots
+
+G = 9.81
+
+
+@pytest.fixture(scope="module")
+def baseline():
+    return make_plan(scenarios.load("panda-cube"), "baseline")
+
+
+@pytest.fixture(scope="module")
+def nominal(baseline):
+    return simulate(baseline)
+
+
+def quick(**changes):
+    """The paper's move in 1.2 s with little waiting: a third of the run time."""
+    changes = {"motion__duration": 1.2, "physics__settle_before": 0.1, "physics__settle_after": 0.1} | changes
+    return make_plan(scenarios.load("panda-cube").with_changes(**changes), "baseline")
+
+
+@pytest.fixture(scope="module")
+def fast():
+    return quick()
+
+
+def test_the_papers_move_holds_and_creep_is_not_slip(nominal):
+    """Raw displacement in the engine is 70 um; what the creep law leaves of it is below a tenth of a micrometre."""
+    assert nominal.outcome == "holds"
+    raw = np.linalg.norm(nominal.slip_E[:, 0, :2], axis=1)
+    assert 50e-6 < raw.max() < 100e-6
+    np.testing.assert_allclose(nominal.slip_E[:, 0, :2], nominal.creep_E[:, 0, :2], atol=1e-7)
+    assert nominal.slip.max() < 1e-7
+    assert nominal.in_contact.all()
+
+
+def test_creep_law_holds_at_another_timestep():
+    plan = quick(physics__timestep=1e-3)
+    record = simulate(plan)
+    assert np.linalg.norm(record.slip_E[-1, 0, :2]) > 200e-6
+    np.testing.assert_allclose(record.slip_E[:, 0, :2], record.creep_E[:, 0, :2], atol=5e-7)
+
+
+def test_tracking_errors_are_small_and_told_of_the_right_frames(baseline, nominal):
+    assert nominal.tray_e_p.max() < 5e-5
+    assert nominal.e_p.max() < 2e-4
+    R = matrix_from_quat_wxyz(nominal.quat_SE_wxyz)
+    p_EB = np.einsum("tji,tj->ti", R, nominal.p_SB[:, 0] - nominal.p_SE)
+    np.testing.assert_allclose(p_EB, np.tile([0, 0, 0.02], (len(p_EB), 1)), atol=3e-4)
+    wanted = baseline.reference.sample(nominal.t)
+    np.testing.assert_allclose(np.linalg.norm(wanted.p_SB - nominal.p_SB[:, 0], axis=1), nominal.e_p, atol=1e-12)
+    arm = load_arm(baseline.scenario.arm, baseline.scenario.tray)
+    for k in (0, 200, 500):
+        p, R_pin = arm.tray_pose(nominal.q[k])
+        np.testing.assert_allclose(nominal.p_SE[k], p, atol=1e-9)
+        np.testing.assert_allclose(R[k], R_pin, atol=1e-9)
+
+
+def test_measured_cone_coefficients_are_the_plans(baseline, nominal):
+    moving = nominal.t <= baseline.duration
+    expected = np.array([np.interp(nominal.t[moving], baseline.t, c) for c in baseline.cone_coefficients.T]).T
+    np.testing.assert_allclose(nominal.cone_coefficients[moving], expected, atol=1e-3)
+    # and the four corner forces themselves are the pseudo-inverse distribution
+    body = baseline.scenario.objects[0]
+    from salver.models.bodies import bodies
+
+    contacts = bodies(baseline.scenario)[0].contacts
+    np.testing.assert_allclose(nominal.contact_points_B, contacts.p_BC)
+    forces = (contacts.cone_edges @ nominal.cone_coefficients.T).T.reshape(-1, 4, 3)
+    np.testing.assert_allclose(nominal.contact_forces_B, forces, atol=2e-3)
+    assert body.mass * G == pytest.approx(nominal.contact_force_E[-1, 0, 2], abs=1e-3)
+
+
+def test_a_heavier_object_weighs_more_and_sags(baseline):
+    """+50 g: at rest each of the 16 coefficients grows by 0.306 / 0.256; the arm gives way to the unknown weight."""
+    record = simulate(baseline, parameters={"mass": 0.306})
+    assert record.outcome == "holds"
+    at_rest = 0.306 * G / 16 * np.sqrt(1 + 0.5**2)
+    np.testing.assert_allclose(record.cone_coefficients[-1], at_rest, rtol=0.02)
+    # a position error of the closed loop: delta m g = m kp e_p, but for what the arm's own inertia adds
+    sag = 0.05 * G / (0.256 * 500)
+    assert 0 < record.e_p[-1] < sag
+    assert record.summary["tube"]["excess"] > 0.03
+
+
+def test_contact_force_is_the_bodys_inverse_dynamics(fast):
+    """Independent of the planner: F from the measured motion of the tray itself, by second differences."""
+    record = simulate(fast, parameters={"mass": 0.2})
+    inner = slice(1, -1)
+    h = record.t[1] - record.t[0]
+    a = (record.p_SB[2:, 0] - 2 * record.p_SB[1:-1, 0] + record.p_SB[:-2, 0]) / h**2
+    R = matrix_from_quat_wxyz(record.quat_SB_wxyz[inner, 0])
+    zero = np.zeros_like(a)
+    phi = np.array([0.2, 0, 0, 0, *3.4e-4 * np.array([1, 0, 1, 0, 0, 1])])
+    force = wrench(phi, R, a, zero, zero)[:, :3]
+    np.testing.assert_allclose(record.contact_forces_B.sum(axis=1)[inner], force, atol=0.01)
+
+
+@pytest.mark.slow
+def test_the_first_sliding_duration_with_the_arm_is_that_of_the_exact_cone():
+    """Level straight moves with the arm, friction 0.2: the engine slides first where Coulomb says, to 3 %."""
+    scenario = scenarios.load("panda-cube")
+    length = np.linalg.norm(np.subtract(scenario.motion.goal.position, scenario.motion.start.position))
+    limit = np.sqrt(10 / np.sqrt(3) * length / (0.2 * G))
+    peaks = {}
+    for factor in (1.015, 0.985):
+        plan = quick(motion__duration=factor * limit)
+        record = simulate(plan, parameters={"friction": 0.2})
+        assert record.summary["arm"]["limits_kept"]
+        peaks[factor] = record.slip.max()
+    assert peaks[1.015] < 5e-6
+    assert peaks[0.985] > 1e-4
+
+
+def test_sampled_runs_are_reproducible(fast):
+    noisy = replace(
+        fast, scenario=fast.scenario.with_changes(physics__position_noise=1e-5, physics__velocity_noise=1e-3)
+    )
+    first, again, other = (simulate(noisy, seed=s) for s in (3, 3, 4))
+    np.testing.assert_array_equal(first.q, again.q)
+    np.testing.assert_array_equal(first.contact_forces_B, again.contact_forces_B)
+    assert np.abs(first.q - other.q).max() > 0
+    assert first.outcome == other.outcome == "holds"
+
+
+def test_what_lies_between_controller_and_arm_shows(fast):
+    """Delay, joint friction and measured object: each changes the run, none drops the cube."""
+    plain = simulate(fast)
+
+    def with_physics(**changes):
+        return simulate(replace(fast, scenario=fast.scenario.with_changes(**changes)))
+
+    rubbing = with_physics(physics__joint_friction=0.3)
+    assert rubbing.tray_e_p.max() > 3 * plain.tray_e_p.max()
+    late = with_physics(physics__delay_steps=2)
+    assert late.outcome == "holds"
+    assert late.tray_e_p.max() > plain.tray_e_p.max()
+    seen = with_physics(physics__feedback="object")
+    assert seen.outcome == "holds"
+    assert seen.e_p[-1] < 2e-5  # the loop is closed on the object itself, engine's creep included
+    assert plain.e_p[-1] > 2e-5
+
+
+def test_torque_limits_are_kept_and_saturation_is_told(fast):
+    """A payload of 12 kg, unknown to the controller, is more than the wrist can carry."""
+    record = simulate(fast, parameters={"mass": 12.0, "inertia_xx": 0.01, "inertia_yy": 0.01, "inertia_zz": 0.01})
+    arm = load_arm(fast.scenario.arm, fast.scenario.tray)
+    assert np.all(np.abs(record.tau) <= arm.limits.torque + 1e-9)
+    change = np.abs(np.diff(simulate(fast).tau, axis=0)) / (record.t[1] - record.t[0])
+    assert np.all(change <= arm.limits.torque_rate)
+    assert record.summary["arm"]["torque_cut"] > 0
+    assert record.outcome != "holds"
+
+
+def test_friction_decides_the_outcome(fast):
+    slides = simulate(fast, parameters={"friction": 0.1})
+    assert slides.outcome == "slides"
+    assert slides.summary["objects"][0]["first_slip"] > 0.05
+    assert slides.summary["objects"][0]["final_slip"] > 1e-3
+    at_rest = simulate(fast, parameters={"friction": 0.1, "tilt_x": 0.2})
+    assert at_rest.summary["slides_at_rest"]
+
+
+def test_tall_object_tips_with_the_arm():
+    data = quick().scenario.model_dump(mode="json", exclude_none=True)
+    data["objects"][0] |= {"shape": {"type": "box", "size": [0.03, 0.03, 0.3]}, "friction": 0.8}
+    data["objects"][0].pop("inertia")
+    data["arm"].pop("start_posture")
+    data["motion"]["duration"] = 1.5
+    data["contact"] = {"condition": "exact"}
+    record = simulate(make_plan(parse(data, "tall"), "baseline"))
+    assert record.outcome == "tips"
+
+
+def test_record_saves_and_loads(nominal, tmp_path):
+    nominal.save(tmp_path, "baseline")
+    again = load_record(tmp_path, "baseline")
+    np.testing.assert_array_equal(again.contact_forces_B, nominal.contact_forces_B)
+    assert again.outcome == nominal.outcome
+    assert again.object_names == ("cube",)
+    (tmp_path / "simulation" / "baseline.json").write_text("{}")
+    with pytest.raises(FileFormatError, match=r"baseline\.json"):
+        load_record(tmp_path, "baseline")
+    with pytest.raises(FileFormatError):
+        load_record(tmp_path, "plan")
+
+
+def test_without_an_arm_the_tray_moves_exactly():
+    plan = make_plan(scenarios.load("panda-cube").with_changes(arm=None), "baseline")
+    record = simulate(plan, parameters={"mass": 0.3})
+    assert record.q.shape[1] == 0
+    assert record.tray_e_p.max() == 0
+    assert record.outcome == "holds"
+    np.testing.assert_array_equal(record.p_SE, simulate_tray(plan.reference, plan.scenario).p_SE)
+
+
+def test_what_cannot_be_simulated_says_so(baseline):
+    with pytest.raises(UnreachableError, match="panda-cube"):
+        simulate(replace(baseline, joint=None))
+    scenario = baseline.scenario.with_changes(physics__timestep=3e-4)
+    with pytest.raises(ScenarioError, match=r"command_period.*timestep"):
+        simulate(replace(baseline, scenario=scenario))
+
+
+def test_missing_engine_is_one_sentence():
+    code = (
+        "import sys; sys.modules['mujoco'] = None\n"
+        "from salver.errors import MissingDependencyError\n"
+        "try:\n    import salver.simulation.physics\n"
+        "except MissingDependencyError as error:\n    print(error)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "mujoco" in out
+    assert len(out.strip().splitlines()) == 1
+    assert issubclass(MissingDependencyError, Exception)
+
+
+def test_pictures_fall_back_when_there_is_no_opengl(nominal, baseline, monkeypatch):
+    monkeypatch.setattr("salver.simulation.render._BACKENDS", ())
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    pictures = snapshots(nominal, baseline.scenario, [0.0], width=320, height=240)
+    assert pictures.renderer == "matplotlib"
+    assert "OpenGL" in pictures.note
+    assert pictures.images.shape == (1, 240, 320, 3)
+    assert len(np.unique(pictures.images)) > 2
+
+
+def test_pictures_show_the_object_move(nominal, baseline):
+    try:
+        with painter(nominal, baseline.scenario, 320, 240) as paint:
+            images = [paint(0), paint(len(nominal.t) - 1)]
+    except NoOpenGLError as error:
+        pytest.skip(str(error))
+
+    def where(image):
+        """Centre of the pixels with the cube's colour: red well above green and blue."""
+        r, g, b = (image[..., i].astype(int) for i in range(3))
+        rows, columns = np.nonzero((r > 90) & (r > 2 * g) & (r > 2 * b))
+        assert len(rows) > 20
+        return np.array([columns.mean(), rows.mean()])
+
+    # it is carried to +y of S, which from in front of the arm is to the right
+    assert where(images[1])[0] - where(images[0])[0] > 20
