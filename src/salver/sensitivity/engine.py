@@ -1,0 +1,306 @@
+"""Closed-loop sensitivity of any plant and any controller: section III of the paper.
+
+A plant x' = f(x, u, p, t) under a controller with internal state, xi' = g(xi, x, y_d(t), p_n, t) and
+u = h(xi, x, y_d(t), p_n, t), is given as CasADi expressions. How its state and its input react to the true
+parameters p around p = p_n follows, together with the nominal motion, from
+
+    Pi'    = f_x Pi + f_u Theta + f_p          Pi    = dx/dp
+    Pi_xi' = g_x Pi + g_xi Pi_xi               Pi_xi = dxi/dp
+    Theta  = h_x Pi + h_xi Pi_xi               Theta = du/dp
+
+(the paper prints a dot over Theta; h is algebraic, so Theta is what is meant). CasADi supplies the partial
+derivatives exactly. All of it is integrated together by the eighth-order method of `salver.integration`,
+with step halving until the results agree: unlike an adaptive solver it takes a reference that is only
+sampled, marches thousands of perturbed plants at once, and gives the same arrays every time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from salver.errors import Status
+from salver.geometry import Array
+from salver.integration import Rate, integrate
+
+SampledReference = Callable[[Array], npt.ArrayLike]  # times (K,) to y_d (K, n_y)
+_HALVINGS = 11  # from an eighth of the span: 8192 steps at most
+
+
+def _none() -> ca.SX:
+    return ca.SX(0, 1)
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Plant and controller as CasADi SX expressions of SX symbols, all columns: eqs (6), (7).
+
+    x, p, p_nominal: symbols of state, true parameters, and what the controller believes of them (same size as p,
+    or empty when it uses none). f: x' in terms of x, u, p, t. h: u in terms of xi, x, y_d, p_nominal, t.
+    u: the symbol for the input inside f. xi, g: internal state of the controller and its rate, empty if it has none.
+    t: symbol of time. y_d: symbol of the reference, sampled by whoever integrates; or give `reference`, its
+    expression in t, and y_d is replaced by it. parameters_reach_controller: say so when g or h contain p itself,
+    as when the controller reads a sensor whose scale is uncertain; their direct terms are then included.
+
+    Raises ValueError when expressions and symbols do not fit together.
+    """
+
+    x: ca.SX
+    u: ca.SX
+    p: ca.SX
+    f: ca.SX
+    h: ca.SX
+    xi: ca.SX = field(default_factory=_none)
+    g: ca.SX = field(default_factory=_none)
+    p_nominal: ca.SX = field(default_factory=_none)
+    y_d: ca.SX = field(default_factory=_none)
+    t: ca.SX = field(default_factory=lambda: ca.SX.sym("t"))
+    reference: ca.SX | None = None
+    parameters_reach_controller: bool = False
+
+    def __post_init__(self) -> None:
+        pairs = [("f", self.f, "x", self.x), ("h", self.h, "u", self.u), ("g", self.g, "xi", self.xi)]
+        if self.reference is not None:
+            pairs.append(("reference", self.reference, "y_d", self.y_d))
+        for name, expression, symbol_name, symbol in pairs:
+            if expression.numel() != symbol.numel():
+                raise ValueError(
+                    f"{name} has {expression.numel()} entries but {symbol_name} has {symbol.numel()}; they must agree"
+                )
+        if self.p_nominal.numel() not in (0, self.p.numel()):
+            raise ValueError(
+                f"p_nominal has {self.p_nominal.numel()} entries but p has {self.p.numel()}; they must agree"
+            )
+        if not self.parameters_reach_controller and ca.depends_on(ca.vertcat(self.g, self.h), self.p):
+            raise ValueError(
+                "g or h depends on the true parameters p, which a controller cannot know; "
+                "use p_nominal, or set parameters_reach_controller when p reaches it through what it measures"
+            )
+
+    @property
+    def closed(self) -> ClosedLoop:
+        """The same loop with the reference's expression in place of y_d."""
+        if self.reference is None:
+            return self
+        f, g, h = ca.substitute([self.f, self.g, self.h], [self.y_d], [self.reference])
+        names = {"x", "u", "p", "xi", "p_nominal", "t", "parameters_reach_controller"}
+        return ClosedLoop(f=f, g=g, h=h, **{name: getattr(self, name) for name in names})
+
+
+def variational(loop: ClosedLoop) -> ca.Function:
+    """Right-hand side of the equations above, for use in other CasADi programmes.
+
+    (x, xi, Pi, Pi_xi, p, p_nominal, t, y_d) to (x', xi', Pi', Pi_xi', u, Theta).
+    """
+    loop = loop.closed
+    x, u, p, xi = loop.x, loop.u, loop.p, loop.xi
+    Pi, Pi_xi = ca.SX.sym("Pi", x.numel(), p.numel()), ca.SX.sym("Pi_xi", xi.numel(), p.numel())
+    Theta = ca.jacobian(loop.h, x) @ Pi + ca.jacobian(loop.h, xi) @ Pi_xi + ca.jacobian(loop.h, p)
+    f_x, f_u, f_p = (ca.substitute(ca.jacobian(loop.f, z), u, loop.h) for z in (x, u, p))
+    dPi = f_x @ Pi + f_u @ Theta + f_p
+    dPi_xi = ca.jacobian(loop.g, x) @ Pi + ca.jacobian(loop.g, xi) @ Pi_xi + ca.jacobian(loop.g, p)
+    dx = ca.substitute(loop.f, u, loop.h)
+    symbols = [x, xi, Pi, Pi_xi, p, loop.p_nominal, loop.t, loop.y_d]
+    return _function("variational", symbols, [dx, loop.g, dPi, dPi_xi, loop.h, Theta])
+
+
+def closed_loop_rate(loop: ClosedLoop) -> ca.Function:
+    """(x, xi, p, p_nominal, t, y_d) to (x', xi', u)."""
+    loop = loop.closed
+    symbols = [loop.x, loop.xi, loop.p, loop.p_nominal, loop.t, loop.y_d]
+    return _function("closed_loop", symbols, [ca.substitute(loop.f, loop.u, loop.h), loop.g, loop.h])
+
+
+def _function(name: str, symbols: list[ca.SX], expressions: list[ca.SX]) -> ca.Function:
+    unknown = [s for s in ca.symvar(ca.veccat(*expressions)) if not ca.depends_on(ca.veccat(*symbols), s)]
+    if unknown:
+        raise ValueError(f"f, g or h contains the unknown symbol {unknown[0].name()}; declare it or give it a value")
+    return ca.Function(name, symbols, [ca.densify(e) for e in expressions])
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Nominal motion and first-order reactions, time axis first.
+
+    t (T,); x (T, n_x), xi (T, n_xi), u (T, n_u); state_sensitivity Pi (T, n_x, n_p); controller_sensitivity
+    Pi_xi (T, n_xi, n_p); input_sensitivity Theta (T, n_u, n_p). status: whether the tolerance was met; its detail
+    `difference` is the largest relative change that the last halving of the step made.
+    """
+
+    t: Array
+    x: Array
+    xi: Array
+    u: Array
+    state_sensitivity: Array
+    controller_sensitivity: Array
+    input_sensitivity: Array
+    status: Status
+
+
+def sensitivity(
+    loop: ClosedLoop,
+    p_nominal: npt.ArrayLike,
+    t: npt.ArrayLike,
+    x0: npt.ArrayLike,
+    xi0: npt.ArrayLike = (),
+    reference: SampledReference | None = None,
+    Pi0: npt.ArrayLike | None = None,
+    Pi_xi0: npt.ArrayLike | None = None,
+    tolerance: float = 1e-9,
+    absolute_tolerance: float = 1e-12,
+    corners: Sequence[float] = (),
+) -> Sensitivity:
+    """Integrate x, xi, Pi and Pi_xi together from t[0], and evaluate u and Theta, at increasing times t (T,).
+
+    reference: y_d of times, when the loop leaves it to be sampled. Pi0 (n_x, n_p), Pi_xi0 (n_xi, n_p): reaction
+    of the initial state, zero by default. tolerance: change by the last halving of the step, relative to each
+    quantity's size; a change below absolute_tolerance, in the quantity's own unit, does not count.
+    corners: instants at which the reference is not smooth.
+    """
+    t = np.asarray(t, dtype=float)
+    n_x, n_xi, n_p = loop.x.numel(), loop.xi.numel(), loop.p.numel()
+    p = _sized("p_nominal", p_nominal, (n_p,))
+    Pi = np.zeros((n_x, n_p)) if Pi0 is None else _sized("Pi0", Pi0, (n_x, n_p))
+    Pi_xi = np.zeros((n_xi, n_p)) if Pi_xi0 is None else _sized("Pi_xi0", Pi_xi0, (n_xi, n_p))
+    motion = np.concatenate([_sized("x0", x0, (n_x,)), _sized("xi0", xi0, (n_xi,))])
+    # One matrix: a column with the motion itself, then a column of (Pi, Pi_xi) for each parameter.
+    state = np.column_stack([motion, np.vstack([Pi, Pi_xi])])
+    function, believed = variational(loop), p[: loop.p_nominal.numel()]
+
+    def evaluate(s: Array, time: float, y: Array) -> list[Array]:
+        values = function(s[:n_x, 0], s[n_x:, 0], s[:n_x, 1:], s[n_x:, 1:], p, believed, time, y)
+        return [v.full() for v in values]
+
+    def rates_at(instants: Array) -> Rate:
+        y = _sampled(loop, reference, instants)
+
+        def rate(k: int, s: Array) -> Array:
+            dx, dxi, dPi, dPi_xi, _, _ = evaluate(s, instants[k], y[k])
+            return np.block([[dx, dPi], [dxi, dPi_xi]])
+
+        return rate
+
+    states, status = _refined(rates_at, state, t, (tolerance, absolute_tolerance), corners)
+    y = _sampled(loop, reference, t)
+    inputs = [evaluate(s, time, value)[4:] for s, time, value in zip(states, t, y, strict=True)]
+    return Sensitivity(
+        t,
+        states[:, :n_x, 0],
+        states[:, n_x:, 0],
+        np.stack([u[:, 0] for u, _ in inputs]),
+        states[:, :n_x, 1:],
+        states[:, n_x:, 1:],
+        np.stack([Theta for _, Theta in inputs]),
+        status,
+    )
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Nonlinear closed-loop motions of n plants: t (T,); x (n, T, n_x), xi (n, T, n_xi), u (n, T, n_u)."""
+
+    t: Array
+    x: Array
+    xi: Array
+    u: Array
+    status: Status
+
+
+def simulate(
+    loop: ClosedLoop,
+    p_samples: npt.ArrayLike,
+    p_nominal: npt.ArrayLike,
+    t: npt.ArrayLike,
+    x0: npt.ArrayLike,
+    xi0: npt.ArrayLike = (),
+    reference: SampledReference | None = None,
+    tolerance: float = 1e-9,
+    absolute_tolerance: float = 1e-12,
+    corners: Sequence[float] = (),
+) -> Motions:
+    """The full closed loop under true parameters p_samples (n, n_p), while the controller believes p_nominal (n_p,).
+
+    x0 (n_x,) or (n, n_x) and xi0 (n_xi,) or (n, n_xi) at t[0]; the rest as in `sensitivity`.
+    """
+    t = np.asarray(t, dtype=float)
+    n_x, n_xi, n_p = loop.x.numel(), loop.xi.numel(), loop.p.numel()
+    p = _sized("p_samples", np.atleast_2d(np.asarray(p_samples, dtype=float)), (None, n_p)).T
+    n = p.shape[1]
+    believed = _sized("p_nominal", p_nominal, (n_p,))[: loop.p_nominal.numel()]
+    start = [np.broadcast_to(np.asarray(z, dtype=float), (n, size)) for z, size in ((x0, n_x), (xi0, n_xi))]
+    # Samples are columns; what all of them share (belief, time, reference) is handed over once.
+    function = closed_loop_rate(loop).map("closed_loops", "serial", n, [3, 4, 5], [])
+
+    def evaluate(s: Array, time: float, y: Array) -> list[Array]:
+        return [v.full() for v in function(s[:n_x], s[n_x:], p, believed, time, y)]
+
+    def rates_at(instants: Array) -> Rate:
+        y = _sampled(loop, reference, instants)
+        return lambda k, s: np.vstack(evaluate(s, instants[k], y[k])[:2])
+
+    states, status = _refined(rates_at, np.concatenate(start, axis=1).T, t, (tolerance, absolute_tolerance), corners)
+    y = _sampled(loop, reference, t)
+    u = np.stack([evaluate(s, time, value)[2] for s, time, value in zip(states, t, y, strict=True)])
+    x, xi, u = (np.moveaxis(array, 2, 0) for array in (states[:, :n_x], states[:, n_x:], u))
+    return Motions(t, x, xi, u, status)
+
+
+def _sampled(loop: ClosedLoop, reference: SampledReference | None, t: Array) -> Array:
+    """y_d (K, n_y) at times, empty columns when the loop has its reference inside."""
+    if loop.reference is not None or loop.y_d.numel() == 0:
+        return np.empty((len(t), 0))
+    if reference is None:
+        raise ValueError("the loop's y_d is a symbol; give reference, a function of times (K,) to (K, n_y)")
+    return _sized("reference(t)", reference(t), (len(t), loop.y_d.numel()))
+
+
+def _sized(name: str, value: npt.ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    array = np.asarray(value, dtype=float)
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
+        raise ValueError(f"{name} has shape {array.shape}; {tuple('any' if s is None else s for s in shape)} is needed")
+    return array
+
+
+def _refined(
+    rates_at: Callable[[Array], Rate],
+    state: Array,
+    t: Array,
+    tolerances: tuple[float, float],
+    corners: Sequence[float],
+) -> tuple[Array, Status]:
+    """Integrate with ever smaller steps until the last halving changes nothing that matters."""
+    tolerance, absolute = tolerances
+    span = float(t[-1] - t[0])
+    step, coarse, difference = span / 8, None, np.inf
+    for _ in range(_HALVINGS):
+        with np.errstate(over="ignore", invalid="ignore"):  # a step beyond the stability limit: the next is shorter
+            fine = integrate(rates_at, state, float(t[0]), t, step, corners)
+        if coarse is not None:
+            difference = _relative_difference(coarse, fine, absolute)
+            if difference <= tolerance:
+                details = {"step": step, "difference": difference}
+                return fine, Status("converged", f"converged: the last halving changed {difference:.1e}", True, details)
+        coarse, step = fine, step / 2
+    sentence = (
+        f"steps of {2 * step:.2g} s still change results by {difference:.1e}, more than the tolerance {tolerance:.1e}"
+    )
+    assert coarse is not None
+    return coarse, Status("step_limit", sentence, False, {"step": 2 * step, "difference": difference})
+
+
+def _relative_difference(a: Array, b: Array, absolute: float) -> float:
+    """Largest |a - b| of (T, rows, columns), relative to the entry's largest value over time.
+
+    An entry a thousand times smaller than its column's largest counts relative to a thousandth of that, and a
+    difference below `absolute` not at all, so that entries which are only rounding do not count.
+    """
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        return float("inf")
+    peak = np.abs(b).max(axis=0)
+    size = np.maximum(peak, 1e-3 * peak.max(axis=0, initial=0.0))
+    change = np.abs(a - b).max(axis=0)
+    return float(np.max(np.divide(change, size, out=np.zeros_like(change), where=change > absolute), initial=0.0))
