@@ -9,6 +9,7 @@ from salver.geometry import GRAVITY_S, exp, log, vee
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.arm_limits import KNOWN_ARMS
+from salver.models.bodies import bodies
 from salver.models.contact import support_contacts
 
 ARMS = sorted(KNOWN_ARMS)
@@ -270,6 +271,27 @@ def test_clearance_of_obstacles_by_hand(tmp_path):
     hook = [k for k, (i, _) in enumerate(parts.pairs) if parts.names[i] == "hook"]
     distances = parts.clearance(np.array([[0.0, 0.5]]))[0, hook]
     assert distances == pytest.approx([0.85, 0.85, 0.25], abs=1e-6)
+
+
+def test_clearance_gradient_by_differences():
+    """All but a few of the pairs: where faces meet faces the nearest points jump, and with them the derivative."""
+    cube = scenario.load("panda-cube")
+    around = [
+        scenario.Obstacle(type="sphere", radius=0.1, position=(0.6, 0, 0.4)),
+        scenario.Obstacle(type="capsule", radius=0.05, length=0.3, position=(0.4, 0.2, 0.4)),
+    ]
+    arm = load_arm(cube.arm, cube.tray)
+    parts = arm_geometry(arm, bodies(cube), around)
+    q = np.random.default_rng(0).uniform(np.maximum(arm.limits.q_min, -2), np.minimum(arm.limits.q_max, 2), (10, 7))
+    distances, gradient = parts.clearance_gradient(q)
+    assert distances == pytest.approx(parts.clearance(q), abs=0)
+    measured = np.stack([central(parts.clearance, q, e[None], 1e-5) for e in np.eye(7)], axis=-1)
+    wrong = np.abs(gradient - measured).max(axis=-1)
+    assert np.quantile(wrong, 0.95) < 1e-8
+    assert wrong.max() < 0.1
+    overlapping = distances < -1e-3
+    assert overlapping.any()
+    assert wrong[overlapping].max() < 1e-6
 
 
 @pytest.mark.parametrize(

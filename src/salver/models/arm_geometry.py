@@ -65,6 +65,30 @@ class ArmGeometry:
             distances[k] = [result.min_distance for result in self.data.distanceResults]
         return distances
 
+    def clearance_gradient(self, q: Array) -> tuple[Array, Array]:
+        """`clearance` (N, pairs) and its derivative by the joints (N, pairs, n).
+
+        By the velocities of the two nearest points along the normal between them; where those jump (a face
+        meets a face) it is one of the one-sided derivatives.
+        """
+        model, data = self.arm.pin_model, self.arm.data
+        distances = self.clearance(q)
+        gradient = np.zeros((*distances.shape, self.arm.n))
+        joints = [part.parentJoint for part in self.model.geometryObjects]
+        for k, posture in enumerate(q):
+            pin.computeJointJacobians(model, data, posture)
+            pin.updateGeometryPlacements(model, data, self.model, self.data)
+            pin.computeDistances(self.model, self.data)
+            jacobians = {j: pin.getJointJacobian(model, data, j, pin.LOCAL_WORLD_ALIGNED) for j in set(joints) if j > 0}
+            for row, ((i, j), result) in enumerate(zip(self.pairs, self.data.distanceResults, strict=True)):
+                ends = (result.getNearestPoint1(), joints[i], -1.0), (result.getNearestPoint2(), joints[j], 1.0)
+                for point, joint, sign in ends:
+                    if joint > 0:
+                        arm_S = point - data.oMi[joint].translation
+                        wrench = np.concatenate([result.normal, np.cross(arm_S, result.normal)])
+                        gradient[k, row] += sign * wrench @ jacobians[joint]
+        return distances, gradient
+
     def near(self, q: Array, distance: float) -> ArmGeometry:
         """The same parts with only those pairs that come within a distance (m) at one of the postures (N, n)."""
         close = self.clearance(q).min(axis=0) < distance
