@@ -14,6 +14,7 @@ import io
 import math
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -93,9 +94,19 @@ def assert_output(output, expected):
         assert math.isclose(promised, float(given), rel_tol=0.05, abs_tol=1e-12), f"{promised} became {given}\n{output}"
 
 
+@pytest.fixture(scope="session")
+def planned(tmp_path_factory):
+    """The run directory that the how-to pages start from."""
+    directory = tmp_path_factory.mktemp("docs") / "cube"
+    run(Block("sh", f"salver plan panda-cube -o {directory}", 0, None), {})
+    return directory
+
+
 @pytest.mark.parametrize("page", PAGES, ids=[str(p.relative_to(ROOT)) for p in PAGES])
-def test_blocks_of_the_page_run(page, tmp_path, monkeypatch):
+def test_blocks_of_the_page_run(page, planned, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    if page.parent.name == "howto":
+        shutil.copytree(planned, "runs/cube")
     namespace = {"__name__": "__page__"}
     for block in blocks_of(page.read_text(encoding="utf-8")):
         try:
