@@ -49,7 +49,7 @@ def campaign(
     """
     from salver.campaign import run_campaign
 
-    with _progress() as progress:
+    with progress_bar() as progress:
         try:
             result = run_campaign(directory, n, seed, method, stem, engine, jobs, ray, folder, progress)
         except KeyboardInterrupt:
@@ -63,7 +63,7 @@ def campaign(
 
 
 @contextmanager
-def _progress() -> Iterator[Progress]:
+def progress_bar() -> Iterator[Progress]:
     """A bar on standard error with the count of each outcome; plain lines where there is no terminal."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
