@@ -41,6 +41,12 @@ def test_importing_loads_nothing_heavy(module):
     assert not set(HEAVY) & set(loaded)
 
 
+def test_planning_needs_no_physics_engine_and_no_plotting():
+    code = "import json, sys; import salver.planning.plan; print(json.dumps(sorted(sys.modules)))"
+    loaded = _run(code)
+    assert not {"mujoco", "matplotlib", "pyarrow", "rosbags", "trimesh"} & set(loaded)
+
+
 def test_importing_changes_no_global_state():
     code = """
 import json, random, sys, warnings

@@ -81,7 +81,7 @@ def _partial_weights() -> Array:
     """(3, 3): integrals from 0 to Gauss point i of the Lagrange polynomial of Gauss point g on [0, 1]."""
     vandermonde = np.vander(_GAUSS_POINTS, increasing=True)
     integrals = np.stack([_GAUSS_POINTS ** (k + 1) / (k + 1) for k in range(3)], axis=1)
-    return np.linalg.solve(vandermonde.T, integrals.T).T
+    return np.asarray(np.linalg.solve(vandermonde.T, integrals.T).T, dtype=float)
 
 
 _PARTIAL = _partial_weights()

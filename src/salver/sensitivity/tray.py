@@ -54,7 +54,12 @@ class BodyMotion:
 
     def thinned(self, every: int) -> BodyMotion:
         """Each `every`-th instant."""
-        return BodyMotion(*(part.thinned(every) for part in (self.rotation, self.force, self.omega, self.alpha)))
+        return BodyMotion(
+            self.rotation.thinned(every),
+            self.force.thinned(every),
+            self.omega.thinned(every),
+            self.alpha.thinned(every),
+        )
 
     def of_frame(self, p_BX: Array, R_BX: Array) -> BodyMotion:
         """What a body with frame X feels that moves rigidly with B."""
@@ -127,7 +132,7 @@ class TrayLoop:
         f, tau = motion.wrench(self.phi_jacobian)
         return (
             motion.rotation.to_world(f.scaled(1 / self.body.mass)),
-            tau.mapped(np.linalg.inv(self.body.inertia_com)),
+            tau.mapped(np.asarray(np.linalg.inv(self.body.inertia_com), dtype=float)),
         )
 
     def sensitivity(self, grid: QuadratureGrid, at_grid: BodyMotion, at_times: BodyMotion) -> TraySensitivity:

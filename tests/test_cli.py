@@ -1,0 +1,160 @@
+"""The command line as a user meets it: whole processes, exit codes, both output streams."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from salver import __version__, scenario
+from salver.cli import app
+
+COMMANDS = [command.name for command in app.registered_commands]
+SALVER = Path(sys.executable).with_name("salver")
+
+
+def salver(*arguments, **options):
+    environment = {**os.environ, "COLUMNS": "120", "NO_COLOR": "1"}
+    return subprocess.run([SALVER, *map(str, arguments)], capture_output=True, text=True, env=environment, **options)
+
+
+def test_version():
+    done = salver("--version")
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"salver {__version__}\n", "")
+
+
+def test_help_names_every_command():
+    done = salver("--help")
+    assert done.returncode == 0
+    for name in COMMANDS:
+        assert f" {name} " in done.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_every_command_has_an_example(name):
+    done = salver(name, "--help")
+    assert done.returncode == 0
+    assert f"salver {name}" in done.stdout.split("Example", 1)[1]
+    assert "--json" in done.stdout
+
+
+def test_help_answers_at_once():
+    """Half a second on a free machine: the fastest of five, in processor time, which other processes do not stretch."""
+    used = []
+    for _ in range(5):
+        before = os.times()
+        salver("--help")
+        after = os.times()
+        used.append(after.children_user + after.children_system - before.children_user - before.children_system)
+    assert min(used) < 0.5
+
+
+def test_no_command_shows_the_help():
+    done = salver()
+    assert done.returncode == 2
+    assert "Usage: salver" in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("arguments", [["fly"], ["--fly"], ["scenarios", "--fly"], ["plan"]])
+def test_wrong_use_exits_with_two(arguments):
+    done = salver(*arguments)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+
+
+def test_unknown_scenario_is_one_sentence():
+    done = salver("plan", "panda-cup")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert line.startswith('salver: There is no ready-made scenario "panda-cup"')
+    assert "panda-cube" in line
+
+
+def test_scenarios_for_people():
+    done = salver("scenarios")
+    assert done.returncode == 0
+    assert done.stderr == ""
+    for name in scenario.names():
+        assert name in done.stdout
+    assert "2.5 s" in done.stdout
+
+
+def test_scenarios_for_machines():
+    done = salver("scenarios", "--json")
+    assert done.returncode == 0
+    assert done.stderr == ""
+    records = {record["name"]: record for record in json.loads(done.stdout)}
+    assert sorted(records) == scenario.names()
+    cube = records["panda-cube"]
+    assert cube["duration"] == 2.5
+    assert cube["objects"] == [{"name": "cube", "shape": "box", "mass": 0.256, "friction": 0.5}]
+    assert cube["uncertain"] == {"mass": {"nominal": 0.256, "half_range": pytest.approx(0.0256)}}
+    assert cube["digest"] == scenario.load("panda-cube").digest
+    assert cube["source"]
+
+
+def test_output_cut_short_by_its_reader_is_no_error():
+    done = subprocess.run(
+        f"{SALVER} scenarios --json | head -c 1", shell=True, capture_output=True, text=True, executable="/bin/bash"
+    )
+    assert done.stdout == "["
+    assert done.stderr == ""
+
+
+def _exit_of(function, capfd):
+    """Exit code and standard error of a command that runs `function`."""
+    import typer
+    from typer.testing import CliRunner
+
+    from salver.cli.common import handled
+
+    app = typer.Typer(pretty_exceptions_enable=False)
+    app.command()(handled(function))
+    done = CliRunner().invoke(app)
+    return done, done.stderr
+
+
+def test_errors_map_to_exit_codes(capfd):
+    from salver.errors import FileFormatError, UnreachableError
+
+    def foreign():
+        raise FileFormatError("plan.npz is truncated.")
+
+    def far():
+        raise UnreachableError("The goal is 0.3 m out of reach.")
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    def broken():
+        raise ZeroDivisionError("a defect")
+
+    done, text = _exit_of(foreign, capfd)
+    assert (done.exit_code, text) == (2, "salver: plan.npz is truncated.\n")
+    done, text = _exit_of(far, capfd)
+    assert (done.exit_code, text) == (3, "salver: The goal is 0.3 m out of reach.\n")
+    done, text = _exit_of(interrupted, capfd)
+    assert done.exit_code == 130
+    assert text == "salver: interrupted; what was written to disk before is complete and was kept.\n"
+    done, _ = _exit_of(broken, capfd)
+    assert isinstance(done.exception, ZeroDivisionError)  # a defect keeps its traceback
+
+
+def test_interrupting_a_running_command(tmp_path):
+    """A real SIGINT at a running process."""
+    import signal
+
+    process = subprocess.Popen(
+        [SALVER, "demo", "-o", tmp_path / "demo"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    time.sleep(1.5)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors.splitlines()[-1].startswith("salver: interrupted")
+    assert "Traceback" not in errors
