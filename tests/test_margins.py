@@ -126,6 +126,19 @@ def test_worst_verdict_is_about_the_least_friction() -> None:
     assert moved(made, critical * 1.06).verdict(worst=True).ok
 
 
+def test_worst_parameters_are_those_of_the_worst_case() -> None:
+    """A scenario with these parameters as nominal ones has the worst-case margin as its own."""
+    ranges = {"com": [0.004, 0.002, 0.02], "mass": "10%", "friction": 0.05}
+    whole = margins(scenario([tall_box(friction=0.8, uncertainty=ranges)]), level([[1.0, 0.5, 0.2], [0, 3.0, 0]]))
+    worst = whole.worst_parameters()
+    assert worst["friction"] == pytest.approx(0.75)
+    assert [worst[k] for k in ("com_y", "com_z")] == pytest.approx([-0.002, 0.02])
+    com = [worst[k] for k in ("com_x", "com_y", "com_z")]
+    fixed = scenario([tall_box(com=com, mass=worst["mass"], friction=worst["friction"])])
+    assert_allclose(margins(fixed, level([[0, 3.0, 0]])).exact.min(), whole.exact_worst.min(), atol=0.02)
+    assert margins(fixed, level([[0, 3.0, 0]])).verdict().code == whole.verdict(worst=True).code
+
+
 def test_each_object_has_its_own_verdict() -> None:
     slippery = tall_box(
         name="slippery", friction=0.1, at=[0.06, 0.0], shape={"type": "box", "size": [0.05, 0.05, 0.05]}

@@ -226,6 +226,7 @@ def _only(rows: ContactRows, index: npt.NDArray[np.intp]) -> ContactRows:
         parameter=rows.parameter[:, index],
         remainder=rows.remainder[:, index],
         internal=rows.internal[index],
+        mass_signs=rows.mass_signs[index],
     )
 
 

@@ -119,6 +119,17 @@ class Margins:
         shift = shift_ranges(network, half, name_prefixes(network, several))
         return regions_lost(network, 0.5 * np.array(self.model.scenario.tray.size), shift)
 
+    def worst_parameters(self) -> dict[str, float]:
+        """Values of the uncertain parameters at which the least worst-case margin occurs (to first order)."""
+        values = self.worst_values
+        network = int(np.argmax([v.max() for v, _ in values]))
+        instant, row = np.unravel_index(int(np.argmax(values[network][0])), values[network][0].shape)
+        point = self.model.robust[network].worst_point(self.w[instant], int(row))
+        uncertain = self.model.uncertain
+        signs = [-1.0 if name.endswith("friction") else point.get(name, 0.0) for name in uncertain.names]
+        worst = uncertain.nominal + uncertain.half_range * np.array(signs)
+        return dict(zip(uncertain.names, worst.tolist(), strict=True))
+
     def costs(self) -> dict[str, float]:
         """What each uncertain parameter, alone, takes from the least exact margin (share of the normal force)."""
         least = float(self.exact.min())

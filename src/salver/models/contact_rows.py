@@ -52,6 +52,7 @@ class ContactRows:
     remainder: (n_r, n, 12) d_l. internal: (n, n_w) effect of the network's internal wrenches on the rows; zero
     when positions are uncertain, because where those wrenches act is then unknown too.
     spread: (n_p, n_p), with A A^T the correlation of an ellipsoid; None for a box.
+    mass_names, mass_signs: masses that are taken at their extremes, and at which of them (n, n_m) each row is.
     """
 
     network: ContactNetwork
@@ -63,6 +64,8 @@ class ContactRows:
     remainder: Array
     internal: Array
     spread: Array | None
+    mass_names: tuple[str, ...]
+    mass_signs: Array
 
     def worst(self, w: Array) -> Array:
         """(T, n) worst case over the uncertain set of every row at w (T, 12); internal wrenches at zero."""
@@ -86,6 +89,20 @@ class ContactRows:
                 terms[:, 1:n_p] = 0.0
             value[start : start + chunk] += np.abs(terms, out=terms).sum(axis=1)
         return value
+
+    def worst_point(self, w: Array, row: int) -> dict[str, float]:
+        """The point of the unit box or ball (by parameter name, in half-ranges) that is worst for a row at w (12,).
+
+        To first order around the centre; products of parameters do not count.
+        """
+        slope = self.parameter[:, row] @ w
+        if self.spread is None:
+            s = np.where(slope >= 0, 1.0, -1.0)
+        else:
+            factored = self.spread.T @ slope
+            s = self.spread @ factored / max(float(np.linalg.norm(factored)), 1e-300)
+        point = dict(zip(self.names, s.tolist(), strict=True))
+        return point | dict(zip(self.mass_names, self.mass_signs[row].tolist(), strict=True))
 
     def seen_from(self, p_EX: Array, R_EX: Array) -> ContactRows:
         """The same rows for w of another frame X that is fixed to the tray, for example an object's B."""
@@ -182,6 +199,8 @@ def network_rows(
         remainder[kept],
         internal,
         spread,
+        tuple(masses),
+        np.repeat(np.array(list(product((-1.0, 1.0), repeat=len(masses)))), len(model.label), axis=0),
     )
 
 
