@@ -67,6 +67,7 @@ function buildCharts() {
   for (const host of document.querySelectorAll("[data-chart]")) {
     const spec = data.charts[host.dataset.chart];
     if (spec.groups) {
+      legend(host.previousElementSibling, { series: spec.groups });
       histogram(host, spec);
       continue;
     }
@@ -133,7 +134,6 @@ buildReplay();
 buildCharts();
 setTime(0);
 window.addEventListener("beforeprint", () => {
-  document.querySelectorAll("details").forEach((d) => (d.open = true));
   redrawAll(true);
   paint();
 });

@@ -143,7 +143,7 @@ function attachCursor(host, image, box, xRange, X, Y, spec, onTime) {
       const y = interpolate(s.x, s.y, Math.max(xRange[0], Math.min(xRange[1], t))), visible = Number.isFinite(y);
       dots[i].setAttribute("visibility", visible ? "visible" : "hidden");
       if (visible) [["cx", X(t)], ["cy", Y(y)]].forEach(([key, v]) => dots[i].setAttribute(key, v));
-      if (values[i]) values[i].textContent = shown(y);
+      if (values[i]) values[i].textContent = shown(y) + values[i].dataset.unit;
     });
   };
   if (host.cursor) cursors.splice(cursors.indexOf(host.cursor), 1);
@@ -168,9 +168,8 @@ function legend(host, spec) {
     if (spec.time) {
       const value = document.createElement("b");
       value.dataset.value = "";
-      const unit = document.createElement("i");
-      unit.textContent = spec.unit ? ` ${spec.unit}` : "";
-      entry.append(value, unit);
+      value.dataset.unit = spec.unit ? ` ${spec.unit}` : "";
+      entry.append(value);
     }
     host.append(entry);
   }

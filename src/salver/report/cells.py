@@ -1,0 +1,38 @@
+"""Cells and tables of the page, as HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from html import escape
+
+import numpy as np
+
+from salver.report.style import OUTCOME_COLOURS, ROLE_COLOURS
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]], numeric: Iterable[int] = ()) -> str:
+    """HTML table; cells are HTML already, headings are text; columns of `numeric` are set right."""
+    right = set(numeric)
+    style = [' class="n"' if i in right else "" for i in range(64)]
+    top = "".join(f"<th{style[i]}>{escape(cell)}</th>" for i, cell in enumerate(head))
+    body = "".join(
+        "<tr>" + "".join(f"<td{style[i]}>{cell}</td>" for i, cell in enumerate(row)) + "</tr>" for row in rows
+    )
+    return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def outcome_cell(word: str) -> str:
+    return f'<span class="dot" style="background:{OUTCOME_COLOURS.get(word, "#7a8490")}"></span>{escape(word)}'
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}".replace("-", "−") if np.isfinite(value) else "none would do"
+
+
+def motion_cell(stem: str, label: str) -> str:
+    """A motion's name with its colour."""
+    return f'<span class="dot" style="background:{ROLE_COLOURS[stem]}"></span>{escape(label)}'

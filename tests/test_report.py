@@ -1,0 +1,331 @@
+"""The report page: what it says against hand-made numbers, and how it behaves in a real browser."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from browser import Browser, chromium, missing
+from salver import scenario
+from salver.errors import FileFormatError
+from salver.files import read_json, write_json
+from salver.geometry import matrix_from_quat_wxyz
+from salver.models.arm import load_arm
+from salver.planning.plan import load_plan, make_plan
+from salver.report.meshes import decimate, link_meshes, merge_vertices, pack
+from salver.report.page import write_report
+from salver.report.replay import replay_scene
+from salver.report.run import Run, read_run
+from salver.report.words import asked, verdict
+
+NO_BROWSER = missing()
+
+
+@pytest.fixture(scope="module")
+def plan_only(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("plan-only")
+    case = scenario.load("panda-cube")
+    make_plan(case, "robust").save(folder, "plan")
+    make_plan(case, "baseline").save(folder, "baseline")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def full(plan_only: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory with a simulation of both motions and a small campaign."""
+    import shutil
+
+    from salver.campaign import run_campaign
+    from salver.simulation.physics import simulate
+
+    folder = tmp_path_factory.mktemp("full") / "run"
+    shutil.copytree(plan_only, folder)
+    for stem in ("plan", "baseline"):
+        simulate(load_plan(folder, stem)).save(folder, stem)
+    run_campaign(folder, n=6, engine="closed-loop", jobs=1)
+    return folder
+
+
+def _data(page: Path) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page.read_text(), re.S)
+    assert found is not None
+    return json.loads(found.group(1))
+
+
+def _floats(text: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), "<f4").astype(float)
+
+
+def test_page_is_one_file_that_names_no_other(full: Path) -> None:
+    page = write_report(full)
+    text = page.read_text()
+    assert page == full / "report.html"
+    assert page.stat().st_size < 3e6
+    assert "Content-Security-Policy" in text
+    assert "default-src 'none'" in text
+    without_namespaces = text.replace("http://www.w3.org/2000/svg", "")
+    assert not re.findall(r"https?://", without_namespaces)
+    assert not re.findall(r"<(?:link|script|img)[^>]+(?:href|src)=\"(?!data:|#)", text)
+
+
+def test_sections_follow_what_the_directory_has(plan_only: Path, full: Path, tmp_path: Path) -> None:
+    bare = write_report(plan_only, tmp_path / "bare.html").read_text()
+    rich = write_report(full, tmp_path / "rich.html").read_text()
+    for text in (bare, rich):
+        for key in ("replay", "margins", "forces", "sensitivity", "motion", "arm", "provenance"):
+            assert f'id="{key}"' in text, key
+    for key in ("simulation", "campaign"):
+        assert f'id="{key}"' not in bare
+        assert f'id="{key}"' in rich
+    assert "6 of 6" in rich
+    # All of 6 held: the exact lower limit is (0.05 / 2) ** (1 / 6) = 54.07 %.
+    assert "54.1 % to 100.0 %" in rich
+
+
+def test_verdict_takes_the_strongest_evidence(plan_only: Path, full: Path) -> None:
+    assert verdict(read_run(plan_only)).headline.startswith("The cube is predicted to stay put")
+    assert verdict(read_run(full)).headline == "The cube stayed put in all 6 perturbed runs"
+    run = read_run(full)
+    run.campaign["plans"]["plan"]["outcomes"] = {"holds": {"count": 2, "of": 6}, "slides": {"count": 4, "of": 6}}  # type: ignore[index]
+    bad = verdict(run)
+    assert (bad.level, bad.headline) == ("bad", "The cube stayed put in 2 of 6 perturbed runs")
+    assert bad.detail.startswith("The others: 4 slides.")
+
+
+def test_a_plan_that_failed_is_not_praised(plan_only: Path, tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(plan_only, tmp_path / "run")
+    summary = read_json(tmp_path / "run" / "plan.json")
+    summary["ok"] = False
+    summary["verification"] |= {"ok": False, "sentence": "cube leaves its contact condition by 0.2 N at t = 0.3 s."}
+    write_json(tmp_path / "run" / "plan.json", summary)
+    answer = verdict(read_run(tmp_path / "run"))
+    assert (answer.level, answer.headline) == ("bad", "No safe plan was found")
+    assert "by 0.2 N at t = 0.3 s" in answer.detail
+
+
+def test_task_in_words(plan_only: Path) -> None:
+    text = asked(read_run(plan_only))
+    for piece in (
+        "the cube (4 × 4 × 4 cm, 256 g, friction 0.5)",
+        "0.48 m far",
+        "0.47 m along y",
+        "2.50 s",
+        "mass ±25.6 g (10 %)",
+    ):
+        assert piece in text
+
+
+def test_text_from_files_is_escaped(plan_only: Path, tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(plan_only, tmp_path / "run")
+    summary = read_json(tmp_path / "run" / "plan.json")
+    summary["status"]["sentence"] = "</script><script>alert(1)</script>"
+    write_json(tmp_path / "run" / "plan.json", summary)
+    text = write_report(tmp_path / "run").read_text()
+    assert "alert(1)" in text
+    assert "<script>alert(1)" not in text
+
+
+def test_replay_is_the_plan(plan_only: Path) -> None:
+    """Tray, object and links in the page against forward kinematics; contact forces against Newton's law."""
+    run = read_run(plan_only)
+    arm = load_arm(run.scenario.arm, run.scenario.tray)  # type: ignore[arg-type]
+    scene = replay_scene(run, arm)
+    for variant, motion in zip(scene["variants"], run.motions, strict=True):
+        frames = len(variant["t"])
+        tray = _floats(variant["tray"]).reshape(frames, 7)
+        objects = _floats(variant["objects"]).reshape(frames, 1, 7)
+        joints = _floats(variant["joints"]).reshape(frames, arm.n + 1, 7)
+        forces = _floats(variant["forces"]).reshape(frames, variant["contactCount"], 3)
+        for k in (0, frames // 3, frames - 1):
+            sample = int(np.argmin(np.abs(motion.t - variant["t"][k])))
+            p_SE, R_SE = arm.tray_pose(motion.arrays["q"][sample])
+            assert np.abs(tray[k, :3] - p_SE).max() < 2e-5
+            assert np.abs(matrix_from_quat_wxyz(tray[k, 3:]) - R_SE).max() < 2e-5
+            assert np.abs(objects[k, 0, :3] - motion.arrays["p_SB"][sample]).max() < 1e-6
+            flange, _ = arm.link_pose(motion.arrays["q"][sample], "panda_link7")
+            assert np.abs(joints[k, arm.n, :3] - flange).max() < 1e-5
+            weight = run.scenario.objects[0].mass * (motion.arrays["a_S"][sample] + [0, 0, 9.81])
+            assert np.abs(forces[k].sum(axis=0) - weight).max() < 1e-4
+    assert np.array_equal(
+        _floats(scene["variants"][0]["joints"]).reshape(frames, arm.n + 1, 7)[:, 0], [[0, 0, 0, 1, 0, 0, 0]] * frames
+    )
+
+
+def test_replay_of_a_simulation_shows_what_was_simulated(full: Path) -> None:
+    run = read_run(full)
+    arm = load_arm(run.scenario.arm, run.scenario.tray)  # type: ignore[arg-type]
+    variant = replay_scene(run, arm)["variants"][0]
+    record = run.plan.simulation
+    assert record is not None
+    assert variant["source"] == "simulation"
+    objects = _floats(variant["objects"]).reshape(len(variant["t"]), 1, 7)
+    assert np.abs(objects[-1, 0, :3] - record.arrays["p_SB"][-1, 0]).max() < 1e-6
+    forces = _floats(variant["forces"]).reshape(len(variant["t"]), -1, 3)
+    assert np.abs(forces[-1].sum(axis=0) - [0, 0, 0.256 * 9.81]).max() < 1e-3  # at rest: the weight
+
+
+def test_meshes_keep_their_shape_when_decimated() -> None:
+    arm = load_arm(scenario.load("panda-cube").arm, scenario.load("panda-cube").tray)  # type: ignore[arg-type]
+    coarse, fine = link_meshes(arm), link_meshes(arm, 10**6)
+    assert [m.name for m in coarse] == [m.name for m in fine]
+    assert {m.joint for m in coarse} == set(range(8))
+    for a, b in zip(coarse, fine, strict=True):
+        assert len(a.triangles) <= 1810 < len(b.triangles)
+        assert np.abs(a.vertices.min(axis=0) - b.vertices.min(axis=0)).max() < 1e-3
+        assert np.abs(a.vertices.max(axis=0) - b.vertices.max(axis=0)).max() < 1e-3
+        packed = pack(a)
+        grid = np.frombuffer(base64.b64decode(packed["vertices"]), "<u2").reshape(-1, 3)
+        assert np.abs(packed["low"] + grid / 65535 * packed["span"] - a.vertices).max() < 1e-5
+
+
+def test_merging_vertices_by_hand() -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+    vertices, triangles = merge_vertices(corners, np.array([[0, 1, 2], [3, 4, 5], [0, 3, 5]]))
+    assert len(vertices) == 4
+    assert len(triangles) == 2  # the third had two corners in one place
+    assert {frozenset(map(tuple, vertices[t])) for t in triangles} == {
+        frozenset({(0, 0, 0), (1, 0, 0), (1, 1, 0)}),
+        frozenset({(0, 0, 0), (1, 1, 0), (0, 1, 0)}),
+    }
+    assert decimate(vertices, triangles, 10)[1] is triangles
+
+
+def test_without_an_arm_the_page_still_works(tmp_path: Path) -> None:
+    make_plan(scenario.load("panda-cube").with_changes(arm=None), "baseline").save(tmp_path, "plan")
+    page = write_report(tmp_path)
+    data = _data(page)
+    assert data["replay"]["meshes"] == []
+    assert 'id="arm"' not in page.read_text()
+
+
+def test_other_directories_get_a_sentence(tmp_path: Path, plan_only: Path) -> None:
+    with pytest.raises(FileFormatError, match=r"is no run directory: it has no plan\.npz"):
+        write_report(tmp_path)
+    import shutil
+
+    shutil.copytree(plan_only, tmp_path / "run")
+    (tmp_path / "run" / "plan.npz").write_bytes((plan_only / "plan.npz").read_bytes()[:5000])
+    with pytest.raises(FileFormatError, match=r"plan\.npz is truncated"):
+        write_report(tmp_path / "run")
+
+
+def _picture(browser: Browser) -> np.ndarray:
+    from PIL import Image
+
+    clip = browser.script(
+        "const r = document.getElementById('canvas').getBoundingClientRect(); return [r.x, r.y, r.right, r.bottom]"
+    )
+    return np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB").crop(clip)).astype(int)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    if NO_BROWSER:
+        pytest.skip(NO_BROWSER)
+    with chromium() as made:
+        yield made
+
+
+def _open(browser: Browser, page: Path) -> None:
+    browser.requests()
+    browser.log("browser")
+    browser.open(page)
+    browser.wait_for("window.salver && window.salver.state.viewer")
+
+
+def test_in_a_browser_it_loads_quietly_and_asks_for_nothing(browser: Browser, full: Path, plan_only: Path) -> None:
+    for folder in (plan_only, full):
+        page = write_report(folder)
+        _open(browser, page)
+        charts = browser.script("return document.querySelectorAll('.plot > svg').length")
+        assert charts == len(_data(page)["charts"]) >= 12
+        assert browser.log("browser") == []
+        asked_for = [url for url in browser.requests() if not url.startswith("data:")]
+        assert asked_for == [page.resolve().as_uri()]
+        overflow = browser.script("return document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        assert overflow <= 0
+
+
+def test_in_a_browser_the_controls_work(browser: Browser, full: Path) -> None:
+    _open(browser, write_report(full))
+    start = _picture(browser)
+    assert np.ptp(start, axis=(0, 1)).min() > 60  # something is drawn
+    assert len(np.unique(start.reshape(-1, 3), axis=0)) > 200
+
+    browser.click("#play")
+    browser.wait_for("salver.state.time > 0.3")
+    browser.click("#play")
+    assert browser.script("return salver.state.playing") is False
+    moved = _picture(browser)
+    assert (np.abs(moved - start).max(axis=2) > 20).sum() > 500
+
+    browser.script("const s = document.getElementById('scrub'); s.value = 1.25; s.dispatchEvent(new Event('input'))")
+    assert browser.script("return salver.state.time") == pytest.approx(1.25, abs=2e-3)
+    assert "1.25 s of 3.00 s" in browser.script("return document.getElementById('clock').textContent")
+    middle = _picture(browser)
+    for control in ("forces", "cones", "path"):
+        browser.click(f"#{control}")
+        changed = _picture(browser)
+        assert (np.abs(changed - middle).max(axis=2) > 15).sum() > 30, control
+        browser.click(f"#{control}")
+        assert np.abs(_picture(browser) - middle).max() <= 8, control
+    names = "return [...document.querySelectorAll('#names b')].map((b) => b.textContent)"
+    assert browser.script(names) == ["Robust", "Baseline"]
+    choose = (
+        "const s = document.getElementById(arguments[0]); s.value = arguments[1]; s.dispatchEvent(new Event('change'))"
+    )
+    browser.script(choose, "layout", "overlay")
+    assert browser.script(names) == ["Robust", "Baseline (ghost)"]
+    browser.script(choose, "layout", "single")
+    assert browser.script(names) == ["Robust"]
+    browser.script(choose, "layout", "side")
+    browser.script(choose, "camera", "close")
+    assert (np.abs(_picture(browser) - middle).max(axis=2) > 20).sum() > 20000
+    browser.script(choose, "speed", "0.1")
+    assert browser.script("return salver.state.speed") == 0.1
+    assert browser.log("browser") == []
+
+
+def test_in_a_browser_a_chart_moves_the_time_of_all(browser: Browser, full: Path) -> None:
+    _open(browser, write_report(full))
+    run = read_run(full)
+    browser.script(
+        "const s = document.querySelector('[data-chart=margins-1] svg'), r = s.getBoundingClientRect();"
+        "const at = {clientX: r.left + 0.5 * r.width, clientY: r.top + 9, bubbles: true};"
+        "s.dispatchEvent(new PointerEvent('pointermove', at))"
+    )
+    t = browser.script("return salver.state.time")
+    assert 1.0 < t < 1.6
+    shown = browser.script(
+        "return document.querySelector('[data-chart=margins-0]').parentNode.querySelector('b').textContent"
+    )
+    expected = float(np.interp(t, run.plan.t, run.plan.cone_floor.min(axis=1)))
+    assert float(shown.split()[0]) == pytest.approx(expected, rel=6e-3)
+
+
+def test_in_a_browser_it_prints(browser: Browser, full: Path) -> None:
+    _open(browser, write_report(full))
+    document = browser.pdf()
+    assert document.startswith(b"%PDF")
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", document)) <= 9
+    assert browser.script("return document.querySelector('.plot svg').viewBox.baseVal.width") > 450  # as before
+
+
+def test_run_gives_motions_in_order(full: Path) -> None:
+    run: Run = read_run(full)
+    assert [m.label for m in run.motions] == ["Robust", "Baseline"]
+    assert run.motion("baseline") is run.motions[1]
+    assert run.motion("other") is None
+    assert np.array_equal(np.unique(run.runs["stem"]), ["baseline", "plan"])
