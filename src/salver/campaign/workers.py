@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import socket
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -137,6 +138,7 @@ def ray_cluster(context: Context, batches: Sequence[Batch], address: str) -> Ite
         ) from None
     started = not ray.is_initialized()
     if started:
+        _check_reachable(address)
         try:
             ray.init(address=address, log_to_driver=False, logging_level="ERROR", include_dashboard=False)
         except (ConnectionError, RuntimeError, ValueError) as error:
@@ -158,6 +160,17 @@ def ray_cluster(context: Context, batches: Sequence[Batch], address: str) -> Ite
     finally:
         if started:
             ray.shutdown()
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host:
+        return  # "auto" or "local"
+    try:
+        socket.create_connection((host, int(port)), timeout=5).close()
+    except (OSError, ValueError) as error:
+        raise SalverError(f"No Ray cluster answers at {address} ({error}); give HOST:PORT, auto or local.") from None
 
 
 def _execute_from_files(files: dict[str, bytes], definition: Any, batch: Batch) -> Records:
