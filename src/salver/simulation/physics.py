@@ -48,7 +48,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class _Run:
+class Run:
     """One run: what is simulated, and how. wanted_E: motion of the assumed tray frame at the commands."""
 
     scenario: Scenario
@@ -77,7 +77,7 @@ def simulate(
         raise UnreachableError(f"{scenario.name} has no joint motion to simulate: {why}")
     began = time.perf_counter()
     arm = load_arm(scenario.arm, scenario.tray)
-    run = _prepare(scenario, parameters, options, plan.reference, arm)
+    run = prepare(scenario, parameters, options, plan.reference, arm)
     controller = ArmController(
         arm,
         [load.nominal for load in run.scene.loads],
@@ -97,12 +97,12 @@ def simulate(
         "seed": seed,
         "arm": _arm_summary(arm.limits, trace, controller.saturation),
     }
-    record = _record(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
+    record = measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
     record.summary["tube"] = _against_tube(plan, record)  # type: ignore[index]
     return record
 
 
-def _run_arm(run: _Run, controller: ArmController, q_start: Array, rng: np.random.Generator) -> Trace:
+def _run_arm(run: Run, controller: ArmController, q_start: Array, rng: np.random.Generator) -> Trace:
     """Command by command: sense, step the controller, apply its torque, step the engine."""
     scene, physics = run.scene, run.scenario.physics
     model, data, n = scene.model, mujoco.MjData(scene.model), scene.n
@@ -178,7 +178,7 @@ def simulate_tray(
     Raises ScenarioError for parameters that cannot be, SalverError when the engine diverges.
     """
     began = time.perf_counter()
-    run = _prepare(scenario, parameters, options, reference, None)
+    run = prepare(scenario, parameters, options, reference, None)
     scene, steps = run.scene, _steps_per_command(scenario)
     fine = run.t[0] + scenario.physics.timestep * np.arange(len(run.t) * steps)
     real = _tray_motion(reference, scene, fine).of_frame(np.zeros(3), scene.world.R_tilt)
@@ -198,19 +198,20 @@ def simulate_tray(
     _check_engine(data, scenario)
     tray_S = run.wanted_E.p_SB, run.wanted_E.R_SB @ scene.world.R_tilt
     summary = {"method": "reference", "with_arm": False}
-    return _record(run, recorder.trace(), creep.still_bias(len(run.t)), tray_S, summary, began)
+    return measure(run, recorder.trace(), creep.still_bias(len(run.t)), tray_S, summary, began)
 
 
-def _prepare(
+def prepare(
     scenario: Scenario,
     parameters: Mapping[str, float] | None,
     options: Options | None,
     reference: Reference,
     arm: ArmModel | None,
-) -> _Run:
+) -> Run:
+    """The scene with its true parameters, and the times of the commands."""
     scene = build(scenario, true_world(scenario, parameters), arm)
     t = _command_times(scenario, reference.duration)
-    return _Run(
+    return Run(
         scenario, dict(parameters or {}), options or Options(), reference, scene, t, _tray_motion(reference, scene, t)
     )
 
@@ -248,8 +249,8 @@ def _check_engine(data: Any, scenario: Scenario) -> None:
         )
 
 
-def _record(
-    run: _Run,
+def measure(
+    run: Run,
     trace: Trace,
     bias: creep.TrayBias,
     tray_S: tuple[Array, Array],
