@@ -44,6 +44,13 @@ def test_arrays_have_the_shapes_and_meaning_that_other_tools_rely_on(plan):
     assert arrays["cone_radius"] == pytest.approx(np.abs(arrays["input_sensitivity"][..., 0]) * 0.0256)
 
 
+@pytest.mark.parametrize("kind", ["box", "ellipsoid"])
+def test_the_papers_condition_is_lambda_minus_its_tube(kind):
+    many = {"mass": "10%", "com": [0.002] * 3, "inertia": "10%"}
+    plan = plan_baseline(PAPER.with_changes(uncertainty__set=kind, objects__0__uncertainty=many))
+    assert plan.evaluation.slack == pytest.approx(plan.cone_coefficients - plan.cone_radius, abs=1e-12)
+
+
 def test_same_scenario_gives_identical_arrays(plan):
     again = plan_object(load("panda-cube")).arrays()
     for name, array in plan.arrays().items():

@@ -60,16 +60,17 @@ def conditions_for(scenario: Scenario) -> list[Condition]:
 
     Raises ScenarioError when the paper's condition is asked for objects that stand on each other.
     """
-    first = bodies(scenario)[0]
+    carried = bodies(scenario)
+    first = carried[0]
     if scenario.contact.condition == "exact":
         return [_exact(rows.seen_from(first.p_EB, first.R_EB)) for rows in contact_rows(scenario)]
-    for body in bodies(scenario):
+    for body in carried:
         if body.supports != (TRAY,):
             raise ScenarioError(
                 f'{scenario.name}: contact.condition = "paper" knows objects on the tray only, and {body.name} stands '
                 f'on {" and ".join(body.supports)}; use "exact".'
             )
-    return [_paper(scenario, body, first) for body in bodies(scenario)]
+    return [_paper(scenario, body, first) for body in carried]
 
 
 # The paper's condition ---------------------------------------------------------------------------------------
