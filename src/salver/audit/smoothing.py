@@ -158,7 +158,7 @@ def _finish(t: Array, y: Array, knots: Array, frequency: float) -> Smooth:
 
 def _acceleration_gain(t: Array, knots: Array, fit: _Fit) -> float:
     """Standard deviation of the second derivative, mid-motion, for samples of unit noise."""
-    middle = np.linspace(0.4, 0.6, 7) * (t[-1] - t[0]) + t[0]
+    middle = np.linspace(0.4, 0.6, 41) * (t[-1] - t[0]) + t[0]
     bend = _bend_rows(knots, middle) @ fit.merge
     return float(np.sqrt(np.einsum("mn,nm->m", bend, solveh_banded(fit.banded, bend.T)).mean()))
 
