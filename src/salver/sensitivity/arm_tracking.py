@@ -1,0 +1,69 @@
+"""How far a joint trajectory is missed because the load is not what the controller thinks, to first order.
+
+With computed torque for the nominal load the joints' errors e = q* - q obey, to first order in the parameters,
+
+    e'' + kd e' + kp e = M(q)^-1 J_E(q)^T dF(t),        dF = (d load / dp) w(t),
+
+M the mass matrix of the arm with its nominal load, J_E the tray's body Jacobian and dF the wrench that the unknown
+part of the load needs along the motion: the same linear filter as the paper's object has, with another forcing.
+Everything here is a smooth function of the trajectory, for planners that bound its effect on the contact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.sensitivity.arm_filter import NodeFilter
+from salver.sensitivity.arm_load import LoadChange
+
+
+@dataclass(frozen=True)
+class JointDeviation:
+    """d/dp of the joints' motion at T instants: q, dq, ddq (T, n, n_p), in rad, rad/s, rad/s^2 per unit of p.
+
+    missing: (T, n, n_p) acceleration that the controller asks for and does not get, ddq_cmd - ddq.
+    """
+
+    q: Array
+    dq: Array
+    ddq: Array
+    missing: Array
+
+    @property
+    def state(self) -> Array:
+        """(T, 3 n, n_p): q, dq, ddq one below the other."""
+        return np.concatenate([self.q, self.dq, self.ddq], axis=1)
+
+
+def missing_acceleration(w: Array, jacobian_E: Array, mass_matrix: Array, load: LoadChange) -> Array:
+    """M^-1 J_E^T dF (T, n, n_p), of w (T, 12) at E, J_E (T, 6, n) and M (T, n, n) with the nominal load."""
+    wrench = np.tensordot(w, load.load_p, axes=(1, 2))  # (T, n_p, 6)
+    return np.asarray(np.linalg.solve(mass_matrix, np.swapaxes(wrench @ jacobian_E, 1, 2)))
+
+
+def tracking_error(
+    w: Array, jacobian_E: Array, mass_matrix: Array, load: LoadChange, response: NodeFilter
+) -> JointDeviation:
+    """Deviation of the joints under joint-space computed torque, along a trajectory known at T nodes.
+
+    w: (T, 12) what the tray feels, at E. jacobian_E: (T, 6, n). mass_matrix: (T, n, n), nominal load included.
+    response: `node_filter(t, kp, kd, settle)` of the nodes' times and the joints' gains.
+    """
+    missing = missing_acceleration(w, jacobian_E, mass_matrix, load)
+    e, rate, acceleration = response.respond(missing)
+    return JointDeviation(-e, -rate, -acceleration, missing)
+
+
+def tracking_wrench_motion(
+    w: Array, w_z: Array, jacobian_E: Array, mass_matrix: Array, load: LoadChange, response: NodeFilter
+) -> Array:
+    """dw (T, 12, n_p): how what the tray feels at E changes per unit of each parameter, through the tracking error.
+
+    w_z: (T, 12, 3 n) derivative of w by (q, dq, ddq); the others as in `tracking_error`. A contact row c (at E)
+    then changes by c . dw, on top of what the parameter changes in c itself. Multiply by `load.uncertain.half_range`
+    for the change over the whole range.
+    """
+    return np.asarray(w_z @ tracking_error(w, jacobian_E, mass_matrix, load, response).state)
