@@ -204,13 +204,35 @@ def test_arch_agrees_with_all_contact_forces_at_once() -> None:
     # Neither sharing alone would do: the rows need the internal wrenches.
     motion = tray_motions(40, 8, 0.3)
     value = rows.worst(vector(motion))
-    best = (value + internal_wrenches(value, rows.internal) @ rows.internal.T).max(axis=1)
+    best = np.array([least_of(row, rows.internal) for row in value])
     feasible = [
         lifted_feasible(items, MotionSamples(*(x[k : k + 1] for x in vars(motion).values()))) for k in range(40)
     ]
     assert 5 < sum(feasible) < 35
     assert_allclose(best <= 0, feasible)
     assert np.any((value.max(axis=1) > 0) & (best <= 0))
+
+
+def least_of(row: Array, internal: Array) -> float:
+    """Largest row with the best internal wrenches, at one instant."""
+    return float((row + internal_wrenches(row[None], internal) @ internal.T).max())
+
+
+@pytest.mark.parametrize("pace", [0.9, 1.1])
+def test_arch_along_a_motion_has_the_right_least_margin_and_first_failure(pace: float) -> None:
+    """Internal wrenches are solved for at few instants and interpolated between them."""
+    (rows,) = contact_rows(scenario(ARCH), robust=False)
+    t = np.linspace(0, 1, 101)
+    motion = tray_motions(101, 9, 0.0)
+    bell = 2.8 * pace**2 * np.sin(2 * np.pi * t)[:, None] * np.array([0.2, 1.0, 0.1])
+    motion = replace(motion, R_SB=np.tile(np.eye(3), (101, 1, 1)), a_S=bell)
+    value = rows.worst(vector(motion))
+    along = (value + internal_wrenches(value, rows.internal) @ rows.internal.T).max(axis=1)
+    each = np.array([least_of(row, rows.internal) for row in value])
+    assert np.all(along >= each - 1e-9)
+    assert_allclose(along.max(), each.max(), atol=1e-6)
+    assert (each.max() > 0) == (pace > 1)
+    assert_allclose(np.argmax(along > 0), np.argmax(each > 0))
 
 
 def test_arch_at_rest_shares_the_weight_evenly() -> None:

@@ -7,15 +7,16 @@ import numpy as np
 from salver.geometry import Array
 
 _COARSE = 25  # instants at which the programme is solved before interpolating between them
+_ROWS = 40  # taken into the programme at a time
 _MOST = 200  # further instants solved because the interpolated choice would not hold there
 
 
 def internal_wrenches(value: Array, internal: Array) -> Array:
     """w_0 (T, n_w) that makes the rows value + internal w_0 (T, n) small.
 
-    value (T, n): rows at w_0 = 0; internal (n, n_w). At the least favourable instants w_0 minimises the largest
-    row, by a linear programme; elsewhere it is interpolated (any w_0 that keeps all rows negative proves
-    that the objects hold).
+    value (T, n): rows at w_0 = 0; internal (n, n_w). At a few instants, among them the least favourable one and the
+    first that fails, w_0 minimises the largest row by a linear programme; elsewhere it is interpolated. Any
+    w_0 that keeps all rows negative proves that the objects hold.
     """
     count, n_w = len(value), internal.shape[1]
     if n_w == 0:
@@ -28,28 +29,41 @@ def internal_wrenches(value: Array, internal: Array) -> Array:
         points = np.array([solved[k] for k in at])
         return np.stack([np.interp(np.arange(count), at, points[:, i]) for i in range(n_w)], axis=1)
 
+    def largest(k: int) -> float:
+        return float((value[k] + internal @ solved[k]).max())
+
     for _ in range(_MOST):
-        largest = (value + interpolated() @ internal.T).max(axis=1)
-        largest[list(solved)] = -np.inf
-        # What matters are instants that fail by interpolation, and the one with the least margin.
-        worst = int(np.argmax(largest))
-        known = max(float((value[k] + internal @ w_0).max()) for k, w_0 in solved.items())
-        if not np.isfinite(largest[worst]) or (largest[worst] <= 0 and largest[worst] <= known):
+        seen = (value + interpolated() @ internal.T).max(axis=1)
+        worst, known = int(np.argmax(seen)), max(largest(k) for k in solved)
+        failing = np.flatnonzero(seen > 0)
+        if worst not in solved and seen[worst] > max(known, 0.0):
+            solved[worst] = _least(value[worst], internal)  # the least margin is to be right
+        elif len(failing) and failing[0] not in solved:
+            solved[int(failing[0])] = _least(value[failing[0]], internal)  # and the first instant without one
+        else:
             break
-        solved[worst] = _least(value[worst], internal)
     return interpolated()
 
 
 def _least(value: Array, internal: Array) -> Array:
-    """w_0 that minimises max(value + internal w_0)."""
+    """w_0 that minimises max(value + internal w_0).
+
+    Few of the rows matter: the programme starts with the largest ones and takes in what its answer violates.
+    """
     from scipy.optimize import linprog
 
     n_w = internal.shape[1]
-    result = linprog(
-        np.append(np.zeros(n_w), 1.0),
-        A_ub=np.column_stack([internal, -np.ones(len(value))]),
-        b_ub=-value,
-        bounds=[(None, None)] * (n_w + 1),
-        method="highs",
-    )
-    return np.asarray(result.x[:n_w])
+    # Far beyond what a solution can be, so that the first few rows cannot leave the programme unbounded.
+    bound = 1e3 * (1 + float(np.abs(value).max())) / float(np.linalg.norm(internal, axis=1).max())
+    limits = [(-bound, bound)] * n_w + [(None, None)]
+    cost = np.append(np.zeros(n_w), 1.0)
+    active = np.zeros(len(value), dtype=bool)
+    shown = value
+    while True:
+        active[np.argsort(shown)[-_ROWS:]] = True
+        rows = np.column_stack([internal[active], -np.ones(int(active.sum()))])
+        result = linprog(cost, A_ub=rows, b_ub=-value[active], bounds=limits, method="highs")
+        shown = value + internal @ result.x[:n_w]
+        if float(shown.max()) <= result.x[-1] + 1e-9 or active.all():
+            return np.asarray(result.x[:n_w])
+        shown = np.where(active, -np.inf, shown)
