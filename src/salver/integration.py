@@ -60,8 +60,9 @@ def integrate(
             slopes.append(slope)
             for i, weights in enumerate(DOP853.A_EXTRA, start=DOP853.n_stages):
                 slopes.append(rate(first + i, state + h * _combine(weights, slopes)))
+            parts = _interpolant(end - state, slopes, h)
             for row in rows:
-                out[row] = state + _interpolate(end - state, slopes, h, (t[row] - grid[k]) / h)
+                out[row] = state + _evaluate(parts, (t[row] - grid[k]) / h)
         state = end
     return out
 
@@ -70,11 +71,15 @@ def _combine(weights: Array, slopes: Sequence[Array]) -> Array:
     return sum((w * slope for w, slope in zip(weights, slopes, strict=False) if w), start=np.zeros_like(slopes[0]))
 
 
-def _interpolate(change: Array, slopes: Sequence[Array], h: float, share: float) -> Array:
-    """Change of the state after a share of the step, of seventh order, from all its slopes."""
+def _interpolant(change: Array, slopes: Sequence[Array], h: float) -> list[Array]:
+    """Parts of the polynomial of seventh order through a step, from all its slopes."""
     first, last = h * slopes[0], h * slopes[DOP853.n_stages]
-    parts = [change, first - change, 2 * change - (last + first), *(h * _combine(row, slopes) for row in DOP853.D)]
-    value = np.zeros_like(change)
+    return [change, first - change, 2 * change - (last + first), *(h * _combine(row, slopes) for row in DOP853.D)]
+
+
+def _evaluate(parts: Sequence[Array], share: float) -> Array:
+    """Change of the state after a share of the step."""
+    value = np.zeros_like(parts[0])
     for i, part in enumerate(reversed(parts)):
         value = (value + part) * (share if i % 2 == 0 else 1 - share)
     return value
