@@ -62,7 +62,8 @@ def test_convex_solution_is_the_global_optimum(weighting, duration):
     problem = Problem(changed(objective__weighting=weighting, motion__duration=duration), 31)
     solution = solve_convex(problem)
     assert solution.status.code == "optimal"
-    assert solution.gap < 1e-8
+    assert solution.gap < 1e-9
+    assert solution.lower_bound == pytest.approx(solution.cost, rel=1e-9)
     model = problem.linearise(np.zeros(problem.size))
     # In coordinates in which the cost is round, or SLSQP's steps are hopeless.
     shape = np.linalg.qr(model.residual_jacobian)[1]
@@ -83,7 +84,8 @@ def test_convex_solution_is_the_global_optimum(weighting, duration):
         cost, start, jac=True, method="SLSQP", constraints={"type": "ineq", "fun": slack}, options={"maxiter": 300}
     )
     assert other.success
-    assert solution.cost <= other.fun * unit * (1 + 1e-9)
+    # SLSQP may leave constraints by its own tolerance, and is then a little cheaper.
+    assert slack(other.x).min() > -1e-6
     assert solution.cost == pytest.approx(other.fun * unit, rel=1e-5)
     assert slack(shape @ solution.z).min() >= -1e-9
 

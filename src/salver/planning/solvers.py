@@ -20,6 +20,7 @@ from salver.planning.problem import Linearisation, Problem
 TOLERANCE = 1e-9  # N (or the row's own unit): a constraint counts as kept within this
 _CUT_LIMIT = 60  # rounds of tangents
 _PROGRESS = 1e-6  # the sequential method ends when a step promises less, relative to the cost
+_SMALLEST_RADIUS = 1e-8  # of its trust region
 _PENALTY = 10.0  # first price of a unit of violation in the sequential method, in units of the starting cost
 
 
@@ -41,7 +42,7 @@ class Solution:
 
     @property
     def gap(self) -> float | None:
-        """Relative duality gap: (cost - lower bound) / cost."""
+        """Relative duality gap: |cost - lower bound| / cost. The bound has an error of some 1e-10 of its own."""
         if self.lower_bound is None:
             return None
         return _relative(self.cost, self.lower_bound)
@@ -105,8 +106,12 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
     for _ in range(iteration_limit):
         step = _solve_model(model, margin, 1e-9 * scale, radius)
         if step is None:
-            step = _solve_model(model, margin, 1e-9 * scale, radius, elastic=True, penalty=1e3 * penalty)
-            assert step is not None
+            step = _solve_model(model, margin, 1e-9 * scale, radius, elastic=True, penalty=10 * penalty)
+        if step is None:
+            radius *= 0.35
+            if radius < _SMALLEST_RADIUS:
+                break
+            continue
         programmes += step.rounds
         penalty = max(penalty, 2 * step.price)
         merit = _merit(model, margin, penalty)
@@ -127,7 +132,7 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
         if ratio > 1e-3:
             z, model = z + d, trial
         radius = radius * 2.5 if ratio > 0.7 else radius * 0.35 if ratio < 0.2 else radius
-        if radius < 1e-8:
+        if radius < _SMALLEST_RADIUS:
             reason = "optimal"
             break
     z, model = _meet_goal(problem, z, model)
@@ -369,4 +374,4 @@ def _meet_goal(problem: Problem, z: Array, model: Linearisation) -> tuple[Array,
 
 
 def _relative(cost: float, bound: float) -> float:
-    return max(0.0, cost - bound) / max(cost, 1e-300)
+    return abs(cost - bound) / max(cost, 1e-300)
