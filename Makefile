@@ -8,13 +8,14 @@ DOCS   := $(VENV)/.docs-ready
 OUT    ?= out/demo
 SOURCES = src tests $(wildcard benchmarks examples docs)
 
-.PHONY: help setup demo test lint format types layers check bench docs lock clean
+.PHONY: help setup demo test lint format types layers check bench scenario-table docs lock clean
 
 help:
 	@echo "make demo    plan, check and simulate the paper's scenario; pages and figures in $(OUT)"
 	@echo "make test    run the tests"
 	@echo "make check   lint, types and import layers"
 	@echo "make bench   run the benchmarks"
+	@echo "make scenario-table   docs/scenarios.md: the shortest safe durations, checked in the engine"
 	@echo "make docs    build the documentation into site/"
 	@echo "make lock    resolve the dependencies again"
 	@echo "make clean   remove what was built (the virtual environment too)"
@@ -56,6 +57,9 @@ check: lint types layers
 
 bench: $(READY)
 	@set -e; for script in benchmarks/bench_*.py; do echo "== $$script"; $(BIN)/python $$script; done
+
+scenario-table: $(READY)
+	$(BIN)/python benchmarks/scenario_table.py docs/scenarios.md
 
 docs: $(DOCS)
 	$(BIN)/python docs/make_figures.py
