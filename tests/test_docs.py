@@ -80,7 +80,7 @@ def run(block, namespace):
 
 def assert_output(output, expected):
     pattern, numbers = "", []
-    cut_short = rf"(?P<cut>[-+.\d]+?)(?=\.\.\.)"  # 0.2... stands for any number that begins so
+    cut_short = r"(?P<cut>[-+.\d]+?)(?=\.\.\.)"  # 0.2... stands for any number that begins so
     tokens = rf"\.\.\.|{cut_short}|(?P<number>{NUMBER})|(?P<space>\s+)|[^\d\s.+-]+|[.+-]"
     for token in re.finditer(tokens, expected.strip()):
         if token[0] == "...":

@@ -267,6 +267,21 @@ def test_files_that_are_no_scenarios(tmp_path, monkeypatch, content, sentence):
     assert str(error.value) == sentence
 
 
+def test_files_are_looked_for_beside_the_scenario(tmp_path, monkeypatch):
+    import trimesh
+
+    (tmp_path / "mine").mkdir()
+    trimesh.creation.box((0.04, 0.04, 0.04)).export(tmp_path / "mine" / "cube.stl")
+    text = CUBE.replace('{ type = "box", size = [0.04, 0.04, 0.04] }', '{ type = "mesh", file = "cube.stl" }')
+    text = text.replace('model = "panda"', 'model = "arms/mine.urdf"\nflange = "tool0"')
+    (tmp_path / "mine" / "scenario.toml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    item = scenario.load("mine/scenario.toml")
+    assert item.objects[0].shape.file == str(tmp_path / "mine" / "cube.stl")
+    assert item.arm.model == str(tmp_path / "mine" / "arms" / "mine.urdf")
+    assert scenario.load("panda-cube").arm.model == "panda"
+
+
 def test_unknown_name_lists_the_known_ones():
     with pytest.raises(ScenarioError) as error:
         scenario.load("panda-cup")

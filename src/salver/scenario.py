@@ -396,7 +396,20 @@ def load(name_or_path: str | Path) -> Scenario:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"{path} is not valid TOML: {error}.") from None
+    _find_files(data, path.parent)
     return parse(data, str(path))
+
+
+def _find_files(data: dict[str, Any], folder: Path) -> None:
+    """Files that a scenario names are looked for beside it; from here on their paths are absolute."""
+    arm, objects = data.get("arm"), data.get("objects")
+    named = [(arm, "model")] if isinstance(arm, dict) and str(arm.get("model")).endswith((".urdf", ".xml")) else []
+    for item in objects if isinstance(objects, list) else []:
+        shape = item.get("shape") if isinstance(item, dict) else None
+        if isinstance(shape, dict) and isinstance(shape.get("file"), str):
+            named.append((shape, "file"))
+    for table, key in named:
+        table[key] = str((folder / table[key]).resolve())
 
 
 def names() -> list[str]:
