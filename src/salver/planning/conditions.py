@@ -25,7 +25,7 @@ from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import phi_jacobian
 from salver.models.tray_motion import PRODUCTS
 from salver.scenario import Scenario
-from salver.sensitivity.dual import Dual
+from salver.sensitivity.dual import Dual, joined
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
 
 Indices = npt.NDArray[np.intp]
@@ -183,9 +183,10 @@ def _exact(rows: ContactRows) -> Condition:
 
 def motion_vector(motion: BodyMotion, n_z: int) -> tuple[Array, Array]:
     """w (T, 12) of B (`salver.models.tray_motion.motion_vector`), with its derivative (T, 12, n_z)."""
-    omega = motion.omega.value[:, 0]
+    force = motion.force.value[:, 0]
+    omega, alpha = (np.broadcast_to(part.value[:, 0], force.shape) for part in (motion.omega, motion.alpha))
     first, second = (list(index) for index in zip(*PRODUCTS, strict=True))
-    w = np.concatenate([motion.force.value[:, 0], motion.alpha.value[:, 0], omega[:, first] * omega[:, second]], axis=1)
+    w = np.concatenate([force, alpha, omega[:, first] * omega[:, second]], axis=1)
     tangent = np.zeros((*w.shape, n_z))
     for columns, part in ((slice(0, 3), motion.force), (slice(3, 6), motion.alpha)):
         if part.tangent is not None:
@@ -202,7 +203,7 @@ def _unit(terms: Array) -> Array:
 
 def _stacked(force: Dual, torque: Dual, n_z: int) -> tuple[Array, Array]:
     """Wrench (T, P, 6) and its tangent (T, P, 6, n_z)."""
-    value = np.concatenate([force.value, torque.value], axis=-1)
+    value = joined(force, torque)
     tangent = np.zeros((*value.shape, n_z))
     if force.tangent is not None:
         tangent[..., :3, :] = force.tangent

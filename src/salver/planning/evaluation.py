@@ -16,6 +16,7 @@ from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import phi_jacobian
 from salver.planning.conditions import conditions_for
 from salver.scenario import Scenario
+from salver.sensitivity.dual import joined
 from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference
@@ -66,8 +67,7 @@ def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluat
     samples = reference.sample(grid.t)
     motion = BodyMotion.of(samples)
     sensitivity = loop.sensitivity(grid, motion, BodyMotion.of(reference.sample(grid.times)))
-    force, torque = motion.wrench(loop.body.phi[:, None])
-    wrench_B = np.concatenate([force.value, torque.value], axis=-1)[:, 0]
+    wrench_B = joined(*motion.wrench(loop.body.phi[:, None]))[:, 0]
     distribution = np.linalg.pinv(bodies(scenario)[0].contacts.grasp_map)
     theta = distribution @ sensitivity.wrench
     rows = [condition(motion, sensitivity, 0) for condition in conditions_for(scenario)]

@@ -83,3 +83,8 @@ class DualRotation:
         if self.tangent is None:
             return turned
         return Dual(turned.value, _sum(turned.tangent, -(self.matrix @ hat(vector_B.value) @ self.tangent)))
+
+
+def joined(*parts: Dual) -> Array:
+    """Values of several stacks side by side, (T, P, 3 len(parts)), those that stand for all instants repeated."""
+    return np.concatenate(np.broadcast_arrays(*(part.value for part in parts)), axis=-1)

@@ -16,14 +16,17 @@ import numpy as np
 from salver.control.object import Gains
 from salver.geometry import GRAVITY_S, Array
 from salver.models.rigid_body import RigidBody, inertia_matrix
-from salver.sensitivity.dual import Dual, DualRotation
+from salver.sensitivity.dual import Dual, DualRotation, joined
 from salver.sensitivity.filter import ErrorFilter, QuadratureGrid
 from salver.trajectory import MotionSamples, Reference
 
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """What the object feels along a motion: rotation, specific force R^T (a - g), omega, alpha in B; (T, 1, 3)."""
+    """What the object feels along a motion: rotation, specific force R^T (a - g), omega, alpha in B; (T, 1, 3).
+
+    Of a motion that does not turn, rotation, omega and alpha are kept at one instant and broadcast.
+    """
 
     rotation: DualRotation
     force: Dual
@@ -44,12 +47,14 @@ class BodyMotion:
         def dual(value: Array, tangent: Array | None) -> Dual:
             return Dual(value[:, None], None if tangent is None else tangent[:, None])
 
-        rotation = DualRotation(samples.R_SB[:, None], None if theta_tangent is None else theta_tangent[:, None])
+        turns = theta_tangent is not None or bool(samples.omega_B.any() or samples.alpha_B.any())
+        kept = slice(None) if turns else slice(0, 1)
+        rotation = DualRotation(samples.R_SB[kept, None], None if theta_tangent is None else theta_tangent[:, None])
         return cls(
             rotation,
             rotation.to_body(dual(samples.a_S - GRAVITY_S, a_tangent)),
-            dual(samples.omega_B, omega_tangent),
-            dual(samples.alpha_B, alpha_tangent),
+            dual(samples.omega_B[kept], omega_tangent),
+            dual(samples.alpha_B[kept], alpha_tangent),
         )
 
     def thinned(self, every: int) -> BodyMotion:
@@ -107,13 +112,12 @@ class TraySensitivity:
     @property
     def state(self) -> Array:
         """Pi (T, 12, n_p)."""
-        rows = [self.dp.value, self.dtheta.value, self.dv.value, self.domega.value]
-        return np.swapaxes(np.concatenate(rows, axis=-1), 1, 2)
+        return np.swapaxes(joined(self.dp, self.dtheta, self.dv, self.domega), 1, 2)
 
     @property
     def wrench(self) -> Array:
         """d wrench_B / dp (T, 6, n_p); Theta = pinv(grasp_map) @ wrench."""
-        return np.swapaxes(np.concatenate([self.df.value, self.dtau.value], axis=-1), 1, 2)
+        return np.swapaxes(joined(self.df, self.dtau), 1, 2)
 
 
 @dataclass(frozen=True)
