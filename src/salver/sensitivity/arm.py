@@ -1,0 +1,188 @@
+"""First-order sensitivity of the real chain: arm, computed torque with a nominal load, objects held by friction.
+
+The paper closes its loop around a free object on which the controller's forces act directly: there a wrong mass
+first makes an error, then the input reacts. An object that stands on a tray gets what it needs at once, because it
+moves with the tray, and what is wrong is the arm's torque. With M the mass matrix of the arm and its nominal load,
+
+    M (ddq_cmd - ddq) = J_E^T dF(t),        dF = (d load / dp) w(t)
+
+to first order, whatever the law for ddq_cmd; `salver.sensitivity.arm_tracking` and `.arm_task` solve it for the two
+laws of `salver.control.arm`. From the deviation of the joints follow the tray's, what the objects feel, the torque
+and the contact rows. Exact for continuous control; the command period and its hold are left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from salver.control.arm import POSTURE_GAINS
+from salver.control.object import Gains
+from salver.errors import ScenarioError
+from salver.geometry import Array
+from salver.models.arm import ArmModel, load_arm, with_load
+from salver.models.bodies import Body, bodies
+from salver.models.parameters import UncertainSet
+from salver.sensitivity import tubes
+from salver.sensitivity.arm_contact import ContactChange, contact_change
+from salver.sensitivity.arm_filter import node_filter
+from salver.sensitivity.arm_load import LoadChange, load_change
+from salver.sensitivity.arm_task import joints_of_task, tray_of_joints, tray_of_task
+from salver.sensitivity.arm_terms import MotionTerms, motion_terms
+from salver.sensitivity.arm_tracking import (
+    JointDeviation,
+    missing_acceleration,
+    tracking_error,
+    tracking_wrench_motion,
+)
+
+if TYPE_CHECKING:
+    from salver.scenario import Scenario
+    from salver.trajectory import JointMotion
+
+__all__ = ["ArmChain", "ChainModel", "arm_chain", "chain_model", "tracking_wrench_motion"]
+
+Space = Literal["object", "joint"]
+_GRID_STEP = 0.0125  # s at most between instants; the filter is exact on cubics between them
+
+
+@dataclass(frozen=True, eq=False)
+class ChainModel:
+    """What is constant for a scenario: make it once, use it for many motions.
+
+    arm, loaded: without and with the nominal objects. settle: s that the arm holds its load before the motion.
+    """
+
+    scenario: Scenario
+    arm: ArmModel
+    loaded: ArmModel
+    items: tuple[Body, ...]
+    gains: Gains
+    load: LoadChange
+    contact: ContactChange
+    settle: float
+
+    @property
+    def uncertain(self) -> UncertainSet:
+        return self.load.uncertain
+
+
+def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
+    """The constants of a scenario's chain. arm: the scenario's, when it is loaded already.
+
+    Raises ScenarioError when the scenario has no arm, or when the controller sees objects that may stand elsewhere.
+    """
+    if scenario.arm is None:
+        raise ScenarioError(f"The scenario {scenario.name} has no arm; give it a table [arm].")
+    load = load_change(scenario)
+    if scenario.physics.feedback == "object":
+        for name in load.uncertain.names:
+            if name.endswith(("position_x", "position_y", "tilt_x", "tilt_y")):
+                raise ScenarioError(
+                    f'{scenario.name}: physics.feedback = "object" and an uncertain {name} together have no '
+                    'sensitivity here; use feedback = "joints".'
+                )
+    arm = load_arm(scenario.arm, scenario.tray) if arm is None else arm
+    items = tuple(bodies(scenario))
+    gains = Gains(scenario.control.kp, scenario.control.kd)
+    settle = scenario.physics.settle_before
+    return ChainModel(scenario, arm, with_load(arm, items), items, gains, load, contact_change(scenario), settle)
+
+
+@dataclass(frozen=True)
+class ArmChain:
+    """The chain along a motion at T instants, and its derivatives by n_p parameters (last axis), per unit of each.
+
+    t (T,) s. space: where the controller closes its loop. uncertain: the parameters. nominal: w (T, 12) at E, torque
+    (T, n) and poses along the motion. joints: deviation of q, dq, ddq. tray: (T, 12, n_p) rows dp in S, dtheta in E, dv in S, domega
+    in E, of the assumed frame E. torque: (T, n, n_p) commanded, N m. w: (T, 12, n_p) of what the tray feels, at E,
+    through its motion. wrench: (T, 6, n_p) contact wrench of the first object at its B, direct part included; N, N m.
+    slack: (T, n_rows) least 0 for a safe contact, as a share of the normal force at rest, and slack_p (T, n_rows,
+    n_p) with the direct part, direct_slack_p that part alone.
+    """
+
+    t: Array
+    space: Space
+    uncertain: UncertainSet
+    nominal: MotionTerms
+    joints: JointDeviation
+    tray: Array
+    torque: Array
+    w: Array
+    wrench: Array
+    direct_wrench: Array
+    slack: Array
+    slack_p: Array
+    direct_slack_p: Array
+    contact: ContactChange
+
+    @property
+    def joint_state(self) -> Array:
+        """(T, 2 n, n_p): deviation of q, then of dq."""
+        return np.concatenate([self.joints.q, self.joints.dq], axis=1)
+
+    def radius(self, sensitivity: Array) -> Array:
+        """Half-width (T, ...) of the tube of one of these quantities over the scenario's uncertain set: eq (11)."""
+        return tubes.radius(sensitivity, self.uncertain)
+
+    def cone_sensitivity(self, grasp_map: Array) -> Array:
+        """(T, n_lambda, n_p) of the first object's Lambda = pinv(grasp_map) wrench: what the paper calls Theta."""
+        return np.asarray(np.linalg.pinv(grasp_map) @ self.wrench)
+
+    def summary(self) -> dict[str, Any]:
+        """Figures for a report: largest tube radii along the motion, and the least contact slack inside its tube."""
+        lowest = self.slack - self.radius(self.slack_p)
+        k, row = np.unravel_index(int(np.argmin(lowest)), lowest.shape)
+        tray = self.radius(self.tray)
+        return {
+            "space": self.space,
+            "tray_position_radius": float(np.linalg.norm(tray[:, :3], axis=1).max()),
+            "tray_rotation_radius": float(np.linalg.norm(tray[:, 3:6], axis=1).max()),
+            "torque_radius": self.radius(self.torque).max(axis=0).tolist(),
+            "contact_slack": float(self.slack.min()),
+            "contact_slack_in_tube": float(lowest[k, row]),
+            "time": float(self.t[k]),
+            "object": self.contact.owner[row],
+        }
+
+
+def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object", t: Array | None = None) -> ArmChain:
+    """The chain's sensitivity along a joint motion.
+
+    space: "object" for plans of the object's motion, "joint" for fastest plans, as `salver.simulation` runs them.
+    t: (T,) evenly spaced instants from 0 to the duration; at most 12.5 ms apart unless given.
+    """
+    if t is None:
+        t = np.linspace(0.0, joint.duration, max(81, int(np.ceil(joint.duration / _GRID_STEP)) + 1))
+    terms = motion_terms(model.loaded.pin_model, model.loaded.tray_id, *joint.sample(t))
+    load, gains, settle = model.load, model.gains, model.settle
+    if space == "joint":
+        response = node_filter(t, gains.kp[0], gains.kd[0], settle)
+        joints = tracking_error(terms.w, terms.jacobian, terms.mass_matrix, load, response)
+        tray = tray_of_joints(terms, joints)
+    else:
+        missing = missing_acceleration(terms.w, terms.jacobian, terms.mass_matrix, load)
+        tray = tray_of_task(t, terms, missing, model.items[0], gains, settle)
+        joints = joints_of_task(t, terms, tray, missing, POSTURE_GAINS, settle)
+    torque = terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing
+    contact = model.contact
+    direct_wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)
+    direct_slack = -np.einsum("pri,ti->trp", contact.rows_p, terms.w)
+    return ArmChain(
+        t=t,
+        space=space,
+        uncertain=load.uncertain,
+        nominal=terms,
+        joints=joints,
+        tray=tray.state,
+        torque=torque,
+        w=tray.w,
+        wrench=direct_wrench + load.wrench @ tray.w,
+        direct_wrench=direct_wrench,
+        slack=-terms.w @ contact.rows.T,
+        slack_p=direct_slack - contact.rows @ tray.w,
+        direct_slack_p=direct_slack,
+        contact=contact,
+    )

@@ -1,0 +1,157 @@
+"""The loop closed on the object's pose (paper, eqs 22 and 25): the tray's deviation first, then the joints'.
+
+The acceleration that the controller asks for and does not get, m(t) = M^-1 J_E^T dF, splits into two parts. What of
+it moves the object drives the object's own linear error dynamics,
+
+    e_p'' + kd e_p' + kp e_p = R (J_b m)_v,        e_R'' + kd e_R' + kp e_R = (J_b m)_omega,
+
+and what of it moves only the joints drives the posture's: with P the projector on the null space of J and x the
+deviation of q, P (x'' + kd x' + kp x) = -P m. The tray does not feel the second part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.control.object import Gains
+from salver.geometry import Array, hat
+from salver.models.bodies import Body
+from salver.models.tray_motion import PRODUCTS, frame_map
+from salver.sensitivity.arm_filter import node_filter, sagged
+from salver.sensitivity.arm_terms import MotionTerms
+from salver.sensitivity.arm_tracking import JointDeviation
+
+_FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
+
+
+@dataclass(frozen=True)
+class TrayDeviation:
+    """d/dp of the tray's motion at T instants, n_p parameters.
+
+    state: (T, 12, n_p) rows dp in S, dtheta in E, dv in S, domega in E. w: (T, 12, n_p) of what it feels, in E.
+    """
+
+    state: Array
+    w: Array
+
+
+def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:
+    """The tray's deviation that the joints' deviation brings."""
+    shift = terms.jacobian @ joints.q
+    rate = terms.twist_q @ joints.q + terms.jacobian @ joints.dq
+    R, theta = terms.R_SE, shift[:, 3:]
+    state = np.concatenate(
+        [R @ shift[:, :3], theta, R @ (rate[:, :3] - hat(terms.twist[:, :3]) @ theta), rate[:, 3:]], 1
+    )
+    return TrayDeviation(state, terms.w_z @ joints.state)
+
+
+def tray_of_task(
+    t: Array, terms: MotionTerms, missing: Array, first: Body, gains: Gains, settle: float
+) -> TrayDeviation:
+    """The tray's deviation under the loop on the pose of the first object, B. missing: m (T, n, n_p)."""
+    p, turn = first.p_EB, first.R_EB
+    R_SB = terms.R_SE @ turn
+    omega_E, alpha_E, force_E = terms.twist[:, 3:], terms.w[:, 3:6], terms.w[:, :3]
+    lost = terms.jacobian @ missing
+    linear = R_SB @ (turn.T @ (lost[:, :3] - hat(p) @ lost[:, 3:]))
+    angular = turn.T @ lost[:, 3:]
+    (kp, kp_R), (kd, kd_R) = gains.kp, gains.kd
+    e_p, e_v, e_a = node_filter(t, kp, kd, settle).respond(linear)
+    e_R, e_w, e_alpha = node_filter(t, kp_R, kd_R, settle).respond(angular)
+    omega, alpha, force = omega_E @ turn, alpha_E @ turn, _force_at(force_E, omega_E, alpha_E, p) @ turn
+    theta = -e_R
+    d_omega = -e_w + hat(omega) @ theta
+    d_alpha = -e_alpha - hat(omega) @ e_w + hat(alpha) @ theta
+    d_force = hat(force) @ theta - np.swapaxes(R_SB, 1, 2) @ e_a
+    products = omega[:, _FIRST, None] * d_omega[:, _SECOND] + omega[:, _SECOND, None] * d_omega[:, _FIRST]
+    w = np.linalg.inv(frame_map(p, turn)) @ np.concatenate([d_force, d_alpha, products], axis=1)
+    # From B to E, both fixed to the tray.
+    theta_E, d_omega_E = turn @ theta, turn @ d_omega
+    lever, spin = hat(p), hat(np.cross(omega_E, p))
+    dp = -e_p + terms.R_SE @ (lever @ theta_E)
+    dv = -e_v + terms.R_SE @ (spin @ theta_E + lever @ d_omega_E)
+    return TrayDeviation(np.concatenate([dp, theta_E, dv, d_omega_E], axis=1), w)
+
+
+def _force_at(force: Array, omega: Array, alpha: Array, p: Array) -> Array:
+    """Specific force (T, 3) at a point p (3,) fixed to the frame."""
+    return np.asarray(force + np.cross(alpha, p) + np.cross(omega, np.cross(omega, p)))
+
+
+def joints_of_task(
+    t: Array, terms: MotionTerms, tray: TrayDeviation, missing: Array, posture: tuple[float, float], settle: float
+) -> JointDeviation:
+    """The joints' deviation that belongs to the tray's, with the posture's in the null space; t evenly spaced.
+
+    posture: (kp, kd) of the task in the null space.
+    """
+    kp, kd = posture
+    jacobian = terms.jacobian
+    inverse = np.linalg.pinv(jacobian)
+    shift, rate, acceleration = _in_tray_frame(terms, tray)
+    n = jacobian.shape[2]
+    null = np.eye(n) - inverse @ jacobian
+    turning = inverse @ terms.jacobian_rate @ null
+    null_rate = -turning - np.swapaxes(turning, 1, 2)
+    least = inverse @ shift
+    speed = inverse @ (rate - terms.twist_q @ least)
+    lost = null @ missing
+    # d/dt of (P x, P x'): a small linear system along time, in which the tray's deviation is an input.
+    dynamics = np.block(
+        [
+            [null_rate, np.broadcast_to(np.eye(n), null.shape)],
+            [-null_rate @ inverse @ terms.twist_q - kp * np.eye(n), null_rate - kd * np.eye(n)],
+        ]
+    )
+    forcing = np.concatenate([null_rate @ least, null_rate @ speed - lost], axis=1)
+    at_start = -sagged(kp, kd, settle)[:, None, None] * lost[0]
+    inner = _integrate(t, dynamics, forcing, at_start.reshape(2 * n, -1))
+    q = least + null @ inner[:, :n]
+    dq = inverse @ (rate - terms.twist_q @ q) + null @ inner[:, n:]
+    ddq = inverse @ (acceleration - terms.acceleration_q @ q - terms.acceleration_dq @ dq)
+    return JointDeviation(q, dq, ddq - null @ (missing + kd * dq + kp * q), missing)
+
+
+def _in_tray_frame(terms: MotionTerms, tray: TrayDeviation) -> tuple[Array, Array, Array]:
+    """Displacement, and deviation of the body twist and the spatial acceleration, of E in E, each (T, 6, n_p)."""
+    inverse = np.swapaxes(terms.R_SE, 1, 2)
+    v, omega = hat(terms.twist[:, :3]), hat(terms.twist[:, 3:])
+    theta, d_omega = tray.state[:, 3:6], tray.state[:, 9:]
+    d_v = inverse @ tray.state[:, 6:9] + v @ theta
+    linear = tray.w[:, :3] - hat(terms.up) @ theta + v @ d_omega - omega @ d_v
+    shift = np.concatenate([inverse @ tray.state[:, :3], theta], axis=1)
+    return shift, np.concatenate([d_v, d_omega], axis=1), np.concatenate([linear, tray.w[:, 3:6]], axis=1)
+
+
+def _integrate(t: Array, matrix: Array, forcing: Array, start: Array) -> Array:
+    """x (T, m, n_p) with x' = A x + b for A (T, m, m), b (T, m, n_p) on an even grid: Runge and Kutta's fourth order.
+
+    The steps are found for all intervals at once, as matrices on (x, 1); values between nodes by cubics.
+    """
+    h = t[1] - t[0]
+    m = matrix.shape[1]
+    whole = np.zeros((len(t), m + forcing.shape[2], m + forcing.shape[2]))
+    whole[:, :m, :m], whole[:, :m, m:] = matrix, forcing
+    begin, end, middle = whole[:-1], whole[1:], _between(whole)
+    one = np.eye(whole.shape[1])
+    k2 = middle @ (one + 0.5 * h * begin)
+    k3 = middle @ (one + 0.5 * h * k2)
+    k4 = end @ (one + h * k3)
+    step = (one + h / 6 * (begin + 2 * k2 + 2 * k3 + k4))[:, :m]
+    x = np.empty((len(t), *start.shape))
+    x[0] = start
+    for k in range(len(t) - 1):
+        x[k + 1] = step[k, :, :m] @ x[k] + step[k, :, m:]
+    return x
+
+
+def _between(values: Array) -> Array:
+    """Values (T, ...) half way between evenly spaced nodes, (T - 1, ...), by the cubic through four."""
+    middle = np.empty_like(values[1:])
+    middle[1:-1] = (9 * (values[1:-2] + values[2:-1]) - values[:-3] - values[3:]) / 16
+    middle[0] = (5 * values[0] + 15 * values[1] - 5 * values[2] + values[3]) / 16
+    middle[-1] = (5 * values[-1] + 15 * values[-2] - 5 * values[-3] + values[-4]) / 16
+    return middle
