@@ -95,12 +95,14 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
 class ArmChain:
     """The chain along a motion at T instants, and its derivatives by n_p parameters (last axis), per unit of each.
 
-    t (T,) s. space: where the controller closes its loop. uncertain: the parameters. nominal: w (T, 12) at E, torque
-    (T, n) and poses along the motion. joints: deviation of q, dq, ddq. tray: (T, 12, n_p) rows dp in S, dtheta in E, dv in S, domega
-    in E, of the assumed frame E. torque: (T, n, n_p) commanded, N m. w: (T, 12, n_p) of what the tray feels, at E,
-    through its motion. wrench: (T, 6, n_p) contact wrench of the first object at its B, direct part included; N, N m.
-    slack: (T, n_rows) least 0 for a safe contact, as a share of the normal force at rest, and slack_p (T, n_rows,
-    n_p) with the direct part, direct_slack_p that part alone.
+    t: (T,) s. space: where the controller closes its loop. uncertain: the parameters and their set.
+    nominal: poses, w, torque along the motion. joints: deviation of q, dq, ddq. tray: (T, 12, n_p) of the assumed
+    frame E, rows dp in S, dtheta in E, dv in S, domega in E. torque: (T, n, n_p) commanded, N m.
+    w: (T, 12, n_p) of what the tray feels at E, through its motion alone.
+    wrench: (T, 6, n_p) contact wrench of the first object at its B, N and N m; direct_wrench: the part of it that
+    the object needs on an unchanged motion, Y dphi.
+    slack: (T, n_rows) of the contact rows, safe above 0, as a share of the normal force at rest. slack_p: (T, n_rows,
+    n_p); direct_slack_p: the part of it on an unchanged motion.
     """
 
     t: Array
