@@ -28,6 +28,7 @@ def simulate(
     run: Annotated[
         int | None, typer.Option(help="Repeat run number K of the directory's campaign: its parameters and its seed.")
     ] = None,
+    folder: Annotated[str, typer.Option(help="Folder of that campaign in DIRECTORY.")] = "campaign",
     json: Json = False,
 ) -> None:
     """Run a plan once in the physics engine: arm, tray, loose objects, contact.
@@ -51,7 +52,7 @@ def simulate(
 
         if parameters:
             raise ScenarioError("--run takes its parameters from the campaign; leave out --set.")
-        parameters, seed = parameters_of_run(directory, run)
+        parameters, seed = parameters_of_run(directory, run, folder)
     results: dict[str, SimulationRecord] = {}
     for name in STEMS if stem == "both" else (stem,):
         plan = load_plan(directory, name)
