@@ -1,0 +1,154 @@
+"""Where does robust planning change what happens? Outcomes in the physics engine over duration, friction and height.
+
+    python benchmarks/outcome_map.py [--jobs 2] [--only friction|height]
+
+Every cell plans the paper's move on the Panda for a box of 0.256 kg and 4 x 4 cm base, then runs it once with what
+is worst for it: of mass (10 %), friction (10 %) and, in the second map, the centre of mass (3 mm in x and y), the
+corner that takes most from the margin. Three motions: the straight min-jerk line, the robust plan on a level tray, and
+the robust plan with a tray that may tilt; contact condition "exact". Where the arm cannot follow within its limits
+the cell says so, whatever the object would have done; a cell without a plan is blank.
+
+Writes docs/images/map-friction.svg, docs/images/map-height.svg and docs/images/maps.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import multiprocessing
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from salver.scenario import Scenario, load
+
+IMAGES = Path(__file__).parent.parent / "docs" / "images"
+MOTIONS = {"baseline": "straight line", "plan": "robust, level", "tilting": "robust, tilting"}
+DURATIONS = [0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8]
+FRICTIONS = [0.1, 0.15, 0.2, 0.3, 0.4, 0.5]
+HEIGHTS = [0.02, 0.04, 0.06, 0.08, 0.1, 0.12]  # m, of the centre of mass over the tray
+
+
+@dataclass(frozen=True)
+class Cell:
+    stem: str
+    duration: float
+    friction: float
+    height: float
+    com: float
+
+
+def scenario_of(cell: Cell) -> Scenario:
+    uncertainty: dict[str, Any] = {"mass": "10%", "friction": "10%"}
+    if cell.com:
+        uncertainty["com"] = [cell.com, cell.com, 0.0]
+    paper = load("panda-cube")
+    # The tray moves as in the paper, whatever stands on it: B is at the centre of mass.
+    ends = {
+        f"motion__{end}__position": [*pose.position[:2], pose.position[2] - 0.02 + cell.height]
+        for end, pose in (("start", paper.motion.start), ("goal", paper.motion.goal))
+    }
+    return paper.with_changes(
+        **ends,
+        motion__duration=cell.duration,
+        motion__orientation="free" if cell.stem == "tilting" else "fixed",
+        contact__condition="exact",
+        contact__edges=8,
+        objects__0__shape={"type": "box", "size": [0.04, 0.04, 2 * cell.height]},
+        objects__0__inertia=None,
+        objects__0__friction=cell.friction,
+        objects__0__uncertainty=uncertainty,
+    )
+
+
+def run(cell: Cell) -> dict[str, Any]:
+    """Plan, then one run at the worst corner for that plan."""
+    from salver.planning.plan import make_plan
+    from salver.simulation.physics import simulate
+
+    scenario = scenario_of(cell)
+    plan = make_plan(scenario, "baseline" if cell.stem == "baseline" else "robust")
+    row: dict[str, Any] = {**vars(cell), "slip": None, "tip": None}
+    if plan.status.code == "infeasible" or plan.joint is None:
+        return row | {"outcome": "no plan"}
+    if plan.arm_status is not None and not plan.arm_status.ok:
+        return row | {"outcome": "limit"}
+    record = simulate(plan, parameters=worst_corner(scenario, plan))
+    own = record.summary["objects"][0]
+    return row | {"outcome": record.outcome, "slip": own["peak_slip"], "tip": own["peak_tip_angle"]}
+
+
+def worst_corner(scenario: Scenario, plan: Any) -> dict[str, float]:
+    """The corner of the uncertain set with the least exact margin along the plan's own motion."""
+    from salver.margins import margins
+    from salver.models.bodies import uncertain_set
+
+    uncertain = uncertain_set(scenario)
+    samples = plan.reference.sample(plan.t)
+    best: tuple[float, dict[str, float]] | None = None
+    # Of equal ones the first: heavier, for mass alone changes what the arm does and not the margin; less friction.
+    usual = [-1.0 if name == "friction" else 1.0 for name in uncertain.names]
+    for signs in itertools.product(*((sign, -sign) for sign in usual)):
+        values = {
+            name: float(nominal + sign * half)
+            for name, nominal, half, sign in zip(
+                uncertain.names, uncertain.nominal, uncertain.half_range, signs, strict=True
+            )
+        }
+        changes: dict[str, Any] = {"objects__0__uncertainty": {}, "objects__0__mass": values["mass"]}
+        changes["objects__0__friction"] = values["friction"]
+        if "com_x" in values:
+            changes["objects__0__com"] = [values["com_x"], values["com_y"], 0.0]
+        # The object's frame moves with its nominal centre of mass; the tray is what moves the same.
+        moved = scenario.with_changes(**changes)
+        offset = [values.get("com_x", 0.0), values.get("com_y", 0.0), 0.0]
+        margin = float(margins(moved, samples.of_frame(offset)).exact.min())
+        if best is None or margin < best[0] - 1e-9:
+            best = (margin, values)
+    assert best is not None
+    return best[1]
+
+
+def cells(which: str) -> list[Cell]:
+    if which == "friction":
+        return [Cell(s, t, mu, 0.02, 0.0) for s in MOTIONS for t in DURATIONS for mu in FRICTIONS]
+    return [Cell(s, t, 0.5, h, 0.003) for s in MOTIONS for t in DURATIONS for h in HEIGHTS]
+
+
+def draw(which: str, rows: list[dict[str, Any]]) -> None:
+    from salver.report.figures import outcome_map, render
+    from salver.report.style import paper_style
+
+    kept = [row for row in rows if row["outcome"] != "no plan"]
+    columns = {key: [row[key] for row in kept] for key in kept[0]}
+    with paper_style():
+        figure = outcome_map(columns, MOTIONS.items(), "duration", which)
+        (IMAGES / f"map-{which}.svg").write_bytes(render(figure, "svg"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--only", choices=("friction", "height"))
+    options = parser.parse_args()
+    path = IMAGES / "maps.json"
+    made = json.loads(path.read_text()) if path.is_file() else {}
+    for which in (options.only,) if options.only else ("friction", "height"):
+        began = time.perf_counter()
+        with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
+            rows = list(pool.map(run, cells(which)))
+        made[which] = rows
+        path.write_text(json.dumps(made, indent=0) + "\n")
+        draw(which, rows)
+        print(f"{which}: {len(rows)} cells in {time.perf_counter() - began:.0f} s")
+        for stem, title in MOTIONS.items():
+            own = [row["outcome"] for row in rows if row["stem"] == stem]
+            print(f"  {title}: " + ", ".join(f"{word} {own.count(word)}" for word in sorted(set(own))))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Runs the paper's section V in the physics engine and writes the figures into docs/physics.md.
+
+    python docs/make_physics.py
+
+Text between `<!-- numbers: NAME -->` and `<!-- end -->` is replaced; the words around it are written by hand and
+must be read again when the numbers change. The maps come from benchmarks/outcome_map.py, which must have run before.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from make_reproduction import table
+
+from salver.campaign import run_campaign
+from salver.planning.plan import make_plan
+from salver.report import figures
+from salver.report.perturbed import heavier
+from salver.report.run import read_run
+from salver.report.style import paper_style
+from salver.scenario import load
+
+PAGE = Path(__file__).parent / "physics.md"
+IMAGES = Path(__file__).parent / "images"
+SECTION_V = load("panda-cube").with_changes(objects__0__uncertainty={"mass": "10%", "inertia": "10%"})
+RUNS, SEED = 100, 0
+STEMS = {"plan": "robust", "baseline": "straight line"}
+
+
+def campaign(directory: Path) -> str:
+    """100 runs of each motion with the same perturbed masses and inertias."""
+    began = time.perf_counter()
+    summary = run_campaign(directory, RUNS, SEED).summary
+    wall = time.perf_counter() - began
+    plans = summary["plans"]
+    rows = [["holds", *(_rate(plans[stem]["outcomes"]["holds"]) for stem in STEMS)]]
+    for key, name, factor in (
+        ("peak_slip", "largest slip, creep taken off (nm): median, largest", 1e9),
+        ("e_p_peak", "largest position error of the object (mm)", 1e3),
+        ("e_o_peak", "largest orientation error of the object (mrad)", 1e3),
+        ("cone_least", "least Lambda from measured forces (mN): median, least", 1e3),
+    ):
+        extreme = "min" if key == "cone_least" else "max"
+        cells = [plans[stem]["quantiles"][key] for stem in STEMS]
+        rows.append([name, *(f"{factor * q['median']:.3g}, {factor * q[extreme]:.3g}" for q in cells)])
+    tubes = [plans[stem]["tube"] for stem in STEMS]
+    rows.append(["runs outside the tube of Lambda", *(_rate(tube["left"]) for tube in tubes)])
+    rows.append(["furthest outside (mN, share of the radius)", *(_excess(tube) for tube in tubes)])
+    pair = summary["paired"][0]
+    better = pair["difference"]["e_p_peak"]
+    lines = [
+        table(["quantity", *STEMS.values()], rows),
+        "",
+        f"{2 * RUNS} runs in {wall:.0f} s. Run by run, the robust motion's position error is "
+        f"{1e6 * better['median']:+.1f} µm against the line's (from {1e6 * better['min']:+.1f} to "
+        f"{1e6 * better['max']:+.1f} µm).",
+    ]
+    return "\n".join(lines)
+
+
+def _rate(rate: dict[str, float]) -> str:
+    return f"{rate['count']} of {rate['of']} ({100 * rate['low']:.1f} to {100 * rate['high']:.1f} %)"
+
+
+def _excess(tube: dict[str, Any]) -> str:
+    return f"{1e3 * tube['worst_excess']:.1f}, {100 * tube['worst_excess_relative']:.0f} %"
+
+
+def fifty_grams(directory: Path) -> str:
+    """Fig. 8: the object's errors over time, as planned and 50 g heavier."""
+    run = read_run(directory)
+    plans = {stem: make_plan(SECTION_V, "robust" if stem == "plan" else "baseline") for stem in STEMS}
+    nominal = {stem: heavier(plan, 0.0) for stem, plan in plans.items()}
+    heavy = {stem: heavier(plan) for stem, plan in plans.items()}
+    rows = []
+    for stem, title in STEMS.items():
+        for name, record in (("nominal", nominal[stem]), ("+50 g", heavy[stem])):
+            moving = record.t <= plans[stem].duration
+            rows.append(
+                [
+                    title,
+                    name,
+                    record.outcome,
+                    f"{1e3 * record.e_p[moving].max():.3f}",
+                    f"{1e3 * np.sqrt(np.mean(record.e_p[moving] ** 2)):.3f}",
+                    f"{1e3 * record.e_o[moving].max():.3f}",
+                    f"{1e3 * np.sqrt(np.mean(record.e_o[moving] ** 2)):.3f}",
+                ]
+            )
+    with paper_style():
+        (IMAGES / "fig8-tracking.png").write_bytes(figures.render(figures.tracking(run.motions, nominal, heavy), "png"))
+    return table(
+        ["motion", "object", "outcome", "e_p peak (mm)", "e_p rms (mm)", "e_o peak (mrad)", "e_o rms (mrad)"], rows
+    )
+
+
+def maps(_: Path) -> str:
+    """How many cells of the two maps each motion holds, and the shortest duration that holds in each row."""
+    made = json.loads((IMAGES / "maps.json").read_text())
+    blocks = []
+    for which, rows in made.items():
+        stems = list(dict.fromkeys(row["stem"] for row in rows))
+        values = sorted({row[which] for row in rows})
+        lines = []
+        for value in values:
+            cells = [[row for row in rows if row["stem"] == stem and row[which] == value] for stem in stems]
+            lines.append([f"{value:g}", *(_shortest(own) for own in cells)])
+        unit = " (m)" if which == "height" else ""
+        blocks.append(table([f"{which}{unit}", "straight line", "robust, level", "robust, tilting"], lines))
+    return "\n\n".join(blocks)
+
+
+def _shortest(rows: list[dict[str, Any]]) -> str:
+    """Shortest duration from which on everything held, and what happened at the one before."""
+    ordered = sorted(rows, key=lambda row: -row["duration"])
+    held = None
+    for row in ordered:
+        if row["outcome"] != "holds":
+            before = f"; {row['duration']:g} s: {row['outcome']}"
+            return (f"{held:g} s" if held else "none") + before
+        held = row["duration"]
+    return f"{held:g} s or less"
+
+
+def main() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        directory = Path(folder)
+        make_plan(SECTION_V, "robust").save(directory)
+        make_plan(SECTION_V, "baseline").save(directory, "baseline")
+        for make in (campaign, fifty_grams, maps):
+            block = f"<!-- numbers: {make.__name__} -->\n{make(directory)}\n<!-- end -->"
+            text, count = re.subn(
+                rf"<!-- numbers: {make.__name__} -->.*?<!-- end -->", lambda _, b=block: b, text, flags=re.S
+            )
+            if count != 1:
+                raise SystemExit(f"{PAGE} has {count} places for {make.__name__}; it needs one")
+            print(f"{block}\n")
+    PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
