@@ -56,7 +56,7 @@ def test_sticks_below_the_friction_angle_and_slides_above_it_to_a_fifth_of_a_deg
     angle = limit + np.deg2rad(0.2)
     acceleration = G * (np.sin(angle) - friction * np.cos(angle))
     expected = 0.5 * acceleration * (1.2**2 - 0.2**2)  # it has slid for 0.2 s when the motion starts
-    assert above.slip[-1, 0] == pytest.approx(expected, rel=0.05)
+    assert above.slip[-1, 0] == pytest.approx(expected, rel=0.03)
 
 
 def test_an_object_at_rest_on_a_level_tray_does_not_drift():
@@ -92,14 +92,14 @@ def test_the_first_sliding_duration_is_coulombs_to_three_per_cent(friction):
     assert slips[1.01] < 1e-6
     assert slips[0.99] > 1e-4
     assert slips[0.97] > 1e-3
-    for factor in (0.98, 0.97):  # while it slides, the engine's contacts flicker: a few per cent
-        assert slips[factor] == pytest.approx(coulomb_slip(factor * limit, 0.48, friction), rel=0.05)
+    for factor in (0.98, 0.97):
+        assert slips[factor] == pytest.approx(coulomb_slip(factor * limit, 0.48, friction), rel=0.02)
 
 
 def test_mass_alone_does_not_make_a_body_slide_that_follows_its_tray():
     limit = np.sqrt(MIN_JERK_PEAK * 0.48 / (0.3 * G))
     light, heavy = (simulate_tray(line(0.97 * limit), cube(), {"friction": 0.3, "mass": m}) for m in (0.1, 1.0))
-    assert light.slip.max() == pytest.approx(heavy.slip.max(), rel=0.1)  # it slides; the contacts flicker
+    assert light.slip.max() == pytest.approx(heavy.slip.max(), rel=0.02)
     light, heavy = (simulate_tray(line(1.01 * limit), cube(), {"friction": 0.3, "mass": m}) for m in (0.1, 1.0))
     assert max(light.slip.max(), heavy.slip.max()) < 1e-6
 

@@ -21,9 +21,9 @@ from salver.integration import Rate, integrate
 from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
 from salver.trajectory import MotionSamples, Reference
 
-STEP_TIMES_RATE = (
-    0.5  # longest step times the fastest rate of the error dynamics; for its error see benchmarks/rollouts.py
-)
+# Longest step times the fastest rate of the error dynamics: the error is then below 1e-6 of the deviation, usually
+# below 1e-7 (benchmarks/rollouts.py).
+STEP_TIMES_RATE = 0.625
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def rollout(
 
     body: what the controller believes. grasp_map: (6, n_lambda) G F_hat. t: (T,) increasing times >= 0.
     initial_deviation: (12,) or (n, 12) start off the reference, as `Rollout.deviation`; zero by default.
-    max_step: longest step, s; by default from the gains (20 ms at the paper's). Give the spacing of the knots
+    max_step: longest step, s; by default from the gains (25 ms at the paper's). Give the spacing of the knots
         of a reference that is only piecewise smooth and moves fast.
     Raises ValueError when t does not increase from a value >= 0.
     """
@@ -72,14 +72,15 @@ def rollout(
 
     def rates_at(instants: Array) -> Rate:
         samples = reference.sample(instants)
-        return lambda k, state: loop.rate(_at(samples, k), state)[0]
+        return lambda k, state: loop.rate(_at(samples, k), state)
 
     states = integrate(rates_at, start, 0.0, t, max_step, corners=(reference.duration,))
     deviation = np.empty((len(phi), len(t), 12))
     coefficients = np.empty((len(phi), len(t), grasp_map.shape[1]))
     for row, state in enumerate(states):
         samples = _at(wanted, row)
-        deviation[:, row], coefficients[:, row] = _deviation(samples, state), loop.rate(samples, state)[1]
+        deviation[:, row] = _deviation(samples, state)
+        coefficients[:, row] = loop.inputs(samples, *loop.errors(samples, state))
     return Rollout(t, deviation, coefficients)
 
 
@@ -98,19 +99,26 @@ class _Loop:
     phi: Array
     inverse_inertia: Array
 
-    def rate(self, reference: MotionSamples, state: Array) -> tuple[Array, Array]:
-        """d/dt of the errors (n, 12) = (e_p, e_R, e_v, e_w), and the input Lambda (n, n_lambda)."""
-        e_p, e_R, e_v, e_w = state[:, :3], state[:, 3:6], state[:, 6:9], state[:, 9:]
-        transport = exp(e_R)
-        R_SB = reference.R_SB @ np.swapaxes(transport, -1, -2)
-        transported = apply(transport, reference.omega_B)
-        omega = transported - e_w
-        a_cmd, alpha_cmd = command(self.gains, reference, Errors(e_p, e_R, e_v, e_w, transport))
-        inputs = wrench(self.phi_nominal, R_SB, a_cmd, omega, alpha_cmd) @ self.grasp_inverse.T
-        a_S, alpha = acceleration(self.phi, R_SB, omega, inputs @ self.grasp_map.T, self.inverse_inertia)
-        e_w_rate = apply(transport, reference.alpha_B) - np.cross(omega, transported) - alpha
-        e_R_rate = apply(right_jacobian_inverse(-e_R), e_w)
-        return np.concatenate([e_v, e_R_rate, reference.a_S - a_S, e_w_rate], axis=1), inputs
+    def errors(self, reference: MotionSamples, state: Array) -> tuple[Errors, Array, Array]:
+        """The controller's errors of a state (n, 12) = (e_p, e_R, e_v, e_w), with R_SB and omega_B."""
+        error = Errors(state[:, :3], state[:, 3:6], state[:, 6:9], state[:, 9:], exp(state[:, 3:6]))
+        R_SB = reference.R_SB @ np.swapaxes(error.transport, -1, -2)
+        return error, R_SB, apply(error.transport, reference.omega_B) - error.omega_B
+
+    def inputs(self, reference: MotionSamples, error: Errors, R_SB: Array, omega_B: Array) -> Array:
+        """Lambda (n, n_lambda), eq (19)."""
+        a_cmd_S, alpha_cmd_B = command(self.gains, reference, error)
+        return wrench(self.phi_nominal, R_SB, a_cmd_S, omega_B, alpha_cmd_B) @ self.grasp_inverse.T
+
+    def rate(self, reference: MotionSamples, state: Array) -> Array:
+        """d/dt (n, 12) of the errors: those of the reference less those of the plant, eq (18)."""
+        error, R_SB, omega = self.errors(reference, state)
+        wrench_B = self.inputs(reference, error, R_SB, omega) @ self.grasp_map.T
+        a_S, alpha = acceleration(self.phi, R_SB, omega, wrench_B, self.inverse_inertia)
+        transported = omega + error.omega_B
+        e_w_rate = apply(error.transport, reference.alpha_B) - np.cross(omega, transported) - alpha
+        e_R_rate = apply(right_jacobian_inverse(-error.rotation_B), error.omega_B)
+        return np.concatenate([error.velocity_S, e_R_rate, reference.a_S - a_S, e_w_rate], axis=1)
 
 
 def _deviation(reference: MotionSamples, state: Array) -> Array:

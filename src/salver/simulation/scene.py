@@ -30,7 +30,7 @@ from salver.simulation.loads import Load, TrueWorld
 FOOT_RADIUS = 5e-4  # m
 HULL_GAP = 3e-4  # m between the hull's base and the feet: closed once an object tips
 DAMPING_WIDTH = 0.95  # d_max of solimp: with solref it sets the contact's damping 2 / (d_max timeconst)
-DAMPING_RATIO = 3.0  # of the contact's spring: at 1 feet chatter near the friction limit, at 10 they sink visibly
+DAMPING_RATIO = 3.0  # of the contact's spring: below 2 feet chatter near the friction limit, at 10 they sink visibly
 SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
 ARM_PREFIX = "arm/"
 TRAY_BODY = "salver:tray"
@@ -142,6 +142,8 @@ def _options(spec: Any, timestep: float, with_arm: bool) -> None:
     option.noslip_iterations = 0
     # A diverged run must be seen as such: no silent return to the initial state.
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    # Softness from the true inertia at each contact; MuJoCo's estimate is off through an arm, and many feet chatter.
+    option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_DIAGEXACT)
     if with_arm:  # through the arm all objects are one island: looking for several only costs time
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 
