@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.signal import lfilter
+from scipy.linalg.lapack import dtbtrs
 
 from salver.geometry import Array
 
@@ -100,13 +100,15 @@ class ErrorFilter:
         h = float(self.grid.t[1] - self.grid.t[0])
         step, gain = _exact_step(self.kp, self.kd, h, self.grid.substeps)
         b = gain @ forcing.reshape(len(self.grid.t) - 1, self.grid.per_interval, -1)
-        # (z - A)^-1 = (z - tr A + A) / (z^2 - tr A z + det A), as a recursion along time in C.
+        # (z - A)^-1 = (z - tr A + A) / (z^2 - tr A z + det A): a recursion along time, that is a banded triangular system.
         trace, determinant = np.trace(step), np.linalg.det(step)
         ahead = np.concatenate([b, np.zeros((1, *b.shape[1:]))])
         behind = (step - trace * np.eye(2)) @ ahead
         ahead[1:] += behind[:-1]
         x = np.zeros_like(ahead)
-        x[1:] = lfilter([1.0], [1.0, -trace, determinant], ahead[:-1], axis=0)
+        bands = np.array([[1.0], [-trace], [determinant]]) * np.ones(len(b))
+        right = np.asfortranarray(ahead[:-1].reshape(len(b), -1))
+        x[1:] = dtbtrs(bands, right, uplo="L", overwrite_b=True)[0].reshape(b.shape)
         shape = (len(self.grid.t), *forcing.shape[1:])
         return x[:, 0].reshape(shape), x[:, 1].reshape(shape)
 
