@@ -169,7 +169,7 @@ class Problem:
 
     @cached_property
     def row_scale(self) -> tuple[float, float, float, float]:
-        """Weights of the blocks (dp, dtheta, dv, domega) of Pi; see `docs/weighting.md`."""
+        """Weights of the blocks (dp, dtheta, dv, domega) of Pi; see `row_scale` below and docs/reproduction.md."""
         return row_scale(self.scenario.objective.weighting, self.body, self.loop.gains)
 
     @cached_property
