@@ -1,0 +1,290 @@
+"""The fastest motion that stays safe: shortest duration within the arm's limits, contact kept for all parameters.
+
+The decision variables are the coefficients of rest-to-rest joint splines and the duration, so the arm can run
+every candidate. `joint_rows` says what must hold, `joint_sqp` finds the optimum; here are the starts, the
+refinement from few spline pieces to many, and the check between the nodes.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salver.errors import Status, UnreachableError
+from salver.geometry import GRAVITY_S, Array
+from salver.planning.joint_problem import TransportProblem, reach, transport_problem
+from salver.planning.joint_rows import Grid, Indices, Margins, evaluate
+from salver.planning.joint_spline import RestSpline, min_jerk_blend
+from salver.planning.joint_sqp import Options, Solution, minimise_duration
+from salver.planning.joint_terms import motion_terms
+from salver.scenario import Scenario
+from salver.trajectory import JointMotion, MotionSamples, SampledReference
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
+
+DEGREE = 5
+EXCHANGES = 6  # rounds of adding nodes
+SMALL_EXCESS = 1e-3  # what is left to a slightly longer duration instead of another round of optimisation
+CHECK_FACTOR = 10  # the check between nodes uses a grid this much finer
+
+
+@dataclass(frozen=True)
+class FastestOptions:
+    """spans: polynomial pieces of the stages, coarse to fine .
+    nodes_per_span: where conditions are imposed. starts: initial paths tried (1: the first that converges).
+    time_limit: s. seed: of the random starts.
+    """
+
+    spans: tuple[int, ...] = (14,)
+    nodes_per_span: int = 4
+    starts: int = 1
+    time_limit: float = 30.0
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class FastestMotion:
+    """Result. spline, coefficients (size, n), duration: the motion. worst: largest row of each family on the fine
+    grid (<= 0: kept). wall_time: s. iterations: of all stages.
+    """
+
+    problem: TransportProblem
+    spline: RestSpline
+    coefficients: Array
+    duration: float
+    status: Status
+    worst: dict[str, float]
+    wall_time: float
+    iterations: int
+
+    def sample(self, t: Array) -> tuple[Array, Array, Array, Array]:
+        """q, dq, ddq, dddq (T, n) at times t, clamped to rest outside [0, duration]."""
+        s = np.clip(np.asarray(t, dtype=float) / self.duration, 0.0, 1.0)
+        z = self.spline.matrices(s) @ self.coefficients
+        inside = ((t >= 0) & (t <= self.duration))[:, None]
+        powers = self.duration ** np.arange(4.0)
+        return z[0], z[1] / powers[1], z[2] / powers[2], np.where(inside, z[3] / powers[3], 0.0)
+
+    def joint_motion(self) -> JointMotion:
+        """The same motion as samples; exact between them too, as the breaks of the spline are among them."""
+        t = self.duration * np.union1d(np.linspace(0, 1, 201), self.spline.breaks())
+        q, dq, ddq, _ = self.sample(t)
+        return JointMotion(t, q, dq, ddq)
+
+    def reference(self) -> SampledReference:
+        """The motion of the first object's frame B."""
+        t = self.duration * np.union1d(np.linspace(0, 1, 401), self.spline.breaks())
+        return SampledReference(object_motion(self.problem, t, *self.sample(t)[:3]))
+
+
+def object_motion(problem: TransportProblem, t: Array, q: Array, dq: Array, ddq: Array) -> MotionSamples:
+    """Motion of the first object's frame B at joint states (T, n)."""
+    terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
+    omega = np.einsum("tij,tj->ti", terms.jacobian_E[:, 3:], dq)
+    v_S = np.einsum("tij,tj->ti", terms.R_SE, np.einsum("tij,tj->ti", terms.jacobian_E[:, :3], dq))
+    a_S = np.einsum("tij,tj->ti", terms.R_SE, terms.w[:, :3]) + GRAVITY_S
+    samples = MotionSamples(t, terms.p_SE, v_S, a_S, terms.R_SE, omega, terms.w[:, 3:6])
+    return samples.of_frame(problem.items[0].p_EB, problem.items[0].R_EB)
+
+
+def plan_fastest(scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None) -> Plan:
+    """The fastest plan of a scenario with an arm. Its contact condition is the exact one, whatever the scenario's.
+
+    robust: safe for the whole uncertain set (with the arm's tracking), or for nominal parameters only.
+    Raises ScenarioError when the scenario has no arm; a plan that could not be found has a status that says so.
+    """
+    from salver.planning.joint_limits import torques, verdict
+    from salver.planning.plan import Plan
+
+    problem = transport_problem(scenario, robust=robust)
+    found = fastest(problem, options)
+    exact = scenario.with_changes(contact__condition="exact")
+    if not np.isfinite(found.duration):
+        raise UnreachableError(f"{scenario.name}: {found.status.sentence}.")
+    joint = found.joint_motion()
+    plan = Plan(exact, "fastest", found.reference(), found.status, joint, verdict(problem.arm, joint, problem.items))
+    tau = torques(problem.arm, JointMotion(plan.t, *joint.sample(plan.t)), problem.items)
+    record = {
+        "name": "sequential quadratic programming (PIQP)",
+        "robust": robust,
+        "seconds": found.wall_time,
+        "iterations": found.iterations,
+        "spans": found.spline.spans,
+        "worst": found.worst,
+        **tracking_record(found),
+    }
+    return replace(plan, tau=tau, solver=record)
+
+
+def tracking_record(found: FastestMotion) -> dict[str, float]:
+    """Peak of what the arm may stray under the uncertain load: the tray's position (m) and orientation (rad)."""
+    problem = found.problem
+    if problem.tracking is None:
+        return {}
+    s = np.linspace(0, 1, 201)
+    q, dq, ddq, _ = found.sample(s * found.duration)
+    terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
+    position, turn = problem.tracking.response(s, found.duration, terms).tray_radius()
+    return {"tray_position_radius": float(position.max()), "tray_orientation_radius": float(turn.max())}
+
+
+def fastest(problem: TransportProblem, options: FastestOptions | None = None) -> FastestMotion:
+    """Shortest safe motion of a problem (see `transport_problem`). Never raises for numerical reasons: see `status`."""
+    options = options or FastestOptions()
+    begun = time.perf_counter()
+    best: FastestMotion | None = None
+    iterations = 0
+    for number, (q_start, q_goal, bend) in enumerate(_starts(problem, options)):
+        left = options.time_limit - (time.perf_counter() - begun)
+        if left <= 0:
+            break
+        found = _from_start(problem, options, q_start, q_goal, bend, left)
+        iterations += found.iterations
+        if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
+            best = found
+        if best.status.ok and number + 1 >= options.starts:
+            break
+    wall = time.perf_counter() - begun
+    if best is None:
+        spline = RestSpline(DEGREE, options.spans[0])
+        status = Status("unreachable", "no posture within the joint limits reaches the start or the goal pose", False)
+        return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, status, {}, wall, 0)
+    return replace(best, wall_time=wall, iterations=iterations)
+
+
+def _starts(problem: TransportProblem, options: FastestOptions) -> list[tuple[Array, Array, Array]]:
+    """(start posture, goal posture, bend) of initial paths: nearest postures first, then random ones."""
+    rng = np.random.default_rng(options.seed)
+    limits, n = problem.limits, problem.n
+    centre, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
+    centre, half = np.where(np.isfinite(half), centre, 0.0), np.where(np.isfinite(half), half, np.pi)
+    found: list[tuple[float, Array, Array]] = []
+    for attempt in range(40):
+        guess = centre if attempt == 0 else centre + 0.7 * half * rng.uniform(-1, 1, n)
+        q_start = problem.start_posture
+        if q_start is None:
+            q_start = reach(problem, problem.start, guess)
+        if q_start is None:
+            continue
+        spread = 0.0 if attempt == 0 or problem.start_posture is None else min(1.0, 0.1 * attempt)
+        q_goal = reach(problem, problem.goal, (1 - spread) * q_start + spread * guess)
+        if q_goal is None:
+            continue
+        cost = float(np.max(np.abs(q_goal - q_start) / limits.velocity))
+        if all(np.abs(q_goal - other).max() + np.abs(q_start - first).max() > 0.1 for _, first, other in found):
+            found.append((cost, q_start, q_goal))
+        if len(found) >= max(3, options.starts) and attempt >= 5:
+            break
+    found.sort(key=lambda item: item[0])
+    straight = [(first, last, np.zeros(n)) for _, first, last in found]
+    bent = [
+        (first, last, rng.normal(0.0, 0.25, n)) for _, first, last in found[:1] for _ in range(max(3, options.starts))
+    ]
+    return [*straight[:1], *bent[: options.starts], *straight[1:], *bent[options.starts :]]
+
+
+def _from_start(
+    problem: TransportProblem, options: FastestOptions, q_start: Array, q_goal: Array, bend: Array, time_limit: float
+) -> FastestMotion:
+    """All stages from one initial path: min-jerk between two postures plus a bell along `bend`."""
+    begun = time.perf_counter()
+    s = np.linspace(0, 1, 201)
+    q = q_start + min_jerk_blend(s)[:, None] * (q_goal - q_start) + (64 * (s * (1 - s)) ** 3)[:, None] * bend
+    duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
+    margins = Margins()
+    damping, iterations = 1.0, 0
+    spline = RestSpline(DEGREE, options.spans[0])
+    coefficients = spline.fit(s, q)
+    for stage, spans in enumerate(options.spans):
+        last = stage == len(options.spans) - 1
+        finer = RestSpline(DEGREE, spans)
+        if stage:
+            coefficients = finer.fit(s, spline.matrices(s)[0] @ coefficients)
+        spline = finer
+        nodes = spline.nodes(options.nodes_per_span)
+        watched = _watching(problem, Grid.of(spline, nodes).basis[0] @ coefficients)
+        limit = max(0.05, time_limit - (time.perf_counter() - begun))
+        sqp = Options(gain=1e-3 if last else 3e-3, time_limit=limit)
+        solution = minimise_duration(watched, Grid.of(spline, nodes), coefficients, duration, margins, sqp, damping)
+        iterations += solution.iterations
+        coefficients, duration = solution.path.coefficients, solution.path.duration
+        damping = 0.05
+        if not solution.status.ok:
+            break
+    return _checked(problem, spline, solution, nodes, margins, begun, time_limit, iterations)
+
+
+def _checked(
+    problem: TransportProblem,
+    spline: RestSpline,
+    solution: Solution,
+    nodes: Array,
+    margins: Margins,
+    begun: float,
+    time_limit: float,
+    iterations: int,
+) -> FastestMotion:
+    """Check between nodes; add the instants where a condition is broken as nodes and solve again (exchange method,
+    Hettich and Kortanek 1993) until none is."""
+    count = CHECK_FACTOR * (len(nodes) - 1) + 1
+    fine = Grid.of(spline, np.interp(np.arange(count) / CHECK_FACTOR, np.arange(len(nodes)), nodes))
+    for exchange in range(EXCHANGES + 1):
+        path = solution.path
+        duration = path.duration
+        worst, peaks = _between(problem, fine, path.coefficients, duration)
+        excess = max(worst.values())
+        if 0.0 < excess < SMALL_EXCESS:
+            # Slower by as much as a limit is exceeded; contact has its own margin at the nodes.
+            slower = duration * (1.0 + 1.5 * excess)
+            stretched, _ = _between(problem, fine, path.coefficients, slower)
+            if max(stretched.values()) <= 0.0:
+                worst, excess, duration = stretched, 0.0, slower
+        if excess <= 0.0 or not solution.status.ok or exchange == EXCHANGES:
+            break
+        nodes = np.union1d(nodes, fine.s[peaks])
+        limit = max(0.05, time_limit - (time.perf_counter() - begun))
+        sqp = Options(iterations=15, gain=3e-4, time_limit=limit)
+        damping = min(3 * solution.damping, 0.1)
+        grid = Grid.of(spline, nodes)
+        watched = _watching(problem, grid.basis[0] @ path.coefficients)
+        solution = minimise_duration(watched, grid, path.coefficients, path.duration, margins, sqp, damping, 0.05)
+        iterations += solution.iterations
+    status = solution.status
+    if excess > 0.0 and status.ok:
+        name = max(worst, key=lambda key: worst[key])
+        status = Status(
+            "infeasible", f"between nodes {name} is exceeded by {100 * worst[name]:.2g} % of its scale", False, worst
+        )
+    elif status.ok:
+        sentence = f"The shortest safe motion takes {duration:.4f} s."
+        status = Status(status.code, sentence, True)
+    wall = time.perf_counter() - begun
+    return FastestMotion(problem, spline, solution.path.coefficients, duration, status, worst, wall, iterations)
+
+
+def _watching(problem: TransportProblem, q: Array) -> TransportProblem:
+    """The problem with only those pairs of parts watched that come near along postures (N, n)."""
+    return problem if problem.keep_out is None else replace(problem, keep_out=problem.keep_out.near(q))
+
+
+def _between(
+    problem: TransportProblem, fine: Grid, coefficients: Array, duration: float
+) -> tuple[dict[str, float], Indices]:
+    """Largest row of each family on the fine grid, and the points where some row is broken at its peak."""
+    check = evaluate(problem, fine, coefficients, duration, Margins(0.0, 0.0, 0.0))
+    marked = np.zeros(len(fine.s), dtype=bool)
+    for family in check.families:
+        index = np.flatnonzero((family.peaks & (family.values > 0)).any(axis=1))
+        marked[index] = True
+        if family.following is not None:
+            marked[index + 1] = True
+    return {family.name: float(family.values.max()) for family in check.families}, np.flatnonzero(marked)
+
+
+def _comfortable_duration(problem: TransportProblem, speed: Array) -> float:
+    """A duration at which joint velocity is far from binding, s; `speed` (n,) is |dq/ds| at its largest."""
+    return float(np.clip(2.5 * np.max(speed / problem.limits.velocity), 1.0, 60.0))

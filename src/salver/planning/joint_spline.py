@@ -1,0 +1,72 @@
+"""Joint motions from rest to rest as clamped B-splines in normalised time s = t / T, T itself a variable.
+
+The three outermost control points coincide at each end, so velocity and acceleration vanish there whatever
+the other coefficients are; inside, the motion of degree p has p - 1 continuous derivatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from salver.geometry import Array
+
+DERIVATIVES = 4  # position, velocity, acceleration, jerk
+
+
+@dataclass(frozen=True)
+class RestSpline:
+    """Basis of rest-to-rest motions: rows of coefficients are (start, interior..., goal) postures.
+
+    degree: of the polynomial pieces, at least 4. spans: number of pieces. crowding: in [0, 1): pieces at the ends
+    are shorter than the average by this share, those in the middle longer: at the ends acceleration builds up from
+    zero, and there short pieces buy most.
+    """
+
+    degree: int
+    spans: int
+    crowding: float = 0.7
+
+    @property
+    def size(self) -> int:
+        """Number of coefficient rows."""
+        return self.spans + self.degree - 4
+
+    def breaks(self) -> Array:
+        """(spans + 1,) where the pieces meet, 0 and 1 included."""
+        x = np.linspace(0.0, 1.0, self.spans + 1)
+        return np.clip(x - self.crowding * np.sin(2 * np.pi * x) / (2 * np.pi), 0.0, 1.0)
+
+    def knots(self) -> Array:
+        return np.concatenate([np.zeros(self.degree), self.breaks(), np.ones(self.degree)])
+
+    def nodes(self, per_span: int) -> Array:
+        """(spans * per_span + 3,) points, equally many in each piece, and two more next to the ends."""
+        breaks = self.breaks()
+        inner = np.interp(np.arange(self.spans * per_span + 1) / per_span, np.arange(self.spans + 1), breaks)
+        first = 0.3 * inner[1]
+        return np.unique(np.concatenate([inner, [first, 1 - first]]))
+
+    def matrices(self, s: Array) -> Array:
+        """(4, len(s), size): the basis at s in [0, 1] and its first three derivatives with respect to s."""
+        full = BSpline(self.knots(), np.eye(self.spans + self.degree), self.degree)
+        rows = np.stack([full.derivative(k)(s) if k else full(s) for k in range(DERIVATIVES)])
+        merged = rows[:, :, 2:-2].copy()
+        merged[:, :, 0] += rows[:, :, 0] + rows[:, :, 1]
+        merged[:, :, -1] += rows[:, :, -1] + rows[:, :, -2]
+        return merged
+
+    def fit(self, s: Array, q: Array) -> Array:
+        """(size, n) coefficients closest, in least squares, to postures q (len(s), n), exact at both ends."""
+        basis = self.matrices(s)[0]
+        ends = np.stack([q[0], q[-1]])
+        rest = q - basis[:, [0, -1]] @ ends
+        inner = np.linalg.lstsq(basis[:, 1:-1], rest, rcond=None)[0]
+        return np.vstack([ends[:1], inner, ends[1:]])
+
+
+def min_jerk_blend(s: Array) -> Array:
+    """10 s^3 - 15 s^4 + 6 s^5: from 0 to 1, at rest at both ends (Flash and Hogan 1985)."""
+    return s**3 * (10 + s * (6 * s - 15))

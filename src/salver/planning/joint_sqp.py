@@ -1,0 +1,296 @@
+"""Shortest duration by sequential quadratic programming on spline coefficients and T^2.
+
+Each iteration linearises the rows near their edge, in the coefficients and in sigma = T^2: multiplied by sigma,
+contact, torque and acceleration rows are exactly linear in sigma. A quadratic programme with one shared slack
+(an exact penalty on the largest violation) and a proximal term gives the step; its metric is the size of the
+change in posture and in acceleration, so smooth large changes are cheap and ripples are not. A second-order
+correction (the same rows with their true values at the trial point; Fletcher 1982) keeps steps long.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import piqp
+from scipy.sparse import csc_matrix
+
+from salver.errors import Status
+from salver.geometry import Array
+from salver.planning.joint_problem import TransportProblem, end_residual, reach
+from salver.planning.joint_rows import Family, Grid, Indices, JointPath, Margins, evaluate
+
+# The metric of a step: a change of acceleration by 1 rad/s^2 counts like 0.055 rad of posture, of jerk by 1000
+# rad/s^3 like 0.2 rad.
+ACCELERATION_WEIGHT, JERK_WEIGHT = 3e-3, 1e-9
+LEAST_PENALTY = 1.0  # s per unit of violation
+MOST_ROWS = 8  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
+LONGEST_SHRINK, LONGEST_STRETCH = -0.36, 0.5  # of sigma in one iteration: 20 % and 22 % of T
+
+
+@dataclass(frozen=True)
+class Options:
+    """iterations, time_limit (s): when to stop. gain: relative shortening below which an iteration counts as idle.
+    violation: largest violation of a margin-tightened row that counts as converged. penalty: s per unit of violation.
+    """
+
+    iterations: int = 60
+    time_limit: float = 20.0
+    gain: float = 1e-4
+    violation: float = 5e-4
+    penalty: float = 20.0
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Last accepted path, how it ended, iterations and quadratic programmes used, wall time in s."""
+
+    path: JointPath
+    status: Status
+    iterations: int
+    programmes: int
+    wall_time: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Rows A x <= b of x = (coefficients, sigma / sigma_0 - 1), and where they came from: (family, node, column)."""
+
+    matrix: Array
+    bound: Array
+    where: list[tuple[int, Indices, Indices]]
+
+
+def minimise_duration(
+    problem: TransportProblem,
+    grid: Grid,
+    coefficients: Array,
+    duration: float,
+    margins: Margins,
+    options: Options,
+    damping: float = 1.0,
+    depth: float = 0.5,
+) -> Solution:
+    """Local optimum from a start, which may violate conditions. Coefficients (size, n), duration in s.
+
+    damping: weight of the proximal term in the first iteration; small for a start near the optimum.
+    depth: rows further than this from their edge are left out of the first programme.
+    """
+    begun = time.perf_counter()
+    path = evaluate(problem, grid, coefficients, duration, margins)
+    grams = [basis.T @ basis / len(grid.s) for basis in grid.basis]
+    penalty, shrink = options.penalty, LONGEST_SHRINK
+    forced: list[np.ndarray] = [np.zeros(f.values.shape, dtype=bool) for f in path.families]
+    idle = programmes = done = 0
+    code = "iteration_limit"
+    while done < options.iterations:
+        done += 1
+        rows = _linearise(path, depth, forced)
+        metric = (
+            grams[0] + ACCELERATION_WEIGHT * grams[2] / path.duration**4 + JERK_WEIGHT * grams[3] / path.duration**6
+        )
+        programme = _Programme(problem, path, rows, metric, damping, penalty, shrink)
+        step = programme.solve(rows.bound)
+        programmes += 1
+        if step is None:
+            damping, shrink = damping * 10, shrink * 0.5
+            if damping > 1e6:
+                code = "stalled"
+                break
+            continue
+        trial = _move(problem, grid, path, step, margins)
+        # Just above what the violation is worth (the sum of multipliers), so that steps are not judged by it alone.
+        if step[-1] > 1e-6:
+            penalty *= 3
+        elif penalty > 3 * programme.worth:
+            penalty = max(2 * programme.worth, 0.3 * penalty, LEAST_PENALTY)
+        merit = path.duration + penalty * path.violation
+        predicted = merit - (path.duration * np.sqrt(1 + step[-2]) + penalty * step[-1])
+        trial_merit = np.inf if trial is None else trial.duration + penalty * trial.violation
+        if trial is not None and trial.violation > max(2e-4, 2 * step[-1]) and trial_merit > merit - 0.8 * predicted:
+            corrected = programme.solve(_corrected(rows, trial, step))
+            programmes += 1
+            second = None if corrected is None else _move(problem, grid, path, corrected, margins)
+            if second is not None and second.duration + penalty * second.violation < trial_merit:
+                trial, trial_merit = second, second.duration + penalty * second.violation
+        ratio = (merit - trial_merit) / max(predicted, 1e-12)
+        if trial is not None and ratio > 0.01:
+            change = max(
+                float(np.abs(new.values - old.values)[old.values > -1].max(initial=0.0))
+                for new, old in zip(trial.families, path.families, strict=True)
+            )
+            depth = float(np.clip(2 * change, 0.02, 0.5))
+            forced = [(mask & (f.values > -0.3)) for mask, f in zip(forced, trial.families, strict=True)]
+            idle = idle + 1 if merit - trial_merit < options.gain * path.duration else 0
+            path = trial
+            damping *= 0.2 if ratio > 0.9 else 0.4 if ratio > 0.6 else 2.0 if ratio < 0.3 else 1.0
+            damping = max(damping, 1e-5)
+            shrink = max(1.5 * shrink, LONGEST_SHRINK) if ratio > 0.3 else shrink
+        else:
+            damping, shrink = damping * 4, 0.5 * max(shrink, -0.5)
+            if trial is not None:  # what the quadratic programme could not see
+                forced = [mask | (f.values > -0.02) for mask, f in zip(forced, trial.families, strict=True)]
+            if predicted < 0.1 * options.gain * path.duration:
+                idle += 1
+        if idle >= 2 or damping > 1e7:
+            if path.violation > options.violation and penalty < 1e4 and damping <= 1e7:
+                penalty, idle, damping = 10 * penalty, 0, 1.0
+                continue
+            code = "optimal" if idle >= 2 else "stalled"
+            break
+        if time.perf_counter() - begun > options.time_limit:
+            code = "time_limit"
+            break
+    return Solution(path, _status(code, path, options), done, programmes, time.perf_counter() - begun, damping)
+
+
+def _status(code: str, path: JointPath, options: Options) -> Status:
+    value, name = path.worst
+    if value <= options.violation:
+        return Status(code, f"shortest duration {path.duration:.4f} s ({code.replace('_', ' ')})", True)
+    return Status(
+        "infeasible",
+        f"no motion found that keeps all conditions: {name} is exceeded by {100 * value:.2g} % of its scale",
+        False,
+        {"worst": name, "violation": value},
+    )
+
+
+def _linearise(path: JointPath, depth: float, forced: list[np.ndarray]) -> Linearised:
+    matrices, bounds, where = [], [], []
+    for k, family in enumerate(path.families):
+        floor = -np.inf if family.name == "tilt" and family.values.shape[1] == 4 else -depth
+        near = family.values > floor
+        if family.values.shape[1] > MOST_ROWS and family.name.startswith("contact"):
+            near &= family.values >= -np.partition(-family.values, MOST_ROWS, axis=1)[:, MOST_ROWS - 1 : MOST_ROWS]
+        node, column = np.nonzero(near | forced[k])
+        if len(node):
+            matrices.append(_derivatives(path, family, node, column))
+            bounds.append(-family.values[node, column])
+            where.append((k, node, column))
+    size = path.coefficients.size + 1
+    if not matrices:
+        return Linearised(np.zeros((0, size)), np.zeros(0), [])
+    return Linearised(np.vstack(matrices), np.concatenate(bounds), where)
+
+
+def _derivatives(path: JointPath, family: Family, node: Indices, column: Indices) -> Array:
+    """Rows (r, size n + 1) of a family, with respect to the coefficients and sigma / sigma_0."""
+    matrix = _at_node(path, family, family.gradient(node, column), node)
+    if family.following is not None:
+        matrix += _at_node(path, family, family.following(node, column), node + 1)
+        matrix[:, -1] -= 0.5 * (family.values[node, column] + 1)  # the time step between the nodes shrinks too
+    if family.scales:
+        matrix[:, -1] += family.values[node, column]
+    return matrix
+
+
+def _at_node(path: JointPath, family: Family, rows: Array, node: Indices) -> Array:
+    """Chain rule from z at a node to the coefficients and sigma / sigma_0."""
+    size, n = path.coefficients.shape
+    powers = path.duration ** -np.arange(4.0)
+    basis = family.grid.basis[:, node].transpose(1, 2, 0) * powers  # (r, size, 4)
+    out = np.empty((len(node), size * n + 1))
+    parts = rows.reshape(len(node), 4, n)
+    out[:, :-1] = np.matmul(basis, parts).reshape(len(node), size * n)
+    moved = np.einsum("rkn,krn->rk", parts[:, 1:], family.z[1:, node])
+    out[:, -1] = -moved @ np.array([0.5, 1.0, 1.5])
+    return out
+
+
+def _corrected(rows: Linearised, trial: JointPath, step: Array) -> Array:
+    """Bounds that make the linear model exact at the trial point."""
+    values = np.concatenate([trial.families[k].values[i, f] for k, i, f in rows.where])
+    scales = np.concatenate([np.full(len(i), 1 + step[-2] * trial.families[k].scales) for k, i, _ in rows.where])
+    return rows.matrix @ step[:-1] - scales * values
+
+
+def _move(problem: TransportProblem, grid: Grid, path: JointPath, step: Array, margins: Margins) -> JointPath | None:
+    """The path after a step, its free ends put back on the poses they must reach; None if they cannot."""
+    coefficients = path.coefficients + step[:-2].reshape(path.coefficients.shape)
+    goal = reach(problem, problem.goal, coefficients[-1], 20)
+    start = problem.start_posture
+    if start is None:
+        start = reach(problem, problem.start, coefficients[0], 20)
+    if goal is None or start is None:
+        return None
+    coefficients[0], coefficients[-1] = start, goal
+    return evaluate(problem, grid, coefficients, path.duration * np.sqrt(1 + step[-2]), margins)
+
+
+class _Programme:
+    """The quadratic programme of one iteration, solved for several right-hand sides.
+
+    x = (coefficients, sigma / sigma_0 - 1, slack); a given start posture is left out.
+    """
+
+    def __init__(
+        self,
+        problem: TransportProblem,
+        path: JointPath,
+        rows: Linearised,
+        metric: Array,
+        damping: float,
+        penalty: float,
+        shrink: float,
+    ) -> None:
+        size, n = path.coefficients.shape
+        count = size * n + 2
+        self.skip = n if problem.start_posture is not None else 0
+        hessian = np.zeros((count, count))
+        hessian[:-2, :-2] = damping * np.kron(metric, np.eye(n))
+        hessian[range(count - 2), range(count - 2)] += 1e-9
+        hessian[-2:, -2:] = 1e-6 * np.eye(2)
+        cost = np.zeros(count)
+        cost[-2:] = 0.5 * path.duration, penalty
+        ends = [(problem.goal, path.coefficients[-1], (size - 1) * n)]
+        if problem.start_posture is None:
+            ends.append((problem.start, path.coefficients[0], 0))
+        equal, target = [], []
+        for end, q, at in ends:
+            error, jacobian = end_residual(problem, end, q)
+            block = np.zeros((len(error), count))
+            block[:, at : at + n] = jacobian
+            equal.append(block)
+            target.append(error)
+        low = np.full(count, -1.0)
+        high = np.full(count, 1.0)
+        low[-2:], high[-2:] = (shrink, 0.0), (LONGEST_STRETCH, 1e3)
+        self.matrix = np.hstack([rows.matrix, -np.ones((len(rows.matrix), 1))])
+        cut = self.skip
+        self.data = (
+            csc_matrix(hessian[cut:, cut:]),
+            cost[cut:],
+            csc_matrix(np.vstack(equal)[:, cut:]),
+            np.concatenate(target),
+            csc_matrix(self.matrix[:, cut:]),
+        )
+        self.box = low[cut:], high[cut:]
+        self.worth = 0.0
+
+    def solve(self, bound: Array) -> Array | None:
+        """Minimiser (size n + 2,), or None when the solver gives up."""
+        solver = piqp.SparseSolver()
+        settings = solver.settings
+        settings.eps_abs = settings.eps_rel = 1e-5
+        settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = 1e-5
+        settings.max_iter = 80
+        settings.kkt_solver = piqp.sparse_multistage
+        # The rows are scaled already; equilibration and the default step length cost iterations here.
+        settings.preconditioner_iter = 0
+        settings.tau = 0.95
+        hessian, cost, equal, target, matrix = self.data
+        lower = np.full(len(bound), -1e30)
+        if len(bound):
+            solver.setup(hessian, cost, equal, target, matrix, lower, bound, *self.box)
+        else:
+            solver.setup(hessian, cost, equal, target, x_l=self.box[0], x_u=self.box[1])
+        status = solver.solve()
+        if status != piqp.PIQP_SOLVED and not (
+            status == piqp.PIQP_MAX_ITER_REACHED and solver.result.info.primal_res < 1e-4
+        ):
+            return None
+        self.worth = float(solver.result.z_u.sum())
+        return np.concatenate([np.zeros(self.skip), solver.result.x])
