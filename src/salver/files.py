@@ -117,10 +117,8 @@ def read_json(path: str | Path) -> Any:
 
 def provenance(scenario: Scenario) -> dict[str, Any]:
     """What made a result: scenario, its content hash and seed, versions. The same run gives the same record."""
-    from salver import __version__
-
     return {
-        "salver": __version__,
+        "salver": metadata.version("salver"),
         "scenario": scenario.name,
         "scenario_digest": scenario.digest,
         "seed": scenario.seed,
