@@ -18,7 +18,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.bodies import bodies
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
-from salver.planning.evaluation import tray_loop
+from salver.planning.cost import tray_loop
 from salver.planning.plan import Plan, plan_baseline, plan_object
 from salver.report import figures
 from salver.report.perturbed import perturbed_rollouts

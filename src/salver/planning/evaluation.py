@@ -10,14 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salver.control.object import Gains
 from salver.geometry import Array
 from salver.models.bodies import bodies, uncertain_set
-from salver.models.parameters import phi_jacobian
 from salver.planning.conditions import conditions_for
+from salver.planning.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
-from salver.sensitivity.tray import BodyMotion, TrayLoop
+from salver.sensitivity.tray import BodyMotion
 from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference
 
@@ -51,15 +50,6 @@ class Evaluation:
         return float(self.slack[k, i]), float(self.t[k]), self.slack_owner[i]
 
 
-def tray_loop(scenario: Scenario) -> TrayLoop:
-    """The closed loop of the scenario's first object, with all its uncertain parameters."""
-    carried, uncertain = bodies(scenario), uncertain_set(scenario)
-    prefix = f"{carried[0].name}." if len(carried) > 1 else ""
-    own = tuple(n.removeprefix(prefix) if n.startswith(prefix) else "" for n in uncertain.names)
-    gains = Gains(scenario.control.kp, scenario.control.kd)
-    return TrayLoop(carried[0].inertial, gains, phi_jacobian(carried[0].inertial, own))
-
-
 def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluation:
     """Evaluate a reference at uniform instants from its start to its end."""
     loop, uncertain = tray_loop(scenario), uncertain_set(scenario)
@@ -81,16 +71,3 @@ def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluat
         np.concatenate([part.slack()[0] for part in rows], axis=1),
         tuple(owner for part in rows for owner in part.owner),
     )
-
-
-def sensitivity_cost(scenario: Scenario, evaluation: Evaluation) -> float:
-    """Integral (13) of the weighted squared norm of Pi along an evaluated motion."""
-    from salver.planning.problem import integration_weights, row_scale
-
-    body = bodies(scenario)[0]
-    uncertain = uncertain_set(scenario)
-    scale = np.repeat(row_scale(scenario.objective.weighting, body, tray_loop(scenario).gains), 3)
-    columns = uncertain.factor if scenario.objective.weighting == "scaled" else np.eye(uncertain.size)
-    weighted = scale[:, None] * (evaluation.state_sensitivity @ columns)
-    weights = integration_weights(len(evaluation.t), float(evaluation.t[-1]))
-    return float(np.einsum("t,tij->", weights, weighted**2))

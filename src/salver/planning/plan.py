@@ -16,7 +16,8 @@ from salver.files import load_npz, provenance, read_json, save_npz, write_atomic
 from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.models.bodies import uncertain_set
 from salver.planning.conditions import UNITS
-from salver.planning.evaluation import Evaluation, evaluate, sensitivity_cost
+from salver.planning.cost import sensitivity_cost
+from salver.planning.evaluation import Evaluation, evaluate
 from salver.scenario import Scenario
 from salver.trajectory import (
     JointMotion,
@@ -126,7 +127,7 @@ class Plan:
     @cached_property
     def cost(self) -> float:
         """Integral (13) with the scenario's weighting."""
-        return sensitivity_cost(self.scenario, self.evaluation)
+        return sensitivity_cost(self.scenario, self.t, self.state_sensitivity)
 
     @property
     def ok(self) -> bool:

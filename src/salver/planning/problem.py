@@ -19,12 +19,11 @@ from functools import cached_property
 
 import numpy as np
 
-from salver.control.object import Gains
 from salver.geometry import Array, log, right_jacobian_inverse
 from salver.models.bodies import Body, bodies, uncertain_set
 from salver.models.parameters import COM, UncertainSet
 from salver.planning.conditions import Condition, Rows, conditions_for
-from salver.planning.evaluation import tray_loop
+from salver.planning.cost import column_scale, integration_weights, row_scale, tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.filter import QuadratureGrid, fastest_rate
@@ -169,15 +168,12 @@ class Problem:
 
     @cached_property
     def row_scale(self) -> tuple[float, float, float, float]:
-        """Weights of the blocks (dp, dtheta, dv, domega) of Pi; see `row_scale` below and docs/reproduction.md."""
+        """Weights of the blocks (dp, dtheta, dv, domega) of Pi; see `salver.planning.cost`."""
         return row_scale(self.scenario.objective.weighting, self.body, self.loop.gains)
 
     @cached_property
     def column_scale(self) -> Array:
-        """(n_p, n_p) that multiplies Pi from the right: half-ranges when scaled, nothing in the paper's norms."""
-        if self.scenario.objective.weighting == "scaled":
-            return self.uncertain.factor
-        return np.eye(self.uncertain.size)
+        return column_scale(self.scenario.objective.weighting, self.uncertain)
 
     @cached_property
     def time_weights(self) -> Array:
@@ -254,33 +250,6 @@ class _Bases:
     a: Array
     omega: Array | None
     alpha: Array | None
-
-
-def integration_weights(instants: int, duration: float) -> Array:
-    """(T,) fourth-order end-corrected trapezoidal weights of a uniform grid, s (Gregory)."""
-    weights = np.full(instants, duration / (instants - 1))
-    correction = np.array([9 / 24, 28 / 24, 23 / 24])
-    weights[:3] *= correction
-    weights[-3:] *= correction[::-1]
-    return weights
-
-
-def row_scale(weighting: str, body: Body, gains: Gains) -> tuple[float, float, float, float]:
-    """Weights of the blocks (dp, dtheta, dv, domega) of the state sensitivity in the cost.
-
-    paper: the plain norm of the whole state, metres beside radians. pose: the plain norm of its pose rows.
-    scaled: every row as a displacement of the contact points, in m: rotations by the radius of the base,
-    rates by the natural frequency of their error dynamics, so that |e|^2 + |e'|^2 / kp is the energy of the
-    error over its stiffness; columns by their half-range. It depends neither on units nor on which parameters
-    are listed, and rates count as much as the displacements that they turn into.
-    """
-    if weighting == "paper":
-        return 1.0, 1.0, 1.0, 1.0
-    if weighting == "pose":
-        return 1.0, 1.0, 0.0, 0.0
-    radius = float(np.linalg.norm(body.base_polygon_B, axis=1).max())
-    (kp, kp_R) = gains.kp
-    return 1.0, radius, kp**-0.5, radius * kp_R**-0.5
 
 
 def _times_columns(block: Dual, columns: Array, n_z: int) -> tuple[Array, Array]:
