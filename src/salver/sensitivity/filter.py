@@ -100,7 +100,7 @@ class ErrorFilter:
         h = float(self.grid.t[1] - self.grid.t[0])
         step, gain = _exact_step(self.kp, self.kd, h, self.grid.substeps)
         b = gain @ forcing.reshape(len(self.grid.t) - 1, self.grid.per_interval, -1)
-        # (z - A)^-1 = (z - tr A + A) / (z^2 - tr A z + det A): a recursion along time, that is a banded triangular system.
+        # (z - A)^-1 = (z - tr A + A) / (z^2 - tr A z + det A): a recursion along time, a banded triangular system.
         trace, determinant = np.trace(step), np.linalg.det(step)
         ahead = np.concatenate([b, np.zeros((1, *b.shape[1:]))])
         behind = (step - trace * np.eye(2)) @ ahead
