@@ -132,6 +132,20 @@ def test_the_first_sliding_duration_with_the_arm_is_that_of_the_exact_cone():
     assert peaks[0.985] > 1e-4
 
 
+def test_tray_alone_and_arm_agree_on_a_tilting_slide():
+    """Two formulations of the same physics: the world's frame with the arm, the tray's frame with inertial forces."""
+    goal = {"position": [0.444272, 0.100574, 0.4], "rpy_deg": [-20.0, 10.0, 30.0]}
+    changes = {"motion__goal": goal, "motion__duration": 1.2, "physics__settle_after": 0.1}
+    plan = make_plan(scenarios.load("panda-cube-tilted-goal").with_changes(**changes), "baseline")
+    parameters = {"friction": 0.55}
+    arm = simulate(plan, parameters=parameters)
+    tray = simulate_tray(plan.reference, plan.scenario, parameters)
+    assert arm.outcome == tray.outcome == "slides"
+    assert tray.slip.max() > 0.02
+    difference = arm.slip_E - arm.creep_E - tray.slip_E
+    assert np.abs(difference).max() < 0.06 * tray.slip.max()
+
+
 def test_sampled_runs_are_reproducible(fast):
     noisy = replace(
         fast, scenario=fast.scenario.with_changes(physics__position_noise=1e-5, physics__velocity_noise=1e-3)

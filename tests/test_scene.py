@@ -13,7 +13,7 @@ from salver.models.arm import load_arm
 from salver.scenario import parse
 from salver.simulation.loads import ROUND_POINTS, clip, true_world
 from salver.simulation.scene import FOOT_RADIUS, build
-from salver.simulation.trace import Recorder
+from salver.simulation.trace import Recorder, net_contact_wrench
 
 G = 9.81
 
@@ -188,6 +188,14 @@ def test_contact_force_is_told_in_the_objects_axes():
     total_B = trace.foot_force_B[0].sum(axis=0)
     np.testing.assert_allclose(total_B, 0.256 * G * np.array([0, np.sin(angle), np.cos(angle)]), atol=1e-4)
     np.testing.assert_allclose(trace.force_X[0, 0], 0.256 * G * np.array([-np.sin(angle), 0, np.cos(angle)]), atol=1e-5)
+
+
+def test_net_contact_wrench_under_a_stack_is_the_lower_objects_own():
+    """The upper stands 1 cm off centre; what it adds from above and below cancels for the lower object."""
+    scene, trace = settled(two_objects(upper={"at": [0.01, 0.0]}))
+    np.testing.assert_allclose(net_contact_wrench(scene, trace)[0], [0, 0, 0.4 * G, 0, 0, 0], atol=3e-4)
+    own = np.cross(scene.loads[0].outline_B, trace.foot_force_B[0, :4]).sum(axis=0)
+    np.testing.assert_allclose(own, [0, -0.1 * G * 0.01, 0], atol=1e-4)  # the tray alone feels the upper's lever
 
 
 def test_stack_forces_by_hand():

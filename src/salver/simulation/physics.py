@@ -29,7 +29,7 @@ from salver.simulation.loads import true_world
 from salver.simulation.outcome import Thresholds, behaviour, judge
 from salver.simulation.record import SimulationRecord
 from salver.simulation.scene import Scene, build
-from salver.simulation.trace import Recorder, Trace
+from salver.simulation.trace import Recorder, Trace, net_contact_wrench
 from salver.trajectory import MotionSamples, Reference
 
 if TYPE_CHECKING:
@@ -268,8 +268,7 @@ def measure(
     first = scene.loads[0]
     points = first.outline_B
     forces = trace.foot_force_B[:, : len(points)]
-    wrench = np.concatenate([forces.sum(axis=1), np.cross(points, forces).sum(axis=1)], axis=1)
-    cone = wrench @ np.linalg.pinv(first.nominal.contacts.grasp_map).T
+    cone = net_contact_wrench(scene, trace) @ np.linalg.pinv(first.nominal.contacts.grasp_map).T
     names = tuple(load.name for load in scene.loads)
     moving = trace.t >= -1e-9
     counted = moving & ~np.logical_or.accumulate(seen.lost[:, 0])  # what falls off the tray follows no reference

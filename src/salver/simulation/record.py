@@ -30,7 +30,7 @@ class SimulationRecord:
     lift (T, m): height of the lowest corner of the base over what it stands on, m. tip_angle (T, m): rad.
     in_contact (T, m). contact_force_E (T, m, 3): sum of contact forces on each object from what it stands on, in E, N.
     contact_points_B (n_c, 3), contact_forces_B (T, n_c, 3): feet of the first object and the force on it there, in B.
-    cone_coefficients (T, n_lambda): Lambda that the first object's contact wrench implies, pinv(G F_hat) F_B, N.
+    cone_coefficients (T, n_lambda): Lambda of the net contact wrench on the first object, pinv(G F_hat) F_B, N.
     e_p, e_o (T,): m and rad between the first object and its reference. tray_e_p, tray_e_o: same for the tray.
     object_names: m names. parameters: the values that were not nominal. summary: figures, see `salver simulate --help`.
     """

@@ -122,3 +122,28 @@ def _owner(scene: Scene) -> Array:
     index = np.full(scene.model.nbody, -1)
     index[scene.object_ids] = np.arange(len(scene.object_ids))
     return index[scene.model.geom_bodyid]
+
+
+def net_contact_wrench(scene: Scene, trace: Trace) -> Array:
+    """(N, 6) wrench at B on the first object, in B, at all feet: its own and those of objects that stand on it.
+
+    Its inverse dynamics alone: what the plan's wrench is of.
+    """
+    first = scene.loads[0]
+    R_BX, p_XB = np.swapaxes(trace.R_XB[:, 0], -1, -2), trace.p_XB[:, 0]
+    wrench = np.zeros((len(trace.t), 6))
+    foot = 0
+    for k, load in enumerate(scene.loads):
+        for support, points in load.supports.items():
+            force = trace.foot_force_B[:, foot : foot + len(points)]
+            foot += len(points)
+            if k > 0 and support != first.name:
+                continue
+            to_first = R_BX @ trace.R_XB[:, k]
+            sign = 1.0 if k == 0 else -1.0
+            force_B = sign * np.einsum("tij,tfj->tfi", to_first, force)
+            arm_B = np.einsum("tij,tj->ti", R_BX, trace.p_XB[:, k] - p_XB)[:, None] + points @ np.swapaxes(
+                to_first, -1, -2
+            )
+            wrench += np.concatenate([force_B.sum(axis=1), np.cross(arm_B, force_B).sum(axis=1)], axis=1)
+    return wrench
