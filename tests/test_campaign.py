@@ -262,6 +262,7 @@ def test_directories_that_are_no_run_directory_are_refused(tmp_path):
 class _FlatPlan:
     """A plan whose tube is known by hand: nominal 1 N and 2 N, radius 0.1 N and 0.2 N, for a second."""
 
+    scenario = scenarios.load("panda-cube").with_changes(control__kd=[25, 20])  # start-up over at 8 / 20 s
     t = np.linspace(0, 1, 11)
     cone_coefficients = np.tile([1.0, 2.0], (11, 1))
     cone_radius = np.tile([0.1, 0.2], (11, 1))
@@ -277,6 +278,7 @@ def test_the_excess_over_the_tube_is_measured_where_the_motion_is():
     assert found["tube_excess"] == pytest.approx(0.15)
     assert found["tube_excess_relative"] == pytest.approx(0.15 / 0.2)
     assert found["tube_excess_time"] == 0.25
+    assert found["tube_excess_settled"] == pytest.approx(-0.05 / 0.2)  # 0.15 N off, radius 0.2
     assert found["cone_least"] == 0.75
 
 

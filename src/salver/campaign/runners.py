@@ -132,7 +132,10 @@ def tube_scalars(plan: Plan, t: Array, coefficients: Array) -> Scalars:
     """Least cone coefficient of a run, and how far the coefficients left the plan's tube (negative: stayed within).
 
     coefficients: (T, n_lambda) at t (T,); only the time of the motion counts. tube_excess: largest of
-    |Lambda - nominal| - radius, N; tube_excess_relative: the same as a share of the largest radius.
+    |Lambda - nominal| - radius, N; tube_excess_relative: the same as a share of the largest radius;
+    tube_excess_settled: that share once the controller's start-up has died away (to 2 %, at 8 / kd). Until then the two
+    differ in kind: a tube of eq (19) starts with no width, because the controller starts with the nominal wrench, while
+    an object that rests on a real tray presses with its true weight from the first instant.
     """
     if coefficients is None or not len(plan.cone_radius):
         return {}
@@ -150,9 +153,14 @@ def tube_scalars(plan: Plan, t: Array, coefficients: Array) -> Scalars:
     return {
         "cone_least": float(coefficients.min()),
         "tube_excess": float(excess.max()),
-        "tube_excess_relative": float(excess.max() / largest) if largest > 0 else None,
+        "tube_excess_relative": _largest(excess, largest),
+        "tube_excess_settled": _largest(excess[t >= 8 / min(plan.scenario.control.kd)], largest),
         "tube_excess_time": float(t[when]),
     }
+
+
+def _largest(excess: Array, radius: float) -> float | None:
+    return float(excess.max() / radius) if radius > 0 and excess.size else None
 
 
 def run_scalars(summary: Mapping[str, Any]) -> Scalars:

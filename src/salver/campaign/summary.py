@@ -125,6 +125,7 @@ def _tube(rows: Sequence[Row]) -> dict[str, Any] | None:
         "worst_excess_relative": relative,
         "worst_run": run,
         "excess_relative": quantiles([e for e, _, _ in excess]),
+        "excess_settled": quantiles(_numbers(rows, "tube_excess_settled")),
     }
 
 

@@ -138,7 +138,9 @@ def _rate(rate: dict[str, Any] | None) -> str:
 def _excess(tube: dict[str, Any] | None) -> str:
     if not tube:
         return ""
-    return f"{tube['worst_excess']:.3g} N ({100 * tube['worst_excess_relative']:.3g} % of the radius)"
+    settled = 100 * tube["excess_settled"]["max"]
+    later = f"; {settled:.3g} % after start-up" if settled > 0 else ""
+    return f"{tube['worst_excess']:.3g} N ({100 * tube['worst_excess_relative']:.3g} % of the radius{later})"
 
 
 def _range(values: dict[str, float] | None, scale: float, unit: str) -> str:
