@@ -11,6 +11,7 @@ import platform
 import secrets
 import zipfile
 import zlib
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -124,8 +125,13 @@ def provenance(scenario: Scenario) -> dict[str, Any]:
         "seed": scenario.seed,
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
-        "versions": {name: metadata.version(name) for name in _RECORDED},
+        "versions": {name: _version(name) for name in _RECORDED},
     }
+
+
+@cache
+def _version(package: str) -> str:
+    return metadata.version(package)
 
 
 def _reason(error: OSError) -> str:
