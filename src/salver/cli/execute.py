@@ -1,0 +1,126 @@
+"""`salver execute`: a plan on an arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salver.cli.common import NOT_ACHIEVED, Json, print_json, say
+from salver.errors import SalverError
+
+if TYPE_CHECKING:
+    from salver.export.execute import Execution
+    from salver.export.preflight import Check
+
+
+def execute(
+    directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it.")],
+    robot: Annotated[str, typer.Option(help="Which arm: franka.")] = "franka",
+    address: Annotated[str | None, typer.Option(help="Network address of the arm's control interface.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="The simulated arm, in real time.")] = False,
+    stem: Annotated[str, typer.Option(help="Which motion: plan or baseline.")] = "plan",
+    watchdog: Annotated[float, typer.Option(help="Stop when a joint is this far off its reference, rad.")] = 0.05,
+    move_to_start: Annotated[
+        bool, typer.Option("--move-to-start", help="First go slowly to the start posture, with an empty tray.")
+    ] = False,
+    realtime: Annotated[
+        bool, typer.Option(help="Refuse a kernel without real-time priority (a dry run: keep real time).")
+    ] = True,
+    mocap: Annotated[
+        Path | None, typer.Option(help="Do not move; merge this motion capture (CSV) into the log of the last run.")
+    ] = None,
+    mocap_object: Annotated[str | None, typer.Option(help="The object's name there; its own by default.")] = None,
+    mocap_tray: Annotated[str | None, typer.Option(help="The tray's name there, to measure slip.")] = None,
+    mocap_offset: Annotated[float | None, typer.Option(help="Its time at the start of the motion, s.")] = None,
+    mocap_world: Annotated[
+        str | None, typer.Option(help='Pose of its world in the arm\'s: "x y z roll pitch yaw" in m and degrees.')
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the arm moves.")] = False,
+    json: Json = False,
+) -> None:
+    """Run a plan on a real arm by torque, with checks before, a watchdog during, and a log after.
+
+    First `--dry-run`: the same loop on the simulated arm, which tells how well this machine keeps 1 kHz. The log goes
+    to DIR/execution; `salver report DIR` shows it. Stop with Ctrl-C: the arm brakes smoothly.
+
+    Example: `salver execute runs/panda-cube --dry-run`
+    """
+    from salver.export.execute import ROBOTS, merge_mocap, run_on_franka
+    from salver.export.execute import dry_run as run_dry
+    from salver.export.execution import Watchdog
+
+    if robot not in ROBOTS:
+        raise SalverError(f'There is no robot "{robot}"; known are {", ".join(ROBOTS)}.')
+    if not 0 < watchdog < 1:
+        raise SalverError(f"--watchdog is {watchdog:g} rad; it must be above 0 and below 1.")
+    if mocap is not None:
+        result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
+    elif dry_run:
+        result = run_dry(directory, stem, Watchdog(watchdog), realtime)
+    elif address is None:
+        raise SalverError("Give the arm's --address, as in --address 172.16.0.2, or try --dry-run first.")
+    else:
+        result = run_on_franka(
+            directory,
+            address,
+            stem,
+            Watchdog(watchdog),
+            move_to_start=move_to_start,
+            realtime=realtime,
+            confirm=_assent(yes, json),
+        )
+    if json:
+        print_json({"log": result.path, **result.summary})
+    else:
+        _tell(result)
+    if not result.achieved:
+        raise typer.Exit(NOT_ACHIEVED)
+
+
+def _assent(yes: bool, json: bool) -> Any:
+    def ask(checks: list[Check]) -> bool:
+        for check in checks:
+            say(f"  {'ok ' if check.ok else 'NO '} {check.name}: {check.sentence}")
+        if yes:
+            return True
+        if json:
+            raise SalverError("With --json nothing can be asked; give --yes to let the arm move.")
+        return typer.confirm("The arm will move. Is its way clear, and a hand on the stop?", err=True)
+
+    return ask
+
+
+def _pose(text: str | None) -> Any:
+    """(p, R) of "x y z roll pitch yaw" in m and degrees."""
+    if text is None:
+        return None
+    import numpy as np
+
+    from salver.geometry import matrix_from_rpy
+
+    try:
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6:
+        raise SalverError(f'--mocap-world is "{text}"; it must be six numbers: x y z in m, roll pitch yaw in degrees.')
+    return np.array(numbers[:3]), matrix_from_rpy(np.deg2rad(numbers[3:]))
+
+
+def _tell(result: Execution) -> None:
+    summary, clock = result.summary, result.summary.get("timing", {})
+    for check in result.checks:
+        say(f"  {'ok ' if check.ok else 'NO '} {check.name}: {check.sentence}")
+    if "jitter_median" in clock:
+        say(
+            f"{summary['source']}: {clock['periods']} periods of {1e3 * clock['period']:g} ms, "
+            f"{clock['missed']} missed; jitter {1e6 * clock['jitter_median']:.0f} us at the median, "
+            f"{1e6 * clock['jitter_p999']:.0f} us at 99.9 %, "
+            f"{1e3 * clock['jitter_max']:.2f} ms at most; controller {1e6 * clock['step_median']:.0f} us at the median."
+        )
+    if "e_p_peak" in summary:
+        say(f"Largest e_p {1e3 * summary['e_p_peak']:.3f} mm, e_o {1e3 * summary['e_o_peak']:.3f} mrad.")
+    say(f"Stopped: {summary['stopped']}" if summary["stopped"] else f"Ran to its end; outcome: {summary['outcome']}.")
+    say(f"Log: {result.path}")

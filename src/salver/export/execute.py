@@ -1,0 +1,247 @@
+"""`salver execute`: a plan on an arm, real or simulated, with checks before, a log after."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.control.arm import ArmController, ArmState, controller_for
+from salver.errors import FileFormatError, SalverError, UnreachableError
+from salver.export import mocap
+from salver.export.execution import CoolStop, Log, Watchdog, drive, timing
+from salver.export.preflight import Check, check_franka, check_plan, check_posture, demand
+from salver.export.robots import FrankaRobot, Robot, SimulatedRobot
+from salver.files import load_npz, provenance, read_json, save_npz, write_json
+from salver.geometry import Array, log, quat_wxyz_from_matrix
+from salver.models.arm import ArmModel, load_arm
+from salver.models.bodies import Body, bodies
+from salver.planning.plan import Plan, load_plan
+from salver.trajectory import JointMotion
+
+FOLDER = "execution"
+ROBOTS = ("franka",)
+RECORD_RATE = 200.0  # samples per second kept in the log
+APPROACH_SHARE = 0.1  # of the velocity limits on the way to the start posture
+STOP_ROOM = 3.0  # s that a cool stop may take in a dry run
+
+
+@dataclass(frozen=True)
+class Execution:
+    """A run on an arm. arrays, summary: what was saved. checks: the pre-flight. path: of the log."""
+
+    arrays: dict[str, np.ndarray]
+    summary: dict[str, Any]
+    checks: list[Check] = field(default_factory=list)
+    path: Path = Path()
+
+    @property
+    def achieved(self) -> bool:
+        """The motion ran to its end, and nothing slipped as far as is known."""
+        return not self.summary["stopped"] and self.summary["outcome"] in ("holds", "done")
+
+
+def dry_run(
+    directory: str | Path, stem: str = "plan", watchdog: Watchdog | None = None, realtime: bool = True
+) -> Execution:
+    """The plan on the simulated arm, in real time, through the very loop that drives a real one.
+
+    Raises SalverError when a check before the run fails, UnreachableError when the plan has no joint motion.
+    """
+    plan, arm, carried = _prepared(directory, stem)
+    checks = check_plan(plan, arm, carried)
+    demand(checks)
+    robot = SimulatedRobot(plan, arm, STOP_ROOM, realtime)
+    checks += check_posture(plan, arm, robot.look())
+    demand(checks)
+    began = time.perf_counter()
+    log_ = _run(plan, arm, carried, robot, watchdog or Watchdog(), robot.start_time)
+    summary = _summary(plan, robot, log_, checks, watchdog or Watchdog())
+    record = robot.record({"with_arm": True}, began)
+    arrays = {name: np.asarray(getattr(record, name)) for name in _RECORDED}
+    judged = {
+        key: record.summary[key] for key in ("outcome", "objects", "e_p_peak", "e_o_peak") if key in record.summary
+    }
+    return _saved(directory, stem, arrays, {**summary, **judged, "realtime": realtime}, checks)
+
+
+_RECORDED = (
+    "t", "q", "dq", "tau", "p_SE", "quat_SE_wxyz", "p_SB", "quat_SB_wxyz", "slip_E", "slip", "lift", "tip_angle",
+    "contact_points_B", "contact_forces_B", "cone_coefficients", "e_p", "e_o", "tray_e_p", "tray_e_o",
+)  # fmt: skip
+
+
+def run_on_franka(
+    directory: str | Path,
+    address: str,
+    stem: str = "plan",
+    watchdog: Watchdog | None = None,
+    *,
+    move_to_start: bool = False,
+    realtime: bool = True,
+    confirm: Callable[[list[Check]], bool] = lambda checks: True,
+) -> Execution:
+    """The plan on a Franka arm. confirm: asked with the checks after all of them passed, before anything moves.
+
+    move_to_start: go to the start posture first, at a tenth of the speed limits, with nothing on the tray.
+    Raises SalverError when a check fails or the arm refuses, MissingDependencyError without pylibfranka.
+    """
+    plan, arm, carried = _prepared(directory, stem)
+    checks = check_plan(plan, arm, carried) + check_franka(plan, arm)
+    demand(checks)
+    tray = plan.scenario.tray
+    robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
+    watchdog = watchdog or Watchdog()
+    posture = check_posture(plan, arm, robot.look())
+    if move_to_start:
+        if not confirm([*checks, *posture]):
+            raise SalverError("Not moved: it was not confirmed.")
+        start = plan.joint.sample(0.0)[0][0] if plan.joint is not None else robot.look().q
+        robot.move(lambda q: approach(q, start, arm))
+        posture = check_posture(plan, arm, robot.look())
+    checks += posture
+    demand(checks)
+    if not confirm(checks):
+        raise SalverError("Not moved: it was not confirmed.")
+    log_ = _run(plan, arm, carried, robot, watchdog, -plan.scenario.physics.settle_before)
+    summary = {**_summary(plan, robot, log_, checks, watchdog), "outcome": "stopped" if log_.stopped else "done"}
+    return _saved(directory, stem, _robot_arrays(plan, arm, carried[0], log_), summary, checks)
+
+
+def merge_mocap(
+    directory: str | Path,
+    stem: str,
+    path: str | Path,
+    object_name: str | None = None,
+    tray_name: str | None = None,
+    offset: float | None = None,
+    world: tuple[Array, Array] | None = None,
+) -> Execution:
+    """Add what motion capture saw of object and tray to the log of a run. The first object's own name by default.
+
+    Raises FileFormatError when there is no log or no motion capture in the file, SalverError for unknown names.
+    """
+    plan, _, carried = _prepared(directory, stem)
+    folder = Path(directory) / FOLDER
+    if not (folder / f"{stem}.npz").is_file():
+        raise FileFormatError(f"{folder} holds no log of {stem}; run `salver execute {directory}` first.")
+    arrays, summary = (
+        load_npz(folder / f"{stem}.npz", ("t", "p_SE", "quat_SE_wxyz")),
+        read_json(folder / f"{stem}.json"),
+    )
+    merged = mocap.merge(
+        arrays,
+        mocap.read_tracks(path),
+        plan.reference,
+        carried[0],
+        object_name=object_name or carried[0].name,
+        tray_name=tray_name,
+        offset=offset,
+        p_SV=world[0] if world else None,
+        R_SV=world[1] if world else None,
+    )
+    slip = float(np.nanmax(merged["slip"][merged["t"] >= 0]))
+    summary |= {
+        "e_p_peak": float(np.nanmax(merged["e_p"])),
+        "e_o_peak": float(np.nanmax(merged["e_o"])),
+        "slip_peak": slip,
+        "mocap": {"file": Path(path).name, "offset": float(merged["mocap_offset"]), "tray": tray_name},
+    }
+    if not summary["stopped"]:
+        summary["outcome"] = (
+            "slides" if tray_name and slip > mocap.SLIP else "holds" if tray_name else summary["outcome"]
+        )
+    return _saved(directory, stem, merged, summary, [])
+
+
+def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, list[Body]]:
+    plan = load_plan(directory, stem)
+    if plan.scenario.arm is None:
+        raise SalverError(f"{plan.scenario.name} has no arm; give the scenario a table [arm] to execute it.")
+    if plan.joint is None:
+        why = plan.arm_status.sentence if plan.arm_status is not None else "The plan was made without the arm."
+        raise UnreachableError(f"{plan.scenario.name} has no joint motion to execute: {why}")
+    return plan, load_arm(plan.scenario.arm, plan.scenario.tray), bodies(plan.scenario)
+
+
+def _run(plan: Plan, arm: ArmModel, carried: list[Body], robot: Robot, watchdog: Watchdog, start: float) -> Log:
+    assert plan.joint is not None
+    space = "joint" if plan.method == "fastest" else "object"
+    controller = controller_for(plan.scenario, plan.joint, plan.reference, arm=arm, space=space)  # type: ignore[arg-type]
+    _warm_up(controller, arm, carried, plan.joint)
+    end = plan.duration + plan.scenario.physics.settle_after
+    return drive(robot, controller, plan.joint, arm, carried, start=start, end=end, watchdog=watchdog)
+
+
+def _warm_up(controller: ArmController, arm: ArmModel, carried: list[Body], joint: JointMotion) -> None:
+    """First calls load code and fill caches; they must not happen in the loop."""
+    q, dq, _ = joint.sample(0.0)
+    state = ArmState(q[0], dq[0])
+    for _ in range(50):
+        torque = controller.step(state, 0.0)
+    CoolStop(arm, carried, state, torque, controller.period).step(state, 0.0)
+    controller.reset()
+
+
+def approach(q_from: Array, q_to: Array, arm: ArmModel, share: float = APPROACH_SHARE) -> JointMotion:
+    """A quintic from rest to rest that keeps every joint below a share of its velocity and acceleration limits."""
+    away = np.abs(q_to - q_from)
+    by_speed = 1.875 * away / (share * arm.limits.velocity)  # steepest slope of the quintic step
+    by_force = np.sqrt(5.7735 * away / (share * arm.limits.acceleration))  # and its largest curvature
+    duration = max(0.5, float(by_speed.max()), float(np.where(np.isfinite(by_force), by_force, 0.0).max()))
+    x = np.linspace(0.0, 1.0, 101)[:, None]
+    step = x**3 * (10 - 15 * x + 6 * x**2)
+    rate = 30 * x**2 * (1 - x) ** 2 / duration
+    curvature = 60 * x * (1 - x) * (1 - 2 * x) / duration**2
+    change = q_to - q_from
+    return JointMotion(duration * x[:, 0], q_from + step * change, rate * change, curvature * change)
+
+
+def _robot_arrays(plan: Plan, arm: ArmModel, first: Body, log_: Log) -> dict[str, np.ndarray]:
+    """What the joints tell of a run: where the tray was, and how far off its reference."""
+    period = plan.scenario.physics.command_period
+    keep = np.arange(0, len(log_.t), max(1, round(1 / (RECORD_RATE * period))))
+    t, q = log_.t[keep], log_.q[keep]
+    poses = [arm.tray_pose(joints) for joints in q]
+    p_SE, R_SE = np.array([p for p, _ in poses]), np.array([R for _, R in poses])
+    wanted = plan.reference.sample(t)
+    R_wanted = wanted.R_SB @ first.R_EB.T
+    p_wanted = wanted.p_SB - np.einsum("tij,j->ti", R_wanted, first.p_EB)
+    return {
+        "t": t,
+        "q": q,
+        "dq": log_.dq[keep],
+        "tau": log_.tau[keep],
+        "p_SE": p_SE,
+        "quat_SE_wxyz": quat_wxyz_from_matrix(R_SE),
+        "tray_e_p": np.linalg.norm(p_wanted - p_SE, axis=1),
+        "tray_e_o": np.linalg.norm(log(np.swapaxes(R_SE, 1, 2) @ R_wanted), axis=1),
+    }
+
+
+def _summary(plan: Plan, robot: Robot, log_: Log, checks: list[Check], watchdog: Watchdog) -> dict[str, Any]:
+    error = np.abs(log_.q - log_.q_wanted)
+    return {
+        "source": robot.source,
+        "method": plan.method,
+        "stopped": log_.stopped,
+        "timing": timing(log_, plan.scenario.physics.command_period),
+        "joint_error_peak": float(error.max()) if len(error) else 0.0,
+        "saturation": dict(log_.saturation),
+        "watchdog": vars(watchdog),
+        "checks": [vars(check) for check in checks],
+        "provenance": provenance(plan.scenario),
+    }
+
+
+def _saved(
+    directory: str | Path, stem: str, arrays: dict[str, np.ndarray], summary: dict[str, Any], checks: list[Check]
+) -> Execution:
+    folder = Path(directory) / FOLDER
+    path = save_npz(folder / f"{stem}.npz", **arrays)
+    write_json(folder / f"{stem}.json", summary)
+    return Execution(arrays, summary, checks, path)

@@ -1,0 +1,215 @@
+"""Motion capture of object and tray, merged into the log of a run on the arm: e_p and e_o as in the paper's Fig. 8.
+
+Two kinds of CSV are read. Vicon's export of objects (rate in the second line, names in the third, then columns RX RY RZ
+[RW] TX TY TZ with their units): rotation vector, or quaternion when there is RW. Or a plain table with the headings t,
+p_x, p_y, p_z, q_w, q_x, q_y, q_z (s, m), each with NAME_ in front when there are several objects.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salver.errors import FileFormatError, SalverError
+from salver.geometry import Array, compose, exp, invert, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from salver.models.bodies import Body
+    from salver.trajectory import Reference
+
+REST = 0.1  # s before the motion, over which what is at rest is averaged
+SLIP = 2e-3  # m of displacement on the tray that motion capture can tell from its own noise
+
+
+@dataclass(frozen=True)
+class Track:
+    """A rigid body seen by motion capture. t (N,): s, its own clock. p (N, 3), R (N, 3, 3): pose in its own world."""
+
+    t: Array
+    p: Array
+    R: Array
+
+
+def read_tracks(path: str | Path) -> dict[str, Track]:
+    """Name to track; samples in which a body was not seen are left out. Raises FileFormatError."""
+    path = Path(path)
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError):
+        raise FileFormatError(f"{path} cannot be read as a text file; motion capture comes as CSV.") from None
+    header = next((i for i, row in enumerate(rows) if row[0].strip().lower() == "frame"), None)
+    try:
+        tracks = _vicon(rows, header) if header is not None else _plain(rows)
+    except (ValueError, IndexError, KeyError):
+        tracks = {}
+    tracks = {name: track for name, track in tracks.items() if len(track.t) > 1}
+    if not tracks:
+        raise FileFormatError(
+            f"{path} is no motion capture that can be read; accepted are Vicon's CSV of objects, or columns t, p_x, "
+            "p_y, p_z, q_w, q_x, q_y, q_z."
+        )
+    return tracks
+
+
+def _vicon(rows: list[list[str]], header: int) -> dict[str, Track]:
+    rate = float(rows[header - 2][0])
+    names, columns = rows[header - 1], [cell.strip().upper() for cell in rows[header]]
+    units = [cell.strip().lower() for cell in rows[header + 1]] + [""] * len(columns)
+    starts = [i for i, cell in enumerate(columns) if cell == "RX"]
+    table = _numbers(rows[header + 2 :], len(columns))
+    frame = table[:, 0] + (table[:, 1] if columns[1] == "SUB FRAME" else 0.0)
+    tracks = {}
+    for start, stop in zip(starts, [*starts[1:], len(columns)], strict=True):
+        at = {columns[i]: i for i in range(start, stop)}
+        scale = {"mm": 1e-3, "m": 1.0}[units[at["TX"]] or "mm"]
+        p = scale * table[:, [at["TX"], at["TY"], at["TZ"]]]
+        turn = table[:, [at["RX"], at["RY"], at["RZ"]]]
+        if "RW" in at:
+            R = _rotations(np.column_stack([table[:, at["RW"]], turn]))
+        else:
+            R = exp(np.deg2rad(turn) if units[at["RX"]] == "deg" else turn)
+        label = next((names[i] for i in range(start, -1, -1) if i < len(names) and names[i].strip()), f"object{start}")
+        tracks[label.split(":")[-1].strip()] = _seen((frame - table[0, 0]) / rate, p, R)
+    return tracks
+
+
+def _plain(rows: list[list[str]]) -> dict[str, Track]:
+    columns = {name.strip(): i for i, name in enumerate(rows[0])}
+    table = _numbers(rows[1:], len(columns))
+    tracks = {}
+    for name in [c.removesuffix("p_x") for c in columns if c.endswith("p_x")]:
+        p = table[:, [columns[f"{name}p_{c}"] for c in "xyz"]]
+        R = _rotations(table[:, [columns[f"{name}q_{c}"] for c in "wxyz"]])
+        tracks[name.removesuffix("_") or "object"] = _seen(table[:, columns["t"]], p, R)
+    return tracks
+
+
+def _numbers(rows: list[list[str]], width: int) -> Array:
+    """Table with NaN where a cell is empty."""
+    padded = [[*row, *[""] * width][:width] for row in rows]
+    return np.array([[float(cell) if cell.strip() else np.nan for cell in row] for row in padded])
+
+
+def _rotations(quat_wxyz: Array) -> Array:
+    """Rotations of quaternions that need not be normalised; NaN stays NaN."""
+    size = np.linalg.norm(quat_wxyz, axis=1, keepdims=True)
+    good = np.isfinite(size[:, 0]) & (size[:, 0] > 0)
+    R = np.full((len(size), 3, 3), np.nan)
+    R[good] = matrix_from_quat_wxyz(quat_wxyz[good] / size[good])
+    return R
+
+
+def _seen(t: Array, p: Array, R: Array) -> Track:
+    """Vicon writes zeros, or nothing, for what it does not see."""
+    good = np.all(np.isfinite(p), axis=1) & np.all(np.isfinite(R), axis=(1, 2)) & np.any(p != 0, axis=1)
+    return Track(t[good], p[good], R[good])
+
+
+def find_offset(track: Track, reference: Reference) -> float:
+    """Time of the track's own clock at which the motion starts, by the best fit of its speed to the reference's."""
+    step = 2e-3
+    t = np.arange(track.t[0], track.t[-1], step)
+    if len(t) * step < 0.5 * reference.duration:
+        raise SalverError(
+            f"The motion capture lasts {track.t[-1] - track.t[0]:.2f} s, the motion {reference.duration:.2f} s; it "
+            "must cover the motion."
+        )
+    travelled = np.stack([np.interp(t, track.t, column) for column in track.p.T], axis=1)
+    width = max(1, round(0.05 / step))  # smooths what differentiating makes of noise
+    window = np.ones(width) / width
+    speed = np.convolve(np.linalg.norm(np.gradient(travelled, step, axis=0), axis=1), window, mode="same")
+    wanted = np.linalg.norm(reference.sample(np.arange(0.0, reference.duration, step)).v_S, axis=1)
+    wanted = np.convolve(wanted, window, mode="same")
+    room = len(speed) - len(wanted)
+    if room < 0:
+        speed = np.concatenate([np.zeros(len(wanted)), speed, np.zeros(len(wanted))])
+        t = t[0] + step * (np.arange(len(speed)) - len(wanted))
+    match = np.correlate(speed, wanted, mode="valid") - 0.5 * np.correlate(speed**2, np.ones_like(wanted), mode="valid")
+    return float(t[int(np.argmax(match))])
+
+
+def merge(
+    arrays: Mapping[str, np.ndarray],
+    tracks: Mapping[str, Track],
+    reference: Reference,
+    body: Body,
+    *,
+    object_name: str,
+    tray_name: str | None = None,
+    offset: float | None = None,
+    p_SV: Array | None = None,
+    R_SV: Array | None = None,
+) -> dict[str, np.ndarray]:
+    """Arrays of a log (t, p_SE, quat_SE_wxyz, ...) with the object as motion capture saw it: p_SB, quat_SB_wxyz, e_p,
+    e_o, slip, slip_E.
+
+    p_SV, R_SV: pose of the capture's world in S; the same by default. The marker frame on a body may sit anywhere:
+    where it sits is taken from the rest before the motion, when the body is where the plan puts it. offset: the
+    capture's time at the start of the motion; found from the speed by default. Without a track of the tray, slip
+    is against where the joints put it.
+    """
+    for name in (object_name, *([tray_name] if tray_name else [])):
+        if name not in tracks:
+            raise SalverError(f'The motion capture has no object "{name}"; it has {", ".join(tracks)}.')
+    shift = find_offset(tracks[object_name], reference) if offset is None else offset
+    world = (np.zeros(3) if p_SV is None else p_SV), (np.eye(3) if R_SV is None else R_SV)
+    t = arrays["t"]
+    start = reference.sample(0.0)
+    p_SB, R_SB = _in_world(tracks[object_name], shift, world, t, start.p_SB[0], start.R_SB[0])
+    p_SE, R_SE = arrays["p_SE"], matrix_from_quat_wxyz(arrays["quat_SE_wxyz"])
+    if tray_name:
+        R_start = start.R_SB[0] @ body.R_EB.T
+        p_SE, R_SE = _in_world(tracks[tray_name], shift, world, t, start.p_SB[0] - R_start @ body.p_EB, R_start)
+    wanted = reference.sample(t)
+    on_tray = compose(*invert(p_SE, R_SE), p_SB, R_SB)[0]
+    slip_E = on_tray - np.nanmean(on_tray[_resting(t)], axis=0)
+    turn = np.full(len(t), np.nan)
+    seen = np.isfinite(R_SB).all(axis=(1, 2))
+    turn[seen] = np.linalg.norm(log(np.swapaxes(R_SB[seen], 1, 2) @ wanted.R_SB[seen]), axis=1)
+    quat = np.full((len(t), 4), np.nan)
+    quat[seen] = quat_wxyz_from_matrix(R_SB[seen])
+    return {
+        **arrays,
+        "p_SB": p_SB[:, None],
+        "quat_SB_wxyz": quat[:, None],
+        "e_p": np.linalg.norm(wanted.p_SB - p_SB, axis=1),
+        "e_o": turn,
+        "slip_E": slip_E[:, None],
+        "slip": np.linalg.norm(slip_E[:, None, :2], axis=2),
+        "mocap_offset": np.array(shift),
+    }
+
+
+def _resting(t: Array) -> np.ndarray:
+    """Samples of the rest before the motion; the first one when there are none."""
+    resting = (t >= -REST) & (t <= 0)
+    return resting if resting.any() else t == t[0]
+
+
+def _in_world(
+    track: Track, shift: float, world: tuple[Array, Array], t: Array, p: Array, R: Array
+) -> tuple[Array, Array]:
+    """Pose (T, 3), (T, 3, 3) in S at times t of the motion, given the pose (p, R) at its start; NaN where not seen."""
+    own = track.t - shift
+    resting = (own >= -REST) & (own <= 0)
+    if not resting.any():
+        resting = own == own[np.argmin(np.abs(own))]
+    p_V, R_V = compose(*world, track.p, track.R)
+    middle = R_V[resting][0]
+    R_rest = middle @ exp(log(middle.T @ R_V[resting]).mean(axis=0))
+    p_rest = p_V[resting].mean(axis=0)
+    p_MB, R_MB = compose(*invert(p_rest, R_rest), p, R)  # marker frame to the body's own
+    i = np.clip(np.searchsorted(own, t) - 1, 0, len(own) - 2)
+    u = (t - own[i]) / (own[i + 1] - own[i])
+    between = R_V[i] @ exp(u[:, None] * log(np.swapaxes(R_V[i], 1, 2) @ R_V[i + 1]))
+    p_t = p_V[i] + u[:, None] * (p_V[i + 1] - p_V[i])
+    p_out, R_out = compose(p_t, between, p_MB, R_MB)
+    seen = (t >= own[0]) & (t <= own[-1]) & (own[i + 1] - own[i] < 0.1)
+    return np.where(seen[:, None], p_out, np.nan), np.where(seen[:, None, None], R_out, np.nan)

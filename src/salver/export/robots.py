@@ -1,0 +1,239 @@
+"""Arms that can be driven by torque: the Franka through pylibfranka, and the simulated one in real time.
+
+A robot is asked for its state and given a torque, once per control period; `salver.export.execution` does both.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from salver.control.arm import ArmState
+from salver.errors import MissingDependencyError, SalverError
+from salver.geometry import Array, invert
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from salver.models.arm import ArmModel
+    from salver.planning.plan import Plan
+    from salver.simulation.record import SimulationRecord
+    from salver.trajectory import JointMotion
+
+SPIN = 2e-4  # s before a deadline from where on the clock is watched: the operating system wakes no more exactly
+
+
+class Robot(Protocol):
+    """An arm with torque control. torque: all of it, gravity included; an adapter takes off what its robot adds."""
+
+    @property
+    def source(self) -> str:
+        """What it is, for the log."""
+        ...
+
+    def look(self) -> ArmState:
+        """The state now, without control."""
+        ...
+
+    def start(self) -> None:
+        """Begin torque control; the first `read` follows."""
+        ...
+
+    def read(self) -> tuple[ArmState, float]:
+        """Wait for the next period. The state, and the time since the last read, s (0 at first)."""
+        ...
+
+    def write(self, torque: Array, *, last: bool = False) -> None:
+        """Torque for this period. last: the motion ends with it."""
+        ...
+
+    def stop(self) -> None:
+        """Leave torque control, whatever happened."""
+        ...
+
+
+class FrankaRobot:
+    """A Franka arm through pylibfranka's torque interface. Written for pylibfranka 0.19 and later."""
+
+    def __init__(
+        self, address: str, arm: ArmModel, tray_mass: float, tray_inertia: Array, realtime: bool = True
+    ) -> None:
+        """Connect and tell the arm of the tray. Raises MissingDependencyError without pylibfranka, SalverError when the
+        arm does not answer.
+
+        realtime: refuse to run on a kernel that gives no real-time priority, as libfranka advises.
+        """
+        self._library = library()
+        config = self._library.RealtimeConfig
+        try:
+            self._robot = self._library.Robot(address, config.kEnforce if realtime else config.kIgnore)
+            self._robot.set_load(tray_mass, arm.tray_com_F.tolist(), np.diag(tray_inertia).ravel().tolist())
+            # Thresholds of a collision, N m and N: well above what the planned accelerations need.
+            self._robot.set_collision_behavior([40.0] * 7, [60.0] * 7, [60.0] * 6, [90.0] * 6)
+            self._model = self._robot.load_model()
+        except self._library.FrankaException as error:
+            raise _said(address, error) from None
+        except RuntimeError as error:  # pylibfranka's exceptions are RuntimeErrors, not all of them FrankaExceptions
+            raise _said(address, error) from None
+        self._address = address
+        self._control: Any = None
+        self._state: Any = None
+
+    @property
+    def source(self) -> str:
+        return f"franka at {self._address}"
+
+    def look(self) -> ArmState:
+        return _arm_state(self._robot.read_once())
+
+    def start(self) -> None:
+        self._control = self._robot.start_torque_control()
+
+    def read(self) -> tuple[ArmState, float]:
+        try:
+            self._state, elapsed = self._control.readOnce()
+        except RuntimeError as error:
+            raise _said(self._address, error) from None
+        return _arm_state(self._state), float(elapsed.to_sec())
+
+    def write(self, torque: Array, *, last: bool = False) -> None:
+        command = self._library.Torques((torque - np.asarray(self._model.gravity(self._state))).tolist())
+        command.motion_finished = last
+        try:
+            self._control.writeOnce(command)
+        except RuntimeError as error:
+            raise _said(self._address, error) from None
+
+    def stop(self) -> None:
+        self._control = None
+        self._robot.stop()
+
+    def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
+        """Follow a joint motion by the arm's own position control, from where it holds itself. Raises SalverError."""
+        try:
+            motion = motion_from(np.array(self._robot.read_once().q_d))
+            control = self._robot.start_joint_position_control(self._library.ControllerMode.JointImpedance)
+            t = 0.0
+            while t < motion.duration:
+                t += float(control.readOnce()[1].to_sec())
+                command = self._library.JointPositions(motion.sample(t)[0][0].tolist())
+                command.motion_finished = t >= motion.duration
+                control.writeOnce(command)
+        except RuntimeError as error:
+            raise _said(self._address, error) from None
+        finally:
+            self._robot.stop()
+
+
+def library() -> Any:
+    """pylibfranka, or one sentence that says how to get it."""
+    try:
+        import pylibfranka
+    except ImportError:
+        raise MissingDependencyError(
+            "Driving a Franka needs the package pylibfranka; install it with: pip install 'salver[robot]'."
+        ) from None
+    return pylibfranka
+
+
+def _said(address: str, error: Exception) -> SalverError:
+    return SalverError(f"The arm at {address} says: {str(error).removeprefix('libfranka: ')}")
+
+
+def _arm_state(state: Any) -> ArmState:
+    return ArmState(np.array(state.q), np.array(state.dq))
+
+
+class SimulatedRobot:
+    """The arm in the physics engine, which waits for its caller no more than a real one does.
+
+    Every period that the caller misses, the engine goes on with the last torque. realtime = False: as fast as it can,
+    no period is missed. The time that the engine itself takes is part of the caller's period, so a real arm leaves
+    the controller more of it.
+    """
+
+    def __init__(self, plan: Plan, arm: ArmModel, extra_time: float, realtime: bool = True) -> None:
+        """extra_time: s that the run may last beyond the planned one (a cool stop)."""
+        from salver.simulation import physics
+        from salver.simulation.engine import mujoco
+        from salver.simulation.trace import Recorder
+
+        self._plan, self._arm, self._realtime, self._engine = plan, arm, realtime, mujoco
+        self._run = physics.prepare(plan.scenario, None, None, plan.reference, arm)
+        period = plan.scenario.physics.command_period
+        self._period, self._steps = period, round(period / plan.scenario.physics.timestep)
+        self._t = np.append(self._run.t, self._run.t[-1] + period * np.arange(1, int(extra_time / period) + 1))
+        self._data = mujoco.MjData(self._run.scene.model)
+        assert plan.joint is not None
+        self._run.scene.place(self._data, plan.joint.sample(0.0)[0][0])
+        self._recorder = Recorder(self._run.scene, len(self._t))
+        self._torque = np.zeros(arm.n)
+        self._next = 0.0  # time.perf_counter() of the next period
+
+    source = "simulated arm"
+
+    @property
+    def start_time(self) -> float:
+        """Time of the motion at the first read, s: before 0, while everything settles."""
+        return float(self._t[0])
+
+    def look(self) -> ArmState:
+        n = self._arm.n
+        return ArmState(self._data.qpos[:n].copy(), self._data.qvel[:n].copy())
+
+    def start(self) -> None:
+        self._next = time.perf_counter()
+        self._first = True
+
+    def read(self) -> tuple[ArmState, float]:
+        periods = 0 if self._first else 1
+        self._first = False
+        if self._realtime:
+            wait_until(self._next)
+            for _ in range(int((time.perf_counter() - self._next) / self._period)):
+                self._advance()
+                self._next += self._period
+                periods += 1
+        return self.look(), periods * self._period
+
+    def write(self, torque: Array, *, last: bool = False) -> None:
+        self._torque = torque
+        self._advance()
+        self._next += self._period
+
+    def stop(self) -> None:
+        pass
+
+    def _advance(self) -> None:
+        """One period of the engine under the last torque."""
+        recorder, data, n = self._recorder, self._data, self._arm.n
+        if recorder.count == len(self._t):
+            return
+        recorder.joints(self._t[recorder.count], data.qpos[:n], data.qvel[:n], self._torque)
+        data.qfrc_applied[:n] = self._torque
+        self._engine.mj_step(self._run.scene.model, data)
+        recorder.take(data)
+        self._engine.mj_step(self._run.scene.model, data, nstep=self._steps - 1)
+
+    def record(self, summary: dict[str, Any], began: float) -> SimulationRecord:
+        """What happened to arm and objects, as of any simulation."""
+        from salver.simulation import creep, physics
+
+        trace = self._recorder.trace()
+        first = self._run.scene.loads[0].nominal
+        wanted = self._plan.reference.sample(trace.t).of_frame(*invert(first.p_EB, first.R_EB))
+        bias = creep.tray_bias(self._arm, trace.q, trace.dq, self._run.scene.world.R_tilt)
+        run = replace(self._run, t=trace.t, wanted_E=wanted)
+        return physics.measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
+
+
+def wait_until(deadline: float) -> None:
+    """Sleep, then watch the clock, until time.perf_counter() reaches the deadline."""
+    remaining = deadline - time.perf_counter()
+    if remaining > SPIN:
+        time.sleep(remaining - SPIN)
+    while time.perf_counter() < deadline:
+        pass
