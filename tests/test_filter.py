@@ -45,3 +45,9 @@ def test_running_integrals_are_exact_for_quadratics_and_accurate_for_waves():
         at_grid, at_times = grid.cumulative(f(grid.times))
         assert at_grid == pytest.approx(integral(grid.t), abs=tolerance)
         assert at_times == pytest.approx(integral(grid.times), abs=tolerance)
+
+
+def test_nothing_in_nothing_out():
+    grid = QuadratureGrid.for_gains(np.linspace(0, 1, 11), [(500.0, 25.0)])
+    e, rate = ErrorFilter(grid, 500.0, 25.0).respond(np.zeros((len(grid.times), 3, 0)))
+    assert e.shape == rate.shape == (11, 3, 0)

@@ -55,9 +55,8 @@ def integration_weights(instants: int, duration: float) -> Array:
 
 def sensitivity_cost(scenario: Scenario, t: Array, state_sensitivity: Array) -> float:
     """Integral (13) of the weighted squared norm of Pi (T, 12, n_p) over uniform instants t (T,)."""
-    uncertain = uncertain_set(scenario)
-    blocks = row_scale(scenario.objective.weighting, bodies(scenario)[0], tray_loop(scenario).gains)
-    weighted = np.repeat(blocks, 3)[:, None] * (
-        state_sensitivity @ column_scale(scenario.objective.weighting, uncertain)
-    )
+    weighting = scenario.objective.weighting
+    blocks = row_scale(weighting, bodies(scenario)[0], tray_loop(scenario).gains)
+    columns = column_scale(weighting, uncertain_set(scenario))
+    weighted = np.repeat(blocks, 3)[:, None] * (state_sensitivity @ columns)
     return float(np.einsum("t,tij->", integration_weights(len(t), float(t[-1])), weighted**2))

@@ -97,6 +97,9 @@ class ErrorFilter:
 
     def respond(self, forcing: Array) -> tuple[Array, Array]:
         """(e, e') at the grid, each (T, ...), for forcing (Q, ...) at the grid's `times`."""
+        shape = (len(self.grid.t), *forcing.shape[1:])
+        if forcing.size == 0:  # no parameter or no variable: LAPACK writes out of bounds for no columns
+            return np.zeros(shape), np.zeros(shape)
         h = float(self.grid.t[1] - self.grid.t[0])
         step, gain = _exact_step(self.kp, self.kd, h, self.grid.substeps)
         b = gain @ forcing.reshape(len(self.grid.t) - 1, self.grid.per_interval, -1)
@@ -109,7 +112,6 @@ class ErrorFilter:
         bands = np.array([[1.0], [-trace], [determinant]]) * np.ones(len(b))
         right = np.asfortranarray(ahead[:-1].reshape(len(b), -1))
         x[1:] = dtbtrs(bands, right, uplo="L", overwrite_b=True)[0].reshape(b.shape)
-        shape = (len(self.grid.t), *forcing.shape[1:])
         return x[:, 0].reshape(shape), x[:, 1].reshape(shape)
 
 
