@@ -49,6 +49,7 @@ class Family:
     scales: whether the rows depend on time, and so become nearly linear in T^2 when multiplied by it.
 
     following: derivative rows of the next node, for rows that couple two neighbours.
+    reach: rows further than this from their edge are never considered, because their derivatives are expensive.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Family:
     gradient: Gradient
     scales: bool = True
     following: Gradient | None = None
+    reach: float = np.inf
 
     @property
     def peaks(self) -> np.ndarray:
@@ -249,7 +251,7 @@ def _clearance(
     def gradient(i: Indices, f: Indices) -> Array:
         return _padded(-10.0 * keep_out.gradient(z[0], i, f), problem.n)
 
-    return Family("clearance", grid, z, -10.0 * distance + margin, gradient, scales=False)
+    return Family("clearance", grid, z, -10.0 * distance + margin, gradient, scales=False, reach=0.2)
 
 
 def _padded(rows: Array, n: int) -> Array:

@@ -162,7 +162,7 @@ def _linearise(path: JointPath, depth: float, forced: list[np.ndarray]) -> Linea
     matrices, bounds, where = [], [], []
     for k, family in enumerate(path.families):
         floor = -np.inf if family.name == "tilt" and family.values.shape[1] == 4 else -depth
-        near = family.values > floor
+        near = family.values > max(floor, -family.reach)
         if family.values.shape[1] > MOST_ROWS and family.name.startswith("contact"):
             near &= family.values >= -np.partition(-family.values, MOST_ROWS, axis=1)[:, MOST_ROWS - 1 : MOST_ROWS]
         node, column = np.nonzero(near | forced[k])
