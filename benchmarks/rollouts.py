@@ -2,9 +2,9 @@
 
     python benchmarks/rollouts.py [-n 1000] [--runs 5]
 
-Prints the time of n rollouts of 2.5 s (bar: 1000 in 5 s) and how the error falls with the step. On a busy machine the CPU
-time is what to look at. Warm means: modules
-imported and one small rollout made before. Parameters: mass and inertia within 10 %, centre of mass within 3 mm.
+Prints the time of n rollouts of 2.5 s (bar: 1000 in 5 s) and how the error falls with the step. On a busy machine the
+CPU time is what to look at. Warm means: modules imported and one small rollout made before. Parameters: mass and
+inertia within 10 %, centre of mass within 3 mm.
 """
 
 from __future__ import annotations
