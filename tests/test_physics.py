@@ -203,6 +203,16 @@ def test_friction_decides_the_outcome(fast):
     assert at_rest.summary["slides_at_rest"]
 
 
+def test_a_collision_with_an_obstacle_is_told(fast):
+    """A post in the way of the tray, half way along the line."""
+    assert simulate(fast).summary["collides_at"] is None
+    post = {"type": "box", "size": [0.02, 0.02, 0.6], "position": [0.6, -0.135, 0.3]}
+    plan = replace(fast, scenario=fast.scenario.with_changes(obstacles=[post]))
+    record = simulate(plan)
+    assert 0.3 < record.summary["collides_at"] < 0.6
+    assert record.tray_e_p.max() > 1e-3
+
+
 def test_tall_object_tips_with_the_arm():
     data = quick().scenario.model_dump(mode="json", exclude_none=True)
     data["objects"][0] |= {"shape": {"type": "box", "size": [0.03, 0.03, 0.3]}, "friction": 0.8}

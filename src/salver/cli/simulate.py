@@ -145,6 +145,8 @@ def sentences(record: SimulationRecord) -> list[str]:
     told = []
     for item in summary["objects"]:
         told.append(_fate(item, summary))
+    if summary["collides_at"] is not None:
+        told.append(f"Tray or object hits an obstacle at t = {_time(summary['collides_at'])}.")
     arm = summary.get("arm")
     if arm is None:
         told.append("The scenario has no arm: the tray was moved exactly along the reference.")

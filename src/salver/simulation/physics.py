@@ -282,6 +282,7 @@ def measure(
         **judged,
         **summary,
         "duration": run.reference.duration,
+        "collides_at": float(trace.t[np.argmax(trace.collides)]) if trace.collides.any() else None,
         "e_p_peak": float(e_p[counted].max()),
         "e_o_peak": float(e_o[counted].max()),
         "tray_e_p_peak": float(tray_e_p[moving].max()),

@@ -179,7 +179,8 @@ def _framing(view: View, record: SimulationRecord, arm: ArmModel | None) -> tupl
     low, high = points.min(axis=0), points.max(axis=0)
     target = 0.5 * (low + high) if view.target_S is None else np.asarray(view.target_S, dtype=float)
     reach = float(np.linalg.norm(high - low))
-    return target, view.distance if view.distance is not None else max(0.7, 0.9 * reach + 0.45)
+    distance = (0.9 if arm is not None else 1.5) * reach + 0.45
+    return target, view.distance if view.distance is not None else max(0.7, distance)
 
 
 def _add_trail(scene: Any, path: Array | None, spacing: float = 6e-3) -> None:

@@ -34,6 +34,7 @@ DAMPING_RATIO = 3.0  # of the contact's spring: below 2 feet chatter near the fr
 SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
 ARM_PREFIX = "arm/"
 TRAY_BODY = "salver:tray"
+OBSTACLE = "salver:obstacle:"
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,8 @@ class Scene:
     world: the objects as they truly are. tray_id, object_ids: MuJoCo bodies. n: joints of the arm.
     qpos_ids, qvel_ids: (m,) first index of each object's free joint. contact_time: solref[0], s.
     foot_object, foot_support, foot_number: (n_geom,) per geom: index of the object whose foot it is (-1: no
-    foot), index of the object it rests on (-1: tray), number of the foot in `Load.outline_B`.
+    foot), index of the object it rests on (-1: tray),
+    number of the foot in `Load.outline_B`. obstacle: (n_geom,) whether it is one.
     """
 
     model: Any
@@ -58,6 +60,7 @@ class Scene:
     foot_object: Array
     foot_support: Array
     foot_number: Array
+    obstacle: Array
 
     @property
     def n(self) -> int:
@@ -243,7 +246,7 @@ def _hull(k: int) -> str:
 
 
 def _obstacle(k: int) -> str:
-    return f"salver:obstacle:{k}"
+    return f"{OBSTACLE}{k}"
 
 
 _COLOURS = ((0.80, 0.36, 0.22), (0.20, 0.45, 0.70), (0.35, 0.60, 0.30), (0.75, 0.60, 0.20), (0.50, 0.35, 0.60))
@@ -360,4 +363,5 @@ def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: f
         foot_object=foot[0],
         foot_support=foot[1],
         foot_number=foot[2],
+        obstacle=np.array([model.geom(i).name.startswith(OBSTACLE) for i in range(model.ngeom)]),
     )

@@ -19,6 +19,7 @@ class Trace:
     p_XB, R_XB (N, m, ...): the objects. foot_force_B (N, n_f, 3): force on the object at each foot, in its B, N.
     force_X (N, m, 3): sum of contact forces on an object from what it stands on. touches (N, m): whether there is any.
     foreign (N, m): whether it touches what it should not (another object's side, an obstacle, its own side).
+    collides (N,): whether tray or objects touch an obstacle.
     """
 
     t: Array
@@ -33,6 +34,7 @@ class Trace:
     force_X: Array
     touches: Array
     foreign: Array
+    collides: Array
 
 
 class Recorder:
@@ -97,6 +99,8 @@ class Recorder:
             foreign[instant[side_hit], owner[mine[side_hit]]] = True
             touches[instant[side_hit], owner[mine[side_hit]]] = True
             np.add.at(total, (instant[side_hit], owner[mine[side_hit]]), sign * force[side_hit])
+        collides = np.zeros(count, bool)
+        collides[instant[loaded & scene.obstacle[geom].any(axis=1)]] = True
         return Trace(
             t=self.t[:count],
             q=self.q[:count],
@@ -110,6 +114,7 @@ class Recorder:
             force_X=total,
             touches=touches,
             foreign=foreign,
+            collides=collides,
         )
 
 
