@@ -185,3 +185,16 @@ def test_too_few_contacts_leave_directions_without_force(count: int) -> None:
 def test_opposing_contacts_have_no_facets() -> None:
     with pytest.raises(ValueError, match="press against each other"):
         hull_facets(np.vstack([np.eye(6), -np.eye(6)]))
+
+
+def test_rectangle_whose_cone_defeats_the_hulls_merging() -> None:
+    """Qhull stops at this one (many generators in one plane); the facets must come out all the same."""
+    x, y = 0.05965631125602035 / 2, 0.0741424379364645 / 2
+    contacts = support_contacts([[x, y, 0], [-x, y, 0], [-x, -y, 0], [x, -y, 0]], 0.4, 32)
+    rows, grasp_map = facets(contacts), contacts.grasp_map
+    assert (rows @ grasp_map).max() < 1e-7
+    rng = np.random.default_rng(6)
+    for _ in range(8):
+        wrench = grasp_map @ rng.exponential(size=grasp_map.shape[1])
+        direction = rng.normal(size=6) * [1, 1, 1, 0.05, 0.05, 0.05]
+        assert_allclose(reach_by_facets(rows, wrench, direction), reach_lp(contacts, wrench, direction), rtol=1e-6)

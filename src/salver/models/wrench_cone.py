@@ -15,13 +15,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.geometry import Array, hat
 from salver.models.contact import ContactSet, cone_edges
 from salver.models.polygons import half_planes
 
 _TANGENTIAL = np.array([True, True, False, False, False, True])
-_ACTIVE = 1e-9  # a generator this close to a facet's plane (of unit size) lies in it
+_ACTIVE = 1e-8  # a generator this close to a facet's plane (of unit size) lies in it
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Facets:
     """
 
     rows: Array
-    friction_limited: np.ndarray
+    friction_limited: npt.NDArray[np.bool_]
     length: float
 
 
@@ -243,26 +244,28 @@ def hull_facets(rays: Array) -> Array:
     height = flat @ axis
     across = np.linalg.svd(axis[None, :])[2][1:]
     points = flat @ across.T / height[:, None]
-    inside = [_refit(flat, normal @ across + offset * axis) for normal, offset in _half_spaces(points)]
-    found: dict[bytes, Array] = {}
-    for row in inside:
-        found.setdefault((np.abs(flat @ row) < _ACTIVE * 10).tobytes(), row)
-    rows = np.array(list(found.values())) @ basis
+    normal, offset = _half_spaces(points)
+    rows = _refit(flat, normal @ across + offset[:, None] * axis) @ basis
     return np.vstack([rows, missing, -missing])
 
 
-def _half_spaces(points: Array) -> list[tuple[Array, float]]:
-    """(normal, offset) with normal . x + offset <= 0 for the convex hull of points (n, d)."""
-    from scipy.spatial import ConvexHull
+def _half_spaces(points: Array) -> tuple[Array, Array]:
+    """Normals (m, d) and offsets (m,) with normal . x + offset <= 0 for the convex hull of points (n, d)."""
+    from scipy.spatial import ConvexHull, QhullError
 
     if points.shape[1] == 0:
-        return [(np.zeros(0), -1.0)]
+        return np.zeros((1, 0)), np.array([-1.0])
     if points.shape[1] == 1:
-        return [(np.array([1.0]), -float(points.max())), (np.array([-1.0]), float(points.min()))]
-    equations = ConvexHull(points).equations
+        return np.array([[1.0], [-1.0]]), np.array([-points.max(), points.min()])
+    try:
+        equations = ConvexHull(points).equations
+    except QhullError:
+        # Many generators in one plane can defeat Qhull's merging. With the points jittered (by about 1e-10) a
+        # facet comes in splinters; each is fitted again to the exact generators, false ones are then dropped.
+        equations = ConvexHull(points, qhull_options="QJ").equations
     # Qhull triangulates facets: the same plane comes once for each simplex.
     equations = equations[np.unique(np.round(equations, 9), axis=0, return_index=True)[1]]
-    return [(row[:-1], float(row[-1])) for row in equations]
+    return equations[:, :-1], equations[:, -1]
 
 
 def _interior_direction(rays: Array) -> Array:
@@ -285,16 +288,31 @@ def _interior_direction(rays: Array) -> Array:
     return result.x[:-1] / np.linalg.norm(result.x[:-1])
 
 
-def _refit(rays: Array, row: Array) -> Array:
-    """The plane through the rays that lie in a facet's plane, as a unit row with the sign of `row`."""
-    row = row / np.linalg.norm(row)
-    active = rays[np.abs(rays @ row) < 1e-7]
-    if len(active) < rays.shape[1] - 1:
-        return row
-    normal = np.linalg.svd(active, full_matrices=True)[2][-1]
-    normal = normal if normal @ row > 0 else -normal
+def _refit(rays: Array, rows: Array) -> Array:
+    """Facets (n_f, d), unit rows, each once: planes (m, d) put through the rays (n, d) that lie in them.
+
+    Planes that a ray is beyond, or that too few rays lie in to be a facet, are dropped.
+    """
+    rows = rows / np.linalg.norm(rows, axis=1)[:, None]
+    outer = (rays[:, :, None] * rays[:, None, :]).reshape(len(rays), -1)
+
+    def within(planes: Array, tolerance: float) -> tuple[npt.NDArray[np.bool_], Array, Array]:
+        """Which rays lie in each plane, and the eigenvalues and -vectors of their scatter."""
+        active = np.abs(planes @ rays.T) < tolerance
+        scatter = (active.astype(float) @ outer).reshape(len(planes), rays.shape[1], rays.shape[1])
+        return active, *np.linalg.eigh(scatter)
+
+    _, _, vectors = within(rows, 1e-7)
+    fitted = vectors[:, :, 0]
+    fitted = fitted * np.where(np.sum(fitted * rows, axis=1) > 0, 1.0, -1.0)[:, None]
     # Neighbouring facets of a round cone can be so close that their rays were mixed: then it is not an improvement.
-    return normal if (rays @ normal).max() <= (rays @ row).max() + 1e-12 else row
+    better = (fitted @ rays.T).max(axis=1) <= (rows @ rays.T).max(axis=1) + 1e-12
+    rows = np.where(better[:, None], fitted, rows)
+    active, values, _ = within(rows, _ACTIVE)
+    spanned = values[:, 1] > 1e-12 if rays.shape[1] > 1 else np.ones(len(rows), dtype=bool)
+    kept = np.flatnonzero(spanned & ((rows @ rays.T).max(axis=1) <= _ACTIVE))
+    first = np.unique(np.packbits(active[kept], axis=1), axis=0, return_index=True)[1]
+    return np.asarray(rows[kept[np.sort(first)]])
 
 
 def support_polygon(contacts: ContactSet) -> Array:
