@@ -24,9 +24,10 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.bodies import Body, bodies
+from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import UncertainSet
 from salver.sensitivity import tubes
-from salver.sensitivity.arm_contact import ContactChange, contact_change
+from salver.sensitivity.arm_contact import ContactChange, contact_change, worst_contact
 from salver.sensitivity.arm_filter import node_filter
 from salver.sensitivity.arm_load import LoadChange, load_change
 from salver.sensitivity.arm_task import joints_of_task, tray_of_joints, tray_of_task
@@ -52,7 +53,8 @@ _GRID_STEP = 0.0125  # s at most between instants; the filter is exact on cubics
 class ChainModel:
     """What is constant for a scenario: make it once, use it for many motions.
 
-    arm, loaded: without and with the nominal objects. settle: s that the arm holds its load before the motion.
+    arm, loaded: without and with the nominal objects. contact: rows at nominal parameters; worst_rows: over the
+    uncertain set. settle: s that the arm holds its load before the motion.
     """
 
     scenario: Scenario
@@ -62,6 +64,7 @@ class ChainModel:
     gains: Gains
     load: LoadChange
     contact: ContactChange
+    worst_rows: tuple[ContactRows, ...]
     settle: float
 
     @property
@@ -88,26 +91,38 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
     items = tuple(bodies(scenario))
     gains = Gains(scenario.control.kp, scenario.control.kd)
     settle = scenario.physics.settle_before
-    return ChainModel(scenario, arm, with_load(arm, items), items, gains, load, contact_change(scenario), settle)
+    return ChainModel(
+        scenario,
+        arm,
+        with_load(arm, items),
+        items,
+        gains,
+        load,
+        contact_change(scenario),
+        contact_rows(scenario),
+        settle,
+    )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArmChain:
-    """The chain along a motion at T instants, and its derivatives by n_p parameters (last axis), per unit of each.
+    """The chain along a motion at T instants, and what n_c terms change (last axis), per unit of each.
 
-    t: (T,) s. space: where the controller closes its loop. uncertain: the parameters and their set.
-    nominal: poses, w, torque along the motion. joints: deviation of q, dq, ddq. tray: (T, 12, n_p) of the assumed
-    frame E, rows dp in S, dtheta in E, dv in S, domega in E. torque: (T, n, n_p) commanded, N m.
-    w: (T, 12, n_p) of what the tray feels at E, through its motion alone.
-    wrench: (T, 6, n_p) contact wrench of the first object at its B, N and N m; direct_wrench: the part of it that
-    the object needs on an unchanged motion, Y dphi.
+    The first n_p terms are the uncertain parameters, so `[..., :n_p]` are the derivatives; the others are products of
+    two parameters (`salver.sensitivity.arm_load`), which `radius` adds.
+
+    t: (T,) s. space: where the controller closes its loop. nominal: poses, w, torque along the motion.
+    joints: deviation of q, dq, ddq. tray: (T, 12, n_c) of the assumed frame E, rows dp in S, dtheta in E, dv in S,
+    domega in E. torque: (T, n, n_c) commanded, N m. w: (T, 12, n_c) of what the tray feels at E, through its motion
+    alone. wrench: (T, 6, n_c) contact wrench of the first object at its B, N and N m; direct_wrench: the part of it
+    that the object needs on an unchanged motion, Y dphi.
     slack: (T, n_rows) of the contact rows, safe above 0, as a share of the normal force at rest. slack_p: (T, n_rows,
-    n_p); direct_slack_p: the part of it on an unchanged motion.
+    n_p) its derivatives, without products.
     """
 
     t: Array
     space: Space
-    uncertain: UncertainSet
+    model: ChainModel
     nominal: MotionTerms
     joints: JointDeviation
     tray: Array
@@ -117,36 +132,51 @@ class ArmChain:
     direct_wrench: Array
     slack: Array
     slack_p: Array
-    direct_slack_p: Array
-    contact: ContactChange
+
+    @property
+    def uncertain(self) -> UncertainSet:
+        return self.model.load.uncertain
 
     @property
     def joint_state(self) -> Array:
-        """(T, 2 n, n_p): deviation of q, then of dq."""
+        """(T, 2 n, n_c): deviation of q, then of dq."""
         return np.concatenate([self.joints.q, self.joints.dq], axis=1)
 
     def radius(self, sensitivity: Array) -> Array:
         """Half-width (T, ...) of the tube of one of these quantities over the scenario's uncertain set: eq (11)."""
-        return tubes.radius(sensitivity, self.uncertain)
+        if sensitivity.shape[-1] == self.uncertain.size:
+            return tubes.radius(sensitivity, self.uncertain)
+        return self.model.load.radius(sensitivity)
 
     def cone_sensitivity(self, grasp_map: Array) -> Array:
-        """(T, n_lambda, n_p) of the first object's Lambda = pinv(grasp_map) wrench: what the paper calls Theta."""
+        """(T, n_lambda, n_c) of the first object's Lambda = pinv(grasp_map) wrench: what the paper calls Theta."""
         return np.asarray(np.linalg.pinv(grasp_map) @ self.wrench)
 
+    def least_slack(self, tracking: bool = True) -> Array:
+        """(T,) least contact slack over all rows and the whole uncertain set; safe above 0.
+
+        tracking: with the arm's tracking error; otherwise for a tray that moves as planned, which is what a plan
+        checks with contact.condition = "exact".
+        """
+        dw = self.w if tracking else np.zeros_like(self.w)
+        worst = [worst_contact(rows, self.nominal.w, dw, self.model.load) for rows in self.model.worst_rows]
+        return -np.max(np.concatenate(worst, axis=1), axis=1)
+
     def summary(self) -> dict[str, Any]:
-        """Figures for a report: largest tube radii along the motion, and the least contact slack inside its tube."""
-        lowest = self.slack - self.radius(self.slack_p)
-        k, row = np.unravel_index(int(np.argmin(lowest)), lowest.shape)
-        tray = self.radius(self.tray)
+        """Figures for a report: largest tube radii along the motion, least contact slack with and without tracking."""
+        tray, torque = self.radius(self.tray), self.radius(self.torque)
+        limits = self.model.arm.limits.torque
+        least, planned = self.least_slack(), self.least_slack(tracking=False)
+        k = int(np.argmin(least))
         return {
             "space": self.space,
             "tray_position_radius": float(np.linalg.norm(tray[:, :3], axis=1).max()),
             "tray_rotation_radius": float(np.linalg.norm(tray[:, 3:6], axis=1).max()),
-            "torque_radius": self.radius(self.torque).max(axis=0).tolist(),
-            "contact_slack": float(self.slack.min()),
-            "contact_slack_in_tube": float(lowest[k, row]),
-            "time": float(self.t[k]),
-            "object": self.contact.owner[row],
+            "torque_radius": torque.max(axis=0).tolist(),
+            "torque_share": float(((np.abs(self.nominal.torque) + torque) / limits).max()),
+            "contact_slack": float(least[k]),
+            "contact_slack_time": float(self.t[k]),
+            "contact_slack_planned": float(planned.min()),
         }
 
 
@@ -169,13 +199,13 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
         tray = tray_of_task(t, terms, missing, model.items[0], gains, settle)
         joints = joints_of_task(t, terms, tray, missing, POSTURE_GAINS, settle)
     torque = terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing
-    contact = model.contact
+    contact, n_p = model.contact, load.uncertain.size
     direct_wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)
     direct_slack = -np.einsum("pri,ti->trp", contact.rows_p, terms.w)
     return ArmChain(
         t=t,
         space=space,
-        uncertain=load.uncertain,
+        model=model,
         nominal=terms,
         joints=joints,
         tray=tray.state,
@@ -184,7 +214,5 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
         wrench=direct_wrench + load.wrench @ tray.w,
         direct_wrench=direct_wrench,
         slack=-terms.w @ contact.rows.T,
-        slack_p=direct_slack - contact.rows @ tray.w,
-        direct_slack_p=direct_slack,
-        contact=contact,
+        slack_p=direct_slack - contact.rows @ tray.w[:, :, :n_p],
     )

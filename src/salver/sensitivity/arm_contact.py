@@ -1,8 +1,9 @@
 """Contact rows of everything on the tray at nominal parameters, and how each parameter changes them.
 
-`salver.models.contact_rows` bounds rows over the whole uncertain set. Here each row is a function c(p) of the
-parameters, divided by the normal force that its interface carries at rest, and its first derivative is wanted: the
-direct term of the tube of a contact margin.
+`salver.models.contact_rows` bounds rows over the whole uncertain set, for objects that follow the planned motion.
+Here each row is a function c(p) of the parameters, divided by the normal force that its interface carries at rest, and
+its first derivative is wanted, the direct term of the tube of a contact margin; and the bound over the set is
+widened by what the tracking error changes.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from salver.models.bodies import bodies, uncertain_set
 from salver.models.contact_rows import ContactRows, network_rows
 from salver.models.interfaces import ContactNetwork, networks
 from salver.models.parameters import UncertainSet
+from salver.sensitivity.arm_load import LoadChange
 
 if TYPE_CHECKING:
     from salver.scenario import Scenario
@@ -75,3 +77,26 @@ def _slope(network: ContactNetwork, name: str, h: float, several: bool, tray_hal
     if not part.names:
         return np.zeros_like(part.nominal)
     return part.parameter[0] / h
+
+
+def worst_contact(rows: ContactRows, w: Array, dw: Array, load: LoadChange) -> Array:
+    """(T, n) worst case of every row over the uncertain set, the arm's tracking error included; safe below 0.
+
+    w: (T, 12) what the tray feels, at E. dw: (T, 12, n_c) its change per unit of each of the load's terms. Exact in
+    the parameters where the motion is as planned, first order in the tracking error.
+    """
+    scaled = dw * load.half_range
+    change = np.einsum("rk,tkc->crt", rows.nominal, scaled)
+    column = {name: k for k, name in enumerate(load.names)}
+    value = w @ rows.nominal.T
+    for name, sign in zip(rows.mass_names, rows.mass_signs.T, strict=True):
+        value += (sign[:, None] * change[column[name]]).T
+    tracked = np.array([change[column[name]].T for name in rows.names]).reshape(-1, *value.shape)
+    linear = np.einsum("prk,tk->ptr", rows.parameter, w) + tracked
+    if rows.spread is None:
+        value += np.abs(linear).sum(axis=0)
+    else:
+        value += np.linalg.norm(np.einsum("pq,ptr->qtr", rows.spread, linear), axis=0)
+    value += np.abs(np.einsum("prk,tk->ptr", rows.remainder, w)).sum(axis=0)
+    other = [k for name, k in column.items() if name not in (*rows.names, *rows.mass_names)]
+    return np.asarray(value + np.abs(change[other]).sum(axis=0).T)

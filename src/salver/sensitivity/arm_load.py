@@ -2,13 +2,16 @@
 
 A tray that feels w (the twelve numbers of `salver.models.tray_motion`, at E) needs the wrench `load(p) w` for all
 that stands on it, and its first object feels `place(p) w` and needs the contact wrench `wrench(p) w`. All three maps
-are polynomials of the parameters, so their derivatives are constants of the scenario, found once. Mass, centre of
-mass and inertia enter through phi; position and tilt through where the objects are.
+are polynomials of the parameters: mass, centre of mass and inertia enter through phi, position and tilt through
+where the objects are. Products matter, because the moment of a weight is mass times distance: at a corner of
++-40 % in mass, a fifth of what first derivatives see of the centre of mass would be missed. So each product of two
+parameters that occurs is a term of its own, beside the parameters themselves.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,27 +19,32 @@ import numpy as np
 from salver.geometry import Array, exp
 from salver.models.bodies import Body, bodies, uncertain_set
 from salver.models.interfaces import to_tray
-from salver.models.parameters import INERTIAL, UncertainSet, inertial_vector, phi_of
+from salver.models.parameters import INERTIA, INERTIAL, UncertainSet, inertial_vector, phi_of
 from salver.models.tray_motion import N_MOTION, frame_map, wrench_map
+from salver.sensitivity import tubes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from salver.scenario import Scenario
 
-_STEP = 1e-3  # of a parameter's half-range: differences are then exact to 1e-9, also for a tilt
+_STEP = 1e-3  # of a parameter's half-range, for first derivatives; they are then exact to 1e-6, also for a tilt
+_NEGLIGIBLE = 1e-9  # of the nominal map; what a smaller product would add
 
 
 @dataclass(frozen=True)
 class LoadChange:
-    """Maps of w (12,) at the tray's E, and their derivatives by n_p parameters (axis 0).
+    """Maps of w (12,) at the tray's E, and what n_c terms add to them: n_p parameters, then products of two of them.
 
-    uncertain: the parameters and their set. load: (6, 12) to the wrench at E that all objects together need, and
-    load_p: (n_p, 6, 12). wrench, wrench_p: the same for the first object alone, at its B. place, place_p: (12, 12) to
-    the w that the first object feels at B.
+    uncertain: the parameters and their set. names, half_range: (n_c,) of the terms; "mass*com_x" is the product of two
+    deviations, and its half-range that of the deviations multiplied.
+    load: (6, 12) to the wrench at E that all objects together need; load_p: (n_c, 6, 12) per unit of each term.
+    wrench, wrench_p: the same for the first object alone, at its B. place (12, 12), place_p: to the w that it feels.
     """
 
     uncertain: UncertainSet
+    names: tuple[str, ...]
+    half_range: Array
     load: Array
     load_p: Array
     wrench: Array
@@ -44,17 +52,58 @@ class LoadChange:
     place: Array
     place_p: Array
 
+    def radius(self, sensitivity: Array) -> Array:
+        """Half-width (...) of the tube of quantities with sensitivity (..., n_c) over the uncertain set.
+
+        `tubes.radius` of the parameters, and every product at its largest.
+        """
+        n_p = self.uncertain.size
+        first = tubes.radius(sensitivity[..., :n_p], self.uncertain)
+        return np.asarray(first + np.abs(sensitivity[..., n_p:]) @ self.half_range[n_p:])
+
+    def deviations(self, values: Array) -> Array:
+        """The terms (..., n_c) at values (..., n_p) of the parameters."""
+        each = values - self.uncertain.nominal
+        index = {name: k for k, name in enumerate(self.uncertain.names)}
+        pairs = [tuple(index[part] for part in name.split("*")) for name in self.names[self.uncertain.size :]]
+        products = [each[..., i] * each[..., j] for i, j in pairs]
+        return np.concatenate([each, np.stack(products, axis=-1)], axis=-1) if products else each
+
 
 def load_change(scenario: Scenario) -> LoadChange:
     """The maps of a scenario's objects and its uncertain set."""
     items, uncertain = bodies(scenario), uncertain_set(scenario)
     model = _Maps(items, len(items) > 1)
     nominal = model.at({})
-    slopes = [_slope(model.at, name, h) for name, h in zip(uncertain.names, uncertain.half_range, strict=True)]
-    load_p, wrench_p, place_p = (
-        np.array([slope[k] for slope in slopes]).reshape(-1, *nominal[k].shape) for k in range(3)
+    half = dict(zip(uncertain.names, uncertain.half_range.tolist(), strict=True))
+    terms = {name: model.slope({name: _STEP * h}) / (_STEP * h) for name, h in half.items()}
+    ranges = dict(half)
+    scale = np.abs(nominal).max()
+    for first, second in combinations_with_replacement(uncertain.names, 2):
+        if not _interact(first, second):
+            continue
+        change = model.bend({first: half[first]}, {second: half[second]}, nominal)
+        if np.abs(change).max() > _NEGLIGIBLE * scale:
+            name = f"{first}*{second}"
+            ranges[name] = half[first] * half[second]
+            terms[name] = change / ranges[name]
+    stacked = np.array(list(terms.values())).reshape(-1, *nominal.shape)
+    return LoadChange(
+        uncertain,
+        tuple(terms),
+        np.array(list(ranges.values())),
+        *(part for rows in _ROWS for part in (nominal[rows], stacked[:, rows])),
     )
-    return LoadChange(uncertain, nominal[0], load_p, nominal[1], wrench_p, nominal[2], place_p)
+
+
+_ROWS = (slice(0, 6), slice(6, 12), slice(12, 24))  # of the stacked maps: load, wrench, place
+
+
+def _interact(first: str, second: str) -> bool:
+    """Whether two parameters can act as a product: of one object, and not two entries of its inertia."""
+    (owner, _, a), (other, _, b) = first.rpartition("."), second.rpartition(".")
+    acting = [name for name in (a, b) if name != "friction" and name not in INERTIA]
+    return len(acting) == 2 and (owner == other or "tilt" in a or "tilt" in b)
 
 
 @dataclass(frozen=True)
@@ -62,11 +111,11 @@ class _Maps:
     items: list[Body]
     several: bool
 
-    def at(self, deviation: Mapping[str, float]) -> tuple[Array, Array, Array]:
-        """(load, wrench, place) at parameters that deviate from nominal."""
+    def at(self, deviation: Mapping[str, float]) -> Array:
+        """(24, 12) load, wrench and place, one below the other, at parameters that deviate from nominal."""
         tilt = exp(np.array([deviation.get("tilt_x", 0.0), deviation.get("tilt_y", 0.0), 0.0]))
         load = np.zeros((6, N_MOTION))
-        first: tuple[Array, Array] | None = None
+        first: list[Array] = []
         for body in self.items:
             own = f"{body.name}." if self.several else ""
             shift = np.array([*(deviation.get(f"{own}position_{axis}", 0.0) for axis in "xy"), 0.0])
@@ -75,15 +124,22 @@ class _Maps:
             place = frame_map(p_EB, R_EB)
             wrench = wrench_map(phi_of(inertial)) @ place
             load += to_tray(p_EB, R_EB) @ wrench
-            first = first or (wrench, place)
-        assert first is not None
-        return load, *first
+            first = first or [wrench, place]
+        return np.concatenate([load, *first])
 
+    def slope(self, step: Mapping[str, float]) -> Array:
+        """Half the difference between a step and its opposite."""
+        return 0.5 * (self.at(step) - self.at({name: -h for name, h in step.items()}))
 
-def _slope(
-    at: Callable[[Mapping[str, float]], tuple[Array, Array, Array]], name: str, half: float
-) -> tuple[Array, Array, Array]:
-    h = _STEP * half
-    up, down = at({name: h}), at({name: -h})
-    load, wrench, place = ((a - b) / (2 * h) for a, b in zip(up, down, strict=True))
-    return load, wrench, place
+    def bend(self, first: Mapping[str, float], second: Mapping[str, float], nominal: Array) -> Array:
+        """What two steps together add beyond each alone; for a step with itself, its even part."""
+        back = {name: -h for name, h in second.items()}
+        if first.keys() == second.keys():
+            return 0.5 * (self.at(first) + self.at(back)) - nominal
+        away = {name: -h for name, h in first.items()}
+        return 0.25 * (
+            self.at({**first, **second})
+            - self.at({**first, **back})
+            - self.at({**away, **second})
+            + self.at({**away, **back})
+        )

@@ -28,9 +28,9 @@ _FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
 
 @dataclass(frozen=True)
 class TrayDeviation:
-    """d/dp of the tray's motion at T instants, n_p parameters.
+    """d/dp of the tray's motion at T instants, n_c parameters.
 
-    state: (T, 12, n_p) rows dp in S, dtheta in E, dv in S, domega in E. w: (T, 12, n_p) of what it feels, in E.
+    state: (T, 12, n_c) rows dp in S, dtheta in E, dv in S, domega in E. w: (T, 12, n_c) of what it feels, in E.
     """
 
     state: Array
@@ -51,7 +51,7 @@ def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:
 def tray_of_task(
     t: Array, terms: MotionTerms, missing: Array, first: Body, gains: Gains, settle: float
 ) -> TrayDeviation:
-    """The tray's deviation under the loop on the pose of the first object, B. missing: m (T, n, n_p)."""
+    """The tray's deviation under the loop on the pose of the first object, B. missing: m (T, n, n_c)."""
     p, turn = first.p_EB, first.R_EB
     R_SB = terms.R_SE @ turn
     omega_E, alpha_E, force_E = terms.twist[:, 3:], terms.w[:, 3:6], terms.w[:, :3]
@@ -116,7 +116,7 @@ def joints_of_task(
 
 
 def _in_tray_frame(terms: MotionTerms, tray: TrayDeviation) -> tuple[Array, Array, Array]:
-    """Displacement, and deviation of the body twist and the spatial acceleration, of E in E, each (T, 6, n_p)."""
+    """Displacement, and deviation of the body twist and the spatial acceleration, of E in E, each (T, 6, n_c)."""
     inverse = np.swapaxes(terms.R_SE, 1, 2)
     v, omega = hat(terms.twist[:, :3]), hat(terms.twist[:, 3:])
     theta, d_omega = tray.state[:, 3:6], tray.state[:, 9:]
@@ -127,7 +127,7 @@ def _in_tray_frame(terms: MotionTerms, tray: TrayDeviation) -> tuple[Array, Arra
 
 
 def _integrate(t: Array, matrix: Array, forcing: Array, start: Array) -> Array:
-    """x (T, m, n_p) with x' = A x + b for A (T, m, m), b (T, m, n_p) on an even grid: Runge and Kutta's fourth order.
+    """x (T, m, n_c) with x' = A x + b for A (T, m, m), b (T, m, n_c) on an even grid: Runge and Kutta's fourth order.
 
     The steps are found for all intervals at once, as matrices on (x, 1); values between nodes by cubics.
     """

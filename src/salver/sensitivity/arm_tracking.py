@@ -22,9 +22,9 @@ from salver.sensitivity.arm_load import LoadChange
 
 @dataclass(frozen=True)
 class JointDeviation:
-    """d/dp of the joints' motion at T instants: q, dq, ddq (T, n, n_p), in rad, rad/s, rad/s^2 per unit of p.
+    """d/dp of the joints' motion at T instants: q, dq, ddq (T, n, n_c), in rad, rad/s, rad/s^2 per unit of p.
 
-    missing: (T, n, n_p) acceleration that the controller asks for and does not get, ddq_cmd - ddq.
+    missing: (T, n, n_c) acceleration that the controller asks for and does not get, ddq_cmd - ddq.
     """
 
     q: Array
@@ -34,13 +34,13 @@ class JointDeviation:
 
     @property
     def state(self) -> Array:
-        """(T, 3 n, n_p): q, dq, ddq one below the other."""
+        """(T, 3 n, n_c): q, dq, ddq one below the other."""
         return np.concatenate([self.q, self.dq, self.ddq], axis=1)
 
 
 def missing_acceleration(w: Array, jacobian_E: Array, mass_matrix: Array, load: LoadChange) -> Array:
-    """M^-1 J_E^T dF (T, n, n_p), of w (T, 12) at E, J_E (T, 6, n) and M (T, n, n) with the nominal load."""
-    wrench = np.tensordot(w, load.load_p, axes=(1, 2))  # (T, n_p, 6)
+    """M^-1 J_E^T dF (T, n, n_c), of w (T, 12) at E, J_E (T, 6, n) and M (T, n, n) with the nominal load."""
+    wrench = np.tensordot(w, load.load_p, axes=(1, 2))  # (T, n_c, 6)
     return np.asarray(np.linalg.solve(mass_matrix, np.swapaxes(wrench @ jacobian_E, 1, 2)))
 
 
@@ -60,7 +60,7 @@ def tracking_error(
 def tracking_wrench_motion(
     w: Array, w_z: Array, jacobian_E: Array, mass_matrix: Array, load: LoadChange, response: NodeFilter
 ) -> Array:
-    """dw (T, 12, n_p): how what the tray feels at E changes per unit of each parameter, through the tracking error.
+    """dw (T, 12, n_c): how what the tray feels at E changes per unit of each parameter, through the tracking error.
 
     w_z: (T, 12, 3 n) derivative of w by (q, dq, ddq); the others as in `tracking_error`. A contact row c (at E)
     then changes by c . dw, on top of what the parameter changes in c itself. Multiply by `load.uncertain.half_range`
