@@ -10,13 +10,12 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy.interpolate import interp1d
 
-from salver.control.arm import ArmController, ArmState, Saturation
-from salver.control.object import Gains
+from salver.control.arm import ArmController, ArmState, Saturation, controller_for
 from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.files import provenance
 from salver.geometry import Array, invert, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
@@ -38,13 +37,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Options:
-    """record_rate: samples per second kept in the record (measured at every command). thresholds: see there.
-    limit_torque: cut torques and their rates to the maker's limits, as the robot does.
-    """
+    """record_rate: samples per second kept in the record (measured at every command). thresholds: see there."""
 
     record_rate: float = 200.0
     thresholds: Thresholds = field(default_factory=Thresholds)
-    limit_torque: bool = True
 
 
 @dataclass(frozen=True)
@@ -78,17 +74,9 @@ def simulate(
     began = time.perf_counter()
     arm = load_arm(scenario.arm, scenario.tray)
     run = prepare(scenario, parameters, options, plan.reference, arm)
-    controller = ArmController(
-        arm,
-        [load.nominal for load in run.scene.loads],
-        plan.joint,
-        plan.reference,
-        Gains(scenario.control.kp, scenario.control.kd),
-        feedback=scenario.physics.feedback,
-        space="joint" if plan.method == "fastest" else "object",
-        period=scenario.physics.command_period,
-        limit_torque=run.options.limit_torque,
-    )
+    # Plans made in joint space know their tracking errors in joint space (salver.planning.joint_tracking).
+    space: Literal["object", "joint"] = "joint" if plan.method == "fastest" else "object"
+    controller = controller_for(scenario, plan.joint, plan.reference, arm=arm, space=space)
     trace = _run_arm(run, controller, plan.joint.sample(0.0)[0][0], np.random.default_rng(seed))
     bias = creep.tray_bias(arm, trace.q, trace.dq, run.scene.world.R_tilt)
     summary = {
