@@ -49,6 +49,7 @@ class Family:
     scales: whether the rows depend on time, and so become nearly linear in T^2 when multiplied by it.
 
     following: derivative rows of the next node, for rows that couple two neighbours.
+    edge: what was subtracted to make a limit the zero of its row.
     reach: rows further than this from their edge are never considered, because their derivatives are expensive.
     """
 
@@ -60,6 +61,7 @@ class Family:
     scales: bool = True
     following: Gradient | None = None
     reach: float = np.inf
+    edge: float = 1.0
 
     @property
     def peaks(self) -> np.ndarray:
@@ -191,6 +193,7 @@ def _torque(
                 np.hstack([rate, -rate]) - 1 + margin,
                 lambda i, f: side(i, f, 0),
                 following=lambda i, f: side(i, f, 1),
+                edge=1 - margin,
             )
         )
     return families

@@ -181,7 +181,9 @@ def _derivatives(path: JointPath, family: Family, node: Indices, column: Indices
     matrix = _at_node(path, family, family.gradient(node, column), node)
     if family.following is not None:
         matrix += _at_node(path, family, family.following(node, column), node + 1)
-        matrix[:, -1] -= 0.5 * (family.values[node, column] + 1)  # the time step between the nodes shrinks too
+        matrix[:, -1] -= 0.5 * (
+            family.values[node, column] + family.edge
+        )  # the time step between the nodes shrinks too
     if family.scales:
         matrix[:, -1] += family.values[node, column]
     return matrix

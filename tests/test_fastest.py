@@ -1,0 +1,346 @@
+"""The fastest safe motion: derivatives against differences, tracking against rollouts, durations against bars."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from salver.errors import ScenarioError
+from salver.geometry import Array
+from salver.models.arm import with_load
+from salver.models.bodies import bodies, uncertain_set
+from salver.models.parameters import inertial_vector
+from salver.planning import fastest as fastest_module
+from salver.planning.fastest import FastestOptions, fastest, object_motion, plan_fastest
+from salver.planning.joint_contact import worst_case
+from salver.planning.joint_obstacles import NEAR
+from salver.planning.joint_problem import EndPose, TransportProblem, reach, transport_problem
+from salver.planning.joint_rows import Grid, Margins, evaluate
+from salver.planning.joint_spline import RestSpline, min_jerk_blend
+from salver.planning.joint_sqp import _linearise
+from salver.planning.joint_terms import motion_terms
+from salver.planning.joint_tracking import tracking_of
+from salver.scenario import Scenario, load
+
+UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "friction": "10%"}
+
+
+def cube(friction: float = 0.4, **changes: object) -> Scenario:
+    return load("panda-cube").with_changes(
+        **{"objects__0__friction": friction, "motion__goal_yaw": "free", "motion__duration": None, **changes}
+    )
+
+
+def bottle(**uncertainty: object) -> Scenario:
+    item = {
+        "name": "bottle",
+        "shape": {"type": "cylinder", "radius": 0.03, "height": 0.24, "support_points": 8},
+        "mass": 0.256,
+        "friction": 0.4,
+        "uncertainty": uncertainty,
+    }
+    start, goal = [0.54237, -0.370574, 0.5], [0.444272, 0.100574, 0.5]
+    return cube(objects=[item], motion__start__position=start, motion__goal__position=goal, motion__orientation="free")
+
+
+def line(problem: TransportProblem, spline: RestSpline) -> Array:
+    """Coefficients of the min-jerk line between the start posture and the nearest goal posture."""
+    assert problem.start_posture is not None
+    goal = reach(problem, problem.goal, problem.start_posture)
+    assert goal is not None
+    s = np.linspace(0, 1, 101)
+    return spline.fit(s, problem.start_posture + min_jerk_blend(s)[:, None] * (goal - problem.start_posture))
+
+
+# The spline ----------------------------------------------------------------------------------------------------
+
+
+def test_spline_rests_at_both_ends_whatever_its_coefficients():
+    spline = RestSpline(5, 9)
+    coefficients = np.random.default_rng(0).normal(size=(spline.size, 3))
+    q, dq, ddq, _ = spline.matrices(np.array([0.0, 1.0])) @ coefficients
+    assert np.abs(q - coefficients[[0, -1]]).max() < 1e-12
+    assert np.abs(dq).max() < 1e-9
+    assert np.abs(ddq).max() < 1e-7
+
+
+def test_spline_derivatives_are_derivatives():
+    spline, h = RestSpline(5, 7), 1e-5
+    coefficients = np.random.default_rng(1).normal(size=(spline.size, 2))
+    s = np.linspace(0.05, 0.95, 40)
+    ahead, here, behind = (spline.matrices(s + step) @ coefficients for step in (h, 0.0, -h))
+    for k in range(3):
+        assert np.allclose((ahead[k] - behind[k]) / (2 * h), here[k + 1], rtol=1e-5, atol=1e-3 * 10**k)
+
+
+def test_spline_reproduces_a_min_jerk_line():
+    spline = RestSpline(5, 14)
+    s = np.linspace(0, 1, 201)
+    coefficients = spline.fit(s, min_jerk_blend(s)[:, None])
+    assert np.abs(spline.matrices(s)[0] @ coefficients - min_jerk_blend(s)[:, None]).max() < 1e-10
+
+
+# Terms and rows ------------------------------------------------------------------------------------------------
+
+
+def test_motion_terms_match_differences_and_pinocchio():
+    problem = transport_problem(cube())
+    rng = np.random.default_rng(2)
+    z = rng.normal(size=(4, 21))
+    z[:, :7] = 0.5 * (problem.limits.q_min + problem.limits.q_max) + 0.3 * z[:, :7]
+
+    def terms(z: Array):
+        return motion_terms(problem.model, problem.arm.tray_id, z[:, :7], z[:, 7:14], z[:, 14:])
+
+    here, h = terms(z), 1e-6
+    for k in range(21):
+        step = np.zeros(21)
+        step[k] = h
+        ahead, behind = terms(z + step), terms(z - step)
+        assert np.allclose((ahead.w - behind.w) / (2 * h), here.w_z[:, :, k], atol=2e-7, rtol=1e-6)
+        assert np.allclose((ahead.torque - behind.torque) / (2 * h), here.torque_z[:, :, k], atol=2e-6, rtol=1e-6)
+    loaded = with_load(problem.arm, problem.items)
+    for i in range(4):
+        assert np.allclose(here.torque[i], loaded.inverse_dynamics(z[i, :7], z[i, 7:14], z[i, 14:]), atol=1e-10)
+        assert np.allclose(here.mass_matrix[i], loaded.mass_matrix(z[i, :7]), atol=1e-10)
+
+
+def test_object_motion_is_the_derivative_of_its_own_positions():
+    problem = transport_problem(cube())
+    spline, duration = RestSpline(5, 8), 1.3
+    coefficients = line(problem, spline)
+    t = np.linspace(0, duration, 2001)
+    z = Grid.of(spline, t / duration).motion(coefficients, duration)
+    motion = object_motion(problem, t, z[0], z[1], z[2])
+    assert np.allclose(np.gradient(motion.p_SB, t, axis=0)[2:-2], motion.v_S[2:-2], atol=1e-5)
+    assert np.allclose(np.gradient(motion.v_S, t, axis=0)[2:-2], motion.a_S[2:-2], atol=1e-4)
+    assert np.allclose(np.gradient(motion.omega_B, t, axis=0)[2:-2], motion.alpha_B[2:-2], atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["box", "ellipsoid"])
+def test_worst_case_is_that_of_the_contact_rows_and_is_attained(kind):
+    scenario = bottle(**UNCERTAIN).with_changes(uncertainty__set=kind)
+    rows = transport_problem(scenario).contacts[0]
+    w = np.random.default_rng(3).normal(size=(5, 12)) + np.array([0, 0, 9.81, *[0] * 9])
+    worst = worst_case(rows, w)
+    assert np.allclose(worst.values, rows.worst(w), atol=1e-12)
+    node, row = np.array([0, 1, 2, 3, 4]), np.array([0, 7, 19, 40, len(rows.nominal) - 1])
+    slope, h = worst.attained(node, row), 1e-6
+    for k in range(12):
+        step = h * np.eye(12)[k]
+        difference = (rows.worst(w + step) - rows.worst(w - step))[node, row] / (2 * h)
+        assert np.allclose(difference, slope[:, k], atol=1e-7)
+
+
+def test_linearised_rows_match_differences_in_coefficients_and_squared_duration():
+    problem = transport_problem(cube(motion__orientation="fixed"), robust=False)
+    spline = RestSpline(5, 6)
+    grid, margins, duration = Grid.of(spline, spline.nodes(3)), Margins(), 0.9
+    rng = np.random.default_rng(4)
+    coefficients = line(problem, spline) + 0.02 * rng.normal(size=(spline.size, problem.n))
+
+    def at(coefficients: Array, squared: float):
+        return evaluate(problem, grid, coefficients, float(np.sqrt(squared)), margins)
+
+    path = at(coefficients, duration**2)
+    rows = _linearise(path, 10.0, [np.zeros(f.values.shape, dtype=bool) for f in path.families])
+    direction, tau, h = rng.normal(size=coefficients.shape), 0.3, 1e-6
+
+    def moved(sign: float) -> Array:
+        """Rows, multiplied by T^2 / T_0^2 where they scale, after a small step."""
+        factor = 1 + sign * h * tau
+        other = at(coefficients + sign * h * direction, duration**2 * factor)
+        values = []
+        for k, node, column in rows.where:
+            family = other.families[k]
+            values.append(family.values[node, column] * (factor if family.scales else 1.0))
+        return np.concatenate(values)
+
+    difference = (moved(1.0) - moved(-1.0)) / (2 * h)
+    predicted = rows.matrix @ np.append(direction.ravel(), tau)
+    names = np.concatenate([np.full(len(node), path.families[k].name) for k, node, _ in rows.where])
+    assert {"velocity", "torque", "torque rate", "tilt", "clearance", "contact of cube"} <= set(names)
+    error = np.abs(difference - predicted) / (1 + np.abs(predicted))
+    # Where the nearest points of two hulls jump, a distance has only one-sided derivatives.
+    assert error[names != "clearance"].max() < 1e-5
+    assert np.quantile(error[names == "clearance"], 0.9) < 1e-2
+
+
+# The closed loop -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["mass", "com_x", "com_z"])
+def test_tracking_matches_a_rollout_of_the_arm_with_a_wrong_load(name):
+    """Computed torque with the nominal load on Pinocchio's forward dynamics of the true one, by Runge-Kutta."""
+    scenario = bottle(mass="4%", com=[0.001, 0.001, 0.001])
+    problem = transport_problem(scenario, level=False)
+    assert problem.tracking is not None
+    spline, duration = RestSpline(5, 8), 1.0
+    coefficients = line(problem, spline)
+    s = np.linspace(0, 1, 401)
+    z = Grid.of(spline, s).motion(coefficients, duration)
+    terms = motion_terms(problem.model, problem.arm.tray_id, z[0], z[1], z[2])
+    tracking = replace(problem.tracking, settled=0.0)
+    response = tracking.response(s, duration, terms)
+    k = tracking.names.index(name)
+
+    uncertain = uncertain_set(scenario)
+    half = dict(zip(uncertain.names, uncertain.half_range, strict=True))[name]
+
+    def rollout(sign: float) -> Array:
+        body = bodies(scenario)[0]
+        values = inertial_vector(body.inertial)
+        values[("mass", "com_x", "com_y", "com_z").index(name)] += sign * half
+        true = replace(body, inertial=replace(body.inertial, mass=values[0], com_B=values[1:4]))
+        model = with_load(problem.arm, [true]).pin_model
+        data, nominal = model.createData(), problem.model.createData()
+
+        def motion(time: float) -> Array:
+            return Grid.of(spline, np.array([time / duration])).motion(coefficients, duration)[:3, 0]
+
+        def slope(time: float, x: Array) -> Array:
+            q, dq, ddq = motion(time)
+            command = ddq + tracking.kp * (q - x[:7]) + tracking.kd * (dq - x[7:])
+            torque = pin.rnea(problem.model, nominal, x[:7], x[7:], command)
+            return np.concatenate([x[7:], pin.aba(model, data, x[:7], x[7:], torque)])
+
+        x, h, path = np.concatenate([z[0, 0], np.zeros(7)]), duration / 400, []
+        for i in range(400):
+            path.append(z[0, i] - x[:7])
+            time = i * h
+            k1 = slope(time, x)
+            k2 = slope(time + 0.5 * h, x + 0.5 * h * k1)
+            k3 = slope(time + 0.5 * h, x + 0.5 * h * k2)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(min(time + h, duration), x + h * k3))
+        return np.array([*path, z[0, -1] - x[:7]])
+
+    difference = 0.5 * (rollout(1.0) - rollout(-1.0))
+    assert np.abs(difference).max() > 1e-6
+    assert np.abs(difference - response.error[:, :, k]).max() < 2e-3 * np.abs(difference).max()
+
+
+def test_tracking_starts_sagged_after_long_rest():
+    """After a long rest the error is static: kp e = M^-1 J^T dF."""
+    scenario = bottle(mass="10%")
+    problem = transport_problem(scenario, level=False)
+    tracking = tracking_of(list(problem.items), problem.uncertain, scenario)
+    assert tracking is not None
+    spline = RestSpline(5, 8)
+    z = Grid.of(spline, np.linspace(0, 1, 51)).motion(line(problem, spline), 1.0)
+    terms = motion_terms(problem.model, problem.arm.tray_id, z[0], z[1], z[2])
+    response = replace(tracking, settled=50.0).response(np.linspace(0, 1, 51), 1.0, terms)
+    extra = 0.1 * 0.256 * 9.81
+    point_jacobian = (
+        terms.R_SE[0] @ terms.jacobian_E[0, :3]
+    )  # the load is above E, and E is level: the lever is vertical
+    expected = np.linalg.solve(terms.mass_matrix[0], extra * point_jacobian[2]) / tracking.kp
+    assert np.allclose(response.error[0, :, 0], expected, rtol=1e-4, atol=1e-9)
+    assert np.abs(response.rate[0]).max() < 1e-9
+
+
+# The optimum ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("friction", "level", "bar"), [(0.4, True, 0.77), (0.4, False, 0.672), (0.2, False, 0.816)])
+def test_paper_endpoints_are_as_fast_as_the_bar_and_safe(friction, level, bar):
+    scenario = cube(friction, objects__0__uncertainty={}, motion__orientation="fixed" if level else "free")
+    plan = plan_fastest(scenario)
+    assert plan.duration <= bar
+    assert plan.ok, (plan.status, plan.verification.sentence, plan.arm_status)
+    assert plan.verification.slack < 0.03  # contact binds: it is not the arm alone that limits
+    tilt = np.arccos(np.clip(plan.evaluation.samples.R_SB[:, 2, 2], -1, 1)).max()
+    assert tilt < 2e-3 if level else np.deg2rad(5) < tilt < np.deg2rad(45)
+
+
+def test_bounded_tilt_lies_between_level_and_free():
+    scenario = cube(0.2, objects__0__uncertainty={}, motion__orientation="free", motion__max_tilt_deg=8.0)
+    plan = plan_fastest(scenario)
+    tilt = np.rad2deg(np.arccos(np.clip(plan.evaluation.samples.R_SB[:, 2, 2], -1, 1)).max())
+    assert plan.ok
+    assert 6.0 < tilt <= 8.0
+    assert 0.79 < plan.duration < 1.0
+
+
+def test_robust_plan_takes_longer_and_the_nominal_one_breaks_its_conditions():
+    scenario = bottle(mass="40%", com=[0.005, 0.005, 0.005], friction="10%")
+    robust, nominal = (transport_problem(scenario, robust=robust) for robust in (True, False))
+    slow, fast = fastest(robust), fastest(nominal)
+    assert slow.status.ok
+    assert fast.status.ok
+    assert 1.03 * fast.duration < slow.duration < 1.4 * fast.duration
+    fine = Grid.of(fast.spline, np.linspace(0, 1, 301))
+    check = evaluate(robust, fine, fast.coefficients, fast.duration, Margins(0, 0, 0))
+    assert check.worst[0] > 0.05
+    assert check.worst[1] == "contact of bottle"
+
+
+def test_start_posture_is_chosen_when_none_is_given():
+    scenario = cube(objects__0__uncertainty={}, arm__start_posture=None, motion__orientation="free")
+    found = fastest(transport_problem(scenario))
+    assert found.status.ok
+    assert found.duration < 0.67
+    motion = object_motion(found.problem, np.zeros(1), found.coefficients[:1], np.zeros((1, 7)), np.zeros((1, 7)))
+    assert np.abs(motion.p_SB[0] - scenario.motion.start.position).max() < 1e-8
+
+
+def test_obstacle_on_the_way_is_avoided():
+    pillar = {"type": "capsule", "position": [0.60, -0.12, 0.35], "radius": 0.03, "length": 0.5}
+    scenario = cube(objects__0__uncertainty={}, motion__orientation="free", obstacles=[pillar])
+    found = fastest(transport_problem(scenario))
+    assert found.status.ok, found.status
+    free = fastest(transport_problem(cube(objects__0__uncertainty={}, motion__orientation="free")))
+    assert found.problem.keep_out is not None
+    s = np.linspace(0, 1, 201)
+    assert found.problem.keep_out.distances(found.sample(s * found.duration)[0]).min() > 0
+    assert found.problem.keep_out.distances(free.sample(s * free.duration)[0]).min() < 0
+    assert NEAR > 0.1
+    assert found.duration > free.duration
+
+
+def test_random_start_postures_converge():
+    template = transport_problem(cube(objects__0__uncertainty={}, motion__orientation="free"), robust=False)
+    rng = np.random.default_rng(7)
+    limits, solved, tried = template.limits, 0, 0
+    while tried < 5:
+        guess = limits.q_min + rng.uniform(0.1, 0.9, 7) * (limits.q_max - limits.q_min)
+        radius, angle = rng.uniform(0.35, 0.65), rng.uniform(-1.2, 1.2)
+        place = np.array([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(0.2, 0.6)])
+        q = reach(template, EndPose(place, np.eye(3), True), guess)
+        assert template.keep_out is not None
+        if q is None or template.keep_out.parts.clearance(q[None]).min() < 0.02:
+            continue
+        tried += 1
+        found = fastest(replace(template, start_posture=q), FastestOptions(spans=(8,)))
+        solved += found.status.ok
+        assert found.status.sentence
+    assert solved >= 4
+
+
+# What a user can get wrong -------------------------------------------------------------------------------------
+
+
+def test_scenario_without_arm_is_refused():
+    scenario = cube()
+    with pytest.raises(ScenarioError, match=r"needs an arm"):
+        transport_problem(scenario.model_copy(update={"arm": None}))
+
+
+def test_start_posture_of_another_pose_is_refused():
+    with pytest.raises(ScenarioError, match=r"start_posture puts the object"):
+        transport_problem(cube(arm__start_posture=[0.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8]))
+
+
+def test_unreachable_goal_has_a_status():
+    found = fastest(transport_problem(cube(motion__goal__position=[1.8, 0.0, 0.4])))
+    assert not found.status.ok
+    assert found.status.code == "unreachable"
+
+
+def test_time_limit_is_kept():
+    options = FastestOptions(spans=(14,), time_limit=0.05)
+    found = fastest(transport_problem(cube()), options)
+    assert found.wall_time < 5.0
+    assert fastest_module.DEGREE == 5
