@@ -116,10 +116,13 @@ def test_joint_columns_by_name_in_any_order_or_by_number(tmp_path, arm):
     t, q = joint_motion()
     mixed = [3, 1, 0, 2, 6, 5, 4]
     named = write_csv(tmp_path / "a.csv", "t," + ",".join(JOINTS[i] for i in mixed) + ",gripper", t, q[:, mixed], t)
+    exported = write_csv(
+        tmp_path / "d.csv", "t," + ",".join(f"q_{name},dq_{name}" for name in JOINTS), t, np.repeat(q, 2, 1)
+    )
     numbered = write_csv(tmp_path / "b.csv", "t," + ",".join(f"q{i}" for i in range(1, 8)), t, q)
     position = write_csv(tmp_path / "c.csv", "t," + ",".join(f"{name}_position" for name in JOINTS), t, q)
     expected = tray_motion(read(numbered, lambda: JOINTS), arm, AT_B, NO_TURN).samples
-    for path in (named, position):
+    for path in (named, position, exported):
         assert np.allclose(tray_motion(read(path, lambda: JOINTS), arm, AT_B, NO_TURN).samples.a_S, expected.a_S)
 
 

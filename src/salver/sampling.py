@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.models.parameters import INERTIAL, UncertainSet, inertial_vector
-from salver.models.rigid_body import inertia_matrix
+from salver.models.physical import realisable
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
@@ -28,7 +29,7 @@ EXTENSIBLE = ("uniform", "corners", "sobol")
 
 _TRIES = 1000  # draws for one run before the set is called impossible
 
-Possible = Callable[[Array], bool]
+Possible = Callable[[Array], npt.NDArray[np.bool_]]
 
 
 def draw(
@@ -65,7 +66,7 @@ def _uniform(uncertain: UncertainSet, n: int, seed: int, possible: Possible, fir
         rng = np.random.default_rng([seed, k])
         for _ in range(_TRIES):
             values[row] = from_unit_cube(uncertain, rng.random(cube_dimension(uncertain)))
-            if possible(values[row]):
+            if possible(values[row : row + 1])[0]:
                 break
         else:
             raise _nothing_possible(uncertain, _TRIES)
@@ -78,7 +79,7 @@ def _corners(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> 
         if len(values) == n:
             break
         value = uncertain.nominal + uncertain.factor @ s
-        if possible(value):
+        if possible(value[None])[0]:
             values.append(value)
     rest = _uniform(uncertain, n - len(values), seed, possible, first=len(values))
     return np.vstack([*values, rest]) if values else rest
@@ -129,9 +130,8 @@ def _latin(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> Ar
         return np.zeros((0, uncertain.size))
     cube = qmc.LatinHypercube(cube_dimension(uncertain), rng=np.random.default_rng(seed)).random(n)
     values = from_unit_cube(uncertain, cube)
-    for k, value in enumerate(values):
-        if not possible(value):  # a stratum that cannot be: that run is drawn freely instead
-            values[k] = _uniform(uncertain, 1, seed, possible, first=k)[0]
+    for k in np.flatnonzero(~possible(values)):  # a stratum that cannot be: that run is drawn freely instead
+        values[k] = _uniform(uncertain, 1, seed, possible, first=int(k))[0]
     return values
 
 
@@ -143,7 +143,7 @@ def _sobol(uncertain: UncertainSet, n: int, seed: int, possible: Possible) -> Ar
     for m in range(power, last + 1):
         sequence = qmc.Sobol(cube_dimension(uncertain), scramble=True, rng=np.random.default_rng(seed))
         values = from_unit_cube(uncertain, sequence.random_base2(m))
-        kept = values[[possible(value) for value in values]]
+        kept = values[possible(values)]
         if len(kept) >= n:
             return kept[:n]
         if m >= power + 6 and len(kept) == 0:
@@ -174,73 +174,39 @@ def from_unit_cube(uncertain: UncertainSet, cube: Array) -> Array:
 
 
 def _possible(uncertain: UncertainSet, bodies: Sequence[Body] | None) -> Possible:
-    """Whether an object with these parameters can exist."""
-    tests: list[Possible] = []
-    for j, name in enumerate(uncertain.names):
-        if name.rpartition(".")[2] in ("mass", "friction"):
-            tests.append(lambda p, j=j: bool(p[j] > 0))  # type: ignore[misc]
-    for body in bodies or ():
-        test = _inertial_test(uncertain, body, len(bodies or ()) > 1)
-        if test is not None:
-            tests.append(test)
-    return lambda p: all(test(p) for test in tests)
+    """Whether objects with these parameters (n, n_p) can exist: (n,)."""
+    positive = [j for j, name in enumerate(uncertain.names) if name.rpartition(".")[2] in ("mass", "friction")]
+    tests = [_inertial_test(uncertain, body, len(bodies or ()) > 1) for body in bodies or ()]
+
+    def possible(p: Array) -> npt.NDArray[np.bool_]:
+        fine = np.all(p[:, positive] > 0, axis=1)
+        for test in tests:
+            fine &= test(p)
+        return fine
+
+    return possible
 
 
-def _inertial_test(uncertain: UncertainSet, body: Body, several: bool) -> Possible | None:
-    """The test of one body's mass, centre of mass and inertia together; None when they are certain."""
+def _inertial_test(uncertain: UncertainSet, body: Body, several: bool) -> Possible:
+    """The test of one body's mass, centre of mass and inertia together."""
     prefix = f"{body.name}." if several else ""
     columns = [
-        (j, INERTIAL.index(bare)) for j, n in enumerate(uncertain.names) if (bare := _bare(n, prefix)) in INERTIAL
+        (j, INERTIAL.index(name.removeprefix(prefix)))
+        for j, name in enumerate(uncertain.names)
+        if name.startswith(prefix) and name.removeprefix(prefix) in INERTIAL
     ]
-    if not columns:
-        return None
     nominal = inertial_vector(body.inertial)
-    polytope = _hull(body)
-    within_shape = _inside_shape(nominal, polytope)
+    within_shape = bool(realisable(body, nominal)[0])
 
-    def test(p: Array) -> bool:
-        values = nominal.copy()
+    def test(p: Array) -> npt.NDArray[np.bool_]:
+        if not columns:
+            return np.ones(len(p), dtype=bool)
+        values = np.tile(nominal, (len(p), 1))
         for j, i in columns:
-            values[i] = p[j]
-        return _inertia_possible(values, polytope, within_shape)
+            values[:, i] = p[:, j]
+        return realisable(body, values, within_shape=within_shape)
 
     return test
-
-
-def _bare(name: str, prefix: str) -> str:
-    """The parameter's own name when it belongs to the object of this prefix, else nothing."""
-    return name.removeprefix(prefix) if name.startswith(prefix) else ""
-
-
-def _hull(body: Body) -> Array:
-    """(k, 4) half-spaces n . x + d <= 0 of the shape's convex hull, in B."""
-    from scipy.spatial import ConvexHull
-
-    return np.asarray(ConvexHull(body.solid.bounding_points_G - body.com_G).equations)
-
-
-def _inertia_possible(values: Array, polytope: Array, within_shape: bool) -> bool:
-    mass, com, inertia = values[0], values[1:4], inertia_matrix(values[4:])
-    # Positive definite second moments are the same as positive principal moments with the triangle inequality.
-    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    if mass <= 0 or np.linalg.eigvalsh(second)[0] < 0:
-        return False
-    if np.any(polytope[:, :3] @ com + polytope[:, 3] > 1e-12):
-        return False
-    return not within_shape or _inside_shape(values, polytope)
-
-
-def _inside_shape(values: Array, polytope: Array) -> bool:
-    """Whether second moments are small enough for a mass distribution within the convex hull (necessary).
-
-    For two half-spaces with h_i(x) = -n_i . x - d_i >= 0 inside, every such distribution has E[h_i h_j] >= 0
-    (localising conditions of order one; see Heins and Schoellig 2025).
-    """
-    mass, com, inertia = values[0], values[1:4], inertia_matrix(values[4:])
-    second = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / mass + np.outer(com, com)
-    n, d = polytope[:, :3], polytope[:, 3]
-    products = n @ second @ n.T + np.outer(n @ com, d) + np.outer(d, n @ com) + np.outer(d, d)
-    return bool(np.all(products >= -1e-12))
 
 
 def _nothing_possible(uncertain: UncertainSet, tries: int) -> SalverError:

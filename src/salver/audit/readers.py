@@ -115,7 +115,7 @@ def _pose_columns(header: list[str]) -> dict[str, dict[str, int]]:
 
 def _joint_columns(header: list[str], joint_names: tuple[str, ...]) -> dict[str, int]:
     """Columns of joint positions by name: the arm's names, else numbers."""
-    position = {re.sub(r"^(?:position[._])|(?:[._]pos(?:ition)?)$", "", name): j for j, name in enumerate(header)}
+    position = {re.sub(r"^(?:position[._]|q_)|[._]pos(?:ition)?$", "", name): j for j, name in enumerate(header)}
     named = {name: position[name] for name in joint_names if name in position}
     if named:
         return named

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.audit.motion import TrayMotion, tray_motion
 from salver.audit.readers import read
@@ -23,6 +25,7 @@ from salver.scenario import Scenario
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
 
+EDGES = 16  # of the friction pyramids: at most 2 % short of the round cone
 SLOWEST = 100.0  # times the duration: a path that needs more is called impossible
 FASTEST = 0.2
 
@@ -54,7 +57,7 @@ class Audit:
     def margins(self) -> Margins:
         s = self.motion.samples
         w = motion_vector(s.R_SB, s.a_S, s.omega_B, s.alpha_B)
-        return Margins(margin_model(self.scenario), s.t, w)
+        return Margins(margin_model(self.scenario, max(EDGES, self.scenario.contact.edges)), s.t, w)
 
     @cached_property
     def nominal(self) -> Status:
@@ -82,7 +85,7 @@ class Audit:
     def _pace(self, which: str) -> Pace:
         """Run s times slower, accelerations and products of velocities fall by s^2 and gravity stays:
         w = w_rest + (w_1 - w_rest) / s^2. The margin is concave in 1/s^2, so what holds at one pace holds at all
-        slower ones that gravity allows; found by bisection on the instants that can matter."""
+        slower ones that gravity allows."""
         w, rest = self.margins.w, self._at_rest
         least = self._margin(rest, which)
         if least.min() < 0:
@@ -91,17 +94,21 @@ class Audit:
             case = " in the worst case" if which == "exact_worst" else ""
             sentence = f"The tray is tilted too far at {when:.3f} s: even at rest there nothing would hold{case}."
             return Pace(None, Status("tilted", sentence, False, {"time": when}))
-        keep = np.arange(len(w))
-        low, high = 1 / SLOWEST**2, 1 / FASTEST**2  # of 1/s^2
-        if self._margin(rest + low * (w - rest), which).min() < 0:
+        slowest, fastest = 1 / SLOWEST**2, 1 / FASTEST**2  # of 1/s^2
+
+        def margin(share: float, at: slice | npt.NDArray[np.intp] = slice(None)) -> Array:
+            return self._margin(rest[at] + share * (w[at] - rest[at]), which)
+
+        if margin(slowest).min() < 0:
             return Pace(None, Status("tilted", f"Even {SLOWEST:g} times slower the path would not hold.", False))
-        while high / low > 1 + 1e-5:
-            middle = np.sqrt(low * high)
-            fails = self._margin(rest[keep] + middle * (w[keep] - rest[keep]), which) < 0
-            if fails.any():
-                high, keep = middle, keep[fails]  # concave: only these can fail at what is left to search
-            else:
-                low = middle
+        here = getattr(self.margins, which)
+        low, high = (slowest, 1.0) if here.min() < 0 else (1.0, fastest)
+        beyond = here if high == 1 else margin(fastest)
+        if beyond.min() < 0:
+            failing = np.flatnonzero(beyond < 0)  # concave: the others hold at every pace in between
+            low = _root(lambda share: float(margin(share, failing).min()), low, high)
+        else:
+            low = fastest
         factor = float(1 / np.sqrt(low))
         return Pace(
             factor, Status("found", f"It just holds at {factor:.3f} times the duration.", True, {"factor": factor})
@@ -164,6 +171,14 @@ class Audit:
             },
             "provenance": provenance(self.scenario),
         }
+
+
+def _root(f: Callable[[float], float], low: float, high: float) -> float:
+    """Where f turns negative between low (not negative) and high, to 1e-6, on the side where it has not."""
+    from scipy.optimize import brentq
+
+    root = float(brentq(f, low, high, rtol=1e-7))
+    return max(low, root * (1 - 1e-6))
 
 
 def _status(status: Status) -> dict[str, Any]:

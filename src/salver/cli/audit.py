@@ -67,7 +67,11 @@ def _show(result: Audit) -> None:
     ]
     if result.costs:
         name, cost = next(iter(result.costs.items()))
-        lines.append(f"Costs most of the margin: {name}, {100 * cost:.1f} % of the weight.")
+        lines.append(
+            f"Costs most of the margin: {name}, {100 * cost:.1f} % of the weight."
+            if cost > 5e-4
+            else f"No uncertain parameter ({', '.join(result.costs)}) costs any of the margin."
+        )
     lines.append(f"Pace, nominal: {_pace_words(result.pace.factor, result.pace.status.sentence)}")
     lines.append(f"Pace, worst case: {_pace_words(result.pace_worst.factor, result.pace_worst.status.sentence)}")
     for line in lines:
