@@ -1,6 +1,6 @@
 """How long must it take? The planner's answer and the physics engine's, for one object on shorter and shorter times.
 
-The cube of the paper on a smoother tray: friction 0.2, known to 20 %. For each duration both motions, the robust one
+The cube of the paper on a smoother tray: friction 0.2, known to 25 %. For each duration both motions, the robust one
 and the straight line, say whether they are safe for every mass and friction in their ranges; a campaign then runs them
 with perturbed parameters, the extreme ones first. Outcomes: holds, slides, limit (the arm cannot do it), ...
 Stopped half way, the same command goes on where it was.
@@ -29,7 +29,7 @@ def main() -> None:
             motion__duration=duration,
             contact__condition="exact",
             objects__0__friction=0.2,
-            objects__0__uncertainty={"mass": "10%", "friction": "20%"},
+            objects__0__uncertainty={"mass": "10%", "friction": "25%"},
         )
         directory = options.out / f"{duration:g}s"
         plans = {"plan": sv.plan(scenario), "baseline": sv.plan(scenario, "baseline")}
