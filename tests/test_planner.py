@@ -173,3 +173,11 @@ def test_paper_condition_knows_only_objects_on_the_tray():
     with pytest.raises(ScenarioError, match="upper stands on cube"):
         conditions_for(scenario)
     assert conditions_for(scenario.with_changes(contact__condition="exact"))
+
+
+@pytest.mark.parametrize("degree", [6, 9, 14])
+def test_where_nothing_acts_on_the_closed_loop_the_motion_of_least_jerk_is_planned(degree):
+    scenario = changed(objects__0__uncertainty={"friction": "10%"}, contact__condition="exact", motion__degree=degree)
+    plan, line = plan_object(scenario), plan_baseline(scenario)
+    assert plan.cost == 0
+    assert plan.evaluation.samples.p_SB == pytest.approx(line.evaluation.samples.p_SB, abs=1e-9)

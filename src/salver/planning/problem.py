@@ -4,7 +4,7 @@ Variables z are what the boundary conditions leave free of the reference's coeff
 references are a = particular + null_space z (eq 26), for position and for body angular velocity alike. The
 goal orientation is met by an equality on z, because SO(3) is not flat.
 
-    minimise    integral of |S Pi(t)|^2 dt                       (13)
+    minimise    integral of |S Pi(t)|^2 dt                       (13)   (and a trace of jerk)
     subject to  c(t) - r(t) >= margin on a grid of instants      (16)
 
 c - r is the slack of the contact conditions (`salver.planning.conditions`). With fixed orientation, and
@@ -27,7 +27,7 @@ from salver.planning.cost import column_scale, integration_weights, row_scale, t
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.filter import QuadratureGrid, fastest_rate
-from salver.sensitivity.tray import BodyMotion, TrayLoop
+from salver.sensitivity.tray import BodyMotion, TrayLoop, TraySensitivity
 from salver.trajectory import (
     MotionSamples,
     PolynomialReference,
@@ -38,6 +38,9 @@ from salver.trajectory import (
 )
 
 _COST_STEP = 0.35  # of the fastest rate times h: the integral of the cost is then right to some 1e-4
+
+
+_SMOOTH = 1e-9  # share of the jerk in what is minimised
 
 
 @dataclass(frozen=True)
@@ -179,6 +182,48 @@ class Problem:
     def time_weights(self) -> Array:
         return integration_weights(len(self.grid.t), self.duration)
 
+    @cached_property
+    def _smoothness(self) -> tuple[Array, Array]:
+        """Residual (n_j,) at z = 0 of the squared jerk (and second derivative of omega), and its Jacobian.
+
+        A trace of it decides between references that the cost cannot tell apart. If nothing uncertain acts on the
+        closed loop (friction alone, say), there is no other cost.
+        """
+        s, rate = 2 * self.grid.t / self.duration - 1, 2 / self.duration
+        weights = np.sqrt(self.time_weights)[:, None, None]
+        parts = [(self._position, 3, 1.0)]
+        if self.rotates:
+            parts.append((self._spin, 2, float(np.linalg.norm(self.body.base_polygon_B, axis=1).max())))
+        residual, jacobian, offset = [], [], 0
+        for (particular, null_space), order, scale in parts:
+            basis = scale * rate**order * chebyshev_basis(s, len(particular) - 1, order)
+            residual.append((weights[..., 0] * (basis @ particular)).ravel())
+            spread = self._blocks(basis @ null_space, offset)
+            jacobian.append((weights * spread).reshape(residual[-1].size, self.size))
+            offset += 3 * null_space.shape[1]
+        jerk = float(np.sum(np.square(np.concatenate(residual))))
+        weight = np.sqrt(self._smoothness_share / jerk) if jerk > 0 else 0.0
+        return weight * np.concatenate(residual), weight * np.concatenate(jacobian)
+
+    @property
+    def _smoothness_share(self) -> float:
+        """What the jerk at z = 0 may count: a trace of the cost of errors that have settled, or 1 if none can arise."""
+        push = np.full((1, 3), 1 / self.duration**2) if self.rotates else np.zeros((1, 3))
+        zero = np.zeros((1, 3))
+        still = MotionSamples(np.zeros(1), zero, zero, zero, np.eye(3)[None], zero, push)
+        forcing = self.loop.forcing(BodyMotion.of(still))
+        pairs = zip(forcing, self.row_scale[:2], self.loop.gains.kp, strict=True)
+        settled = sum(float(np.sum((scale * part.value / kp) ** 2)) for part, scale, kp in pairs)
+        return _SMOOTH * self.duration * settled if settled > 0 else 1.0
+
+    def _blocks(self, basis: Array, offset: int) -> Array:
+        """(T, m) for one axis to (T, 3, n_z), each axis in its own block of columns from `offset` on."""
+        out = np.zeros((len(basis), 3, self.size))
+        m = basis.shape[1]
+        for axis in range(3):
+            out[:, axis, offset + axis * m : offset + (axis + 1) * m] = basis
+        return out
+
     # Derivatives -----------------------------------------------------------------------------------------
 
     @cached_property
@@ -189,20 +234,12 @@ class Problem:
         s, rate = 2 * t / self.duration - 1, 2 / self.duration
         null_position = self._position[1]
 
-        def spread(basis: Array, offset: int) -> Array:
-            """(T, m) for one axis to (T, 3, n_z), each axis in its own block of columns."""
-            out = np.zeros((len(t), 3, self.size))
-            m = basis.shape[1]
-            for axis in range(3):
-                out[:, axis, offset + axis * m : offset + (axis + 1) * m] = basis
-            return out
-
-        a = spread(rate**2 * chebyshev_basis(s, len(null_position) - 1, 2) @ null_position, 0)
+        a = self._blocks(rate**2 * chebyshev_basis(s, len(null_position) - 1, 2) @ null_position, 0)
         if not self.rotates:
             return _Bases(a, None, None)
         null_spin = self._spin[1]
         spin = [rate**k * chebyshev_basis(s, len(null_spin) - 1, k) @ null_spin for k in range(2)]
-        return _Bases(a, spread(spin[0], self._n_position), spread(spin[1], self._n_position))
+        return _Bases(a, self._blocks(spin[0], self._n_position), self._blocks(spin[1], self._n_position))
 
     def _motions(self, reference: PolynomialReference) -> tuple[MotionSamples, BodyMotion, BodyMotion, Array | None]:
         """Samples on the grid, body motions there and between with derivatives by z, and dtheta/dz on the grid."""
@@ -226,6 +263,20 @@ class Problem:
         reference = self.reference(z)
         on_grid, motion, between, theta = self._motions(reference)
         sensitivity = self.loop.sensitivity(self.grid, motion, between)
+        residual, jacobian = self._cost(sensitivity)
+        smooth, smooth_jacobian = self._smoothness
+        residual = np.concatenate([residual, smooth + smooth_jacobian @ z])
+        jacobian = np.concatenate([jacobian, smooth_jacobian])
+        motion, sensitivity = motion.thinned(self.every), sensitivity.thinned(self.every)
+        rows = tuple(condition(motion, sensitivity, self.size) for condition in self.conditions)
+        goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
+        if theta is not None:
+            goal = log(self.scenario.motion.goal.rotation.T @ on_grid.R_SB[-1])
+            goal_jacobian = right_jacobian_inverse(goal) @ theta[-1]
+        return Linearisation(residual, jacobian, rows, goal, goal_jacobian)
+
+    def _cost(self, sensitivity: TraySensitivity) -> tuple[Array, Array]:
+        """Weighted Pi as residuals (n_r,), with their Jacobian (n_r, n_z)."""
         weights = np.sqrt(self.time_weights)[:, None, None]
         residual, jacobian = [np.zeros(0)], [np.zeros((0, self.size))]
         blocks = (sensitivity.dp, sensitivity.dtheta, sensitivity.dv, sensitivity.domega)
@@ -234,13 +285,7 @@ class Problem:
                 value, tangent = _times_columns(block, self.column_scale, self.size)
                 residual.append((scale * weights * value).ravel())
                 jacobian.append((scale * weights[..., None] * tangent).reshape(value.size, self.size))
-        motion, sensitivity = motion.thinned(self.every), sensitivity.thinned(self.every)
-        rows = tuple(condition(motion, sensitivity, self.size) for condition in self.conditions)
-        goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
-        if theta is not None:
-            goal = log(self.scenario.motion.goal.rotation.T @ on_grid.R_SB[-1])
-            goal_jacobian = right_jacobian_inverse(goal) @ theta[-1]
-        return Linearisation(np.concatenate(residual), np.concatenate(jacobian), rows, goal, goal_jacobian)
+        return np.concatenate(residual), np.concatenate(jacobian)
 
 
 @dataclass(frozen=True)

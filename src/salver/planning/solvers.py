@@ -186,7 +186,7 @@ def _solve_model(
     n = model.residual_jacobian.shape[1]
     jacobian, residual = model.residual_jacobian, model.residual
     hessian, gradient, constant = 2 * jacobian.T @ jacobian, 2 * jacobian.T @ residual, float(residual @ residual)
-    ridge = 2 * damping + 1e-12 * (np.trace(hessian) / max(n, 1) + 1e-12)
+    ridge = 2 * damping + 1e-14 * np.trace(hessian) / max(n, 1)
     hessian = hessian + ridge * np.eye(n)
     if elastic and penalty is None:
         unit = max(constant, 1e-12)
