@@ -180,4 +180,5 @@ def test_where_nothing_acts_on_the_closed_loop_the_motion_of_least_jerk_is_plann
     scenario = changed(objects__0__uncertainty={"friction": "10%"}, contact__condition="exact", motion__degree=degree)
     plan, line = plan_object(scenario), plan_baseline(scenario)
     assert plan.cost == 0
-    assert plan.evaluation.samples.p_SB == pytest.approx(line.evaluation.samples.p_SB, abs=1e-9)
+    # Equal but for the quadrature of the cost on the grid.
+    assert plan.evaluation.samples.p_SB == pytest.approx(line.evaluation.samples.p_SB, abs=1e-6)
