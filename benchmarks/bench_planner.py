@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from salver.planning.conditions import WrenchRows
-from salver.planning.plan import plan_object
+from salver.planning.make import plan_object
 from salver.planning.problem import Problem
 from salver.planning.solvers import solve, solve_convex
 from salver.scenario import Scenario, load

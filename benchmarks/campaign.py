@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salver.planning.plan import make_plan
+from salver.planning.make import make_plan
 from salver.scenario import load
 
 SALVER = [sys.executable, "-c", "from salver.cli import main; main()"]

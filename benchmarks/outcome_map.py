@@ -67,7 +67,7 @@ def scenario_of(cell: Cell) -> Scenario:
 
 def run(cell: Cell) -> dict[str, Any]:
     """Plan, then one run at the worst corner for that plan."""
-    from salver.planning.plan import make_plan
+    from salver.planning.make import make_plan
     from salver.simulation.physics import simulate
 
     scenario = scenario_of(cell)

@@ -19,7 +19,7 @@ from collections.abc import Callable
 import numpy as np
 
 from salver.models.arm import load_arm
-from salver.planning.plan import make_plan
+from salver.planning.make import make_plan
 from salver.scenario import Scenario, load
 from salver.simulation.engine import mujoco
 from salver.simulation.loads import true_world

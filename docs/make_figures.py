@@ -76,7 +76,7 @@ def acceleration() -> Any:
 def tube() -> Any:
     """One cone coefficient of the robust plan: nominal, tube, and perturbed runs of the full nonlinear loop."""
     from salver.control.object import Gains
-    from salver.planning.plan import make_plan
+    from salver.planning.make import make_plan
     from salver.sampling import draw
     from salver.simulation.closed_loop import rollout
 
@@ -136,7 +136,7 @@ def frames() -> Any:
 
 def shaped() -> Any:
     """What the planner changes: the straight line and the robust reference, and what each does to the sensitivity."""
-    from salver.planning.plan import make_plan
+    from salver.planning.make import make_plan
 
     scenario = scenarios.load("panda-cube").with_changes(objective__weighting="paper")
     plans = {"plan": make_plan(scenario, arm=False), "baseline": make_plan(scenario, "baseline", arm=False)}

@@ -19,7 +19,7 @@ from salver.campaign.runners import run_scalars, tube_scalars
 from salver.campaign.summary import read_table, summarise, table, write_table
 from salver.errors import SalverError
 from salver.models.bodies import bodies, uncertain_set
-from salver.planning.plan import make_plan
+from salver.planning.make import make_plan
 from salver.sampling import draw
 
 N = 30

@@ -24,7 +24,8 @@ from salver.export.robots import SimulatedRobot
 from salver.geometry import Array, compose, exp, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.models.arm import load_arm, with_load
 from salver.models.bodies import bodies
-from salver.planning.plan import Plan, load_plan, make_plan
+from salver.planning.make import make_plan
+from salver.planning.plan import Plan, load_plan
 from salver.simulation.physics import simulate
 
 # For tests of time itself: on a machine with other work, hundreds of periods may pass.

@@ -14,7 +14,8 @@ from salver.errors import FileFormatError, SalverError
 from salver.export import FORMATS, write_export
 from salver.export.motion import read_motion
 from salver.models.bodies import bodies
-from salver.planning.plan import load_plan, make_plan
+from salver.planning.make import make_plan
+from salver.planning.plan import load_plan
 
 TOLERANCE = 1e-12
 

@@ -12,7 +12,7 @@ from salver.models.arm_geometry import arm_geometry
 from salver.models.bodies import bodies
 from salver.planning.joint_limits import peaks, torques, verdict
 from salver.planning.joint_motion import follow, follow_scenario
-from salver.planning.plan import plan_pair
+from salver.planning.make import plan_pair
 from salver.planning.posture import candidate_postures, check_start_posture
 from salver.planning.redundancy import march, tray_path
 from salver.trajectory import JointMotion, PolynomialReference, min_jerk_line

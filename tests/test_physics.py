@@ -14,7 +14,7 @@ from salver.errors import FileFormatError, MissingDependencyError, ScenarioError
 from salver.geometry import matrix_from_quat_wxyz
 from salver.models.arm import load_arm
 from salver.models.rigid_body import wrench
-from salver.planning.plan import make_plan
+from salver.planning.make import make_plan
 from salver.scenario import parse
 from salver.simulation.physics import Options, simulate, simulate_tray
 from salver.simulation.record import load_record

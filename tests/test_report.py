@@ -19,7 +19,8 @@ from salver.errors import FileFormatError
 from salver.files import read_json, write_json
 from salver.geometry import matrix_from_quat_wxyz
 from salver.models.arm import load_arm
-from salver.planning.plan import load_plan, make_plan
+from salver.planning.make import make_plan
+from salver.planning.plan import load_plan
 from salver.report.meshes import decimate, link_meshes, merge_vertices, pack
 from salver.report.page import write_report
 from salver.report.replay import replay_scene
@@ -169,7 +170,7 @@ def test_replay_of_a_simulation_shows_what_was_simulated(full: Path) -> None:
     variant = replay_scene(run, arm)["variants"][0]
     record = run.plan.simulation
     assert record is not None
-    assert variant["source"] == "simulation"
+    assert variant["source"] == "run"
     objects = _floats(variant["objects"]).reshape(len(variant["t"]), 1, 7)
     assert np.abs(objects[-1, 0, :3] - record.arrays["p_SB"][-1, 0]).max() < 1e-6
     forces = _floats(variant["forces"]).reshape(len(variant["t"]), -1, 3)
@@ -208,6 +209,38 @@ def test_without_an_arm_the_page_still_works(tmp_path: Path) -> None:
     data = _data(page)
     assert data["replay"]["meshes"] == []
     assert 'id="arm"' not in page.read_text()
+
+
+def test_a_log_of_the_arm_is_shown_like_a_simulation(plan_only: Path, tmp_path: Path) -> None:
+    """With the object seen now and then by motion capture: where it was not, the tray carries it."""
+    import shutil
+
+    from salver.export.execute import dry_run
+    from salver.files import load_npz, save_npz
+
+    shutil.copytree(plan_only, tmp_path / "run")
+    dry_run(tmp_path / "run", realtime=False)
+    log = tmp_path / "run" / "execution" / "plan.npz"
+    arrays = load_npz(log)
+    gap = (arrays["t"] > 1.0) & (arrays["t"] < 1.5)
+    for name in ("p_SB", "quat_SB_wxyz", "e_p", "e_o"):
+        arrays[name][gap] = np.nan
+    save_npz(log, **arrays)
+    page = write_report(tmp_path / "run")
+    data = _data(page)
+    text = page.read_text()
+    assert 'id="execution"' in text
+    assert "simulated arm: holds" in text
+    assert "Position error of the object" in [
+        c["title"] for k, c in data["charts"].items() if k.startswith("execution")
+    ]
+    curve = data["charts"]["execution-0"]["series"][0]
+    assert {y is None for x, y in zip(curve["x"], curve["y"], strict=True) if 1.01 < x < 1.49} == {True}
+    variant = data["replay"]["variants"][0]
+    poses = _floats(variant["objects"]).reshape(len(variant["t"]), 1, 7)
+    assert np.all(np.isfinite(poses))
+    tray = _floats(variant["tray"]).reshape(-1, 7)
+    assert np.abs(np.linalg.norm(poses[:, 0, :3] - tray[:, :3], axis=1) - 0.02).max() < 1e-3
 
 
 def test_other_directories_get_a_sentence(tmp_path: Path, plan_only: Path) -> None:

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from salver import scenario as scenarios
 from salver.cli import app
-from salver.planning.plan import make_plan
+from salver.planning.make import make_plan
 from salver.simulation.record import load_record
 
 

@@ -44,7 +44,7 @@ def plan(scenario: Scenario | str | Path, method: str = "robust", *, arm: bool =
     scenario's arm, when it has one. Infeasible problems give a plan whose `ok` is False and whose `status` says
     which constraint fails, when and by how much. Raises ScenarioError for mistakes in the scenario.
     """
-    from salver.planning.plan import make_plan
+    from salver.planning.make import make_plan
     from salver.scenario import Scenario, load
 
     return make_plan(scenario if isinstance(scenario, Scenario) else load(scenario), method, arm)

@@ -25,7 +25,8 @@ def demo(
     Example: `salver demo -o out/panda-cube`
     """
     from salver import scenario as scenarios
-    from salver.planning.plan import load_plan, plan_pair
+    from salver.planning.make import plan_pair
+    from salver.planning.plan import load_plan
     from salver.report.figures import write_figures
     from salver.report.page import write_report
     from salver.simulation.physics import simulate

@@ -30,7 +30,7 @@ def plan(
     Ends with 0 when the plan is safe and the arm can follow it, with 3 when there is no such plan.
     """
     from salver import scenario as scenarios
-    from salver.planning.plan import plan_pair
+    from salver.planning.make import plan_pair
 
     chosen = scenarios.load(scenario)
     if duration is not None:

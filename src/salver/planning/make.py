@@ -1,0 +1,126 @@
+"""Making plans: the paper's optimisation, the straight line it is compared with, and the arm that follows them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from salver.errors import ScenarioError, Status
+from salver.geometry import Array
+from salver.planning.plan import FINER, Plan
+from salver.planning.problem import Problem
+from salver.planning.solvers import Solution, solve
+from salver.scenario import Scenario
+from salver.trajectory import JointMotion, min_jerk_line
+
+_REPLANS = 6  # how often a plan that fails between the nodes is planned again
+
+
+def plan_object(scenario: Scenario) -> Plan:
+    """The robust plan of the carried object alone, eqs (13) to (17), checked on the fine grid.
+
+    When the condition fails between the planner's nodes, it is planned again with twice as many and with a margin
+    larger by what was missing.
+    """
+    _need_duration(scenario)
+    began = time.perf_counter()
+    problem = Problem(scenario, scenario.motion.nodes)
+    for _ in range(_REPLANS):
+        solution = solve(problem)
+        record = _solver_record(solution, problem, time.perf_counter() - began)
+        plan = Plan(scenario, "robust", problem.reference(solution.z), solution.status, solver=record)
+        missing = plan.verification.violation
+        if not solution.status.ok or missing == 0:
+            return plan
+        nodes = min(2 * problem.nodes - 1, FINER * (scenario.motion.nodes - 1) + 1)
+        problem = replace(problem, nodes=nodes, tightening=problem.tightening + 1.5 * missing)
+    return replace(plan, status=Status("unsafe", f"No safe plan was found: {plan.verification.sentence}", False))
+
+
+def plan_baseline(scenario: Scenario) -> Plan:
+    """The paper's baseline: straight min-jerk line from start to goal, in the same duration."""
+    motion = scenario.motion
+    _need_duration(scenario)
+    reference = min_jerk_line(
+        float(motion.duration or 0),
+        np.array(motion.start.position),
+        np.array(motion.goal.position),
+        motion.start.rotation,
+        motion.goal.rotation,
+    )
+    plan = Plan(
+        scenario, "baseline", reference, Status("evaluated", "The straight min-jerk line, not optimised.", True)
+    )
+    if plan.verification.violation > 0:
+        sentence = f"The straight min-jerk line is not safe: {plan.verification.sentence}"
+        return replace(plan, status=Status("unsafe", sentence, False))
+    return plan
+
+
+def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
+    """The same plan with the joint motion that follows it, its torques, and whether the arm can; needs an arm.
+
+    q_start: posture to start from instead of the scenario's or the best one, so that two plans can share theirs.
+    """
+    from salver.models.arm import load_arm
+    from salver.models.bodies import bodies
+    from salver.planning.joint_limits import torques
+    from salver.planning.joint_motion import follow_scenario
+
+    scenario = plan.scenario
+    assert scenario.arm is not None
+    arm = load_arm(scenario.arm, scenario.tray)
+    joint, status = follow_scenario(scenario, plan.reference, arm, q_start)
+    tau = None
+    if joint is not None:
+        tau = torques(arm, JointMotion(plan.t, *joint.sample(plan.t)), bodies(scenario))
+    return replace(plan, joint=joint, arm_status=status, tau=tau)
+
+
+def plan_pair(scenario: Scenario, method: str = "robust", arm: bool = True) -> tuple[Plan, Plan]:
+    """The plan asked for and the straight line of the same duration, from the same start posture."""
+    plan = make_plan(scenario, method, arm)
+    timed = plan.scenario if plan.scenario.motion.duration else scenario.with_changes(motion__duration=plan.duration)
+    baseline = replace(plan_baseline(timed), scenario=plan.scenario)
+    if arm and scenario.arm is not None:
+        baseline = with_arm(baseline, None if plan.joint is None else plan.joint.q[0])
+    return plan, baseline
+
+
+def make_plan(scenario: Scenario, method: str = "robust", arm: bool = True) -> Plan:
+    """A plan by method: "robust", "baseline" or "fastest", with the arm's motion when the scenario has an arm.
+
+    Raises ScenarioError when the scenario does not say what the method needs.
+    """
+    if method == "fastest" or (method == "robust" and scenario.motion.duration is None):
+        from salver.planning.fastest import plan_fastest
+
+        return plan_fastest(scenario)
+    makers = {"robust": plan_object, "baseline": plan_baseline}
+    if method not in makers:
+        raise ScenarioError(f'There is no planning method "{method}"; there are robust, baseline and fastest.')
+    plan = makers[method](scenario)
+    return with_arm(plan) if arm and scenario.arm is not None and plan.status.code != "infeasible" else plan
+
+
+def _need_duration(scenario: Scenario) -> None:
+    if scenario.motion.duration is None:
+        raise ScenarioError(
+            f"{scenario.name}: motion.duration is missing; give it in seconds, or ask for the fastest plan instead."
+        )
+
+
+def _solver_record(solution: Solution, problem: Problem, seconds: float) -> dict[str, Any]:
+    return {
+        "name": solution.method,
+        "cost": solution.cost,
+        "lower_bound": solution.lower_bound,
+        "relative_gap": solution.gap,
+        "programmes": solution.iterations,
+        "nodes": problem.nodes,
+        "tightening": problem.tightening,
+        "seconds": seconds,
+    }
