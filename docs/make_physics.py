@@ -19,7 +19,7 @@ import numpy as np
 from make_reproduction import table
 
 from salver.campaign import run_campaign
-from salver.planning.plan import make_plan
+from salver.planning.make import make_plan
 from salver.report import figures
 from salver.report.perturbed import heavier
 from salver.report.run import read_run
