@@ -174,6 +174,17 @@ def test_a_record_does_not_depend_on_the_other_samples_or_on_the_other_times():
     np.testing.assert_array_equal(again.cone_coefficients, together.cone_coefficients)
 
 
+def test_a_step_ends_where_the_reference_does():
+    """There its jerk jumps by 60 times distance over duration cubed."""
+    start, goal = np.array([0.5, -0.2, 0.4]), np.array([0.5, 0.2, 0.4])
+    quick = min_jerk_line(0.513, start, goal, np.eye(3), np.eye(3))
+    phi, t = perturbed(5, com=0.002), np.array([0.4, 0.6, 0.7, 1.0])
+    default, fine = (
+        rollout(quick, CUBE.inertial, GRASP_MAP, GAINS, phi, t, max_step=h).deviation for h in (None, 0.513 / 400)
+    )
+    assert (np.abs(default - fine).max(axis=(0, 1)) / np.abs(fine).max(axis=(0, 1))).max() < 3e-7
+
+
 def test_times_must_increase():
     for t in ([0.2, 0.1], [-0.1, 0.2], [0.1, 0.1]):
         with pytest.raises(ValueError, match="t must increase"):

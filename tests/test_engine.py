@@ -35,12 +35,12 @@ def symbols(*names: str) -> list[ca.SX]:
     return [ca.SX.sym(name) for name in names]
 
 
-def pi_controlled() -> ClosedLoop:
-    """x' = a x + u + d under u = -4 (x - r) - 3 xi, xi' = x - r: p = (a, d), nominally (0.5, 0)."""
+def pi_controlled(leak: float = 0.0) -> ClosedLoop:
+    """x' = a x + u + d under u = -4 (x - r) - 3 xi, xi' = x - r - leak xi: p = (a, d), nominally (0.5, 0)."""
     x, u, xi, r, t = symbols("x", "u", "xi", "r", "t")
     p = ca.SX.sym("p", 2)
     f, h = p[0] * x + u + p[1], -4 * (x - r) - 3 * xi
-    return ClosedLoop(x=x, u=u, p=p, f=f, h=h, xi=xi, g=x - r, y_d=r, t=t, reference=ca.sin(2 * t))
+    return ClosedLoop(x=x, u=u, p=p, f=f, h=h, xi=xi, g=x - r - leak * xi, y_d=r, t=t, reference=ca.sin(2 * t))
 
 
 def largest_relative(a: np.ndarray, b: np.ndarray) -> float:
@@ -51,9 +51,9 @@ def largest_relative(a: np.ndarray, b: np.ndarray) -> float:
 def test_linear_loop_with_integral_action_has_the_closed_form():
     """Everything is linear, so x, xi, Pi, Pi_xi are blocks of one matrix exponential."""
     t = np.linspace(0, 3, 7)
-    result = sensitivity(pi_controlled(), [0.5, 0.0], t, [0.3], [0.1])
+    result = sensitivity(pi_controlled(leak=0.2), [0.5, 0.0], t, [0.3], [0.1])
     assert result.status.ok
-    loop = np.array([[0.5 - 4, -3], [1, 0]])
+    loop = np.array([[0.5 - 4, -3], [1, -0.2]])
     # (x, xi, sin 2t, cos 2t, 1, dx/da, dxi/da, dx/dd, dxi/dd)
     m = np.zeros((9, 9))
     m[:2, :2] = m[5:7, 5:7] = m[7:, 7:] = loop

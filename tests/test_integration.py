@@ -58,6 +58,20 @@ def test_rates_are_asked_at_no_instant_outside_the_span_and_sampled_once():
     assert calls[0].max() == TIMES[-1]
 
 
+def test_rounding_moves_no_instant_into_the_next_piece():
+    """a + (b - a) can be more than b; a reference sampled there would already be at rest."""
+    pairs = np.random.default_rng(0).uniform([0, 1], [0.4, 2], (200, 2))
+    a, b = next((a, b) for a, b in pairs if a + (b - a) > b)
+    latest = []
+
+    def rates_at(instants):
+        latest.append(instants.max())
+        return oscillator(instants)
+
+    integrate(rates_at, exact(a), a, np.array([b]), 2.0)
+    assert latest == [b]
+
+
 def test_a_corner_costs_no_accuracy_when_it_is_declared():
     """x' = |t - 0.55|: a step across the kink cannot know; one that ends there is exact."""
     t = np.array([0.4, 1.0])
