@@ -13,7 +13,7 @@ from salver.sensitivity import tubes
 
 if TYPE_CHECKING:
     from salver.models.arm_limits import JointLimits
-    from salver.report.run import Motion, Run
+    from salver.report.run import Motion, Record, Run
 
 Spec = dict[str, Any]
 TIP_WORTH_SHOWING = 1e-3  # rad; less is the softness of the contact
@@ -21,14 +21,15 @@ POINTS = 240  # per curve: more than the pixels of a chart
 DASH = {"plan": "", "baseline": "6 3"}
 
 
-def thin(t: Array, *curves: Array) -> list[list[float]]:
+def thin(t: Array, *curves: Array) -> list[list[float | None]]:
     """Time and curves at no more than POINTS instants, to five digits."""
     keep = np.unique(np.round(np.linspace(0, len(t) - 1, min(len(t), POINTS))).astype(int))
     return [_digits(x[keep]) for x in (t, *curves)]
 
 
-def _digits(values: Array) -> list[float]:
-    return [float(f"{v:.5g}") for v in np.asarray(values, dtype=float)]
+def _digits(values: Array) -> list[float | None]:
+    """Five digits are more than a chart shows; a gap in a measurement becomes null."""
+    return [float(f"{v:.5g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=float)]
 
 
 def series(motion: Motion, name: str, t: Array, y: Array, **style: Any) -> Spec:
@@ -232,19 +233,23 @@ def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
     return charts
 
 
-def simulation_charts(run: Run) -> list[Spec]:
-    """What the physics engine (or the real arm) says: tracking errors as in Fig. 8, slip, tip angle."""
+def run_charts(records: list[tuple[Motion, Record]]) -> list[Spec]:
+    """What the physics engine or an arm says: tracking errors as in Fig. 8, slip, tip angle; of the tray alone when
+    the object was not seen."""
     wanted = [
         ("e_p", "Position error of the object", "e_p", (("mm", 1e3), ("µm", 1e6))),
         ("e_o", "Orientation error of the object", "e_o", (("mrad", 1e3), ("µrad", 1e6))),
         ("slip", "Slip on the tray", "displacement", (("mm", 1e3), ("µm", 1e6), ("nm", 1e9))),
         ("tip_angle", "Tip angle", "angle", (("°", 180 / np.pi),)),
     ]
+    if not any("e_p" in record.arrays for _, record in records):
+        wanted += [
+            ("tray_e_p", "Position error of the tray", "e_p of the tray", (("mm", 1e3), ("µm", 1e6))),
+            ("tray_e_o", "Orientation error of the tray", "e_o of the tray", (("mrad", 1e3), ("µrad", 1e6))),
+        ]
     charts = []
     for key, title, label, units in wanted:
-        found = [
-            (m, m.simulation.t, v) for m in run.motions if m.simulation and (v := record_curve(m, key)) is not None
-        ]
+        found = [(m, record.t, v) for m, record in records if (v := record_curve(record, key)) is not None]
         if not found:
             continue
         peak = max(float(np.nanmax(v)) for _, _, v in found)
@@ -256,12 +261,9 @@ def simulation_charts(run: Run) -> list[Spec]:
     return charts
 
 
-def record_curve(m: Motion, key: str) -> Array | None:
-    """A quantity over time (T,) of a motion's record, the largest over the objects; None when it has none."""
-    if m.simulation is None:
+def record_curve(record: Record | None, key: str) -> Array | None:
+    """A quantity over time (T,) of a record, the largest over the objects; None when it has none."""
+    if record is None or key not in record.arrays:
         return None
-    arrays = m.simulation.arrays
-    if key not in arrays:
-        return None
-    values = arrays[key]
+    values = record.arrays[key]
     return values if values.ndim == 1 else values.max(axis=1)

@@ -16,7 +16,7 @@ from salver.models import wrench_cone
 from salver.report import sections
 from salver.report.charts import thin
 from salver.report.replay import replay_scene
-from salver.report.run import Run, read_run
+from salver.report.run import Motion, Run, read_run
 from salver.report.style import ROLE_COLOURS
 from salver.report.words import asked, verdict
 
@@ -90,7 +90,7 @@ def _replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
     used = []
     contacts = run.bodies[0].contacts
     for motion, variant in zip(run.motions, scene["variants"], strict=True):
-        variant["caption"] = _caption(variant["source"], motion.simulation.summary if motion.simulation else {})
+        variant["caption"] = _caption(motion)
         share = wrench_cone.friction_needed(contacts, motion.arrays["wrench_B"]) / contacts.friction[0]
         used.append(np.clip(np.nan_to_num(share, posinf=1.0), 0.0, 1.0))
     largest = max(float(np.max(share)) for share in used) or 1.0
@@ -102,7 +102,9 @@ def _replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
     return scene
 
 
-def _caption(source: str, summary: dict[str, Any]) -> str:
-    if source == "plan":
+def _caption(motion: Motion) -> str:
+    """What the replay of a motion shows."""
+    if motion.seen is None:
         return "as planned"
+    summary = motion.seen.summary
     return f"{summary.get('source', 'physics engine')}: {summary.get('outcome', 'unknown')}"

@@ -56,36 +56,48 @@ def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
 
 
 def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
-    body = run.bodies[0]
-    record = motion.simulation
+    body, record = run.bodies[0], motion.seen
     source = record.arrays if record else motion.arrays
     t = source["t"]
     keep = _frames(t)
     if record:
         tray = np.hstack([source["p_SE"], source["quat_SE_wxyz"]])[keep]
-        objects = np.concatenate([source["p_SB"], source["quat_SB_wxyz"]], axis=2)[keep]
+        objects = _on_tray(tray[:, :3], matrix_from_quat_wxyz(tray[:, 3:]), run.bodies)
+        if "p_SB" in source:  # seen, if only now and then and not all of them
+            seen = np.concatenate([source["p_SB"], source["quat_SB_wxyz"]], axis=2)[keep]
+            m = seen.shape[1]
+            objects[:, :m] = np.where(np.isfinite(seen), seen, objects[:, :m])
     else:
-        tray, objects = _carried(motion, run.bodies, keep)
+        R_SE = motion.R_SB[keep] @ body.R_EB.T
+        p_SE = motion.arrays["p_SB"][keep] - R_SE @ body.p_EB
+        tray = np.hstack([p_SE, quat_wxyz_from_matrix(R_SE)])
+        objects = _on_tray(p_SE, R_SE, run.bodies)
     p, R = objects[:, 0, :3], matrix_from_quat_wxyz(objects[:, 0, 3:])
-    points_B = source["contact_points_B"] if record else body.contacts.p_BC
-    forces_B = source["contact_forces_B"] if record else contact_forces_B(motion, body)
+    if "contact_forces_B" in source:
+        points_B, forces_B = source["contact_points_B"], source["contact_forces_B"][keep]
+    else:
+        points_B, forces_B = body.contacts.p_BC, _at(t[keep], motion.t, contact_forces_B(motion, body))
     contacts = p[:, None] + np.einsum("tij,cj->tci", R, points_B)
-    forces_S = np.einsum("tij,tcj->tci", R, forces_B[keep])
-    path = source["p_SB"] if not record else source["p_SB"][:, 0]
     return {
         "key": motion.stem,
         "label": motion.label,
         "colour": rgb(ROLE_COLOURS[motion.stem]),
-        "source": "simulation" if record else "plan",
+        "source": "plan" if record is None else "run",
         "t": np.round(t[keep], 5).tolist(),
         "joints": _pack(_joint_poses(source["q"][keep], arm)) if arm else _pack(np.tile(_IDENTITY, (len(keep), 1))),
         "tray": _pack(tray),
         "objects": _pack(objects),
         "contactCount": len(points_B),
         "contacts": _pack(contacts),
-        "forces": _pack(forces_S),
-        "path": np.round(path[_spread(len(path), 90)], 5).tolist(),
+        "forces": _pack(np.einsum("tij,tcj->tci", R, forces_B)),
+        "path": np.round(p[_spread(len(p), 90)], 5).tolist(),
     }
+
+
+def _at(wanted: Array, t: Array, values: Array) -> Array:
+    """values (T, ...) at times `wanted`, by straight lines; held before the first and after the last."""
+    flat = values.reshape(len(t), -1)
+    return np.stack([np.interp(wanted, t, column) for column in flat.T], axis=1).reshape(len(wanted), *values.shape[1:])
 
 
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -99,15 +111,10 @@ def contact_forces_B(motion: Motion, body: Body) -> Array:
     return np.einsum("cij,tcj->tci", body.contacts.R_BC, forces_C)
 
 
-def _carried(motion: Motion, objects: list[Body], keep: np.ndarray) -> tuple[Array, Array]:
-    """Poses of tray (T, 7) and objects (T, m, 7) when everything follows the reference."""
-    p, R = motion.arrays["p_SB"][keep], motion.R_SB[keep]
-    first = objects[0]
-    R_SE = R @ first.R_EB.T
-    p_SE = p - R_SE @ first.p_EB
-    tray = np.hstack([p_SE, quat_wxyz_from_matrix(R_SE)])
+def _on_tray(p_SE: Array, R_SE: Array, objects: list[Body]) -> Array:
+    """Poses (T, m, 7) of objects that stay where they stand on a tray with poses (T, 3), (T, 3, 3)."""
     poses = [np.hstack([p_SE + R_SE @ b.p_EB, quat_wxyz_from_matrix(R_SE @ b.R_EB)]) for b in objects]
-    return tray, np.stack(poses, axis=1)
+    return np.stack(poses, axis=1)
 
 
 def _joint_poses(q: Array, arm: ArmModel) -> Array:

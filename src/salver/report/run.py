@@ -36,13 +36,19 @@ class Motion:
     """A plan or the baseline, with what is known of it.
 
     stem: "plan" or "baseline". arrays: those of plan.npz (docs: file formats). summary: plan.json.
-    simulation: its run in the physics engine, if there was one.
+    simulation: its run in the physics engine, if there was one. execution: its run on an arm, real or simulated.
     """
 
     stem: str
     arrays: dict[str, np.ndarray]
     summary: dict[str, Any]
     simulation: Record | None = None
+    execution: Record | None = None
+
+    @property
+    def seen(self) -> Record | None:
+        """The run that the replay shows: in the physics engine, or on an arm."""
+        return self.simulation or self.execution
 
     @property
     def label(self) -> str:
@@ -107,7 +113,9 @@ def read_run(directory: str | Path) -> Run:
 def _motion(directory: Path, stem: str) -> Motion:
     arrays = load_npz(directory / f"{stem}.npz", required=_NEEDED)
     summary = read_json(directory / f"{stem}.json")
-    return Motion(stem, arrays, summary, _record(directory / "simulation" / stem))
+    return Motion(
+        stem, arrays, summary, *(_record(directory / folder / stem) for folder in ("simulation", "execution"))
+    )
 
 
 def _record(path: Path) -> Record | None:

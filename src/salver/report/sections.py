@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from salver.models import wrench_cone
 from salver.report import charts, perturbed_runs
-from salver.report.cells import number, outcome_cell, percent, table
-from salver.report.style import ROLE_COLOURS
+from salver.report.cells import motion_cell, number, outcome_cell, percent, table
 from salver.report.tables import arm_usage, scenario_rows, solver_rows
 from salver.report.words import length
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
-    from salver.report.run import Run
+    from salver.report.run import Motion, Record, Run
 
 
 NAVIGATION = {
@@ -26,6 +25,7 @@ NAVIGATION = {
     "margins": "Margins",
     "campaign": "Perturbed runs",
     "simulation": "Simulation",
+    "execution": "On the arm",
     "forces": "Contact forces",
     "sensitivity": "Sensitivity",
     "motion": "Motion",
@@ -77,7 +77,8 @@ def build(run: Run, arm: ArmModel | None) -> Sections:
     if run.campaign is not None:
         found, specs, extra = perturbed_runs.section(run, run.campaign)
         page.add("campaign", "Perturbed runs", found, specs, extra)
-    _simulation(page, run)
+    for kind in RUNS:
+        _run_section(page, run, kind)
     page.add(
         "forces",
         "Contact forces and their tubes",
@@ -127,7 +128,7 @@ def tiles(run: Run) -> str:
         ("Least coefficient with tube", f"{number(floor[0], 3)} N", versus(floor, 3, " N")),
         ("Tip-over margin", f"{number(tip[0], 1)} mm", versus(tip, 1, " mm")),
     ]
-    slips = [charts.record_curve(m, "slip") for m in run.motions]
+    slips = [charts.record_curve(m.simulation, "slip") for m in run.motions]
     if slips[0] is not None:
         moved = [length(float(np.max(s))) if s is not None else "not run" for s in slips]
         shown.append(("Slip in simulation", moved[0], f"baseline {moved[1]}" if len(moved) > 1 else ""))
@@ -156,42 +157,67 @@ def tiles(run: Run) -> str:
     )
 
 
-def _simulation(page: Sections, run: Run) -> None:
-    specs = charts.simulation_charts(run)
-    if not specs:
-        return
-    rows = []
-    for m in run.motions:
-        if m.simulation is None:
-            continue
-        summary = m.simulation.summary
-        changed = summary.get("parameters") or {}
-        rows.append(
-            [
-                f'<span class="dot" style="background:{ROLE_COLOURS[m.stem]}"></span>{escape(m.label)}',
-                outcome_cell(str(summary.get("outcome", "unknown"))),
-                *(
-                    _peak(m, key, factor)
-                    for key, factor in (
-                        ("slip", 1e3),
-                        ("lift", 1e3),
-                        ("tip_angle", 180 / np.pi),
-                        ("e_p", 1e3),
-                        ("e_o", 1e3),
-                    )
-                ),
-                escape(", ".join(f"{k} = {v:.4g}" for k, v in changed.items()) or "nominal"),
-            ]
-        )
-    head = ["", "outcome", "slip, mm", "lift, mm", "tip, °", "e_p, mm", "e_o, mrad", "true parameters"]
-    extra = table(head, rows, numeric=range(2, 7))
-    page.add(
-        "simulation",
+RUNS = {
+    "simulation": (
         "In simulation",
         "The whole arm with its controller, tray and object in the physics engine; peak values.",
-        specs,
-        extra,
-    )
+    ),
+    "execution": (
+        "On the arm",
+        "The control loop that drives the real arm: what it tracked, and how well it kept its period.",
+    ),
+}
+
+
+def _run_section(page: Sections, run: Run, kind: str) -> None:
+    """The runs of one kind, in the physics engine or on an arm; left out when there are none."""
+    records = [(m, record) for m in run.motions if (record := getattr(m, kind)) is not None]
+    if not records:
+        return
+    rows = []
+    for m, record in records:
+        changed = record.summary.get("parameters") or {}
+        rows.append(
+            [
+                motion_cell(m.stem, m.label),
+                outcome_cell(str(record.summary.get("outcome", "unknown"))),
+                *(_peak(record, key, factor) for key, factor in _PEAKS),
+                escape(", ".join(f"{k} = {v:.4g}" for k, v in changed.items()) or "nominal")
+                if kind == "simulation"
+                else escape(str(record.summary.get("source", ""))),
+            ]
+        )
+    last = "true parameters" if kind == "simulation" else "arm"
+    head = ["", "outcome", "slip, mm", "lift, mm", "tip, °", "e_p, mm", "e_o, mrad", last]
+    extra = table(head, rows, numeric=range(2, 7))
+    if kind == "execution":
+        extra += _clocks(records)
+    title, intro = RUNS[kind]
+    page.add(kind, title, intro, charts.run_charts(records), extra)
+
+
+_PEAKS = (("slip", 1e3), ("lift", 1e3), ("tip_angle", 180 / np.pi), ("e_p", 1e3), ("e_o", 1e3))
+
+
+def _clocks(records: list[tuple[Motion, Record]]) -> str:
+    """How well the control loop kept its period, and why it stopped if it did."""
+    rows, stops = [], ""
+    for m, record in records:
+        clock = record.summary.get("timing", {})
+        if "jitter_median" in clock:
+            rows.append(
+                [
+                    motion_cell(m.stem, m.label),
+                    str(clock["periods"]),
+                    str(clock["missed"]),
+                    *(number(1e3 * clock[key], 3) for key in ("jitter_median", "jitter_p999", "jitter_max")),
+                    *(number(1e3 * clock[key], 3) for key in ("step_median", "step_p999")),
+                ]
+            )
+        if record.summary.get("stopped"):
+            stops += f"<p><b>{escape(m.label)} was stopped:</b> {escape(str(record.summary['stopped']))}</p>"
+    head = ["", "periods", "missed", "jitter, ms", "at 99.9 %", "at most", "step, ms", "at 99.9 %"]
+    return stops + ('<div style="margin-top:14px">' + table(head, rows, numeric=range(1, 8)) + "</div>" if rows else "")
 
 
 def _usage_table(run: Run, arm: ArmModel) -> str:
@@ -224,6 +250,6 @@ def _provenance(run: Run) -> str:
     return f'<div class="columns"><div>{left}</div><div>{right}</div></div>{details}'
 
 
-def _peak(m: Any, key: str, factor: float) -> str:
-    values = charts.record_curve(m, key)
-    return "" if values is None else number(factor * float(np.max(values)), 2)
+def _peak(record: Record, key: str, factor: float) -> str:
+    values = charts.record_curve(record, key)
+    return "" if values is None else number(factor * float(np.nanmax(values)), 2)

@@ -51,7 +51,7 @@ def verdict(run: Run) -> Verdict:
         )
     if plan.simulation is not None:
         outcome = str(plan.simulation.summary.get("outcome", "unknown"))
-        slip = record_curve(plan, "slip")
+        slip = record_curve(plan.simulation, "slip")
         moved = f"; slip in the physics engine {length(float(np.max(slip)))}" if slip is not None else ""
         if outcome == "holds":
             return Verdict("good", f"The {name} stays put, in theory and in simulation", f"{promise}{moved}.")

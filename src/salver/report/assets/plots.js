@@ -37,6 +37,7 @@ function shown(value) {
 function interpolate(x, y, at) {
   if (at < x[0] || at > x[x.length - 1]) return NaN;
   const [i, u] = locate(x, at);
+  if (y[i] === null || (u > 0 && y[i + 1] === null)) return NaN;
   return u > 0 ? (1 - u) * y[i] + u * y[i + 1] : y[i];
 }
 
@@ -84,7 +85,8 @@ function chart(host, spec, onTime) {
     const id = `clip${(chart.count = (chart.count || 0) + 1)}`;
     svg("rect", { x: box.left, y: box.top - 1, width: box.right - box.left, height: box.bottom - box.top + 2 }, svg("clipPath", { id }, svg("defs", {}, image)));
     const inside = svg("g", { "clip-path": `url(#${id})` }, image);
-    const path = (x, y) => x.map((v, i) => `${i ? "L" : "M"}${X(v).toFixed(1)} ${Y(y[i]).toFixed(1)}`).join("");
+    // null: a gap in a measurement.
+    const path = (x, y) => x.map((v, i) => (y[i] === null ? "" : `${i && y[i - 1] !== null ? "L" : "M"}${X(v).toFixed(1)} ${Y(y[i]).toFixed(1)}`)).join("");
     for (const band of spec.bands || []) {
       const back = [...band.x].reverse(), low = [...band.low].reverse();
       svg("path", { d: path(band.x, band.high) + path(back, low).replace("M", "L") + "Z", fill: band.colour, opacity: band.opacity || 0.16 }, inside);
@@ -104,7 +106,7 @@ function extent(spec) {
   let low = Infinity, high = -Infinity;
   const add = (values) => {
     for (const v of values)
-      if (Number.isFinite(v)) [low, high] = [Math.min(low, v), Math.max(high, v)];
+      if (v !== null && Number.isFinite(v)) [low, high] = [Math.min(low, v), Math.max(high, v)];
   };
   for (const s of spec.series) add(s.y);
   for (const b of spec.bands || []) [b.low, b.high].forEach(add);
