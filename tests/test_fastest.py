@@ -16,11 +16,12 @@ from salver.models.parameters import inertial_vector
 from salver.planning import fastest as fastest_module
 from salver.planning.fastest import FastestOptions, fastest, object_motion, plan_fastest
 from salver.planning.joint_contact import worst_case
+from salver.planning.joint_curves import FreeCurve, Grid
 from salver.planning.joint_obstacles import NEAR
 from salver.planning.joint_problem import EndPose, TransportProblem, reach, transport_problem
-from salver.planning.joint_rows import Grid, Margins, evaluate
+from salver.planning.joint_rows import Margins, evaluate
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
-from salver.planning.joint_sqp import _linearise
+from salver.planning.joint_sqp import Iterate, _linearise
 from salver.planning.joint_terms import motion_terms
 from salver.planning.joint_tracking import tracking_of
 from salver.scenario import Scenario, load
@@ -143,10 +144,14 @@ def test_linearised_rows_match_differences_in_coefficients_and_squared_duration(
     coefficients = line(problem, spline) + 0.02 * rng.normal(size=(spline.size, problem.n))
 
     def at(coefficients: Array, squared: float):
-        return evaluate(problem, grid, coefficients, float(np.sqrt(squared)), margins)
+        duration = float(np.sqrt(squared))
+        z = grid.motion(coefficients, duration)
+        return Iterate(coefficients, evaluate(problem, grid.s, z, duration, margins))
 
     path = at(coefficients, duration**2)
-    rows = _linearise(path, 10.0, [np.zeros(f.values.shape, dtype=bool) for f in path.families])
+    rows = _linearise(
+        FreeCurve(problem, grid), path, 10.0, [np.zeros(f.values.shape, dtype=bool) for f in path.at.families]
+    )
     direction, tau, h = rng.normal(size=coefficients.shape), 0.3, 1e-6
 
     def moved(sign: float) -> Array:
@@ -155,13 +160,13 @@ def test_linearised_rows_match_differences_in_coefficients_and_squared_duration(
         other = at(coefficients + sign * h * direction, duration**2 * factor)
         values = []
         for k, node, column in rows.where:
-            family = other.families[k]
+            family = other.at.families[k]
             values.append(family.values[node, column] * (factor if family.scales else 1.0))
         return np.concatenate(values)
 
     difference = (moved(1.0) - moved(-1.0)) / (2 * h)
     predicted = rows.matrix @ np.append(direction.ravel(), tau)
-    names = np.concatenate([np.full(len(node), path.families[k].name) for k, node, _ in rows.where])
+    names = np.concatenate([np.full(len(node), path.at.families[k].name) for k, node, _ in rows.where])
     assert {"velocity", "torque", "torque rate", "tilt", "clearance", "contact of cube"} <= set(names)
     error = np.abs(difference - predicted) / (1 + np.abs(predicted))
     # Where the nearest points of two hulls jump, a distance has only one-sided derivatives.
@@ -272,7 +277,8 @@ def test_robust_plan_takes_longer_and_the_nominal_one_breaks_its_conditions():
     assert fast.status.ok
     assert 1.03 * fast.duration < slow.duration < 1.4 * fast.duration
     fine = Grid.of(fast.spline, np.linspace(0, 1, 301))
-    check = evaluate(robust, fine, fast.coefficients, fast.duration, Margins(0, 0, 0))
+    z = fine.motion(fast.coefficients, fast.duration)
+    check = evaluate(robust, fine.s, z, fast.duration, Margins(0, 0, 0))
     assert check.worst[0] > 0.05
     assert check.worst[1] == "contact of bottle"
 
@@ -313,7 +319,7 @@ def test_random_start_postures_converge():
         if q is None or template.keep_out.parts.clearance(q[None]).min() < 0.02:
             continue
         tried += 1
-        found = fastest(replace(template, start_posture=q), FastestOptions(spans=(8,)))
+        found = fastest(replace(template, start_posture=q), FastestOptions(spans=8))
         solved += found.status.ok
         assert found.status.sentence
     assert solved >= 4
@@ -340,7 +346,7 @@ def test_unreachable_goal_has_a_status():
 
 
 def test_time_limit_is_kept():
-    options = FastestOptions(spans=(14,), time_limit=0.05)
+    options = FastestOptions(spans=14, time_limit=0.05)
     found = fastest(transport_problem(cube()), options)
     assert found.wall_time < 5.0
     assert fastest_module.DEGREE == 5

@@ -15,10 +15,10 @@ import numpy as np
 
 from salver.errors import Status, UnreachableError
 from salver.geometry import GRAVITY_S, Array
+from salver.planning.joint_curves import FreeCurve
+from salver.planning.joint_exchange import optimise
 from salver.planning.joint_problem import TransportProblem, reach, transport_problem
-from salver.planning.joint_rows import Grid, Indices, Margins, evaluate
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
-from salver.planning.joint_sqp import Options, Solution, minimise_duration
 from salver.planning.joint_terms import motion_terms
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
@@ -27,20 +27,15 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 DEGREE = 5
-EXCHANGES = 6  # rounds of adding nodes
-HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
-SMALL_EXCESS = 1e-3  # what is left to a slightly longer duration instead of another round of optimisation
-CHECK_FACTOR = 10  # the check between nodes uses a grid this much finer
 
 
 @dataclass(frozen=True)
 class FastestOptions:
-    """spans: polynomial pieces of the stages, coarse to fine .
-    nodes_per_span: where conditions are imposed. starts: initial paths tried (1: the first that converges).
-    time_limit: s. seed: of the random starts.
+    """spans: number of polynomial pieces. nodes_per_span: where conditions are imposed.
+    starts: initial paths tried; 1 takes the first that converges. time_limit: s. seed: of the random starts.
     """
 
-    spans: tuple[int, ...] = (14,)
+    spans: int = 14
     nodes_per_span: int = 4
     starts: int = 1
     time_limit: float = 30.0
@@ -50,7 +45,7 @@ class FastestOptions:
 @dataclass(frozen=True)
 class FastestMotion:
     """Result. spline, coefficients (size, n), duration: the motion. worst: largest row of each family on the fine
-    grid (<= 0: kept). wall_time: s. iterations: of all stages.
+    grid (<= 0: kept). wall_time: s. iterations: of all rounds and starts.
     """
 
     problem: TransportProblem
@@ -151,7 +146,7 @@ def fastest(problem: TransportProblem, options: FastestOptions | None = None) ->
             break
     wall = time.perf_counter() - begun
     if best is None:
-        spline = RestSpline(DEGREE, options.spans[0])
+        spline = RestSpline(DEGREE, options.spans)
         status = Status("unreachable", "no posture within the joint limits reaches the start or the goal pose", False)
         return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, status, {}, wall, 0)
     return replace(best, wall_time=wall, iterations=iterations)
@@ -191,106 +186,17 @@ def _starts(problem: TransportProblem, options: FastestOptions) -> list[tuple[Ar
 def _from_start(
     problem: TransportProblem, options: FastestOptions, q_start: Array, q_goal: Array, bend: Array, time_limit: float
 ) -> FastestMotion:
-    """All stages from one initial path: min-jerk between two postures plus a bell along `bend`."""
+    """The optimum from one initial path: min-jerk between two postures plus a bell along `bend`."""
     begun = time.perf_counter()
     s = np.linspace(0, 1, 201)
     q = q_start + min_jerk_blend(s)[:, None] * (q_goal - q_start) + (64 * (s * (1 - s)) ** 3)[:, None] * bend
     duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
-    margins = _node_margins(problem)
-    damping, iterations = 1.0, 0
-    spline = RestSpline(DEGREE, options.spans[0])
-    coefficients = spline.fit(s, q)
-    for stage, spans in enumerate(options.spans):
-        last = stage == len(options.spans) - 1
-        finer = RestSpline(DEGREE, spans)
-        if stage:
-            coefficients = finer.fit(s, spline.matrices(s)[0] @ coefficients)
-        spline = finer
-        nodes = spline.nodes(options.nodes_per_span)
-        watched = _watching(problem, Grid.of(spline, nodes).basis[0] @ coefficients)
-        limit = max(0.05, time_limit - (time.perf_counter() - begun))
-        sqp = Options(gain=1e-3 if last else 3e-3, time_limit=limit)
-        solution = minimise_duration(watched, Grid.of(spline, nodes), coefficients, duration, margins, sqp, damping)
-        iterations += solution.iterations
-        coefficients, duration = solution.path.coefficients, solution.path.duration
-        damping = 0.05
-        if not solution.status.ok:
-            break
-    return _checked(problem, spline, solution, nodes, margins, begun, time_limit, iterations)
-
-
-def _checked(
-    problem: TransportProblem,
-    spline: RestSpline,
-    solution: Solution,
-    nodes: Array,
-    margins: Margins,
-    begun: float,
-    time_limit: float,
-    iterations: int,
-) -> FastestMotion:
-    """Check between nodes; add the instants where a condition is broken as nodes and solve again (exchange method,
-    Hettich and Kortanek 1993) until none is."""
-    count = CHECK_FACTOR * (len(nodes) - 1) + 1
-    fine = Grid.of(spline, np.interp(np.arange(count) / CHECK_FACTOR, np.arange(len(nodes)), nodes))
-    for exchange in range(EXCHANGES + 1):
-        path = solution.path
-        duration = path.duration
-        worst, peaks = _between(problem, fine, path.coefficients, duration)
-        excess = max(worst.values())
-        if 0.0 < excess < SMALL_EXCESS:
-            # Slower by as much as a limit is exceeded; contact has its own margin at the nodes.
-            slower = duration * (1.0 + 1.5 * excess)
-            stretched, _ = _between(problem, fine, path.coefficients, slower)
-            if max(stretched.values()) <= 0.0:
-                worst, excess, duration = stretched, 0.0, slower
-        if excess <= 0.0 or excess > HOPELESS or exchange == EXCHANGES:
-            break
-        nodes = np.union1d(nodes, fine.s[peaks])
-        limit = max(0.05, time_limit - (time.perf_counter() - begun))
-        sqp = Options(iterations=15, gain=3e-4, time_limit=limit)
-        damping = min(3 * solution.damping, 0.1)
-        grid = Grid.of(spline, nodes)
-        watched = _watching(problem, grid.basis[0] @ path.coefficients)
-        solution = minimise_duration(watched, grid, path.coefficients, path.duration, margins, sqp, damping, 0.05)
-        iterations += solution.iterations
-    status = solution.status
-    if excess > 0.0 and (status.ok or excess <= HOPELESS):
-        name = max(worst, key=lambda key: worst[key])
-        status = Status(
-            "infeasible", f"between nodes {name} is exceeded by {100 * worst[name]:.2g} % of its scale", False, worst
-        )
-    elif excess <= 0.0:
-        sentence = f"The shortest safe motion takes {duration:.4f} s."
-        status = Status("optimal", sentence, True)
+    spline = RestSpline(DEGREE, options.spans)
+    found = optimise(problem, FreeCurve, spline, spline.fit(s, q), duration, options.nodes_per_span, time_limit)
     wall = time.perf_counter() - begun
-    return FastestMotion(problem, spline, solution.path.coefficients, duration, status, worst, wall, iterations)
-
-
-def _node_margins(problem: TransportProblem) -> Margins:
-    """The scenario's own contact margin and a little for what happens between nodes."""
-    margins = Margins()
-    return replace(margins, contact=margins.contact + problem.scenario.contact.margin)
-
-
-def _watching(problem: TransportProblem, q: Array) -> TransportProblem:
-    """The problem with only those pairs of parts watched that come near along postures (N, n)."""
-    return problem if problem.keep_out is None else replace(problem, keep_out=problem.keep_out.near(q))
-
-
-def _between(
-    problem: TransportProblem, fine: Grid, coefficients: Array, duration: float
-) -> tuple[dict[str, float], Indices]:
-    """Largest row of each family on the fine grid, and the points where some row is broken at its peak."""
-    margins = Margins(problem.scenario.contact.margin, 0.0, 0.0)
-    check = evaluate(problem, fine, coefficients, duration, margins)
-    marked = np.zeros(len(fine.s), dtype=bool)
-    for family in check.families:
-        index = np.flatnonzero((family.peaks & (family.values > 0)).any(axis=1))
-        marked[index] = True
-        if family.following is not None:
-            marked[index + 1] = True
-    return {family.name: float(family.values.max()) for family in check.families}, np.flatnonzero(marked)
+    return FastestMotion(
+        problem, spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
+    )
 
 
 def _comfortable_duration(problem: TransportProblem, speed: Array) -> float:

@@ -17,7 +17,6 @@ from salver.geometry import Array
 from salver.planning.joint_contact import WorstCase, worst_case
 from salver.planning.joint_obstacles import KeepOut
 from salver.planning.joint_problem import LEVEL_TOLERANCE, TransportProblem
-from salver.planning.joint_spline import RestSpline
 from salver.planning.joint_terms import MotionTerms, motion_terms
 from salver.planning.joint_tracking import Response
 
@@ -26,25 +25,8 @@ Gradient = Callable[[Indices, Indices], Array]
 
 
 @dataclass(frozen=True)
-class Grid:
-    """Nodes s (N,) in [0, 1] and the spline basis there, (4, N, size)."""
-
-    s: Array
-    basis: Array
-
-    @classmethod
-    def of(cls, spline: RestSpline, s: Array) -> Grid:
-        return cls(s, spline.matrices(s))
-
-    def motion(self, coefficients: Array, duration: float) -> Array:
-        """z (4, N, n): q and its first three time derivatives."""
-        z = self.basis @ coefficients
-        return z / duration ** np.arange(4.0)[:, None, None]
-
-
-@dataclass(frozen=True)
 class Family:
-    """Rows of one kind at the points of a grid, where the motion is z.
+    """Rows of one kind along a motion.
 
     scales: whether the rows depend on time, and so become nearly linear in T^2 when multiplied by it.
 
@@ -54,8 +36,6 @@ class Family:
     """
 
     name: str
-    grid: Grid
-    z: Array
     values: Array
     gradient: Gradient
     scales: bool = True
@@ -80,10 +60,9 @@ class Margins:
 
 
 @dataclass(frozen=True)
-class JointPath:
-    """A motion evaluated at nodes: z (4, N, n) = q and its three time derivatives, and the dynamic terms."""
+class Evaluated:
+    """A motion evaluated at nodes: z (4, N, n) = q and its three time derivatives, the dynamic terms, the rows."""
 
-    coefficients: Array
     duration: float
     z: Array
     terms: MotionTerms
@@ -99,25 +78,22 @@ class JointPath:
         return max(0.0, self.worst[0])
 
 
-def evaluate(
-    problem: TransportProblem, grid: Grid, coefficients: Array, duration: float, margins: Margins
-) -> JointPath:
-    """All rows of a motion given by spline coefficients (size, n) and its duration."""
-    z = grid.motion(coefficients, duration)
+def evaluate(problem: TransportProblem, s: Array, z: Array, duration: float, margins: Margins) -> Evaluated:
+    """All rows of a motion z (4, N, n) at nodes s (N,) in [0, 1] of its duration."""
     terms = motion_terms(problem.model, problem.arm.tray_id, z[0], z[1], z[2])
-    loop = None if problem.tracking is None else problem.tracking.response(grid.s, duration, terms)
+    loop = None if problem.tracking is None else problem.tracking.response(s, duration, terms)
     families = [
-        *_limits(problem, grid, z, margins.limits),
-        *_torque(problem, grid, z, duration, terms, loop, margins.limits),
-        *_contact(problem, grid, z, terms, loop, margins.contact),
-        *_tilt(problem, grid, z, terms, margins.limits),
+        *_limits(problem, z, margins.limits),
+        *_torque(problem, s, duration, terms, loop, margins.limits),
+        *_contact(problem, terms, loop, margins.contact),
+        *_tilt(problem, terms, margins.limits),
     ]
     if problem.keep_out is not None and len(problem.keep_out.required):
-        families.append(_clearance(problem, problem.keep_out, grid, z, loop, margins.clearance))
-    return JointPath(coefficients, duration, z, terms, tuple(families))
+        families.append(_clearance(problem, problem.keep_out, z[0], loop, margins.clearance))
+    return Evaluated(duration, z, terms, tuple(families))
 
 
-def _limits(problem: TransportProblem, grid: Grid, z: Array, margin: float) -> list[Family]:
+def _limits(problem: TransportProblem, z: Array, margin: float) -> list[Family]:
     """Position, velocity, acceleration, jerk; two rows for each joint with a finite limit."""
     n, limits = problem.n, problem.limits
     centre, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
@@ -144,14 +120,13 @@ def _limits(problem: TransportProblem, grid: Grid, z: Array, margin: float) -> l
             return rows
 
         values = np.hstack([scaled, -scaled]) - 1 + margin
-        families.append(Family(name, grid, z, values, gradient, scales=order > 0))
+        families.append(Family(name, values, gradient, scales=order > 0))
     return families
 
 
 def _torque(
     problem: TransportProblem,
-    grid: Grid,
-    z: Array,
+    s: Array,
     duration: float,
     terms: MotionTerms,
     loop: Response | None,
@@ -173,10 +148,10 @@ def _torque(
             return _padded(terms.torque_z[i, finite[column]] * (sign / bound[column])[:, None], n)
 
         values = np.hstack([scaled + extra, -scaled + extra]) - 1 + margin
-        families.append(Family("torque", grid, z, values, gradient))
+        families.append(Family("torque", values, gradient))
     finite_rate = np.flatnonzero(np.isfinite(limits.torque_rate))
     if len(finite_rate):
-        step = np.diff(grid.s) * duration
+        step = np.diff(s) * duration
         bound_rate = limits.torque_rate[finite_rate]
         rate = np.diff(terms.torque[:, finite_rate], axis=0) / step[:, None] / bound_rate
 
@@ -188,8 +163,6 @@ def _torque(
         families.append(
             Family(
                 "torque rate",
-                grid,
-                z,
                 np.hstack([rate, -rate]) - 1 + margin,
                 lambda i, f: side(i, f, 0),
                 following=lambda i, f: side(i, f, 1),
@@ -199,9 +172,7 @@ def _torque(
     return families
 
 
-def _contact(
-    problem: TransportProblem, grid: Grid, z: Array, terms: MotionTerms, loop: Response | None, margin: float
-) -> list[Family]:
+def _contact(problem: TransportProblem, terms: MotionTerms, loop: Response | None, margin: float) -> list[Family]:
     """Facets of the contact wrench cones of everything on the tray, at the worst parameters."""
     change, names = (None, ()) if loop is None else (loop.motion_change(), loop.tracking.names)
     families = []
@@ -212,11 +183,11 @@ def _contact(
             return _padded(np.einsum("rk,rkz->rz", worst.attained(i, f), terms.w_z[i]), problem.n)
 
         carried = " and ".join(body.name for body in rows.network.bodies)
-        families.append(Family(f"contact of {carried}", grid, z, worst.values + margin, gradient))
+        families.append(Family(f"contact of {carried}", worst.values + margin, gradient))
     return families
 
 
-def _tilt(problem: TransportProblem, grid: Grid, z: Array, terms: MotionTerms, margin: float) -> list[Family]:
+def _tilt(problem: TransportProblem, terms: MotionTerms, margin: float) -> list[Family]:
     """Tray level within the tolerance, or tilted by no more than allowed."""
     if not np.isfinite(problem.max_tilt):
         return []
@@ -231,30 +202,28 @@ def _tilt(problem: TransportProblem, grid: Grid, z: Array, terms: MotionTerms, m
             return _padded(up_q[i, f % 2] * (sign * LEVEL_SCALE)[:, None], n)
 
         values = LEVEL_SCALE * (np.hstack([scaled, -scaled]) - 1 + 50 * margin)
-        return [Family("tilt", grid, z, values, level, scales=False)]
+        return [Family("tilt", values, level, scales=False)]
     scale = 1.0 / max(1 - np.cos(problem.max_tilt), 1e-6)
     values = scale * (np.cos(problem.max_tilt) - up[:, 2:]) + margin
-    return [Family("tilt", grid, z, values, lambda i, f: _padded(-scale * up_q[i, 2], n), scales=False)]
+    return [Family("tilt", values, lambda i, f: _padded(-scale * up_q[i, 2], n), scales=False)]
 
 
 REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves what stands on it
 LEVEL_SCALE = 1e-3  # rows of "level" in rad, the size at which a tilt matters to contact
 
 
-def _clearance(
-    problem: TransportProblem, keep_out: KeepOut, grid: Grid, z: Array, loop: Response | None, margin: float
-) -> Family:
+def _clearance(problem: TransportProblem, keep_out: KeepOut, q: Array, loop: Response | None, margin: float) -> Family:
     """Distances of all watched pairs, less what the arm may stray, in units of 0.1 m."""
-    distance = keep_out.distances(z[0])
+    distance = keep_out.distances(q)
     if loop is not None:
         position, turn = loop.tray_radius()
         stray = np.linalg.norm(position, axis=1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1)
         distance = distance - stray[:, None]
 
     def gradient(i: Indices, f: Indices) -> Array:
-        return _padded(-10.0 * keep_out.gradient(z[0], i, f), problem.n)
+        return _padded(-10.0 * keep_out.gradient(q, i, f), problem.n)
 
-    return Family("clearance", grid, z, -10.0 * distance + margin, gradient, scales=False, reach=0.2)
+    return Family("clearance", -10.0 * distance + margin, gradient, scales=False, reach=0.2)
 
 
 def _padded(rows: Array, n: int) -> Array:

@@ -18,8 +18,8 @@ from scipy.sparse import csc_matrix
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.planning.joint_problem import TransportProblem, end_residual, reach
-from salver.planning.joint_rows import Family, Grid, Indices, JointPath, Margins, evaluate
+from salver.planning.joint_curves import Curve
+from salver.planning.joint_rows import Evaluated, Family, Indices, Margins, evaluate
 
 # The metric of a step: a change of acceleration by 1 rad/s^2 counts like 0.055 rad of posture, of jerk by 1000
 # rad/s^3 like 0.2 rad.
@@ -43,10 +43,22 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Solution:
-    """Last accepted path, how it ended, iterations and quadratic programmes used, wall time in s."""
+class Iterate:
+    """Coefficients (size, m) and the rows of the motion they make."""
 
-    path: JointPath
+    coefficients: Array
+    at: Evaluated
+
+    @property
+    def duration(self) -> float:
+        return self.at.duration
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Last accepted iterate, how it ended, iterations and quadratic programmes used, wall time in s."""
+
+    iterate: Iterate
     status: Status
     iterations: int
     programmes: int
@@ -64,8 +76,7 @@ class Linearised:
 
 
 def minimise_duration(
-    problem: TransportProblem,
-    grid: Grid,
+    curve: Curve,
     coefficients: Array,
     duration: float,
     margins: Margins,
@@ -73,25 +84,25 @@ def minimise_duration(
     damping: float = 1.0,
     depth: float = 0.5,
 ) -> Solution:
-    """Local optimum from a start, which may violate conditions. Coefficients (size, n), duration in s.
+    """Local optimum from a start, which may violate conditions. Coefficients (size, m), duration in s.
 
     damping: weight of the proximal term in the first iteration; small for a start near the optimum.
     depth: rows further than this from their edge are left out of the first programme.
     """
     begun = time.perf_counter()
-    path = evaluate(problem, grid, coefficients, duration, margins)
-    grams = [basis.T @ basis / len(grid.s) for basis in grid.basis]
+    path = _iterate(curve, coefficients, duration, margins)
+    grams = [basis.T @ basis / len(curve.grid.s) for basis in curve.grid.basis]
     penalty, shrink = options.penalty, LONGEST_SHRINK
-    forced: list[np.ndarray] = [np.zeros(f.values.shape, dtype=bool) for f in path.families]
+    forced: list[np.ndarray] = [np.zeros(f.values.shape, dtype=bool) for f in path.at.families]
     idle = programmes = done = 0
     code = "iteration_limit"
     while done < options.iterations:
         done += 1
-        rows = _linearise(path, depth, forced)
+        rows = _linearise(curve, path, depth, forced)
         metric = (
             grams[0] + ACCELERATION_WEIGHT * grams[2] / path.duration**4 + JERK_WEIGHT * grams[3] / path.duration**6
         )
-        programme = _Programme(problem, path, rows, metric, damping, penalty, shrink)
+        programme = _Programme(curve, path, rows, metric, damping, penalty, shrink)
         step = programme.solve(rows.bound)
         programmes += 1
         if step is None:
@@ -100,29 +111,29 @@ def minimise_duration(
                 code = "stalled"
                 break
             continue
-        trial = _move(problem, grid, path, step, margins)
+        trial = _move(curve, path, step, margins)
         # Just above what the violation is worth (the sum of multipliers), so that steps are not judged by it alone.
         if step[-1] > 1e-6:
             penalty *= 3
         elif penalty > 3 * programme.worth:
             penalty = max(2 * programme.worth, 0.3 * penalty, LEAST_PENALTY)
-        merit = path.duration + penalty * path.violation
+        merit = path.duration + penalty * path.at.violation
         predicted = merit - (path.duration * np.sqrt(1 + step[-2]) + penalty * step[-1])
-        trial_merit = np.inf if trial is None else trial.duration + penalty * trial.violation
-        if trial is not None and trial.violation > max(2e-4, 2 * step[-1]) and trial_merit > merit - 0.8 * predicted:
+        trial_merit = np.inf if trial is None else trial.duration + penalty * trial.at.violation
+        if trial is not None and trial.at.violation > max(2e-4, 2 * step[-1]) and trial_merit > merit - 0.8 * predicted:
             corrected = programme.solve(_corrected(rows, trial, step))
             programmes += 1
-            second = None if corrected is None else _move(problem, grid, path, corrected, margins)
-            if second is not None and second.duration + penalty * second.violation < trial_merit:
-                trial, trial_merit = second, second.duration + penalty * second.violation
+            second = None if corrected is None else _move(curve, path, corrected, margins)
+            if second is not None and second.duration + penalty * second.at.violation < trial_merit:
+                trial, trial_merit = second, second.duration + penalty * second.at.violation
         ratio = (merit - trial_merit) / max(predicted, 1e-12)
         if trial is not None and ratio > 0.01:
             change = max(
                 float(np.abs(new.values - old.values)[old.values > -1].max(initial=0.0))
-                for new, old in zip(trial.families, path.families, strict=True)
+                for new, old in zip(trial.at.families, path.at.families, strict=True)
             )
             depth = float(np.clip(2 * change, 0.02, 0.5))
-            forced = [(mask & (f.values > -0.3)) for mask, f in zip(forced, trial.families, strict=True)]
+            forced = [(mask & (f.values > -0.3)) for mask, f in zip(forced, trial.at.families, strict=True)]
             idle = idle + 1 if merit - trial_merit < options.gain * path.duration else 0
             path = trial
             damping *= 0.2 if ratio > 0.9 else 0.4 if ratio > 0.6 else 2.0 if ratio < 0.3 else 1.0
@@ -131,11 +142,11 @@ def minimise_duration(
         else:
             damping, shrink = damping * 4, 0.5 * max(shrink, -0.5)
             if trial is not None:  # what the quadratic programme could not see
-                forced = [mask | (f.values > -0.02) for mask, f in zip(forced, trial.families, strict=True)]
+                forced = [mask | (f.values > -0.02) for mask, f in zip(forced, trial.at.families, strict=True)]
             if predicted < 0.1 * options.gain * path.duration:
                 idle += 1
         if idle >= 2 or damping > 1e7:
-            if path.violation > options.violation and penalty < 1e4 and damping <= 1e7:
+            if path.at.violation > options.violation and penalty < 1e4 and damping <= 1e7:
                 penalty, idle, damping = 10 * penalty, 0, 1.0
                 continue
             code = "optimal" if idle >= 2 else "stalled"
@@ -146,8 +157,8 @@ def minimise_duration(
     return Solution(path, _status(code, path, options), done, programmes, time.perf_counter() - begun, damping)
 
 
-def _status(code: str, path: JointPath, options: Options) -> Status:
-    value, name = path.worst
+def _status(code: str, path: Iterate, options: Options) -> Status:
+    value, name = path.at.worst
     if value <= options.violation:
         return Status(code, f"shortest duration {path.duration:.4f} s ({code.replace('_', ' ')})", True)
     return Status(
@@ -158,16 +169,16 @@ def _status(code: str, path: JointPath, options: Options) -> Status:
     )
 
 
-def _linearise(path: JointPath, depth: float, forced: list[np.ndarray]) -> Linearised:
+def _linearise(curve: Curve, path: Iterate, depth: float, forced: list[np.ndarray]) -> Linearised:
     matrices, bounds, where = [], [], []
-    for k, family in enumerate(path.families):
+    for k, family in enumerate(path.at.families):
         floor = -np.inf if family.name == "tilt" and family.values.shape[1] == 4 else -depth
         near = family.values > max(floor, -family.reach)
         if family.values.shape[1] > MOST_ROWS and family.name.startswith("contact"):
             near &= family.values >= -np.partition(-family.values, MOST_ROWS, axis=1)[:, MOST_ROWS - 1 : MOST_ROWS]
         node, column = np.nonzero(near | forced[k])
         if len(node):
-            matrices.append(_derivatives(path, family, node, column))
+            matrices.append(_derivatives(curve, path, family, node, column))
             bounds.append(-family.values[node, column])
             where.append((k, node, column))
     size = path.coefficients.size + 1
@@ -176,104 +187,98 @@ def _linearise(path: JointPath, depth: float, forced: list[np.ndarray]) -> Linea
     return Linearised(np.vstack(matrices), np.concatenate(bounds), where)
 
 
-def _derivatives(path: JointPath, family: Family, node: Indices, column: Indices) -> Array:
-    """Rows (r, size n + 1) of a family, with respect to the coefficients and sigma / sigma_0."""
-    matrix = _at_node(path, family, family.gradient(node, column), node)
+def _derivatives(curve: Curve, path: Iterate, family: Family, node: Indices, column: Indices) -> Array:
+    """Rows (r, size m + 1) of a family, with respect to the coefficients and sigma / sigma_0."""
+    matrix = _at_node(curve, path, family.gradient(node, column), node)
     if family.following is not None:
-        matrix += _at_node(path, family, family.following(node, column), node + 1)
-        matrix[:, -1] -= 0.5 * (
-            family.values[node, column] + family.edge
-        )  # the time step between the nodes shrinks too
+        matrix += _at_node(curve, path, family.following(node, column), node + 1)
+        # The time step between the nodes shrinks too.
+        matrix[:, -1] -= 0.5 * (family.values[node, column] + family.edge)
     if family.scales:
         matrix[:, -1] += family.values[node, column]
     return matrix
 
 
-def _at_node(path: JointPath, family: Family, rows: Array, node: Indices) -> Array:
+def _at_node(curve: Curve, path: Iterate, rows: Array, node: Indices) -> Array:
     """Chain rule from z at a node to the coefficients and sigma / sigma_0."""
-    size, n = path.coefficients.shape
-    powers = path.duration ** -np.arange(4.0)
-    basis = family.grid.basis[:, node].transpose(1, 2, 0) * powers  # (r, size, 4)
-    out = np.empty((len(node), size * n + 1))
-    parts = rows.reshape(len(node), 4, n)
-    out[:, :-1] = np.matmul(basis, parts).reshape(len(node), size * n)
-    moved = np.einsum("rkn,krn->rk", parts[:, 1:], family.z[1:, node])
+    z = path.at.z
+    parts = rows.reshape(len(node), 4, z.shape[2])
+    out = np.empty((len(node), path.coefficients.size + 1))
+    out[:, :-1] = curve.columns(path.coefficients, path.duration, parts, node)
+    moved = np.einsum("rkn,krn->rk", parts[:, 1:], z[1:, node])
     out[:, -1] = -moved @ np.array([0.5, 1.0, 1.5])
     return out
 
 
-def _corrected(rows: Linearised, trial: JointPath, step: Array) -> Array:
+def _corrected(rows: Linearised, trial: Iterate, step: Array) -> Array:
     """Bounds that make the linear model exact at the trial point."""
-    values = np.concatenate([trial.families[k].values[i, f] for k, i, f in rows.where])
-    scales = np.concatenate([np.full(len(i), 1 + step[-2] * trial.families[k].scales) for k, i, _ in rows.where])
+    values = np.concatenate([trial.at.families[k].values[i, f] for k, i, f in rows.where])
+    scales = np.concatenate([np.full(len(i), 1 + step[-2] * trial.at.families[k].scales) for k, i, _ in rows.where])
     return rows.matrix @ step[:-1] - scales * values
 
 
-def _move(problem: TransportProblem, grid: Grid, path: JointPath, step: Array, margins: Margins) -> JointPath | None:
-    """The path after a step, its free ends put back on the poses they must reach; None if they cannot."""
-    coefficients = path.coefficients + step[:-2].reshape(path.coefficients.shape)
-    goal = reach(problem, problem.goal, coefficients[-1], 20)
-    start = problem.start_posture
-    if start is None:
-        start = reach(problem, problem.start, coefficients[0], 20)
-    if goal is None or start is None:
+def _iterate(curve: Curve, coefficients: Array, duration: float, margins: Margins) -> Iterate:
+    z = curve.motion(coefficients, duration)
+    return Iterate(coefficients, evaluate(curve.problem, curve.grid.s, z, duration, margins))
+
+
+def _move(curve: Curve, path: Iterate, step: Array, margins: Margins) -> Iterate | None:
+    """The iterate after a step, put back on what it must satisfy exactly; None if that is impossible."""
+    coefficients = curve.repaired(path.coefficients + step[:-2].reshape(path.coefficients.shape))
+    if coefficients is None:
         return None
-    coefficients[0], coefficients[-1] = start, goal
-    return evaluate(problem, grid, coefficients, path.duration * np.sqrt(1 + step[-2]), margins)
+    return _iterate(curve, coefficients, path.duration * float(np.sqrt(1 + step[-2])), margins)
 
 
 class _Programme:
     """The quadratic programme of one iteration, solved for several right-hand sides.
 
-    x = (coefficients, sigma / sigma_0 - 1, slack); a given start posture is left out.
+    x = (coefficients, sigma / sigma_0 - 1, slack); what is given of the coefficients is left out.
     """
 
     def __init__(
         self,
-        problem: TransportProblem,
-        path: JointPath,
+        curve: Curve,
+        path: Iterate,
         rows: Linearised,
         metric: Array,
         damping: float,
         penalty: float,
         shrink: float,
     ) -> None:
-        size, n = path.coefficients.shape
-        count = size * n + 2
-        self.skip = n if problem.start_posture is not None else 0
+        size, m = path.coefficients.shape
+        count = size * m + 2
         hessian = np.zeros((count, count))
-        hessian[:-2, :-2] = damping * np.kron(metric, np.eye(n))
+        hessian[:-2, :-2] = damping * np.kron(metric, np.eye(m))
         hessian[range(count - 2), range(count - 2)] += 1e-9
         hessian[-2:, -2:] = 1e-6 * np.eye(2)
         cost = np.zeros(count)
         cost[-2:] = 0.5 * path.duration, penalty
-        ends = [(problem.goal, path.coefficients[-1], (size - 1) * n)]
-        if problem.start_posture is None:
-            ends.append((problem.start, path.coefficients[0], 0))
-        equal, target = [], []
-        for end, q, at in ends:
-            error, jacobian = end_residual(problem, end, q)
-            block = np.zeros((len(error), count))
-            block[:, at : at + n] = jacobian
-            equal.append(block)
-            target.append(error)
-        low = np.full(count, -1.0)
-        high = np.full(count, 1.0)
+        equal, target = curve.equalities(path.coefficients)
+        extra, self.extra_bound = curve.inequalities(path.coefficients)
+        low, high = np.full(count, -1.0), np.full(count, 1.0)
         low[-2:], high[-2:] = (shrink, 0.0), (LONGEST_STRETCH, 1e3)
-        self.matrix = np.hstack([rows.matrix, -np.ones((len(rows.matrix), 1))])
-        cut = self.skip
-        self.data = (
-            csc_matrix(hessian[cut:, cut:]),
-            cost[cut:],
-            csc_matrix(np.vstack(equal)[:, cut:]),
-            np.concatenate(target),
-            csc_matrix(self.matrix[:, cut:]),
+        first, last = curve.fixed()
+        self.free = np.r_[first : size * m - last, count - 2, count - 1]
+        self.count = count
+        matrix = np.vstack(
+            [
+                np.hstack([rows.matrix, -np.ones((len(rows.matrix), 1))]),
+                np.hstack([extra, np.zeros((len(extra), 2))]),
+            ]
         )
-        self.box = low[cut:], high[cut:]
+        self.data = (
+            csc_matrix(hessian[np.ix_(self.free, self.free)]),
+            cost[self.free],
+            csc_matrix(np.hstack([equal, np.zeros((len(equal), 2))])[:, self.free]),
+            target,
+            csc_matrix(matrix[:, self.free]),
+        )
+        self.box = low[self.free], high[self.free]
         self.worth = 0.0
 
     def solve(self, bound: Array) -> Array | None:
-        """Minimiser (size n + 2,), or None when the solver gives up."""
+        """Minimiser (size m + 2,), or None when the solver gives up."""
         solver = piqp.SparseSolver()
         settings = solver.settings
         settings.eps_abs = settings.eps_rel = 1e-5
@@ -284,15 +289,16 @@ class _Programme:
         settings.preconditioner_iter = 0
         settings.tau = 0.95
         hessian, cost, equal, target, matrix = self.data
-        lower = np.full(len(bound), -1e30)
-        if len(bound):
-            solver.setup(hessian, cost, equal, target, matrix, lower, bound, *self.box)
-        else:
-            solver.setup(hessian, cost, equal, target, x_l=self.box[0], x_u=self.box[1])
+        every = np.concatenate([bound, self.extra_bound])
+        conditions = (matrix, np.full(len(every), -1e30), every) if len(every) else (None, None, None)
+        ends = (equal, target) if len(target) else (None, None)
+        solver.setup(hessian, cost, *ends, *conditions, *self.box)
         status = solver.solve()
         if status != piqp.PIQP_SOLVED and not (
             status == piqp.PIQP_MAX_ITER_REACHED and solver.result.info.primal_res < 1e-4
         ):
             return None
-        self.worth = float(solver.result.z_u.sum())
-        return np.concatenate([np.zeros(self.skip), solver.result.x])
+        self.worth = float(solver.result.z_u[: len(bound)].sum())
+        step = np.zeros(self.count)
+        step[self.free] = solver.result.x
+        return step

@@ -1,0 +1,168 @@
+"""How decision variables make a joint motion: a free spline in joint space, or a time law along a given path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.planning.joint_problem import TransportProblem, end_residual, reach
+from salver.planning.joint_rows import Indices
+from salver.planning.joint_spline import RestSpline
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Nodes s (N,) in [0, 1] and the spline basis there, (4, N, size)."""
+
+    s: Array
+    basis: Array
+
+    @classmethod
+    def of(cls, spline: RestSpline, s: Array) -> Grid:
+        return cls(s, spline.matrices(s))
+
+    def motion(self, coefficients: Array, duration: float) -> Array:
+        """(4, N, m): the spline's value and its first three time derivatives."""
+        z = self.basis @ coefficients
+        return z / duration ** np.arange(4.0)[:, None, None]
+
+    def chained(self, parts: Array, node: Indices, duration: float) -> Array:
+        """(r, size m) from derivatives by the value and its time derivatives, parts (r, 4, m), to the coefficients."""
+        basis = self.basis[:, node].transpose(1, 2, 0) * duration ** -np.arange(4.0)
+        return np.matmul(basis, parts).reshape(len(node), -1)
+
+
+class Curve(Protocol):
+    """What the optimiser needs to know of a parametrisation; coefficients are (size, m)."""
+
+    @property
+    def problem(self) -> TransportProblem: ...
+
+    @property
+    def grid(self) -> Grid: ...
+
+    def motion(self, coefficients: Array, duration: float) -> Array:
+        """z (4, N, n): q and its time derivatives at the nodes."""
+        ...
+
+    def columns(self, coefficients: Array, duration: float, parts: Array, node: Indices) -> Array:
+        """(r, size m): derivatives by the coefficients from those by z at nodes, parts (r, 4, n)."""
+        ...
+
+    def fixed(self) -> tuple[int, int]:
+        """How many of the size m unknowns at the beginning and at the end are given."""
+        ...
+
+    def equalities(self, coefficients: Array) -> tuple[Array, Array]:
+        """A (k, size m), b (k,): a step d must satisfy A d = b."""
+        ...
+
+    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
+        """A (k, size m), b (k,): a step d must satisfy A d <= b."""
+        ...
+
+    def repaired(self, coefficients: Array) -> Array | None:
+        """Coefficients after a step, made to satisfy the equalities exactly; None when they cannot."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FreeCurve:
+    """Joint splines between the problem's ends: coefficients (size, n) are control postures, the ends included."""
+
+    problem: TransportProblem
+    grid: Grid
+
+    def motion(self, coefficients: Array, duration: float) -> Array:
+        return self.grid.motion(coefficients, duration)
+
+    def columns(self, coefficients: Array, duration: float, parts: Array, node: Indices) -> Array:
+        return self.grid.chained(parts, node, duration)
+
+    def fixed(self) -> tuple[int, int]:
+        return (0 if self.problem.start_posture is None else self.problem.n), 0
+
+    def equalities(self, coefficients: Array) -> tuple[Array, Array]:
+        size, n = coefficients.shape
+        ends = [(self.problem.goal, size - 1)]
+        if self.problem.start_posture is None:
+            ends.append((self.problem.start, 0))
+        blocks, targets = [], []
+        for end, row in ends:
+            error, jacobian = end_residual(self.problem, end, coefficients[row])
+            block = np.zeros((len(error), size, n))
+            block[:, row] = jacobian
+            blocks.append(block.reshape(len(error), -1))
+            targets.append(error)
+        return np.vstack(blocks), np.concatenate(targets)
+
+    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
+        return np.zeros((0, coefficients.size)), np.zeros(0)
+
+    def repaired(self, coefficients: Array) -> Array | None:
+        problem = self.problem
+        goal = reach(problem, problem.goal, coefficients[-1], 20)
+        start = problem.start_posture
+        if start is None:
+            start = reach(problem, problem.start, coefficients[0], 20)
+        if goal is None or start is None:
+            return None
+        return np.vstack([start, coefficients[1:-1], goal])
+
+
+class JointPath(Protocol):
+    """A path q(u), u in [0, 1]."""
+
+    def derivatives(self, u: Array, order: int) -> Array:
+        """(order + 1, N, n): q and its derivatives by u."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class PathCurve:
+    """A time law u(t) along a given path: coefficients (size, 1), from 0 to 1, never backwards.
+
+    The control values are kept in order, and so is the spline: it does not turn oftener than they do.
+    """
+
+    problem: TransportProblem
+    grid: Grid
+    path: JointPath
+
+    def motion(self, coefficients: Array, duration: float) -> Array:
+        _, u1, u2, u3 = self._law(coefficients, duration)
+        p0, p1, p2, p3 = self.path.derivatives(self.grid.basis[0] @ coefficients[:, 0], 3)
+        return np.stack([p0, p1 * u1, p2 * u1**2 + p1 * u2, p3 * u1**3 + 3 * p2 * u1 * u2 + p1 * u3])
+
+    def columns(self, coefficients: Array, duration: float, parts: Array, node: Indices) -> Array:
+        u, u1, u2, u3 = (x[node] for x in self._law(coefficients, duration))
+        _, p1, p2, p3, p4 = self.path.derivatives(u[:, 0], 4)
+        zero = np.zeros_like(p1)
+        by_law = (
+            (p1, p2 * u1, p3 * u1**2 + p2 * u2, p4 * u1**3 + 3 * p3 * u1 * u2 + p2 * u3),
+            (zero, p1, 2 * p2 * u1, 3 * p3 * u1**2 + 3 * p2 * u2),
+            (zero, zero, p1, 3 * p2 * u1),
+            (zero, zero, zero, p1),
+        )
+        law = np.stack([np.einsum("rkn,krn->r", parts, np.stack(row)) for row in by_law], axis=1)
+        return self.grid.chained(law[:, :, None], node, duration)
+
+    def fixed(self) -> tuple[int, int]:
+        return 1, 1
+
+    def equalities(self, coefficients: Array) -> tuple[Array, Array]:
+        return np.zeros((0, coefficients.size)), np.zeros(0)
+
+    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
+        backwards = np.eye(coefficients.size)[:-1] - np.eye(coefficients.size)[1:]
+        return backwards, -backwards @ coefficients[:, 0]
+
+    def repaired(self, coefficients: Array) -> Array | None:
+        return np.maximum.accumulate(np.clip(coefficients, 0.0, 1.0), axis=0)
+
+    def _law(self, coefficients: Array, duration: float) -> Array:
+        """(4, N, 1) u and its time derivatives."""
+        return self.grid.motion(coefficients, duration)

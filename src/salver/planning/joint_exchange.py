@@ -1,0 +1,118 @@
+"""Conditions for all times, not only at nodes: optimise, check on a finer grid, add nodes where a row is broken.
+
+The exchange method for semi-infinite programmes (Hettich and Kortanek, SIAM Review 35(3), 1993).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from salver.errors import Status
+from salver.geometry import Array
+from salver.planning.joint_curves import Curve, Grid
+from salver.planning.joint_problem import TransportProblem
+from salver.planning.joint_rows import Indices, Margins, evaluate
+from salver.planning.joint_spline import RestSpline
+from salver.planning.joint_sqp import Options, Solution, minimise_duration
+
+EXCHANGES = 6  # rounds of adding nodes
+HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
+SMALL_EXCESS = 1e-3  # what is left to a slightly longer duration instead of another round of optimisation
+CHECK_FACTOR = 10  # the check between nodes uses a grid this much finer
+
+CurveOf = Callable[[TransportProblem, Grid], Curve]
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Coefficients (size, m) and duration of a motion whose rows were checked on the fine grid.
+
+    worst: largest row of each family there, <= 0 when kept. iterations: of all rounds.
+    """
+
+    coefficients: Array
+    duration: float
+    status: Status
+    worst: dict[str, float]
+    iterations: int
+
+
+def optimise(
+    problem: TransportProblem,
+    curve_of: CurveOf,
+    spline: RestSpline,
+    coefficients: Array,
+    duration: float,
+    nodes_per_span: int,
+    time_limit: float,
+    damping: float = 1.0,
+) -> Checked:
+    """Shortest duration from a start, kept between the nodes too. curve_of: makes the curve of a problem and grid."""
+    begun = time.perf_counter()
+    # The scenario's own margin, and a little for what happens between nodes.
+    margins = replace(Margins(), contact=Margins().contact + problem.scenario.contact.margin)
+    nodes = spline.nodes(nodes_per_span)
+    count = CHECK_FACTOR * (len(nodes) - 1) + 1
+    fine = curve_of(problem, Grid.of(spline, np.interp(np.arange(count) / CHECK_FACTOR, np.arange(len(nodes)), nodes)))
+
+    def solve(coefficients: Array, duration: float, options: Options, damping: float, depth: float) -> Solution:
+        grid = Grid.of(spline, nodes)
+        postures = curve_of(problem, grid).motion(coefficients, duration)[0]
+        curve = curve_of(_watching(problem, postures), grid)
+        left = max(0.05, time_limit - (time.perf_counter() - begun))
+        limited = replace(options, time_limit=left)
+        return minimise_duration(curve, coefficients, duration, margins, limited, damping, depth)
+
+    solution = solve(coefficients, duration, Options(gain=1e-3), damping, 0.5)
+    iterations = solution.iterations
+    for exchange in range(EXCHANGES + 1):
+        coefficients, duration = solution.iterate.coefficients, solution.iterate.duration
+        worst, peaks = _between(fine, coefficients, duration)
+        excess = max(worst.values())
+        if 0.0 < excess < SMALL_EXCESS:
+            # Slower by as much as a limit is exceeded; contact has its own margin at the nodes.
+            slower = duration * (1.0 + 1.5 * excess)
+            stretched, _ = _between(fine, coefficients, slower)
+            if max(stretched.values()) <= 0.0:
+                worst, excess, duration = stretched, 0.0, slower
+        late = time.perf_counter() - begun > time_limit
+        if excess <= 0.0 or excess > HOPELESS or exchange == EXCHANGES or late:
+            break
+        nodes = np.union1d(nodes, fine.grid.s[peaks])
+        options = Options(iterations=15, gain=3e-4)
+        solution = solve(coefficients, duration, options, min(3 * solution.damping, 0.1), 0.05)
+        iterations += solution.iterations
+    return Checked(coefficients, duration, _status(solution, worst, duration), worst, iterations)
+
+
+def _status(solution: Solution, worst: dict[str, float], duration: float) -> Status:
+    excess = max(worst.values())
+    if excess <= 0.0:
+        return Status("optimal", f"The shortest safe motion takes {duration:.4f} s.", True)
+    if excess > HOPELESS and not solution.status.ok:
+        return solution.status
+    name = max(worst, key=lambda key: worst[key])
+    sentence = f"No safe motion was found: between nodes {name} is exceeded by {100 * excess:.2g} % of its scale."
+    return Status("infeasible", sentence, False, worst)
+
+
+def _watching(problem: TransportProblem, q: Array) -> TransportProblem:
+    """The problem with only those pairs of parts watched that come near along postures (N, n)."""
+    return problem if problem.keep_out is None else replace(problem, keep_out=problem.keep_out.near(q))
+
+
+def _between(fine: Curve, coefficients: Array, duration: float) -> tuple[dict[str, float], Indices]:
+    """Largest row of each family on the fine grid, and the points where some row is broken at its peak."""
+    margins = Margins(fine.problem.scenario.contact.margin, 0.0, 0.0)
+    check = evaluate(fine.problem, fine.grid.s, fine.motion(coefficients, duration), duration, margins)
+    marked = np.zeros(len(fine.grid.s), dtype=bool)
+    for family in check.families:
+        index = np.flatnonzero((family.peaks & (family.values > 0)).any(axis=1))
+        marked[index] = True
+        if family.following is not None:
+            marked[index + 1] = True
+    return {family.name: float(family.values.max()) for family in check.families}, np.flatnonzero(marked)
