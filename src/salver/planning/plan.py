@@ -14,7 +14,7 @@ from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import load_npz, provenance, read_json, save_npz, write_atomic, write_json
 from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.models.bodies import uncertain_set
-from salver.planning.conditions import UNITS
+from salver.planning.conditions import unit_of
 from salver.planning.cost import sensitivity_cost
 from salver.planning.evaluation import Evaluation, evaluate
 from salver.scenario import Scenario
@@ -28,6 +28,7 @@ from salver.trajectory import (
 
 if TYPE_CHECKING:
     from salver.models.parameters import UncertainSet
+    from salver.sensitivity.arm import ArmChain
 
 FINER = 10  # the check's grid against the planner's
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
@@ -137,11 +138,24 @@ class Plan:
         rotations = np.stack([motion.start.rotation, motion.goal.rotation])
         turn = log(np.swapaxes(rotations, 1, 2) @ samples.R_SB[ends])
         if motion.goal_yaw == "free":
-            turn = np.cross(rotations[:, :, 2], samples.R_SB[ends][:, :, 2])
+            turn[1] = np.cross(rotations[1, :, 2], samples.R_SB[-1, :, 2])
         still = [x[ends] for x in (samples.v_S, samples.a_S, samples.omega_B, samples.alpha_B)]
         error = max(float(np.abs(x).max()) for x in (samples.p_SB[ends] - goals, turn, *still))
         slack, when, body = self.evaluation.worst()
-        return Verification(len(self.t), error, slack, when, body, UNITS[self.scenario.contact.condition])
+        return Verification(len(self.t), error, slack, when, body, unit_of(self.scenario, body))
+
+    @cached_property
+    def chain(self) -> ArmChain | None:
+        """What wrong parameters do to the arm that carries this plan; None without an arm or without uncertainty."""
+        if self.joint is None or self.uncertain.size == 0:
+            return None
+        from salver.sensitivity.arm import arm_chain, chain_model
+
+        try:
+            model = chain_model(self.scenario)
+        except ScenarioError:  # the chain of this scenario has no such sensitivity
+            return None
+        return arm_chain(model, self.joint, space="joint" if self.method == "fastest" else "object")
 
     def verify(self) -> Verification:
         """Re-check boundary conditions and contact on the fine grid."""
@@ -176,6 +190,8 @@ class Plan:
         }
         if self.arm_status is not None:
             out["arm"] = _status_record(self.arm_status)
+        if self.chain is not None:
+            out["arm_chain"] = self.chain.summary()
         return out
 
     def arrays(self) -> dict[str, Array]:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 _STEP = 1e-4  # of a parameter's half-range
+_CHUNK = 1_000_000  # numbers worked on at once
 
 
 @dataclass(frozen=True)
@@ -85,18 +86,23 @@ def worst_contact(rows: ContactRows, w: Array, dw: Array, load: LoadChange) -> A
     w: (T, 12) what the tray feels, at E. dw: (T, 12, n_c) its change per unit of each of the load's terms. Exact in
     the parameters where the motion is as planned, first order in the tracking error.
     """
-    scaled = dw * load.half_range
-    change = np.einsum("rk,tkc->crt", rows.nominal, scaled)
+    step = max(1, _CHUNK // (len(rows.nominal) * (len(load.names) + len(rows.remainder) + 1)))
+    parts = [slice(k, k + step) for k in range(0, len(w), step)]
+    return np.concatenate([_worst_part(rows, w[part], dw[part] * load.half_range, load) for part in parts])
+
+
+def _worst_part(rows: ContactRows, w: Array, scaled: Array, load: LoadChange) -> Array:
+    change = rows.nominal @ scaled  # (T, n, n_c)
     column = {name: k for k, name in enumerate(load.names)}
     value = w @ rows.nominal.T
     for name, sign in zip(rows.mass_names, rows.mass_signs.T, strict=True):
-        value += (sign[:, None] * change[column[name]]).T
-    tracked = np.array([change[column[name]].T for name in rows.names]).reshape(-1, *value.shape)
-    linear = np.einsum("prk,tk->ptr", rows.parameter, w) + tracked
+        value += sign * change[:, :, column[name]]
+    linear = np.tensordot(w, rows.parameter, axes=(1, 2))  # (T, n_p, n)
+    linear += np.swapaxes(change[:, :, [column[name] for name in rows.names]], 1, 2)
     if rows.spread is None:
-        value += np.abs(linear).sum(axis=0)
+        value += np.abs(linear).sum(axis=1)
     else:
-        value += np.linalg.norm(np.einsum("pq,ptr->qtr", rows.spread, linear), axis=0)
-    value += np.abs(np.einsum("prk,tk->ptr", rows.remainder, w)).sum(axis=0)
+        value += np.linalg.norm(np.tensordot(rows.spread, linear, axes=(0, 1)), axis=0)
+    value += np.abs(np.tensordot(w, rows.remainder, axes=(1, 2))).sum(axis=1)
     other = [k for name, k in column.items() if name not in (*rows.names, *rows.mass_names)]
-    return np.asarray(value + np.abs(change[other]).sum(axis=0).T)
+    return np.asarray(value + np.abs(change[:, :, other]).sum(axis=2))
