@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -265,6 +266,15 @@ def test_missing_engine_is_one_sentence():
     assert "mujoco" in out
     assert len(out.strip().splitlines()) == 1
     assert issubclass(MissingDependencyError, Exception)
+
+
+def test_physics_loads_whatever_opengl_is_asked_for():
+    code = "import salver.simulation.physics, os; print(os.environ['MUJOCO_GL'])"
+    environment = os.environ | {"MUJOCO_GL": "osmesa"}
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    ).stdout
+    assert out.strip() == "osmesa"
 
 
 def test_pictures_fall_back_when_there_is_no_opengl(nominal, baseline, monkeypatch):

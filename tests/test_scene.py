@@ -283,6 +283,7 @@ def test_clip_by_hand():
         ({"mass": float("nan")}, ["mass", "finite"]),
         ({"friction": 0.0}, ["friction", "positive"]),
         ({"inertia_xx": 1.0}, ["inertia", "sum of the other two"]),
+        ({"inertia_xx": 1e-16, "inertia_yy": 1e-16, "inertia_zz": 1e-16}, ["inertia", "at least"]),
         ({"position_x": 0.5}, ["overlap", "tray"]),
     ],
 )

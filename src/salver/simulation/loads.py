@@ -15,6 +15,7 @@ from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.shapes import Solid, cylinder
 from salver.scenario import CarriedObject, Scenario
 
+LEAST_MOMENT = 1e-14  # kg m^2; MuJoCo takes less for zero
 ROUND_POINTS = 24  # support points of a round base: the inscribed polygon is at most 0.9 % inside the circle
 TILT = ("tilt_x", "tilt_y")
 
@@ -108,10 +109,10 @@ def _check(name: str, body: RigidBody, friction: float) -> None:
     if friction <= 0:
         raise ScenarioError(f"friction of {name} = {friction:g}; it must be positive.")
     principal = np.linalg.eigvalsh(body.inertia_com)
-    if principal[0] <= 0 or principal[2] > (principal[0] + principal[1]) * (1 + 1e-9):
+    if principal[0] < LEAST_MOMENT or principal[2] > (principal[0] + principal[1]) * (1 + 1e-9):
         raise ScenarioError(
             f"inertia of {name} has principal moments {', '.join(f'{x:.3g}' for x in principal)} kg m^2; all must be "
-            "positive and none larger than the sum of the other two."
+            f"at least {LEAST_MOMENT:g} and none larger than the sum of the other two."
         )
 
 
