@@ -182,3 +182,41 @@ def test_where_nothing_acts_on_the_closed_loop_the_motion_of_least_jerk_is_plann
     assert plan.cost == 0
     # Equal but for the quadrature of the cost on the grid.
     assert plan.evaluation.samples.p_SB == pytest.approx(line.evaluation.samples.p_SB, abs=1e-6)
+
+
+def test_tilt_stays_below_its_limit_and_less_freedom_costs_more():
+    free = changed(motion__orientation="free", motion__duration=0.8)
+    plans = [plan_object(free.with_changes(motion__max_tilt_deg=limit)) for limit in (None, 15, 5)]
+    tilt = [np.rad2deg(np.arccos(plan.evaluation.samples.R_SB[:, 2, 2].min())) for plan in plans]
+    assert all(plan.ok for plan in plans)
+    assert tilt[0] > 20
+    assert 14 < tilt[1] <= 15
+    assert 4 < tilt[2] <= 5
+    assert plans[0].cost < plans[1].cost < plans[2].cost
+
+
+def test_shortest_tilting_plans_are_found_from_the_waiters_tilt():
+    plan = plan_object(changed(motion__orientation="free", motion__duration=0.6))
+    assert plan.ok
+    assert not plan_object(changed(motion__duration=0.6)).ok
+
+
+def test_free_yaw_meets_the_vertical_only():
+    tilted = {"position": GOAL, "rpy_deg": [8, 0, 70]}
+    fixed = changed(motion__orientation="free", motion__goal=tilted, motion__duration=0.8, contact__condition="exact")
+    plan = plan_object(fixed.with_changes(motion__goal_yaw="free"))
+    assert plan.ok
+    assert plan.cost <= plan_object(fixed).cost * (1 + 1e-4)
+    assert plan.evaluation.samples.R_SB[-1, :, 2] == pytest.approx(fixed.motion.goal.rotation[:, 2], abs=1e-9)
+
+
+def test_derivative_of_tilt_and_of_the_free_goal():
+    scenario = turning(motion__max_tilt_deg=20, motion__goal_yaw="free")
+    problem = Problem(scenario, 21)
+    rng = np.random.default_rng(1)
+    z, d, h = 0.05 * rng.normal(size=problem.size), rng.normal(size=problem.size), 1e-6
+    here, ahead, behind = problem.linearise(z), problem.linearise(z + h * d), problem.linearise(z - h * d)
+    assert here.goal.shape == (2,)
+    assert here.goal_jacobian @ d == pytest.approx((ahead.goal - behind.goal) / (2 * h), abs=1e-8)
+    change = (ahead.rows[-1].slack()[0] - behind.rows[-1].slack()[0])[:, 0] / (2 * h)
+    assert here.rows[-1].left_jacobian @ d == pytest.approx(change, abs=1e-7)

@@ -30,6 +30,7 @@ from salver.sensitivity.tray import BodyMotion, TraySensitivity
 
 Indices = npt.NDArray[np.intp]
 UNITS = {"paper": "N", "exact": "of the weight"}
+TILT = "tilt limit"
 
 
 class Rows(Protocol):
@@ -56,10 +57,21 @@ Condition = Callable[[BodyMotion, TraySensitivity, int], Rows]
 
 
 def conditions_for(scenario: Scenario) -> list[Condition]:
-    """The contact conditions of everything that a scenario carries.
+    """The contact conditions of everything that a scenario carries, and its limit on tilt.
 
     Raises ScenarioError when the paper's condition is asked for objects that stand on each other.
     """
+    limit = scenario.motion.max_tilt_deg
+    tilt = [] if limit is None else [_tilt(float(np.deg2rad(limit)))]
+    return [*_contact_conditions(scenario), *tilt]
+
+
+def unit_of(scenario: Scenario, owner: str) -> str:
+    """Unit of the slack of one row."""
+    return "rad" if owner == TILT else UNITS[scenario.contact.condition]
+
+
+def _contact_conditions(scenario: Scenario) -> list[Condition]:
     carried = bodies(scenario)
     first = carried[0]
     if scenario.contact.condition == "exact":
@@ -195,6 +207,42 @@ def motion_vector(motion: BodyMotion, n_z: int) -> tuple[Array, Array]:
         turn = motion.omega.tangent[:, 0]
         tangent[:, 6:] = omega[:, first, None] * turn[:, second] + omega[:, second, None] * turn[:, first]
     return w, tangent
+
+
+# The limit on tilt -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TiltRows:
+    """(cos tilt - cos limit) / sin limit (T,): the angle that is left, rad, to first order near the limit."""
+
+    owner: tuple[str, ...]
+    left: Array
+    left_jacobian: Array
+
+    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
+        left = self.left if step is None else self.left + self.left_jacobian @ step
+        return left[:, None], np.zeros((len(left), 1, 0))
+
+    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
+        return self.left[instant], self.left_jacobian[instant]
+
+
+def _tilt(limit: float) -> Condition:
+    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int) -> TiltRows:
+        upright = motion.rotation.matrix[:, 0, 2, :]  # e_z of S, in B
+        left = (upright[:, 2] - np.cos(limit)) / np.sin(limit)
+        jacobian = np.zeros((len(left), n_z))
+        if motion.rotation.tangent is not None:
+            # d(e_z . R e_z) = e_z . R (dtheta x e_z) = dtheta . (e_z x R^T e_z)
+            lever = np.cross([0.0, 0.0, 1.0], upright) / np.sin(limit)
+            jacobian = np.einsum("ti,tiz->tz", lever, motion.rotation.tangent[:, 0])
+        instants = len(motion.force.value)  # one rotation stands for all of a motion that does not turn
+        return TiltRows(
+            (TILT,), np.broadcast_to(left, instants), np.broadcast_to(jacobian, (instants, jacobian.shape[1]))
+        )
+
+    return along
 
 
 def _unit(terms: Array) -> Array:

@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from salver.geometry import Array, log, right_jacobian_inverse
+from salver.geometry import Array, hat, log, right_jacobian_inverse
 from salver.models.bodies import Body, bodies, uncertain_set
 from salver.models.parameters import COM, UncertainSet
 from salver.planning.conditions import Condition, Rows, conditions_for
@@ -48,7 +48,7 @@ class Linearisation:
     """The problem around z. Residuals (n_r,) with cost = |residual|^2; constraints on T instants, n_c each.
 
     rows: the contact conditions.
-    goal (3,) and goal_jacobian (3, n_z): rotation vector from the goal orientation; empty when fixed.
+    goal and goal_jacobian (m, n_z): what is left to the goal orientation; empty when orientation is fixed.
     """
 
     residual: Array
@@ -151,20 +151,20 @@ class Problem:
     @property
     def size(self) -> int:
         """n_z. Position first, axis by axis, then angular velocity, axis by axis."""
-        return self._n_position + (3 * self._spin[1].shape[1] if self.rotates else 0)
+        return self.n_position + (3 * self._spin[1].shape[1] if self.rotates else 0)
 
     @property
-    def _n_position(self) -> int:
+    def n_position(self) -> int:
         return 3 * self._position[1].shape[1]
 
     def reference(self, z: Array) -> PolynomialReference:
         """The reference of z. z = 0 is the paper's initial guess, the minimum-norm solution a = M^+ d."""
         particular, null_space = self._position
-        position = particular + null_space @ z[: self._n_position].reshape(3, -1).T
+        position = particular + null_space @ z[: self.n_position].reshape(3, -1).T
         angular_velocity = None
         if self.rotates:
             particular, null_space = self._spin
-            angular_velocity = particular + null_space @ z[self._n_position :].reshape(3, -1).T
+            angular_velocity = particular + null_space @ z[self.n_position :].reshape(3, -1).T
         return PolynomialReference(self.duration, self.scenario.motion.start.rotation, position, angular_velocity)
 
     # Cost ------------------------------------------------------------------------------------------------
@@ -183,7 +183,7 @@ class Problem:
         return integration_weights(len(self.grid.t), self.duration)
 
     @cached_property
-    def _smoothness(self) -> tuple[Array, Array]:
+    def smoothness(self) -> tuple[Array, Array]:
         """Residual (n_j,) at z = 0 of the squared jerk (and second derivative of omega), and its Jacobian.
 
         A trace of it decides between references that the cost cannot tell apart. If nothing uncertain acts on the
@@ -239,7 +239,14 @@ class Problem:
             return _Bases(a, None, None)
         null_spin = self._spin[1]
         spin = [rate**k * chebyshev_basis(s, len(null_spin) - 1, k) @ null_spin for k in range(2)]
-        return _Bases(a, self._blocks(spin[0], self._n_position), self._blocks(spin[1], self._n_position))
+        return _Bases(a, self._blocks(spin[0], self.n_position), self._blocks(spin[1], self.n_position))
+
+    @property
+    def spin_basis(self) -> Array:
+        """d omega_B / d z (T, 3, n_z) on the grid, of a problem that rotates."""
+        omega = self._bases[0].omega
+        assert omega is not None
+        return omega
 
     def _motions(self, reference: PolynomialReference) -> tuple[MotionSamples, BodyMotion, BodyMotion, Array | None]:
         """Samples on the grid, body motions there and between with derivatives by z, and dtheta/dz on the grid."""
@@ -264,16 +271,23 @@ class Problem:
         on_grid, motion, between, theta = self._motions(reference)
         sensitivity = self.loop.sensitivity(self.grid, motion, between)
         residual, jacobian = self._cost(sensitivity)
-        smooth, smooth_jacobian = self._smoothness
+        smooth, smooth_jacobian = self.smoothness
         residual = np.concatenate([residual, smooth + smooth_jacobian @ z])
         jacobian = np.concatenate([jacobian, smooth_jacobian])
         motion, sensitivity = motion.thinned(self.every), sensitivity.thinned(self.every)
         rows = tuple(condition(motion, sensitivity, self.size) for condition in self.conditions)
         goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
         if theta is not None:
-            goal = log(self.scenario.motion.goal.rotation.T @ on_grid.R_SB[-1])
-            goal_jacobian = right_jacobian_inverse(goal) @ theta[-1]
+            goal, goal_jacobian = self._goal(on_grid.R_SB[-1], theta[-1])
         return Linearisation(residual, jacobian, rows, goal, goal_jacobian)
+
+    def _goal(self, R_end: Array, theta_end: Array) -> tuple[Array, Array]:
+        """What is left to the goal orientation, (3,), with its derivative; (2,), of the vertical, with free yaw."""
+        turn = self.scenario.motion.goal.rotation.T @ R_end
+        if self.scenario.motion.goal_yaw == "fixed":
+            goal = log(turn)
+            return goal, right_jacobian_inverse(goal) @ theta_end
+        return turn[:2, 2], -(turn @ hat([0.0, 0.0, 1.0]) @ theta_end)[:2]
 
     def _cost(self, sensitivity: TraySensitivity) -> tuple[Array, Array]:
         """Weighted Pi as residuals (n_r,), with their Jacobian (n_r, n_z)."""

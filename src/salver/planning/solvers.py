@@ -13,14 +13,15 @@ import numpy as np
 import piqp
 
 from salver.errors import Status
-from salver.geometry import Array
-from salver.planning.conditions import UNITS, Rows
+from salver.geometry import GRAVITY_S, Array, exp, log
+from salver.planning.conditions import TILT, Rows, unit_of
 from salver.planning.problem import Linearisation, Problem
 
 TOLERANCE = 1e-9  # N (or the row's own unit): a constraint counts as kept within this
 _CUT_LIMIT = 60  # rounds of tangents
 _PROGRESS = 1e-6  # the sequential method ends when a step promises less, relative to the cost
 _SMALLEST_RADIUS = 1e-8  # of its trust region
+_HIGHEST_PENALTY = 1e7  # price at which a violation that no step lowers is taken for infeasible
 _PENALTY = 10.0  # first price of a unit of violation in the sequential method, in units of the starting cost
 
 
@@ -67,7 +68,11 @@ def solve(problem: Problem, start: Array | None = None) -> Solution:
     """Solve a planning problem by the method that its structure allows. Never raises for an infeasible one."""
     if problem.is_affine:
         return solve_convex(problem)
-    return solve_sequential(problem, start)
+    solution = solve_sequential(problem, start)
+    if solution.status.ok or not problem.rotates or start is not None:
+        return solution
+    tilting = solve_sequential(problem, _waiter(problem))
+    return tilting if tilting.violation < solution.violation else solution
 
 
 def solve_convex(problem: Problem) -> Solution:
@@ -117,6 +122,9 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
         merit = _merit(model, margin, penalty)
         predicted = merit - _model_merit(model, step, margin, penalty)
         if predicted <= _PROGRESS * _cost(model):
+            if _violation(model, margin) > 1e-7 and penalty < _HIGHEST_PENALTY * scale:
+                penalty *= 10
+                continue
             reason = "optimal"
             break
         d, trial = step.d, problem.linearise(z + step.d)
@@ -157,11 +165,12 @@ def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: 
     k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
     short, t, owner = problem.margin - float(slack[k, i]), float(problem.grid.t[k * problem.every]), worst.owner[i]
     what = "cone coefficient" if contact.condition == "paper" else "facet of the contact wrench cone"
+    where = owner if owner == TILT else f"{owner} ({what} {i})"
     shown = "No reference of this degree and duration is safe" if proven else "No safe reference was found"
+    missed = f"{short:.4g} {unit_of(problem.scenario, owner)}"
     sentence = (
-        f"{shown}: the best one still misses the condition on {owner} ({what} {i}) at t = {t:.3f} s by "
-        f"{short:.4g} {UNITS[contact.condition]}; a longer duration, more friction, a wider base or less uncertainty "
-        "would help."
+        f"{shown}: the best one still misses the condition on {where} at t = {t:.3f} s by {missed}; "
+        "a longer duration, more friction, a wider base or less uncertainty would help."
     )
     details = {"object": owner, "constraint": int(i), "time": t, "violation": short, "proven": proven}
     return Status("infeasible", sentence, False, details)
@@ -350,6 +359,30 @@ def _initial(problem: Problem) -> Array:
     if problem.rotates and fixed.is_affine:
         found = solve_convex(fixed).z
         z[: len(found)] = found
+    return z
+
+
+def _waiter(problem: Problem) -> Array:
+    """z of the min-jerk line with the tray tilted as a waiter does: its normal along a - g, as far as z allows."""
+    z = np.zeros(problem.size)
+    # The straight line is a minimum-jerk problem: least squares on the jerk that z leaves free.
+    residual, jacobian = problem.smoothness
+    n_position = problem.n_position
+    z[:n_position] = np.linalg.lstsq(jacobian[:, :n_position], -residual, rcond=None)[0]
+    t = problem.grid.t
+    line = problem.reference(z).sample(t)
+    normal = line.a_S - GRAVITY_S
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    axis = np.cross([0.0, 0.0, 1.0], normal)
+    sine = np.linalg.norm(axis, axis=1, keepdims=True)
+    tilt = exp(np.arctan2(sine, normal[:, 2:]) * axis / np.maximum(sine, 1e-12))
+    wanted = tilt @ line.R_SB
+    steps = log(np.swapaxes(wanted[:-1], 1, 2) @ wanted[1:]) / (t[1] - t[0])
+    omega = 0.5 * (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]]))
+    basis = problem.spin_basis
+    z[n_position:] = np.linalg.lstsq(
+        basis[:, :, n_position:].reshape(-1, problem.size - n_position), (omega - line.omega_B).ravel(), rcond=None
+    )[0]
     return z
 
 
