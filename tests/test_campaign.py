@@ -23,6 +23,7 @@ from salver.planning.make import make_plan
 from salver.sampling import draw
 
 N = 30
+needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="processes are looked up in /proc")
 
 
 @pytest.fixture(scope="module")
@@ -157,6 +158,7 @@ def test_killed_at_any_moment_nothing_is_lost_or_done_twice(run_dir):
     assert len(columns["run"]) == 320
 
 
+@needs_proc
 def test_a_killed_campaign_leaves_no_worker_behind(run_dir):
     command = [sys.executable, "-c", "from salver.cli import main; main()", "campaign", str(run_dir), "-n", "4000"]
     command += ["--engine", "closed-loop", "--jobs", "2", "--json"]
@@ -194,6 +196,7 @@ def _alive(pid: int) -> bool:
         return False
 
 
+@needs_proc
 def test_a_worker_that_dies_costs_only_a_second_attempt(finished, run_dir):
     import threading
 
@@ -216,6 +219,19 @@ def test_a_worker_that_dies_costs_only_a_second_attempt(finished, run_dir):
     thread.join()
     assert killed
     assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
+
+
+def test_runs_that_cannot_be_made_say_why_and_the_exit_code_tells(run_dir):
+    # The plans were made without the arm that the scenario has, so the engine has no joint motion to run.
+    from typer.testing import CliRunner
+
+    from salver.cli import app
+
+    result = CliRunner().invoke(app, ["campaign", str(run_dir), "-n", "2", "-j", "1", "--json"])
+    assert result.exit_code == 1
+    worst = json.loads(result.stdout)["plans"]["plan"]["worst_run"]
+    assert worst["outcome"] == "error"
+    assert "no joint motion" in worst["sentence"]
 
 
 def test_the_directory_of_another_campaign_is_not_touched(finished, run_dir):

@@ -99,6 +99,7 @@ def _plan_summary(rows: Sequence[Row], stem: str, directory: Path, folder: str) 
             "outcome": worst["outcome"],
             "peak_slip": worst.get("peak_slip"),
             "cone_least": worst.get("cone_least"),
+            "sentence": worst.get("sentence"),
             "replay": f"salver simulate {directory} --stem {stem} --run {worst['run']}"
             + (f" --folder {folder}" if folder != DEFAULT_FOLDER else ""),
         },

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import Json, console, print_json, result_console, say
+from salver.cli.common import NOT_ACHIEVED, Json, console, print_json, result_console, say
 
 if TYPE_CHECKING:
     from salver.campaign.engine import Progress
@@ -45,6 +45,8 @@ def campaign(
     Stopped half way, even killed, the same command goes on where it was. Results: runs.parquet and campaign.json in
     DIRECTORY/campaign. One run alone: `salver simulate DIRECTORY --run K`.
 
+    Ends with 0 when all runs were made, whatever became of the objects, and 1 when some could not be.
+
     Example: `salver campaign out/panda-cube -n 100 --seed 0`
     """
     from salver.campaign import run_campaign
@@ -57,9 +59,11 @@ def campaign(
             raise typer.Exit(130) from None
     if json:
         print_json(result.summary)
-        return
-    show(result.summary)
-    result_console().print(f"Runs: {result.folder / 'runs.parquet'}, summary: {result.folder / 'campaign.json'}")
+    else:
+        show(result.summary)
+        result_console().print(f"Runs: {result.folder / 'runs.parquet'}, summary: {result.folder / 'campaign.json'}")
+    if any(set(plan["outcomes"]) & {"error", "crashed"} for plan in result.summary["plans"].values()):
+        raise typer.Exit(NOT_ACHIEVED)
 
 
 @contextmanager
@@ -116,7 +120,8 @@ def show(summary: dict[str, Any]) -> None:
         )
     for stem, plan in plans.items():
         worst = plan["worst_run"]
-        out.print(f"Worst run of {stem}: {worst['run']} ({worst['outcome']}); again with: {worst['replay']}")
+        reason = f": {worst['sentence']}" if worst["sentence"] else ""
+        out.print(f"Worst run of {stem}: {worst['run']} ({worst['outcome']}{reason}); again with: {worst['replay']}")
 
 
 _SHOWN = {
