@@ -1,0 +1,179 @@
+"""The convex programme inside every solver: a quadratic cost, thousands of concave constraints, few of which bind.
+
+They are not handed to the quadratic solver: it gets the tangents that the current point violates, until none is.
+Every relaxed programme bounds the optimum from below, which gives the duality gap that is reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import piqp
+
+from salver.geometry import Array
+from salver.planning.conditions import Rows
+from salver.planning.problem import Linearisation
+
+TOLERANCE = 1e-9  # N (or the row's own unit): a constraint counts as kept within this
+_CUT_LIMIT = 60  # rounds of tangents
+
+
+@dataclass(frozen=True)
+class Step:
+    """Answer of one convex subproblem.
+
+    d: the step. lower_bound, violation: of the model. rounds: programmes solved. price: sum of the multipliers, what
+    one unit of violation is worth.
+    """
+
+    d: Array
+    lower_bound: float
+    violation: float
+    rounds: int
+    price: float = 0.0
+
+
+def solve_model(
+    model: Linearisation,
+    margin: float,
+    damping: float,
+    radius: float,
+    elastic: bool = False,
+    penalty: float | None = None,
+) -> Step | None:
+    """Minimise |r + J d|^2 + damping |d|^2 over |d_i| <= radius, goal met, all rows above the margin.
+
+    elastic: allow one common violation s >= 0 at a price; without a `penalty` only s counts (and the cost
+    decides among equals by a hair). Returns None when the rows contradict each other.
+    """
+    n = model.residual_jacobian.shape[1]
+    jacobian, residual = model.residual_jacobian, model.residual
+    hessian, gradient, constant = 2 * jacobian.T @ jacobian, 2 * jacobian.T @ residual, float(residual @ residual)
+    ridge = 2 * damping + 1e-14 * np.trace(hessian) / max(n, 1)
+    hessian = hessian + ridge * np.eye(n)
+    if elastic and penalty is None:
+        unit = max(constant, 1e-12)
+        hessian, gradient, penalty = 1e-6 * hessian / unit, 1e-6 * gradient / unit, 1.0
+    offset, slope = np.zeros(0), np.zeros((0, n))
+    d = _least(hessian, gradient, model.goal, model.goal_jacobian, radius)
+    bound, violation, s, price = -np.inf, np.inf, 0.0, 0.0
+    if d is not None:
+        bound = constant + float(gradient @ d + 0.5 * d @ hessian @ d)
+    for rounds in range(1, _CUT_LIMIT + 1):
+        if d is not None:
+            new_offset, new_slope, violation = _violated(model.rows, d, margin, s)
+            if len(new_offset) == 0:
+                return Step(d, bound, violation, rounds, price)
+            if n == 0:  # the boundary conditions leave nothing free
+                return Step(d, bound, violation, rounds) if elastic else None
+            offset, slope = np.concatenate([offset, new_offset]), np.concatenate([slope, new_slope])
+        answer = _quadratic(hessian, gradient, model, offset, slope, radius, penalty if elastic else None)
+        if answer is None:
+            return None
+        d, s, dual_value, price = answer
+        bound = constant + dual_value
+    assert d is not None
+    return Step(d, bound, violation, _CUT_LIMIT, price)
+
+
+def _least(hessian: Array, gradient: Array, goal: Array, goal_jacobian: Array, radius: float) -> Array | None:
+    """Minimiser without contact constraints, or None when it leaves the trust region."""
+    m, n = len(goal), len(gradient)
+    if m == 0:
+        d = np.linalg.solve(hessian, -gradient)
+    else:
+        kkt = np.block([[hessian, goal_jacobian.T], [goal_jacobian, np.zeros((m, m))]])
+        d = np.linalg.solve(kkt, np.concatenate([-gradient, -goal]))[:n]
+    return d.astype(float) if np.abs(d).max(initial=0.0) <= radius else None
+
+
+def _violated(rows: tuple[Rows, ...], d: Array, margin: float, s: float) -> tuple[Array, Array, float]:
+    """Tangents at d of what is violated there: for each row, at its local minima over time."""
+    offsets, slopes, violation = [np.zeros(0)], [np.zeros((0, len(d)))], 0.0
+    for item in rows:
+        slack, sides = item.slack(d)
+        slack = slack - margin
+        violation = max(violation, -float(slack.min()))
+        before = np.vstack([np.full((1, slack.shape[1]), np.inf), slack[:-1]])
+        after = np.vstack([slack[1:], np.full((1, slack.shape[1]), np.inf)])
+        instant, row = np.nonzero((slack + s < -TOLERANCE) & (slack <= before) & (slack <= after))
+        if len(instant):
+            offset, slope = item.cuts(instant, row, sides[instant, row])
+            offsets.append(offset - margin)
+            slopes.append(slope)
+    return np.concatenate(offsets), np.concatenate(slopes), violation
+
+
+def _quadratic(
+    hessian: Array,
+    gradient: Array,
+    model: Linearisation,
+    offset: Array,
+    slope: Array,
+    radius: float,
+    penalty: float | None,
+) -> tuple[Array, float, float, float] | None:
+    """One dense quadratic programme: (d, s, value of its dual, sum of multipliers), or None when it is infeasible.
+
+    Scaled so that cost and rows are of order one, whatever their units. The dual value is computed from the
+    multipliers themselves, so it is a bound even where the solver stopped early.
+    """
+    n, elastic = len(gradient), penalty is not None
+    size = n + elastic
+    unit = max(float(np.abs(gradient).max()), float(np.abs(hessian).max()), 1e-300)
+    h, g = np.zeros((size, size)), np.zeros(size)
+    h[:n, :n], g[:n] = hessian / unit, gradient / unit
+    rows = np.zeros((len(offset), size))
+    norm = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)
+    rows[:, :n] = slope / norm[:, None]
+    low, high = np.full(size, -radius), np.full(size, radius)
+    if elastic:
+        assert penalty is not None
+        rows[:, n] = 1 / norm
+        g[n], h[n, n] = penalty / unit, 1e-9 * penalty / unit
+        low[n], high[n] = 0.0, np.inf
+    goal_jacobian = np.hstack([model.goal_jacobian, np.zeros((len(model.goal), int(elastic)))])
+    solver = piqp.DenseSolver()
+    solver.settings.eps_abs = solver.settings.eps_rel = 1e-12
+    solver.settings.eps_duality_gap_abs = solver.settings.eps_duality_gap_rel = 1e-12
+    solver.settings.max_iter = 100
+    solver.setup(
+        np.asfortranarray(h),
+        g,
+        np.asfortranarray(goal_jacobian),
+        -model.goal,
+        np.asfortranarray(rows),
+        -offset / norm,
+        None,
+        low if np.isfinite(radius) or elastic else None,
+        high if np.isfinite(radius) or elastic else None,
+    )
+    status = solver.solve()
+    result = solver.result
+    if status in (piqp.PIQP_PRIMAL_INFEASIBLE, piqp.PIQP_NUMERICS) or not np.all(np.isfinite(result.x)):
+        return None
+    if status == piqp.PIQP_MAX_ITER_REACHED and result.info.primal_res > 1e-7:
+        return None
+    x = np.asarray(result.x)
+    value = unit * _dual_value(h, g, goal_jacobian, -model.goal, rows, -offset / norm, low, high, result)
+    price = unit * float(np.sum(np.maximum(result.z_l, 0.0) / norm) + np.abs(result.y).max(initial=0.0))
+    return x[:n], float(x[n]) if elastic else 0.0, value, price
+
+
+def _dual_value(
+    h: Array, g: Array, a: Array, b: Array, rows: Array, low_rows: Array, low: Array, high: Array, result: object
+) -> float:
+    """Dual of min 1/2 x'Hx + g'x, Ax = b, rows x >= low_rows, low <= x <= high at the solver's multipliers."""
+    z_l = np.maximum(np.asarray(result.z_l), 0.0)  # type: ignore[attr-defined]
+    y = np.asarray(result.y)  # type: ignore[attr-defined]
+    linear = g + a.T @ y - rows.T @ z_l
+    value = float(z_l @ low_rows - y @ b)
+    if np.all(np.isfinite(high[:-1])) and len(high) > 1:
+        z_bl = np.maximum(np.asarray(result.z_bl), 0.0)  # type: ignore[attr-defined]
+        z_bu = np.maximum(np.asarray(result.z_bu), 0.0)  # type: ignore[attr-defined]
+        finite = np.isfinite(high)
+        linear = linear - z_bl + np.where(finite, z_bu, 0.0)
+        value += float(z_bl @ np.where(np.isfinite(low), low, 0.0) - z_bu[finite] @ high[finite])
+    x = np.linalg.solve(h, -linear)
+    return value + 0.5 * float(linear @ x)
