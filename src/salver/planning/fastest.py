@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 DEGREE = 5
+ATTEMPTS = 40  # random postures from which the ends are sought
+POSTURES = 4  # start postures that are tried when none is given
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,7 @@ def fastest(problem: TransportProblem, options: FastestOptions | None = None) ->
     begun = time.perf_counter()
     best: FastestMotion | None = None
     iterations = 0
+    wanted = options.starts if problem.start_posture is not None else max(POSTURES, options.starts)
     for number, (q_start, q_goal, bend) in enumerate(_starts(problem, options)):
         left = options.time_limit - (time.perf_counter() - begun)
         if left <= 0:
@@ -142,7 +145,7 @@ def fastest(problem: TransportProblem, options: FastestOptions | None = None) ->
         iterations += found.iterations
         if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
             best = found
-        if best.status.ok and number + 1 >= options.starts:
+        if best.status.ok and number + 1 >= wanted:
             break
     wall = time.perf_counter() - begun
     if best is None:
@@ -153,33 +156,41 @@ def fastest(problem: TransportProblem, options: FastestOptions | None = None) ->
 
 
 def _starts(problem: TransportProblem, options: FastestOptions) -> list[tuple[Array, Array, Array]]:
-    """(start posture, goal posture, bend) of initial paths: nearest postures first, then random ones."""
+    """(start posture, goal posture, bend) of initial paths, most promising first.
+
+    With the start posture given: to the goal posture nearest to it, then bent, then to other goal postures. With
+    none given: between nearby postures that are clear of joint limits and of the arm's own parts.
+    """
     rng = np.random.default_rng(options.seed)
     limits, n = problem.limits, problem.n
     centre, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
     centre, half = np.where(np.isfinite(half), centre, 0.0), np.where(np.isfinite(half), half, np.pi)
+    given = problem.start_posture
     found: list[tuple[float, Array, Array]] = []
-    for attempt in range(40):
-        guess = centre if attempt == 0 else centre + 0.7 * half * rng.uniform(-1, 1, n)
-        q_start = problem.start_posture
-        if q_start is None:
-            q_start = reach(problem, problem.start, guess)
+    for attempt in range(ATTEMPTS):
+        guess = centre + (0.7 * half * rng.uniform(-1, 1, n) if attempt else 0.0)
+        q_start = reach(problem, problem.start, guess) if given is None else given
         if q_start is None:
             continue
-        spread = 0.0 if attempt == 0 or problem.start_posture is None else min(1.0, 0.1 * attempt)
+        spread = 0.0 if given is None else min(1.0, 0.1 * attempt)
         q_goal = reach(problem, problem.goal, (1 - spread) * q_start + spread * guess)
         if q_goal is None:
             continue
+        ends = np.stack([q_start, q_goal])
         cost = float(np.max(np.abs(q_goal - q_start) / limits.velocity))
-        if all(np.abs(q_goal - other).max() + np.abs(q_start - first).max() > 0.1 for _, first, other in found):
+        cost += float(np.max(np.abs((ends[given is not None :] - centre) / half)) ** 8)
+        if problem.keep_out is not None:
+            cost += 20 * max(0.0, 0.03 - float(problem.keep_out.distances(ends).min()))
+        if all(np.abs(q_goal - other).max() + np.abs(q_start - first).max() > 0.3 for _, first, other in found):
             found.append((cost, q_start, q_goal))
-        if len(found) >= max(3, options.starts) and attempt >= 5:
+        if given is not None and len(found) >= max(3, options.starts) and attempt >= 5:
             break
     found.sort(key=lambda item: item[0])
     straight = [(first, last, np.zeros(n)) for _, first, last in found]
-    bent = [
-        (first, last, rng.normal(0.0, 0.25, n)) for _, first, last in found[:1] for _ in range(max(3, options.starts))
-    ]
+    bends = rng.normal(0.0, 0.25, (max(3, options.starts), n))
+    bent = [(first, last, bend) for _, first, last in found[:1] for bend in bends]
+    if given is None:
+        return [*straight[: max(POSTURES, options.starts)], *bent]
     return [*straight[:1], *bent[: options.starts], *straight[1:], *bent[options.starts :]]
 
 

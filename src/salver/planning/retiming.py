@@ -1,0 +1,184 @@
+"""The fastest safe time law along a path that is given: joint waypoints, or the path of a plan.
+
+Two stages. Without limits on jerk and torque rate, and for nominal parameters, every condition is linear in
+x = (du/dt)^2 and its slope, and the time-optimal law is the largest x everywhere (Bobrow, Dubowsky, Gibson 1985;
+as one linear programme: Verscheure et al. 2009; as reachability: Pham and Pham, TOPP-RA, 2018). That law starts
+the second: a smooth time law with all conditions of `joint_rows`, jerk, uncertain parameters and the arm's
+tracking among them.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.optimize import linprog
+from scipy.sparse import coo_matrix
+
+from salver.errors import ScenarioError, Status
+from salver.geometry import Array
+from salver.planning.joint_curves import PathCurve
+from salver.planning.joint_exchange import optimise
+from salver.planning.joint_problem import TransportProblem
+from salver.planning.joint_spline import RestSpline
+from salver.planning.joint_terms import motion_terms
+from salver.trajectory import JointMotion
+
+PATH_DEGREE = 5
+PATH_POINTS = 60  # to which a dense path is thinned out, evenly along its length
+LAW_DEGREE = 5
+
+
+@dataclass(frozen=True, eq=False)
+class SplinePath:
+    """q(u), u in [0, 1] in proportion to the length in joint space; four times continuously differentiable."""
+
+    spline: BSpline
+
+    def derivatives(self, u: Array, order: int) -> Array:
+        """(order + 1, N, n): q and its derivatives by u."""
+        u = np.clip(u, 0.0, 1.0)
+        return np.stack([self.spline.derivative(k)(u) if k else self.spline(u) for k in range(order + 1)])
+
+    @classmethod
+    def through(cls, q: Array) -> SplinePath:
+        """Through waypoints (K, n), each different from the one before, of any number.
+
+        More than `PATH_POINTS` are thinned out. Raises ScenarioError for fewer than two different ones.
+        """
+        q = np.asarray(q, dtype=float)
+        kept = np.concatenate([[True], np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-9])
+        q = q[kept]
+        if len(q) < 2:
+            raise ScenarioError("A path needs at least two different waypoints.")
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+        if len(q) > PATH_POINTS:
+            wanted = np.linspace(0.0, length[-1], PATH_POINTS)
+            q = make_interp_spline(length, q, 3)(wanted)
+            length = wanted
+        if len(q) <= PATH_DEGREE:  # too few for the degree: fill up along straight pieces
+            wanted = np.unique(np.concatenate([length, np.linspace(0.0, length[-1], PATH_DEGREE + 3)]))
+            q = np.column_stack([np.interp(wanted, length, column) for column in q.T])
+            length = wanted
+        return cls(make_interp_spline(length / length[-1], q, PATH_DEGREE))
+
+    @classmethod
+    def of(cls, motion: JointMotion) -> SplinePath:
+        """The path of a motion, whatever its timing."""
+        return cls.through(motion.sample(np.linspace(0.0, motion.duration, 2001))[0])
+
+
+@dataclass(frozen=True)
+class RetimedMotion:
+    """Result. law: spline of u(t), with its coefficients (size, 1). lower_bound: duration of the law without jerk,
+    torque rate and uncertainty, s: no motion on this path is faster. worst: as in `FastestMotion`.
+    """
+
+    problem: TransportProblem
+    path: SplinePath
+    law: RestSpline
+    coefficients: Array
+    duration: float
+    lower_bound: float
+    status: Status
+    worst: dict[str, float]
+    wall_time: float
+
+    def joint_motion(self, count: int = 401) -> JointMotion:
+        """Samples of the motion; denser than its own pieces, so that interpolation adds nothing visible."""
+        s = np.union1d(np.linspace(0, 1, count), self.law.breaks())
+        powers = self.duration ** np.arange(3.0)
+        u, u1, u2 = (self.law.matrices(s)[:3] @ self.coefficients) / powers[:, None, None]
+        q, first, second = self.path.derivatives(u[:, 0], 2)
+        return JointMotion(s * self.duration, q, first * u1, second * u1**2 + first * u2)
+
+
+def retime(
+    problem: TransportProblem, path: SplinePath, *, spans: int = 20, nodes_per_span: int = 4, time_limit: float = 30.0
+) -> RetimedMotion:
+    """Fastest safe time law along a path. The problem's ends and tilt are not asked for: the path has its own.
+
+    Never raises for numerical reasons: see `status`.
+    """
+    begun = time.perf_counter()
+    ends = path.derivatives(np.array([0.0, 1.0]), 0)[0]
+    problem = replace(problem, start_posture=ends[0], max_tilt=np.inf, keep_out=None)
+    law = RestSpline(LAW_DEGREE, spans)
+    bound = reachable_law(problem, path)
+    if bound is None:
+        status = Status("infeasible", "No time law keeps this path: the load does not even stand still on it.", False)
+        return RetimedMotion(problem, path, law, np.zeros((law.size, 1)), np.inf, np.inf, status, {}, 0.0)
+    t, u = bound
+    s = np.linspace(0.0, 1.0, 401)
+    start = law.fit(s, np.interp(s, t / t[-1], u)[:, None])
+    start = np.maximum.accumulate(np.clip(start, 0.0, 1.0), axis=0)
+    found = optimise(
+        problem,
+        lambda p, grid: PathCurve(p, grid, path),
+        law,
+        start,
+        1.5 * float(t[-1]),
+        nodes_per_span,
+        time_limit,
+    )
+    wall = time.perf_counter() - begun
+    return RetimedMotion(
+        problem, path, law, found.coefficients, found.duration, float(t[-1]), found.status, found.worst, wall
+    )
+
+
+def reachable_law(problem: TransportProblem, path: SplinePath, count: int = 201) -> tuple[Array, Array] | None:
+    """Times t (count,) and path positions u (count,) of the fastest law under velocity, acceleration, torque and
+    nominal contact; None when there is none.
+
+    With x_i = (du/dt)^2 at points of the path and d2u/dt2 = (x_{i+1} - x_i) / (2 du) between them, all conditions
+    are linear, and the largest sum of x is the largest x everywhere.
+    """
+    u = np.linspace(0.0, 1.0, count)
+    middle = 0.5 * (u[1:] + u[:-1])
+    q, first, second = path.derivatives(middle, 2)
+    zero = np.zeros_like(q)
+
+    def at(dq: Array, ddq: Array) -> tuple[Array, Array]:
+        terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
+        return terms.w, terms.torque
+
+    # w and torque are affine in ddq and quadratic in dq: at rest, and what x = 1 and slope 1 add.
+    rest, torque_rest = at(zero, zero)
+    by_x, torque_x = (a - b for a, b in zip(at(first, second), (rest, torque_rest), strict=True))
+    by_slope, torque_slope = (a - b for a, b in zip(at(zero, first), (rest, torque_rest), strict=True))
+    limits = problem.limits
+    blocks = [(first, second, np.zeros_like(first), limits.acceleration)]
+    blocks.append((torque_slope, torque_x, torque_rest, limits.torque))
+    slope, x, constant = [], [], []
+    for by_u, by_square, fixed, bound in blocks:
+        finite = np.isfinite(bound)
+        for sign in (1.0, -1.0):
+            slope.append(sign * by_u[:, finite])
+            x.append(sign * by_square[:, finite])
+            constant.append(sign * fixed[:, finite] - bound[finite])
+    for rows in problem.contacts:
+        c = rows.nominal.T
+        slope.append(by_slope @ c)
+        x.append(by_x @ c)
+        constant.append(rest @ c)
+    a, b, c = np.hstack(slope), np.hstack(x), np.hstack(constant)
+    n, m = a.shape
+    du = u[1] - u[0]
+    # a (x_{i+1} - x_i) / (2 du) + b (x_i + x_{i+1}) / 2 + c <= 0 at the middle of each interval.
+    row = np.arange(n * m)
+    left = np.repeat(np.arange(n), m)
+    values = np.concatenate([(-a / (2 * du) + b / 2).ravel(), (a / (2 * du) + b / 2).ravel()])
+    matrix = coo_matrix((values, (np.r_[row, row], np.r_[left, left + 1])), shape=(n * m, count)).tocsr()
+    speed = np.abs(path.derivatives(u, 1)[1])
+    with np.errstate(divide="ignore"):
+        highest = np.min(np.where(speed > 1e-12, limits.velocity / np.maximum(speed, 1e-12), 1e6), axis=1) ** 2
+    highest[0] = highest[-1] = 0.0
+    result = linprog(-np.ones(count), A_ub=matrix, b_ub=-c.ravel(), bounds=np.column_stack([0 * highest, highest]))
+    if result.x is None:
+        return None
+    rate = np.sqrt(np.maximum(result.x, 0.0))
+    steps = 2 * du / np.maximum(rate[1:] + rate[:-1], 1e-9)
+    return np.concatenate([[0.0], np.cumsum(steps)]), u

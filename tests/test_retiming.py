@@ -1,0 +1,146 @@
+"""Time laws along given paths: the trapezoid by hand, derivatives by differences, verdicts of other modules."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from salver.errors import ScenarioError
+from salver.models.contact_rows import contact_rows
+from salver.planning.fastest import FastestOptions, fastest, object_motion
+from salver.planning.joint_curves import Grid, PathCurve
+from salver.planning.joint_limits import peaks
+from salver.planning.joint_problem import TransportProblem, transport_problem
+from salver.planning.joint_spline import RestSpline
+from salver.planning.retiming import SplinePath, reachable_law, retime
+from salver.scenario import Scenario, load
+
+
+def cube(**changes: object) -> Scenario:
+    return load("panda-cube").with_changes(**{"objects__0__friction": 0.4, "motion__goal_yaw": "free", **changes})
+
+
+@pytest.fixture(scope="module")
+def problem() -> TransportProblem:
+    return transport_problem(cube(), level=False, robust=False)
+
+
+def swing(problem: TransportProblem, turn: float) -> SplinePath:
+    """A turn of the first joint alone."""
+    q = np.tile(problem.start_posture, (9, 1))
+    q[:, 0] += np.linspace(0, turn, 9)
+    return SplinePath.through(q)
+
+
+def test_path_passes_its_waypoints_in_proportion_to_length():
+    q = np.random.default_rng(0).normal(size=(8, 7))
+    path = SplinePath.through(q)
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
+    assert np.abs(path.derivatives(length / length[-1], 0)[0] - q).max() < 1e-10
+    u, h = np.linspace(0.1, 0.9, 20), 1e-5
+    ahead, here, behind = (path.derivatives(u + d, 4) for d in (h, 0, -h))
+    for k in range(4):
+        assert np.allclose((ahead[k] - behind[k]) / (2 * h), here[k + 1], rtol=1e-4, atol=1e-2 * 30**k)
+
+
+def test_two_waypoints_make_a_straight_path():
+    path = SplinePath.through(np.array([[0.0, 1.0], [2.0, -1.0]]))
+    q, first, second = path.derivatives(np.linspace(0, 1, 11), 2)
+    assert np.allclose(q, np.linspace([0, 1], [2, -1], 11))
+    assert np.allclose(first, [2, -2])
+    assert np.abs(second).max() < 1e-8
+
+
+def test_fewer_than_two_waypoints_are_refused():
+    with pytest.raises(ScenarioError, match="at least two different waypoints"):
+        SplinePath.through(np.ones((3, 7)))
+
+
+def test_single_joint_runs_a_trapezoid(problem):
+    """Velocity and acceleration limits alone: d/v + v/a."""
+    free = replace(problem, contacts=(), limits=replace(problem.limits, torque=np.full(7, np.inf)))
+    law = reachable_law(free, swing(problem, 1.2), 801)
+    assert law is not None
+    v, a = problem.limits.velocity[0], problem.limits.acceleration[0]
+    assert law[0][-1] == pytest.approx(1.2 / v + v / a, rel=2e-3)
+
+
+def test_horizontal_swing_is_limited_by_friction(problem):
+    """A cube at distance r from the first axis, level: from rest a <= mu g along a pyramid's edge; with the arm's
+    own limits away, a turn d takes about 2 sqrt(r d / (mu g)), longer as the path bends."""
+    loose = replace(
+        problem.limits,
+        velocity=np.full(7, 1e3),
+        acceleration=np.full(7, 1e4),
+        torque=np.full(7, np.inf),
+    )
+    turn = 0.1
+    law = reachable_law(replace(problem, limits=loose), swing(problem, turn), 401)
+    assert law is not None
+    distance = float(np.hypot(0.54237, 0.370574))
+    straight = 2 * np.sqrt(distance * turn / (0.4 * 9.81))
+    assert straight < law[0][-1] < 1.5 * straight
+
+
+def test_derivatives_of_a_time_law_match_differences(problem):
+    path, law = swing(problem, 0.8), RestSpline(5, 8)
+    path = SplinePath.through(path.derivatives(np.linspace(0, 1, 9), 0)[0] + 0.1 * np.sin(np.arange(63)).reshape(9, 7))
+    curve = PathCurve(problem, Grid.of(law, law.nodes(3)), path)
+    rng = np.random.default_rng(1)
+    coefficients = np.sort(rng.uniform(0, 1, (law.size, 1)), axis=0)
+    node = np.arange(len(curve.grid.s))
+    parts, direction, h = rng.normal(size=(len(node), 4, 7)), rng.normal(size=coefficients.shape), 1e-6
+
+    def value(step: float) -> np.ndarray:
+        z = curve.motion(coefficients + step * direction, 0.9)
+        return np.einsum("rkn,krn->r", parts, z[:, node])
+
+    predicted = curve.columns(coefficients, 0.9, parts, node) @ direction[:, 0]
+    difference = (value(h) - value(-h)) / (2 * h)
+    assert np.allclose(difference, predicted, rtol=1e-5, atol=1e-5 * np.abs(predicted).max())
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_retimed_path_keeps_every_limit_and_the_contact(robust):
+    uncertainty = {"mass": "20%", "com": [0.003, 0.003, 0.003], "friction": "10%"}
+    scenario = cube(objects__0__uncertainty=uncertainty)
+    given = transport_problem(scenario, level=False, robust=robust)
+    found = retime(given, swing(given, 1.0))
+    assert found.status.ok, found.status
+    assert found.lower_bound < found.duration < 1.25 * found.lower_bound
+    motion = found.joint_motion()
+    for peak in peaks(given.arm, motion, given.items):
+        assert peak.share < 1.001, peak
+    terms = object_motion(given, motion.t, motion.q, motion.dq, motion.ddq)
+    assert np.abs(terms.v_S[[0, -1]]).max() < 1e-9
+    from salver.planning.joint_terms import motion_terms
+
+    w = motion_terms(given.model, given.arm.tray_id, motion.q, motion.dq, motion.ddq).w
+    for rows in contact_rows(scenario, robust=robust):
+        assert rows.worst(w).max() <= -0.5 * scenario.contact.margin
+
+
+def test_uncertainty_costs_time_on_the_same_path():
+    scenario = cube(objects__0__uncertainty={"mass": "40%", "com": [0.01, 0.01, 0.01], "friction": "20%"})
+    durations = []
+    for robust in (False, True):
+        given = transport_problem(scenario, level=False, robust=robust)
+        durations.append(retime(given, swing(given, 1.0)).duration)
+    assert durations[1] > 1.05 * durations[0]
+
+
+def test_path_of_a_fastest_motion_cannot_be_timed_much_better(problem):
+    found = fastest(problem, FastestOptions(spans=10))
+    again = retime(problem, SplinePath.of(found.joint_motion()), spans=14)
+    assert again.status.ok, again.status
+    assert 0.97 * found.duration < again.duration < 1.05 * found.duration
+
+
+def test_path_on_which_the_load_cannot_even_rest_has_a_status(problem):
+    q = np.tile(problem.start_posture, (5, 1))
+    q[:, 5] += np.linspace(0, 1.2, 5)  # tilts the tray by 69 degrees
+    found = retime(problem, SplinePath.through(q))
+    assert not found.status.ok
+    assert "stand still" in found.status.sentence
