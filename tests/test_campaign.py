@@ -375,3 +375,24 @@ def test_a_ray_cluster_that_does_not_answer_is_one_sentence(run_dir):
     pytest.importorskip("ray")
     with pytest.raises(SalverError, match=r"No Ray cluster answers at 127.0.0.1:1"):
         run_campaign(run_dir, n=3, engine="closed-loop", ray="127.0.0.1:1")
+
+
+def test_a_run_of_the_physics_engine_is_reproduced_alone_from_its_number(tmp_path):
+    from salver.planning.plan import load_plan
+    from salver.simulation.physics import simulate
+
+    case = scenarios.load("panda-cube").with_changes(
+        arm=None, motion__duration=0.7, physics__settle_before=0.05, physics__settle_after=0.1
+    )
+    # Half of the set of the friction lies below what 0.7 s needs (0.578): some runs slide.
+    case = case.with_changes(objects__0__uncertainty={"mass": "10%", "friction": 0.2})
+    directory = tmp_path / "uncertain"
+    make_plan(case, "baseline").save(directory, "baseline")
+    result = run_campaign(directory, n=4, stems=["baseline"], jobs=2)
+    columns = read_table(result.folder / "runs.parquet")
+    assert {"holds", "slides"} <= set(columns["outcome"])
+    for k in (1, 3):
+        parameters, seed = parameters_of_run(directory, k)
+        record = simulate(load_plan(directory, "baseline"), parameters=parameters, seed=seed)
+        assert record.outcome == columns["outcome"][k]
+        assert record.summary["objects"][0]["peak_slip"] == columns["peak_slip"][k]
