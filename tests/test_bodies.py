@@ -6,8 +6,8 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from salver.errors import ScenarioError
-from salver.models.bodies import bodies, inset
-from salver.models.polygons import eroded, intersection
+from salver.models.bodies import bodies
+from salver.models.polygons import eroded, inset, intersection, simplified
 from salver.scenario import Scenario, parse
 
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
@@ -36,6 +36,20 @@ def test_polygon_operations_by_hand() -> None:
     assert_allclose(area(eroded(SQUARE, np.array([0.1, 0.3]))), 1.8 * 1.4)
     assert len(eroded(SQUARE, np.array([1.1, 0.0]))) == 0
     assert_allclose(area(inset(SQUARE, 0.05)), 1.9**2)
+    assert len(inset(SQUARE, 1.001)) == 0
+    # A short edge between two others vanishes when all are moved inwards.
+    cut = np.array([[1, 0.99], [0.99, 1], [-1, 1], [-1, -1], [1, -1]], dtype=float)
+    assert len(inset(cut, 0.1)) == 4
+    assert_allclose(area(inset(cut, 0.1)), 1.8**2)
+
+
+def test_simplified_polygon_lies_within() -> None:
+    angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    few = simplified(circle, 16)
+    assert len(few) == 16
+    assert 0.97 * area(circle) < area(few) < area(circle)
+    assert simplified(SQUARE, 4) is SQUARE
 
 
 def test_stack_turned_by_45_degrees_touches_in_an_octagon() -> None:
@@ -84,6 +98,8 @@ def test_mesh_object(tmp_path) -> None:
             [cube("a"), cube("b", 0.05, at=[0.05, 0]), cube("c", 0.1, on=["a", "b"], at=[0.02, 0])],
             "tops differ by 10.0 mm",
         ),
+        ([cube("a", uncertainty={"friction": 0.4})], "uncertainty.friction of a = 0.4 reaches from friction 0.4 down"),
+        ([cube("a", support_inset=0.02)], "leaves nothing of its base"),
         ([cube("b", on="a")], 'b stands on "a", which is neither'),
         (
             [{**cube("a"), "shape": {"type": "mesh", "file": "nowhere.stl"}}],

@@ -1,8 +1,10 @@
 """The contact wrench cone: facets against linear and second-order programmes, and against closed forms."""
 
+import clarabel
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import sparse
 
 from salver.geometry import exp
 from salver.models import shapes
@@ -148,6 +150,43 @@ def test_pyramids_bracket_the_round_cone() -> None:
         assert np.all(ratio <= 1 + 1e-6)
         assert np.all(ratio >= np.cos(np.pi / 24) - 1e-6)
         assert ratio.min() < 1 - 1e-4  # they do differ
+
+
+def gauge_by_cone_programme(contacts: ContactSet, wrench: np.ndarray) -> float:
+    """Friction needed under round cones by one second-order cone programme: largest s with s F_t possible at 1."""
+    points = contacts.p_BC
+    n = len(points)
+    balance = np.zeros((6, 1 + 3 * n))
+    for i, p in enumerate(points):
+        n_i, x_i, y_i = 1 + 3 * i, 2 + 3 * i, 3 + 3 * i  # normal force first, as a second-order cone has it
+        for column, force in ((n_i, [0, 0, 1.0]), (x_i, [1.0, 0, 0]), (y_i, [0, 1.0, 0])):
+            balance[:, column] = [*force, *np.cross(p - points.mean(axis=0), force)]
+    centred = wrench.copy()
+    centred[3:] -= np.cross(points.mean(axis=0), wrench[:3])
+    tangential = np.array([True, True, False, False, False, True])
+    balance[:, 0] = np.where(tangential, -centred, 0)
+    scale = np.array([1, 1, 1, 20, 20, 20.0])
+    rows = sparse.vstack([scale[:, None] * balance, sparse.hstack([sparse.csc_matrix((3 * n, 1)), -sparse.eye(3 * n)])])
+    target = np.concatenate([scale * np.where(tangential, 0, centred), np.zeros(3 * n)])
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-10
+    cost = np.zeros(1 + 3 * n)
+    cost[0] = -1
+    cones = [clarabel.ZeroConeT(6), *[clarabel.SecondOrderConeT(3)] * n]
+    quadratic = sparse.csc_matrix((len(cost), len(cost)))
+    solution = clarabel.DefaultSolver(quadratic, cost, sparse.csc_matrix(rows), target, cones, settings).solve()
+    assert str(solution.status) == "Solved"
+    return 1 / solution.x[0]
+
+
+@pytest.mark.parametrize("n", [3, 4, 8])
+def test_round_cone_agrees_with_a_cone_programme(n: int) -> None:
+    rng = np.random.default_rng(7 + n)
+    contacts = polygon_contacts(n, 6)
+    wrench = (contacts.grasp_map @ rng.exponential(size=(contacts.grasp_map.shape[1], 4))).T
+    expected = [gauge_by_cone_programme(contacts, row) for row in wrench]
+    assert_allclose(coulomb_friction_needed(contacts, wrench), expected, rtol=1e-6)
 
 
 def test_pure_torsion_of_a_round_cone() -> None:

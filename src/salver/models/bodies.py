@@ -12,7 +12,7 @@ from salver.geometry import Array, exp
 from salver.models import shapes
 from salver.models.contact import ContactSet, support_contacts
 from salver.models.parameters import COM, INERTIA, UncertainSet, inertial_vector
-from salver.models.polygons import intersection
+from salver.models.polygons import inset, intersection
 from salver.models.rigid_body import RigidBody, inertia_matrix
 
 if TYPE_CHECKING:
@@ -92,22 +92,6 @@ def inertial_of(item: CarriedObject, solid: shapes.Solid) -> RigidBody:
     else:
         inertia = inertia_matrix(item.inertia)
     return RigidBody(item.mass, np.zeros(3), inertia)
-
-
-def inset(polygon: Array, distance: float) -> Array:
-    """A convex counter-clockwise polygon (n, 2) with every edge moved inwards."""
-    if distance == 0:
-        return polygon
-    edge = np.roll(polygon, -1, axis=0) - polygon
-    normal = np.stack([-edge[:, 1], edge[:, 0]], axis=1) / np.linalg.norm(edge, axis=1)[:, None]
-    offset = np.einsum("ij,ij->i", normal, polygon) + distance
-    previous = np.roll(normal, 1, axis=0), np.roll(offset, 1)
-    return np.array(
-        [
-            np.linalg.solve(np.stack([previous[0][i], normal[i]]), [previous[1][i], offset[i]])
-            for i in range(len(polygon))
-        ]
-    )
 
 
 def bodies(scenario: Scenario) -> list[Body]:
@@ -229,10 +213,17 @@ def check(item: CarriedObject) -> None:
             f"inertia of {item.name} has principal moments {', '.join(f'{x:.3g}' for x in principal)} kg m^2; no mass "
             "distribution has one that is larger than the sum of the other two"
         )
+    for name, nominal in (("mass", item.mass), ("friction", item.friction)):
+        half = getattr(item.uncertainty, name)
+        if half is not None and _absolute(half, nominal) >= nominal:
+            raise ValueError(
+                f"uncertainty.{name} of {item.name} = {_absolute(half, nominal):g} reaches from {name} {nominal:g} "
+                "down to zero; it must be smaller"
+            )
     com_G = solid.centroid_G + np.asarray(item.com)
     if not _inside_hull(com_G, solid.bounding_points_G):
         raise ValueError(f"com of {item.name} = {tuple(item.com)} m lies outside its shape; it must be inside")
-    if 2 * item.support_inset >= np.ptp(solid.base_polygon, axis=0).min():
+    if len(inset(solid.base_polygon, item.support_inset)) < 3:
         raise ValueError(
             f"support_inset of {item.name} = {item.support_inset} m leaves nothing of its base to stand on"
         )

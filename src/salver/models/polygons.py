@@ -48,6 +48,23 @@ def intersection(first: Array, second: Array) -> Array:
     return from_half_planes(np.vstack([n for n, _ in pairs]), np.concatenate([o for _, o in pairs]))
 
 
+def inset(polygon: Array, distance: float) -> Array:
+    """The polygon with every edge moved inwards; empty when nothing is left."""
+    if distance == 0:
+        return polygon
+    normal, offset = half_planes(polygon)
+    return from_half_planes(normal, offset - distance)
+
+
+def simplified(polygon: Array, most: int) -> Array:
+    """At most `most` of the vertices, those that matter: a polygon inside the given one."""
+    while len(polygon) > most:
+        before, after = np.roll(polygon, 1, axis=0) - polygon, np.roll(polygon, -1, axis=0) - polygon
+        ear = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
+        polygon = np.delete(polygon, int(np.argmin(ear)), axis=0)
+    return polygon
+
+
 def eroded(polygon: Array, half_range: Array) -> Array:
     """The part that stays covered however the polygon is shifted within |dx|, |dy| <= half_range (2,)."""
     if not np.any(half_range):

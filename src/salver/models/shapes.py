@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.polygons import convex_hull
+from salver.models.polygons import convex_hull, simplified
 from salver.models.rigid_body import parallel_axis
+
+MOST_VERTICES = 16  # of the base of a composite or mesh: the number of facets grows with their square
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,11 @@ def composite(parts: list[tuple[Solid, Array, float]]) -> Solid:
     points = np.vstack([s.bounding_points_G + p - middle for s, p, _ in parts])
     return Solid(
         high - low,
-        convex_hull(np.vstack(base)),
+        simplified(convex_hull(np.vstack(base)), MOST_VERTICES),
         centroid,
         np.asarray(inertia),
         points,
-        convex_hull(np.vstack(top)),
+        simplified(convex_hull(np.vstack(top)), MOST_VERTICES),
         convex_hull(points[:, :2]),
     )
 
@@ -109,9 +111,9 @@ def composite(parts: list[tuple[Solid, Array, float]]) -> Solid:
 def mesh(file: str, scale: float = 1.0) -> Solid:
     """A closed surface mesh (STL, OBJ, PLY, ...), z up, as read from `file` and scaled to metres.
 
-    It stands on the hull of its lowest vertices (within 0.1 % of its height); inertia is that of a uniform
-    solid. G is at the middle of the bounding box. Raises ValueError, one sentence, for a file that is missing or
-    unreadable, a surface that is not closed, or a base that is not an area.
+    It stands on the hull of its lowest vertices (within 0.1 % of its height; at most 16 of them); inertia is that
+    of a uniform solid. G is at the middle of the bounding box. Raises ValueError, one sentence, for a file that is
+    missing or unreadable, a surface that is not closed, or a base that is not an area.
     """
     import trimesh
     from scipy.spatial import ConvexHull
@@ -139,14 +141,15 @@ def mesh(file: str, scale: float = 1.0) -> Solid:
     base = convex_hull(vertices[vertices[:, 2] <= -0.5 * height + near, :2])
     if len(base) < 3:
         raise ValueError(f'the mesh in "{file}" stands on a point or an edge; turn it so that a flat side is below')
+    top = convex_hull(vertices[vertices[:, 2] >= 0.5 * height - near, :2])
     unit_inertia = scale**2 * np.asarray(surface.moment_inertia) / surface.volume
     return Solid(
         height,
-        base,
+        simplified(base, MOST_VERTICES),
         scale * np.asarray(surface.center_mass) - bounds.mean(axis=0),
         unit_inertia,
         vertices[ConvexHull(vertices).vertices],
-        convex_hull(vertices[vertices[:, 2] >= 0.5 * height - near, :2]),
+        simplified(top, MOST_VERTICES),
         convex_hull(vertices[:, :2]),
     )
 

@@ -198,7 +198,14 @@ def _largest_scale(xy: Array, unit: Array, direction: Array) -> float:
             rows.append(block)
         cuts = np.concatenate(rows)
         x = linprog(
-            cost, A_ub=cuts, b_ub=np.zeros(len(cuts)), A_eq=balance, b_eq=target, bounds=bounds, method="highs"
+            cost,
+            A_ub=cuts,
+            b_ub=np.zeros(len(cuts)),
+            A_eq=balance,
+            b_eq=target,
+            bounds=bounds,
+            method="highs",
+            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
         ).x
         forces = np.stack([x[n + 1 : 2 * n + 1], x[2 * n + 1 :]], axis=1)
         size, normal = np.linalg.norm(forces, axis=1), x[1 : n + 1]
