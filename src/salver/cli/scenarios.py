@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from salver.cli.common import Json, print_json, result_console
 
 if TYPE_CHECKING:
-    from salver.scenario import CarriedObject, Scenario
+    from salver.scenario import Scenario
 
 
 def scenarios(json: Json = False) -> None:
@@ -25,13 +25,11 @@ def scenarios(json: Json = False) -> None:
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0))
-    for column in ("name", "duration", "objects", "uncertain", "summary"):
-        table.add_column(column, no_wrap=column in ("name", "duration"), justify="left")
+    for column in ("name", "duration", "on the tray", "uncertain", "summary"):
+        table.add_column(column, no_wrap=column in ("name", "duration"), ratio=2 if column == "summary" else None)
     for item in found:
         duration = "free" if item.motion.duration is None else f"{item.motion.duration:g} s"
-        record = _record(item)
-        objects = ", ".join(_object_in_words(o) for o in item.objects)
-        table.add_row(item.name, duration, objects, ", ".join(record["uncertain"]) or "nothing", item.summary)
+        table.add_row(item.name, duration, _objects_in_words(item), _uncertain_in_words(item), item.summary)
     result_console().print(table)
 
 
@@ -56,5 +54,16 @@ def _record(item: Scenario) -> dict[str, Any]:
     }
 
 
-def _object_in_words(item: CarriedObject) -> str:
-    return f"{item.name} {item.mass:g} kg, friction {item.friction:g}"
+def _objects_in_words(item: Scenario) -> str:
+    friction = f"friction {min(o.friction for o in item.objects):g}"
+    if len(item.objects) == 1:
+        return f"{item.objects[0].name} {item.objects[0].mass:g} kg, {friction}"
+    return f"{len(item.objects)} objects, {sum(o.mass for o in item.objects):g} kg, {friction}"
+
+
+def _uncertain_in_words(item: Scenario) -> str:
+    """What is uncertain, parts and axes taken together: "mass, com, friction"."""
+    from salver.models.bodies import uncertain_set
+
+    kinds = [name.rpartition(".")[2].split("_")[0] for name in uncertain_set(item).names]
+    return ", ".join(dict.fromkeys(kinds)) or "nothing"
