@@ -57,7 +57,7 @@ class Case:
         }[name]
         ends = np.stack([start, start + swing])
         self.joint = JointMotion(np.array([0.0, DURATION]), ends, np.zeros_like(ends), np.zeros_like(ends))
-        self.model = chain_model(self.scenario)
+        self.model = replace(chain_model(self.scenario), delay=0.0)
         self.body = self.model.items[0]
         fine = np.linspace(0.0, DURATION, 401)
         self.terms = motion_terms(self.model.loaded.pin_model, self.model.loaded.tray_id, *self.joint.sample(fine))
@@ -77,8 +77,11 @@ class Case:
         moved = replace(self.body, inertial=true, p_EB=tilt @ (self.body.p_EB + shift), R_EB=tilt @ self.body.R_EB)
         return [moved, *self.model.items[1:]]
 
-    def rollout(self, space: str, change: dict[str, float]) -> dict[str, np.ndarray]:
-        """Full forward dynamics with the true load stuck to the tray, under the real controller in every stage."""
+    def rollout(self, space: str, change: dict[str, float], hold: int = 0) -> dict[str, np.ndarray]:
+        """Full forward dynamics with the true load stuck to the tray, under the real controller in every stage.
+
+        hold: so many steps each torque is held instead.
+        """
         control = self.scenario.control
         controller = ArmController(
             self.model.arm,
@@ -94,14 +97,19 @@ class Case:
 
         def rate(t, x):
             q, dq = x
-            return np.stack([dq, pin.aba(model, data, q, dq, controller.step(ArmState(q, dq), t))])
+            now = controller.step(ArmState(q, dq), t) if held is None else held
+            return np.stack([dq, pin.aba(model, data, q, dq, now)])
+
+        held = None
 
         x = np.stack([self.joint.q[0], np.zeros(len(self.joint.q[0]))])
         out: dict[str, list] = {key: [] for key in ("q", "dq", "ddq", "torque")}
         for k in range(-round(self.model.settle / STEP), len(T)):
             t = k * STEP
+            if hold and k % hold == 0:
+                held = controller.step(ArmState(*x), t)
             if k >= 0:
-                torque = controller.step(ArmState(*x), t)
+                torque = controller.step(ArmState(*x), t) if held is None else held
                 for key, value in zip(out, (*x, pin.aba(model, data, *x, torque).copy(), torque), strict=True):
                     out[key].append(value)
             k1 = rate(t, x)
@@ -385,12 +393,28 @@ def test_tracking_wrench_motion_is_the_chains(panda):
     assert relative(dw[:, 4], expected) < 1e-3
 
 
+@pytest.mark.parametrize("space", ["joint", "object"])
+def test_held_commands_act_half_a_period_late(panda, space):
+    """Nominal load, each torque held for 2.5 and for 5 ms, against what the delay predicts; its error falls with it."""
+    free = panda.rollout(space, {})
+    misses = []
+    for hold in (2, 1):
+        model = replace(panda.model, delay=0.5 * hold * STEP)
+        held = arm_chain(model, panda.joint, space=space, t=T).held
+        run = panda.rollout(space, {}, hold)
+        every = slice(None, None, hold)
+        misses.append(relative(held.q[every], (run["q"] - free["q"])[every]))
+        assert relative(held.torque[every], (run["torque"] - free["torque"])[every]) < 0.15
+    assert misses[1] < 0.06
+    assert misses[1] == pytest.approx(0.5 * misses[0], rel=0.3)
+
+
 def test_no_uncertainty_no_tubes():
     plain = CUBE.with_changes(objects__0__uncertainty={}, uncertainty__tilt_deg=[0.0, 0.0])
     case = Case("panda")
     chain = arm_chain(chain_model(plain), case.joint)
     assert not chain.radius(chain.tray).any()
-    assert chain.least_slack() == pytest.approx(chain.least_slack(tracking=False))
+    assert chain.least_slack() == pytest.approx(chain.least_slack(tracking=False), abs=3e-3)  # but for held commands
 
 
 def test_a_seen_object_in_an_unknown_place_is_refused():

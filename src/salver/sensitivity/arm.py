@@ -8,7 +8,10 @@ moves with the tray, and what is wrong is the arm's torque. With M the mass matr
 
 to first order, whatever the law for ddq_cmd; `salver.sensitivity.arm_tracking` and `.arm_task` solve it for the two
 laws of `salver.control.arm`. From the deviation of the joints follow the tray's, what the objects feel, the torque
-and the contact rows. Exact for continuous control; the command period and its hold are left out.
+and the contact rows.
+
+A command is held for a period, so it acts half a period late: what is missing then is M^-1 dtau/dt times that delay,
+the same in every run. It is told apart (`ArmChain.held`), because it is known.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ from salver.sensitivity import tubes
 from salver.sensitivity.arm_contact import ContactChange, contact_change, worst_contact
 from salver.sensitivity.arm_filter import node_filter
 from salver.sensitivity.arm_load import LoadChange, load_change
-from salver.sensitivity.arm_task import joints_of_task, tray_of_joints, tray_of_task
+from salver.sensitivity.arm_task import TrayDeviation, joints_of_task, tray_of_joints, tray_of_task
 from salver.sensitivity.arm_terms import MotionTerms, motion_terms
 from salver.sensitivity.arm_tracking import (
     JointDeviation,
@@ -54,7 +57,7 @@ class ChainModel:
     """What is constant for a scenario: make it once, use it for many motions.
 
     arm, loaded: without and with the nominal objects. contact: rows at nominal parameters; worst_rows: over the
-    uncertain set. settle: s that the arm holds its load before the motion.
+    uncertain set. settle: s that the arm holds its load before the motion. delay: s by which a command acts late.
     """
 
     scenario: Scenario
@@ -66,6 +69,7 @@ class ChainModel:
     contact: ContactChange
     worst_rows: tuple[ContactRows, ...]
     settle: float
+    delay: float
 
     @property
     def uncertain(self) -> UncertainSet:
@@ -101,7 +105,18 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
         contact_change(scenario),
         contact_rows(scenario),
         settle,
+        0.5 * scenario.physics.command_period,
     )
+
+
+@dataclass(frozen=True)
+class Held:
+    """How far commands that are held put the nominal motion off: q, torque (T, n), tray, w (T, 12) as in ArmChain."""
+
+    q: Array
+    torque: Array
+    tray: Array
+    w: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +133,7 @@ class ArmChain:
     that the object needs on an unchanged motion, Y dphi.
     slack: (T, n_rows) of the contact rows, safe above 0, as a share of the normal force at rest. slack_p: (T, n_rows,
     n_p) its derivatives, without products.
+    held: where the nominal motion itself is, off the plan.
     """
 
     t: Array
@@ -132,6 +148,7 @@ class ArmChain:
     direct_wrench: Array
     slack: Array
     slack_p: Array
+    held: Held
 
     @property
     def uncertain(self) -> UncertainSet:
@@ -155,11 +172,13 @@ class ArmChain:
     def least_slack(self, tracking: bool = True) -> Array:
         """(T,) least contact slack over all rows and the whole uncertain set; safe above 0.
 
-        tracking: with the arm's tracking error; otherwise for a tray that moves as planned, which is what a plan
-        checks with contact.condition = "exact".
+        tracking: with the arm's tracking error, held commands included; otherwise for a tray that moves as planned,
+        which is what a plan checks with contact.condition = "exact".
         """
-        dw = self.w if tracking else np.zeros_like(self.w)
-        worst = [worst_contact(rows, self.nominal.w, dw, self.model.load) for rows in self.model.worst_rows]
+        w, dw = self.nominal.w, np.zeros_like(self.w)
+        if tracking:
+            w, dw = w + self.held.w, self.w
+        worst = [worst_contact(rows, w, dw, self.model.load) for rows in self.model.worst_rows]
         return -np.max(np.concatenate(worst, axis=1), axis=1)
 
     def summary(self) -> dict[str, Any]:
@@ -173,7 +192,7 @@ class ArmChain:
             "tray_position_radius": float(np.linalg.norm(tray[:, :3], axis=1).max()),
             "tray_rotation_radius": float(np.linalg.norm(tray[:, 3:6], axis=1).max()),
             "torque_radius": torque.max(axis=0).tolist(),
-            "torque_share": float(((np.abs(self.nominal.torque) + torque) / limits).max()),
+            "torque_share": float(((np.abs(self.nominal.torque + self.held.torque) + torque) / limits).max()),
             "contact_slack": float(least[k]),
             "contact_slack_time": float(self.t[k]),
             "contact_slack_planned": float(planned.min()),
@@ -189,16 +208,13 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
     if t is None:
         t = np.linspace(0.0, joint.duration, max(81, int(np.ceil(joint.duration / _GRID_STEP)) + 1))
     terms = motion_terms(model.loaded.pin_model, model.loaded.tray_id, *joint.sample(t))
-    load, gains, settle = model.load, model.gains, model.settle
-    if space == "joint":
-        response = node_filter(t, gains.kp[0], gains.kd[0], settle)
-        joints = tracking_error(terms.w, terms.jacobian, terms.mass_matrix, load, response)
-        tray = tray_of_joints(terms, joints)
-    else:
-        missing = missing_acceleration(terms.w, terms.jacobian, terms.mass_matrix, load)
-        tray = tray_of_task(t, terms, missing, model.items[0], gains, settle)
-        joints = joints_of_task(t, terms, tray, missing, POSTURE_GAINS, settle)
-    torque = terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing
+    load = model.load
+    missing = missing_acceleration(terms.w, terms.jacobian, terms.mass_matrix, load)
+    joints, tray = _response(model, t, terms, missing, space, model.settle)
+    rate = np.gradient(terms.torque, t, axis=0, edge_order=2)[:, :, None]
+    late = model.delay * np.linalg.solve(terms.mass_matrix, rate)
+    held_joints, held_tray = _response(model, t, terms, late, space, 0.0)
+    held = (held_joints.q, _torque(terms, held_joints), held_tray.state, held_tray.w)
     contact, n_p = model.contact, load.uncertain.size
     direct_wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)
     direct_slack = -np.einsum("pri,ti->trp", contact.rows_p, terms.w)
@@ -209,10 +225,28 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
         nominal=terms,
         joints=joints,
         tray=tray.state,
-        torque=torque,
+        torque=_torque(terms, joints),
         w=tray.w,
         wrench=direct_wrench + load.wrench @ tray.w,
         direct_wrench=direct_wrench,
         slack=-terms.w @ contact.rows.T,
         slack_p=direct_slack - contact.rows @ tray.w[:, :, :n_p],
+        held=Held(*(x[:, :, 0] for x in held)),
     )
+
+
+def _response(
+    model: ChainModel, t: Array, terms: MotionTerms, missing: Array, space: Space, settle: float
+) -> tuple[JointDeviation, TrayDeviation]:
+    """Deviation of joints and tray when the acceleration `missing` (T, n, n_c) is missing, under either law."""
+    gains = model.gains
+    if space == "joint":
+        joints = tracking_error(missing, node_filter(t, gains.kp[0], gains.kd[0], settle))
+        return joints, tray_of_joints(terms, joints)
+    tray = tray_of_task(t, terms, missing, model.items[0], gains, settle)
+    return joints_of_task(t, terms, tray, missing, POSTURE_GAINS, settle), tray
+
+
+def _torque(terms: MotionTerms, joints: JointDeviation) -> Array:
+    """(T, n, n_c) change of the commanded torque: the nominal model at the acceleration that is asked for."""
+    return np.asarray(terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing)

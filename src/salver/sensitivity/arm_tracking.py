@@ -44,15 +44,11 @@ def missing_acceleration(w: Array, jacobian_E: Array, mass_matrix: Array, load: 
     return np.asarray(np.linalg.solve(mass_matrix, np.swapaxes(wrench @ jacobian_E, 1, 2)))
 
 
-def tracking_error(
-    w: Array, jacobian_E: Array, mass_matrix: Array, load: LoadChange, response: NodeFilter
-) -> JointDeviation:
-    """Deviation of the joints under joint-space computed torque, along a trajectory known at T nodes.
+def tracking_error(missing: Array, response: NodeFilter) -> JointDeviation:
+    """Deviation of the joints under joint-space computed torque, for a `missing` acceleration (T, n, n_c).
 
-    w: (T, 12) what the tray feels, at E. jacobian_E: (T, 6, n). mass_matrix: (T, n, n), nominal load included.
     response: `node_filter(t, kp, kd, settle)` of the nodes' times and the joints' gains.
     """
-    missing = missing_acceleration(w, jacobian_E, mass_matrix, load)
     e, rate, acceleration = response.respond(missing)
     return JointDeviation(-e, -rate, -acceleration, missing)
 
@@ -60,10 +56,11 @@ def tracking_error(
 def tracking_wrench_motion(
     w: Array, w_z: Array, jacobian_E: Array, mass_matrix: Array, load: LoadChange, response: NodeFilter
 ) -> Array:
-    """dw (T, 12, n_c): how what the tray feels at E changes per unit of each parameter, through the tracking error.
+    """dw (T, 12, n_c): how what the tray feels at E changes per unit of each term of the load, through tracking.
 
-    w_z: (T, 12, 3 n) derivative of w by (q, dq, ddq); the others as in `tracking_error`. A contact row c (at E)
-    then changes by c . dw, on top of what the parameter changes in c itself. Multiply by `load.uncertain.half_range`
-    for the change over the whole range.
+    w: (T, 12) what the tray feels, at E; w_z: (T, 12, 3 n) its derivative by (q, dq, ddq). jacobian_E: (T, 6, n).
+    mass_matrix: (T, n, n), nominal load included. A contact row c (at E) then changes by c . dw, on top of what the
+    parameter changes in c itself. Multiply by `load.half_range` for the change over the whole range.
     """
-    return np.asarray(w_z @ tracking_error(w, jacobian_E, mass_matrix, load, response).state)
+    missing = missing_acceleration(w, jacobian_E, mass_matrix, load)
+    return np.asarray(w_z @ tracking_error(missing, response).state)
