@@ -15,6 +15,7 @@ from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import inertial_vector
 from salver.planning import fastest as fastest_module
 from salver.planning.fastest import FastestOptions, fastest, object_motion, plan_fastest
+from salver.planning.fastest_tradeoff import scaled, tradeoff
 from salver.planning.joint_contact import worst_case
 from salver.planning.joint_curves import FreeCurve, Grid
 from salver.planning.joint_obstacles import NEAR
@@ -323,6 +324,27 @@ def test_random_start_postures_converge():
         solved += found.status.ok
         assert found.status.sentence
     assert solved >= 4
+
+
+# The trade-off -------------------------------------------------------------------------------------------------
+
+
+def test_scaled_uncertainty_scales_every_half_range():
+    scenario = bottle(mass="20%", com=[0.003, 0.002, 0.004], inertia="10%", friction=0.04)
+    before, after = uncertain_set(scenario), uncertain_set(scaled(scenario, 1.5))
+    assert before.names == after.names
+    assert np.allclose(after.half_range, 1.5 * before.half_range)
+    assert uncertain_set(scaled(scenario, 0.0)).size == 0
+
+
+def test_more_robustness_takes_longer():
+    scenario = bottle(com=[0.004, 0.004, 0.004])
+    points = list(tradeoff(scenario, (2.0, 0.0, 1.0, 30.0), FastestOptions(spans=8)))
+    assert [point.scale for point in points] == [0.0, 1.0, 2.0, 30.0]
+    assert points[0].duration < points[1].duration < points[2].duration
+    assert 0.33 < points[0].friction_needed <= 0.4  # eight edges here, four in the plan
+    assert points[2].margin > points[0].margin + 0.05
+    assert not points[3].status.ok
 
 
 # What a user can get wrong -------------------------------------------------------------------------------------

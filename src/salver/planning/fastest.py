@@ -130,10 +130,19 @@ def tracking_record(found: FastestMotion) -> dict[str, float]:
     return {"tray_position_radius": float(position.max()), "tray_orientation_radius": float(turn.max())}
 
 
-def fastest(problem: TransportProblem, options: FastestOptions | None = None) -> FastestMotion:
-    """Shortest safe motion of a problem (see `transport_problem`). Never raises for numerical reasons: see `status`."""
+def fastest(
+    problem: TransportProblem, options: FastestOptions | None = None, near: FastestMotion | None = None
+) -> FastestMotion:
+    """Shortest safe motion of a problem (see `transport_problem`). Never raises for numerical reasons: see `status`.
+
+    near: a motion of a similar problem, tried first.
+    """
     options = options or FastestOptions()
     begun = time.perf_counter()
+    if near is not None:
+        found = _near(problem, options, near)
+        if found.status.ok:
+            return found
     best: FastestMotion | None = None
     iterations = 0
     wanted = options.starts if problem.start_posture is not None else max(POSTURES, options.starts)
@@ -207,6 +216,25 @@ def _from_start(
     wall = time.perf_counter() - begun
     return FastestMotion(
         problem, spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
+    )
+
+
+def _near(problem: TransportProblem, options: FastestOptions, near: FastestMotion) -> FastestMotion:
+    """From a motion of a similar problem."""
+    begun = time.perf_counter()
+    found = optimise(
+        problem,
+        FreeCurve,
+        near.spline,
+        near.coefficients,
+        near.duration,
+        options.nodes_per_span,
+        options.time_limit,
+        damping=0.1,
+    )
+    wall = time.perf_counter() - begun
+    return FastestMotion(
+        problem, near.spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
     )
 
 

@@ -1,0 +1,111 @@
+"""`salver tradeoff`: what robustness costs in time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
+
+if TYPE_CHECKING:
+    from salver.planning.fastest_tradeoff import TradeoffPoint
+
+
+def tradeoff(
+    scenario: Annotated[
+        str, typer.Argument(help="Name of a ready-made scenario (see `salver scenarios`) or a .toml file.")
+    ],
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Directory; default runs/NAME-tradeoff.")] = None,
+    scales: Annotated[
+        str, typer.Option(help="Sizes of the uncertainty, in multiples of the scenario's, separated by commas.")
+    ] = "0,0.25,0.5,0.75,1,1.25,1.5,2",
+    file_format: Annotated[str, typer.Option("--format", help="Of the figure: pdf, svg or png.")] = "svg",
+    json: Json = False,
+) -> None:
+    """Shortest safe duration for ever larger uncertainty: a table and a figure.
+
+    Read off what being slower buys. Needs a scenario with an arm.
+
+    Example: `salver tradeoff panda-cube --scales 0,0.5,1,2`
+
+    Ends with 0 when at least the smallest uncertainty has a safe motion, with 3 otherwise.
+    """
+    from salver import scenario as scenarios
+    from salver.errors import ScenarioError
+    from salver.files import provenance, write_atomic, write_json
+    from salver.planning.fastest_tradeoff import tradeoff as curve
+
+    try:
+        wanted = [float(word) for word in scales.split(",")]
+    except ValueError:
+        wanted = [-1.0]
+    if min(wanted) < 0:
+        raise ScenarioError(f'--scales = "{scales}" must be numbers of at least 0, separated by commas.')
+    if file_format not in ("pdf", "svg", "png"):
+        raise ScenarioError(f'--format = "{file_format}" must be pdf, svg or png.')
+    chosen = scenarios.load(scenario)
+    points = []
+    for point in curve(chosen, wanted):
+        points.append(point)
+        if not json:
+            say(f"{point.scale:g} times the uncertainty: {point.status}")
+    directory = out if out is not None else Path("runs") / f"{chosen.name}-tradeoff"
+    records = [point.record() for point in points]
+    write_json(directory / "tradeoff.json", {"points": records, "provenance": provenance(chosen)})
+    solved = [point for point in points if point.status.ok]
+    picture = directory / f"tradeoff.{file_format}"
+    if solved:
+        write_atomic(picture, draw(solved, file_format))
+    if json:
+        print_json({"directory": directory, "points": records})
+    else:
+        show(chosen.name, points)
+        say(f"Written to {directory}")
+    if not solved:
+        raise typer.Exit(NO_SAFE_PLAN)
+
+
+def show(name: str, points: list[TradeoffPoint]) -> None:
+    """The curve as a table, on standard output."""
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    for head in ("uncertainty", "duration", "longer by", "friction needed", "nominal margin"):
+        table.add_column(head, justify="right")
+    first = points[0].duration
+    for point in points:
+        if point.status.ok:
+            table.add_row(
+                f"{point.scale:g} x",
+                f"{point.duration:.3f} s",
+                f"{100 * (point.duration / first - 1):.1f} %",
+                f"{point.friction_needed:.3f}",
+                f"{100 * point.margin:.1f} % of the weight",
+            )
+        else:
+            table.add_row(f"{point.scale:g} x", "none", "", "", "")
+    console = result_console()
+    console.print(f"[bold]{name}[/bold]: fastest motion that is safe for so much uncertainty")
+    console.print(table)
+
+
+def draw(points: list[TradeoffPoint], file_format: str) -> bytes:
+    """Duration over the size of the uncertainty, and over the friction needed."""
+    from matplotlib.figure import Figure
+
+    from salver.report.figures import render
+    from salver.report.style import BLUE, COLUMN, GREY, paper_style
+
+    with paper_style():
+        figure = Figure(figsize=(2 * COLUMN, 2.4), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        duration = [point.duration for point in points]
+        left.plot([point.scale for point in points], duration, "o-", color=BLUE, markersize=3)
+        left.axvline(1.0, color=GREY, linewidth=0.6, linestyle=":")
+        left.set_xlabel("uncertainty survived, multiples of the scenario's")
+        left.set_ylabel("shortest safe duration [s]")
+        right.plot([point.friction_needed for point in points], duration, "o-", color=BLUE, markersize=3)
+        right.set_xlabel("least friction at which it holds, all else nominal")
+        return render(figure, file_format)
