@@ -213,13 +213,6 @@ def check(item: CarriedObject) -> None:
             f"inertia of {item.name} has principal moments {', '.join(f'{x:.3g}' for x in principal)} kg m^2; no mass "
             "distribution has one that is larger than the sum of the other two"
         )
-    for name, nominal in (("mass", item.mass), ("friction", item.friction)):
-        half = getattr(item.uncertainty, name)
-        if half is not None and _absolute(half, nominal) >= nominal:
-            raise ValueError(
-                f"uncertainty.{name} of {item.name} = {_absolute(half, nominal):g} reaches from {name} {nominal:g} "
-                "down to zero; it must be smaller"
-            )
     com_G = solid.centroid_G + np.asarray(item.com)
     if not _inside_hull(com_G, solid.bounding_points_G):
         raise ValueError(f"com of {item.name} = {tuple(item.com)} m lies outside its shape; it must be inside")
