@@ -220,7 +220,9 @@ def _changed(*changes):
     return data
 
 
-@pytest.mark.parametrize(("key", "value", "sentence"), BAD, ids=[f"{k}={v!s:.30}" for k, v, _ in BAD])
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"), BAD, ids=[f"{k}={'gone' if v is GONE else v!s:.30}" for k, v, _ in BAD]
+)
 def test_bad_input_gets_one_sentence(key, value, sentence):
     with pytest.raises(ScenarioError) as error:
         scenario.parse(_changed((key, value)), "mine.toml")
