@@ -21,6 +21,7 @@ from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.models.wrench_cone import cone_facets
 from salver.planning.make import make_plan, plan_baseline, with_arm
 from salver.planning.plan import Plan
+from salver.report.style import BLACK, BLUE, VERMILION
 from salver.scenario import Scenario, load, parse
 from salver.sensitivity.arm import ArmChain, arm_chain, chain_model
 from salver.simulation.physics import Options, simulate
@@ -78,7 +79,7 @@ class Case:
         }
 
     def nominal(self, held: bool = True) -> dict[str, Array]:
-        """Where the nominal run should be: the plan, and what held commands add."""
+        """Where the nominal run should be when a command begins: the plan, and what held commands add."""
         chain = self.chain
         zero = np.zeros((len(chain.t), 3))
         wrench = chain.model.load.wrench
@@ -90,7 +91,13 @@ class Case:
             chain.nominal.w @ wrench.T @ self.grasp_inverse.T,
         )
         off = chain.held
-        late = (off.q, off.tray[:, :3], off.tray[:, 3:6], off.torque, off.w @ wrench.T @ self.grasp_inverse.T)
+        late = (
+            off.q,
+            off.tray[:, :3],
+            off.tray[:, 3:6],
+            off.torque,
+            (off.w + off.swing) @ wrench.T @ self.grasp_inverse.T,
+        )
         pairs = zip(self.sensitivities(), plan, late, strict=True)
         return {name: self.at(value + held * change) for name, value, change in pairs}
 
@@ -245,7 +252,7 @@ def figure(cube: Case, bottle: Case, found: list[dict[str, Array]], slack: list[
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    paper_colour, chain_colour, run_colour = "#d55e00", "#0072b2", "black"
+    paper_colour, chain_colour, run_colour = VERMILION, BLUE, BLACK
     layout, axes = plt.subplots(2, 2, figsize=(9, 6), layout="constrained")
     step = cube.chain.uncertain.half_range[0]
     up, down = (

@@ -404,8 +404,10 @@ def test_held_commands_act_half_a_period_late(panda, space):
         run = panda.rollout(space, {}, hold)
         every = slice(None, None, hold)
         misses.append(relative(held.q[every], (run["q"] - free["q"])[every]))
-        assert relative(held.torque[every], (run["torque"] - free["torque"])[every]) < 0.15
-    assert misses[1] < 0.06
+        assert relative(held.torque[every], (run["torque"] - free["torque"])[every]) < 0.04
+        at_command = (panda.felt(run) - panda.felt(free))[every]
+        assert relative((held.w + held.swing)[every], at_command) < 0.04
+    assert misses[1] < 0.02
     assert misses[1] == pytest.approx(0.5 * misses[0], rel=0.3)
 
 

@@ -111,12 +111,17 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
 
 @dataclass(frozen=True)
 class Held:
-    """How far commands that are held put the nominal motion off: q, torque (T, n), tray, w (T, 12) as in ArmChain."""
+    """How far commands that are held put the nominal motion off: q, torque (T, n), tray, w (T, 12) as in ArmChain.
+
+    These are means over a period. swing: (T, 12) by which w is ahead of its mean when a command begins, and behind when
+    it ends.
+    """
 
     q: Array
     torque: Array
     tray: Array
     w: Array
+    swing: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,10 +180,11 @@ class ArmChain:
         tracking: with the arm's tracking error, held commands included; otherwise for a tray that moves as planned,
         which is what a plan checks with contact.condition = "exact".
         """
-        w, dw = self.nominal.w, np.zeros_like(self.w)
+        load, rows = self.model.load, self.model.worst_rows
+        motions = [(self.nominal.w, np.zeros_like(self.w))]
         if tracking:
-            w, dw = w + self.held.w, self.w
-        worst = [worst_contact(rows, w, dw, self.model.load) for rows in self.model.worst_rows]
+            motions = [(self.nominal.w + self.held.w + sign * self.held.swing, self.w) for sign in (-1, 1)]
+        worst = [worst_contact(part, w, dw, load) for part in rows for w, dw in motions]
         return -np.max(np.concatenate(worst, axis=1), axis=1)
 
     def summary(self) -> dict[str, Any]:
@@ -214,7 +220,8 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
     rate = np.gradient(terms.torque, t, axis=0, edge_order=2)[:, :, None]
     late = model.delay * np.linalg.solve(terms.mass_matrix, rate)
     held_joints, held_tray = _response(model, t, terms, late, space, 0.0)
-    held = (held_joints.q, _torque(terms, held_joints), held_tray.state, held_tray.w)
+    swing = terms.w_z[:, :, -terms.torque.shape[1] :] @ late
+    held = (held_joints.q, _torque(terms, held_joints), held_tray.state, held_tray.w, swing)
     contact, n_p = model.contact, load.uncertain.size
     direct_wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)
     direct_slack = -np.einsum("pri,ti->trp", contact.rows_p, terms.w)
