@@ -144,11 +144,11 @@ def test_friction_needed_is_where_the_wrench_enters_the_cone() -> None:
 def test_pyramids_bracket_the_round_cone() -> None:
     rng = np.random.default_rng(4)
     for n in (3, 4, 6):
-        contacts = polygon_contacts(n, 24)
-        wrench = (contacts.grasp_map @ rng.exponential(size=(contacts.grasp_map.shape[1], 6))).T
+        contacts = polygon_contacts(n, 16)
+        wrench = (contacts.grasp_map @ rng.exponential(size=(contacts.grasp_map.shape[1], 2))).T
         ratio = coulomb_friction_needed(contacts, wrench) / friction_needed(contacts, wrench)
         assert np.all(ratio <= 1 + 1e-6)
-        assert np.all(ratio >= np.cos(np.pi / 24) - 1e-6)
+        assert np.all(ratio >= np.cos(np.pi / 16) - 1e-6)
         assert ratio.min() < 1 - 1e-4  # they do differ
 
 
