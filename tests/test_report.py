@@ -342,7 +342,7 @@ def test_in_a_browser_a_chart_moves_the_time_of_all(browser: Browser, full: Path
     t = browser.script("return salver.state.time")
     assert 1.0 < t < 1.6
     shown = browser.script(
-        "return document.querySelector('[data-chart=margins-0]').parentNode.querySelector('b').textContent"
+        "return document.querySelector('[data-chart=margins-3]').parentNode.querySelector('b').textContent"
     )
     expected = float(np.interp(t, run.plan.t, run.plan.cone_floor.min(axis=1)))
     assert float(shown.split()[0]) == pytest.approx(expected, rel=6e-3)
@@ -362,3 +362,33 @@ def test_run_gives_motions_in_order(full: Path) -> None:
     assert run.motion("baseline") is run.motions[1]
     assert run.motion("other") is None
     assert np.array_equal(np.unique(run.runs["stem"]), ["baseline", "plan"])
+
+
+def test_contact_curves_by_hand(plan_only: Path) -> None:
+    """A level straight line: the cube needs the friction |a| / g, and its zero-moment point runs off by |a| h / g."""
+    run = read_run(plan_only)
+    curves, line = run.contact["baseline"], run.motions[1]
+    a = np.linalg.norm(line.arrays["a_S"], axis=1)
+    peak = float(a.max())
+    # Round cones need |a| / g; eight inscribed edges need up to 1 / cos(22.5 degrees) more.
+    assert curves.coefficient is not None
+    assert peak / 9.81 <= curves.coefficient.max() * (1 + 1e-6) <= 1.09 * peak / 9.81
+    assert np.array_equal(curves.friction, curves.coefficient / 0.5)
+    k = int(np.argmax(a))
+    t, direction = float(line.t[k]), line.arrays["a_S"][k, :2] / peak
+    off = peak * 0.02 / 9.81
+    distance = 0.02 - off * np.abs(direction).max()  # the base is a square of 4 cm, its sides along x and y
+    assert np.interp(t, curves.t, curves.tip) == pytest.approx(distance, abs=1e-5)
+    assert np.all(curves.worst <= curves.nominal + 1e-12)
+    assert np.all(curves.tip_worst <= curves.tip + 1e-12)
+
+
+def test_several_objects_are_spoken_of_together(tmp_path: Path) -> None:
+    case = scenario.load("upright-arch")
+    make_plan(case, "baseline").save(tmp_path, "plan")
+    run = read_run(tmp_path)
+    assert run.load == "the 3 objects"
+    assert run.contact["plan"].coefficient is None
+    text = write_report(tmp_path).read_text()
+    assert "friction of lintel ±0.042 (10 %)" in text
+    assert len(_data(tmp_path / "report.html")["replay"]["objects"]) == 3

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.geometry import Array
-from salver.models import wrench_cone
 from salver.report.style import CYCLE, ROLE_COLOURS, VERMILION
 from salver.sensitivity import tubes
 
@@ -43,60 +42,70 @@ def time_chart(title: str, y: str, curves: list[Spec], note: str = "", unit: str
 
 
 def margin_charts(run: Run) -> list[Spec]:
-    """The four ways to ask how close to sliding, tipping or lifting a motion comes."""
-    contacts = run.bodies[0].contacts
-    mu = float(contacts.friction[0])
-    rows = wrench_cone.facets(contacts)
-    floor, exact, needed, tip = [], [], [], []
+    """Three ways to ask how close to sliding, tipping or lifting a motion comes, and the paper's own condition."""
+    curves = run.contact
+    one = curves[run.plan.stem].coefficient is not None
+    margin, friction, tip, floor = [], [], [], []
     for m in run.motions:
-        wrench = m.arrays["wrench_B"]
+        c = curves[m.stem]
+        margin.append(series(m, f"{m.label}, worst case", c.t, 100 * c.worst))
+        margin.append(series(m, f"{m.label}, nominal", c.t, 100 * c.nominal, width=1.0, opacity=0.55))
+        friction.append(series(m, m.label, c.t, c.coefficient if c.coefficient is not None else 100 * c.friction))
+        tip.append(series(m, f"{m.label}, worst case", c.t, 1e3 * c.tip_worst))
+        tip.append(series(m, f"{m.label}, nominal", c.t, 1e3 * c.tip, width=1.0, opacity=0.55))
         floor.append(series(m, m.label, m.t, m.cone_floor.min(axis=1)))
-        exact.append(series(m, m.label, m.t, wrench_cone.margin(rows, wrench)))
-        needed.append(series(m, m.label, m.t, wrench_cone.friction_needed(contacts, wrench)))
-        tip.append(series(m, m.label, m.t, 1e3 * wrench_cone.tip_over_margin(contacts, wrench)))
-    name = run.bodies[0].name
-    lines = [{"y": mu, "label": f"available: {mu:g}", "colour": VERMILION}]
-    uncertainty = run.scenario.objects[0].uncertainty.friction
-    if uncertainty is not None:
-        half = uncertainty if isinstance(uncertainty, float) else uncertainty.relative * mu
-        lines.append({"y": mu - half, "label": f"least assumed: {mu - half:.3g}", "colour": VERMILION, "below": True})
+    zero = {"y": 0, "label": ""}
+    needed = "Least friction coefficient" if one else "Largest share of its friction that any object needs"
     return [
         time_chart(
-            "Least cone coefficient, lower edge of its tube",
-            "min (Λ − r), N",
-            floor,
-            "The paper's condition: above zero for every body in the uncertain set. Sufficient, not necessary: it "
-            "judges one distribution of the internal forces.",
-            "N",
-            lines=[{"y": 0, "label": ""}],
+            "Distance to sliding, tipping or lifting",
+            "margin, % of the weight",
+            margin,
+            "How far inside its contact wrench cone the required wrench stays: above zero it sticks. Worst case: over "
+            "all uncertain parameters, with the errors that they cause in the closed loop.",
+            "%",
+            lines=[zero],
         ),
         time_chart(
             "Friction needed",
-            "coefficient",
-            needed,
-            f"Least friction coefficient at which the contacts can give the nominal wrench on the {name}, whatever the "
-            "distribution. Below the line it sticks.",
-            lines=lines,
+            "coefficient" if one else "% of what there is",
+            friction,
+            f"{needed} at which the contacts can give the nominal wrench. Below the line it sticks.",
+            "" if one else "%",
+            lines=_friction_lines(run) if one else [{"y": 100, "label": "all there is", "colour": VERMILION}],
             zero=True,
-        ),
-        time_chart(
-            "Distance to sliding, tipping or lifting",
-            "wrench-cone margin, N",
-            exact,
-            "Exact: the smallest disturbing force (or moment over the base radius) that would take the nominal wrench "
-            "out of the contact wrench cone.",
-            "N",
-            lines=[{"y": 0, "label": ""}],
         ),
         time_chart(
             "Distance to tipping over",
             "distance to edge, mm",
             tip,
-            f"How far inside its base the centre of pressure of the {name} stays. At zero it starts to tip.",
+            "How far inside its base the centre of pressure stays. At zero a body starts to tip.",
             "mm",
-            lines=[{"y": 0, "label": ""}],
+            lines=[zero],
+        ),
+        time_chart(
+            "Least cone coefficient, lower edge of its tube",
+            "min (Λ − r), N",
+            floor,
+            "The paper's condition asks that it stay above zero. Sufficient, not necessary: it judges one distribution "
+            "of the internal forces"
+            + (f" of {run.bodies[0].name} alone" if len(run.bodies) > 1 else "")
+            + ("." if run.scenario.contact.condition == "paper" else "; this plan is not held to it."),
+            "N",
+            lines=[zero],
         ),
     ]
+
+
+def _friction_lines(run: Run) -> list[Spec]:
+    """The friction there is, and the least that is assumed."""
+    mu = run.bodies[0].friction
+    lines: list[Spec] = [{"y": mu, "label": f"available: {mu:g}", "colour": VERMILION}]
+    uncertain = run.scenario.objects[0].uncertainty.friction
+    if uncertain is not None:
+        half = uncertain if isinstance(uncertain, float) else uncertain.relative * mu
+        lines.append({"y": mu - half, "label": f"least assumed: {mu - half:.3g}", "colour": VERMILION, "below": True})
+    return lines
 
 
 def cone_charts(run: Run) -> list[Spec]:
@@ -239,7 +248,7 @@ def run_charts(records: list[tuple[Motion, Record]]) -> list[Spec]:
     wanted = [
         ("e_p", "Position error of the object", "e_p", (("mm", 1e3), ("µm", 1e6))),
         ("e_o", "Orientation error of the object", "e_o", (("mrad", 1e3), ("µrad", 1e6))),
-        ("slip", "Slip on the tray", "displacement", (("mm", 1e3), ("µm", 1e6), ("nm", 1e9))),
+        ("slip", "Slip on the tray", "displacement", (("mm", 1e3), ("µm", 1e6))),
         ("tip_angle", "Tip angle", "angle", (("°", 180 / np.pi),)),
     ]
     if not any("e_p" in record.arrays for _, record in records):

@@ -12,7 +12,6 @@ import numpy as np
 
 from salver import __version__
 from salver.files import write_atomic
-from salver.models import wrench_cone
 from salver.report import sections
 from salver.report.charts import thin
 from salver.report.replay import replay_scene
@@ -88,15 +87,13 @@ def _replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
     """The 3-D scene, a caption for each motion, and friction in use over time (1 at its largest) for the scrubber."""
     scene = replay_scene(run, arm)
     used = []
-    contacts = run.bodies[0].contacts
     for motion, variant in zip(run.motions, scene["variants"], strict=True):
         variant["caption"] = _caption(motion)
-        share = wrench_cone.friction_needed(contacts, motion.arrays["wrench_B"]) / contacts.friction[0]
-        used.append(np.clip(np.nan_to_num(share, posinf=1.0), 0.0, 1.0))
+        used.append(np.clip(np.nan_to_num(run.contact[motion.stem].friction, posinf=1.0), 0.0, 1.0))
     largest = max(float(np.max(share)) for share in used) or 1.0
     strips = []
     for motion, share in zip(run.motions, used, strict=True):
-        t, y = thin(motion.t, share / largest)
+        t, y = thin(run.contact[motion.stem].t, share / largest)
         strips.append({"x": t, "y": y, "colour": ROLE_COLOURS[motion.stem]})
     scene["strips"] = strips
     return scene

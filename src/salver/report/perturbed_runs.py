@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # What the runs are told apart by: the first two that there are. Column, title, axis, units from coarse to fine.
 HISTOGRAMS = (
-    ("peak_slip", "Largest slip in each run", "slip", (("mm", 1e3), ("µm", 1e6), ("nm", 1e9))),
+    ("peak_slip", "Largest slip in each run", "slip", (("mm", 1e3), ("µm", 1e6))),
     ("e_p_peak", "Largest position error in each run", "e_p", (("mm", 1e3), ("µm", 1e6))),
     ("cone_least", "Least cone coefficient in each run", "min Λ", (("N", 1.0),)),
 )

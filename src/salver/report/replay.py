@@ -44,12 +44,14 @@ def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
         "contacts": {
             "normal": first.contacts.R_BC[0, :, 2].tolist(),
             "friction": first.friction,
+            "owner": first.name,
             "coneHeight": CONE_HEIGHT,
             "metresPerNewton": REST_FORCE_LENGTH / weight_each,
         },
         "variants": variants,
         "bounds": _bounds(run, arm),
         "azimuth": _azimuth(run, arm),
+        "floor": _floor(run, arm),
         "start": min(float(v["t"][0]) for v in variants),
         "duration": max(float(v["t"][-1]) for v in variants),
     }
@@ -176,6 +178,11 @@ def _bounds(run: Run, arm: ArmModel | None) -> list[list[float]]:
         )
         low, high = np.minimum(low, joints.min(axis=0)), np.maximum(high, joints.max(axis=0))
     return [low.tolist(), high.tolist()]
+
+
+def _floor(run: Run, arm: ArmModel | None) -> float:
+    """Height of the ground, m: where the arm stands, or a little below a tray without one."""
+    return float(arm.base_position[2]) if arm else min(float(m.arrays["p_SB"][:, 2].min()) for m in run.motions) - 0.3
 
 
 def _azimuth(run: Run, arm: ArmModel | None) -> float:

@@ -14,9 +14,13 @@ from salver.errors import FileFormatError
 from salver.files import load_npz, read_json
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.bodies import Body, bodies
+from salver.report.contact import ContactCurves, contact_curves
 
 STEMS = ("plan", "baseline")
-_NEEDED = ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "wrench_B", "cone_coefficients", "cone_radius")
+_NEEDED = (
+    "t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B", "wrench_B", "grasp_map", "cone_coefficients",
+    "cone_radius", "state_sensitivity", "input_sensitivity", "parameter_names", "parameter_half_range",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,16 @@ class Run:
     @property
     def plan(self) -> Motion:
         return self.motions[0]
+
+    @cached_property
+    def contact(self) -> dict[str, ContactCurves]:
+        """Stem to how near the motion comes to sliding, tipping or lifting."""
+        return {m.stem: contact_curves(self.scenario, m) for m in self.motions}
+
+    @property
+    def load(self) -> str:
+        """What is carried, for a sentence: "the cube", "the 3 objects"."""
+        return f"the {self.bodies[0].name}" if len(self.bodies) == 1 else f"the {len(self.bodies)} objects"
 
     def motion(self, stem: str) -> Motion | None:
         return next((m for m in self.motions if m.stem == stem), None)

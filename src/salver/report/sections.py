@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salver.models import wrench_cone
 from salver.report import charts, perturbed_runs
 from salver.report.cells import motion_cell, number, outcome_cell, percent, table
 from salver.report.tables import arm_usage, scenario_rows, solver_rows
@@ -67,11 +66,10 @@ class Sections:
 def build(run: Run, arm: ArmModel | None) -> Sections:
     """All sections for what the run directory has."""
     page = Sections()
-    name = run.bodies[0].name
     page.add(
         "margins",
         "Margins",
-        f"Four views of how close the {name} comes to sliding, tipping or lifting along the nominal motion.",
+        f"Four views of the distance between {run.load} and sliding, tipping or lifting.",
         charts.margin_charts(run),
     )
     if run.campaign is not None:
@@ -109,25 +107,26 @@ def build(run: Run, arm: ArmModel | None) -> Sections:
 
 def tiles(run: Run) -> str:
     """Key numbers below the verdict."""
-    plan, body = run.plan, run.bodies[0]
+    plan = run.plan
     base = run.motion("baseline")
-    needed = [float(np.max(wrench_cone.friction_needed(body.contacts, m.arrays["wrench_B"]))) for m in run.motions]
+    curves = [run.contact[m.stem] for m in run.motions]
     floor = [float(m.cone_floor.min()) for m in run.motions]
-    tip = [1e3 * float(np.min(wrench_cone.tip_over_margin(body.contacts, m.arrays["wrench_B"]))) for m in run.motions]
+    tip = [1e3 * float(c.tip_worst.min()) for c in curves]
+    worst = [100 * float(c.worst.min()) for c in curves]
 
     def versus(values: list[float], digits: int, unit: str = "") -> str:
         return f"baseline {number(values[1], digits)}{unit}" if base is not None else ""
 
     shown = [
         ("Duration", f"{plan.duration:.2f} s", versus([m.duration for m in run.motions], 2, " s")),
-        (
-            "Friction needed",
-            number(needed[0], 3),
-            f"of {body.friction:g} · " + versus(needed, 3) if base else f"of {body.friction:g}",
-        ),
-        ("Least coefficient with tube", f"{number(floor[0], 3)} N", versus(floor, 3, " N")),
-        ("Tip-over margin", f"{number(tip[0], 1)} mm", versus(tip, 1, " mm")),
+        _friction_tile(run),
     ]
+    shown.append(
+        ("Left in the worst case", f"{number(worst[0], 1)} %", f"of the weight · {versus(worst, 1, ' %')}".rstrip(" ·"))
+    )
+    if run.scenario.contact.condition == "paper":
+        shown.append(("Least coefficient in its tube", f"{number(floor[0], 3)} N", versus(floor, 3, " N")))
+    shown.append(("Tip-over margin, worst case", f"{number(tip[0], 1)} mm", versus(tip, 1, " mm")))
     slips = [charts.record_curve(m.simulation, "slip") for m in run.motions]
     if slips[0] is not None:
         moved = [length(float(np.max(s))) if s is not None else "not run" for s in slips]
@@ -167,6 +166,19 @@ RUNS = {
         "The control loop that drives the real arm: what it tracked, and how well it kept its period.",
     ),
 }
+
+
+def _friction_tile(run: Run) -> tuple[str, str, str]:
+    curves = [run.contact[m.stem] for m in run.motions]
+    if curves[0].coefficient is None:
+        used = [f"{100 * float(c.friction.max()):.0f} %" for c in curves]
+        return "Friction in use", used[0], " · ".join(["of what there is", *(f"baseline {x}" for x in used[1:])])
+    needed = [number(float(c.coefficient.max()), 3) for c in curves if c.coefficient is not None]
+    return (
+        "Friction needed",
+        needed[0],
+        " · ".join([f"of {curves[0].available:g}", *(f"baseline {x}" for x in needed[1:])]),
+    )
 
 
 def _run_section(page: Sections, run: Run, kind: str) -> None:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.files import write_atomic
-from salver.models import wrench_cone
 from salver.models.bodies import uncertain_set
 from salver.report.words import pretty, quantity
 
@@ -129,7 +128,7 @@ def table_one(run: Run) -> Table:
 
 def numbers_table(run: Run, rollouts: Mapping[str, Perturbed]) -> Table:
     """The numbers behind the figures, one column a motion, in SI units with their unit in the first column."""
-    contacts = run.bodies[0].contacts
+    curves = run.contact
     rows: list[list[str]] = []
 
     def add(label: str, value: Callable[[Motion], float | int | str | None]) -> None:
@@ -149,15 +148,11 @@ def numbers_table(run: Run, rollouts: Mapping[str, Perturbed]) -> Table:
         "integral of the largest tube radius [N s]",
         lambda m: float(np.trapezoid(m.arrays["cone_radius"].max(axis=1), m.t)),
     )
-    add("friction needed, nominal", lambda m: float(wrench_cone.friction_needed(contacts, m.arrays["wrench_B"]).max()))
-    rows_B = wrench_cone.facets(contacts)
-    add(
-        "least wrench-cone margin, nominal [N]", lambda m: float(wrench_cone.margin(rows_B, m.arrays["wrench_B"]).min())
-    )
-    add(
-        "least tip-over margin, nominal [m]",
-        lambda m: float(wrench_cone.tip_over_margin(contacts, m.arrays["wrench_B"]).min()),
-    )
+    add("friction needed, nominal, share of what there is", lambda m: float(curves[m.stem].friction.max()))
+    add("least exact margin, nominal, share of the weight", lambda m: float(curves[m.stem].nominal.min()))
+    add("least exact margin, worst case, share of the weight", lambda m: float(curves[m.stem].worst.min()))
+    add("least tip-over margin, nominal [m]", lambda m: float(curves[m.stem].tip.min()))
+    add("least tip-over margin, worst case [m]", lambda m: float(curves[m.stem].tip_worst.min()))
     add("perturbed bodies", lambda m: len(rollouts[m.stem].rollout.cone_coefficients))
     add("perturbed bodies that left a tube", lambda m: rollouts[m.stem].coverage.left)
     add("furthest out of a tube [N]", lambda m: float(rollouts[m.stem].coverage.excess.max()))

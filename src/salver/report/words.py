@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salver.models import wrench_cone
 from salver.models.bodies import uncertain_set
 from salver.report.charts import record_curve
 
@@ -35,7 +34,8 @@ class Verdict:
 
 def verdict(run: Run) -> Verdict:
     """Campaign before simulation before plan: the strongest evidence there is decides."""
-    plan, name = run.plan, run.bodies[0].name
+    plan, load = run.plan, run.load[0].upper() + run.load[1:]
+    several = len(run.bodies) > 1
     if not plan.summary.get("ok", True):
         return Verdict("bad", "No safe plan was found", _why_not(run))
     promise = _promise(run)
@@ -44,20 +44,23 @@ def verdict(run: Run) -> Verdict:
         total, held = sum(outcomes.values()), outcomes.get("holds", 0)
         others = ", ".join(f"{n} {word}" for word, n in outcomes.items() if word != "holds")
         if held == total:
-            return Verdict("good", f"The {name} stayed put in all {total} perturbed runs", f"{promise}.")
+            return Verdict("good", f"{load} stayed put in all {total} perturbed runs", f"{promise}.")
         level = "warning" if held > total / 2 else "bad"
         return Verdict(
-            level, f"The {name} stayed put in {held} of {total} perturbed runs", f"The others: {others}. {promise}."
+            level, f"{load} stayed put in {held} of {total} perturbed runs", f"The others: {others}. {promise}."
         )
     if plan.simulation is not None:
         outcome = str(plan.simulation.summary.get("outcome", "unknown"))
         slip = record_curve(plan.simulation, "slip")
         moved = f"; slip in the physics engine {length(float(np.max(slip)))}" if slip is not None else ""
         if outcome == "holds":
-            return Verdict("good", f"The {name} stays put, in theory and in simulation", f"{promise}{moved}.")
-        return Verdict("bad", f"In simulation the {name} {outcome}", f"{promise}{moved}.")
+            stay = "stay" if several else "stays"
+            return Verdict("good", f"{load} {stay} put, in theory and in simulation", f"{promise}{moved}.")
+        which = plan.simulation.summary.get("worst_object", run.bodies[0].name)
+        return Verdict("bad", f"In simulation the {which} {outcome}", f"{promise}{moved}.")
+    verb = "are" if several else "is"
     return Verdict(
-        "good", f"The {name} is predicted to stay put for every parameter in the assumed range", f"{promise}."
+        "good", f"{load} {verb} predicted to stay put for every parameter in the assumed range", f"{promise}."
     )
 
 
@@ -73,13 +76,16 @@ def _why_not(run: Run) -> str:
 
 
 def _promise(run: Run) -> str:
-    body, plan = run.bodies[0], run.plan
-    needed = float(np.max(wrench_cone.friction_needed(body.contacts, plan.arrays["wrench_B"])))
-    text = f"Needs a friction coefficient of {needed:.3f}, there is {body.friction:g}"
-    slack = plan.summary.get("verification", {}).get("least_slack")
+    """What the plan says of itself, in figures."""
+    curves, plan = run.contact[run.plan.stem], run.plan
+    if curves.coefficient is not None:
+        text = f"Needs a friction coefficient of {float(curves.coefficient.max()):.3f}, there is {curves.available:g}"
+    else:
+        text = f"Needs at most {100 * float(curves.friction.max()):.0f} % of the friction there is"
     if run.scenario.contact.condition == "paper":
         return f"{text}; least cone coefficient within its tube {_signed(float(plan.cone_floor.min()))} N"
-    return text if slack is None else f"{text}; exact contact condition kept by {_signed(slack)} N in the worst case"
+    left = 100 * float(curves.worst.min())
+    return f"{text}; in the worst case {left:.1f} % of the weight are left before anything moves"
 
 
 def campaign_outcomes(run: Run, stem: str) -> dict[str, int]:
@@ -127,17 +133,19 @@ def _unknown(run: Run) -> str:
     if not uncertain.size:
         return "Everything about it is taken as known."
     ranges = [
-        f"{name} ±{quantity(name, half)}" + (f" ({100 * half / abs(nominal):.3g} %)" if nominal else "")
+        f"{pretty(name)} ±{quantity(name, half)}" + (f" ({100 * half / abs(nominal):.3g} %)" if nominal else "")
         for name, nominal, half in zip(uncertain.names, uncertain.nominal, uncertain.half_range, strict=True)
     ]
     joined = ranges[0] if len(ranges) == 1 else ", ".join(ranges[:-1]) + " and " + ranges[-1]
-    return f"Not known exactly: {pretty(joined)}."
+    return f"Not known exactly: {joined}."
 
 
 def pretty(name: str) -> str:
+    """A parameter's name for people: "cup1.com_x" is "centre of mass x of cup1"."""
+    owner, _, own = name.rpartition(".")
     for key, word in _NAMES.items():
-        name = name.replace(f"{key}_", f"{word} ")
-    return name.replace("_", " ")
+        own = own.replace(f"{key}_", f"{word} ")
+    return own.replace("_", " ") + (f" of {owner}" if owner else "")
 
 
 def quantity(name: str, value: float) -> str:

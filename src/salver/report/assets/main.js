@@ -108,6 +108,8 @@ function buildReplay() {
         paint();
       });
   }
+  if (data.replay.objects.length > 1)
+    for (const name of ["forces", "cones"]) byId(name).parentNode.append(` of ${data.replay.contacts.owner}`);
   byId("scrub").min = data.replay.start;
   byId("scrub").max = data.replay.duration;
   byId("scrub").addEventListener("input", (event) => {

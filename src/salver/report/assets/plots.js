@@ -165,7 +165,7 @@ function legend(host, spec) {
   for (const s of spec.series.filter((x) => x.name && !x.quiet)) {
     const entry = document.createElement("span");
     const image = svg("svg", { width: 22, height: 8, "aria-hidden": "true" }, entry);
-    svg("line", { x1: 0, x2: 22, y1: 4, y2: 4, stroke: s.colour, "stroke-width": 2.4, "stroke-dasharray": s.dash || "none" }, image);
+    svg("line", { x1: 0, x2: 22, y1: 4, y2: 4, stroke: s.colour, "stroke-width": s.width ? 1.2 : 2.4, "stroke-dasharray": s.dash || "none", opacity: s.opacity || 1 }, image);
     entry.append(` ${s.name} `);
     if (spec.time) {
       const value = document.createElement("b");

@@ -76,6 +76,7 @@ precision highp float;
 in vec3 n, p;
 uniform vec4 colour;
 uniform vec3 eye;
+uniform vec3 centre;  // of the ground that is drawn: x, y, radius
 uniform int mode;  // 0 lit, 1 flat colour, 2 ground with a 10 cm grid
 out vec4 fragment;
 float grid(vec2 x, float step, float width) {
@@ -85,7 +86,7 @@ float grid(vec2 x, float step, float width) {
 void main() {
   if (mode == 1) { fragment = colour; return; }
   if (mode == 2) {
-    float fade = smoothstep(1.9, 0.5, length(p.xy - vec2(0.3, 0.0)));
+    float fade = smoothstep(1.0, 0.3, length(p.xy - centre.xy) / centre.z);
     float line = max(0.5 * grid(p.xy, 0.1, 1.0), grid(p.xy, 0.5, 1.2));
     fragment = vec4(mix(colour.rgb, vec3(0.70, 0.73, 0.77), line * 0.8), fade);
     return;
@@ -227,7 +228,10 @@ function createViewer(canvas, scene) {
   const gl = canvas.getContext("webgl2", { antialias: true, stencil: true, alpha: true, preserveDrawingBuffer: true });
   if (!gl) return null;
   const program = compile(gl), where = {};
-  for (const name of ["model", "viewProjection", "colour", "eye", "mode"]) where[name] = gl.getUniformLocation(program, name);
+  for (const name of ["model", "viewProjection", "colour", "eye", "centre", "mode"]) where[name] = gl.getUniformLocation(program, name);
+
+  const bounds = scene.bounds, middle = bounds[0].map((x, i) => (x + bounds[1][i]) / 2);
+  const reach = Vec.norm(Vec.sub(bounds[1], bounds[0]));
 
   const upload = (data) => {
     const array = gl.createVertexArray(), buffer = gl.createBuffer();
@@ -243,7 +247,7 @@ function createViewer(canvas, scene) {
 
   const half = scene.tray.size.map((x) => x / 2), [hx, hy] = half, thick = scene.tray.thickness;
   const shapes = {
-    ground: upload(prism([[-2.5, -2.5], [2.5, -2.5], [2.5, 2.5], [-2.5, 2.5]], -0.002, 0)),
+    ground: upload(prism([[-6, -6], [6, -6], [6, 6], [-6, 6]], -0.002, 0)),
     tray: upload(prism([[hx, hy], [-hx, hy], [-hx, -hy], [hx, -hy]], -thick, 0)),
     post: upload(revolve([[0.032, -scene.tray.height], [0.026, -thick], [0, -thick]])),
     shaft: upload(revolve([[0, 0], [1, 0], [1, 1], [0, 1]], 14)),
@@ -264,13 +268,11 @@ function createViewer(canvas, scene) {
   const variants = scene.variants.map((v) => ({
     ...v,
     joints: float32(v.joints), tray: float32(v.tray), objects: float32(v.objects), forces: float32(v.forces), contacts: float32(v.contacts),
-    path: upload(tube(v.path, 0.0016)),
+    path: upload(tube(v.path, 0.0011 * reach)),
   }));
 
   const options = { forces: false, cones: false, path: true, layout: "side", camera: "whole" };
   const home = { azimuth: scene.azimuth, elevation: 0.3, distance: 1, pan: [0, 0, 0] }, orbit = { ...home };
-  const bounds = scene.bounds, middle = bounds[0].map((x, i) => (x + bounds[1][i]) / 2);
-  const reach = Vec.norm(Vec.sub(bounds[1], bounds[0]));
 
   function draw(shape, model, colour, mode = 0) {
     gl.uniformMatrix4fv(where.model, false, model);
@@ -282,7 +284,8 @@ function createViewer(canvas, scene) {
 
   const identity = Mat.pose([0, 0, 0, 1, 0, 0, 0]);
   const light = Vec.unit([0.35, -0.45, 0.85]);
-  const flatten = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, -light[0] / light[2], -light[1] / light[2], 0, 0, 0, 0, 0.001, 1]);
+  const [sx, sy] = [light[0] / light[2], light[1] / light[2]], ground = scene.floor + 0.001;
+  const flatten = new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, -sx, -sy, 0, 0, sx * ground, sy * ground, ground, 1]);
 
   function solids(variant, t) {
     const list = [], joints = posesAt(variant.joints, variant.t, scene.joints, t);
@@ -352,9 +355,10 @@ function createViewer(canvas, scene) {
     const matrix = Mat.multiply(Mat.perspective(fov, aspect, 0.02 * distance, 20 * distance), Mat.lookAt(eye, target));
     gl.uniformMatrix4fv(where.viewProjection, false, matrix);
     gl.uniform3fv(where.eye, eye);
+    gl.uniform3fv(where.centre, [middle[0], middle[1], 1.45 * Math.max(reach, 1)]);
     gl.enable(gl.BLEND);
     gl.depthMask(false);
-    draw(shapes.ground, identity, [0.955, 0.96, 0.965, 1], 2);
+    draw(shapes.ground, Mat.pose([0, 0, scene.floor, 1, 0, 0, 0]), [0.955, 0.96, 0.965, 1], 2);
     gl.depthMask(true);
     const seeInside = options.forces || options.cones;
     for (const { variant, ghost } of pane) {
