@@ -8,7 +8,7 @@ corner that takes most from the margin. Three motions: the straight min-jerk lin
 the robust plan with a tray that may tilt; contact condition "exact". Where the arm cannot follow within its limits
 the cell says so, whatever the object would have done; a cell without a plan is blank.
 
-Writes docs/images/map-friction.svg, docs/images/map-height.svg and docs/images/maps.json.
+Writes docs/images/map-friction.svg, docs/images/map-height.svg and docs/data/outcome-maps.json.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Any
 
 from salver.scenario import Scenario, load
 
-IMAGES = Path(__file__).parent.parent / "docs" / "images"
+DOCS = Path(__file__).parent.parent / "docs"
 MOTIONS = {"baseline": "straight line", "plan": "robust, level", "tilting": "robust, tilting"}
 DURATIONS = [0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8]
 FRICTIONS = [0.1, 0.15, 0.2, 0.3, 0.4, 0.5]
@@ -125,9 +125,11 @@ def draw(which: str, rows: list[dict[str, Any]]) -> None:
 
     kept = [row for row in rows if row["outcome"] != "no plan"]
     columns = {key: [row[key] for row in kept] for key in kept[0]}
+    label = {"friction": "friction", "height": "height of the centre of mass [m]"}[which]
+    columns[label] = columns[which]
     with paper_style():
-        figure = outcome_map(columns, MOTIONS.items(), "duration", which)
-        (IMAGES / f"map-{which}.svg").write_bytes(render(figure, "svg"))
+        figure = outcome_map(columns, MOTIONS.items(), "duration", label)
+        (DOCS / "images" / f"map-{which}.svg").write_bytes(render(figure, "svg"))
 
 
 def main() -> None:
@@ -135,7 +137,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     parser.add_argument("--only", choices=("friction", "height"))
     options = parser.parse_args()
-    path = IMAGES / "maps.json"
+    path = DOCS / "data" / "outcome-maps.json"
     made = json.loads(path.read_text()) if path.is_file() else {}
     for which in (options.only,) if options.only else ("friction", "height"):
         began = time.perf_counter()
