@@ -215,13 +215,16 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
         t = np.linspace(0.0, joint.duration, max(81, int(np.ceil(joint.duration / _GRID_STEP)) + 1))
     terms = motion_terms(model.loaded.pin_model, model.loaded.tray_id, *joint.sample(t))
     load = model.load
-    missing = missing_acceleration(terms.w, terms.jacobian, terms.mass_matrix, load)
-    joints, tray = _response(model, t, terms, missing, space, model.settle)
+    lost = missing_acceleration(terms.w, terms.jacobian, terms.mass_matrix, load)
     rate = np.gradient(terms.torque, t, axis=0, edge_order=2)[:, :, None]
     late = model.delay * np.linalg.solve(terms.mass_matrix, rate)
-    held_joints, held_tray = _response(model, t, terms, late, space, 0.0)
+    settled = np.append(np.ones(len(load.names)), 0.0)  # a wrong load is there before the motion, a late command not
+    whole, tray_whole = _response(model, t, terms, np.concatenate([lost, late], axis=2), space, settled)
+    torque = terms.torque_z @ whole.state + terms.mass_matrix @ whole.missing
+    joints = JointDeviation(*(x[:, :, :-1] for x in (whole.q, whole.dq, whole.ddq, whole.missing)))
+    tray, w = tray_whole.state[:, :, :-1], tray_whole.w[:, :, :-1]
     swing = terms.w_z[:, :, -terms.torque.shape[1] :] @ late
-    held = (held_joints.q, _torque(terms, held_joints), held_tray.state, held_tray.w, swing)
+    held = (whole.q, torque, tray_whole.state, tray_whole.w, swing)
     contact, n_p = model.contact, load.uncertain.size
     direct_wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)
     direct_slack = -np.einsum("pri,ti->trp", contact.rows_p, terms.w)
@@ -231,29 +234,24 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
         model=model,
         nominal=terms,
         joints=joints,
-        tray=tray.state,
-        torque=_torque(terms, joints),
-        w=tray.w,
-        wrench=direct_wrench + load.wrench @ tray.w,
+        tray=tray,
+        torque=torque[:, :, :-1],
+        w=w,
+        wrench=direct_wrench + load.wrench @ w,
         direct_wrench=direct_wrench,
         slack=-terms.w @ contact.rows.T,
-        slack_p=direct_slack - contact.rows @ tray.w[:, :, :n_p],
-        held=Held(*(x[:, :, 0] for x in held)),
+        slack_p=direct_slack - contact.rows @ w[:, :, :n_p],
+        held=Held(*(x[:, :, -1] for x in held)),
     )
 
 
 def _response(
-    model: ChainModel, t: Array, terms: MotionTerms, missing: Array, space: Space, settle: float
+    model: ChainModel, t: Array, terms: MotionTerms, missing: Array, space: Space, settled: Array
 ) -> tuple[JointDeviation, TrayDeviation]:
     """Deviation of joints and tray when the acceleration `missing` (T, n, n_c) is missing, under either law."""
-    gains = model.gains
+    gains, settle = model.gains, model.settle
     if space == "joint":
-        joints = tracking_error(missing, node_filter(t, gains.kp[0], gains.kd[0], settle))
+        joints = tracking_error(missing, node_filter(t, gains.kp[0], gains.kd[0], settle), settled)
         return joints, tray_of_joints(terms, joints)
-    tray = tray_of_task(t, terms, missing, model.items[0], gains, settle)
-    return joints_of_task(t, terms, tray, missing, POSTURE_GAINS, settle), tray
-
-
-def _torque(terms: MotionTerms, joints: JointDeviation) -> Array:
-    """(T, n, n_c) change of the commanded torque: the nominal model at the acceleration that is asked for."""
-    return np.asarray(terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing)
+    tray = tray_of_task(t, terms, missing, model.items[0], gains, settle, settled)
+    return joints_of_task(t, terms, tray, missing, POSTURE_GAINS, settle, settled), tray

@@ -20,22 +20,33 @@ _POINTS, _WEIGHTS = 0.5 + 0.5 * _POINTS, 0.5 * _WEIGHTS
 
 @dataclass(frozen=True)
 class NodeFilter:
-    """e = error @ D and e' = rate @ D, both (T, T), for D at nodes t (T,); e'' = D - kd e' - kp e."""
+    """e = error @ D and e' = rate @ D, both (T, T), for D at nodes t (T,), from rest; e'' = D - kd e' - kp e.
+
+    sag: (T, 2) what e and e' keep of a unit forcing that was there before t[0].
+    """
 
     error: Array
     rate: Array
+    sag: Array
     kp: float
     kd: float
 
-    def respond(self, forcing: Array) -> tuple[Array, Array, Array]:
-        """(e, e', e''), each of the shape of the forcing (T, ...) at the nodes."""
+    def respond(self, forcing: Array, settled: Array | float = 1.0) -> tuple[Array, Array, Array]:
+        """(e, e', e''), each of the shape of the forcing (T, ...) at the nodes.
+
+        settled: 1 where the forcing of t[0] was there before it, 0 where it was not; broadcast over the last axis.
+        """
         flat = forcing.reshape(len(forcing), -1)
-        e, rate = ((matrix @ flat).reshape(forcing.shape) for matrix in (self.error, self.rate))
+        before = np.broadcast_to(forcing[0] * settled, forcing.shape[1:])
+        e, rate = (
+            (matrix @ flat).reshape(forcing.shape) + np.multiply.outer(self.sag[:, k], before)
+            for k, matrix in enumerate((self.error, self.rate))
+        )
         return e, rate, forcing - self.kd * rate - self.kp * e
 
 
 def node_filter(t: Array, kp: float, kd: float, settle: float = 0.0) -> NodeFilter:
-    """The filter on increasing nodes t (T,), T >= 4; D has been D(t[0]) for `settle` seconds before t[0]."""
+    """The filter on increasing nodes t (T,), T >= 4. settle: s that a forcing has been there before t[0]."""
     count, h = len(t), np.diff(t)
     if count < _NEIGHBOURS:
         raise ValueError(f"a filter on nodes needs at least {_NEIGHBOURS} of them, not {count}")
@@ -57,10 +68,10 @@ def node_filter(t: Array, kp: float, kd: float, settle: float = 0.0) -> NodeFilt
         gain[np.arange(count - 1), :, columns[:, c]] += local[:, :, c]
     step = transition(kp, kd, h)
     x = np.zeros((count, 2, count))
-    x[0, :, 0] = sagged(kp, kd, settle)
     for k in range(count - 1):
         x[k + 1] = step[k] @ x[k] + gain[k]
-    return NodeFilter(x[:, 0], x[:, 1], kp, kd)
+    sag = transition(kp, kd, t - t[0]) @ sagged(kp, kd, settle)
+    return NodeFilter(x[:, 0], x[:, 1], sag, kp, kd)
 
 
 def sagged(kp: float, kd: float, settle: float) -> Array:

@@ -49,9 +49,12 @@ def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:
 
 
 def tray_of_task(
-    t: Array, terms: MotionTerms, missing: Array, first: Body, gains: Gains, settle: float
+    t: Array, terms: MotionTerms, missing: Array, first: Body, gains: Gains, settle: float, settled: Array
 ) -> TrayDeviation:
-    """The tray's deviation under the loop on the pose of the first object, B. missing: m (T, n, n_c)."""
+    """The tray's deviation under the loop on the pose of the first object, B. missing: m (T, n, n_c).
+
+    settle: s before the start, in which what is `settled` (n_c,) (`NodeFilter.respond`) was missing already.
+    """
     p, turn = first.p_EB, first.R_EB
     R_SB = terms.R_SE @ turn
     omega_E, alpha_E, force_E = terms.twist[:, 3:], terms.w[:, 3:6], terms.w[:, :3]
@@ -59,8 +62,8 @@ def tray_of_task(
     linear = R_SB @ (turn.T @ (lost[:, :3] - hat(p) @ lost[:, 3:]))
     angular = turn.T @ lost[:, 3:]
     (kp, kp_R), (kd, kd_R) = gains.kp, gains.kd
-    e_p, e_v, e_a = node_filter(t, kp, kd, settle).respond(linear)
-    e_R, e_w, e_alpha = node_filter(t, kp_R, kd_R, settle).respond(angular)
+    e_p, e_v, e_a = node_filter(t, kp, kd, settle).respond(linear, settled)
+    e_R, e_w, e_alpha = node_filter(t, kp_R, kd_R, settle).respond(angular, settled)
     omega, alpha, force = omega_E @ turn, alpha_E @ turn, _force_at(force_E, omega_E, alpha_E, p) @ turn
     theta = -e_R
     d_omega = -e_w + hat(omega) @ theta
@@ -82,11 +85,17 @@ def _force_at(force: Array, omega: Array, alpha: Array, p: Array) -> Array:
 
 
 def joints_of_task(
-    t: Array, terms: MotionTerms, tray: TrayDeviation, missing: Array, posture: tuple[float, float], settle: float
+    t: Array,
+    terms: MotionTerms,
+    tray: TrayDeviation,
+    missing: Array,
+    posture: tuple[float, float],
+    settle: float,
+    settled: Array,
 ) -> JointDeviation:
     """The joints' deviation that belongs to the tray's, with the posture's in the null space; t evenly spaced.
 
-    posture: (kp, kd) of the task in the null space.
+    posture: (kp, kd) of the task in the null space. settle, settled: as in `tray_of_task`.
     """
     kp, kd = posture
     jacobian = terms.jacobian
@@ -107,7 +116,7 @@ def joints_of_task(
         ]
     )
     forcing = np.concatenate([null_rate @ least, null_rate @ speed - lost], axis=1)
-    at_start = -sagged(kp, kd, settle)[:, None, None] * lost[0]
+    at_start = -sagged(kp, kd, settle)[:, None, None] * (lost[0] * settled)
     inner = _integrate(t, dynamics, forcing, at_start.reshape(2 * n, -1))
     q = least + null @ inner[:, :n]
     dq = inverse @ (rate - terms.twist_q @ q) + null @ inner[:, n:]

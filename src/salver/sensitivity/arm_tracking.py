@@ -44,12 +44,12 @@ def missing_acceleration(w: Array, jacobian_E: Array, mass_matrix: Array, load: 
     return np.asarray(np.linalg.solve(mass_matrix, np.swapaxes(wrench @ jacobian_E, 1, 2)))
 
 
-def tracking_error(missing: Array, response: NodeFilter) -> JointDeviation:
+def tracking_error(missing: Array, response: NodeFilter, settled: Array | float = 1.0) -> JointDeviation:
     """Deviation of the joints under joint-space computed torque, for a `missing` acceleration (T, n, n_c).
 
-    response: `node_filter(t, kp, kd, settle)` of the nodes' times and the joints' gains.
+    response: `node_filter(t, kp, kd, settle)` of the nodes' times and the joints' gains; settled: as in its `respond`.
     """
-    e, rate, acceleration = response.respond(missing)
+    e, rate, acceleration = response.respond(missing, settled)
     return JointDeviation(-e, -rate, -acceleration, missing)
 
 
