@@ -72,7 +72,7 @@ def test_verdict_changes_where_a_round_cone_says() -> None:
     assert slides.code == "slides"
     # Largest acceleration of a min-jerk line at t / T = (1 - 1 / sqrt(3)) / 2.
     assert_allclose(slides.details["time"] / critical, 0.5 - 0.5 / np.sqrt(3), atol=0.02)
-    assert "needs friction 0.50" in slides.sentence
+    assert "needs friction up to 0.50" in slides.sentence
     # Pyramids with the default edges alone would have said otherwise: the line is not along an edge.
     assert moved(CUBE, critical * 1.0005).exact.min() < 0
 

@@ -203,18 +203,21 @@ class InterfaceMargins:
 
     def reason(self, code: str, time: float, worst: bool) -> str:
         """Why it fails, with figures."""
-        k = int(np.searchsorted(self.t, time))
+        after = int(np.searchsorted(self.t, time))
         if code == "lifts":
             return "nothing presses it on its support"
         if code == "tips":
-            distance = -float((self.tip_over_worst if worst else self.tip_over)[k])
-            return f"its zero-moment point is {1e3 * distance:.1f} mm beyond the edge of its support"
+            beyond = -(self.tip_over_worst if worst else self.tip_over)[after:]
+            distance = float(beyond[np.isfinite(beyond)].max())
+            return f"its zero-moment point comes {1e3 * distance:.1f} mm beyond the edge of its support"
         if worst:
             needed = self.friction_needed_worst
             much = f"friction {needed:.3f}" if np.isfinite(needed) else "more friction than any"
             return f"the motion needs {much} where at least {self.least_friction:.3f} is sure"
-        needed = float(coulomb_friction_needed(self.interface.contacts, self.wrench_B[k])[0])
-        return f"it needs friction {needed:.3f} and has {self.friction:.3f}"
+        pyramids = self.friction_needed[after:]
+        peak = after + int(np.argmax(np.where(np.isfinite(pyramids), pyramids, 0.0)))
+        needed = float(coulomb_friction_needed(self.interface.contacts, self.wrench_B[peak])[0])
+        return f"it needs friction up to {needed:.3f} and has {self.friction:.3f}"
 
 
 def _only(rows: ContactRows, index: npt.NDArray[np.intp]) -> ContactRows:
