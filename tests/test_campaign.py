@@ -396,3 +396,27 @@ def test_a_run_of_the_physics_engine_is_reproduced_alone_from_its_number(tmp_pat
         record = simulate(load_plan(directory, "baseline"), parameters=parameters, seed=seed)
         assert record.outcome == columns["outcome"][k]
         assert record.summary["objects"][0]["peak_slip"] == columns["peak_slip"][k]
+
+
+def test_a_full_disk_loses_nothing_that_was_finished(finished, run_dir, monkeypatch):
+    from salver.campaign import journal as module
+
+    real, room = os.write, [1500]
+
+    def write(file, data):
+        """A disk with 1500 bytes left, which takes what still fits."""
+        if room[0] == 0:
+            raise OSError(28, "No space left on device")
+        count = real(file, data[: room[0]])
+        room[0] -= count
+        return count
+
+    monkeypatch.setattr(module.os, "write", write)
+    with pytest.raises(SalverError, match="No space left on device"):
+        run_campaign(run_dir, n=N, engine="closed-loop", jobs=1)
+    monkeypatch.undo()
+    kept = (run_dir / "campaign" / "journal.jsonl").read_bytes()
+    assert 0 < kept.count(b"\n") < 2 * N
+    run_campaign(run_dir, n=N, engine="closed-loop", jobs=1)
+    assert (run_dir / "campaign" / "journal.jsonl").read_bytes().startswith(kept[: kept.rfind(b"\n") + 1])
+    assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()

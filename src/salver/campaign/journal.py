@@ -48,10 +48,16 @@ class Journal:
         os.close(self._lock)
 
     def append(self, record: Record) -> None:
-        """Add a finished run. One write, then to the disk."""
-        line = json.dumps(record, separators=(",", ":")) + "\n"
-        os.write(self._file, line.encode())
-        os.fsync(self._file)
+        """Add a finished run, to the disk before the next one. Raises SalverError when the disk is full or gone."""
+        left = memoryview((json.dumps(record, separators=(",", ":")) + "\n").encode())
+        try:
+            while left:
+                left = left[os.write(self._file, left) :]
+            os.fsync(self._file)
+        except OSError as error:
+            raise SalverError(
+                f"{self.path} cannot be written ({error.strerror}); finished runs are kept; the same command goes on."
+            ) from None
         self.records[record["stem"], record["run"]] = record
 
     def _read(self) -> int:
