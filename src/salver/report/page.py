@@ -17,7 +17,7 @@ from salver.report.charts import thin
 from salver.report.replay import replay_scene
 from salver.report.run import Motion, Run, read_run
 from salver.report.style import ROLE_COLOURS
-from salver.report.words import asked, verdict
+from salver.report.words import asked, outcome_in_words, true_parameters, verdict
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -104,4 +104,6 @@ def _caption(motion: Motion) -> str:
     if motion.seen is None:
         return "as planned"
     summary = motion.seen.summary
-    return f"{summary.get('source', 'physics engine')}: {summary.get('outcome', 'unknown')}"
+    true = true_parameters(summary)
+    source = summary.get("source", "physics engine")
+    return f"{source}{f', {true}' if true else ''}: {outcome_in_words(str(summary.get('outcome', 'unknown')))}"

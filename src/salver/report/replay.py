@@ -26,7 +26,6 @@ REST_FORCE_LENGTH = 0.024  # m, of the arrow of a contact force at rest
 def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
     """Everything that the viewer draws, ready for JSON; arrays are float32 in base64, time first."""
     first = run.bodies[0]
-    weight_each = first.inertial.mass * abs(GRAVITY_S[2]) / first.contacts.count
     variants = [_variant(motion, run, arm) for motion in run.motions]
     return {
         "meshes": [pack(mesh) for mesh in link_meshes(arm)] if arm else [],
@@ -43,15 +42,14 @@ def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
         ],
         "contacts": {
             "normal": first.contacts.R_BC[0, :, 2].tolist(),
-            "friction": first.friction,
             "owner": first.name,
             "coneHeight": CONE_HEIGHT,
-            "metresPerNewton": REST_FORCE_LENGTH / weight_each,
         },
         "variants": variants,
         "bounds": _bounds(run, arm),
         "azimuth": _azimuth(run, arm),
         "floor": _floor(run, arm),
+        "loadHeight": max(float(b.p_EB[2] - b.com_G[2] + b.solid.base_z + b.solid.height) for b in run.bodies),
         "start": min(float(v["t"][0]) for v in variants),
         "duration": max(float(v["t"][-1]) for v in variants),
     }
@@ -90,10 +88,18 @@ def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
         "tray": _pack(tray),
         "objects": _pack(objects),
         "contactCount": len(points_B),
+        "friction": _true_friction(motion, body, several=len(run.bodies) > 1),
+        "metresPerNewton": REST_FORCE_LENGTH * len(points_B) / (body.inertial.mass * abs(GRAVITY_S[2])),
         "contacts": _pack(contacts),
         "forces": _pack(np.einsum("tij,tcj->tci", R, forces_B)),
         "path": np.round(p[_spread(len(p), 90)], 5).tolist(),
     }
+
+
+def _true_friction(motion: Motion, body: Body, several: bool) -> float:
+    """Of the run that is shown, which may differ from what the plan assumed."""
+    changed = (motion.seen.summary.get("parameters") or {}) if motion.seen else {}
+    return float(changed.get(f"{body.name}.friction" if several else "friction", body.friction))
 
 
 def _at(wanted: Array, t: Array, values: Array) -> Array:

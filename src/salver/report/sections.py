@@ -12,7 +12,7 @@ import numpy as np
 from salver.report import charts, perturbed_runs
 from salver.report.cells import motion_cell, number, outcome_cell, percent, table
 from salver.report.tables import arm_usage, scenario_rows, solver_rows
-from salver.report.words import length
+from salver.report.words import length, true_parameters
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -188,15 +188,12 @@ def _run_section(page: Sections, run: Run, kind: str) -> None:
         return
     rows = []
     for m, record in records:
-        changed = record.summary.get("parameters") or {}
         rows.append(
             [
                 motion_cell(m.stem, m.label),
                 outcome_cell(str(record.summary.get("outcome", "unknown"))),
                 *(_peak(record, key, factor) for key, factor in _PEAKS),
-                escape(", ".join(f"{k} = {v:.4g}" for k, v in changed.items()) or "nominal")
-                if kind == "simulation"
-                else escape(str(record.summary.get("source", ""))),
+                escape(true_parameters(record.summary) or "nominal" if kind == "simulation" else _source(record)),
             ]
         )
     last = "true parameters" if kind == "simulation" else "arm"
@@ -206,6 +203,10 @@ def _run_section(page: Sections, run: Run, kind: str) -> None:
         extra += _clocks(records)
     title, intro = RUNS[kind]
     page.add(kind, title, intro, charts.run_charts(records), extra)
+
+
+def _source(record: Record) -> str:
+    return str(record.summary.get("source", ""))
 
 
 _PEAKS = (("slip", 1e3), ("lift", 1e3), ("tip_angle", 180 / np.pi), ("e_p", 1e3), ("e_o", 1e3))

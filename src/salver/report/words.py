@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -53,11 +54,16 @@ def verdict(run: Run) -> Verdict:
         outcome = str(plan.simulation.summary.get("outcome", "unknown"))
         slip = record_curve(plan.simulation, "slip")
         moved = f"; slip in the physics engine {length(float(np.max(slip)))}" if slip is not None else ""
+        true = true_parameters(plan.simulation.summary)
+        true = f" with {true}" if true else ""
         if outcome == "holds":
             stay = "stay" if several else "stays"
-            return Verdict("good", f"{load} {stay} put, in theory and in simulation", f"{promise}{moved}.")
+            return Verdict("good", f"{load} {stay} put, in theory and in simulation{true}", f"{promise}{moved}.")
         which = plan.simulation.summary.get("worst_object", run.bodies[0].name)
-        return Verdict("bad", f"In simulation the {which} {outcome}", f"{promise}{moved}.")
+        what = {"limit": "the arm broke its limits", "lost": f"the {which} left the tray"}.get(
+            outcome, f"the {which} {outcome}"
+        )
+        return Verdict("bad", f"In simulation{true} {what}", f"{promise}{moved}.")
     verb = "are" if several else "is"
     return Verdict(
         "good", f"{load} {verb} predicted to stay put for every parameter in the assumed range", f"{promise}."
@@ -157,6 +163,17 @@ def quantity(name: str, value: float) -> str:
     factor, unit = _UNITS[kind]
     text = f"{factor * value:.4g}"
     return text + unit if unit == "°" else f"{text} {unit}".rstrip()
+
+
+def outcome_in_words(outcome: str) -> str:
+    """For a caption: "holds", "slides", "joint limits broken"."""
+    return {"limit": "joint limits broken", "lost": "left the tray"}.get(outcome, outcome)
+
+
+def true_parameters(summary: Mapping[str, Any]) -> str:
+    """What was not nominal in a run: "friction 0.09", or nothing."""
+    changed = summary.get("parameters") or {}
+    return ", ".join(f"{pretty(name)} {quantity(name, value)}" for name, value in changed.items())
 
 
 def length(metres: float) -> str:

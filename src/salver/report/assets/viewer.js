@@ -300,7 +300,7 @@ function createViewer(canvas, scene) {
 
   function drawContacts(variant, t, B) {
     const n = variant.contactCount, force = valuesAt(variant.forces, variant.t, 3 * n, t);
-    const points = valuesAt(variant.contacts, variant.t, 3 * n, t), mu = scene.contacts.friction;
+    const points = valuesAt(variant.contacts, variant.t, 3 * n, t), mu = variant.friction;
     const normal = Vec.unit(Mat.direction(B, scene.contacts.normal));
     const translucent = [];
     for (let i = 0; i < n; i++) {
@@ -309,7 +309,7 @@ function createViewer(canvas, scene) {
       const inside = Vec.norm(across) <= mu * Vec.dot(f, normal) + 1e-6;
       const colour = inside ? [0.0, 0.45, 0.70, 1] : [0.84, 0.29, 0.0, 1];
       if (options.forces && size > 1e-6) {
-        const length = size * scene.contacts.metresPerNewton, head = Math.min(0.011, 0.5 * length), axis = Vec.unit(f);
+        const length = size * variant.metresPerNewton, head = Math.min(0.011, 0.5 * length), axis = Vec.unit(f);
         draw(shapes.shaft, Mat.along(at, f, 0.0013, length - head), colour);
         draw(shapes.head, Mat.along(Vec.add(at, Vec.scale(axis, length - head)), f, 0.0038, head), colour);
       }
@@ -338,8 +338,8 @@ function createViewer(canvas, scene) {
     let target = middle, distance = 1.28 * reach;
     if (options.camera === "close") {
       const tray = posesAt(pane[0].variant.tray, pane[0].variant.t, 1, t);
-      target = [tray[0], tray[1], tray[2] + 0.02];
-      distance = 1.9 * Math.max(...scene.tray.size);
+      target = [tray[0], tray[1], tray[2] + 0.45 * scene.loadHeight];
+      distance = 1.9 * Math.max(...scene.tray.size, 1.35 * scene.loadHeight);
     }
     target = Vec.add(target, orbit.pan);
     distance *= orbit.distance;
@@ -392,7 +392,9 @@ function createViewer(canvas, scene) {
         objects.forEach((o, i) => drawEdges(o, Mat.pose(poses, 7 * i), [...o.colour.map((x) => 0.55 * x), 1]));
         gl.depthMask(false);
         drawConesOf(cones);
+        gl.enable(gl.CULL_FACE);  // its far side, and the base that lies in the tray's surface, would shine through
         objects.forEach((o, i) => draw(o.shape, Mat.pose(poses, 7 * i), [...o.colour, 0.22]));
+        gl.disable(gl.CULL_FACE);
         gl.depthMask(true);
       }
     }
