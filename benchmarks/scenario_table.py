@@ -17,9 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from salver.files import write_atomic
-from salver.margins import Margins, margin_model, tray_motion
+from salver.files import read_json, write_atomic
+from salver.margins import Margins, margin_model, margins, tray_motion
 from salver.models.bodies import bodies
+from salver.planning.make import plan_object
 from salver.scenario import Scenario, load, names
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import MotionSamples, PolynomialReference, min_jerk_line
@@ -75,6 +76,10 @@ def row(name: str) -> str:
     length = np.linalg.norm(np.subtract(scenario.motion.goal.position, scenario.motion.start.position))
     objects = len(bodies(scenario))
     verdicts = (engine(robust), engine(robust, worst), engine(SHORTER * nominal))
+    plan = plan_object(scenario)
+    found = margins(scenario, plan.reference.sample(np.linspace(0, plan.duration, INSTANTS)))
+    carried = simulate_tray(plan.reference, scenario, found.worst_parameters()).summary["outcome"]
+    planned = str(carried) if plan.ok else "no safe plan"
     first = f"{faster.code} ({faster.details['interface']})" if not faster.ok else "holds"
     cells = (
         f"`{name}`",
@@ -85,6 +90,8 @@ def row(name: str) -> str:
         *verdicts[:2],
         first,
         verdicts[2],
+        f"{plan.duration:g}",
+        planned,
     )
     return table(cells)
 
@@ -101,7 +108,7 @@ Columns: number of objects; length of the straight line from start to goal; the 
 motion along it at which everything holds, at nominal parameters and over the whole uncertain set (exact contact
 condition). Then what the physics engine says with the tray moved exactly: at the robust duration with nominal
 objects and with the worst objects of the set; and, 5 % faster than the nominal limit, what the margins and what the
-engine say goes wrong.
+engine say goes wrong. Last, the robust plan in the scenario's own duration, in the engine with the worst objects.
 
 Where the two disagree, the margins are on the safe side, for three reasons: a scenario's `support_inset` takes a
 strip off the base that the real object still stands on (all rows that "tip" for the margins and hold in the
@@ -120,7 +127,30 @@ COLUMNS = (
     "engine at robust, worst objects",
     "5 % faster: margins",
     "5 % faster: engine",
+    "planned, s",
+    "plan: engine, worst objects",
 )
+
+
+def tall_boxes(path: Path) -> str:
+    """The section on the grid of tall boxes, from what `benchmarks/tall_boxes.py` recorded."""
+    if not path.is_file():
+        return ""
+    out = """
+## Tall boxes of unknown mass distribution
+
+For each height 135 runs in the engine (`python benchmarks/tall_boxes.py`): 15 centres of mass, at the middle, the
+faces and the corners of the possible ones (6 cm to each side, the full height), three scales of inertia, three goals.
+One plan per goal for the whole uncertain set, in the duration of the scenario; beside it the level min-jerk line at
+the shortest duration that holds for the nominal box.
+
+"""
+    out += table(("height, cm", "planned for the set", "planned for the nominal box"))
+    out += table(["---"] * 3)
+    for height, found in read_json(path).items():
+        told = (", ".join(f"{n} {outcome}" for outcome, n in sorted(counts.items())) for counts in found.values())
+        out += table((height, *told))
+    return out
 
 
 def main() -> None:
@@ -130,7 +160,8 @@ def main() -> None:
         began = time.perf_counter()
         rows.append(row(name))
         print(f"{rows[-1].strip()}  ({time.perf_counter() - began:.1f} s)", file=sys.stderr, flush=True)
-    write_atomic(path, HEADER + table(COLUMNS) + table("---" for _ in COLUMNS) + "".join(rows))
+    grid = tall_boxes(path.parent / "data" / "tall-boxes.json")
+    write_atomic(path, HEADER + table(COLUMNS) + table("---" for _ in COLUMNS) + "".join(rows) + grid)
 
 
 if __name__ == "__main__":

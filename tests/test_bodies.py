@@ -30,6 +30,7 @@ def area(polygon: np.ndarray) -> float:
 def test_polygon_operations_by_hand() -> None:
     assert_allclose(area(intersection(SQUARE, SQUARE + np.array([0.5, 0.25]))), 1.5 * 1.75)
     assert len(intersection(SQUARE, SQUARE + np.array([2.5, 0]))) == 0
+    assert len(intersection(SQUARE, SQUARE[:0])) == 0
     octagon = intersection(SQUARE, SQUARE @ (np.array([[1, -1], [1, 1]]) / np.sqrt(2)))
     assert len(octagon) == 8
     assert_allclose(area(octagon), 8 * (np.sqrt(2) - 1))
@@ -87,6 +88,15 @@ def test_mesh_object(tmp_path) -> None:
     assert_allclose(body.inertial.inertia_com, same.inertial.inertia_com, rtol=1e-9)
     assert_allclose(body.p_EB, same.p_EB)
     assert_allclose(np.ptp(body.contacts.p_BC, axis=0), [0.04, 0.04, 0], atol=1e-12)
+
+
+def test_nothing_stands_on_a_pointed_top(tmp_path) -> None:
+    path = tmp_path / "cone.stl"
+    trimesh.creation.cone(0.03, 0.1).export(path)
+    cone = {**cube("cone"), "shape": {"type": "mesh", "file": str(path)}}
+    assert len(bodies(scenario([cone]))[0].contacts.p_BC) == 16
+    with pytest.raises(ScenarioError, match="top stands beside cone, not on it"):
+        scenario([cone, cube("top", on="cone")])
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,8 @@ def from_half_planes(normal: Array, offset: Array) -> Array:
 
 def intersection(first: Array, second: Array) -> Array:
     """Vertices of the common region, counter-clockwise; empty when it has no area."""
+    if len(first) < 3 or len(second) < 3:
+        return np.empty((0, 2))
     pairs = half_planes(first), half_planes(second)
     return from_half_planes(np.vstack([n for n, _ in pairs]), np.concatenate([o for _, o in pairs]))
 
@@ -67,7 +69,7 @@ def simplified(polygon: Array, most: int) -> Array:
 
 def eroded(polygon: Array, half_range: Array) -> Array:
     """The part that stays covered however the polygon is shifted within |dx|, |dy| <= half_range (2,)."""
-    if not np.any(half_range):
+    if not np.any(half_range) or len(polygon) < 3:
         return polygon
     normal, offset = half_planes(polygon)
     return from_half_planes(normal, offset - np.abs(normal) @ half_range)

@@ -6,6 +6,7 @@ A shape has its own frame G: origin at the centre of its bounding height, z up, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -115,12 +116,18 @@ def mesh(file: str, scale: float = 1.0) -> Solid:
     of a uniform solid. G is at the middle of the bounding box. Raises ValueError, one sentence, for a file that is
     missing or unreadable, a surface that is not closed, or a base that is not an area.
     """
-    import trimesh
-    from scipy.spatial import ConvexHull
-
     path = Path(file).expanduser()
     if not path.is_file():
         raise ValueError(f'the mesh file "{file}" does not exist; give the path of an STL, OBJ or PLY file')
+    return _mesh(path.resolve(), path.stat().st_mtime_ns, file, scale)
+
+
+@lru_cache(maxsize=32)
+def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
+    """`mesh`, read once until the file changes: a scenario asks for its shapes several times."""
+    import trimesh
+    from scipy.spatial import ConvexHull
+
     try:
         surface = trimesh.load(path, force="mesh")
     except Exception as error:  # trimesh raises what its many readers raise
