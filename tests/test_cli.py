@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from salver import __version__, scenario
-from salver.cli import app
+from salver.cli import COMMANDS
 
-COMMANDS = [command.name for command in app.registered_commands]
 SALVER = Path(sys.executable).with_name("salver")
 
 

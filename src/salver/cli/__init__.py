@@ -7,7 +7,6 @@ Modules of commands import what is heavy (CasADi, MuJoCo, Pinocchio, plotting) i
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Annotated
 
 import typer
@@ -41,8 +40,7 @@ COMMANDS = (
 )
 
 for _name in COMMANDS:
-    if find_spec(f"salver.cli.{_name}") is not None:
-        app.command(_name)(handled(getattr(import_module(f"salver.cli.{_name}"), _name)))
+    app.command(_name)(handled(getattr(import_module(f"salver.cli.{_name}"), _name)))
 
 
 def _print_version(wanted: bool) -> None:
