@@ -6,7 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import typer
+from typer.testing import CliRunner
 
+from salver.cli.common import handled
+from salver.cli.retime import retime as retime_command
 from salver.errors import ScenarioError
 from salver.models.contact_rows import contact_rows
 from salver.planning.fastest import FastestOptions, fastest, object_motion
@@ -14,7 +18,8 @@ from salver.planning.joint_curves import Grid, PathCurve
 from salver.planning.joint_limits import peaks
 from salver.planning.joint_problem import TransportProblem, transport_problem
 from salver.planning.joint_spline import RestSpline
-from salver.planning.retiming import SplinePath, reachable_law, retime
+from salver.planning.plan import load_plan
+from salver.planning.retiming import SplinePath, plan_retimed, reachable_law, retime
 from salver.scenario import Scenario, load
 
 
@@ -144,3 +149,43 @@ def test_path_on_which_the_load_cannot_even_rest_has_a_status(problem):
     found = retime(problem, SplinePath.through(q))
     assert not found.status.ok
     assert "stand still" in found.status.sentence
+
+
+# Plans and the command -----------------------------------------------------------------------------------------
+
+
+def test_retimed_plan_checks_itself(problem):
+    path = swing(problem, 1.0).derivatives(np.linspace(0, 1, 6), 0)[0]
+    plan = plan_retimed(cube(), path)
+    assert plan.ok, (plan.status, plan.verification.sentence, plan.arm_status)
+    assert plan.joint is not None
+    turned = plan.joint.q[-1] - plan.joint.q[0]
+    assert np.allclose(turned, [1.0, 0, 0, 0, 0, 0, 0], atol=1e-9)
+    assert plan.solver["lower_bound"] < plan.duration
+
+
+def test_waypoints_of_another_arm_are_refused():
+    with pytest.raises(ScenarioError, match=r"needs rows of 7"):
+        plan_retimed(cube(), np.zeros((3, 6)))
+
+
+def test_command_reads_waypoints_and_writes_a_run(problem, tmp_path):
+    q = swing(problem, 0.6).derivatives(np.linspace(0, 1, 4), 0)[0]
+    file = tmp_path / "waypoints.csv"
+    np.savetxt(file, q, delimiter=",", header="a,b,c,d,e,f,g", comments="")
+    app = typer.Typer()
+    app.command()(handled(retime_command))
+    result = CliRunner().invoke(app, [str(file), "--scenario", "panda-cube", "-o", str(tmp_path / "run"), "--json"])
+    assert result.exit_code == 0, result.output
+    again = load_plan(tmp_path / "run")
+    assert again.joint is not None
+    assert np.allclose(again.joint.q[-1], q[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("text", ["1,2\n3", "", "a,b\nc,d"])
+def test_broken_waypoint_files_are_refused(tmp_path, text):
+    file = tmp_path / "waypoints.csv"
+    file.write_text(text)
+    app = typer.Typer()
+    app.command()(handled(retime_command))
+    assert CliRunner().invoke(app, [str(file), "--scenario", "panda-cube"]).exit_code == 2

@@ -8,8 +8,9 @@ refinement from few spline pieces to many, and the check between the nodes.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -69,14 +70,14 @@ class FastestMotion:
 
     def joint_motion(self) -> JointMotion:
         """The same motion as samples; exact between them too, as the breaks of the spline are among them."""
-        t = self.duration * np.union1d(np.linspace(0, 1, 201), self.spline.breaks())
+        t = self.duration * np.union1d(np.linspace(0, 1, 401), self.spline.breaks())
         q, dq, ddq, _ = self.sample(t)
         return JointMotion(t, q, dq, ddq)
 
     def reference(self) -> SampledReference:
         """The motion of the first object's frame B."""
-        t = self.duration * np.union1d(np.linspace(0, 1, 401), self.spline.breaks())
-        return SampledReference(object_motion(self.problem, t, *self.sample(t)[:3]))
+        joint = self.joint_motion()
+        return SampledReference(object_motion(self.problem, joint.t, joint.q, joint.dq, joint.ddq))
 
 
 def object_motion(problem: TransportProblem, t: Array, q: Array, dq: Array, ddq: Array) -> MotionSamples:
@@ -95,17 +96,10 @@ def plan_fastest(scenario: Scenario, *, robust: bool = True, options: FastestOpt
     robust: safe for the whole uncertain set (with the arm's tracking), or for nominal parameters only.
     Raises ScenarioError when the scenario has no arm; a plan that could not be found has a status that says so.
     """
-    from salver.planning.joint_limits import torques, verdict
-    from salver.planning.plan import Plan
-
     problem = transport_problem(scenario, robust=robust)
     found = fastest(problem, options)
-    exact = scenario.with_changes(contact__condition="exact")
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}.")
-    joint = found.joint_motion()
-    plan = Plan(exact, "fastest", found.reference(), found.status, joint, verdict(problem.arm, joint, problem.items))
-    tau = torques(problem.arm, JointMotion(plan.t, *joint.sample(plan.t)), problem.items)
     record = {
         "name": "sequential quadratic programming (PIQP)",
         "robust": robust,
@@ -115,6 +109,21 @@ def plan_fastest(scenario: Scenario, *, robust: bool = True, options: FastestOpt
         "worst": found.worst,
         **tracking_record(found),
     }
+    return joint_plan(scenario, problem, found.joint_motion(), found.status, record)
+
+
+def joint_plan(
+    scenario: Scenario, problem: TransportProblem, joint: JointMotion, status: Status, record: Mapping[str, Any]
+) -> Plan:
+    """A motion of the joints as a plan under the exact contact condition, judged by the arm's own verdict."""
+    from salver.planning.joint_limits import torques, verdict
+    from salver.planning.plan import Plan
+
+    exact = scenario.with_changes(contact__condition="exact")
+    reference = SampledReference(object_motion(problem, joint.t, joint.q, joint.dq, joint.ddq))
+    parts = None if problem.keep_out is None else problem.keep_out.parts
+    plan = Plan(exact, "fastest", reference, status, joint, verdict(problem.arm, joint, problem.items, parts))
+    tau = torques(problem.arm, JointMotion(plan.t, *joint.sample(plan.t)), problem.items)
     return replace(plan, tau=tau, solver=record)
 
 

@@ -11,20 +11,27 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.optimize import linprog
 from scipy.sparse import coo_matrix
 
-from salver.errors import ScenarioError, Status
-from salver.geometry import Array
+from salver.errors import FileFormatError, ScenarioError, Status, UnreachableError
+from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.planning.fastest import joint_plan
 from salver.planning.joint_curves import PathCurve
 from salver.planning.joint_exchange import optimise
-from salver.planning.joint_problem import TransportProblem
+from salver.planning.joint_problem import TransportProblem, transport_problem
 from salver.planning.joint_spline import RestSpline
 from salver.planning.joint_terms import motion_terms
+from salver.scenario import Scenario
 from salver.trajectory import JointMotion
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
 
 PATH_DEGREE = 5
 PATH_POINTS = 60  # to which a dense path is thinned out, evenly along its length
@@ -103,8 +110,7 @@ def retime(
     Never raises for numerical reasons: see `status`.
     """
     begun = time.perf_counter()
-    ends = path.derivatives(np.array([0.0, 1.0]), 0)[0]
-    problem = replace(problem, start_posture=ends[0], max_tilt=np.inf, keep_out=None)
+    problem = replace(problem, max_tilt=np.inf, keep_out=None)
     law = RestSpline(LAW_DEGREE, spans)
     bound = reachable_law(problem, path)
     if bound is None:
@@ -127,6 +133,69 @@ def retime(
     return RetimedMotion(
         problem, path, law, found.coefficients, found.duration, float(t[-1]), found.status, found.worst, wall
     )
+
+
+def read_waypoints(path: Path) -> Array:
+    """(K, n) joint waypoints of a CSV file (rows of numbers, a first row of names is skipped), or the joint path of a
+    run directory. Raises FileFormatError.
+    """
+    if path.is_dir():
+        from salver.planning.plan import load_plan
+
+        joint = load_plan(path).joint
+        if joint is None:
+            raise FileFormatError(f"{path} holds a plan without a joint motion; it must be one made with an arm.")
+        return joint.sample(np.linspace(0.0, joint.duration, 2001))[0]
+    try:
+        rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        if rows and not _is_number(rows[0][0]):
+            rows = rows[1:]
+        return np.array([[float(word) for word in row] for row in rows])
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise FileFormatError(
+            f"{path} cannot be read as waypoints ({error}); it must be rows of as many numbers, separated by commas."
+        ) from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -> Plan:
+    """A plan along joint waypoints (K, n), rad: its fastest safe time law. Start and goal become those of the path.
+
+    robust: safe for the whole uncertain set; else for nominal parameters only.
+    Raises ScenarioError when the scenario has no arm or the waypoints are not of its joints.
+    """
+    given = scenario.with_changes(arm__start_posture=None) if scenario.arm is not None else scenario
+    problem = transport_problem(given, robust=robust)
+    waypoints = np.asarray(waypoints, dtype=float)
+    if waypoints.ndim != 2 or waypoints.shape[1] != problem.n or not np.all(np.isfinite(waypoints)):
+        raise ScenarioError(
+            f"The waypoints are an array of shape {waypoints.shape}; {problem.arm.name} needs rows of {problem.n} "
+            "finite joint angles, in rad."
+        )
+    path = SplinePath.through(waypoints)
+    found = retime(problem, path)
+    if not np.isfinite(found.duration):
+        raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
+    body, changes = problem.items[0], {}
+    for end, u in (("start", 0.0), ("goal", 1.0)):
+        p_SB, R_SB = problem.arm.object_pose(path.derivatives(np.array([u]), 0)[0, 0], body.p_EB, body.R_EB)
+        changes[f"motion__{end}"] = {"position": p_SB.tolist(), "quat_wxyz": quat_wxyz_from_matrix(R_SB).tolist()}
+    record = {
+        "name": "time law by sequential quadratic programming (PIQP)",
+        "robust": robust,
+        "seconds": found.wall_time,
+        "lower_bound": found.lower_bound,
+        "worst": found.worst,
+    }
+    moved = given.with_changes(**changes, motion__duration=None)
+    return joint_plan(moved, problem, found.joint_motion(), found.status, record)
 
 
 def reachable_law(problem: TransportProblem, path: SplinePath, count: int = 201) -> tuple[Array, Array] | None:
