@@ -32,6 +32,7 @@ COMMANDS = (
     "campaign",
     "audit",
     "tradeoff",
+    "retime",
     "report",
     "figures",
     "render",
