@@ -14,7 +14,7 @@ help:
 	@echo "make demo    plan, check and simulate the paper's scenario; pages and figures in $(OUT)"
 	@echo "make test    run the tests"
 	@echo "make check   lint, types and import layers"
-	@echo "make bench   run the benchmarks"
+	@echo "make bench   run the speed benchmarks and write docs/performance.md"
 	@echo "make scenario-table   docs/scenarios.md: the shortest safe durations, checked in the engine"
 	@echo "make docs    build the documentation into site/"
 	@echo "make lock    resolve the dependencies again"
@@ -56,7 +56,7 @@ layers: $(READY)
 check: lint types layers
 
 bench: $(READY)
-	@set -e; for script in benchmarks/bench_*.py; do echo "== $$script"; $(BIN)/python $$script; done
+	$(BIN)/python docs/make_performance.py
 
 scenario-table: $(READY)
 	$(BIN)/python benchmarks/scenario_table.py docs/scenarios.md

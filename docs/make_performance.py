@@ -1,0 +1,77 @@
+"""Runs the speed benchmarks and writes what they print into docs/performance.md.
+
+    python docs/make_performance.py [NAME ...]
+
+Names are those of the blocks in the page; all of them by default. Run it on an idle machine.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+PAGE = DOCS / "performance.md"
+BENCHMARKS = DOCS.parent / "benchmarks"
+COMMANDS = {
+    "planner": ["bench_planner.py", "--plot", str(DOCS / "images" / "planner.png")],
+    "rollouts": ["rollouts.py"],
+    "margins": ["bench_margins.py"],
+    "controller": ["controller_step.py"],
+    "physics": ["physics.py", "--quick"],
+    "campaign": ["campaign.py"],
+}
+PROCESSES = (
+    "salver --help",
+    "salver scenarios",
+    "salver plan panda-cube -o DIR",
+    "salver plan panda-cube --no-arm -o DIR",
+    "salver plan panda-cube --fastest -o DIR",
+)
+
+
+def printed(name: str) -> str:
+    script, *arguments = COMMANDS[name]
+    done = subprocess.run(
+        [sys.executable, str(BENCHMARKS / script), *arguments], capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
+
+
+def processes(runs: int = 5) -> str:
+    """Wall time of whole processes, after one that is not counted."""
+    salver = Path(sys.executable).with_name("salver")
+    lines = [f"{os.cpu_count()} cores; least and median of {runs} processes, after one that is not counted"]
+    for command in PROCESSES:
+        seconds = []
+        for _ in range(runs + 1):
+            with tempfile.TemporaryDirectory() as folder:
+                words = [str(salver), *command.replace("DIR", folder).split()[1:]]
+                began = time.perf_counter()
+                subprocess.run(words, capture_output=True, check=True)
+                seconds.append(time.perf_counter() - began)
+        counted = sorted(seconds[1:])
+        lines.append(f"  {command:42s} {counted[0]:.2f} s, {counted[runs // 2]:.2f} s")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    wanted = sys.argv[1:] or ["processes", *COMMANDS]
+    for name in wanted:
+        text = processes() if name == "processes" else printed(name)
+        print(f"{name}:\n{text}\n", flush=True)
+        block = f"<!-- printed: {name} -->\n```text\n{text}\n```\n<!-- end -->"
+        page = PAGE.read_text(encoding="utf-8")
+        page, count = re.subn(rf"<!-- printed: {name} -->.*?<!-- end -->", lambda _, b=block: b, page, flags=re.S)
+        if count != 1:
+            raise SystemExit(f"{PAGE} has {count} places for {name}; it needs one")
+        PAGE.write_text(page, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
