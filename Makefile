@@ -36,8 +36,9 @@ $(DOCS): $(READY) requirements-docs.lock
 demo: $(READY)
 	$(BIN)/salver demo -o $(OUT)
 
+# One worker for each core, so one thread of linear algebra for each worker.
 test: $(READY)
-	$(BIN)/python -m pytest -n auto
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
 
 lint: $(READY)
 	$(BIN)/ruff check $(SOURCES)
