@@ -29,8 +29,9 @@ def percent(share: float) -> str:
     return f"{100 * share:.1f} %"
 
 
-def number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}".replace("-", "−") if np.isfinite(value) else "none would do"
+def number(value: float, digits: int, unit: str = "", otherwise: str = "–") -> str:
+    """A number with a fixed number of digits and its unit; words when it is not finite."""
+    return f"{value:.{digits}f}{unit}".replace("-", "−") if np.isfinite(value) else otherwise
 
 
 def motion_cell(stem: str, label: str) -> str:

@@ -82,6 +82,7 @@ def margin_charts(run: Run) -> list[Spec]:
             "How far inside its base the centre of pressure stays. At zero a body starts to tip.",
             "mm",
             lines=[zero],
+            range=_tip_range(tip),
         ),
         time_chart(
             "Least cone coefficient, lower edge of its tube",
@@ -95,6 +96,13 @@ def margin_charts(run: Run) -> list[Spec]:
             lines=[zero],
         ),
     ]
+
+
+def _tip_range(curves: list[Spec]) -> list[float] | None:
+    """None for all of the curves; once a body is far over the edge of its base, the figures run away to no use."""
+    values = [v for c in curves for v in c["y"] if v is not None]
+    high = max(values, default=1.0)
+    return [-high, 1.06 * high] if values and min(values) < -high else None
 
 
 def _friction_lines(run: Run) -> list[Spec]:

@@ -114,8 +114,8 @@ def tiles(run: Run) -> str:
     tip = [1e3 * float(c.tip_worst.min()) for c in curves]
     worst = [100 * float(c.worst.min()) for c in curves]
 
-    def versus(values: list[float], digits: int, unit: str = "") -> str:
-        return f"baseline {number(values[1], digits)}{unit}" if base is not None else ""
+    def versus(values: list[float], digits: int, unit: str = "", otherwise: str = "–") -> str:
+        return f"baseline {number(values[1], digits, unit, otherwise)}" if base is not None else ""
 
     shown = [
         ("Duration", f"{plan.duration:.2f} s", versus([m.duration for m in run.motions], 2, " s")),
@@ -126,7 +126,7 @@ def tiles(run: Run) -> str:
     )
     if run.scenario.contact.condition == "paper":
         shown.append(("Least coefficient in its tube", f"{number(floor[0], 3)} N", versus(floor, 3, " N")))
-    shown.append(("Tip-over margin, worst case", f"{number(tip[0], 1)} mm", versus(tip, 1, " mm")))
+    shown.append(("Tip-over margin, worst case", number(tip[0], 1, " mm", "lifts"), versus(tip, 1, " mm", "lifts")))
     slips = [charts.record_curve(m.simulation, "slip") for m in run.motions]
     if slips[0] is not None:
         moved = [length(float(np.max(s))) if s is not None else "not run" for s in slips]
@@ -173,7 +173,9 @@ def _friction_tile(run: Run) -> tuple[str, str, str]:
     if curves[0].coefficient is None:
         used = [f"{100 * float(c.friction.max()):.0f} %" for c in curves]
         return "Friction in use", used[0], " · ".join(["of what there is", *(f"baseline {x}" for x in used[1:])])
-    needed = [number(float(c.coefficient.max()), 3) for c in curves if c.coefficient is not None]
+    needed = [
+        number(float(c.coefficient.max()), 3, otherwise="none suffices") for c in curves if c.coefficient is not None
+    ]
     return (
         "Friction needed",
         needed[0],

@@ -71,13 +71,11 @@ def verdict(run: Run) -> Verdict:
 
 
 def _why_not(run: Run) -> str:
-    """The first sentence of plan.json that says what is wrong."""
+    """The sentence of plan.json that says what is wrong: with the plan, with the arm, between the nodes."""
     summary = run.plan.summary
-    arm = summary.get("arm", {})
-    if arm and not arm.get("ok", True):
-        return str(arm.get("sentence", ""))
-    if not summary.get("verification", {}).get("ok", True):
-        return str(summary["verification"].get("sentence", ""))
+    for part in ("status", "arm", "verification"):
+        if not summary.get(part, {}).get("ok", True):
+            return str(summary[part].get("sentence", ""))
     return str(summary.get("status", {}).get("sentence", ""))
 
 

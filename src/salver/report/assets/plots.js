@@ -75,7 +75,7 @@ function chart(host, spec, onTime) {
   const draw = () => {
     host.replaceChildren();
     const width = widthOf(host), height = spec.height || 210;
-    const box = { left: 58, right: width - 14, top: 10, bottom: height - 38 };
+    const box = { left: 66, right: width - 14, top: 10, bottom: height - 38 };
     const image = svg("svg", { viewBox: `0 0 ${width} ${height}`, width: "100%", role: "img", "aria-label": `${spec.y} over ${spec.x}` }, host);
     const xs = [...spec.series, ...(spec.bands || [])].flatMap((s) => [s.x[0], s.x[s.x.length - 1]]);
     const xRange = [Math.min(...xs), Math.max(...xs)], yRange = spec.range || extent(spec);
@@ -129,7 +129,7 @@ function axes(image, box, xRange, yRange, X, Y, spec) {
   });
   svg("line", { x1: box.left, x2: box.right, y1: box.bottom, y2: box.bottom, stroke: "#9aa3ad" }, image);
   svg("text", { x: (box.left + box.right) / 2, y: box.bottom + 33, "text-anchor": "middle", class: "label" }, image, spec.x);
-  svg("text", { transform: `translate(13 ${(box.top + box.bottom) / 2}) rotate(-90)`, "text-anchor": "middle", class: "label" }, image, spec.y);
+  svg("text", { transform: `translate(12 ${(box.top + box.bottom) / 2}) rotate(-90)`, "text-anchor": "middle", class: "label" }, image, spec.y);
 }
 
 function attachCursor(host, image, box, xRange, X, Y, spec, onTime) {
@@ -181,7 +181,7 @@ function legend(host, spec) {
 function histogram(host, spec) {
   const draw = () => {
     host.replaceChildren();
-    const width = widthOf(host), height = 200, box = { left: 58, right: width - 14, top: 10, bottom: height - 38 };
+    const width = widthOf(host), height = 200, box = { left: 66, right: width - 14, top: 10, bottom: height - 38 };
     const image = svg("svg", { viewBox: `0 0 ${width} ${height}`, width: "100%", role: "img", "aria-label": `${spec.y} by ${spec.x}` }, host);
     const top = Math.max(1, ...spec.groups.flatMap((g) => g.counts)), last = spec.edges.length - 1;
     const X = (v) => box.left + ((v - spec.edges[0]) / (spec.edges[last] - spec.edges[0])) * (box.right - box.left);
