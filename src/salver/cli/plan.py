@@ -70,6 +70,11 @@ def show(plan: Plan, baseline: Plan) -> None:
         "sensitivity cost, eq (13)": lambda p: f"{p.cost:.4g}",
         "least cone coefficient, nominal": lambda p: f"{1e3 * p.cone_coefficients.min():.1f} mN",
         "least cone coefficient, in its tube": lambda p: f"{1e3 * (p.cone_coefficients - p.cone_radius).min():.1f} mN",
+        "exact margin of the weight, worst case": lambda p: f"{100 * p.margins.exact_worst.min():.1f} %",
+        "friction needed / sure, worst case": _friction,
+        "distance to tipping, worst case": lambda p: (
+            f"{1e3 * min(m.tip_over_worst.min() for m in p.margins.interfaces):.1f} mm"
+        ),
         "contact condition kept everywhere": lambda p: "yes" if p.verification.violation == 0 else "NO",
         "arm can follow": lambda p: "-" if p.arm_status is None else "yes" if p.arm_status.ok else "NO",
     }
@@ -84,3 +89,9 @@ def show(plan: Plan, baseline: Plan) -> None:
     if plan.solver:
         seconds = 1e3 * float(plan.solver["seconds"])
         console.print(f"Solved in {seconds:.1f} ms by {plan.solver['name']}.")
+
+
+def _friction(plan: Plan) -> str:
+    """Of the interface that needs most of what it surely has."""
+    tight = max(plan.margins.interfaces, key=lambda m: m.friction_needed_worst / m.least_friction)
+    return f"{tight.friction_needed_worst:.3f} / {tight.least_friction:.3f}"

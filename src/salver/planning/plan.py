@@ -27,6 +27,7 @@ from salver.trajectory import (
 )
 
 if TYPE_CHECKING:
+    from salver.margins import InterfaceMargins, Margins
     from salver.models.parameters import UncertainSet
     from salver.sensitivity.arm import ArmChain
 
@@ -145,6 +146,13 @@ class Plan:
         return Verification(len(self.t), error, slack, when, body, unit_of(self.scenario, body))
 
     @cached_property
+    def margins(self) -> Margins:
+        """Exact margins of everything on the tray along the reference (`salver.margins`)."""
+        from salver.margins import margins
+
+        return margins(self.scenario, self.evaluation.samples)
+
+    @cached_property
     def chain(self) -> ArmChain | None:
         """What wrong parameters do to the arm that carries this plan; None without an arm or without uncertainty."""
         if self.joint is None or self.uncertain.size == 0:
@@ -183,6 +191,7 @@ class Plan:
                 "unit": check.unit,
                 "object": check.body,
             },
+            "margins": {m.name: _margin_record(m) for m in self.margins.interfaces},
             "least_cone_coefficient": float(self.cone_coefficients.min()),
             "least_cone_coefficient_in_tube": float(lowest.min()),
             "solver": dict(self.solver),
@@ -297,6 +306,19 @@ def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
         arrays.get("tau"),
         summary["solver"],
     )
+
+
+def _margin_record(m: InterfaceMargins) -> dict[str, float]:
+    """Least margins of one interface over time; exact ones as a share of the normal force at rest."""
+    return {
+        "friction": m.friction,
+        "friction_needed": float(m.friction_needed.max()),
+        "friction_needed_worst": m.friction_needed_worst,
+        "tip_over": float(m.tip_over.min()),
+        "tip_over_worst": float(m.tip_over_worst.min()),
+        "exact": float(m.exact.min()),
+        "exact_worst": float(m.exact_worst.min()),
+    }
 
 
 def _status_record(status: Status) -> dict[str, Any]:
