@@ -246,6 +246,25 @@ def test_the_directory_of_another_campaign_is_not_touched(finished, run_dir):
     assert before == {path.name: path.read_bytes() for path in (run_dir / "campaign").iterdir()}
 
 
+def test_a_campaign_is_not_finished_by_other_versions(run_dir):
+    run_campaign(run_dir, n=4, engine="closed-loop", jobs=1)
+    path = run_dir / "campaign" / "campaign.json"
+    summary = json.loads(path.read_text())
+    actual = summary["provenance"]["versions"]["mujoco"]
+    summary["provenance"]["versions"]["mujoco"] = "3.0.0"
+    path.write_text(json.dumps(summary))
+    with pytest.raises(SalverError, match=f"was begun with mujoco 3.0.0 .now {actual}.; go on with those versions"):
+        run_campaign(run_dir, n=6, engine="closed-loop", jobs=1)
+    assert json.loads(path.read_text()) == summary
+
+
+def test_runs_of_unknown_origin_are_not_taken_over(run_dir):
+    run_campaign(run_dir, n=2, engine="closed-loop", jobs=1)
+    (run_dir / "campaign" / "campaign.json").unlink()
+    with pytest.raises(SalverError, match=r"holds runs but no campaign\.json"):
+        run_campaign(run_dir, n=2, engine="closed-loop", jobs=1)
+
+
 def test_two_campaigns_at_once_in_one_directory_are_refused(run_dir):
     with Journal(run_dir / "campaign"), pytest.raises(SalverError, match="Another campaign is running"):
         run_campaign(run_dir, n=3, engine="closed-loop", jobs=1)

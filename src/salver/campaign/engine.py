@@ -61,9 +61,8 @@ def run_campaign(
     _claim(place, definition)
     with Journal(place) as journal:
         previous = _claim(place, definition)  # again: another process may have come first
-        if previous is None or not previous.get("complete") or previous["definition"]["n"] != n:
-            head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
-            write_json(place / SUMMARY, head)
+        if previous is None and journal.records:
+            raise SalverError(f"{place} holds runs but no {SUMMARY} that says what they are; use another --folder.")
         wanted = {(stem, run) for stem in stems for run in range(n)}
         journal.records = {item: record for item, record in journal.records.items() if item in wanted}
         counts = Counter((r["stem"], r["outcome"]) for r in journal.records.values())
@@ -71,6 +70,11 @@ def run_campaign(
             progress(len(journal.records), len(wanted), counts)
         context = Context(directory, definition)
         batches = _batches(wanted - journal.records.keys(), stems, engine)
+        if batches and journal.records and previous is not None:
+            _same_versions(place, previous["provenance"], _provenance(directory))
+        if batches:
+            head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
+            write_json(place / SUMMARY, head)
         with closing(_results(context, batches, jobs or _cores(), ray)) as results:
             for records in results:
                 for record in records:
@@ -108,6 +112,16 @@ def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:
             "Use another --folder to keep both."
         )
     return dict(previous)
+
+
+def _same_versions(place: Path, before: dict[str, Any], now: dict[str, Any]) -> None:
+    """A table must not be made half by one engine and half by another."""
+    old, new = ({"salver": p["salver"], **p["versions"]} for p in (before, now))
+    changed = [f"{name} {old.get(name)} (now {new[name]})" for name in new if old.get(name) != new[name]]
+    if changed:
+        raise SalverError(
+            f"{place} was begun with {', '.join(changed)}; go on with those versions, or use another --folder."
+        )
 
 
 def _provenance(directory: Path) -> dict[str, Any]:
