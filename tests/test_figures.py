@@ -149,6 +149,19 @@ def test_fig8_draws_both_cases(directory: Path) -> None:
     assert more["plan"].e_p.max() > 2 * nominal["plan"].e_p.max()
 
 
+def test_fig7_shows_the_same_instants_of_both(directory: Path) -> None:
+    run = read_run(directory)
+    record = perturbed.heavier(load_plan(directory, "plan"), 0.0)
+    with paper_style():
+        figure, note = figures.snapshots(run, {"plan": record})
+    assert len(figure.axes) == 4
+    assert [ax.get_title(loc="left") for ax in figure.axes] == ["0.00 s", "0.83 s", "1.67 s", "2.50 s"]
+    assert figure.axes[0].get_ylabel() == "Robust"
+    first, last = (np.asarray(figure.axes[k].get_images()[0].get_array()).astype(int) for k in (0, 3))
+    assert (np.abs(first - last).max(axis=2) > 30).sum() > 1000  # the arm has moved
+    assert note == "" or "OpenGL" in note
+
+
 def test_outcome_map_shows_the_worst_of_each_cell() -> None:
     table = {
         "duration": [0.5, 0.5, 1.0, 1.0, 0.5, 1.0, 1.0],

@@ -15,10 +15,10 @@ def figures(
     file_format: Annotated[str, typer.Option("--format", help="pdf, svg or png.")] = "pdf",
     n: Annotated[int, typer.Option("-n", min=1, help="Perturbed bodies of Figs 5 and 6.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Seed of their draws.")] = 0,
-    physics: Annotated[bool, typer.Option(help="Also Fig. 8, which runs the physics engine four times.")] = True,
+    physics: Annotated[bool, typer.Option(help="Also Figs 7 and 8, which run the physics engine four times.")] = True,
     json: Json = False,
 ) -> None:
-    """Write the paper's figures 3 to 6 and 8 and its tables for this run into DIR/figures.
+    """Write the paper's figures 3 to 8 and its tables for this run into DIR/figures.
 
     Vector formats, one or two columns of a paper wide, safe for every kind of colour vision.
 

@@ -36,8 +36,8 @@ def write_figures(
 ) -> list[Path]:
     """All figures and tables of a run directory into DIR/figures; returns their paths.
 
-    n, seed: perturbed rollouts of Figs 5 and 6. physics: also Fig. 8, for which the physics engine runs each motion
-    twice. say: told what is left out and why. Raises SalverError for an unknown format.
+    n, seed: perturbed rollouts of Figs 5 and 6. physics: also Figs 7 and 8, for which the physics engine runs each
+    motion twice. say: told what is left out and why. Raises SalverError for an unknown format.
     """
     if file_format not in FORMATS:
         raise SalverError(f'There is no figure format "{file_format}"; known are {", ".join(FORMATS)}.')
@@ -50,9 +50,13 @@ def write_figures(
         for number, m in zip((5, 6), run.motions, strict=False):
             figures[f"fig{number}-perturbed-{m.stem}"] = perturbed_figure(m, rollouts[m.stem])
         if run.scenario.arm is None:
-            say("Fig. 8 is left out: the scenario has no arm.")
+            say("Figs 7 and 8 are left out: the scenario has no arm.")
         elif physics:
-            figures["fig8-tracking"] = tracking(run.motions, *_fig8_records(run))
+            nominal, heavier = _physics_records(run)
+            figures["fig7-snapshots"], note = snapshots(run, nominal)
+            if note:
+                say(note)
+            figures["fig8-tracking"] = tracking(run.motions, nominal, heavier)
         for name, figure in figures.items():
             made.append(write_atomic(folder / f"{name}.{file_format}", render(figure, file_format)))
     made += write_table(folder / "table1-parameters", table_one(run))
@@ -185,7 +189,7 @@ def _spread_coefficients(m: Motion) -> list[int]:
     return [int(order[round(k)]) for k in np.linspace(0, len(order) - 1, min(4, len(order)))]
 
 
-def _fig8_records(run: Run) -> tuple[dict[str, SimulationRecord], dict[str, SimulationRecord]]:
+def _physics_records(run: Run) -> tuple[dict[str, SimulationRecord], dict[str, SimulationRecord]]:
     """Physics runs of every motion, nominal and with the paper's extra mass."""
     from salver.planning.plan import load_plan
 
@@ -194,6 +198,31 @@ def _fig8_records(run: Run) -> tuple[dict[str, SimulationRecord], dict[str, Simu
         {stem: perturbed.heavier(plan, 0.0) for stem, plan in plans.items()},
         {stem: perturbed.heavier(plan) for stem, plan in plans.items()},
     )
+
+
+SNAPSHOTS = 4
+
+
+def snapshots(run: Run, records: Mapping[str, SimulationRecord]) -> tuple[Figure, str]:
+    """Fig. 7: pictures along each simulated motion, one row a motion; and a note when they are plain drawings."""
+    from salver.simulation.render import snapshots as photograph
+
+    motions = [m for m in run.motions if m.stem in records]
+    figure, axes = _new(PAGE, 1.42 * len(motions) + 0.2, rows=len(motions), columns=SNAPSHOTS)
+    note = ""
+    for row, m in zip(axes, motions, strict=True):
+        times = np.linspace(0.0, m.duration, SNAPSHOTS)
+        pictures = photograph(records[m.stem], run.scenario, times, width=640, height=480)
+        note = pictures.note
+        for ax, picture, t in zip(row, pictures.images, times, strict=True):
+            ax.imshow(picture)
+            ax.set_title(f"{t:.2f} s", loc="left", pad=2)
+            ax.set_xticks([])
+            ax.set_yticks([])
+            for spine in ax.spines.values():
+                spine.set_visible(False)
+        row[0].set_ylabel(m.label)
+    return figure, note
 
 
 def tracking(
