@@ -22,6 +22,8 @@ from pathlib import Path
 
 import pytest
 
+from salver.cli import COMMANDS
+
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.M | re.S)
@@ -117,6 +119,14 @@ def test_blocks_of_the_page_run(page, planned, tmp_path, monkeypatch):
             raise AssertionError(f"{page.name}, line {block.line}: {error}\n{block.code}") from error
         if block.expected is not None:
             assert_output(output, block.expected)
+
+
+def test_every_command_is_shown():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs" / "howto").glob("*.md"))
+    for name in COMMANDS:
+        assert f"salver {name}" in readme or f"make {name}" in readme, name
+        assert f"<!-- help: {name} -->" in pages or name in ("demo", "scenarios"), name
 
 
 def test_links_between_pages_lead_somewhere():
