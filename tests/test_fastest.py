@@ -10,6 +10,7 @@ import pytest
 
 from salver.errors import ScenarioError
 from salver.geometry import Array
+from salver.margins import margins
 from salver.models.arm import with_load
 from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import inertial_vector
@@ -18,7 +19,6 @@ from salver.planning.fastest import FastestOptions, fastest, object_motion, plan
 from salver.planning.fastest_tradeoff import scaled, tradeoff
 from salver.planning.joint_contact import worst_case
 from salver.planning.joint_curves import FreeCurve, Grid
-from salver.planning.joint_obstacles import NEAR
 from salver.planning.joint_problem import EndPose, TransportProblem, reach, transport_problem
 from salver.planning.joint_rows import Margins, evaluate
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
@@ -275,6 +275,7 @@ def test_robust_plan_takes_longer_and_the_nominal_one_breaks_its_conditions():
     robust, nominal = (transport_problem(scenario, robust=robust) for robust in (True, False))
     slow, fast = fastest(robust), fastest(nominal)
     assert slow.status.ok
+    assert margins(scenario, slow.reference().samples, edges=4).exact_worst.min() > 0  # by another module's worst case
     assert fast.status.ok
     assert 1.03 * fast.duration < slow.duration < 1.4 * fast.duration
     fine = Grid.of(fast.spline, np.linspace(0, 1, 301))
@@ -303,7 +304,6 @@ def test_obstacle_on_the_way_is_avoided():
     s = np.linspace(0, 1, 201)
     assert found.problem.keep_out.distances(found.sample(s * found.duration)[0]).min() > 0
     assert found.problem.keep_out.distances(free.sample(s * free.duration)[0]).min() < 0
-    assert NEAR > 0.1
     assert found.duration > free.duration
 
 

@@ -39,35 +39,42 @@ class WorstCase:
 
 
 def worst_case(rows: ContactRows, w: Array, dw: Array | None = None, names: tuple[str, ...] = ()) -> WorstCase:
-    """Worst case at w (N, 12) when each of `names` also changes w by dw (N, 12, len(names)) per half-range."""
+    """Worst case at w (N, 12), also when each of `names` changes w by dw (N, 12, len(names)) per half-range.
+
+    With dw, the larger of two: the tray strays by dw, or it follows exactly (a controller better than assumed).
+    """
     values = w @ rows.nominal.T
-    weight = np.zeros((*values.shape, 0))
-    signs = np.zeros((*values.shape, 0))
-    own = [rows.names.index(name) if name in rows.names else -1 for name in names]
     change = _terms(w, rows.parameter)
-    if dw is not None:
-        followed = np.einsum("nkp,fk->nfp", dw, rows.nominal)
-        for k, name in enumerate(names):
-            if own[k] >= 0:
-                change[..., own[k]] += followed[..., k]
-            elif name in rows.mass_names:
-                values = values + rows.mass_signs[:, rows.mass_names.index(name)] * followed[..., k]
-            else:  # a parameter of something else on the tray
-                values = values + np.abs(followed[..., k])
-    if len(rows.parameter):
-        if rows.spread is None:
-            values = values + np.abs(change).sum(axis=-1)
-            weight = np.sign(change)
-        else:
-            factored = change @ rows.spread
-            radius = np.sqrt(np.square(factored).sum(axis=-1)) + 1e-15
-            values = values + radius
-            weight = factored @ rows.spread.T / radius[..., None]
+    signs = np.zeros((*values.shape, 0))
     if len(rows.remainder):
         terms = _terms(w, rows.remainder)
         values = values + np.abs(terms).sum(axis=-1)
         signs = np.sign(terms)
-    return WorstCase(values, rows, weight, signs)
+    spread, weight = _radius(rows, change)
+    if dw is not None:
+        followed = np.einsum("nkp,fk->nfp", dw, rows.nominal)
+        strayed, extra = change.copy(), np.zeros_like(values)
+        for k, name in enumerate(names):
+            if name in rows.names:
+                strayed[..., rows.names.index(name)] += followed[..., k]
+            elif name in rows.mass_names:
+                extra += rows.mass_signs[:, rows.mass_names.index(name)] * followed[..., k]
+            else:  # a parameter of something else on the tray
+                extra += np.abs(followed[..., k])
+        straying, straying_weight = _radius(rows, strayed)
+        straying = straying + extra
+        weight = np.where((straying > spread)[..., None], straying_weight, weight)
+        spread = np.maximum(spread, straying)
+    return WorstCase(values + spread, rows, weight, signs)
+
+
+def _radius(rows: ContactRows, change: Array) -> tuple[Array, Array]:
+    """Worst case (N, n_f) of the linear terms (N, n_f, n_p) over the set, and its derivative by each term."""
+    if rows.spread is None or not change.shape[-1]:
+        return np.abs(change).sum(axis=-1), np.sign(change)
+    factored = change @ rows.spread
+    size = np.sqrt(np.square(factored).sum(axis=-1)) + 1e-15
+    return size, factored @ rows.spread.T / size[..., None]
 
 
 def _terms(w: Array, rows: Array) -> Array:

@@ -16,7 +16,7 @@ from salver.geometry import Array
 from salver.models.arm_geometry import ArmGeometry
 
 SAFETY = 5e-3  # m that are kept free
-NEAR = 0.2  # m; pairs that are nowhere nearer along a path are left out until they are
+NEAR = 0.1  # m; pairs that are nowhere nearer along a path are left out until they are
 
 
 @dataclass(frozen=True, eq=False)
