@@ -392,3 +392,15 @@ def test_several_objects_are_spoken_of_together(tmp_path: Path) -> None:
     text = write_report(tmp_path).read_text()
     assert "friction of lintel ±0.042 (10 %)" in text
     assert len(_data(tmp_path / "report.html")["replay"]["objects"]) == 3
+
+
+def test_parameters_that_hardly_matter_are_named_not_drawn(tmp_path: Path) -> None:
+    """The contact forces of a level cube do not depend on its inertia: mass and centre of mass are what matters."""
+    make_plan(scenario.load("panda-cube-10-parameters").with_changes(arm=None), "baseline").save(tmp_path, "plan")
+    data = _data(write_report(tmp_path))
+    chart = next(c for c in data["charts"].values() if "which parameter" in c["title"])
+    drawn = {s["name"] for s in chart["series"]}
+    assert (
+        {"mass", "centre of mass x", "centre of mass y"} <= drawn <= {"mass", *(f"centre of mass {c}" for c in "xyz")}
+    )
+    assert "inertia xx" in chart["note"]

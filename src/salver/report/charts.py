@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.geometry import Array
+from salver.report.parameters import pretty
 from salver.report.style import CYCLE, ROLE_COLOURS, VERMILION
 from salver.sensitivity import tubes
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 Spec = dict[str, Any]
 TIP_WORTH_SHOWING = 1e-3  # rad; less is the softness of the contact
+WORTH_A_CURVE = 0.02  # of the largest effect of a parameter
 POINTS = 240  # per curve: more than the pixels of a chart
 DASH = {"plan": "", "baseline": "6 3"}
 
@@ -152,9 +154,9 @@ def sensitivity_charts(run: Run) -> list[Spec]:
             slice(0, 3),
             1e3,
             "mm",
-            "How far the object may stray, the assumed parameters wrong.",
+            "How far wrong parameters take the object off its reference.",
         ),
-        ("Orientation", "tube radius, mrad", slice(3, 6), 1e3, "mrad", "The same for its attitude."),
+        ("Orientation", "tube radius, mrad", slice(3, 6), 1e3, "mrad", "How far they turn it."),
     ]
     charts = []
     for title, label, rows, factor, unit, note in wanted:
@@ -183,28 +185,20 @@ def sensitivity_charts(run: Run) -> list[Spec]:
 
 
 def _by_parameter(plan: Motion, names: list[str]) -> Spec:
+    """The parameters that move a cone coefficient; those that hardly do are named below the title."""
     half = plan.arrays["parameter_half_range"]
     effect = np.abs(plan.arrays["input_sensitivity"] * half).max(axis=1)
+    peak = effect.max(axis=0)
+    order = [int(i) for i in np.argsort(-peak, kind="stable") if peak[i] >= WORTH_A_CURVE * peak.max()][: len(CYCLE)]
     curves = []
-    for i, name in enumerate(names):
+    for colour, i in zip(CYCLE, order, strict=False):
         t, y = thin(plan.t, effect[:, i])
-        curves.append(
-            {
-                "name": name.replace("_", " "),
-                "colour": CYCLE[i % len(CYCLE)],
-                "dash": "" if i < len(CYCLE) else "4 3",
-                "x": t,
-                "y": y,
-            }
-        )
-    return time_chart(
-        f"{plan.label}: which parameter matters",
-        "largest |Θ δ|, N",
-        curves,
-        "Share of each parameter in the widest tube.",
-        "N",
-        zero=True,
-    )
+        curves.append({"name": pretty(names[i]), "colour": colour, "x": t, "y": y})
+    small = [pretty(name) for i, name in enumerate(names) if i not in order]
+    note = "Share of each parameter in the widest tube."
+    if small:
+        note += f" Less than {100 * WORTH_A_CURVE:.0f} % of the largest: {', '.join(small)}."
+    return time_chart(f"{plan.label}: which parameter matters", "largest |Θ δ|, N", curves, note, "N", zero=True)
 
 
 def _state_radius(run: Run, m: Motion) -> Array:
@@ -237,16 +231,12 @@ def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
             curves = []
             for j, column in enumerate(share.T):
                 t, y = thin(m.t, column)
-                curves.append({"name": f"{j + 1}", "colour": CYCLE[j % len(CYCLE)], "width": 1.4, "x": t, "y": y})
+                curves.append({"name": f"joint {j + 1}", "colour": CYCLE[j % len(CYCLE)], "width": 1.4, "x": t, "y": y})
             lines = [
                 {"y": s * 100, "label": "limit" if s > 0 else "", "colour": VERMILION, "optional": True}
                 for s in (1, -1)
             ]
-            charts.append(
-                time_chart(
-                    f"{m.label}: joint {what}", f"% of the limit, joints 1–{share.shape[1]}", curves, lines=lines
-                )
-            )
+            charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", curves, lines=lines))
     return charts
 
 

@@ -84,12 +84,13 @@ def build(run: Run, arm: ArmModel | None) -> Sections:
         "Shaded: the tube in which they stay, to first order, for every body in the uncertain set.",
         charts.cone_charts(run),
     )
+    sensitivity = charts.sensitivity_charts(run)
     page.add(
         "sensitivity",
         "Sensitivity to what is not known",
         "What the assumed ranges do to the closed loop of plant and controller. Smaller is more robust.",
-        charts.sensitivity_charts(run),
-        grid="three",
+        sensitivity,
+        grid="three" if len(sensitivity) == 3 else "",
     )
     motion = charts.reference_charts(run)
     page.add("motion", "The motion", "Where the object is taken.", motion, grid="three")

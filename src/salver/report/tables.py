@@ -13,7 +13,7 @@ import numpy as np
 
 from salver.files import write_atomic
 from salver.models.bodies import uncertain_set
-from salver.report.words import pretty, quantity
+from salver.report.parameters import pretty, quantity
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -79,6 +79,7 @@ def solver_rows(run: Run) -> Rows:
             (f"{name}: result", summary.get("status", {}).get("sentence")),
             (f"{name}: check", summary.get("verification", {}).get("sentence")),
             (f"{name}: arm", summary.get("arm", {}).get("sentence")),
+            (f"{name}: wrong parameters", _arm_chain(summary.get("arm_chain"), summary.get("verification", {}))),
             (f"{name}: solver", solver.get("name")),
             (f"{name}: sensitivity cost, eq (13)", _text(summary.get("cost"))),
             (f"{name}: weighting", summary.get("weighting") if solver else None),
@@ -92,6 +93,20 @@ def solver_rows(run: Run) -> Rows:
         ("with", versions),
     ]
     return [(name, str(value)) for name, value in rows if value]
+
+
+def _arm_chain(chain: Mapping[str, Any] | None, check: Mapping[str, Any]) -> str | None:
+    """What wrong parameters do when they act through the arm's controller, to first order."""
+    if not chain or "tray_position_radius" not in chain:
+        return None
+    text = (
+        f"They move the tray by at most {1e3 * chain['tray_position_radius']:.2g} mm and "
+        f"{1e3 * chain['tray_rotation_radius']:.2g} mrad; torques reach {100 * chain['torque_share']:.0f} % of the "
+        "limits"
+    )
+    if chain.get("contact_slack") is not None:
+        text += f"; the contact condition keeps {chain['contact_slack']:.3g} {check.get('unit', '')}".rstrip()
+    return text + "."
 
 
 def _text(item: Any) -> str | None:

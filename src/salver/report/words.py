@@ -10,18 +10,10 @@ import numpy as np
 
 from salver.models.bodies import uncertain_set
 from salver.report.charts import record_curve
+from salver.report.parameters import pretty, quantity
 
 if TYPE_CHECKING:
     from salver.report.run import Run
-
-_UNITS = {
-    "mass": (1e3, "g"),
-    "com": (1e3, "mm"),
-    "position": (1e3, "mm"),
-    "tilt": (180 / np.pi, "°"),
-    "friction": (1.0, ""),
-}
-_NAMES = {"com": "centre of mass", "position": "place on the tray"}
 
 
 @dataclass(frozen=True)
@@ -142,25 +134,6 @@ def _unknown(run: Run) -> str:
     ]
     joined = ranges[0] if len(ranges) == 1 else ", ".join(ranges[:-1]) + " and " + ranges[-1]
     return f"Not known exactly: {joined}."
-
-
-def pretty(name: str) -> str:
-    """A parameter's name for people: "cup1.com_x" is "centre of mass x of cup1"."""
-    owner, _, own = name.rpartition(".")
-    for key, word in _NAMES.items():
-        own = own.replace(f"{key}_", f"{word} ")
-    return own.replace("_", " ") + (f" of {owner}" if owner else "")
-
-
-def quantity(name: str, value: float) -> str:
-    """A parameter's value in the unit people use for it."""
-    base = name.split(".")[-1]
-    kind = next((key for key in _UNITS if base.startswith(key)), None)
-    if kind is None:
-        return f"{value:.3g} kg m²"
-    factor, unit = _UNITS[kind]
-    text = f"{factor * value:.4g}"
-    return text + unit if unit == "°" else f"{text} {unit}".rstrip()
 
 
 def outcome_in_words(outcome: str) -> str:
