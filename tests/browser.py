@@ -43,7 +43,7 @@ class Browser:
     def script(self, code: str, *args: Any) -> Any:
         return self.call("POST", "execute/sync", {"script": code, "args": list(args)})
 
-    def wait_for(self, condition: str, seconds: float = 20.0) -> None:
+    def wait_for(self, condition: str, seconds: float = 60.0) -> None:
         end = time.monotonic() + seconds
         while not self.script(f"return Boolean({condition})"):
             if time.monotonic() > end:
