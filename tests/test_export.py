@@ -161,6 +161,26 @@ def test_mujoco_scene_opens_elsewhere_and_holds_still(directory: Path, tmp_path:
     assert np.abs(np.array(q) - model.key("start").ctrl).max() < TOLERANCE
 
 
+def test_mujoco_scene_of_a_stack_without_an_arm_stands(tmp_path: Path) -> None:
+    import mujoco
+
+    make_plan(scenario.load("upright-arch"), "baseline").save(tmp_path / "run", "plan")
+    write_export(tmp_path / "run", "mujoco", tmp_path / "scene")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene" / "scene.xml"))
+    assert np.array_equal(model.opt.gravity, [0, 0, -9.81])
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    before = data.qpos.copy()
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    assert np.abs(data.qpos - before).max() < 1e-4
+    weight = sum(item.mass for item in load_plan(tmp_path / "run").scenario.objects) * 9.81
+    normal = [
+        data.efc_force[c.efc_address] for c in data.contact if model.body("salver:tray").id in model.geom_bodyid[c.geom]
+    ]
+    assert sum(normal) == pytest.approx(weight, rel=1e-3)
+
+
 def test_without_an_arm_paths_alone_are_exported(tmp_path: Path) -> None:
     case = scenario.load("panda-cube").with_changes(arm=None)
     make_plan(case, "baseline").save(tmp_path / "run", "plan")

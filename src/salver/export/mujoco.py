@@ -13,7 +13,7 @@ import numpy as np
 from salver.errors import SalverError
 from salver.export.motion import read_motion
 from salver.export.text import write_csv
-from salver.geometry import Array
+from salver.geometry import GRAVITY_S, Array
 from salver.planning.plan import load_plan
 
 if TYPE_CHECKING:
@@ -48,6 +48,7 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[P
     world = true_world(scenario)
     spec = scenes.specify(scenario, world, arm, visual=True)
     spec.modelname = scenario.name
+    spec.option.gravity = GRAVITY_S  # without an arm the engine leaves it to the moving tray
     temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}.tmp"
     temporary.mkdir(parents=True)
     try:
