@@ -220,13 +220,23 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
     late = model.delay * np.linalg.solve(terms.mass_matrix, rate)
     settled = np.append(np.ones(len(load.names)), 0.0)  # a wrong load is there before the motion, a late command not
     whole, tray_whole = _response(model, t, terms, np.concatenate([lost, late], axis=2), space, settled)
+    n_p = load.uncertain.size
+    # The wrong load also feels the deviation that it makes: of second order, with the products.
+    wrench = np.swapaxes(terms.jacobian, 1, 2) @ load.products(load.load_p, tray_whole.w)
+    extra = np.asarray(np.linalg.solve(terms.mass_matrix, wrench), dtype=float)
+    more, tray_more = _response(model, t, terms, extra, space, settled[n_p:-1])
+    direct_wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)
+    direct_wrench[:, :, n_p:] += load.products(load.wrench_p, tray_whole.w)
+    products = slice(n_p, -1)
+    for first, second in ((whole, more), (tray_whole, tray_more)):
+        for name, value in vars(second).items():
+            getattr(first, name)[:, :, products] += value
     torque = terms.torque_z @ whole.state + terms.mass_matrix @ whole.missing
     joints = JointDeviation(*(x[:, :, :-1] for x in (whole.q, whole.dq, whole.ddq, whole.missing)))
     tray, w = tray_whole.state[:, :, :-1], tray_whole.w[:, :, :-1]
     swing = terms.w_z[:, :, -terms.torque.shape[1] :] @ late
     held = (whole.q, torque, tray_whole.state, tray_whole.w, swing)
-    contact, n_p = model.contact, load.uncertain.size
-    direct_wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)
+    contact = model.contact
     direct_slack = -np.einsum("pri,ti->trp", contact.rows_p, terms.w)
     return ArmChain(
         t=t,

@@ -15,6 +15,7 @@ from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.geometry import Array, exp
 from salver.models.bodies import Body, bodies, uncertain_set
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 _STEP = 1e-3  # of a parameter's half-range, for first derivatives; they are then exact to 1e-6, also for a tilt
-_NEGLIGIBLE = 1e-9  # of the nominal map; what a smaller product would add
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,21 @@ class LoadChange:
     def deviations(self, values: Array) -> Array:
         """The terms (..., n_c) at values (..., n_p) of the parameters."""
         each = values - self.uncertain.nominal
+        first, second = self.pairs.T
+        return np.concatenate([each, each[..., first] * each[..., second]], axis=-1)
+
+    @property
+    def pairs(self) -> npt.NDArray[np.intp]:
+        """(n_c - n_p, 2) which parameters each product is of."""
         index = {name: k for k, name in enumerate(self.uncertain.names)}
-        pairs = [tuple(index[part] for part in name.split("*")) for name in self.names[self.uncertain.size :]]
-        products = [each[..., i] * each[..., j] for i, j in pairs]
-        return np.concatenate([each, np.stack(products, axis=-1)], axis=-1) if products else each
+        products = self.names[self.uncertain.size :]
+        return np.array([[index[part] for part in name.split("*")] for name in products], dtype=np.intp).reshape(-1, 2)
+
+    def products(self, maps: Array, dw: Array) -> Array:
+        """(T, i, n_c - n_p) what the terms `maps` (n_c, i, 12) of the parameters make of their own dw (T, 12, n_c)."""
+        first, second = self.pairs.T
+        own = [np.einsum("cik,tkc->tic", maps[a], dw[:, :, b]) for a, b in ((first, second), (second, first))]
+        return np.asarray(own[0] + np.where(first == second, 0.0, 1.0) * own[1])
 
 
 def load_change(scenario: Scenario) -> LoadChange:
@@ -78,15 +89,13 @@ def load_change(scenario: Scenario) -> LoadChange:
     half = dict(zip(uncertain.names, uncertain.half_range.tolist(), strict=True))
     terms = {name: model.slope({name: _STEP * h}) / (_STEP * h) for name, h in half.items()}
     ranges = dict(half)
-    scale = np.abs(nominal).max()
     for first, second in combinations_with_replacement(uncertain.names, 2):
         if not _interact(first, second):
             continue
         change = model.bend({first: half[first]}, {second: half[second]}, nominal)
-        if np.abs(change).max() > _NEGLIGIBLE * scale:
-            name = f"{first}*{second}"
-            ranges[name] = half[first] * half[second]
-            terms[name] = change / ranges[name]
+        name = f"{first}*{second}"
+        ranges[name] = half[first] * half[second]
+        terms[name] = change / ranges[name]
     stacked = np.array(list(terms.values())).reshape(-1, *nominal.shape)
     return LoadChange(
         uncertain,
