@@ -129,7 +129,8 @@ class ArmChain:
     """The chain along a motion at T instants, and what n_c terms change (last axis), per unit of each.
 
     The first n_p terms are the uncertain parameters, so `[..., :n_p]` are the derivatives; the others are products of
-    two parameters (`salver.sensitivity.arm_load`), which `radius` adds.
+    two parameters (`salver.sensitivity.arm_load`), which `radius` adds. They hold what is of second order in the load,
+    and what the wrong load makes of the deviation that it causes.
 
     t: (T,) s. space: where the controller closes its loop. nominal: poses, w, torque along the motion.
     joints: deviation of q, dq, ddq. tray: (T, 12, n_c) of the assumed frame E, rows dp in S, dtheta in E, dv in S,

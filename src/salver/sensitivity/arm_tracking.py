@@ -60,8 +60,8 @@ def tracking_wrench_motion(
 
     w: (T, 12) what the tray feels, at E; w_z: (T, 12, 3 n) its derivative by (q, dq, ddq). jacobian_E: (T, 6, n).
     mass_matrix: (T, n, n), nominal load included. A contact row c (at E) then changes by c . dw, on top of what the
-    parameter changes in c itself. Multiply by `load.half_range` for the change over the whole range. Of second order, only the load's
-    own products are in it, not what the load makes of its tracking error.
+    parameter changes in c itself. Multiply by `load.half_range` for the change over the whole range. Of second order,
+    only the load's own products are in it, not what the load makes of its tracking error.
     """
     missing = missing_acceleration(w, jacobian_E, mass_matrix, load)
     return np.asarray(w_z @ tracking_error(missing, response).state)
