@@ -250,7 +250,9 @@ def test_tracking_starts_sagged_after_long_rest():
 # The optimum ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("friction", "level", "bar"), [(0.4, True, 0.77), (0.4, False, 0.672), (0.2, False, 0.816)])
+@pytest.mark.parametrize(
+    ("friction", "level", "bar"), [(0.4, True, 0.77), (0.4, False, 0.672), (0.2, True, 1.074), (0.2, False, 0.816)]
+)
 def test_paper_endpoints_are_as_fast_as_the_bar_and_safe(friction, level, bar):
     scenario = cube(friction, objects__0__uncertainty={}, motion__orientation="fixed" if level else "free")
     plan = plan_fastest(scenario)
@@ -372,3 +374,10 @@ def test_time_limit_is_kept():
     found = fastest(transport_problem(cube()), options)
     assert found.wall_time < 5.0
     assert fastest_module.DEGREE == 5
+
+
+def test_start_posture_inside_an_obstacle_has_a_status():
+    block = {"type": "box", "name": "block", "position": [0.54, -0.37, 0.3], "size": [0.2, 0.2, 0.2]}
+    found = fastest(transport_problem(cube(obstacles=[block])))
+    assert found.status.code == "collision"
+    assert "block" in found.status.sentence

@@ -99,7 +99,7 @@ def plan_fastest(scenario: Scenario, *, robust: bool = True, options: FastestOpt
     problem = transport_problem(scenario, robust=robust)
     found = fastest(problem, options)
     if not np.isfinite(found.duration):
-        raise UnreachableError(f"{scenario.name}: {found.status.sentence}.")
+        raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     record = {
         "name": "sequential quadratic programming (PIQP)",
         "robust": robust,
@@ -152,10 +152,12 @@ def fastest(
         found = _near(problem, options, near)
         if found.status.ok:
             return found
+    blocked = _blocked_start(problem)
     best: FastestMotion | None = None
     iterations = 0
     wanted = options.starts if problem.start_posture is not None else max(POSTURES, options.starts)
-    for number, (q_start, q_goal, bend) in enumerate(_starts(problem, options)):
+    starts = [] if blocked is not None else _starts(problem, options)
+    for number, (q_start, q_goal, bend) in enumerate(starts):
         left = options.time_limit - (time.perf_counter() - begun)
         if left <= 0:
             break
@@ -168,9 +170,20 @@ def fastest(
     wall = time.perf_counter() - begun
     if best is None:
         spline = RestSpline(DEGREE, options.spans)
-        status = Status("unreachable", "no posture within the joint limits reaches the start or the goal pose", False)
+        unreached = "No posture within the joint limits reaches the start or the goal pose."
+        status = blocked or Status("unreachable", unreached, False)
         return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, status, {}, wall, 0)
     return replace(best, wall_time=wall, iterations=iterations)
+
+
+def _blocked_start(problem: TransportProblem) -> Status | None:
+    """Why no motion can begin at the given start posture, or None."""
+    if problem.start_posture is None or problem.keep_out is None:
+        return None
+    touch = problem.keep_out.parts.first_touch(problem.start_posture[None])
+    if touch is None:
+        return None
+    return Status("collision", f"In the start posture {touch.first} and {touch.second} touch.", False)
 
 
 def _starts(problem: TransportProblem, options: FastestOptions) -> list[tuple[Array, Array, Array]]:

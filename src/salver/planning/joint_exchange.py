@@ -21,7 +21,7 @@ from salver.planning.joint_sqp import Options, Solution, minimise_duration
 
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
-SMALL_EXCESS = 1e-3  # what is left to a slightly longer duration instead of another round of optimisation
+SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
 CHECK_FACTOR = 10  # the check between nodes uses a grid this much finer
 
 CurveOf = Callable[[TransportProblem, Grid], Curve]
@@ -67,7 +67,7 @@ def optimise(
         limited = replace(options, time_limit=left)
         return minimise_duration(curve, coefficients, duration, margins, limited, damping, depth)
 
-    solution = solve(coefficients, duration, Options(gain=1e-3), damping, 0.5)
+    solution = solve(coefficients, duration, Options(gain=3e-3), damping, 0.5)
     iterations = solution.iterations
     for exchange in range(EXCHANGES + 1):
         coefficients, duration = solution.iterate.coefficients, solution.iterate.duration
@@ -83,7 +83,7 @@ def optimise(
         if excess <= 0.0 or excess > HOPELESS or exchange == EXCHANGES or late:
             break
         nodes = np.union1d(nodes, fine.grid.s[peaks])
-        options = Options(iterations=15, gain=3e-4)
+        options = Options(iterations=15, gain=1e-3)
         solution = solve(coefficients, duration, options, min(3 * solution.damping, 0.1), 0.05)
         iterations += solution.iterations
     return Checked(coefficients, duration, _status(solution, worst, duration), worst, iterations)

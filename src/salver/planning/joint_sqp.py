@@ -25,7 +25,7 @@ from salver.planning.joint_rows import Evaluated, Family, Indices, Margins, eval
 # rad/s^3 like 0.2 rad.
 ACCELERATION_WEIGHT, JERK_WEIGHT = 3e-3, 1e-9
 LEAST_PENALTY = 1.0  # s per unit of violation
-MOST_ROWS = 8  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
+MOST_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
 LONGEST_SHRINK, LONGEST_STRETCH = -0.36, 0.5  # of sigma in one iteration: 20 % and 22 % of T
 
 
@@ -160,10 +160,10 @@ def minimise_duration(
 def _status(code: str, path: Iterate, options: Options) -> Status:
     value, name = path.at.worst
     if value <= options.violation:
-        return Status(code, f"shortest duration {path.duration:.4f} s ({code.replace('_', ' ')})", True)
+        return Status(code, f"The shortest duration at the nodes is {path.duration:.4f} s.", True)
     return Status(
         "infeasible",
-        f"no motion found that keeps all conditions: {name} is exceeded by {100 * value:.2g} % of its scale",
+        f"No motion was found that keeps all conditions: {name} is exceeded by {100 * value:.2g} % of its scale.",
         False,
         {"worst": name, "violation": value},
     )
