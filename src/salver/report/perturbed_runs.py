@@ -14,7 +14,7 @@ from salver.report.words import length
 from salver.statistics import clopper_pearson
 
 if TYPE_CHECKING:
-    from salver.report.run import Run
+    from salver.report.run import Motion, Run
 
 # What the runs are told apart by: the first two that there are. Column, title, axis, units from coarse to fine.
 HISTOGRAMS = (
@@ -23,6 +23,7 @@ HISTOGRAMS = (
     ("cone_least", "Least cone coefficient in each run", "min Λ", (("N", 1.0),)),
 )
 BINS = 24
+START = 0.02  # share of the duration that counts as its very start
 
 
 def section(run: Run, campaign: dict[str, Any]) -> tuple[str, list[Spec], str]:
@@ -38,7 +39,7 @@ def section(run: Run, campaign: dict[str, Any]) -> tuple[str, list[Spec], str]:
     if not campaign.get("complete", True):
         intro += f" So far: {definition.get('n')} were asked for; the same command goes on."
     specs = [spec for spec in (_histogram(run, *wanted) for wanted in HISTOGRAMS) if spec is not None][:2]
-    remarks = "".join(_remarks(m.label, plans[m.stem]) for m in run.motions if m.stem in plans)
+    remarks = "".join(_remarks(run, m, plans[m.stem]) for m in run.motions if m.stem in plans)
     extra = (
         f'<div class="columns" style="margin-top:14px"><div>{_outcomes(run, plans)}{_paired(run, campaign)}</div>'
         f"<div>{remarks}</div></div>"
@@ -63,9 +64,9 @@ def _outcomes(run: Run, plans: dict[str, Any]) -> str:
     return table(["", "outcome", "runs", "rate", "95 % interval (Clopper–Pearson)"], rows, numeric=(2, 3))
 
 
-def _remarks(label: str, own: dict[str, Any]) -> str:
+def _remarks(run: Run, m: Motion, own: dict[str, Any]) -> str:
     """Worst run, how to repeat it, and how the tubes did, in sentences."""
-    worst = own["worst_run"]
+    worst, label = own["worst_run"], m.label
     slip = f", slip {length(worst['peak_slip'])}" if worst.get("peak_slip") is not None else ""
     least = f", least coefficient {worst['cone_least']:.3g} N" if worst.get("cone_least") is not None else ""
     text = (
@@ -77,9 +78,23 @@ def _remarks(label: str, own: dict[str, Any]) -> str:
         left = tube["left"]
         text += (
             f"<p><b>{escape(label)}, tubes:</b> in {left['count']} of {left['of']} runs a cone coefficient left its "
-            f"first-order tube, at most by {tube['worst_excess']:.3g} N (run {tube['worst_run']}).</p>"
+            f"first-order tube, at most by {tube['worst_excess']:.3g} N (run {tube['worst_run']})"
+            f"{_at_start(run, m)}.</p>"
         )
     return text
+
+
+def _at_start(run: Run, m: Motion) -> str:
+    """Why tubes are left in the engine at the very start, if they are and only there."""
+    if "tube_excess_time" not in run.runs:
+        return ""
+    out = (run.runs["stem"] == m.stem) & (run.runs["tube_excess"].astype(float) > 0)
+    if not np.any(out) or np.max(run.runs["tube_excess_time"][out].astype(float)) > START * m.duration:
+        return ""
+    return (
+        ", all at the very start: there a tube has no width, because the controller still knows only the nominal body, "
+        "while the contact already carries the true one"
+    )
 
 
 def _paired(run: Run, campaign: dict[str, Any]) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.report import charts, perturbed_runs
-from salver.report.cells import motion_cell, number, outcome_cell, percent, table
+from salver.report.cells import motion_cell, number, outcome_cell, table
 from salver.report.tables import arm_usage, scenario_rows, solver_rows
 from salver.report.words import length, true_parameters
 
@@ -139,7 +139,7 @@ def tiles(run: Run) -> str:
                 (
                     "Perturbed runs that held",
                     f"{held['count']} of {held['of']}",
-                    f"true rate {percent(held['low'])}–{percent(held['high'])} (95 %)",
+                    f"95 % interval {100 * held['low']:.0f} to {100 * held['high']:.0f} %",
                 )
             )
     solver = plan.summary.get("solver") or {}
