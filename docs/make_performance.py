@@ -8,12 +8,13 @@ Names are those of the blocks in the page; all of them by default. Run it on an 
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+
+import blocks
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "performance.md"
@@ -64,13 +65,7 @@ def main() -> None:
     wanted = sys.argv[1:] or ["processes", *COMMANDS]
     for name in wanted:
         text = processes() if name == "processes" else printed(name)
-        print(f"{name}:\n{text}\n", flush=True)
-        block = f"<!-- printed: {name} -->\n```text\n{text}\n```\n<!-- end -->"
-        page = PAGE.read_text(encoding="utf-8")
-        page, count = re.subn(rf"<!-- printed: {name} -->.*?<!-- end -->", lambda _, b=block: b, page, flags=re.S)
-        if count != 1:
-            raise SystemExit(f"{PAGE} has {count} places for {name}; it needs one")
-        PAGE.write_text(page, encoding="utf-8")
+        blocks.replace(PAGE, name, f"```text\n{text}\n```")
 
 
 if __name__ == "__main__":

@@ -1,19 +1,16 @@
 """Runs the paper's section V in the physics engine and writes the figures into docs/physics.md.
 
-    python docs/make_physics.py
-
-Text between `<!-- numbers: NAME -->` and `<!-- end -->` is replaced; the words around it are written by hand and
-must be read again when the numbers change. The maps come from benchmarks/outcome_map.py, which must have run before.
+python docs/make_physics.py
 """
 
 from __future__ import annotations
 
 import json
-import re
 import tempfile
 from pathlib import Path
 from typing import Any
 
+import blocks
 import numpy as np
 from make_reproduction import table
 
@@ -139,20 +136,12 @@ def _shortest(rows: list[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    text = PAGE.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
         directory = Path(folder)
         make_plan(SECTION_V, "robust").save(directory)
         make_plan(SECTION_V, "baseline").save(directory, "baseline")
         for make in (campaign, fifty_grams, maps, agreement):
-            block = f"<!-- numbers: {make.__name__} -->\n{make(directory)}\n<!-- end -->"
-            text, count = re.subn(
-                rf"<!-- numbers: {make.__name__} -->.*?<!-- end -->", lambda _, b=block: b, text, flags=re.S
-            )
-            if count != 1:
-                raise SystemExit(f"{PAGE} has {count} places for {make.__name__}; it needs one")
-            print(f"{block}\n")
-    PAGE.write_text(text, encoding="utf-8")
+            blocks.replace(PAGE, make.__name__, make(directory))
 
 
 if __name__ == "__main__":

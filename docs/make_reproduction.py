@@ -1,18 +1,15 @@
 """Measures what of the paper reproduces, draws its figures, and writes both into docs/reproduction.md.
 
-    python docs/make_reproduction.py
-
-Text between `<!-- numbers: NAME -->` and `<!-- end -->` is replaced; the words around it are written by hand and
-must be read again when the numbers change.
+python docs/make_reproduction.py
 """
 
 from __future__ import annotations
 
-import re
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
+import blocks
 import numpy as np
 
 from salver.geometry import Array
@@ -183,16 +180,8 @@ def pictures() -> None:
 
 
 def main() -> None:
-    text = PAGE.read_text(encoding="utf-8")
     for make in (summary, norms, durations, perturbed, tubes):
-        block = f"<!-- numbers: {make.__name__} -->\n{make()}\n<!-- end -->"
-        text, count = re.subn(
-            rf"<!-- numbers: {make.__name__} -->.*?<!-- end -->", lambda _, b=block: b, text, flags=re.S
-        )
-        if count != 1:
-            raise SystemExit(f"{PAGE} has {count} places for {make.__name__}; it needs one")
-        print(f"{make.__name__}:\n{block}\n")
-    PAGE.write_text(text, encoding="utf-8")
+        blocks.replace(PAGE, make.__name__, make())
     pictures()
 
 
