@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from salver.report.style import OUTCOME_COLOURS, ROLE_COLOURS
+from salver.report.style import GREY, OUTCOME_COLOURS, ROLE_COLOURS
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]], numeric: Iterable[int] = ()) -> str:
@@ -22,7 +22,8 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]], numeric: Iterable[
 
 
 def outcome_cell(word: str) -> str:
-    return f'<span class="dot" style="background:{OUTCOME_COLOURS.get(word, "#7a8490")}"></span>{escape(word)}'
+    """How a run ended, with its colour."""
+    return _named(OUTCOME_COLOURS.get(word, GREY), word)
 
 
 def percent(share: float) -> str:
@@ -36,4 +37,8 @@ def number(value: float, digits: int, unit: str = "", otherwise: str = "–") ->
 
 def motion_cell(stem: str, label: str) -> str:
     """A motion's name with its colour."""
-    return f'<span class="dot" style="background:{ROLE_COLOURS[stem]}"></span>{escape(label)}'
+    return _named(ROLE_COLOURS[stem], label)
+
+
+def _named(colour: str, text: str) -> str:
+    return f'<span class="name"><span class="dot" style="background:{colour}"></span>{escape(text)}</span>'
