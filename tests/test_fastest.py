@@ -289,7 +289,7 @@ def test_robust_plan_takes_longer_and_the_nominal_one_breaks_its_conditions():
 
 def test_start_posture_is_chosen_when_none_is_given():
     scenario = cube(objects__0__uncertainty={}, arm__start_posture=None, motion__orientation="free")
-    found = fastest(transport_problem(scenario))
+    found = fastest(transport_problem(scenario), FastestOptions(spans=8))
     assert found.status.ok
     assert found.duration < 0.67
     motion = object_motion(found.problem, np.zeros(1), found.coefficients[:1], np.zeros((1, 7)), np.zeros((1, 7)))
@@ -341,12 +341,13 @@ def test_scaled_uncertainty_scales_every_half_range():
 
 def test_more_robustness_takes_longer():
     scenario = bottle(com=[0.004, 0.004, 0.004])
-    points = list(tradeoff(scenario, (2.0, 0.0, 1.0, 30.0), FastestOptions(spans=8)))
-    assert [point.scale for point in points] == [0.0, 1.0, 2.0, 30.0]
-    assert points[0].duration < points[1].duration < points[2].duration
+    points = list(tradeoff(scenario, (2.0, 0.0, 30.0), FastestOptions(spans=8)))
+    assert [point.scale for point in points] == [0.0, 2.0, 30.0]
+    assert points[1].duration > 1.05 * points[0].duration
     assert 0.33 < points[0].friction_needed <= 0.4  # eight edges here, four in the plan
-    assert points[2].margin > points[0].margin + 0.05
-    assert not points[3].status.ok
+    assert points[1].friction_needed < points[0].friction_needed
+    assert points[1].margin > points[0].margin >= scenario.contact.margin
+    assert not points[2].status.ok  # no bottle has its centre of mass 12 cm beside its axis
 
 
 # What a user can get wrong -------------------------------------------------------------------------------------
