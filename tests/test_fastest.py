@@ -340,14 +340,14 @@ def test_scaled_uncertainty_scales_every_half_range():
 
 
 def test_more_robustness_takes_longer():
-    scenario = bottle(com=[0.004, 0.004, 0.004])
+    scenario = cube(0.2, objects__0__uncertainty={"friction": "10%"}, motion__orientation="fixed")
     points = list(tradeoff(scenario, (2.0, 0.0, 30.0), FastestOptions(spans=8)))
     assert [point.scale for point in points] == [0.0, 2.0, 30.0]
     assert points[1].duration > 1.05 * points[0].duration
-    assert 0.33 < points[0].friction_needed <= 0.4  # eight edges here, four in the plan
-    assert points[1].friction_needed < points[0].friction_needed
+    assert 0.16 < points[0].friction_needed <= 0.2  # eight edges here, four in the plan
+    assert points[1].friction_needed <= 0.16
     assert points[1].margin > points[0].margin >= scenario.contact.margin
-    assert not points[2].status.ok  # no bottle has its centre of mass 12 cm beside its axis
+    assert not points[2].status.ok  # friction would reach below zero
 
 
 # What a user can get wrong -------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import numpy as np
 from salver.errors import Status, UnreachableError
 from salver.geometry import GRAVITY_S, Array
 from salver.planning.joint_curves import FreeCurve
-from salver.planning.joint_exchange import optimise
+from salver.planning.joint_exchange import optimise, rough
 from salver.planning.joint_problem import TransportProblem, reach, transport_problem
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
 from salver.planning.joint_terms import motion_terms
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 DEGREE = 5
+REFINED = 0.2  # damping of the first step after pieces have been added
 ATTEMPTS = 40  # random postures from which the ends are sought
 POSTURES = 4  # start postures that are tried when none is given
 
@@ -233,11 +234,17 @@ def _from_start(
     s = np.linspace(0, 1, 201)
     q = q_start + min_jerk_blend(s)[:, None] * (q_goal - q_start) + (64 * (s * (1 - s)) ** 3)[:, None] * bend
     duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
-    spline = RestSpline(DEGREE, options.spans)
-    found = optimise(problem, FreeCurve, spline, spline.fit(s, q), duration, options.nodes_per_span, time_limit)
+    few, spline = RestSpline(DEGREE, max(4, options.spans // 2)), RestSpline(DEGREE, options.spans)
+    start = rough(problem, FreeCurve, few, few.fit(s, q), duration, options.nodes_per_span, time_limit)
+    refined = spline.fit(s, few.matrices(s)[0] @ start.iterate.coefficients)
+    left = time_limit - (time.perf_counter() - begun)
+    found = optimise(
+        problem, FreeCurve, spline, refined, start.iterate.duration, options.nodes_per_span, left, damping=REFINED
+    )
     wall = time.perf_counter() - begun
+    iterations = start.iterations + found.iterations
     return FastestMotion(
-        problem, spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
+        problem, spline, found.coefficients, found.duration, found.status, found.worst, wall, iterations
     )
 
 

@@ -19,6 +19,7 @@ from salver.planning.joint_rows import Indices, Margins, evaluate
 from salver.planning.joint_spline import RestSpline
 from salver.planning.joint_sqp import Options, Solution, minimise_duration
 
+ROUGH_GAIN = 1e-2  # relative shortening below which a rough optimum is good enough
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
 SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
@@ -53,8 +54,7 @@ def optimise(
 ) -> Checked:
     """Shortest duration from a start, kept between the nodes too. curve_of: makes the curve of a problem and grid."""
     begun = time.perf_counter()
-    # The scenario's own margin, and a little for what happens between nodes.
-    margins = replace(Margins(), contact=Margins().contact + problem.scenario.contact.margin)
+    margins = _node_margins(problem)
     nodes = spline.nodes(nodes_per_span)
     count = CHECK_FACTOR * (len(nodes) - 1) + 1
     fine = curve_of(problem, Grid.of(spline, np.interp(np.arange(count) / CHECK_FACTOR, np.arange(len(nodes)), nodes)))
@@ -87,6 +87,28 @@ def optimise(
         solution = solve(coefficients, duration, options, min(3 * solution.damping, 0.1), 0.05)
         iterations += solution.iterations
     return Checked(coefficients, duration, _status(solution, worst, duration), worst, iterations)
+
+
+def rough(
+    problem: TransportProblem,
+    curve_of: CurveOf,
+    spline: RestSpline,
+    coefficients: Array,
+    duration: float,
+    nodes_per_span: int,
+    time_limit: float,
+) -> Solution:
+    """A first optimum with few pieces, unchecked between nodes: a start for one with more."""
+    grid = Grid.of(spline, spline.nodes(nodes_per_span))
+    postures = curve_of(problem, grid).motion(coefficients, duration)[0]
+    curve = curve_of(_watching(problem, postures), grid)
+    options = Options(gain=ROUGH_GAIN, time_limit=time_limit)
+    return minimise_duration(curve, coefficients, duration, _node_margins(problem), options)
+
+
+def _node_margins(problem: TransportProblem) -> Margins:
+    """The scenario's own margin, and a little for what happens between nodes."""
+    return replace(Margins(), contact=Margins().contact + problem.scenario.contact.margin)
 
 
 def _status(solution: Solution, worst: dict[str, float], duration: float) -> Status:
