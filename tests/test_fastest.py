@@ -382,3 +382,9 @@ def test_start_posture_inside_an_obstacle_has_a_status():
     found = fastest(transport_problem(cube(obstacles=[block])))
     assert found.status.code == "collision"
     assert "block" in found.status.sentence
+
+
+def test_goal_that_tilts_a_level_tray_is_refused():
+    goal = {"position": [0.444272, 0.100574, 0.4], "rpy_deg": [5.0, 0.0, 0.0]}
+    with pytest.raises(ScenarioError, match=r"motion.goal tilts the tray by 5 deg"):
+        transport_problem(cube(motion__goal=goal, motion__orientation="fixed"))

@@ -82,7 +82,8 @@ def transport_problem(
 
     level: tray level all along (motion.orientation = "fixed"); otherwise it may tilt, up to motion.max_tilt_deg.
     robust: keep the contact for the whole uncertain set, or only for nominal parameters.
-    Raises ScenarioError when the scenario has no arm or a start posture of the wrong length.
+    Raises ScenarioError when the scenario has no arm, a start posture of the wrong length or of another pose, or an end
+    that tilts the tray further than the motion may.
     """
     if scenario.arm is None:
         raise ScenarioError(
@@ -97,6 +98,13 @@ def transport_problem(
         level = scenario.motion.orientation == "fixed"
     tilt = scenario.motion.max_tilt_deg
     max_tilt = 0.0 if level else float(np.deg2rad(tilt)) if tilt is not None else np.inf
+    for key, pose in (("start", scenario.motion.start), ("goal", scenario.motion.goal)):
+        leans = float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))
+        if leans > max(max_tilt, LEVEL_TOLERANCE):
+            raise ScenarioError(
+                f"motion.{key} tilts the tray by {np.rad2deg(leans):.3g} deg, and the motion may tilt it by at most "
+                f'{np.rad2deg(max_tilt):.3g} deg; give motion.orientation = "free" and a max_tilt_deg that allows it.'
+            )
     given = scenario.arm.start_posture if start_posture is None else start_posture
     if given is not None and len(given) != arm.n:
         raise ScenarioError(f"arm.start_posture has {len(given)} values; {arm.name} has {arm.n} joints.")
