@@ -129,7 +129,7 @@ def _supports(body: Body, solid: Solid, p_EB: Array, scenario: Scenario, below: 
             surface = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
         else:
             lower = next(load for load in below if load.name == name)
-            top_B = lower.solid.base_polygon - lower.com_G[:2]
+            top_B = lower.solid.top_polygon - lower.com_G[:2]
             surface = (lower.p_EB + np.column_stack([top_B, np.zeros(len(top_B))]) @ lower.R_EB.T)[:, :2]
         overlap = clip(base_E, surface)
         if len(overlap) >= 3:
