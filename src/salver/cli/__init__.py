@@ -6,6 +6,7 @@ Modules of commands import what is heavy (CasADi, MuJoCo, Pinocchio, plotting) i
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import Annotated
 
@@ -60,5 +61,11 @@ def _options(
 
 
 def main() -> None:
-    """Entry point of the console script."""
+    """Entry point of the console script.
+
+    The matrices here are small: threads of the linear algebra cost more than they give, and a campaign already has a
+    process for each core. NumPy reads this when it is first imported, which no command has done yet.
+    """
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     app()
