@@ -38,9 +38,9 @@ PROCESSES = (
 
 def printed(name: str) -> str:
     script, *arguments = COMMANDS[name]
-    done = subprocess.run(
-        [sys.executable, str(BENCHMARKS / script), *arguments], capture_output=True, text=True, check=True
-    )
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # as the commands do
+    words = [sys.executable, str(BENCHMARKS / script), *arguments]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, env=environment)
     return done.stdout.strip()
 
 
