@@ -2,9 +2,9 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -145,13 +145,12 @@ def test_errors_map_to_exit_codes(capfd):
 
 
 def test_interrupting_a_running_command(tmp_path):
-    """A real SIGINT at a running process."""
-    import signal
-
+    """A real SIGINT at a running process, once it has said what it is doing."""
     process = subprocess.Popen(
         [SALVER, "demo", "-o", tmp_path / "demo"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    time.sleep(1.5)
+    while "Plan" not in process.stderr.readline():
+        assert process.poll() is None
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
