@@ -1,6 +1,7 @@
 """Plans: what they promise, that they keep it between the nodes, and that files bring them back."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -131,3 +132,18 @@ def test_methods_and_durations_that_do_not_exist_get_a_sentence():
         make_plan(PAPER, "best")
     with pytest.raises(ScenarioError, match=r"motion\.duration is missing"):
         plan_object(PAPER.with_changes(motion__duration=None))
+
+
+def test_the_check_tells_of_the_contact_unless_only_the_limit_on_tilt_fails():
+    """Slacks in radians and in shares of the weight are not compared with each other."""
+    tilting = PAPER.with_changes(contact__condition="exact", motion__orientation="free", motion__max_tilt_deg=1.0)
+    kept = plan_baseline(tilting)
+    contact = kept.evaluation.slack[:, [owner != "tilt limit" for owner in kept.evaluation.slack_owner]]
+    assert np.deg2rad(1.0) < contact.min() == kept.verification.slack
+    assert kept.verification.unit == "of the weight"
+    leaning = {"position": PAPER.motion.goal.position, "rpy_deg": [2, 0, 0]}
+    missed = plan_baseline(tilting.with_changes(motion__max_tilt_deg=90.0, motion__goal=leaning))
+    missed = replace(missed, scenario=tilting)
+    miss = np.deg2rad(2.0) ** 2 / np.deg2rad(1.0) / 2 - np.deg2rad(1.0) / 2  # the slack is quadratic in the tilt
+    assert missed.verification.violation == pytest.approx(miss, rel=1e-3)
+    assert missed.verification.sentence.startswith("The limit on tilt is missed by 0.0262 rad")

@@ -220,3 +220,26 @@ def test_derivative_of_tilt_and_of_the_free_goal():
     assert here.goal_jacobian @ d == pytest.approx((ahead.goal - behind.goal) / (2 * h), abs=1e-8)
     change = (ahead.rows[-1].slack()[0] - behind.rows[-1].slack()[0])[:, 0] / (2 * h)
     assert here.rows[-1].left_jacobian @ d == pytest.approx(change, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"objects__0__friction": 1e-6},
+        {"objects__0__friction": 1e-6, "contact__condition": "exact"},
+        {"motion__duration": 0.01},
+        {"contact__condition": "exact", "uncertainty__tilt_deg": [30.0, 0.0]},  # slides at rest, whatever the motion
+    ],
+    ids=["ice", "ice, exact", "a hundredth of a second", "slope"],
+)
+def test_what_no_motion_can_keep_gets_a_sentence_about_contact(changes):
+    plan = plan_object(changed(**changes))
+    assert plan.status.code == "infeasible"
+    assert "misses the condition on cube" in plan.status.sentence
+    assert plan.verification.sentence.startswith("The contact condition is missed by")
+
+
+def test_a_margin_that_nothing_reaches_is_named():
+    plan = plan_object(changed(objects__0__mass=1e-3))
+    assert plan.status.code == "infeasible"
+    assert "of the 0.001 N of contact.margin over its tube" in plan.status.sentence

@@ -12,7 +12,7 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.models.bodies import bodies, uncertain_set
-from salver.planning.conditions import conditions_for
+from salver.planning.conditions import TILT, conditions_for
 from salver.planning.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
@@ -45,9 +45,13 @@ class Evaluation:
         return self.samples.t
 
     def worst(self) -> tuple[float, float, str]:
-        """Least slack, its time, and the object it belongs to."""
-        k, i = np.unravel_index(int(np.argmin(self.slack)), self.slack.shape)
-        return float(self.slack[k, i]), float(self.t[k]), self.slack_owner[i]
+        """Least slack, its time, and the object it belongs to: of the contacts, unless only the tilt fails."""
+        tilts = np.array([owner == TILT for owner in self.slack_owner])
+        slack = self.slack
+        if slack[:, ~tilts].min() < 0 or slack[:, tilts].min(initial=np.inf) >= 0:
+            slack = np.where(tilts, np.inf, slack)  # in a unit of its own
+        k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
+        return float(slack[k, i]), float(self.t[k]), self.slack_owner[i]
 
 
 def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluation:

@@ -20,8 +20,8 @@ from salver.planning.joint_curves import FreeCurve
 from salver.planning.joint_exchange import optimise, rough
 from salver.planning.joint_problem import TransportProblem, reach, transport_problem
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
-from salver.planning.joint_terms import motion_terms
 from salver.scenario import Scenario
+from salver.sensitivity.arm_terms import motion_terms
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
 
 if TYPE_CHECKING:
@@ -84,8 +84,8 @@ class FastestMotion:
 def object_motion(problem: TransportProblem, t: Array, q: Array, dq: Array, ddq: Array) -> MotionSamples:
     """Motion of the first object's frame B at joint states (T, n)."""
     terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
-    omega = np.einsum("tij,tj->ti", terms.jacobian_E[:, 3:], dq)
-    v_S = np.einsum("tij,tj->ti", terms.R_SE, np.einsum("tij,tj->ti", terms.jacobian_E[:, :3], dq))
+    omega = np.einsum("tij,tj->ti", terms.jacobian[:, 3:], dq)
+    v_S = np.einsum("tij,tj->ti", terms.R_SE, np.einsum("tij,tj->ti", terms.jacobian[:, :3], dq))
     a_S = np.einsum("tij,tj->ti", terms.R_SE, terms.w[:, :3]) + GRAVITY_S
     samples = MotionSamples(t, terms.p_SE, v_S, a_S, terms.R_SE, omega, terms.w[:, 3:6])
     return samples.of_frame(problem.items[0].p_EB, problem.items[0].R_EB)

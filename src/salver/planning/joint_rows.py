@@ -17,8 +17,8 @@ from salver.geometry import Array
 from salver.planning.joint_contact import WorstCase, worst_case
 from salver.planning.joint_obstacles import KeepOut
 from salver.planning.joint_problem import LEVEL_TOLERANCE, TransportProblem
-from salver.planning.joint_terms import MotionTerms, motion_terms
 from salver.planning.joint_tracking import Response
+from salver.sensitivity.arm_terms import MotionTerms, motion_terms
 
 Indices = npt.NDArray[np.intp]
 Gradient = Callable[[Indices, Indices], Array]
@@ -193,7 +193,7 @@ def _tilt(problem: TransportProblem, terms: MotionTerms, margin: float) -> list[
         return []
     n = problem.n
     up = terms.R_SE[:, 2, :]  # the vertical, in E
-    up_q = np.cross(up[:, :, None], terms.jacobian_E[:, 3:], axisa=1, axisb=1, axisc=1)
+    up_q = np.cross(up[:, :, None], terms.jacobian[:, 3:], axisa=1, axisb=1, axisc=1)
     if problem.level:
         scaled = up[:, :2] / LEVEL_TOLERANCE
 

@@ -20,8 +20,8 @@ from salver.models.bodies import Body
 from salver.models.interfaces import to_tray
 from salver.models.parameters import INERTIAL, UncertainSet, inertial_vector, phi_of
 from salver.models.tray_motion import frame_map, wrench_map
-from salver.planning.joint_terms import MotionTerms
 from salver.scenario import Scenario
+from salver.sensitivity.arm_terms import MotionTerms
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Tracking:
     def response(self, s: Array, duration: float, terms: MotionTerms) -> Response:
         """Errors along a motion at nodes s (N,) in [0, 1]."""
         force = np.einsum("kij,nj->nik", self.wrench, terms.w)
-        push = np.einsum("nji,njk->nik", terms.jacobian_E, force)
+        push = np.einsum("nji,njk->nik", terms.jacobian, force)
         drive = np.linalg.solve(terms.mass_matrix, push)
         error, rate = _filtered(drive, np.diff(s) * duration, self.kp, self.kd, self.settled)
         return Response(self, error, rate, drive - self.kd * rate - self.kp * error, terms)
@@ -73,7 +73,7 @@ class Response:
 
     def tray_radius(self) -> tuple[Array, Array]:
         """Largest error of the tray's position (N, 3), m, and of its orientation (N, 3), rad, both in E."""
-        moved = radius(self.terms.jacobian_E @ self.error, self.tracking.spread)
+        moved = radius(self.terms.jacobian @ self.error, self.tracking.spread)
         return moved[:, :3], moved[:, 3:]
 
 

@@ -14,7 +14,7 @@ from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import load_npz, provenance, read_json, save_npz, write_atomic, write_json
 from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.models.bodies import uncertain_set
-from salver.planning.conditions import unit_of
+from salver.planning.conditions import TILT, unit_of
 from salver.planning.cost import sensitivity_cost
 from salver.planning.evaluation import Evaluation, evaluate
 from salver.scenario import Scenario
@@ -62,10 +62,11 @@ class Verification:
     @property
     def sentence(self) -> str:
         where = f"{self.body}, at t = {self.time:.3f} s"
-        if self.boundary_error > BOUNDARY_TOLERANCE:
-            return f"The motion misses its start or goal by {self.boundary_error:.2g}."
         if self.violation > 0:
-            return f"The contact condition is missed by {self.violation:.3g} {self.unit} ({where})."
+            what = "limit on tilt" if self.body == TILT else "contact condition"
+            return f"The {what} is missed by {self.violation:.3g} {self.unit} ({where})."
+        if self.boundary_error > BOUNDARY_TOLERANCE:
+            return f"The motion misses its start or goal by {self.boundary_error:.2g} (SI units)."
         kept = f"the contact condition keeps {self.slack:.3g} {self.unit} over its tube"
         return f"Checked at {self.instants} instants: {kept} (least for {where})."
 

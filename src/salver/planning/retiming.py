@@ -26,8 +26,8 @@ from salver.planning.joint_curves import PathCurve
 from salver.planning.joint_exchange import optimise
 from salver.planning.joint_problem import TransportProblem, transport_problem
 from salver.planning.joint_spline import RestSpline
-from salver.planning.joint_terms import motion_terms
 from salver.scenario import Scenario
+from salver.sensitivity.arm_terms import motion_terms
 from salver.trajectory import JointMotion
 
 if TYPE_CHECKING:

@@ -70,7 +70,10 @@ def solve_convex(problem: Problem) -> Solution:
         )
         return Solution(step.d, cost, step.lower_bound, step.violation, step.rounds, method, status)
     relaxed = solve_model(model, margin, 0.0, np.inf, elastic=True)
-    assert relaxed is not None
+    if relaxed is None:  # numbers too far apart for the programme: the motion that z = 0 stands for, without a proof
+        z = np.zeros(problem.size)
+        violation = _violation(model, margin)
+        return Solution(z, _cost(model), None, violation, 0, method, infeasible(problem, model, None, False))
     z, rounds = relaxed.d, relaxed.rounds
     return Solution(z, _cost(model, z), None, relaxed.violation, rounds, method, infeasible(problem, model, z, True))
 
@@ -145,11 +148,18 @@ def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: 
     what = "cone coefficient" if contact.condition == "paper" else "facet of the contact wrench cone"
     where = owner if owner == TILT else f"{owner} ({what} {i})"
     shown = "No reference of this degree and duration is safe" if proven else "No safe reference was found"
-    missed = f"{short:.4g} {unit_of(problem.scenario, owner)}"
-    sentence = (
-        f"{shown}: the best one still misses the condition on {where} at t = {t:.3f} s by {missed}; "
-        "a longer duration, more friction, a wider base or less uncertainty would help."
-    )
+    unit = unit_of(problem.scenario, owner)
+    if short <= problem.margin:
+        kept = f"{problem.margin - short:.4g} of the {problem.margin:.4g} {unit} of contact.margin over its tube"
+        sentence = (
+            f"{shown}: the best one keeps only {kept}, on {where} at t = {t:.3f} s; "
+            "a smaller contact.margin would help."
+        )
+    else:
+        sentence = (
+            f"{shown}: the best one still misses the condition on {where} at t = {t:.3f} s by {short:.4g} {unit}; "
+            "a longer duration, more friction, a wider base or less uncertainty would help."
+        )
     details = {"object": owner, "constraint": int(i), "time": t, "violation": short, "proven": proven}
     return Status("infeasible", sentence, False, details)
 

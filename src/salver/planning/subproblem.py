@@ -125,7 +125,8 @@ def _quadratic(
     h, g = np.zeros((size, size)), np.zeros(size)
     h[:n, :n], g[:n] = hessian / unit, gradient / unit
     rows = np.zeros((len(offset), size))
-    norm = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)
+    # What d cannot change keeps a row of order one when s can: its slope is rounding.
+    norm = np.maximum(np.linalg.norm(slope, axis=1), 1.0 if elastic else 1e-12)
     rows[:, :n] = slope / norm[:, None]
     low, high = np.full(size, -radius), np.full(size, radius)
     if elastic:
