@@ -22,12 +22,12 @@ POSE = "must be a table with the keys position, rpy_deg, quat_wxyz"
 # key, value, the sentence after the file's name. One sentence each.
 BAD = [
     # numbers
-    ("motion.duration", math.nan, f"motion.duration = nan: {NUMBER} greater than 0 and at most 120."),
-    ("motion.duration", math.inf, f"motion.duration = inf: {NUMBER} greater than 0 and at most 120."),
-    ("motion.duration", -1, f"motion.duration = -1: {NUMBER} greater than 0 and at most 120."),
-    ("motion.duration", "2.5", f'motion.duration = "2.5": {NUMBER} greater than 0 and at most 120.'),
-    ("motion.duration", True, f"motion.duration = true: {NUMBER} greater than 0 and at most 120."),
-    ("motion.duration", [2], f"motion.duration = [2]: {NUMBER} greater than 0 and at most 120."),
+    ("motion.duration", math.nan, f"motion.duration = nan: {NUMBER} at least 0.01 and at most 120."),
+    ("motion.duration", math.inf, f"motion.duration = inf: {NUMBER} at least 0.01 and at most 120."),
+    ("motion.duration", -1, f"motion.duration = -1: {NUMBER} at least 0.01 and at most 120."),
+    ("motion.duration", "2.5", f'motion.duration = "2.5": {NUMBER} at least 0.01 and at most 120.'),
+    ("motion.duration", True, f"motion.duration = true: {NUMBER} at least 0.01 and at most 120."),
+    ("motion.duration", [2], f"motion.duration = [2]: {NUMBER} at least 0.01 and at most 120."),
     ("motion.degree", 4, "motion.degree = 4: must be a whole number at least 5 and at most 30."),
     ("motion.degree", 9.5, "motion.degree = 9.5: must be a whole number at least 5 and at most 30."),
     ("contact.edges", 2, "contact.edges = 2: must be a whole number at least 3 and at most 32."),
@@ -39,7 +39,11 @@ BAD = [
     ("contact.condition", "none", 'contact.condition = "none": must be "paper" or "exact".'),
     ("uncertainty.set", "ball", 'uncertainty.set = "ball": must be "box" or "ellipsoid".'),
     ("name", "a b", 'name = "a b": must be letters, digits, points, - and _, a letter or digit first.'),
-    ("objects.0.name", "my cube", 'objects[0].name = "my cube": must be letters, digits, - and _, a letter first.'),
+    (
+        "objects.0.name",
+        "my cube",
+        'objects[0].name = "my cube": must be letters a to z, digits, - and _, a letter first.',
+    ),
     # vectors
     ("motion.start.position", [0, 1], f"motion.start.position = [0, 1]: {VECTOR}."),
     ("motion.start.position", [0, 1, math.nan], f"motion.start.position = [0, 1, nan]: {VECTOR}."),

@@ -65,7 +65,7 @@ class Motion(Model):
 
     start: Pose
     goal: Pose
-    duration: Annotated[Number, Field(gt=0, le=120)] | None = None
+    duration: Annotated[Number, Field(ge=0.01, le=120)] | None = None
     degree: Annotated[Whole, Field(ge=5, le=30)] = 9
     nodes: Annotated[Whole, Field(ge=11, le=2001)] = 61
     orientation: Literal["fixed", "free"] = "fixed"
@@ -170,10 +170,10 @@ class Uncertainty(Model):
 
 
 class CarriedObject(Model):
-    """One loose object. `at` is where its shape's centre stands on the tray (or on `on`), m."""
+    """One loose object. `at` is where its shape's centre stands, from the tray's centre whatever it stands `on`, m."""
 
     name: Annotated[
-        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="letters, digits, - and _, a letter first")
+        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="letters a to z, digits, - and _, a letter first")
     ] = "object"
     shape: Shape
     mass: Annotated[Number, Field(gt=0, le=100)]

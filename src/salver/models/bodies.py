@@ -276,7 +276,9 @@ def _check_stacking(scenario: Scenario, items: list[Body]) -> None:
     for body in items:
         for name, count in zip(body.supports, body.regions, strict=True):
             if count < 3:
-                raise ValueError(f"{body.name} stands beside {name}, not on it; move it with at")
+                raise ValueError(
+                    f"{body.name} stands beside {name}, not on it; move it with at, from the middle of the tray"
+                )
         tops = [0.0 if n == TRAY else made[n].z_range_E[1] for n in body.supports]
         if np.ptp(tops) > 1e-6:
             raise ValueError(
@@ -290,7 +292,10 @@ def _check_stacking(scenario: Scenario, items: list[Body]) -> None:
             low = max(body.z_range_E[0], other.z_range_E[0])
             high = min(body.z_range_E[1], other.z_range_E[1])
             if high - low > 1e-6 and len(intersection(outlines[i], outlines[j])):
-                raise ValueError(f"{body.name} and {other.name} are in the same place; move one of them with at")
+                raise ValueError(
+                    f"{body.name} and {other.name} are in the same place; move one of them with at, "
+                    "from the middle of the tray"
+                )
 
 
 def _without_correlation(scenario: Scenario) -> object:

@@ -13,6 +13,7 @@ import numpy as np
 
 from salver.files import write_atomic
 from salver.models.bodies import uncertain_set
+from salver.planning.conditions import UNITS
 from salver.report.parameters import pretty, quantity
 
 if TYPE_CHECKING:
@@ -63,7 +64,11 @@ def scenario_rows(run: Run) -> Rows:
         ("uncertain set", uncertain.kind),
         ("gains K_p", f"{s.control.kp[0]:g}, {s.control.kp[1]:g} 1/s² (translation, rotation)"),
         ("gains K_d", f"{s.control.kd[0]:g}, {s.control.kd[1]:g} 1/s"),
-        ("contact condition", f"{s.contact.condition}, {s.contact.edges} edges a cone, margin {s.contact.margin:g} N"),
+        (
+            "contact condition",
+            f"{s.contact.condition}, {s.contact.edges} edges a cone, "
+            f"margin {s.contact.margin:g} {UNITS[s.contact.condition]}",
+        ),
         ("arm", s.arm.model if s.arm else "none"),
     ]
     return rows
