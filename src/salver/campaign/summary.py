@@ -6,6 +6,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from salver.campaign.definition import DEFAULT_FOLDER
@@ -100,7 +101,7 @@ def _plan_summary(rows: Sequence[Row], stem: str, directory: Path, folder: str) 
             "peak_slip": worst.get("peak_slip"),
             "cone_least": worst.get("cone_least"),
             "sentence": worst.get("sentence"),
-            "replay": f"salver simulate {directory} --stem {stem} --run {worst['run']}"
+            "replay": f"salver simulate {quote(str(directory))} --stem {stem} --run {worst['run']}"
             + (f" --folder {folder}" if folder != DEFAULT_FOLDER else ""),
         },
     }

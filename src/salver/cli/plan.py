@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -44,7 +45,8 @@ def plan(
         print_json({"directory": directory, "plan": found.summary(), "baseline": baseline.summary()})
     else:
         show(found, baseline)
-        say(f"Written to {directory}; next: salver simulate {directory}, or salver report {directory}")
+        quoted = quote(str(directory))
+        say(f"Written to {directory}; next: salver simulate {quoted}, or salver report {quoted}")
     if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)
 

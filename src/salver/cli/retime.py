@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import typer
@@ -48,6 +49,6 @@ def retime(
         if plan.arm_status is not None:
             say(str(plan.arm_status))
         say(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
-        say(f"Written to {directory}; next: salver simulate {directory}")
+        say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)
