@@ -23,9 +23,9 @@ from salver.planning.joint_problem import EndPose, TransportProblem, reach, tran
 from salver.planning.joint_rows import Margins, evaluate
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
 from salver.planning.joint_sqp import Iterate, _linearise
-from salver.planning.joint_terms import motion_terms
 from salver.planning.joint_tracking import tracking_of
 from salver.scenario import Scenario, load
+from salver.sensitivity.arm_terms import motion_terms
 
 UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "friction": "10%"}
 
@@ -239,9 +239,7 @@ def test_tracking_starts_sagged_after_long_rest():
     terms = motion_terms(problem.model, problem.arm.tray_id, z[0], z[1], z[2])
     response = replace(tracking, settled=50.0).response(np.linspace(0, 1, 51), 1.0, terms)
     extra = 0.1 * 0.256 * 9.81
-    point_jacobian = (
-        terms.R_SE[0] @ terms.jacobian_E[0, :3]
-    )  # the load is above E, and E is level: the lever is vertical
+    point_jacobian = terms.R_SE[0] @ terms.jacobian[0, :3]  # the load is above E, and E is level: the lever is vertical
     expected = np.linalg.solve(terms.mass_matrix[0], extra * point_jacobian[2]) / tracking.kp
     assert np.allclose(response.error[0, :, 0], expected, rtol=1e-4, atol=1e-9)
     assert np.abs(response.rate[0]).max() < 1e-9

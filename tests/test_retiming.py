@@ -120,7 +120,7 @@ def test_retimed_path_keeps_every_limit_and_the_contact(robust):
         assert peak.share < 1.001, peak
     terms = object_motion(given, motion.t, motion.q, motion.dq, motion.ddq)
     assert np.abs(terms.v_S[[0, -1]]).max() < 1e-9
-    from salver.planning.joint_terms import motion_terms
+    from salver.sensitivity.arm_terms import motion_terms
 
     w = motion_terms(given.model, given.arm.tray_id, motion.q, motion.dq, motion.ddq).w
     for rows in contact_rows(scenario, robust=robust):
