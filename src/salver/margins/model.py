@@ -16,7 +16,7 @@ from salver.models.parameters import UncertainSet
 from salver.models.wrench_cone import support_rows, unit_friction_rows
 from salver.scenario import Scenario
 
-EDGES = 8  # of the friction pyramids, when the scenario asks for fewer: at most 8 % short of the round cone
+EDGES = 8  # of the friction pyramids, at least: at most 8 % short of the round cone
 _NOTHING = UncertainSet((), np.zeros(0), np.zeros(0))
 
 
@@ -62,8 +62,12 @@ class MarginModel:
 
 
 def margin_model(scenario: Scenario, edges: int | None = None) -> MarginModel:
-    """The margin model of a scenario; the last few are kept. edges: of the friction pyramids (see `EDGES`)."""
-    return _margin_model(scenario.model_dump_json(exclude_none=True), edges or max(EDGES, scenario.contact.edges))
+    """The margin model of a scenario; the last few are kept. edges: of the friction pyramids.
+
+    Unless given, a multiple of the scenario's own, so that every plan within the scenario's pyramids is within these.
+    """
+    own = scenario.contact.edges
+    return _margin_model(scenario.model_dump_json(exclude_none=True), edges or own * -(-EDGES // own))
 
 
 @lru_cache(maxsize=16)

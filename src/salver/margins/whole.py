@@ -27,8 +27,8 @@ def margins(
 ) -> Margins:
     """All margins of a motion of B, the frame of the scenario's first object (T instants).
 
-    edges: of the friction pyramids, inscribed; 8 unless the scenario has more. tracking: (T, 12, n_p) from
-    `tracking_motion`, when the tray does not follow the motion exactly.
+    edges: of the friction pyramids, inscribed; unless given the least multiple of the scenario's that is 8 or more.
+    tracking: (T, 12, n_p) from `tracking_motion`, when the tray does not follow the motion exactly.
     """
     return Margins(margin_model(scenario, edges), samples.t, tray_motion(scenario, samples), tracking)
 

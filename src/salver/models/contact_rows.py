@@ -25,10 +25,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from salver.errors import ScenarioError
 from salver.geometry import Array, exp
 from salver.models.bodies import bodies, uncertain_set
 from salver.models.contact import ContactSet
-from salver.models.interfaces import ContactNetwork, networks, shift_ranges, sure_contacts, to_tray
+from salver.models.interfaces import ContactNetwork, networks, regions_lost, shift_ranges, sure_contacts, to_tray
 from salver.models.parameters import INERTIAL, UncertainSet, inertial_vector, phi_of
 from salver.models.tray_motion import N_MOTION, at_rest, frame_map, wrench_map
 from salver.models.wrench_cone import cone_facets
@@ -117,7 +118,10 @@ def contact_rows(scenario: Scenario, *, robust: bool = True, edges: int | None =
 
     robust: over the scenario's uncertain set; otherwise nominal parameters. edges: of the linearised friction
     cones, the scenario's own unless given. A plan keeps `rows.worst(w) <= -scenario.contact.margin`.
+    Raises ScenarioError when an object may stand beside its support (`check_places`).
     """
+    if robust:
+        check_places(scenario)
     if edges is not None and edges != scenario.contact.edges:
         scenario = scenario.model_copy(update={"contact": scenario.contact.model_copy(update={"edges": edges})})
     items = bodies(scenario)
@@ -126,6 +130,21 @@ def contact_rows(scenario: Scenario, *, robust: bool = True, edges: int | None =
     return tuple(
         network_rows(network, uncertain, several, 0.5 * np.array(scenario.tray.size)) for network in networks(items)
     )
+
+
+def check_places(scenario: Scenario) -> None:
+    """Raise ScenarioError when an uncertain position can leave nothing of a contact region: no motion is safe then."""
+    uncertain, several = uncertain_set(scenario), len(scenario.objects) > 1
+    half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
+    if not any(half[name] for name in uncertain.names if name.endswith(("position_x", "position_y"))):
+        return
+    for network in networks(bodies(scenario)):
+        shift = shift_ranges(network, half, name_prefixes(network, several))
+        for name in regions_lost(network, 0.5 * np.array(scenario.tray.size), shift):
+            raise ScenarioError(
+                f"{scenario.name}: with its uncertainty.position an object may stand beside its support ({name}); the "
+                "half-ranges must leave a part of the contact region that is sure."
+            )
 
 
 def name_prefixes(network: ContactNetwork, several: bool) -> dict[str, str]:

@@ -1,7 +1,9 @@
 """What keeps the carried objects in place, as functions of the motion that must stay above a margin.
 
 paper: Lambda = pinv(G F-hat) wrench >= 0 with the tube of the closed loop's input sensitivity (eq 16), in N. It
-asks for one particular distribution of the contact forces, and is sufficient.
+asks for one particular distribution of the contact forces, and is sufficient. What the paper's loop does not know
+counts too: the least friction, the contact area that every placement keeps, and, to first order as for an object
+that follows its tray, place and tilt.
 exact: the wrench that the motion needs lies in the contact wrench cone of every interface, in the worst case over
 the uncertain set (`salver.models.contact_rows`), as a share of the normal force at rest. A body that follows its
 tray needs Y(t) phi whatever its phi, so this worst case is not first order.
@@ -19,11 +21,13 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.errors import ScenarioError
-from salver.geometry import Array
+from salver.geometry import Array, exp, invert
 from salver.models.bodies import TRAY, Body, bodies, uncertain_set
-from salver.models.contact_rows import ContactRows, contact_rows
-from salver.models.parameters import phi_jacobian
-from salver.models.tray_motion import PRODUCTS
+from salver.models.contact import ContactSet
+from salver.models.contact_rows import ContactRows, check_places, contact_rows, name_prefixes
+from salver.models.interfaces import networks, shift_ranges, sure_contacts
+from salver.models.parameters import UncertainSet, phi_jacobian
+from salver.models.tray_motion import N_MOTION, PRODUCTS, frame_map, wrench_map
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
@@ -31,6 +35,7 @@ from salver.sensitivity.tray import BodyMotion, TraySensitivity
 Indices = npt.NDArray[np.intp]
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
+_PLACE_STEP = 1e-4  # m or rad, of a central difference of what is nearly linear
 
 
 class Rows(Protocol):
@@ -74,6 +79,7 @@ def unit_of(scenario: Scenario, owner: str) -> str:
 def _contact_conditions(scenario: Scenario) -> list[Condition]:
     carried = bodies(scenario)
     first = carried[0]
+    check_places(scenario)
     if scenario.contact.condition == "exact":
         return [_exact(rows.seen_from(first.p_EB, first.R_EB)) for rows in contact_rows(scenario)]
     for body in carried:
@@ -125,16 +131,21 @@ def _paper(scenario: Scenario, body: Body, first: Body) -> Condition:
     """Lambda of one body: the closed loop's tube for the first, that of a body that follows its tray for others."""
     uncertain = uncertain_set(scenario)
     prefix = f"{body.name}." if len(scenario.objects) > 1 else ""
-    own = tuple(n.removeprefix(prefix) if n.startswith(prefix) else "" for n in uncertain.names)
+    own = tuple(n.removeprefix(prefix) if n.startswith((prefix, "tilt_")) else "" for n in uncertain.names)
     jacobian = phi_jacobian(body.inertial, own)
-    distribution: Array = np.linalg.pinv(body.contacts.grasp_map).astype(float)
+    distribution: Array = np.linalg.pinv(_sure_contacts(scenario, body, uncertain).grasp_map).astype(float)
     p_BX, R_BX = first.R_EB.T @ (body.p_EB - first.p_EB), first.R_EB.T @ body.R_EB
+    placed = _place_map(body, own, first)
 
     def rows(motion: BodyMotion, loop: TraySensitivity, n_z: int) -> WrenchRows:
         own_motion = motion.of_frame(p_BX, R_BX)
         wrench, wrench_jacobian = _stacked(*own_motion.wrench(body.inertial.phi[:, None]), n_z)
         change = (loop.df, loop.dtau) if body is first else own_motion.wrench(jacobian)
         spread, spread_jacobian = _stacked(*change, n_z)
+        if np.any(placed):
+            w, w_jacobian = motion_vector(motion, n_z)
+            spread = spread + np.einsum("pik,tk->tpi", placed, w)
+            spread_jacobian = spread_jacobian + np.einsum("pik,tkz->tpiz", placed, w_jacobian)
         factor = uncertain.factor
         return WrenchRows(
             (body.name,) * len(distribution),
@@ -147,6 +158,36 @@ def _paper(scenario: Scenario, body: Body, first: Body) -> Condition:
         )
 
     return rows
+
+
+def _sure_contacts(scenario: Scenario, body: Body, uncertain: UncertainSet) -> ContactSet:
+    """What is left of a body's contact on the tray with the least friction, in all of its places."""
+    if not any(name.endswith(("friction", "position_x", "position_y")) for name in uncertain.names):
+        return body.contacts
+    network = networks([body])[0]
+    half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
+    prefixes = name_prefixes(network, len(scenario.objects) > 1)
+    friction = {body.name: body.friction - half.get(f"{prefixes[body.name]}friction", 0.0)}
+    size = 0.5 * np.array(scenario.tray.size)
+    return sure_contacts(network, size, friction, shift_ranges(network, half, prefixes))[0]
+
+
+def _place_map(body: Body, own: tuple[str, ...], first: Body) -> Array:
+    """(n_p, 6, 12) change of a body's wrench with its place and the tray's tilt, of w of the first object's B."""
+    maps = np.zeros((len(own), 6, N_MOTION))
+    for k, name in enumerate(own):
+        kind, _, axis = name.rpartition("_")
+        if kind not in ("position", "tilt"):
+            continue
+        ends = []
+        for sign in (1.0, -1.0):
+            step = sign * _PLACE_STEP * np.eye(3)["xy".index(axis)]
+            place = exp(step) @ body.p_EB if kind == "tilt" else body.p_EB + step
+            turned = exp(step) @ body.R_EB if kind == "tilt" else body.R_EB
+            ends.append(frame_map(place, turned))
+        change = wrench_map(body.inertial.phi) @ (ends[0] - ends[1]) / (2 * _PLACE_STEP)
+        maps[k] = change @ frame_map(*invert(first.p_EB, first.R_EB))
+    return maps
 
 
 # The exact condition -----------------------------------------------------------------------------------------
