@@ -68,9 +68,14 @@ class Motion(Model):
     duration: Annotated[Number, Field(ge=0.01, le=120)] | None = None
     degree: Annotated[Whole, Field(ge=5, le=30)] = 9
     nodes: Annotated[Whole, Field(ge=11, le=2001)] = 61
-    orientation: Literal["fixed", "free"] = "fixed"
+    orientation: Literal["fixed", "free"] | None = None
     max_tilt_deg: Annotated[Number, Field(gt=0, le=90)] | None = None
     goal_yaw: Literal["fixed", "free"] = "fixed"
+
+    @property
+    def may_turn(self) -> bool:
+        """Whether the tray may tilt and turn on the way; unless it is said, only the fastest motion may."""
+        return self.duration is None if self.orientation is None else self.orientation == "free"
 
 
 class Box(Model):

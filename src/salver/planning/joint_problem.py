@@ -80,7 +80,7 @@ def transport_problem(
 ) -> TransportProblem:
     """The problem a scenario poses. Arguments that are given override the scenario.
 
-    level: tray level all along (motion.orientation = "fixed"); otherwise it may tilt, up to motion.max_tilt_deg.
+    level: tray level all along (as motion.orientation says); otherwise it may tilt, up to motion.max_tilt_deg.
     robust: keep the contact for the whole uncertain set, or only for nominal parameters.
     Raises ScenarioError when the scenario has no arm, a start posture of the wrong length or of another pose, or an end
     that tilts the tray further than the motion may.
@@ -95,7 +95,7 @@ def transport_problem(
     if not robust:
         uncertain = uncertain.restricted(())
     if level is None:
-        level = scenario.motion.orientation == "fixed"
+        level = not scenario.motion.may_turn
     tilt = scenario.motion.max_tilt_deg
     max_tilt = 0.0 if level else float(np.deg2rad(tilt)) if tilt is not None else np.inf
     for key, pose in (("start", scenario.motion.start), ("goal", scenario.motion.goal)):

@@ -109,7 +109,7 @@ class Problem:
 
     @cached_property
     def rotates(self) -> bool:
-        return self.scenario.motion.orientation == "free" or self._turn > 1e-12
+        return self.scenario.motion.may_turn or self._turn > 1e-12
 
     @cached_property
     def _turn(self) -> float:

@@ -42,7 +42,8 @@ def scenario_rows(run: Run) -> Rows:
         ("duration", f"{run.plan.duration:.4g} s"),
         (
             "reference",
-            f"polynomials of degree {s.motion.degree}, {s.motion.nodes} nodes, orientation {s.motion.orientation}",
+            f"polynomials of degree {s.motion.degree}, {s.motion.nodes} nodes, "
+            f"orientation {'free' if s.motion.may_turn else 'fixed'}",
         ),
         (
             "tray",
