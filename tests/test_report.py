@@ -383,6 +383,20 @@ def test_contact_curves_by_hand(plan_only: Path) -> None:
     assert np.all(curves.tip_worst <= curves.tip + 1e-12)
 
 
+def test_the_worst_case_is_the_plans_own_and_of_contact_alone(tmp_path: Path) -> None:
+    """Least tilt in rad is no share of a weight, and the distance to tipping is what `salver plan` prints."""
+    case = scenario.load("upright-dice").with_changes(motion__orientation="free", motion__max_tilt_deg=1.0)
+    plan = make_plan(case, "baseline")
+    plan.save(tmp_path, "plan")
+    curves = read_run(tmp_path).contact["plan"]
+    contact = [owner != "tilt limit" for owner in plan.evaluation.slack_owner]
+    assert not all(contact)
+    assert curves.worst == pytest.approx(plan.evaluation.slack[::2, contact].min(axis=1), abs=1e-9)
+    assert curves.tip_worst.min() == pytest.approx(
+        min(m.tip_over_worst.min() for m in plan.margins.interfaces), rel=0.02
+    )
+
+
 def test_several_objects_are_spoken_of_together(tmp_path: Path) -> None:
     case = scenario.load("upright-arch")
     make_plan(case, "baseline").save(tmp_path, "plan")

@@ -81,7 +81,8 @@ def margin_charts(run: Run) -> list[Spec]:
             "Distance to tipping over",
             "distance to edge, mm",
             tip,
-            "How far inside its base the centre of pressure stays. At zero a body starts to tip.",
+            "How far inside its base the centre of pressure stays. At zero a body starts to tip. Worst case: over all "
+            "uncertain parameters, on the reference itself.",
             "mm",
             lines=[zero],
             range=_tip_range(tip),

@@ -25,7 +25,7 @@ class ContactCurves:
     t: s. friction: largest friction needed, as a share of what there is, at nominal parameters. coefficient: the same
     as a coefficient when only one object stands on the tray, else None. available: its own then. nominal, worst: least
     exact margin, a share of the weight, at nominal parameters and in the worst case with the closed loop's errors.
-    tip, tip_worst: least distance of a zero-moment point from its edge, m.
+    tip, tip_worst: least distance of a zero-moment point from its edge, m; worst of what follows the reference.
     """
 
     t: Array
@@ -61,7 +61,10 @@ def contact_curves(scenario: Scenario, motion: Motion) -> ContactCurves:
     alone = len(found.interfaces) == 1
     worst = found.exact_worst
     if scenario.contact.condition == "exact" and "contact_slack" in a:
-        worst = a["contact_slack"][keep].min(axis=1)  # the plan's own, which knows which errors go together
+        slack = a["contact_slack"][keep]  # the plan's own, which knows which errors go together
+        if scenario.motion.max_tilt_deg is not None:
+            slack = slack[:, :-1]  # the limit on tilt, which is no contact
+        worst = slack.min(axis=1)
     return ContactCurves(
         t=samples.t,
         friction=np.max(share, axis=0),
@@ -70,5 +73,5 @@ def contact_curves(scenario: Scenario, motion: Motion) -> ContactCurves:
         nominal=found.exact,
         worst=worst,
         tip=np.min([m.tip_over for m in found.interfaces], axis=0),
-        tip_worst=np.min([m.tip_over_worst for m in found.interfaces], axis=0),
+        tip_worst=np.min([m.tip_over_worst for m in margins(scenario, samples).interfaces], axis=0),
     )
