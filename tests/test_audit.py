@@ -276,6 +276,7 @@ HEADER = "t,x,y,z,qw,qx,qy,qz"
     [
         ("a.csv", "", "is empty; the first line must name the columns"),
         ("a.csv", lines(*GOOD), "has no header"),
+        ("a.csv", lines(HEADER), "has no samples below its header; an audit needs at least 8"),
         ("a.csv", lines("t,x,y,z,qw,qx,qy", *(g[:-2] for g in GOOD)), "no column for qz"),
         ("a.csv", lines("time_in_s,x,y,z,qw,qx,qy,qz", *GOOD), "has no columns of time"),
         ("a.csv", lines(HEADER, *GOOD[:5], "0.05,0,zero,0.4,1,0,0,0"), 'line 7: "zero" is not a number'),

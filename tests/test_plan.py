@@ -147,3 +147,10 @@ def test_the_check_tells_of_the_contact_unless_only_the_limit_on_tilt_fails():
     miss = np.deg2rad(2.0) ** 2 / np.deg2rad(1.0) / 2 - np.deg2rad(1.0) / 2  # the slack is quadratic in the tilt
     assert missed.verification.violation == pytest.approx(miss, rel=1e-3)
     assert missed.verification.sentence.startswith("The limit on tilt is missed by 0.0262 rad")
+
+
+def test_why_the_arm_does_not_move():
+    assert plan_object(PAPER).no_arm_motion == "The plan was made without the arm."
+    failed = make_plan(PAPER.with_changes(motion__duration=0.3))
+    assert failed.joint is None
+    assert failed.no_arm_motion == failed.status.sentence

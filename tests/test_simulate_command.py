@@ -63,6 +63,7 @@ def test_sentences_for_what_happened(run_directory):
         (["--set", "weight=1"], ['"weight"', "mass"]),
         (["--stem", "other"], ["plan, baseline or both"]),
         (["--run", "0"], ["campaign"]),
+        (["--seed", "-1"], ["--seed", "0"]),
     ],
 )
 def test_wrong_use_gets_a_sentence(run_directory, arguments, words):

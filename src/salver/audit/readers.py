@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salver.audit.samples import Samples, joint_samples, tray_samples
+from salver.audit.samples import FEWEST, Samples, joint_samples, tray_samples
 from salver.errors import FileFormatError
 from salver.geometry import Array
 
@@ -144,11 +144,13 @@ def _table(path: Path) -> tuple[list[str], Array]:
     body = [line for line in lines[start + 1 :] if line.strip() and not line.startswith("#")]
     try:
         values = np.loadtxt(body, delimiter=separator, ndmin=2) if body else np.zeros((0, len(header)))
-        if values.shape[1] != len(header) and len(body):
+        if values.shape[1] != len(header):
             raise ValueError
     except ValueError:
         _point_at_fault(path, lines, start, separator, len(header))
         raise FileFormatError(f"{path} is not a table of numbers.") from None
+    if not body:
+        raise FileFormatError(f"{path} has no samples below its header; an audit needs at least {FEWEST}.")
     return header, values
 
 

@@ -105,7 +105,7 @@ def _refuse_names(samples: JointSamples, names: tuple[str, ...], missing: list[s
 
 def _finite(arrays: dict[str, Array], source: str) -> None:
     for name, array in arrays.items():
-        bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+        bad = np.flatnonzero(~np.isfinite(array).all(axis=tuple(range(1, array.ndim))))
         if len(bad):
             raise FileFormatError(f"{source}: the {name} of sample {bad[0] + 1} is not a finite number.")
 

@@ -15,7 +15,7 @@ SCENARIO = "panda-cube"
 def demo(
     out: Annotated[Path, typer.Option("-o", "--out", help="Run directory to make.")] = Path("out/panda-cube"),
     n: Annotated[int, typer.Option("-n", "--runs", min=1, help="Perturbed runs of each plan.")] = 100,
-    seed: Annotated[int, typer.Option(help="Seed of the perturbed parameters.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the perturbed parameters.")] = 0,
     json: Json = False,
 ) -> None:
     """Carry the paper's cube: plan it, run it perturbed with and without a physics engine, draw and report it.

@@ -46,7 +46,8 @@ def plan(
     else:
         show(found, baseline)
         quoted = quote(str(directory))
-        say(f"Written to {directory}; next: salver simulate {quoted}, or salver report {quoted}")
+        simulate = f"salver simulate {quoted}, or " if found.joint is not None or chosen.arm is None else ""
+        say(f"Written to {directory}; next: {simulate}salver report {quoted}")
     if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)
 

@@ -24,7 +24,7 @@ def simulate(
         list[str] | None,
         typer.Option("--set", help="True value of a parameter, as mass=0.3 (SI units); repeat for several."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the sensor noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the sensor noise.")] = 0,
     run: Annotated[
         int | None, typer.Option(help="Repeat run number K of the directory's campaign: its parameters and its seed.")
     ] = None,

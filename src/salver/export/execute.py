@@ -163,7 +163,7 @@ def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, list[Bo
     if plan.scenario.arm is None:
         raise SalverError(f"{plan.scenario.name} has no arm; give the scenario a table [arm] to execute it.")
     if plan.joint is None:
-        why = plan.arm_status.sentence if plan.arm_status is not None else "The plan was made without the arm."
+        why = plan.no_arm_motion
         raise UnreachableError(f"{plan.scenario.name} has no joint motion to execute: {why}")
     return plan, load_arm(plan.scenario.arm, plan.scenario.tray), bodies(plan.scenario)
 

@@ -132,6 +132,13 @@ class Plan:
         """Whether what was asked for was achieved: safe in its own model, and the arm can follow."""
         return self.status.ok and self.verification.ok and (self.arm_status is None or self.arm_status.ok)
 
+    @property
+    def no_arm_motion(self) -> str:
+        """Why `joint` is None, in one sentence."""
+        if self.arm_status is not None:
+            return self.arm_status.sentence
+        return "The plan was made without the arm." if self.status.ok else self.status.sentence
+
     @cached_property
     def verification(self) -> Verification:
         motion, samples = self.scenario.motion, self.evaluation.samples

@@ -61,7 +61,7 @@ def simulate(
 ) -> SimulationRecord:
     """Run a plan in the physics engine; with its arm when the scenario has one, else with an exactly moving tray.
 
-    parameters: true values by name, where not nominal (docs/conventions.md). seed: of the sensor noise.
+    parameters: true values by name, where not nominal (docs/conventions.md). seed: of the sensor noise, 0 or more.
     Raises ScenarioError for parameters that cannot be, UnreachableError when the plan has no joint motion,
     SalverError when the engine diverges.
     """
@@ -69,7 +69,7 @@ def simulate(
     if scenario.arm is None:
         return simulate_tray(plan.reference, scenario, parameters, options)
     if plan.joint is None:
-        why = plan.arm_status.sentence if plan.arm_status is not None else "The plan was made without the arm."
+        why = plan.no_arm_motion
         raise UnreachableError(f"{scenario.name} has no joint motion to simulate: {why}")
     began = time.perf_counter()
     arm = load_arm(scenario.arm, scenario.tray)
