@@ -10,7 +10,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.bodies import Body, bodies, uncertain_set
 from salver.models.contact import ContactSet
-from salver.models.contact_rows import ContactRows, Labels, RowsOf, cone_rows, network_rows
+from salver.models.contact_rows import MOST_GENERATORS, ContactRows, Labels, RowsOf, cone_rows, network_rows
 from salver.models.interfaces import ContactNetwork, networks
 from salver.models.parameters import UncertainSet
 from salver.models.wrench_cone import support_rows, unit_friction_rows
@@ -64,10 +64,15 @@ class MarginModel:
 def margin_model(scenario: Scenario, edges: int | None = None) -> MarginModel:
     """The margin model of a scenario; the last few are kept. edges: of the friction pyramids.
 
-    Unless given, a multiple of the scenario's own, so that every plan within the scenario's pyramids is within these.
+    Unless given, a multiple of the scenario's own, so that every plan within the scenario's pyramids is within these;
+    the scenario's own where the contacts have too many points for more.
     """
     own = scenario.contact.edges
-    return _margin_model(scenario.model_dump_json(exclude_none=True), edges or own * -(-EDGES // own))
+    finer = own * -(-EDGES // own)
+    most = max(max(body.regions) for body in bodies(scenario))
+    return _margin_model(
+        scenario.model_dump_json(exclude_none=True), edges or (finer if most * finer <= MOST_GENERATORS else own)
+    )
 
 
 @lru_cache(maxsize=16)

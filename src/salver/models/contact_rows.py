@@ -37,6 +37,7 @@ from salver.models.wrench_cone import cone_facets
 if TYPE_CHECKING:
     from salver.scenario import Scenario
 
+MOST_GENERATORS = 256  # points times edges of one contact: at most some 12 000 facets
 _MOST_MASSES = 3  # so many uncertain masses in one network are taken at all their extreme values
 _CHUNK = 20_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
 
@@ -118,13 +119,22 @@ def contact_rows(scenario: Scenario, *, robust: bool = True, edges: int | None =
 
     robust: over the scenario's uncertain set; otherwise nominal parameters. edges: of the linearised friction
     cones, the scenario's own unless given. A plan keeps `rows.worst(w) <= -scenario.contact.margin`.
-    Raises ScenarioError when an object may stand beside its support (`check_places`).
+    Raises ScenarioError when an object may stand beside its support (`check_places`), or when its contact has so
+    many points and edges that the cone's facets cannot be worked with.
     """
     if robust:
         check_places(scenario)
     if edges is not None and edges != scenario.contact.edges:
         scenario = scenario.model_copy(update={"contact": scenario.contact.model_copy(update={"edges": edges})})
     items = bodies(scenario)
+    for body in items:
+        most = max(body.regions)
+        if most * scenario.contact.edges > MOST_GENERATORS:
+            raise ScenarioError(
+                f"{scenario.name}: contact.edges = {scenario.contact.edges} with the {most} contact points of "
+                f"{body.name} makes too many facets for the exact condition; their product must be at most "
+                f"{MOST_GENERATORS}."
+            )
     uncertain = uncertain_set(scenario) if robust else UncertainSet((), np.zeros(0), np.zeros(0))
     several = len(items) > 1
     return tuple(

@@ -14,7 +14,7 @@ Both are a linear value minus a norm of linear terms, concave: at fixed orientat
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -35,6 +35,7 @@ from salver.sensitivity.tray import BodyMotion, TraySensitivity
 Indices = npt.NDArray[np.intp]
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
+_CHUNK = 2_000_000  # terms of a spread in memory at once
 _PLACE_STEP = 1e-4  # m or rad, of a central difference of what is nearly linear
 
 
@@ -46,6 +47,10 @@ class Rows(Protocol):
 
     def slack(self, step: Array | None = None) -> tuple[Array, Array]:
         """Slack (T, n) and the terms of its spread (T, n, k), after a step (n_z,) of the linear model."""
+        ...
+
+    def least(self) -> Array:
+        """The slack (T, n) alone, for many instants: without all terms in memory at once."""
         ...
 
     def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
@@ -116,6 +121,9 @@ class WrenchRows:
         terms = self.map @ spread
         radius = np.abs(terms).sum(axis=-1) if self.box else np.linalg.norm(terms, axis=-1)
         return wrench @ self.map.T - radius, terms
+
+    def least(self) -> Array:
+        return self.slack()[0]
 
     def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
         maps, dual = self.map[row], np.sign(terms) if self.box else _unit(terms)
@@ -213,6 +221,11 @@ class MotionRows:
         radius = np.abs(terms[..., self.ball :]).sum(axis=-1) + np.linalg.norm(terms[..., : self.ball], axis=-1)
         return w @ self.value.T - radius, terms
 
+    def least(self) -> Array:
+        chunk = max(1, _CHUNK // max(1, self.spread[..., 0].size))
+        starts = range(0, len(self.w), chunk)
+        return np.concatenate([replace(self, w=self.w[k : k + chunk]).slack()[0] for k in starts])
+
     def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
         dual = np.sign(terms)
         dual[:, : self.ball] = _unit(terms[:, : self.ball])
@@ -264,6 +277,9 @@ class TiltRows:
     def slack(self, step: Array | None = None) -> tuple[Array, Array]:
         left = self.left if step is None else self.left + self.left_jacobian @ step
         return left[:, None], np.zeros((len(left), 1, 0))
+
+    def least(self) -> Array:
+        return self.slack()[0]
 
     def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
         return self.left[instant], self.left_jacobian[instant]

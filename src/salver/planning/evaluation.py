@@ -72,6 +72,6 @@ def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluat
         radius(theta, uncertain),
         sensitivity.state,
         theta,
-        np.concatenate([part.slack()[0] for part in rows], axis=1),
+        np.concatenate([part.least() for part in rows], axis=1),
         tuple(owner for part in rows for owner in part.owner),
     )
