@@ -58,6 +58,7 @@ def solve_model(
     offset, slope = np.zeros(0), np.zeros((0, n))
     d = _least(hessian, gradient, model.goal, model.goal_jacobian, radius)
     bound, violation, s, price = -np.inf, np.inf, 0.0, 0.0
+    solved = False
     if d is not None:
         bound = constant + float(gradient @ d + 0.5 * d @ hessian @ d)
     for rounds in range(1, _CUT_LIMIT + 1):
@@ -70,8 +71,11 @@ def solve_model(
             offset, slope = np.concatenate([offset, new_offset]), np.concatenate([slope, new_slope])
         answer = _quadratic(hessian, gradient, model, offset, slope, radius, penalty if elastic else None)
         if answer is None:
+            if elastic and solved and d is not None:  # the latest cuts differ by rounding: the step before is as good
+                return Step(d, bound, violation, rounds, price)
             return None
         d, s, dual_value, price = answer
+        solved = True
         bound = constant + dual_value
     assert d is not None
     return Step(d, bound, violation, _CUT_LIMIT, price)
