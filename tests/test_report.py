@@ -383,6 +383,15 @@ def test_contact_curves_by_hand(plan_only: Path) -> None:
     assert np.all(curves.tip_worst <= curves.tip + 1e-12)
 
 
+def test_a_plan_of_another_scenario_gets_a_sentence(tmp_path: Path) -> None:
+    case = scenario.load("panda-cube").with_changes(arm=None)
+    make_plan(case, "baseline").save(tmp_path, "plan")
+    path = tmp_path / "scenario.toml"
+    path.write_text(path.read_text().replace("mass = 0.256", "mass = 0.3"))
+    with pytest.raises(FileFormatError, match="was made from another scenario"):
+        read_run(tmp_path)
+
+
 def test_the_worst_case_is_the_plans_own_and_of_contact_alone(tmp_path: Path) -> None:
     """Least tilt in rad is no share of a weight, and the distance to tipping is what `salver plan` prints."""
     case = scenario.load("upright-dice").with_changes(motion__orientation="free", motion__max_tilt_deg=1.0)

@@ -41,7 +41,7 @@ def tradeoff(
         wanted = [float(word) for word in scales.split(",")]
     except ValueError:
         wanted = [-1.0]
-    if min(wanted) < 0:
+    if not all(0 <= scale < float("inf") for scale in wanted):
         raise ScenarioError(f'--scales = "{scales}" must be numbers of at least 0, separated by commas.')
     if file_format not in ("pdf", "svg", "png"):
         raise ScenarioError(f'--format = "{file_format}" must be pdf, svg or png.')

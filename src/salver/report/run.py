@@ -120,6 +120,12 @@ def read_run(directory: str | Path) -> Run:
         )
     scenario = scenarios.load(directory / "scenario.toml")
     motions = [_motion(directory, stem) for stem in STEMS if (directory / f"{stem}.npz").is_file()]
+    for m in motions:
+        if m.summary.get("provenance", {}).get("scenario_digest") != scenario.digest:
+            raise FileFormatError(
+                f"{directory / m.stem}.json was made from another scenario than {directory}/scenario.toml; plan again "
+                "into another directory."
+            )
     campaign, runs = _campaign(directory / "campaign")
     return Run(directory, scenario, motions, campaign, runs)
 
