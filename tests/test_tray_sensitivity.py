@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from salver.control.object import Gains
-from salver.geometry import GRAVITY_S, exp
+from salver.geometry import exp
 from salver.models.contact import support_contacts
 from salver.models.parameters import INERTIAL, inertial_vector, phi_jacobian, phi_of
 from salver.models.rigid_body import RigidBody, inertia_matrix
@@ -98,7 +98,3 @@ def test_duals_carry_derivatives_of_products_and_rotations():
         step = h * np.eye(4)[j]
         numeric = (at(z + step, False).value - at(z - step, False).value)[0, 0] / (2 * h)
         assert got[:, j] == pytest.approx(numeric, abs=1e-8)
-
-
-def test_gravity_points_down():
-    assert pytest.approx([0, 0, -9.81]) == GRAVITY_S
