@@ -186,7 +186,8 @@ def _spread_coefficients(m: Motion) -> list[int]:
     values = m.arrays["cone_coefficients"]
     instant = int(np.argmin(values.min(axis=1)))
     order = np.argsort(values[instant])
-    return [int(order[round(k)]) for k in np.linspace(0, len(order) - 1, min(4, len(order)))]
+    # Sorted, so that two motions that show the same coefficients show them in the same colours.
+    return sorted(int(order[round(k)]) for k in np.linspace(0, len(order) - 1, min(4, len(order))))
 
 
 def _physics_records(run: Run) -> tuple[dict[str, SimulationRecord], dict[str, SimulationRecord]]:
