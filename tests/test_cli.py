@@ -147,7 +147,12 @@ def test_errors_map_to_exit_codes(capfd):
 def test_interrupting_a_running_command(tmp_path):
     """A real SIGINT at a running process, once it has said what it is doing."""
     process = subprocess.Popen(
-        [SALVER, "demo", "-o", tmp_path / "demo"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [SALVER, "demo", "-o", tmp_path / "demo"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # Tests that are run in the background inherit an ignored SIGINT; a person at a terminal does not.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     while "Plan" not in process.stderr.readline():
         assert process.poll() is None
