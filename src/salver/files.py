@@ -119,7 +119,7 @@ def read_json(path: str | Path) -> Any:
 def provenance(scenario: Scenario) -> dict[str, Any]:
     """What made a result: scenario, its content hash and seed, versions. The same run gives the same record."""
     return {
-        "salver": metadata.version("salver"),
+        "salver": _version("salver"),
         "scenario": scenario.name,
         "scenario_digest": scenario.digest,
         "seed": scenario.seed,

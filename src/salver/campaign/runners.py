@@ -17,6 +17,7 @@ from salver.geometry import Array
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
+    from salver.simulation.physics import Experiment
 
 # Runs that the engine-free rollout integrates side by side. Always as many, at the same places: linear algebra on
 # fewer rows may round differently, and a resumed campaign must give the very same table.
@@ -46,18 +47,25 @@ class Context:
 
         return {stem: load_plan(self.directory, stem) for stem in self.definition.plans}
 
+    @cached_property
+    def _experiments(self) -> dict[str, Experiment]:
+        from salver.simulation.physics import Experiment
+
+        return {stem: Experiment(plan) for stem, plan in self._plans.items()}
+
     def parameters(self, run: int) -> dict[str, float]:
         names, values = self._samples
         return dict(zip(names, map(float, values[run]), strict=True))
 
     def execute(self, stem: str, runs: Sequence[int]) -> list[dict[str, Any]]:
         """Records of some runs of one plan. A run that cannot be made says why, as its outcome."""
-        plan = self._plans[stem]
-        engine = {"physics": _physics, "closed-loop": _closed_loop}[self.definition.engine]
         begin = time.perf_counter()
         drawn = [self.parameters(run) for run in runs]
         seeds = [seed_of_run(self.definition.seed, run) for run in runs]
-        results = engine(plan, runs, drawn, seeds)
+        if self.definition.engine == "physics":
+            results = _physics(self._experiments[stem], drawn, seeds)
+        else:
+            results = _closed_loop(self._plans[stem], runs, drawn)
         seconds = (time.perf_counter() - begin) / len(runs)
         return [
             {"stem": stem, "run": run, "seconds": round(seconds, 4), "parameters": p, **_split(result)}
@@ -70,28 +78,22 @@ def _split(result: Scalars) -> dict[str, Any]:
     return {"outcome": scalars.pop("outcome"), "scalars": scalars}
 
 
-def _physics(
-    plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, float]], seeds: Sequence[int]
-) -> list[Scalars]:
+def _physics(experiment: Experiment, drawn: Sequence[Mapping[str, float]], seeds: Sequence[int]) -> list[Scalars]:
     """Arm, tray and objects in the physics engine."""
-    from salver.simulation.physics import simulate
-
     results: list[Scalars] = []
     for parameters, seed in zip(drawn, seeds, strict=True):
         try:
-            record = simulate(plan, parameters=dict(parameters), seed=seed)
+            record = experiment.run(dict(parameters), seed)
         except SalverError as error:
             results.append({"outcome": "error", "sentence": str(error)})
             continue
         scalars = run_scalars(record.summary)
-        scalars |= tube_scalars(plan, record.t, record.cone_coefficients)
+        scalars |= tube_scalars(experiment.plan, record.t, record.cone_coefficients)
         results.append(scalars)
     return results
 
 
-def _closed_loop(
-    plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, float]], seeds: Sequence[int]
-) -> list[Scalars]:
+def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, float]]) -> list[Scalars]:
     """The object under its controller alone (eqs 18, 19): what the tubes are tubes of, no contact, no arm."""
     from salver.control.object import Gains
     from salver.models.bodies import bodies

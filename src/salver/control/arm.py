@@ -203,7 +203,7 @@ class ArmController:
         """Cut to what the motors give, rate first; counted in `saturation`."""
         report = self.saturation
         report.steps += 1
-        share = float(np.max(np.abs(torque) / self._torque_limit))
+        share = float((np.abs(torque) / self._torque_limit).max())
         report.peak_share = max(report.peak_share, share)
         if self._previous is not None:
             change = torque - self._previous

@@ -13,7 +13,7 @@ import numpy as np
 
 from salver.control.arm import ArmState
 from salver.errors import MissingDependencyError, SalverError
-from salver.geometry import Array, invert
+from salver.geometry import Array
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -223,10 +223,8 @@ class SimulatedRobot:
         from salver.simulation import creep, physics
 
         trace = self._recorder.trace()
-        first = self._run.scene.loads[0].nominal
-        wanted = self._plan.reference.sample(trace.t).of_frame(*invert(first.p_EB, first.R_EB))
         bias = creep.tray_bias(self._arm, trace.q, trace.dq, self._run.scene.world.R_tilt)
-        run = replace(self._run, t=trace.t, wanted_E=wanted)
+        run = replace(self._run, wanted=self._plan.reference.sample(trace.t))
         return physics.measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
 
 

@@ -9,12 +9,13 @@ because velocity is updated before position (semi-implicit integration), the law
     d(slip)/dt = -(d_max timeconst / 2 - timestep / 2) P (bias of the tray's point - bias of the object's point)
 
 with P the projection onto the contact plane. A free body's own bias at a point r from its origin is
-omega x (omega x r). Nothing here is fitted; tests/test_creep.py compares it with the engine.
+omega x (omega x r). Nothing here is fitted; tests/test_physics_calibration.py compares it with the engine.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -33,10 +34,19 @@ class TrayBias:
     angular: Array
     omega: Array
 
+    @cached_property
+    def centripetal(self) -> Array:
+        """(N, 3, 3): a point r from the origin of a body that turns as the tray has the bias of this times r."""
+        spin = hat(self.omega)
+        return spin @ spin
+
+    @cached_property
+    def _by_place(self) -> Array:
+        return hat(self.angular) + self.centripetal
+
     def of_point(self, p_E: Array) -> Array:
         """(N, 3) of a point (3,) fixed to the tray."""
-        spin = hat(self.omega)
-        return self.linear + (hat(self.angular) + spin @ spin) @ p_E
+        return self.linear + self._by_place @ p_E
 
 
 def tray_bias(arm: ArmModel, q: Array, dq: Array, R_tilt: Array) -> TrayBias:
@@ -60,15 +70,13 @@ def gain(contact_time: float, timestep: float, damping_width: float) -> float:
 
 def on_tray(t: Array, bias: TrayBias, p_EB: Array, p_EP: Array, gain_s: float) -> Array:
     """Creep (N, 3) in E since t[0] of the object's point P (3,) on the tray; the object's B is at p_EB (3,)."""
-    spin = hat(bias.omega)
-    own = spin @ spin @ (p_EP - p_EB)
+    own = bias.centripetal @ (p_EP - p_EB)
     return _integral(t, -gain_s * (bias.of_point(p_EP) - own))
 
 
 def on_object(t: Array, bias: TrayBias, p_EB: Array, p_EB_below: Array, gain_s: float) -> Array:
     """Creep (N, 3) in E of an object at p_EB on another one at p_EB_below, relative to that one."""
-    spin = hat(bias.omega)
-    return _integral(t, -gain_s * (spin @ spin @ (p_EB - p_EB_below)))
+    return _integral(t, -gain_s * (bias.centripetal @ (p_EB - p_EB_below)))
 
 
 def _integral(t: Array, rate: Array) -> Array:

@@ -1,7 +1,8 @@
 """Runs in the physics engine: a plan carried by its arm, or a tray moved exactly as a reference says.
 
 `simulate` is the whole experiment: MuJoCo's arm under the controller that a robot driver would step, command by
-command, with the objects as they truly are. `simulate_tray` leaves the arm out. Both return a SimulationRecord.
+command, with the objects as they truly are; `Experiment` repeats it with other objects. `simulate_tray` leaves the arm
+out. All give a SimulationRecord.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -29,7 +31,7 @@ from salver.simulation.outcome import Thresholds, behaviour, judge
 from salver.simulation.record import SimulationRecord
 from salver.simulation.scene import Scene, build
 from salver.simulation.trace import Recorder, Trace, net_contact_wrench
-from salver.trajectory import MotionSamples, Reference
+from salver.trajectory import JointMotion, MotionSamples, Reference
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
@@ -45,15 +47,81 @@ class Options:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: what is simulated, and how. wanted_E: motion of the assumed tray frame at the commands."""
+    """One run: what is simulated, and how. wanted: the reference at the commands."""
 
     scenario: Scenario
     parameters: Mapping[str, float]
     options: Options
     reference: Reference
     scene: Scene
-    t: Array
-    wanted_E: MotionSamples
+    wanted: MotionSamples
+
+    @property
+    def t(self) -> Array:
+        """(N,) times of the commands, s."""
+        return self.wanted.t
+
+    @cached_property
+    def wanted_E(self) -> MotionSamples:
+        """Motion of the assumed tray frame at the commands."""
+        return _of_tray(self.wanted, self.scene)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A plan, to be run any number of times. What the true parameters do not change is made once, by the first run.
+
+    One run at a time: they share the arm's work space and the controller.
+    """
+
+    plan: Plan
+    options: Options = field(default_factory=Options)
+
+    @cached_property
+    def arm(self) -> ArmModel:
+        assert self.plan.scenario.arm is not None
+        return load_arm(self.plan.scenario.arm, self.plan.scenario.tray)
+
+    @cached_property
+    def joint(self) -> JointMotion:
+        """The arm's motion. Raises UnreachableError when the plan has none."""
+        if self.plan.joint is None:
+            why = self.plan.no_arm_motion
+            raise UnreachableError(f"{self.plan.scenario.name} has no joint motion to simulate: {why}")
+        return self.plan.joint
+
+    @cached_property
+    def controller(self) -> ArmController:
+        # Plans made in joint space know their tracking errors in joint space (salver.planning.joint_tracking).
+        space: Literal["object", "joint"] = "joint" if self.plan.method == "fastest" else "object"
+        return controller_for(self.plan.scenario, self.joint, self.plan.reference, arm=self.arm, space=space)
+
+    @cached_property
+    def wanted(self) -> MotionSamples:
+        """The reference at the commands."""
+        return _at_commands(self.plan.scenario, self.plan.reference)
+
+    def run(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> SimulationRecord:
+        """One run, as `simulate` makes it."""
+        plan, scenario, options = self.plan, self.plan.scenario, self.options
+        if scenario.arm is None:
+            return simulate_tray(plan.reference, scenario, parameters, options)
+        began = time.perf_counter()
+        q_start = self.joint.sample(0.0)[0][0]
+        scene = build(scenario, true_world(scenario, parameters), self.arm)
+        run = Run(scenario, dict(parameters or {}), options, plan.reference, scene, self.wanted)
+        self.controller.reset()
+        trace = _run_arm(run, self.controller, q_start, np.random.default_rng(seed))
+        bias = creep.tray_bias(self.arm, trace.q, trace.dq, scene.world.R_tilt)
+        summary = {
+            "method": plan.method,
+            "with_arm": True,
+            "seed": seed,
+            "arm": _arm_summary(self.arm.limits, trace, self.controller.saturation),
+        }
+        record = measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
+        record.summary["tube"] = _against_tube(plan, record)  # type: ignore[index]
+        return record
 
 
 def simulate(
@@ -65,29 +133,7 @@ def simulate(
     Raises ScenarioError for parameters that cannot be, UnreachableError when the plan has no joint motion,
     SalverError when the engine diverges.
     """
-    scenario = plan.scenario
-    if scenario.arm is None:
-        return simulate_tray(plan.reference, scenario, parameters, options)
-    if plan.joint is None:
-        why = plan.no_arm_motion
-        raise UnreachableError(f"{scenario.name} has no joint motion to simulate: {why}")
-    began = time.perf_counter()
-    arm = load_arm(scenario.arm, scenario.tray)
-    run = prepare(scenario, parameters, options, plan.reference, arm)
-    # Plans made in joint space know their tracking errors in joint space (salver.planning.joint_tracking).
-    space: Literal["object", "joint"] = "joint" if plan.method == "fastest" else "object"
-    controller = controller_for(scenario, plan.joint, plan.reference, arm=arm, space=space)
-    trace = _run_arm(run, controller, plan.joint.sample(0.0)[0][0], np.random.default_rng(seed))
-    bias = creep.tray_bias(arm, trace.q, trace.dq, run.scene.world.R_tilt)
-    summary = {
-        "method": plan.method,
-        "with_arm": True,
-        "seed": seed,
-        "arm": _arm_summary(arm.limits, trace, controller.saturation),
-    }
-    record = measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
-    record.summary["tube"] = _against_tube(plan, record)  # type: ignore[index]
-    return record
+    return Experiment(plan, options or Options()).run(parameters, seed)
 
 
 def _run_arm(run: Run, controller: ArmController, q_start: Array, rng: np.random.Generator) -> Trace:
@@ -98,10 +144,10 @@ def _run_arm(run: Run, controller: ArmController, q_start: Array, rng: np.random
     recorder = Recorder(scene, len(run.t))
     steps = _steps_per_command(run.scenario)
     sensed: deque[ArmState] = deque(maxlen=physics.delay_steps + 1)
-    qpos, qvel = data.qpos, data.qvel
+    qpos, qvel, applied = data.qpos, data.qvel, data.qfrc_applied[:n]
     i, j = int(scene.qpos_ids[0]), int(scene.qvel_ids[0])
     noisy = physics.position_noise > 0 or physics.velocity_noise > 0
-    for now in run.t:
+    for now in run.t.tolist():
         q, dq = qpos[:n].copy(), qvel[:n].copy()
         state = ArmState(q, dq)
         if noisy:
@@ -113,7 +159,7 @@ def _run_arm(run: Run, controller: ArmController, q_start: Array, rng: np.random
         sensed.append(state)
         tau = controller.step(sensed[0], now)
         recorder.joints(now, q, dq, tau)
-        data.qfrc_applied[:n] = tau
+        applied[:] = tau
         mujoco.mj_step(model, data)
         recorder.take(data)
         if steps > 1:
@@ -169,7 +215,7 @@ def simulate_tray(
     run = prepare(scenario, parameters, options, reference, None)
     scene, steps = run.scene, _steps_per_command(scenario)
     fine = run.t[0] + scenario.physics.timestep * np.arange(len(run.t) * steps)
-    real = _tray_motion(reference, scene, fine).of_frame(np.zeros(3), scene.world.R_tilt)
+    real = _of_tray(reference.sample(fine), scene).of_frame(np.zeros(3), scene.world.R_tilt)
     motion = tray_frame.TrayMotion.of(real)
     model, data = scene.model, mujoco.MjData(scene.model)
     scene.place(data)
@@ -198,16 +244,18 @@ def prepare(
 ) -> Run:
     """The scene with its true parameters, and the times of the commands."""
     scene = build(scenario, true_world(scenario, parameters), arm)
-    t = _command_times(scenario, reference.duration)
-    return Run(
-        scenario, dict(parameters or {}), options or Options(), reference, scene, t, _tray_motion(reference, scene, t)
-    )
+    wanted = _at_commands(scenario, reference)
+    return Run(scenario, dict(parameters or {}), options or Options(), reference, scene, wanted)
 
 
-def _tray_motion(reference: Reference, scene: Scene, t: Array) -> MotionSamples:
-    """Motion of the assumed frame E when the first object keeps its place on the tray."""
+def _at_commands(scenario: Scenario, reference: Reference) -> MotionSamples:
+    return reference.sample(_command_times(scenario, reference.duration))
+
+
+def _of_tray(wanted: MotionSamples, scene: Scene) -> MotionSamples:
+    """Motion of the assumed frame E when the first object, which moves as wanted, keeps its place on the tray."""
     first = scene.loads[0].nominal
-    return reference.sample(t).of_frame(*invert(first.p_EB, first.R_EB))
+    return wanted.of_frame(*invert(first.p_EB, first.R_EB))
 
 
 def _steps_per_command(scenario: Scenario) -> int:
@@ -251,7 +299,7 @@ def measure(
     p_SE, R_SE = tray_S
     p_SB = p_SE[:, None] + np.einsum("tij,tmj->tmi", R_SE, seen.p_EB)
     R_SB = R_SE[:, None] @ seen.R_EB
-    e_p, e_o = _pose_error(run.reference.sample(trace.t), p_SB[:, 0], R_SB[:, 0])
+    e_p, e_o = _pose_error(run.wanted, p_SB[:, 0], R_SB[:, 0])
     tray_e_p, tray_e_o = _pose_error(run.wanted_E, p_SE, R_SE)
     first = scene.loads[0]
     points = first.outline_B

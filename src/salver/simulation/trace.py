@@ -48,7 +48,7 @@ class Recorder:
         self.bodies = np.concatenate([[scene.tray_id], scene.object_ids])
         self.position = np.empty((count, m + 1, 3))
         self.quaternion = np.empty((count, m + 1, 4))
-        self.contacts: list[tuple[Array, Array, Array]] = []
+        self.contacts: list[tuple[Array, Array, Array, Array]] = []
         self.count = 0
 
     def joints(self, t: float, q: Array, dq: Array, tau: Array) -> None:
@@ -62,12 +62,9 @@ class Recorder:
         self.position[k] = data.xpos[self.bodies]
         self.quaternion[k] = data.xquat[self.bodies]
         contact = data.contact
-        address = contact.efc_address
-        if len(address):
-            force = data.efc_force[address[:, None] + _ROWS]
-            self.contacts.append((contact.geom.copy(), contact.frame.copy(), force))
-        else:
-            self.contacts.append(_NO_CONTACT)
+        self.contacts.append(
+            (contact.geom.copy(), contact.frame.copy(), contact.efc_address.copy(), data.efc_force.copy())
+        )
         self.count = k + 1
 
     def trace(self) -> Trace:
@@ -75,9 +72,11 @@ class Recorder:
         m = len(scene.loads)
         R = matrix_from_quat_wxyz(self.quaternion[:count])
         R_XB = R[:, 1:]
-        sizes = [len(c[0]) for c in self.contacts]
-        instant = np.repeat(np.arange(count), sizes)
-        geom, frame, local = (np.concatenate([c[i] for c in self.contacts]) for i in range(3))
+        instant = np.repeat(np.arange(count), [len(c[0]) for c in self.contacts])
+        geom, frame, address, rows = (np.concatenate([c[i] for c in self.contacts]) for i in range(4))
+        # A contact's three rows of the constraint forces, which start anew at every instant.
+        start = np.cumsum([0, *(len(c[3]) for c in self.contacts[:-1])])
+        local = rows[(start[instant] + address)[:, None] + np.arange(3)]
         # Contact forces act on the second geom, in a frame whose rows are the normal and two tangents.
         force = np.einsum("cij,ci->cj", frame.reshape(-1, 3, 3), local)
         loaded = np.linalg.norm(force, axis=1) > 0
@@ -116,10 +115,6 @@ class Recorder:
             foreign=foreign,
             collides=collides,
         )
-
-
-_ROWS = np.arange(3)
-_NO_CONTACT = (np.empty((0, 2), int), np.empty((0, 9)), np.empty((0, 3)))
 
 
 def _owner(scene: Scene) -> Array:
