@@ -22,7 +22,7 @@ from salver.planning.joint_curves import FreeCurve, Grid
 from salver.planning.joint_problem import EndPose, TransportProblem, reach, transport_problem
 from salver.planning.joint_rows import Margins, evaluate
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
-from salver.planning.joint_sqp import Iterate, _linearise
+from salver.planning.joint_sqp import Iterate, _linearise, _near
 from salver.planning.joint_tracking import tracking_of
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm_terms import motion_terms
@@ -150,9 +150,7 @@ def test_linearised_rows_match_differences_in_coefficients_and_squared_duration(
         return Iterate(coefficients, evaluate(problem, grid.s, z, duration, margins))
 
     path = at(coefficients, duration**2)
-    rows = _linearise(
-        FreeCurve(problem, grid), path, 10.0, [np.zeros(f.values.shape, dtype=bool) for f in path.at.families]
-    )
+    rows = _linearise(FreeCurve(problem, grid), path, _near(path.at, 10.0))
     direction, tau, h = rng.normal(size=coefficients.shape), 0.3, 1e-6
 
     def moved(sign: float) -> Array:
@@ -173,6 +171,21 @@ def test_linearised_rows_match_differences_in_coefficients_and_squared_duration(
     # Where the nearest points of two hulls jump, a distance has only one-sided derivatives.
     assert error[names != "clearance"].max() < 1e-5
     assert np.quantile(error[names == "clearance"], 0.9) < 1e-2
+
+
+def test_putting_the_goal_right_does_not_jolt_the_arm():
+    """The correction of a goal missed by 2 mrad is itself a smooth move of that size."""
+    problem = transport_problem(cube(), robust=False)
+    spline, duration = RestSpline(5, 14), 1.0
+    curve = FreeCurve(problem, Grid.of(spline, spline.nodes(4)))
+    missed = line(problem, spline)
+    missed += np.linspace(0, 1, spline.size)[:, None] * np.array([0.0, 2e-3, 0, 0, 0, 0, 0])
+    right = curve.repaired(missed)
+    assert right is not None
+    moved = curve.motion(right, duration) - curve.motion(missed, duration)
+    size = np.abs(moved[0]).max()
+    assert 5e-4 < size < 5e-3
+    assert np.abs(moved[2]).max() < 20 * size / duration**2  # min-jerk takes 5.8; the last control point alone 1759
 
 
 # The closed loop -----------------------------------------------------------------------------------------------

@@ -60,9 +60,10 @@ class ArmGeometry:
     def clearance(self, q: Array) -> Array:
         """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap."""
         distances = np.empty((len(q), len(self.pairs)))
+        results = list(self.data.distanceResults)  # views of what each call fills; making them takes longer than it
         for k, posture in enumerate(q):
             pin.computeDistances(self.arm.pin_model, self.arm.data, self.model, self.data, posture)
-            distances[k] = [result.min_distance for result in self.data.distanceResults]
+            distances[k] = [result.min_distance for result in results]
         return distances
 
     def clearance_gradient(self, q: Array) -> tuple[Array, Array]:

@@ -52,7 +52,7 @@ def worst_case(rows: ContactRows, w: Array, dw: Array | None = None, names: tupl
         signs = np.sign(terms)
     spread, weight = _radius(rows, change)
     if dw is not None:
-        followed = np.einsum("nkp,fk->nfp", dw, rows.nominal)
+        followed = rows.nominal @ dw
         strayed, extra = change.copy(), np.zeros_like(values)
         for k, name in enumerate(names):
             if name in rows.names:

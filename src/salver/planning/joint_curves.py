@@ -10,29 +10,33 @@ import numpy as np
 from salver.geometry import Array
 from salver.planning.joint_problem import TransportProblem, end_residual, reach
 from salver.planning.joint_rows import Indices
-from salver.planning.joint_spline import RestSpline
+from salver.planning.joint_spline import RestSpline, min_jerk_blend
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Nodes s (N,) in [0, 1] and the spline basis there, (4, N, size)."""
+    """Points s (P,) in [0, 1], the spline basis there, (4, P, size), and which of them are nodes, (N,) indices."""
 
     s: Array
     basis: Array
+    nodes: Indices
 
     @classmethod
-    def of(cls, spline: RestSpline, s: Array) -> Grid:
-        return cls(s, spline.matrices(s))
+    def of(cls, spline: RestSpline, nodes: Array, finer: int = 1) -> Grid:
+        """The nodes (N,), and finer - 1 points between each two of them."""
+        last = finer * (len(nodes) - 1)
+        s = np.interp(np.arange(last + 1) / finer, np.arange(len(nodes)), nodes)
+        return cls(s, spline.matrices(s), finer * np.arange(len(nodes)))
 
     def motion(self, coefficients: Array, duration: float) -> Array:
-        """(4, N, m): the spline's value and its first three time derivatives."""
+        """(4, P, m): the spline's value and its first three time derivatives."""
         z = self.basis @ coefficients
         return z / duration ** np.arange(4.0)[:, None, None]
 
-    def chained(self, parts: Array, node: Indices, duration: float) -> Array:
+    def chained(self, parts: Array, point: Indices, duration: float) -> Array:
         """(r, size m) from derivatives by the value and its time derivatives, parts (r, 4, m), to the coefficients."""
-        basis = self.basis[:, node].transpose(1, 2, 0) * duration ** -np.arange(4.0)
-        return np.matmul(basis, parts).reshape(len(node), -1)
+        basis = self.basis[:, point].transpose(1, 2, 0) * duration ** -np.arange(4.0)
+        return np.matmul(basis, parts).reshape(len(point), -1)
 
 
 class Curve(Protocol):
@@ -45,11 +49,11 @@ class Curve(Protocol):
     def grid(self) -> Grid: ...
 
     def motion(self, coefficients: Array, duration: float) -> Array:
-        """z (4, N, n): q and its time derivatives at the nodes."""
+        """z (4, P, n): q and its time derivatives at the points of the grid."""
         ...
 
-    def columns(self, coefficients: Array, duration: float, parts: Array, node: Indices) -> Array:
-        """(r, size m): derivatives by the coefficients from those by z at nodes, parts (r, 4, n)."""
+    def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
+        """(r, size m): derivatives by the coefficients from those by z at points, parts (r, 4, n)."""
         ...
 
     def fixed(self) -> tuple[int, int]:
@@ -79,8 +83,8 @@ class FreeCurve:
     def motion(self, coefficients: Array, duration: float) -> Array:
         return self.grid.motion(coefficients, duration)
 
-    def columns(self, coefficients: Array, duration: float, parts: Array, node: Indices) -> Array:
-        return self.grid.chained(parts, node, duration)
+    def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
+        return self.grid.chained(parts, point, duration)
 
     def fixed(self) -> tuple[int, int]:
         return (0 if self.problem.start_posture is None else self.problem.n), 0
@@ -110,7 +114,10 @@ class FreeCurve:
             start = reach(problem, problem.start, coefficients[0], 20)
         if goal is None or start is None:
             return None
-        return np.vstack([start, coefficients[1:-1], goal])
+        # Moving an end alone would be a jolt: the whole motion follows it, the less the further away.
+        share = min_jerk_blend(np.linspace(0, 1, len(coefficients)))[:, None]
+        moved = coefficients + (1 - share) * (start - coefficients[0]) + share * (goal - coefficients[-1])
+        return np.vstack([start, moved[1:-1], goal])
 
 
 class JointPath(Protocol):
@@ -137,8 +144,8 @@ class PathCurve:
         p0, p1, p2, p3 = self.path.derivatives(self.grid.basis[0] @ coefficients[:, 0], 3)
         return np.stack([p0, p1 * u1, p2 * u1**2 + p1 * u2, p3 * u1**3 + 3 * p2 * u1 * u2 + p1 * u3])
 
-    def columns(self, coefficients: Array, duration: float, parts: Array, node: Indices) -> Array:
-        u, u1, u2, u3 = (x[node] for x in self._law(coefficients, duration))
+    def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
+        u, u1, u2, u3 = (x[point] for x in self._law(coefficients, duration))
         _, p1, p2, p3, p4 = self.path.derivatives(u[:, 0], 4)
         zero = np.zeros_like(p1)
         by_law = (
@@ -148,7 +155,7 @@ class PathCurve:
             (zero, zero, zero, p1),
         )
         law = np.stack([np.einsum("rkn,krn->r", parts, np.stack(row)) for row in by_law], axis=1)
-        return self.grid.chained(law[:, :, None], node, duration)
+        return self.grid.chained(law[:, :, None], point, duration)
 
     def fixed(self) -> tuple[int, int]:
         return 1, 1

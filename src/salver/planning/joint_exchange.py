@@ -17,13 +17,16 @@ from salver.planning.joint_curves import Curve, Grid
 from salver.planning.joint_problem import TransportProblem
 from salver.planning.joint_rows import Indices, Margins, evaluate
 from salver.planning.joint_spline import RestSpline
-from salver.planning.joint_sqp import Options, Solution, minimise_duration
+from salver.planning.joint_sqp import DEEPEST, Options, Solution, minimise_duration
 
 ROUGH_GAIN = 1e-2  # relative shortening below which a rough optimum is good enough
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
 SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
+POINTS = 3  # from node to node, where joint limits are imposed
 CHECK_FACTOR = 10  # the check between nodes uses a grid this much finer
+
+_STRETCH = {"velocity": 1.02, "acceleration": 0.52, "jerk": 0.35, "torque rate": 1.02}
 
 CurveOf = Callable[[TransportProblem, Grid], Curve]
 
@@ -56,26 +59,25 @@ def optimise(
     begun = time.perf_counter()
     margins = _node_margins(problem)
     nodes = spline.nodes(nodes_per_span)
-    count = CHECK_FACTOR * (len(nodes) - 1) + 1
-    fine = curve_of(problem, Grid.of(spline, np.interp(np.arange(count) / CHECK_FACTOR, np.arange(len(nodes)), nodes)))
+    fine = curve_of(problem, Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s))
 
     def solve(coefficients: Array, duration: float, options: Options, damping: float, depth: float) -> Solution:
-        grid = Grid.of(spline, nodes)
-        postures = curve_of(problem, grid).motion(coefficients, duration)[0]
+        grid = Grid.of(spline, nodes, POINTS)
+        postures = curve_of(problem, grid).motion(coefficients, duration)[0, grid.nodes]
         curve = curve_of(_watching(problem, postures), grid)
         left = max(0.05, time_limit - (time.perf_counter() - begun))
         limited = replace(options, time_limit=left)
         return minimise_duration(curve, coefficients, duration, margins, limited, damping, depth)
 
-    solution = solve(coefficients, duration, Options(gain=3e-3), damping, 0.5)
+    solution = solve(coefficients, duration, Options(gain=1e-3), damping, DEEPEST)
     iterations = solution.iterations
     for exchange in range(EXCHANGES + 1):
         coefficients, duration = solution.iterate.coefficients, solution.iterate.duration
         worst, peaks = _between(fine, coefficients, duration)
         excess = max(worst.values())
         if 0.0 < excess < SMALL_EXCESS:
-            # Slower by as much as a limit is exceeded; contact has its own margin at the nodes.
-            slower = duration * (1.0 + 1.5 * excess)
+            # As much slower as puts the excess right: velocity goes with 1 / T, acceleration with its square.
+            slower = duration * (1.0 + max(_STRETCH.get(name, 1.5) * value for name, value in worst.items()))
             stretched, _ = _between(fine, coefficients, slower)
             if max(stretched.values()) <= 0.0:
                 worst, excess, duration = stretched, 0.0, slower
@@ -83,8 +85,8 @@ def optimise(
         if excess <= 0.0 or excess > HOPELESS or exchange == EXCHANGES or late:
             break
         nodes = np.union1d(nodes, fine.grid.s[peaks])
-        options = Options(iterations=15, gain=1e-3)
-        solution = solve(coefficients, duration, options, min(3 * solution.damping, 0.1), 0.05)
+        options = Options(iterations=15, gain=5e-4)
+        solution = solve(coefficients, duration, options, 0.4, 0.05)
         iterations += solution.iterations
     return Checked(coefficients, duration, _status(solution, worst, duration), worst, iterations)
 

@@ -32,12 +32,14 @@ class Family:
 
     following: derivative rows of the next node, for rows that couple two neighbours.
     edge: what was subtracted to make a limit the zero of its row.
+    points: (N,) the points of the grid at which the rows are taken.
     reach: rows further than this from their edge are never considered, because their derivatives are expensive.
     """
 
     name: str
     values: Array
     gradient: Gradient
+    points: Indices
     scales: bool = True
     following: Gradient | None = None
     reach: float = np.inf
@@ -61,7 +63,9 @@ class Margins:
 
 @dataclass(frozen=True)
 class Evaluated:
-    """A motion evaluated at nodes: z (4, N, n) = q and its three time derivatives, the dynamic terms, the rows."""
+    """A motion evaluated: z (4, P, n) = q and its three time derivatives at the points of a grid; the dynamic terms at
+    those points that are nodes; the rows.
+    """
 
     duration: float
     z: Array
@@ -78,18 +82,26 @@ class Evaluated:
         return max(0.0, self.worst[0])
 
 
-def evaluate(problem: TransportProblem, s: Array, z: Array, duration: float, margins: Margins) -> Evaluated:
-    """All rows of a motion z (4, N, n) at nodes s (N,) in [0, 1] of its duration."""
-    terms = motion_terms(problem.model, problem.arm.tray_id, z[0], z[1], z[2])
-    loop = None if problem.tracking is None else problem.tracking.response(s, duration, terms)
+def evaluate(
+    problem: TransportProblem, s: Array, z: Array, duration: float, margins: Margins, nodes: Indices | None = None
+) -> Evaluated:
+    """All rows of a motion z (4, P, n) at points s (P,) in [0, 1] of its duration.
+
+    nodes: (N,) indices of the points at which dynamics and distances are evaluated, all by default. The limits of
+    the joints' own motion cost little and are evaluated at all points.
+    """
+    nodes = np.arange(len(s)) if nodes is None else nodes
+    at = z[:, nodes]
+    terms = motion_terms(problem.model, problem.arm.tray_id, at[0], at[1], at[2])
+    loop = None if problem.tracking is None else problem.tracking.response(s[nodes], duration, terms)
     families = [
         *_limits(problem, z, margins.limits),
-        *_torque(problem, s, duration, terms, loop, margins.limits),
-        *_contact(problem, terms, loop, margins.contact),
-        *_tilt(problem, terms, margins.limits),
+        *_torque(problem, s, duration, terms, loop, nodes, margins.limits),
+        *_contact(problem, terms, loop, nodes, margins.contact),
+        *_tilt(problem, terms, nodes, margins.limits),
     ]
     if problem.keep_out is not None and len(problem.keep_out.required):
-        families.append(_clearance(problem, problem.keep_out, z[0], loop, margins.clearance))
+        families.append(_clearance(problem, problem.keep_out, at[0], loop, nodes, margins.clearance))
     return Evaluated(duration, z, terms, tuple(families))
 
 
@@ -97,6 +109,7 @@ def _limits(problem: TransportProblem, z: Array, margin: float) -> list[Family]:
     """Position, velocity, acceleration, jerk; two rows for each joint with a finite limit."""
     n, limits = problem.n, problem.limits
     centre, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
+    points = np.arange(z.shape[1])
     families = []
     for order, (name, bound) in enumerate(
         (
@@ -120,7 +133,7 @@ def _limits(problem: TransportProblem, z: Array, margin: float) -> list[Family]:
             return rows
 
         values = np.hstack([scaled, -scaled]) - 1 + margin
-        families.append(Family(name, values, gradient, scales=order > 0))
+        families.append(Family(name, values, gradient, points, scales=order > 0))
     return families
 
 
@@ -130,6 +143,7 @@ def _torque(
     duration: float,
     terms: MotionTerms,
     loop: Response | None,
+    nodes: Indices,
     margin: float,
 ) -> list[Family]:
     """Torque, and its rate between neighbouring nodes. A wrong load adds its worst case to the torque."""
@@ -148,10 +162,10 @@ def _torque(
             return _padded(terms.torque_z[i, finite[column]] * (sign / bound[column])[:, None], n)
 
         values = np.hstack([scaled + extra, -scaled + extra]) - 1 + margin
-        families.append(Family("torque", values, gradient))
+        families.append(Family("torque", values, gradient, nodes))
     finite_rate = np.flatnonzero(np.isfinite(limits.torque_rate))
     if len(finite_rate):
-        step = np.diff(s) * duration
+        step = np.diff(s[nodes]) * duration
         bound_rate = limits.torque_rate[finite_rate]
         rate = np.diff(terms.torque[:, finite_rate], axis=0) / step[:, None] / bound_rate
 
@@ -165,6 +179,7 @@ def _torque(
                 "torque rate",
                 np.hstack([rate, -rate]) - 1 + margin,
                 lambda i, f: side(i, f, 0),
+                nodes,
                 following=lambda i, f: side(i, f, 1),
                 edge=1 - margin,
             )
@@ -172,7 +187,9 @@ def _torque(
     return families
 
 
-def _contact(problem: TransportProblem, terms: MotionTerms, loop: Response | None, margin: float) -> list[Family]:
+def _contact(
+    problem: TransportProblem, terms: MotionTerms, loop: Response | None, nodes: Indices, margin: float
+) -> list[Family]:
     """Facets of the contact wrench cones of everything on the tray, at the worst parameters."""
     change, names = (None, ()) if loop is None else (loop.motion_change(), loop.tracking.names)
     families = []
@@ -183,11 +200,11 @@ def _contact(problem: TransportProblem, terms: MotionTerms, loop: Response | Non
             return _padded(np.einsum("rk,rkz->rz", worst.attained(i, f), terms.w_z[i]), problem.n)
 
         carried = " and ".join(body.name for body in rows.network.bodies)
-        families.append(Family(f"contact of {carried}", worst.values + margin, gradient))
+        families.append(Family(f"contact of {carried}", worst.values + margin, gradient, nodes))
     return families
 
 
-def _tilt(problem: TransportProblem, terms: MotionTerms, margin: float) -> list[Family]:
+def _tilt(problem: TransportProblem, terms: MotionTerms, nodes: Indices, margin: float) -> list[Family]:
     """Tray level within the tolerance, or tilted by no more than allowed."""
     if not np.isfinite(problem.max_tilt):
         return []
@@ -202,17 +219,19 @@ def _tilt(problem: TransportProblem, terms: MotionTerms, margin: float) -> list[
             return _padded(up_q[i, f % 2] * (sign * LEVEL_SCALE)[:, None], n)
 
         values = LEVEL_SCALE * (np.hstack([scaled, -scaled]) - 1 + 50 * margin)
-        return [Family("tilt", values, level, scales=False)]
+        return [Family("tilt", values, level, nodes, scales=False)]
     scale = 1.0 / max(1 - np.cos(problem.max_tilt), 1e-6)
     values = scale * (np.cos(problem.max_tilt) - up[:, 2:]) + margin
-    return [Family("tilt", values, lambda i, f: _padded(-scale * up_q[i, 2], n), scales=False)]
+    return [Family("tilt", values, lambda i, f: _padded(-scale * up_q[i, 2], n), nodes, scales=False)]
 
 
 REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves what stands on it
 LEVEL_SCALE = 1e-3  # rows of "level" in rad, the size at which a tilt matters to contact
 
 
-def _clearance(problem: TransportProblem, keep_out: KeepOut, q: Array, loop: Response | None, margin: float) -> Family:
+def _clearance(
+    problem: TransportProblem, keep_out: KeepOut, q: Array, loop: Response | None, nodes: Indices, margin: float
+) -> Family:
     """Distances of all watched pairs, less what the arm may stray, in units of 0.1 m."""
     distance = keep_out.distances(q)
     if loop is not None:
@@ -223,7 +242,7 @@ def _clearance(problem: TransportProblem, keep_out: KeepOut, q: Array, loop: Res
     def gradient(i: Indices, f: Indices) -> Array:
         return _padded(-10.0 * keep_out.gradient(q, i, f), problem.n)
 
-    return Family("clearance", -10.0 * distance + margin, gradient, scales=False, reach=0.2)
+    return Family("clearance", -10.0 * distance + margin, gradient, nodes, scales=False, reach=0.2)
 
 
 def _padded(rows: Array, n: int) -> Array:

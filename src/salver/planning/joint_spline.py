@@ -43,11 +43,11 @@ class RestSpline:
         return np.concatenate([np.zeros(self.degree), self.breaks(), np.ones(self.degree)])
 
     def nodes(self, per_span: int) -> Array:
-        """(spans * per_span + 3,) points, equally many in each piece, and two more next to the ends."""
+        """(spans * per_span + 5,) points, equally many in each piece, and two more next to each end."""
         breaks = self.breaks()
         inner = np.interp(np.arange(self.spans * per_span + 1) / per_span, np.arange(self.spans + 1), breaks)
-        first = 0.3 * inner[1]
-        return np.unique(np.concatenate([inner, [first, 1 - first]]))
+        first = np.array([0.05, 0.4]) * inner[1]  # torque builds up fastest out of rest
+        return np.unique(np.concatenate([inner, first, 1 - first]))
 
     def matrices(self, s: Array) -> Array:
         """(4, len(s), size): the basis at s in [0, 1] and its first three derivatives with respect to s."""

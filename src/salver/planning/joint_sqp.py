@@ -13,6 +13,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import piqp
 from scipy.sparse import csc_matrix
 
@@ -21,10 +22,14 @@ from salver.geometry import Array
 from salver.planning.joint_curves import Curve
 from salver.planning.joint_rows import Evaluated, Family, Indices, Margins, evaluate
 
+Mask = npt.NDArray[np.bool_]
+
 # The metric of a step: a change of acceleration by 1 rad/s^2 counts like 0.055 rad of posture, of jerk by 1000
 # rad/s^3 like 0.2 rad.
 ACCELERATION_WEIGHT, JERK_WEIGHT = 3e-3, 1e-9
 LEAST_PENALTY = 1.0  # s per unit of violation
+DEEPEST = 0.2  # rows further than this from their edge are left out of a programme
+UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
 MOST_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
 LONGEST_SHRINK, LONGEST_STRETCH = -0.36, 0.5  # of sigma in one iteration: 20 % and 22 % of T
 
@@ -74,6 +79,10 @@ class Linearised:
     bound: Array
     where: list[tuple[int, Indices, Indices]]
 
+    def with_more(self, other: Linearised) -> Linearised:
+        matrix, bound = np.vstack([self.matrix, other.matrix]), np.concatenate([self.bound, other.bound])
+        return Linearised(matrix, bound, self.where + other.where)
+
 
 def minimise_duration(
     curve: Curve,
@@ -82,7 +91,7 @@ def minimise_duration(
     margins: Margins,
     options: Options,
     damping: float = 1.0,
-    depth: float = 0.5,
+    depth: float = DEEPEST,
 ) -> Solution:
     """Local optimum from a start, which may violate conditions. Coefficients (size, m), duration in s.
 
@@ -93,12 +102,13 @@ def minimise_duration(
     path = _iterate(curve, coefficients, duration, margins)
     grams = [basis.T @ basis / len(curve.grid.s) for basis in curve.grid.basis]
     penalty, shrink = options.penalty, LONGEST_SHRINK
-    forced: list[np.ndarray] = [np.zeros(f.values.shape, dtype=bool) for f in path.at.families]
+    forced: list[Mask] = [np.zeros(f.values.shape, dtype=bool) for f in path.at.families]
     idle = programmes = done = 0
     code = "iteration_limit"
     while done < options.iterations:
         done += 1
-        rows = _linearise(curve, path, depth, forced)
+        masks = [near | more for near, more in zip(_near(path.at, depth), forced, strict=True)]
+        rows = _linearise(curve, path, masks)
         metric = (
             grams[0] + ACCELERATION_WEIGHT * grams[2] / path.duration**4 + JERK_WEIGHT * grams[3] / path.duration**6
         )
@@ -120,30 +130,52 @@ def minimise_duration(
         merit = path.duration + penalty * path.at.violation
         predicted = merit - (path.duration * np.sqrt(1 + step[-2]) + penalty * step[-1])
         trial_merit = np.inf if trial is None else trial.duration + penalty * trial.at.violation
+        share = 1.0
         if trial is not None and trial.at.violation > max(2e-4, 2 * step[-1]) and trial_merit > merit - 0.8 * predicted:
+            # Rows that were thought to be far away join, linearised where the others were.
+            unseen = [(f.values > UNSEEN) & ~mask for f, mask in zip(trial.at.families, masks, strict=True)]
+            if any(mask.any() for mask in unseen):
+                forced = [mask | more for mask, more in zip(forced, unseen, strict=True)]
+                rows = rows.with_more(_linearise(curve, path, unseen))
+                programme = _Programme(curve, path, rows, metric, damping, penalty, shrink)
             corrected = programme.solve(_corrected(rows, trial, step))
             programmes += 1
             second = None if corrected is None else _move(curve, path, corrected, margins)
+            bend = np.zeros_like(step)
+            left, power = trial.at.violation, 2
             if second is not None and second.duration + penalty * second.at.violation < trial_merit:
                 trial, trial_merit = second, second.duration + penalty * second.at.violation
+                bend, left, power = corrected - step, second.at.violation, 3
+            if merit - trial_merit < 0.3 * predicted:
+                # Along the arc x + a d + a^2 (d_c - d) the violation grows like a^power.
+                grown = power * penalty * max(left - max(path.at.violation, step[-1]), 1e-12)
+                share = float(np.clip((max(predicted, 0.0) / grown) ** (1 / (power - 1)), 0.1, 0.8))
+                third = _move(curve, path, share * step + share**2 * bend, margins)
+                if third is not None and third.duration + penalty * third.at.violation < trial_merit:
+                    trial, trial_merit = third, third.duration + penalty * third.at.violation
+                else:
+                    share = 1.0
         ratio = (merit - trial_merit) / max(predicted, 1e-12)
         if trial is not None and ratio > 0.01:
             change = max(
                 float(np.abs(new.values - old.values)[old.values > -1].max(initial=0.0))
                 for new, old in zip(trial.at.families, path.at.families, strict=True)
             )
-            depth = float(np.clip(2 * change, 0.02, 0.5))
+            depth = float(np.clip(2 * change, 0.02, DEEPEST))
             forced = [(mask & (f.values > -0.3)) for mask, f in zip(forced, trial.at.families, strict=True)]
             idle = idle + 1 if merit - trial_merit < options.gain * path.duration else 0
             path = trial
-            damping *= 0.2 if ratio > 0.9 else 0.4 if ratio > 0.6 else 2.0 if ratio < 0.3 else 1.0
+            if predicted < 3 * options.gain * path.duration and path.at.violation <= options.violation:
+                idle = 2
+            if share < 1.0:
+                damping *= min(1 / share, 4.0)
+            else:
+                damping *= 0.33 if ratio > 0.9 else 0.5 if ratio > 0.6 else 2.0 if ratio < 0.3 else 1.0
             damping = max(damping, 1e-5)
             shrink = max(1.5 * shrink, LONGEST_SHRINK) if ratio > 0.3 else shrink
         else:
             damping, shrink = damping * 4, 0.5 * max(shrink, -0.5)
-            if trial is not None:  # what the quadratic programme could not see
-                forced = [mask | (f.values > -0.02) for mask, f in zip(forced, trial.at.families, strict=True)]
-            if predicted < 0.1 * options.gain * path.duration:
+            if predicted < options.gain * path.duration:
                 idle += 1
         if idle >= 2 or damping > 1e7:
             if path.at.violation > options.violation and penalty < 1e4 and damping <= 1e7:
@@ -169,14 +201,22 @@ def _status(code: str, path: Iterate, options: Options) -> Status:
     )
 
 
-def _linearise(curve: Curve, path: Iterate, depth: float, forced: list[np.ndarray]) -> Linearised:
-    matrices, bounds, where = [], [], []
-    for k, family in enumerate(path.at.families):
+def _near(at: Evaluated, depth: float) -> list[Mask]:
+    """Rows no further from their edge than `depth`, for each family."""
+    masks = []
+    for family in at.families:
         floor = -np.inf if family.name == "tilt" and family.values.shape[1] == 4 else -depth
         near = family.values > max(floor, -family.reach)
         if family.values.shape[1] > MOST_ROWS and family.name.startswith("contact"):
             near &= family.values >= -np.partition(-family.values, MOST_ROWS, axis=1)[:, MOST_ROWS - 1 : MOST_ROWS]
-        node, column = np.nonzero(near | forced[k])
+        masks.append(near)
+    return masks
+
+
+def _linearise(curve: Curve, path: Iterate, masks: list[Mask]) -> Linearised:
+    matrices, bounds, where = [], [], []
+    for k, family in enumerate(path.at.families):
+        node, column = np.nonzero(masks[k])
         if len(node):
             matrices.append(_derivatives(curve, path, family, node, column))
             bounds.append(-family.values[node, column])
@@ -189,9 +229,9 @@ def _linearise(curve: Curve, path: Iterate, depth: float, forced: list[np.ndarra
 
 def _derivatives(curve: Curve, path: Iterate, family: Family, node: Indices, column: Indices) -> Array:
     """Rows (r, size m + 1) of a family, with respect to the coefficients and sigma / sigma_0."""
-    matrix = _at_node(curve, path, family.gradient(node, column), node)
+    matrix = _at_point(curve, path, family.gradient(node, column), family.points[node])
     if family.following is not None:
-        matrix += _at_node(curve, path, family.following(node, column), node + 1)
+        matrix += _at_point(curve, path, family.following(node, column), family.points[node + 1])
         # The time step between the nodes shrinks too.
         matrix[:, -1] -= 0.5 * (family.values[node, column] + family.edge)
     if family.scales:
@@ -199,13 +239,13 @@ def _derivatives(curve: Curve, path: Iterate, family: Family, node: Indices, col
     return matrix
 
 
-def _at_node(curve: Curve, path: Iterate, rows: Array, node: Indices) -> Array:
-    """Chain rule from z at a node to the coefficients and sigma / sigma_0."""
+def _at_point(curve: Curve, path: Iterate, rows: Array, point: Indices) -> Array:
+    """Chain rule from z at a point of the grid to the coefficients and sigma / sigma_0."""
     z = path.at.z
-    parts = rows.reshape(len(node), 4, z.shape[2])
-    out = np.empty((len(node), path.coefficients.size + 1))
-    out[:, :-1] = curve.columns(path.coefficients, path.duration, parts, node)
-    moved = np.einsum("rkn,krn->rk", parts[:, 1:], z[1:, node])
+    parts = rows.reshape(len(point), 4, z.shape[2])
+    out = np.empty((len(point), path.coefficients.size + 1))
+    out[:, :-1] = curve.columns(path.coefficients, path.duration, parts, point)
+    moved = np.einsum("rkn,krn->rk", parts[:, 1:], z[1:, point])
     out[:, -1] = -moved @ np.array([0.5, 1.0, 1.5])
     return out
 
@@ -219,7 +259,7 @@ def _corrected(rows: Linearised, trial: Iterate, step: Array) -> Array:
 
 def _iterate(curve: Curve, coefficients: Array, duration: float, margins: Margins) -> Iterate:
     z = curve.motion(coefficients, duration)
-    return Iterate(coefficients, evaluate(curve.problem, curve.grid.s, z, duration, margins))
+    return Iterate(coefficients, evaluate(curve.problem, curve.grid.s, z, duration, margins, curve.grid.nodes))
 
 
 def _move(curve: Curve, path: Iterate, step: Array, margins: Margins) -> Iterate | None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from salver.geometry import Array
 from salver.models.bodies import Body
@@ -124,16 +125,17 @@ def _filtered(drive: Array, steps: Array, kp: float, kd: float, settled: float) 
     roots = -0.5 * kd + np.array([root, -root])
     modes = []
     for r in roots:
-        z = (np.exp(r * settled) - 1) / r * drive[0].astype(complex)
-        track = np.empty(drive.shape, dtype=complex)
-        track[0] = z
         decay = np.exp(r * steps)
         hold = (decay - 1) / r
         ramp = (hold - steps) / (r * steps)
-        for k in range(len(steps)):
-            z = decay[k] * z + (hold[k] - ramp[k]) * drive[k] + ramp[k] * drive[k + 1]
-            track[k + 1] = z
-        modes.append(track)
+        # z_k+1 - decay_k z_k = what the drive adds in step k; all steps at once, as a bidiagonal system.
+        added = np.empty((len(drive), drive[0].size), dtype=complex)
+        flat = drive.reshape(len(drive), -1)
+        added[0] = (np.exp(r * settled) - 1) / r * flat[0]
+        added[1:] = (hold - ramp)[:, None] * flat[:-1] + ramp[:, None] * flat[1:]
+        bands = np.ones((2, len(drive)), dtype=complex)
+        bands[1, :-1] = -decay
+        modes.append(solve_banded((1, 0), bands, added, overwrite_b=True, check_finite=False).reshape(drive.shape))
     gap = roots[0] - roots[1]
     error = ((modes[0] - modes[1]) / gap).real
     rate = ((roots[0] * modes[0] - roots[1] * modes[1]) / gap).real
