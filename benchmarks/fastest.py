@@ -1,6 +1,6 @@
-"""How fast, and does it survive? Ten scenarios by five ways of finding the shortest duration.
+"""How fast, and does it survive? Ten scenarios by six ways of finding the shortest duration.
 
-    python benchmarks/fastest.py [-n 20] [--only tall-bottle ...] [--docs]
+    python benchmarks/fastest.py [-n 1000] [--all] [--only "tall bottle" ...] [--again] [--jobs 2] [--docs]
 
     line     the straight level min-jerk line, as fast as limits and nominal contact allow
     TOPP     the same line with the time-optimal law for nominal contact (no jerk, as TOPP-RA)
@@ -10,38 +10,47 @@
     tilting  the fastest robust motion, tray free to tilt
 
 Each motion is run n times in the physics engine with parameters drawn from the scenario's uncertain set, its
-corners first. Results are kept in docs/data/fastest.json; with --docs the page docs/fastest.md is written from them.
+corners first, the same for every way; line and paper, which are slow and safe, at most 32 times without --all. The
+runs of a motion are a campaign in runs/fastest/SCENARIO/WAY: what was stopped goes on where it was, and
+`salver simulate runs/fastest/SCENARIO/WAY --run K` shows a run. --again finds the motions anew.
+
+Results are kept in docs/data/fastest.json; with --docs the page docs/fastest.md is written from them.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import shutil
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from salver.campaign import run_campaign
 from salver.errors import SalverError, Status
 from salver.files import read_json, write_atomic, write_json
-from salver.models.bodies import bodies, uncertain_set
+from salver.models.bodies import bodies
 from salver.planning.fastest import fastest, object_motion
 from salver.planning.joint_problem import TransportProblem, transport_problem
 from salver.planning.joint_rows import Margins, evaluate
 from salver.planning.make import plan_baseline, plan_object, with_arm
-from salver.planning.plan import Plan
+from salver.planning.plan import Plan, load_plan
 from salver.planning.retiming import SplinePath, reachable_law
-from salver.sampling import draw
 from salver.scenario import Scenario, load
-from salver.simulation.physics import simulate
 from salver.trajectory import JointMotion, SampledReference
 
 ROOT = Path(__file__).parent.parent
 DATA = ROOT / "docs" / "data" / "fastest.json"
+WORK = ROOT / "runs" / "fastest"
 METHODS = ("line", "TOPP", "paper", "nominal", "level", "tilting")
+SLOW_AND_SAFE = ("line", "paper")
+FEW = 32  # runs of these
+REPORT_EVERY = 30.0  # s between lines of progress
 
 
 def item(name: str, shape: dict[str, Any], mass: float, friction: float, **more: Any) -> dict[str, Any]:
@@ -239,18 +248,36 @@ def optimum(scenario: Scenario, *, level: bool, robust: bool) -> tuple[float, Pl
 # Runs ------------------------------------------------------------------------------------------------------------
 
 
-def survival(scenario: Scenario, plan: Plan, n: int) -> dict[str, int]:
-    """Outcomes of n perturbed runs."""
-    uncertain = uncertain_set(scenario)
-    values = draw(uncertain, n, 0, "corners", bodies(scenario))
-    seen: Counter[str] = Counter()
-    for row in values:
-        parameters = dict(zip(uncertain.names, row.tolist(), strict=True))
-        seen[str(simulate(plan, parameters=parameters).summary["outcome"])] += 1
-    return dict(seen)
+def survival(place: Path, n: int, jobs: int, label: str) -> dict[str, int]:
+    """Outcomes of the first n perturbed runs of the plan in a run directory. Those that it holds are not made again."""
+    last = time.monotonic()
+
+    def progress(done: int, total: int, _: Counter[tuple[str, str]]) -> None:
+        nonlocal last
+        if time.monotonic() - last > REPORT_EVERY:
+            last = time.monotonic()
+            print(f"{label} {done} of {total} runs", flush=True)
+
+    made = run_campaign(place, n, method="corners", stems=["plan"], jobs=jobs, progress=progress)
+    return {outcome: rate["count"] for outcome, rate in made.summary["plans"]["plan"]["outcomes"].items()}
 
 
-def study(name: str, scenario: Scenario, n: int, known: dict[str, Any]) -> dict[str, Any]:
+def motion(place: Path, way: Callable[[], tuple[float, Plan]]) -> tuple[float, float]:
+    """Duration of a way's motion and processor time to find it, s. The plan is in the run directory afterwards."""
+    if (place / "plan.json").is_file():
+        plan = load_plan(place)
+    else:
+        began = time.process_time()
+        _, found = way()
+        plan = replace(found, solver={**found.solver, "processor_time": time.process_time() - began})
+        plan.save(place)
+    return plan.duration, plan.solver["processor_time"]
+
+
+def study(
+    name: str, scenario: Scenario, runs_of: Callable[[str], int], jobs: int, known: dict[str, Any]
+) -> Iterator[dict[str, Any]]:
+    """All ways of one scenario; what is known so far after each."""
     nominal = transport_problem(scenario, level=True, robust=False)
     path = line_path(scenario)
     ways: dict[str, Callable[[], tuple[float, Plan]]] = {
@@ -263,73 +290,101 @@ def study(name: str, scenario: Scenario, n: int, known: dict[str, Any]) -> dict[
     }
     out = dict(known)
     for method, way in ways.items():
-        if method in out and sum(out[method].get("outcomes", {}).values()) >= n:
+        label, n = f"{name:20s} {method:8s}", runs_of(method)
+        if out.get(method, {}).get("runs", -1) >= n:
             continue
-        began = time.process_time()
+        place = WORK / scenario.name / method
         try:
-            duration, plan = way()
+            duration, seconds = motion(place, way)
+            print(f"{label} {duration:.3f} s, found in {seconds:.2f} s", flush=True)
+            outcomes = survival(place, n, jobs, label) if n else {}
         except SalverError as error:
             out[method] = {"failed": str(error)}
-            print(f"{name}: {method}: {error}", flush=True)
-            continue
-        solved = time.process_time() - began
-        outcomes = survival(scenario, plan, n) if n else {}
-        out[method] = {"duration": duration, "seconds": solved, "outcomes": outcomes}
-        print(f"{name:20s} {method:8s} {duration:.3f} s, solved in {solved:.2f} s, {outcomes}", flush=True)
-    return out
+            print(f"{label} {error}", flush=True)
+        else:
+            out[method] = {"duration": duration, "seconds": seconds, "runs": n, "outcomes": outcomes}
+            print(f"{label} {outcomes}", flush=True)
+        yield out
 
 
 def page(results: dict[str, Any]) -> str:
     """docs/fastest.md."""
+
+    def table(cell: Callable[[dict[str, Any]], str], last: list[str] | None = None) -> list[str]:
+        rows = [[name, *(cell(methods.get(m, {})) for m in METHODS)] for name, methods in results.items()]
+        rows += [last] if last else []
+        head = ["| scenario | " + " | ".join(METHODS) + " |", "|---|" + "---|" * len(METHODS)]
+        return [*head, *(f"| {' | '.join(row)} |" for row in rows)]
+
+    def runs(found: dict[str, Any]) -> int:
+        return sum(found.get("outcomes", {}).values())
+
+    def held(found: dict[str, Any]) -> int:
+        return int(found.get("outcomes", {}).get("holds", 0))
+
+    def survived(found: dict[str, Any]) -> str:
+        if "duration" not in found:
+            return "none"
+        return f"{found['duration']:.3f} s" + (f", {held(found)}/{runs(found)}" if runs(found) else "")
+
+    def failures(found: dict[str, Any]) -> str:
+        kinds = sorted(found.get("outcomes", {}).items(), key=lambda kind: -kind[1])
+        return ", ".join(f"{count} {kind}" for kind, count in kinds if kind != "holds")
+
+    every = {m: [methods.get(m, {}) for methods in results.values()] for m in METHODS}
+    total = [f"{sum(map(held, every[m]))}/{sum(map(runs, every[m]))}" for m in METHODS]
     lines = [
         "# How fast can it go?",
         "",
         "Written by `python benchmarks/fastest.py --docs`; the numbers are in `docs/data/fastest.json`.",
         "",
-        "Each cell: duration, and of how many perturbed runs in the physics engine the load stayed where it was. The",
-        "ways of finding a duration, from left to right: the straight level min-jerk line, as fast as the arm's limits",
-        "and nominal contact allow; the same line with the time-optimal law (without jerk, as TOPP-RA has it); the",
-        "paper's polynomial plan and condition; the fastest motion that trusts the nominal parameters, tray free to",
-        "tilt; the fastest robust motions, level and tilting. The paper's condition knows objects on the tray only.",
+        "Each cell: duration, and of how many perturbed runs in the physics engine the load stayed where it was and",
+        "the arm within its limits. The ways of finding a duration, from left to right: the straight level min-jerk",
+        "line, as fast as the arm's limits and nominal contact allow; the same line with the time-optimal law (without",
+        "jerk, as TOPP-RA has it); the paper's polynomial plan and condition; the fastest motion that trusts the",
+        "nominal parameters, tray free to tilt; the fastest robust motions, level and tilting. The paper's condition",
+        "knows objects on the tray only. All ways meet the same parameters: the extreme points of the uncertain set",
+        "first, then points drawn evenly from it. Line and paper, which are slow, may have been run less often.",
         "",
-        "| scenario | " + " | ".join(METHODS) + " |",
-        "|---|" + "---|" * len(METHODS),
-    ]
-    for name, methods in results.items():
-        cells = []
-        for method in METHODS:
-            found = methods.get(method, {})
-            if "duration" not in found:
-                cells.append("none")
-                continue
-            runs = sum(found["outcomes"].values())
-            held = found["outcomes"].get("holds", 0)
-            cells.append(f"{found['duration']:.3f} s" + (f", {held}/{runs}" if runs else ""))
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    lines += [
+        *table(survived, ["all", *total]),
+        "",
+        "What became of the runs that did not hold, by the worst that happened: the load slides, tips, lifts off or is",
+        "lost over the tray's edge; *limit*: it stays, but a joint is too fast, asks for too much torque or leaves its",
+        "range.",
+        "",
+        *table(failures),
         "",
         "Processor time to find the motion, s (robust motions are checked for all parameters on a grid ten times finer",
         "than the one they are planned on, which is part of it):",
         "",
-        "| scenario | " + " | ".join(METHODS) + " |",
-        "|---|" + "---|" * len(METHODS),
+        *table(lambda found: f"{found['seconds']:.2f}" if "seconds" in found else ""),
     ]
-    for name, methods in results.items():
-        cells = [f"{methods[m]['seconds']:.2f}" if "seconds" in methods.get(m, {}) else "" for m in METHODS]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 
 
 def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("-n", type=int, default=20, help="perturbed runs of each motion")
+    options.add_argument("--all", action="store_true", help=f"as many of line and paper, too, not {FEW}")
     options.add_argument("--only", nargs="*", help="names of scenarios")
+    options.add_argument("--again", action="store_true", help="forget the motions and runs that there are")
+    options.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options.add_argument("--docs", action="store_true", help="write docs/fastest.md")
     chosen = options.parse_args()
+
+    def runs_of(method: str) -> int:
+        return min(chosen.n, FEW) if method in SLOW_AND_SAFE and not chosen.all else int(chosen.n)
+
     results: dict[str, Any] = read_json(DATA) if DATA.is_file() else {}
-    for name, scenario in scenarios().items():
-        if chosen.only is None or name in chosen.only:
-            results[name] = study(name, scenario, chosen.n, results.get(name, {}))
+    wanted = {name: made for name, made in scenarios().items() if chosen.only is None or name in chosen.only}
+    if chosen.again:
+        for name, scenario in wanted.items():
+            shutil.rmtree(WORK / scenario.name, ignore_errors=True)
+            results.pop(name, None)
+        write_json(DATA, results)
+    for name, scenario in wanted.items():
+        for found in study(name, scenario, runs_of, chosen.jobs, results.get(name, {})):
+            results[name] = found
             write_json(DATA, results)
     if chosen.docs:
         ordered = {name: results[name] for name in scenarios() if name in results}

@@ -17,7 +17,7 @@ from salver.models.arm import load_arm
 from salver.models.rigid_body import wrench
 from salver.planning.make import make_plan
 from salver.scenario import parse
-from salver.simulation.physics import Options, simulate, simulate_tray
+from salver.simulation.physics import Experiment, Options, simulate, simulate_tray
 from salver.simulation.record import load_record
 from salver.simulation.render import NoOpenGLError, painter, snapshots
 
@@ -53,6 +53,18 @@ def test_the_papers_move_holds_and_creep_is_not_slip(nominal):
     np.testing.assert_allclose(nominal.slip_E[:, 0, :2], nominal.creep_E[:, 0, :2], atol=1e-7)
     assert nominal.slip.max() < 1e-7
     assert nominal.in_contact.all()
+
+
+@pytest.mark.parametrize("method", ["baseline", "fastest"])
+def test_a_run_is_the_same_alone_and_after_others_of_the_same_experiment(fast, method):
+    """In object space and in joint space; the run before asks for more torque than there is, and loses the cube."""
+    plan = replace(fast, method=method)
+    experiment = Experiment(plan)
+    assert experiment.run({"mass": 12.0, "inertia_xx": 0.01, "inertia_yy": 0.01, "inertia_zz": 0.01}).outcome != "holds"
+    again, alone = experiment.run({"mass": 0.27}, seed=3), simulate(plan, parameters={"mass": 0.27}, seed=3)
+    for name in ("q", "tau", "p_SB", "slip", "contact_forces_B", "e_p"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(alone, name))
+    assert {**again.summary, "wall_time": 0} == {**alone.summary, "wall_time": 0}
 
 
 def test_creep_law_holds_at_another_timestep():
