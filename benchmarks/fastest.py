@@ -10,7 +10,7 @@
     tilting  the fastest robust motion, tray free to tilt
 
 Each motion is run n times in the physics engine with parameters drawn from the scenario's uncertain set, its
-corners first, the same for every way; line and paper, which are slow and safe, at most 32 times without --all. The
+corners first, the same for every way; line and paper, which are slow, at most 32 times without --all. The
 runs of a motion are a campaign in runs/fastest/SCENARIO/WAY: what was stopped goes on where it was, and
 `salver simulate runs/fastest/SCENARIO/WAY --run K` shows a run. --again finds the motions anew.
 
@@ -48,7 +48,7 @@ ROOT = Path(__file__).parent.parent
 DATA = ROOT / "docs" / "data" / "fastest.json"
 WORK = ROOT / "runs" / "fastest"
 METHODS = ("line", "TOPP", "paper", "nominal", "level", "tilting")
-SLOW_AND_SAFE = ("line", "paper")
+SLOW = ("line", "paper")
 FEW = 32  # runs of these
 REPORT_EVERY = 30.0  # s between lines of progress
 
@@ -343,9 +343,9 @@ def page(results: dict[str, Any]) -> str:
         "line, as fast as the arm's limits and nominal contact allow; the same line with the time-optimal law (without",
         "jerk, as TOPP-RA has it: `benchmarks/toppra_peer.py` compares it with the package toppra); the paper's",
         "polynomial plan and condition; the fastest motion that trusts the nominal parameters, tray free to tilt; the",
-        "fastest robust motions, level and tilting. The paper's condition knows objects on the tray only. All ways meet",
-        "the same parameters: the extreme points of the uncertain set first, then points drawn evenly from it. Line and",
-        "paper, which are slow, may have been run less often.",
+        "fastest robust motions, level and tilting. The paper's condition knows objects on the tray only. All ways",
+        "meet the same parameters: the extreme points of the uncertain set first, then points drawn evenly from it.",
+        "Line and paper, which are slow, may have been run less often.",
         "",
         *table(survived, ["all", *total]),
         "",
@@ -374,7 +374,7 @@ def main() -> None:
     chosen = options.parse_args()
 
     def runs_of(method: str) -> int:
-        return min(chosen.n, FEW) if method in SLOW_AND_SAFE and not chosen.all else int(chosen.n)
+        return min(chosen.n, FEW) if method in SLOW and not chosen.all else int(chosen.n)
 
     results: dict[str, Any] = read_json(DATA) if DATA.is_file() else {}
     wanted = {name: made for name, made in scenarios().items() if chosen.only is None or name in chosen.only}
