@@ -24,6 +24,7 @@ from salver.planning.joint_rows import Margins, evaluate
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
 from salver.planning.joint_sqp import Iterate, _linearise, _near
 from salver.planning.joint_tracking import tracking_of
+from salver.planning.make import make_plan
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm_terms import motion_terms
 
@@ -262,7 +263,7 @@ def test_tracking_starts_sagged_after_long_rest():
 
 
 @pytest.mark.parametrize(
-    ("friction", "level", "bar"), [(0.4, True, 0.77), (0.4, False, 0.672), (0.2, True, 1.074), (0.2, False, 0.816)]
+    ("friction", "level", "bar"), [(0.4, True, 0.745), (0.4, False, 0.667), (0.2, True, 0.975), (0.2, False, 0.775)]
 )
 def test_paper_endpoints_are_as_fast_as_the_bar_and_safe(friction, level, bar):
     scenario = cube(friction, objects__0__uncertainty={}, motion__orientation="fixed" if level else "free")
@@ -272,6 +273,13 @@ def test_paper_endpoints_are_as_fast_as_the_bar_and_safe(friction, level, bar):
     assert plan.verification.slack < 0.03  # contact binds: it is not the arm alone that limits
     tilt = np.arccos(np.clip(plan.evaluation.samples.R_SB[:, 2, 2], -1, 1)).max()
     assert tilt < 2e-3 if level else np.deg2rad(5) < tilt < np.deg2rad(45)
+
+
+def test_fastest_plan_does_not_depend_on_a_duration_that_the_scenario_gives():
+    """Its duration would otherwise say that the tray stays level: `Motion.may_turn`."""
+    timed, untimed = (make_plan(load("panda-cube").with_changes(motion__duration=T), "fastest") for T in (2.5, None))
+    assert timed.duration == untimed.duration
+    assert np.degrees(np.arccos(timed.evaluation.samples.R_SB[:, 2, 2].min())) > 5
 
 
 def test_bounded_tilt_lies_between_level_and_free():
@@ -320,23 +328,23 @@ def test_obstacle_on_the_way_is_avoided():
     assert found.duration > free.duration
 
 
-def test_random_start_postures_converge():
-    template = transport_problem(cube(objects__0__uncertainty={}, motion__orientation="free"), robust=False)
-    rng = np.random.default_rng(7)
-    limits, solved, tried = template.limits, 0, 0
-    while tried < 5:
+@pytest.mark.parametrize("level", [True, False])
+def test_random_start_postures_converge(level):
+    """All of these; `benchmarks/fastest_solve.py` counts fifty."""
+    template = transport_problem(cube(objects__0__uncertainty={}), robust=False, level=level)
+    rng, limits, tried = np.random.default_rng(5), template.limits, 0
+    assert template.keep_out is not None
+    while tried < 6:
         guess = limits.q_min + rng.uniform(0.1, 0.9, 7) * (limits.q_max - limits.q_min)
         radius, angle = rng.uniform(0.35, 0.65), rng.uniform(-1.2, 1.2)
         place = np.array([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(0.2, 0.6)])
         q = reach(template, EndPose(place, np.eye(3), True), guess)
-        assert template.keep_out is not None
         if q is None or template.keep_out.parts.clearance(q[None]).min() < 0.02:
             continue
         tried += 1
-        found = fastest(replace(template, start_posture=q), FastestOptions(spans=8))
-        solved += found.status.ok
-        assert found.status.sentence
-    assert solved >= 4
+        found = fastest(replace(template, start_posture=q))
+        assert found.status.ok, found.status
+        assert max(found.worst.values()) <= 0
 
 
 # The trade-off -------------------------------------------------------------------------------------------------

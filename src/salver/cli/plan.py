@@ -36,8 +36,6 @@ def plan(
     chosen = scenarios.load(scenario)
     if duration is not None:
         chosen = chosen.with_changes(motion__duration=duration)
-    if fastest:
-        chosen = chosen.with_changes(motion__duration=None)
     found, baseline = plan_pair(chosen, "fastest" if fastest else "robust", arm)
     directory = found.save(out if out is not None else Path("runs") / chosen.name)
     baseline.save(directory, "baseline")

@@ -8,7 +8,7 @@ refinement from few spline pieces to many, and the check between the nodes.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from salver.planning.joint_curves import FreeCurve
 from salver.planning.joint_exchange import optimise, rough
 from salver.planning.joint_problem import TransportProblem, reach, transport_problem
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
+from salver.planning.joint_sqp import Iterate, Solution
 from salver.scenario import Scenario
 from salver.sensitivity.arm_terms import motion_terms
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
@@ -29,18 +30,21 @@ if TYPE_CHECKING:
 
 DEGREE = 5
 REFINED = 0.2  # damping of the first step after pieces have been added
+TURNED = 0.3  # and after the last joint has been turned by a right angle
 ATTEMPTS = 40  # random postures from which the ends are sought
 POSTURES = 4  # start postures that are tried when none is given
+OTHERS = 6  # further goal postures that are tried when the likely ones fail
+BENDS = 3  # detours that are tried after them
 
 
 @dataclass(frozen=True)
 class FastestOptions:
     """spans: number of polynomial pieces. nodes_per_span: where conditions are imposed.
-    starts: initial paths tried; 1 takes the first that converges. time_limit: s. seed: of the random starts.
+    starts: local optima refined, of which the best is taken. time_limit: s. seed: of the random starts.
     """
 
-    spans: int = 14
-    nodes_per_span: int = 4
+    spans: int = 20
+    nodes_per_span: int = 3
     starts: int = 1
     time_limit: float = 30.0
     seed: int = 0
@@ -154,20 +158,29 @@ def fastest(
         if found.status.ok:
             return found
     blocked = _blocked_start(problem)
+    guesses = [] if blocked is not None else _guesses(problem, options)
+    screened = 1 if problem.start_posture is not None else POSTURES
+
+    def left() -> float:
+        return options.time_limit - (time.perf_counter() - begun)
+
     best: FastestMotion | None = None
     iterations = 0
-    wanted = options.starts if problem.start_posture is not None else max(POSTURES, options.starts)
-    starts = [] if blocked is not None else _starts(problem, options)
-    for number, (q_start, q_goal, bend) in enumerate(starts):
-        left = options.time_limit - (time.perf_counter() - begun)
-        if left <= 0:
+    roughs = [_rough(problem, options, guess, max(left(), 0.05)) for guess in guesses[:screened]]
+    roughs.sort(key=_merit)
+    if roughs and problem.goal.yaw_free:
+        roughs = sorted([*roughs, *_turned(problem, options, roughs[0], max(left(), 0.05))], key=_merit)
+    further = guesses[screened:]
+    for number in range(len(roughs) + len(further)):
+        if best is not None and (left() <= 0 or (best.status.ok and number >= options.starts)):
             break
-        found = _from_start(problem, options, q_start, q_goal, bend, left)
+        if number == len(roughs):
+            roughs.append(_rough(problem, options, further.pop(0), max(left(), 0.05)))
+        found = _refined(problem, options, roughs[number].iterate, max(left(), 0.05))
         iterations += found.iterations
         if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
             best = found
-        if best.status.ok and number + 1 >= wanted:
-            break
+    iterations += sum(found.iterations for found in roughs)
     wall = time.perf_counter() - begun
     if best is None:
         spline = RestSpline(DEGREE, options.spans)
@@ -187,64 +200,104 @@ def _blocked_start(problem: TransportProblem) -> Status | None:
     return Status("collision", f"In the start posture {touch.first} and {touch.second} touch.", False)
 
 
-def _starts(problem: TransportProblem, options: FastestOptions) -> list[tuple[Array, Array, Array]]:
-    """(start posture, goal posture, bend) of initial paths, most promising first.
+@dataclass(frozen=True)
+class _Guess:
+    """An initial path: min-jerk between two postures plus a bell along `bend`, (n,) each."""
 
-    With the start posture given: to the goal posture nearest to it, then bent, then to other goal postures. With
-    none given: between nearby postures that are clear of joint limits and of the arm's own parts.
+    q_start: Array
+    q_goal: Array
+    bend: Array
+
+    def path(self, s: Array) -> Array:
+        """(len(s), n) postures at s in [0, 1]."""
+        line = self.q_start + min_jerk_blend(s)[:, None] * (self.q_goal - self.q_start)
+        return np.asarray(line + (64 * (s * (1 - s)) ** 3)[:, None] * self.bend)
+
+
+def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]:
+    """Initial paths, most promising first.
+
+    With the start posture given: to the goal posture nearest to it, then to others, then bent. With none given:
+    between nearby postures that are clear of joint limits and of the arm's own parts.
     """
     rng = np.random.default_rng(options.seed)
     limits, n = problem.limits, problem.n
     centre, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
     centre, half = np.where(np.isfinite(half), centre, 0.0), np.where(np.isfinite(half), half, np.pi)
     given = problem.start_posture
-    found: list[tuple[float, Array, Array]] = []
+    found: list[tuple[float, _Guess]] = []
+
+    def add(q_start: Array, near: Array) -> None:
+        q_goal = reach(problem, problem.goal, near)
+        if q_goal is None:
+            return
+        others = (np.abs(q_goal - g.q_goal).max() + np.abs(q_start - g.q_start).max() for _, g in found)
+        if min(others, default=np.inf) > 0.3:
+            ends = np.stack([q_start, q_goal])
+            cost = float(np.max(np.abs(q_goal - q_start) / limits.velocity))
+            cost += float(np.max(np.abs((ends - centre) / half)) ** 8)
+            if problem.keep_out is not None:
+                cost += 20 * max(0.0, 0.03 - float(problem.keep_out.distances(ends).min()))
+            found.append((cost, _Guess(q_start, q_goal, np.zeros(n))))
+
     for attempt in range(ATTEMPTS):
         guess = centre + (0.7 * half * rng.uniform(-1, 1, n) if attempt else 0.0)
-        q_start = reach(problem, problem.start, guess) if given is None else given
-        if q_start is None:
-            continue
-        spread = 0.0 if given is None else min(1.0, 0.1 * attempt)
-        q_goal = reach(problem, problem.goal, (1 - spread) * q_start + spread * guess)
-        if q_goal is None:
-            continue
-        ends = np.stack([q_start, q_goal])
-        cost = float(np.max(np.abs(q_goal - q_start) / limits.velocity))
-        cost += float(np.max(np.abs((ends[given is not None :] - centre) / half)) ** 8)
-        if problem.keep_out is not None:
-            cost += 20 * max(0.0, 0.03 - float(problem.keep_out.distances(ends).min()))
-        if all(np.abs(q_goal - other).max() + np.abs(q_start - first).max() > 0.3 for _, first, other in found):
-            found.append((cost, q_start, q_goal))
-        if given is not None and len(found) >= max(3, options.starts) and attempt >= 5:
-            break
-    found.sort(key=lambda item: item[0])
-    straight = [(first, last, np.zeros(n)) for _, first, last in found]
-    bends = rng.normal(0.0, 0.25, (max(3, options.starts), n))
-    bent = [(first, last, bend) for _, first, last in found[:1] for bend in bends]
+        if given is None:
+            q_start = reach(problem, problem.start, guess)
+            if q_start is not None:
+                add(q_start, q_start)
+        elif attempt < OTHERS:
+            spread = attempt / OTHERS
+            add(given, (1 - spread) * given + spread * guess)
     if given is None:
-        return [*straight[: max(POSTURES, options.starts)], *bent]
-    return [*straight[:1], *bent[: options.starts], *straight[1:], *bent[options.starts :]]
+        found.sort(key=lambda item: item[0])
+    straight = [guess for _, guess in found]
+    bent = [replace(guess, bend=rng.normal(0.0, 0.25, n)) for guess in straight[:1] for _ in range(BENDS)]
+    return [*straight, *bent] if given is not None else [*straight[:POSTURES], *bent]
 
 
-def _from_start(
-    problem: TransportProblem, options: FastestOptions, q_start: Array, q_goal: Array, bend: Array, time_limit: float
-) -> FastestMotion:
-    """The optimum from one initial path: min-jerk between two postures plus a bell along `bend`."""
-    begun = time.perf_counter()
+def _rough(problem: TransportProblem, options: FastestOptions, guess: _Guess, time_limit: float) -> Solution:
+    """A first optimum with few spline pieces, from a comfortable duration."""
     s = np.linspace(0, 1, 201)
-    q = q_start + min_jerk_blend(s)[:, None] * (q_goal - q_start) + (64 * (s * (1 - s)) ** 3)[:, None] * bend
+    q = guess.path(s)
     duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
-    few, spline = RestSpline(DEGREE, max(4, options.spans // 2)), RestSpline(DEGREE, options.spans)
-    start = rough(problem, FreeCurve, few, few.fit(s, q), duration, options.nodes_per_span, time_limit)
-    refined = spline.fit(s, few.matrices(s)[0] @ start.iterate.coefficients)
-    left = time_limit - (time.perf_counter() - begun)
+    few = _few(options)
+    return rough(problem, FreeCurve, few, few.fit(s, q), duration, options.nodes_per_span, time_limit)
+
+
+def _turned(
+    problem: TransportProblem, options: FastestOptions, start: Solution, time_limit: float
+) -> Iterator[Solution]:
+    """The same motion ending a quarter turn of the last joint away, optimised again: a local optimum does not turn."""
+    few = _few(options)
+    ramp = min_jerk_blend(np.linspace(0, 1, few.size))
+    for turn in (0.5 * np.pi, -0.5 * np.pi):
+        coefficients = start.iterate.coefficients.copy()
+        coefficients[:, -1] += turn * ramp
+        if problem.limits.q_min[-1] < coefficients[-1, -1] < problem.limits.q_max[-1]:
+            duration, nodes = start.iterate.duration, options.nodes_per_span
+            yield rough(problem, FreeCurve, few, coefficients, duration, nodes, time_limit, damping=TURNED)
+
+
+def _merit(found: Solution) -> tuple[bool, float]:
+    return not found.status.ok, found.iterate.duration
+
+
+def _few(options: FastestOptions) -> RestSpline:
+    return RestSpline(DEGREE, max(4, options.spans // 3))
+
+
+def _refined(problem: TransportProblem, options: FastestOptions, start: Iterate, time_limit: float) -> FastestMotion:
+    """The optimum with all spline pieces, checked between the nodes, from a rough one."""
+    begun = time.perf_counter()
+    spline, s = RestSpline(DEGREE, options.spans), np.linspace(0, 1, 201)
+    coefficients = spline.fit(s, _few(options).matrices(s)[0] @ start.coefficients)
     found = optimise(
-        problem, FreeCurve, spline, refined, start.iterate.duration, options.nodes_per_span, left, damping=REFINED
+        problem, FreeCurve, spline, coefficients, start.duration, options.nodes_per_span, time_limit, damping=REFINED
     )
     wall = time.perf_counter() - begun
-    iterations = start.iterations + found.iterations
     return FastestMotion(
-        problem, spline, found.coefficients, found.duration, found.status, found.worst, wall, iterations
+        problem, spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
     )
 
 

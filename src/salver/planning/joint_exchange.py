@@ -22,9 +22,11 @@ from salver.planning.joint_sqp import DEEPEST, Options, Solution, minimise_durat
 ROUGH_GAIN = 1e-2  # relative shortening below which a rough optimum is good enough
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
+REPAIR = 0.4  # damping of the first step after nodes were added: ever more mending, ever less search
 SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
-POINTS = 3  # from node to node, where joint limits are imposed
+POINTS = 2  # from node to node, where joint limits are imposed
 CHECK_FACTOR = 10  # the check between nodes uses a grid this much finer
+FINEST = 5e-5  # of a limit, for what may happen between the points of that grid
 
 _STRETCH = {"velocity": 1.02, "acceleration": 0.52, "jerk": 0.35, "torque rate": 1.02}
 
@@ -86,7 +88,7 @@ def optimise(
             break
         nodes = np.union1d(nodes, fine.grid.s[peaks])
         options = Options(iterations=15, gain=5e-4)
-        solution = solve(coefficients, duration, options, 0.4, 0.05)
+        solution = solve(coefficients, duration, options, REPAIR * 4.0**exchange, 0.05)
         iterations += solution.iterations
     return Checked(coefficients, duration, _status(solution, worst, duration), worst, iterations)
 
@@ -99,13 +101,14 @@ def rough(
     duration: float,
     nodes_per_span: int,
     time_limit: float,
+    damping: float = 1.0,
 ) -> Solution:
     """A first optimum with few pieces, unchecked between nodes: a start for one with more."""
     grid = Grid.of(spline, spline.nodes(nodes_per_span))
     postures = curve_of(problem, grid).motion(coefficients, duration)[0]
     curve = curve_of(_watching(problem, postures), grid)
     options = Options(gain=ROUGH_GAIN, time_limit=time_limit)
-    return minimise_duration(curve, coefficients, duration, _node_margins(problem), options)
+    return minimise_duration(curve, coefficients, duration, _node_margins(problem), options, damping)
 
 
 def _node_margins(problem: TransportProblem) -> Margins:
@@ -131,7 +134,7 @@ def _watching(problem: TransportProblem, q: Array) -> TransportProblem:
 
 def _between(fine: Curve, coefficients: Array, duration: float) -> tuple[dict[str, float], Indices]:
     """Largest row of each family on the fine grid, and the points where some row is broken at its peak."""
-    margins = Margins(fine.problem.scenario.contact.margin, 0.0, 0.0)
+    margins = Margins(fine.problem.scenario.contact.margin, FINEST, 0.0)
     check = evaluate(fine.problem, fine.grid.s, fine.motion(coefficients, duration), duration, margins)
     marked = np.zeros(len(fine.grid.s), dtype=bool)
     for family in check.families:

@@ -167,7 +167,7 @@ def reach(problem: TransportProblem, end: EndPose, q: Array, iterations: int = 6
         error, jacobian = end_residual(problem, end, q)
         size = np.abs(error).max()
         if size < 1e-10:
-            break
+            return q
         damping = 1e-3 * min(1.0, size**2)
         gram = jacobian @ jacobian.T + damping * np.eye(len(error))
         step = jacobian.T @ np.linalg.solve(gram, error)

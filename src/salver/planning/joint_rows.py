@@ -32,6 +32,8 @@ class Family:
 
     following: derivative rows of the next node, for rows that couple two neighbours.
     edge: what was subtracted to make a limit the zero of its row.
+    kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one. Such rows
+    depend on postures alone.
     points: (N,) the points of the grid at which the rows are taken.
     reach: rows further than this from their edge are never considered, because their derivatives are expensive.
     """
@@ -44,6 +46,7 @@ class Family:
     following: Gradient | None = None
     reach: float = np.inf
     edge: float = 1.0
+    kinked: bool = False
 
     @property
     def peaks(self) -> np.ndarray:
@@ -242,7 +245,7 @@ def _clearance(
     def gradient(i: Indices, f: Indices) -> Array:
         return _padded(-10.0 * keep_out.gradient(q, i, f), problem.n)
 
-    return Family("clearance", -10.0 * distance + margin, gradient, nodes, scales=False, reach=0.2)
+    return Family("clearance", -10.0 * distance + margin, gradient, nodes, scales=False, reach=0.05, kinked=True)
 
 
 def _padded(rows: Array, n: int) -> Array:

@@ -4,7 +4,8 @@ Each iteration linearises the rows near their edge, in the coefficients and in s
 contact, torque and acceleration rows are exactly linear in sigma. A quadratic programme with one shared slack
 (an exact penalty on the largest violation) and a proximal term gives the step; its metric is the size of the
 change in posture and in acceleration, so smooth large changes are cheap and ripples are not. A second-order
-correction (the same rows with their true values at the trial point; Fletcher 1982) keeps steps long.
+correction (the same rows with their true values at the trial point; Fletcher 1982) keeps steps long: rows that were
+left out as too far away, and the far side of kinks, come in with it.
 """
 
 from __future__ import annotations
@@ -57,6 +58,9 @@ class Iterate:
     @property
     def duration(self) -> float:
         return self.at.duration
+
+    def merit(self, penalty: float) -> float:
+        return self.duration + penalty * self.at.violation
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,7 @@ def minimise_duration(
         metric = (
             grams[0] + ACCELERATION_WEIGHT * grams[2] / path.duration**4 + JERK_WEIGHT * grams[3] / path.duration**6
         )
-        programme = _Programme(curve, path, rows, metric, damping, penalty, shrink)
+        programme = _Programme(curve, path, rows.matrix, metric, damping, penalty, shrink)
         step = programme.solve(rows.bound)
         programmes += 1
         if step is None:
@@ -121,41 +125,29 @@ def minimise_duration(
                 code = "stalled"
                 break
             continue
-        trial = _move(curve, path, step, margins)
         # Just above what the violation is worth (the sum of multipliers), so that steps are not judged by it alone.
         if step[-1] > 1e-6:
             penalty *= 3
         elif penalty > 3 * programme.worth:
             penalty = max(2 * programme.worth, 0.3 * penalty, LEAST_PENALTY)
-        merit = path.duration + penalty * path.at.violation
-        predicted = merit - (path.duration * np.sqrt(1 + step[-2]) + penalty * step[-1])
-        trial_merit = np.inf if trial is None else trial.duration + penalty * trial.at.violation
-        share = 1.0
-        if trial is not None and trial.at.violation > max(2e-4, 2 * step[-1]) and trial_merit > merit - 0.8 * predicted:
+        hoped = path.duration * (1 - float(np.sqrt(1 + step[-2])))
+        predicted = hoped + penalty * (path.at.violation - step[-1])
+        trial, share = _move(curve, path, step, margins), 1.0
+        poor = trial is None or path.merit(penalty) - trial.merit(penalty) < 0.8 * predicted
+        if trial is not None and poor and trial.at.violation > max(2e-4, 2 * step[-1]):
             # Rows that were thought to be far away join, linearised where the others were.
             unseen = [(f.values > UNSEEN) & ~mask for f, mask in zip(trial.at.families, masks, strict=True)]
-            if any(mask.any() for mask in unseen):
-                forced = [mask | more for mask, more in zip(forced, unseen, strict=True)]
-                rows = rows.with_more(_linearise(curve, path, unseen))
-                programme = _Programme(curve, path, rows, metric, damping, penalty, shrink)
-            corrected = programme.solve(_corrected(rows, trial, step))
+            forced = [mask | more for mask, more in zip(forced, unseen, strict=True)]
+            rows = rows.with_more(_linearise(curve, path, unseen))
+            kinked = _beyond_kinks(curve, path, trial)
+            if len(kinked.bound) or any(mask.any() for mask in unseen):
+                matrix = np.vstack([rows.matrix, kinked.matrix])
+                programme = _Programme(curve, path, matrix, metric, damping, penalty, shrink)
+            corrected = programme.solve(np.concatenate([_corrected(rows, trial, step), kinked.bound]))
             programmes += 1
-            second = None if corrected is None else _move(curve, path, corrected, margins)
-            bend = np.zeros_like(step)
-            left, power = trial.at.violation, 2
-            if second is not None and second.duration + penalty * second.at.violation < trial_merit:
-                trial, trial_merit = second, second.duration + penalty * second.at.violation
-                bend, left, power = corrected - step, second.at.violation, 3
-            if merit - trial_merit < 0.3 * predicted:
-                # Along the arc x + a d + a^2 (d_c - d) the violation grows like a^power.
-                grown = power * penalty * max(left - max(path.at.violation, step[-1]), 1e-12)
-                share = float(np.clip((max(predicted, 0.0) / grown) ** (1 / (power - 1)), 0.1, 0.8))
-                third = _move(curve, path, share * step + share**2 * bend, margins)
-                if third is not None and third.duration + penalty * third.at.violation < trial_merit:
-                    trial, trial_merit = third, third.duration + penalty * third.at.violation
-                else:
-                    share = 1.0
-        ratio = (merit - trial_merit) / max(predicted, 1e-12)
+            trial, share = _along_arc(curve, path, trial, step, corrected, margins, penalty, predicted)
+        gained = -np.inf if trial is None else path.merit(penalty) - trial.merit(penalty)
+        ratio = gained / max(predicted, 1e-12)
         if trial is not None and ratio > 0.01:
             change = max(
                 float(np.abs(new.values - old.values)[old.values > -1].max(initial=0.0))
@@ -163,9 +155,9 @@ def minimise_duration(
             )
             depth = float(np.clip(2 * change, 0.02, DEEPEST))
             forced = [(mask & (f.values > -0.3)) for mask, f in zip(forced, trial.at.families, strict=True)]
-            idle = idle + 1 if merit - trial_merit < options.gain * path.duration else 0
+            idle = idle + 1 if gained < options.gain * path.duration else 0
             path = trial
-            if predicted < 3 * options.gain * path.duration and path.at.violation <= options.violation:
+            if hoped < 3 * options.gain * path.duration and path.at.violation <= options.violation:
                 idle = 2
             if share < 1.0:
                 damping *= min(1 / share, 4.0)
@@ -187,6 +179,35 @@ def minimise_duration(
             code = "time_limit"
             break
     return Solution(path, _status(code, path, options), done, programmes, time.perf_counter() - begun, damping)
+
+
+def _along_arc(
+    curve: Curve,
+    path: Iterate,
+    trial: Iterate,
+    step: Array,
+    corrected: Array | None,
+    margins: Margins,
+    penalty: float,
+    predicted: float,
+) -> tuple[Iterate, float]:
+    """The best of a step, of the corrected one, and of a point on the way x + a d + a^2 (d_c - d); and its share a.
+
+    Along that arc the violation left at its end shrinks like a^3, along a straight line like a^2.
+    """
+    bend, power = np.zeros_like(step), 2
+    second = None if corrected is None else _move(curve, path, corrected, margins)
+    if corrected is not None and second is not None and second.merit(penalty) < trial.merit(penalty):
+        trial, bend, power = second, corrected - step, 3
+    if path.merit(penalty) - trial.merit(penalty) >= 0.3 * predicted:
+        return trial, 1.0
+    left = max(trial.at.violation - max(path.at.violation, step[-1]), 1e-12)
+    best = (max(predicted, 0.0) / (power * penalty * left)) ** (1 / (power - 1))
+    share = float(np.clip(best, 0.1, 0.8))
+    third = _move(curve, path, share * step + share**2 * bend, margins)
+    if third is not None and third.merit(penalty) < trial.merit(penalty):
+        return third, share
+    return trial, 1.0
 
 
 def _status(code: str, path: Iterate, options: Options) -> Status:
@@ -257,6 +278,21 @@ def _corrected(rows: Linearised, trial: Iterate, step: Array) -> Array:
     return rows.matrix @ step[:-1] - scales * values
 
 
+def _beyond_kinks(curve: Curve, path: Iterate, trial: Iterate) -> Linearised:
+    """Violated rows of a trial that have kinks, linearised there: beyond a kink the path's derivative is no help."""
+    size = path.coefficients.size
+    matrices, bounds = [np.zeros((0, size + 1))], [np.zeros(0)]
+    moved = (trial.coefficients - path.coefficients).ravel()
+    for family in trial.at.families:
+        if family.kinked:
+            node, column = np.nonzero(family.values > 0)
+            if not len(node):
+                continue
+            matrices.append(_derivatives(curve, trial, family, node, column))
+            bounds.append(matrices[-1][:, :-1] @ moved - family.values[node, column])
+    return Linearised(np.vstack(matrices), np.concatenate(bounds), [])
+
+
 def _iterate(curve: Curve, coefficients: Array, duration: float, margins: Margins) -> Iterate:
     z = curve.motion(coefficients, duration)
     return Iterate(coefficients, evaluate(curve.problem, curve.grid.s, z, duration, margins, curve.grid.nodes))
@@ -280,7 +316,7 @@ class _Programme:
         self,
         curve: Curve,
         path: Iterate,
-        rows: Linearised,
+        rows: Array,
         metric: Array,
         damping: float,
         penalty: float,
@@ -303,7 +339,7 @@ class _Programme:
         self.count = count
         matrix = np.vstack(
             [
-                np.hstack([rows.matrix, -np.ones((len(rows.matrix), 1))]),
+                np.hstack([rows, -np.ones((len(rows), 1))]),
                 np.hstack([extra, np.zeros((len(extra), 2))]),
             ]
         )

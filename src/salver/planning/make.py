@@ -98,7 +98,7 @@ def make_plan(scenario: Scenario, method: str = "robust", arm: bool = True) -> P
     if method == "fastest" or (method == "robust" and scenario.motion.duration is None):
         from salver.planning.fastest import plan_fastest
 
-        return plan_fastest(scenario)
+        return plan_fastest(scenario.with_changes(motion__duration=None))
     makers = {"robust": plan_object, "baseline": plan_baseline}
     if method not in makers:
         raise ScenarioError(f'There is no planning method "{method}"; there are robust, baseline and fastest.')
