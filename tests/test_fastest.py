@@ -246,7 +246,7 @@ def test_tracking_starts_sagged_after_long_rest():
     """After a long rest the error is static: kp e = M^-1 J^T dF."""
     scenario = bottle(mass="10%")
     problem = transport_problem(scenario, level=False)
-    tracking = tracking_of(list(problem.items), problem.uncertain, scenario)
+    tracking = tracking_of(scenario)
     assert tracking is not None
     spline = RestSpline(5, 8)
     z = Grid.of(spline, np.linspace(0, 1, 51)).motion(line(problem, spline), 1.0)

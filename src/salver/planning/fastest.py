@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 DEGREE = 5
-REFINED = 0.2  # damping of the first step after pieces have been added
+REFINED = 0.5  # damping of the first step after pieces have been added
 TURNED = 0.3  # and after the last joint has been turned by a right angle
 ATTEMPTS = 40  # random postures from which the ends are sought
 POSTURES = 4  # start postures that are tried when none is given

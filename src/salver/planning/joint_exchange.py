@@ -19,13 +19,13 @@ from salver.planning.joint_rows import Indices, Margins, evaluate
 from salver.planning.joint_spline import RestSpline
 from salver.planning.joint_sqp import DEEPEST, Options, Solution, minimise_duration
 
-ROUGH_GAIN = 1e-2  # relative shortening below which a rough optimum is good enough
+ROUGH_GAIN = 5e-3  # relative shortening below which a rough optimum is good enough
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
 REPAIR = 0.4  # damping of the first step after nodes were added: ever more mending, ever less search
 SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
 POINTS = 2  # from node to node, where joint limits are imposed
-CHECK_FACTOR = 10  # the check between nodes uses a grid this much finer
+CHECK_FACTOR = 6  # the check between nodes uses a grid this much finer
 FINEST = 5e-5  # of a limit, for what may happen between the points of that grid
 
 _STRETCH = {"velocity": 1.02, "acceleration": 0.52, "jerk": 0.35, "torque rate": 1.02}
@@ -87,8 +87,9 @@ def optimise(
         if excess <= 0.0 or excess > HOPELESS or exchange == EXCHANGES or late:
             break
         nodes = np.union1d(nodes, fine.grid.s[peaks])
-        options = Options(iterations=15, gain=5e-4)
-        solution = solve(coefficients, duration, options, REPAIR * 4.0**exchange, 0.05)
+        repair = REPAIR * 4.0**exchange
+        options = Options(iterations=15, gain=1e-3, least_damping=repair)
+        solution = solve(coefficients, duration, options, repair, 0.05)
         iterations += solution.iterations
     return Checked(coefficients, duration, _status(solution, worst, duration), worst, iterations)
 

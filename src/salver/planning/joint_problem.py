@@ -122,7 +122,7 @@ def transport_problem(
         max_tilt=max_tilt,
         contacts=contact_rows(scenario, robust=robust),
         uncertain=uncertain,
-        tracking=tracking_of(items, uncertain, scenario),
+        tracking=tracking_of(scenario) if robust else None,
         keep_out=None,
     )
     if given is not None:

@@ -39,6 +39,7 @@ LONGEST_SHRINK, LONGEST_STRETCH = -0.36, 0.5  # of sigma in one iteration: 20 % 
 class Options:
     """iterations, time_limit (s): when to stop. gain: relative shortening below which an iteration counts as idle.
     violation: largest violation of a margin-tightened row that counts as converged. penalty: s per unit of violation.
+    least_damping: of the proximal term.
     """
 
     iterations: int = 60
@@ -46,6 +47,7 @@ class Options:
     gain: float = 1e-4
     violation: float = 5e-4
     penalty: float = 20.0
+    least_damping: float = 1e-5
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,7 @@ def minimise_duration(
                 damping *= min(1 / share, 4.0)
             else:
                 damping *= 0.33 if ratio > 0.9 else 0.5 if ratio > 0.6 else 2.0 if ratio < 0.3 else 1.0
-            damping = max(damping, 1e-5)
+            damping = max(damping, options.least_damping)
             shrink = max(1.5 * shrink, LONGEST_SHRINK) if ratio > 0.3 else shrink
         else:
             damping, shrink = damping * 4, 0.5 * max(shrink, -0.5)

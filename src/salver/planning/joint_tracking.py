@@ -1,7 +1,8 @@
 """What a wrong load does to an arm under computed torque, and so to the tray: first order, along a joint motion.
 
 The controller carries the nominal load: tau = M_n (ddq* + kd e' + kp e) + h_n with e = q* - q. The true load
-needs another wrench at the tray, dF = W_k w for parameter k (method: `salver.models.tray_motion`), and then
+needs another wrench at the tray, dF = W_k w for parameter k (`salver.sensitivity.arm_load`; products of two
+parameters are terms of their own), and then
 
     e'' + kd e' + kp e = M_n^-1 J^T dF                                                            (1)
 
@@ -17,24 +18,23 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from salver.geometry import Array
-from salver.models.bodies import Body
-from salver.models.interfaces import to_tray
-from salver.models.parameters import INERTIAL, UncertainSet, inertial_vector, phi_of
-from salver.models.tray_motion import frame_map, wrench_map
 from salver.scenario import Scenario
+from salver.sensitivity.arm_load import load_change
 from salver.sensitivity.arm_terms import MotionTerms
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """The closed loop's response to uncertain inertial parameters.
+    """The closed loop's response to uncertain loads.
 
-    names: the n_k parameters that act on the arm. wrench: (n_k, 6, 12), w of E to the change of the load's wrench
-    at E for one half-range. kp, kd: joint gains, 1/s^2 and 1/s. settled: s at rest under the load before the start.
-    spread: (n_k, n_k) factor of the ellipsoid's correlation, None for a box.
+    names: the n_k terms that act on the arm, `first` parameters and then products of two of them ("mass*com_x").
+    wrench: (n_k, 6, 12), w of E to the change of the load's wrench at E for one half-range. kp, kd: joint gains, 1/s^2
+    and 1/s. settled: s at rest under the load before the start. spread: (first, first) factor of the ellipsoid's
+    correlation, None for a box.
     """
 
     names: tuple[str, ...]
+    first: int
     wrench: Array
     kp: float
     kd: float
@@ -43,16 +43,23 @@ class Tracking:
 
     def response(self, s: Array, duration: float, terms: MotionTerms) -> Response:
         """Errors along a motion at nodes s (N,) in [0, 1]."""
-        force = np.einsum("kij,nj->nik", self.wrench, terms.w)
-        push = np.einsum("nji,njk->nik", terms.jacobian, force)
-        drive = np.linalg.solve(terms.mass_matrix, push)
+        force = terms.w @ self.wrench.reshape(-1, self.wrench.shape[2]).T
+        push = np.swapaxes(force.reshape(len(terms.w), -1, 6) @ terms.jacobian, 1, 2)
+        drive = np.asarray(np.linalg.solve(terms.mass_matrix, push))
         error, rate = _filtered(drive, np.diff(s) * duration, self.kp, self.kd, self.settled)
         return Response(self, error, rate, drive - self.kd * rate - self.kp * error, terms)
+
+    def radius(self, change: Array) -> Array:
+        """Worst case (...) of sum_k s_k change_k (..., n_k) over the parameters' unit box or ellipsoid."""
+        if self.spread is None:
+            return np.abs(change).sum(axis=-1)
+        within = np.linalg.norm(change[..., : self.first] @ self.spread, axis=-1)
+        return np.asarray(within + np.abs(change[..., self.first :]).sum(axis=-1))
 
 
 @dataclass(frozen=True)
 class Response:
-    """error, rate, acceleration: (N, n, n_k) of e, e', e'' per half-range of each parameter."""
+    """error, rate, acceleration: (N, n, n_k) of e, e', e'' per half-range of each term."""
 
     tracking: Tracking
     error: Array
@@ -70,50 +77,29 @@ class Response:
         t, n = self.tracking, self.error.shape[1]
         change = self.terms.mass_matrix @ (t.kp * self.error + t.kd * self.rate)
         change -= self.terms.torque_z[:, :, :n] @ self.error + self.terms.torque_z[:, :, n : 2 * n] @ self.rate
-        return radius(change, t.spread)
+        return t.radius(change)
 
     def tray_radius(self) -> tuple[Array, Array]:
         """Largest error of the tray's position (N, 3), m, and of its orientation (N, 3), rad, both in E."""
-        moved = radius(self.terms.jacobian @ self.error, self.tracking.spread)
+        moved = self.tracking.radius(self.terms.jacobian @ self.error)
         return moved[:, :3], moved[:, 3:]
 
 
-def radius(change: Array, spread: Array | None) -> Array:
-    """Worst case over the unit box or ellipsoid of sum_k s_k change_k, the last axis."""
-    if spread is None:
-        return np.abs(change).sum(axis=-1)
-    return np.asarray(np.linalg.norm(change @ spread, axis=-1))
-
-
-def tracking_of(items: list[Body], uncertain: UncertainSet, scenario: Scenario) -> Tracking | None:
-    """The response to the scenario's uncertain masses, centres of mass, inertias and positions; None without any."""
-    prefix = {item.name: f"{item.name}." if len(items) > 1 else "" for item in items}
-    half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
-    names, maps = [], []
-    for item in items:
-        for name in (*INERTIAL, "position_x", "position_y"):
-            full = prefix[item.name] + name
-            if full in half:
-                names.append(full)
-                maps.append(0.5 * (_load(item, name, half[full]) - _load(item, name, -half[full])))
-    if not names:
+def tracking_of(scenario: Scenario) -> Tracking | None:
+    """The response to everything uncertain that changes the load; None without any."""
+    load = load_change(scenario)
+    maps = load.load_p * load.half_range[:, None, None]
+    acting = np.abs(maps).max(axis=(1, 2), initial=0.0) > 1e-12
+    if not acting.any():
         return None
+    names = tuple(name for name, acts in zip(load.names, acting, strict=True) if acts)
+    first = int(acting[: load.uncertain.size].sum())
     spread = None
-    if uncertain.kind == "ellipsoid":
-        correlation = uncertain.restricted(tuple(names)).correlation
-        spread = np.eye(len(names)) if correlation is None else np.asarray(np.linalg.cholesky(correlation))
+    if load.uncertain.kind == "ellipsoid":
+        correlation = load.uncertain.restricted(names[:first]).correlation
+        spread = np.eye(first) if correlation is None else np.asarray(np.linalg.cholesky(correlation))
     kp, kd = scenario.control.kp[0], scenario.control.kd[0]
-    return Tracking(tuple(names), np.array(maps), kp, kd, scenario.physics.settle_before, spread)
-
-
-def _load(item: Body, name: str, change: float) -> Array:
-    """(6, 12) w of E to the wrench at E of an object one of whose parameters differs from nominal."""
-    values, place = inertial_vector(item.inertial), item.p_EB.copy()
-    if name in INERTIAL:
-        values[INERTIAL.index(name)] += change
-    else:
-        place["xy".index(name[-1])] += change
-    return np.asarray(to_tray(place, item.R_EB) @ wrench_map(phi_of(values)) @ frame_map(place, item.R_EB))
+    return Tracking(names, first, maps[acting], kp, kd, scenario.physics.settle_before, spread)
 
 
 def _filtered(drive: Array, steps: Array, kp: float, kd: float, settled: float) -> tuple[Array, Array]:
