@@ -332,7 +332,7 @@ def test_obstacle_on_the_way_is_avoided():
 def test_random_start_postures_converge(level):
     """All of these; `benchmarks/fastest_solve.py` counts fifty."""
     template = transport_problem(cube(objects__0__uncertainty={}), robust=False, level=level)
-    rng, limits, tried = np.random.default_rng(5), template.limits, 0
+    rng, limits, tried = np.random.default_rng(7), template.limits, 0
     assert template.keep_out is not None
     while tried < 6:
         guess = limits.q_min + rng.uniform(0.1, 0.9, 7) * (limits.q_max - limits.q_min)

@@ -159,27 +159,29 @@ def fastest(
             return found
     blocked = _blocked_start(problem)
     guesses = [] if blocked is not None else _guesses(problem, options)
-    screened = 1 if problem.start_posture is not None else POSTURES
 
     def left() -> float:
-        return options.time_limit - (time.perf_counter() - begun)
+        return max(options.time_limit - (time.perf_counter() - begun), 0.05)
 
+    # The best of the first few rough optima is refined; when none is feasible, the next that is; at last the others.
+    screened = 1 if problem.start_posture is not None else POSTURES
+    roughs = [_rough(problem, options, guess, left()) for guess in guesses[:screened]]
+    further, iterations, refined = guesses[screened:], 0, 0
     best: FastestMotion | None = None
-    iterations = 0
-    roughs = [_rough(problem, options, guess, max(left(), 0.05)) for guess in guesses[:screened]]
-    roughs.sort(key=_merit)
-    if roughs and problem.goal.yaw_free:
-        roughs = sorted([*roughs, *_turned(problem, options, roughs[0], max(left(), 0.05))], key=_merit)
-    further = guesses[screened:]
-    for number in range(len(roughs) + len(further)):
-        if best is not None and (left() <= 0 or (best.status.ok and number >= options.starts)):
-            break
-        if number == len(roughs):
-            roughs.append(_rough(problem, options, further.pop(0), max(left(), 0.05)))
-        found = _refined(problem, options, roughs[number].iterate, max(left(), 0.05))
-        iterations += found.iterations
+    while roughs or further:
+        roughs.sort(key=_merit)
+        if further and not (roughs and roughs[0].status.ok) and left() > 0.05:
+            roughs.append(_rough(problem, options, further.pop(0), left()))
+            continue
+        start = roughs.pop(0)
+        if refined == 0 and problem.goal.yaw_free:
+            start, *roughs = sorted([start, *_turned(problem, options, start, left()), *roughs], key=_merit)
+        found = _refined(problem, options, start.iterate, left())
+        iterations, refined = iterations + start.iterations + found.iterations, refined + 1
         if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
             best = found
+        if (best.status.ok and refined >= options.starts) or left() <= 0.05:
+            break
     iterations += sum(found.iterations for found in roughs)
     wall = time.perf_counter() - begun
     if best is None:

@@ -22,10 +22,12 @@ from salver.planning.joint_sqp import DEEPEST, Options, Solution, minimise_durat
 ROUGH_GAIN = 5e-3  # relative shortening below which a rough optimum is good enough
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
+HOPELESS_AT_NODES = 1e-2  # and nor will one that is broken at the nodes already
 REPAIR = 0.4  # damping of the first step after nodes were added: ever more mending, ever less search
 SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
 POINTS = 2  # from node to node, where joint limits are imposed
 CHECK_FACTOR = 6  # the check between nodes uses a grid this much finer
+POINTS_CHECKED = 5  # and where the joints' limits are, from one point of that grid to the next
 FINEST = 5e-5  # of a limit, for what may happen between the points of that grid
 
 _STRETCH = {"velocity": 1.02, "acceleration": 0.52, "jerk": 0.35, "torque rate": 1.02}
@@ -61,7 +63,7 @@ def optimise(
     begun = time.perf_counter()
     margins = _node_margins(problem)
     nodes = spline.nodes(nodes_per_span)
-    fine = curve_of(problem, Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s))
+    fine = curve_of(problem, Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s, POINTS_CHECKED))
 
     def solve(coefficients: Array, duration: float, options: Options, damping: float, depth: float) -> Solution:
         grid = Grid.of(spline, nodes, POINTS)
@@ -84,7 +86,8 @@ def optimise(
             if max(stretched.values()) <= 0.0:
                 worst, excess, duration = stretched, 0.0, slower
         late = time.perf_counter() - begun > time_limit
-        if excess <= 0.0 or excess > HOPELESS or exchange == EXCHANGES or late:
+        hopeless = excess > HOPELESS or solution.iterate.at.violation > HOPELESS_AT_NODES
+        if excess <= 0.0 or hopeless or exchange == EXCHANGES or late:
             break
         nodes = np.union1d(nodes, fine.grid.s[peaks])
         repair = REPAIR * 4.0**exchange
@@ -136,11 +139,12 @@ def _watching(problem: TransportProblem, q: Array) -> TransportProblem:
 def _between(fine: Curve, coefficients: Array, duration: float) -> tuple[dict[str, float], Indices]:
     """Largest row of each family on the fine grid, and the points where some row is broken at its peak."""
     margins = Margins(fine.problem.scenario.contact.margin, FINEST, 0.0)
-    check = evaluate(fine.problem, fine.grid.s, fine.motion(coefficients, duration), duration, margins)
-    marked = np.zeros(len(fine.grid.s), dtype=bool)
+    grid = fine.grid
+    check = evaluate(fine.problem, grid.s, fine.motion(coefficients, duration), duration, margins, grid.nodes)
+    marked = np.zeros(len(grid.s), dtype=bool)
     for family in check.families:
         index = np.flatnonzero((family.peaks & (family.values > 0)).any(axis=1))
-        marked[index] = True
+        marked[family.points[index]] = True
         if family.following is not None:
-            marked[index + 1] = True
+            marked[family.points[index + 1]] = True
     return {family.name: float(family.values.max()) for family in check.families}, np.flatnonzero(marked)

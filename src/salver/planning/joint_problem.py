@@ -21,6 +21,7 @@ from salver.planning.joint_tracking import Tracking, tracking_of
 from salver.scenario import Scenario
 
 TORQUE_RATE_SHARE = 0.95  # of the maker's limit; feedback needs the rest
+REACHED = 1e-10  # m, rad; of an end pose
 START_TOLERANCE = 5e-3  # m, rad; a posture written with few digits is put right
 LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is judged on the true motion
 
@@ -166,10 +167,13 @@ def reach(problem: TransportProblem, end: EndPose, q: Array, iterations: int = 6
     for _ in range(iterations):
         error, jacobian = end_residual(problem, end, q)
         size = np.abs(error).max()
-        if size < 1e-10:
+        if size < REACHED:
             return q
-        damping = 1e-3 * min(1.0, size**2)
-        gram = jacobian @ jacobian.T + damping * np.eye(len(error))
-        step = jacobian.T @ np.linalg.solve(gram, error)
+        damping = 1e-3 * min(1.0, size**2) * np.eye(len(error))
+        step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error)
+        stuck = ((q <= low) & (step < 0)) | ((q >= high) & (step > 0))
+        if stuck.any():  # the others do its share
+            jacobian = jacobian * ~stuck
+            step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error)
         q = np.clip(q + step * min(1.0, 0.4 / max(float(np.abs(step).max()), 1e-12)), low, high)
-    return q if np.abs(end_residual(problem, end, q)[0]).max() < 1e-8 else None
+    return q if np.abs(end_residual(problem, end, q)[0]).max() < REACHED else None
