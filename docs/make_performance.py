@@ -21,6 +21,7 @@ PAGE = DOCS / "performance.md"
 BENCHMARKS = DOCS.parent / "benchmarks"
 COMMANDS = {
     "planner": ["bench_planner.py", "--plot", str(DOCS / "images" / "planner.png")],
+    "fastest": ["fastest_solve.py"],
     "rollouts": ["rollouts.py"],
     "margins": ["bench_margins.py"],
     "controller": ["controller_step.py"],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -192,54 +192,85 @@ def test_putting_the_goal_right_does_not_jolt_the_arm():
 # The closed loop -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["mass", "com_x", "com_z"])
-def test_tracking_matches_a_rollout_of_the_arm_with_a_wrong_load(name):
-    """Computed torque with the nominal load on Pinocchio's forward dynamics of the true one, by Runge-Kutta."""
-    scenario = bottle(mass="4%", com=[0.001, 0.001, 0.001])
-    problem = transport_problem(scenario, level=False)
-    assert problem.tracking is not None
-    spline, duration = RestSpline(5, 8), 1.0
-    coefficients = line(problem, spline)
-    s = np.linspace(0, 1, 401)
-    z = Grid.of(spline, s).motion(coefficients, duration)
-    terms = motion_terms(problem.model, problem.arm.tray_id, z[0], z[1], z[2])
-    tracking = replace(problem.tracking, settled=0.0)
-    response = tracking.response(s, duration, terms)
-    k = tracking.names.index(name)
+@dataclass(frozen=True)
+class WrongLoad:
+    """A bottle on a line of 1 s: the first-order response, and rollouts with bottles that are another."""
 
-    uncertain = uncertain_set(scenario)
-    half = dict(zip(uncertain.names, uncertain.half_range, strict=True))[name]
+    scenario: Scenario
+    problem: TransportProblem
+    spline: RestSpline
+    coefficients: Array
+    duration: float = 1.0
+    steps: int = 400
 
-    def rollout(sign: float) -> Array:
-        body = bodies(scenario)[0]
+    @classmethod
+    def of(cls, **uncertainty: object) -> WrongLoad:
+        scenario = bottle(**uncertainty)
+        problem, spline = transport_problem(scenario, level=False), RestSpline(5, 8)
+        return cls(scenario, problem, spline, line(problem, spline))
+
+    def motion(self, s: Array) -> Array:
+        return Grid.of(self.spline, s).motion(self.coefficients, self.duration)[:3]
+
+    def response(self, name: str) -> Array:
+        """Joint errors (steps + 1, 7) for one half-range of a term."""
+        tracking, s = self.problem.tracking, np.linspace(0, 1, self.steps + 1)
+        assert tracking is not None
+        z = self.motion(s)
+        terms = motion_terms(self.problem.model, self.problem.arm.tray_id, z[0], z[1], z[2])
+        response = replace(tracking, settled=0.0).response(s, self.duration, terms)
+        return response.error[:, :, tracking.names.index(name)]
+
+    def rollout(self, **signs: float) -> Array:
+        """The same of the true arm: nominal computed torque on Pinocchio's forward dynamics, by Runge-Kutta."""
+        problem, tracking, uncertain = self.problem, self.problem.tracking, uncertain_set(self.scenario)
+        assert tracking is not None
+        half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
+        body = bodies(self.scenario)[0]
         values = inertial_vector(body.inertial)
-        values[("mass", "com_x", "com_y", "com_z").index(name)] += sign * half
+        for name, sign in signs.items():
+            values[("mass", "com_x", "com_y", "com_z").index(name)] += sign * half[name]
         true = replace(body, inertial=replace(body.inertial, mass=values[0], com_B=values[1:4]))
         model = with_load(problem.arm, [true]).pin_model
         data, nominal = model.createData(), problem.model.createData()
 
-        def motion(time: float) -> Array:
-            return Grid.of(spline, np.array([time / duration])).motion(coefficients, duration)[:3, 0]
-
         def slope(time: float, x: Array) -> Array:
-            q, dq, ddq = motion(time)
+            q, dq, ddq = self.motion(np.array([time / self.duration]))[:, 0]
             command = ddq + tracking.kp * (q - x[:7]) + tracking.kd * (dq - x[7:])
             torque = pin.rnea(problem.model, nominal, x[:7], x[7:], command)
             return np.concatenate([x[7:], pin.aba(model, data, x[:7], x[7:], torque)])
 
-        x, h, path = np.concatenate([z[0, 0], np.zeros(7)]), duration / 400, []
-        for i in range(400):
-            path.append(z[0, i] - x[:7])
+        wanted, h = self.motion(np.linspace(0, 1, self.steps + 1))[0], self.duration / self.steps
+        x, path = np.concatenate([wanted[0], np.zeros(7)]), []
+        for i in range(self.steps):
+            path.append(wanted[i] - x[:7])
             time = i * h
             k1 = slope(time, x)
             k2 = slope(time + 0.5 * h, x + 0.5 * h * k1)
             k3 = slope(time + 0.5 * h, x + 0.5 * h * k2)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(min(time + h, duration), x + h * k3))
-        return np.array([*path, z[0, -1] - x[:7]])
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(min(time + h, self.duration), x + h * k3))
+        return np.array([*path, wanted[-1] - x[:7]])
 
-    difference = 0.5 * (rollout(1.0) - rollout(-1.0))
+
+@pytest.mark.parametrize("name", ["mass", "com_x", "com_z"])
+def test_tracking_matches_a_rollout_of_the_arm_with_a_wrong_load(name):
+    case = WrongLoad.of(mass="4%", com=[0.001, 0.001, 0.001])
+    difference = 0.5 * (case.rollout(**{name: 1.0}) - case.rollout(**{name: -1.0}))
     assert np.abs(difference).max() > 1e-6
-    assert np.abs(difference - response.error[:, :, k]).max() < 2e-3 * np.abs(difference).max()
+    assert np.abs(difference - case.response(name)).max() < 2e-3 * np.abs(difference).max()
+
+
+def test_tracking_knows_that_mass_multiplies_its_distance():
+    """What a heavier bottle and a higher centre of mass do together, beyond what each does alone.
+
+    Four fifths are in the load itself, which is what the term holds; the rest is what the heavier load makes of the
+    error that its centre of mass causes.
+    """
+    case = WrongLoad.of(mass="40%", com=[0.005, 0.005, 0.005])
+    corners = {(m, c): case.rollout(mass=m, com_z=c) for m in (1.0, -1.0) for c in (1.0, -1.0)}
+    together = 0.25 * sum(m * c * error for (m, c), error in corners.items())
+    predicted = case.response("mass*com_z")
+    assert np.abs(together - predicted).max() < 0.25 * np.abs(together).max()
 
 
 def test_tracking_starts_sagged_after_long_rest():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import NOT_ACHIEVED, Json, print_json, say
+from salver.cli.common import NOT_ACHIEVED, Json, print_json, result_console, say
 from salver.errors import SalverError
 
 if TYPE_CHECKING:
@@ -110,17 +110,17 @@ def _pose(text: str | None) -> Any:
 
 
 def _tell(result: Execution) -> None:
-    summary, clock = result.summary, result.summary.get("timing", {})
+    summary, clock, tell = result.summary, result.summary.get("timing", {}), result_console().print
     for check in result.checks:
-        say(f"  {'ok ' if check.ok else 'NO '} {check.name}: {check.sentence}")
+        tell(f"  {'ok ' if check.ok else 'NO '} {check.name}: {check.sentence}")
     if "jitter_median" in clock:
-        say(
+        tell(
             f"{summary['source']}: {clock['periods']} periods of {1e3 * clock['period']:g} ms, "
             f"{clock['missed']} missed; jitter {1e6 * clock['jitter_median']:.0f} us at the median, "
             f"{1e6 * clock['jitter_p999']:.0f} us at 99.9 %, "
             f"{1e3 * clock['jitter_max']:.2f} ms at most; controller {1e6 * clock['step_median']:.0f} us at the median."
         )
     if "e_p_peak" in summary:
-        say(f"Largest e_p {1e3 * summary['e_p_peak']:.3f} mm, e_o {1e3 * summary['e_o_peak']:.3f} mrad.")
-    say(f"Stopped: {summary['stopped']}" if summary["stopped"] else f"Ran to its end; outcome: {summary['outcome']}.")
-    say(f"Log: {result.path}")
+        tell(f"Largest e_p {1e3 * summary['e_p_peak']:.3f} mm, e_o {1e3 * summary['e_o_peak']:.3f} mrad.")
+    tell(f"Stopped: {summary['stopped']}" if summary["stopped"] else f"Ran to its end; outcome: {summary['outcome']}.")
+    tell(f"Log: {result.path}")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, print_json, say
+from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
 
 
 def retime(
@@ -44,11 +44,12 @@ def retime(
     if json:
         print_json({"directory": directory, "plan": plan.summary()})
     else:
-        say(str(plan.status))
-        say(plan.verification.sentence)
+        console = result_console()
+        console.print(str(plan.status))
+        console.print(plan.verification.sentence)
         if plan.arm_status is not None:
-            say(str(plan.arm_status))
-        say(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
+            console.print(str(plan.arm_status))
+        console.print(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)
