@@ -19,7 +19,7 @@ from salver.geometry import GRAVITY_S, Array
 from salver.planning.joint_curves import FreeCurve
 from salver.planning.joint_exchange import optimise, rough
 from salver.planning.joint_problem import TransportProblem, reach, transport_problem
-from salver.planning.joint_spline import RestSpline, min_jerk_blend
+from salver.planning.joint_spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.joint_sqp import Iterate, Solution
 from salver.scenario import Scenario
 from salver.sensitivity.arm_terms import motion_terms
@@ -29,8 +29,9 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 DEGREE = 5
-REFINED = 0.5  # damping of the first step after pieces have been added
-TURNED = 0.3  # and after the last joint has been turned by a right angle
+REFINED = 0.5  # damping of the first step after pieces have been added,
+TURNED = 0.3  # after the last joint has been turned by a right angle,
+NEAR = 0.1  # and from the optimum of a similar problem
 ATTEMPTS = 40  # random postures from which the ends are sought
 POSTURES = 4  # start postures that are tried when none is given
 OTHERS = 6  # further goal postures that are tried when the likely ones fail
@@ -154,7 +155,8 @@ def fastest(
     options = options or FastestOptions()
     begun = time.perf_counter()
     if near is not None:
-        found = _near(problem, options, near)
+        begin = SplineMotion(near.spline, near.coefficients, near.duration)
+        found = _optimum(problem, options, begin, options.time_limit, NEAR)
         if found.status.ok:
             return found
     blocked = _blocked_start(problem)
@@ -176,7 +178,7 @@ def fastest(
         start = roughs.pop(0)
         if refined == 0 and problem.goal.yaw_free:
             start, *roughs = sorted([start, *_turned(problem, options, start, left()), *roughs], key=_merit)
-        found = _refined(problem, options, start.iterate, left())
+        found = _optimum(problem, options, _with_all_pieces(options, start.iterate), left(), REFINED)
         iterations, refined = iterations + start.iterations + found.iterations, refined + 1
         if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
             best = found
@@ -260,25 +262,25 @@ def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]
 
 def _rough(problem: TransportProblem, options: FastestOptions, guess: _Guess, time_limit: float) -> Solution:
     """A first optimum with few spline pieces, from a comfortable duration."""
-    s = np.linspace(0, 1, 201)
+    s, few = np.linspace(0, 1, 201), _few(options)
     q = guess.path(s)
     duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
-    few = _few(options)
-    return rough(problem, FreeCurve, few, few.fit(s, q), duration, options.nodes_per_span, time_limit)
+    start = SplineMotion(few, few.fit(s, q), duration)
+    return rough(problem, FreeCurve, start, options.nodes_per_span, time_limit)
 
 
 def _turned(
-    problem: TransportProblem, options: FastestOptions, start: Solution, time_limit: float
+    problem: TransportProblem, options: FastestOptions, found: Solution, time_limit: float
 ) -> Iterator[Solution]:
     """The same motion ending a quarter turn of the last joint away, optimised again: a local optimum does not turn."""
     few = _few(options)
     ramp = min_jerk_blend(np.linspace(0, 1, few.size))
     for turn in (0.5 * np.pi, -0.5 * np.pi):
-        coefficients = start.iterate.coefficients.copy()
+        coefficients = found.iterate.coefficients.copy()
         coefficients[:, -1] += turn * ramp
         if problem.limits.q_min[-1] < coefficients[-1, -1] < problem.limits.q_max[-1]:
-            duration, nodes = start.iterate.duration, options.nodes_per_span
-            yield rough(problem, FreeCurve, few, coefficients, duration, nodes, time_limit, damping=TURNED)
+            start = SplineMotion(few, coefficients, found.iterate.duration)
+            yield rough(problem, FreeCurve, start, options.nodes_per_span, time_limit, damping=TURNED)
 
 
 def _merit(found: Solution) -> tuple[bool, float]:
@@ -289,36 +291,20 @@ def _few(options: FastestOptions) -> RestSpline:
     return RestSpline(DEGREE, max(4, options.spans // 3))
 
 
-def _refined(problem: TransportProblem, options: FastestOptions, start: Iterate, time_limit: float) -> FastestMotion:
-    """The optimum with all spline pieces, checked between the nodes, from a rough one."""
-    begun = time.perf_counter()
+def _with_all_pieces(options: FastestOptions, found: Iterate) -> SplineMotion:
     spline, s = RestSpline(DEGREE, options.spans), np.linspace(0, 1, 201)
-    coefficients = spline.fit(s, _few(options).matrices(s)[0] @ start.coefficients)
-    found = optimise(
-        problem, FreeCurve, spline, coefficients, start.duration, options.nodes_per_span, time_limit, damping=REFINED
-    )
-    wall = time.perf_counter() - begun
-    return FastestMotion(
-        problem, spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
-    )
+    return SplineMotion(spline, spline.fit(s, _few(options).matrices(s)[0] @ found.coefficients), found.duration)
 
 
-def _near(problem: TransportProblem, options: FastestOptions, near: FastestMotion) -> FastestMotion:
-    """From a motion of a similar problem."""
+def _optimum(
+    problem: TransportProblem, options: FastestOptions, start: SplineMotion, time_limit: float, damping: float
+) -> FastestMotion:
+    """The optimum from a start that is near it, checked between the nodes."""
     begun = time.perf_counter()
-    found = optimise(
-        problem,
-        FreeCurve,
-        near.spline,
-        near.coefficients,
-        near.duration,
-        options.nodes_per_span,
-        options.time_limit,
-        damping=0.1,
-    )
+    found = optimise(problem, FreeCurve, start, options.nodes_per_span, time_limit, damping)
     wall = time.perf_counter() - begun
     return FastestMotion(
-        problem, near.spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
+        problem, start.spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
     )
 
 

@@ -16,7 +16,7 @@ from salver.geometry import Array
 from salver.planning.joint_curves import Curve, Grid
 from salver.planning.joint_problem import TransportProblem
 from salver.planning.joint_rows import Indices, Margins, evaluate
-from salver.planning.joint_spline import RestSpline
+from salver.planning.joint_spline import SplineMotion
 from salver.planning.joint_sqp import DEEPEST, Options, Solution, minimise_duration
 
 ROUGH_GAIN = 5e-3  # relative shortening below which a rough optimum is good enough
@@ -52,16 +52,14 @@ class Checked:
 def optimise(
     problem: TransportProblem,
     curve_of: CurveOf,
-    spline: RestSpline,
-    coefficients: Array,
-    duration: float,
+    start: SplineMotion,
     nodes_per_span: int,
     time_limit: float,
     damping: float = 1.0,
 ) -> Checked:
     """Shortest duration from a start, kept between the nodes too. curve_of: makes the curve of a problem and grid."""
     begun = time.perf_counter()
-    margins = _node_margins(problem)
+    margins, spline = _node_margins(problem), start.spline
     nodes = spline.nodes(nodes_per_span)
     fine = curve_of(problem, Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s, POINTS_CHECKED))
 
@@ -73,7 +71,7 @@ def optimise(
         limited = replace(options, time_limit=left)
         return minimise_duration(curve, coefficients, duration, margins, limited, damping, depth)
 
-    solution = solve(coefficients, duration, Options(gain=1e-3), damping, DEEPEST)
+    solution = solve(start.coefficients, start.duration, Options(gain=1e-3), damping, DEEPEST)
     iterations = solution.iterations
     for exchange in range(EXCHANGES + 1):
         coefficients, duration = solution.iterate.coefficients, solution.iterate.duration
@@ -100,19 +98,17 @@ def optimise(
 def rough(
     problem: TransportProblem,
     curve_of: CurveOf,
-    spline: RestSpline,
-    coefficients: Array,
-    duration: float,
+    start: SplineMotion,
     nodes_per_span: int,
     time_limit: float,
     damping: float = 1.0,
 ) -> Solution:
     """A first optimum with few pieces, unchecked between nodes: a start for one with more."""
-    grid = Grid.of(spline, spline.nodes(nodes_per_span))
-    postures = curve_of(problem, grid).motion(coefficients, duration)[0]
+    grid = Grid.of(start.spline, start.spline.nodes(nodes_per_span))
+    postures = curve_of(problem, grid).motion(start.coefficients, start.duration)[0]
     curve = curve_of(_watching(problem, postures), grid)
     options = Options(gain=ROUGH_GAIN, time_limit=time_limit)
-    return minimise_duration(curve, coefficients, duration, _node_margins(problem), options, damping)
+    return minimise_duration(curve, start.coefficients, start.duration, _node_margins(problem), options, damping)
 
 
 def _node_margins(problem: TransportProblem) -> Margins:

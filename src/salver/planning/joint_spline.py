@@ -67,6 +67,15 @@ class RestSpline:
         return np.vstack([ends[:1], inner, ends[1:]])
 
 
+@dataclass(frozen=True)
+class SplineMotion:
+    """A spline with coefficients (size, m) in normalised time, and its duration in s."""
+
+    spline: RestSpline
+    coefficients: Array
+    duration: float
+
+
 def min_jerk_blend(s: Array) -> Array:
     """10 s^3 - 15 s^4 + 6 s^5: from 0 to 1, at rest at both ends (Flash and Hogan 1985)."""
     return s**3 * (10 + s * (6 * s - 15))

@@ -25,7 +25,7 @@ from salver.planning.fastest import joint_plan
 from salver.planning.joint_curves import PathCurve
 from salver.planning.joint_exchange import optimise
 from salver.planning.joint_problem import TransportProblem, transport_problem
-from salver.planning.joint_spline import RestSpline
+from salver.planning.joint_spline import RestSpline, SplineMotion
 from salver.scenario import Scenario
 from salver.sensitivity.arm_terms import motion_terms
 from salver.trajectory import JointMotion
@@ -123,9 +123,7 @@ def retime(
     found = optimise(
         problem,
         lambda p, grid: PathCurve(p, grid, path),
-        law,
-        start,
-        1.5 * float(t[-1]),
+        SplineMotion(law, start, 1.5 * float(t[-1])),
         nodes_per_span,
         time_limit,
     )
