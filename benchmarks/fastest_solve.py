@@ -1,6 +1,6 @@
 """Time to find the fastest safe motion, and how surely it is found.
 
-    python benchmarks/fastest_solve.py [-n 9] [--starts 50]
+    python benchmarks/fastest_solve.py [-n 9] [--starts 100]
 
 First the paper's endpoints and start posture, cube, friction known exactly, tray level and free to tilt: duration and
 solve time, the problem built anew each time. Then from random start postures of the Panda within its reach, clear of
@@ -54,7 +54,7 @@ def random_start_postures(problem: TransportProblem, count: int, seed: int = 7) 
 def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("-n", type=int, default=9, help="times that each of the four cases is solved")
-    options.add_argument("--starts", type=int, default=50, help="random start postures, level and tilting")
+    options.add_argument("--starts", type=int, default=100, help="random start postures, level and tilting")
     chosen = options.parse_args()
     print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}; wall time, warm")
     for friction in (0.4, 0.2):

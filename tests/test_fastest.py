@@ -361,7 +361,7 @@ def test_obstacle_on_the_way_is_avoided():
 
 @pytest.mark.parametrize("level", [True, False])
 def test_random_start_postures_converge(level):
-    """All of these; `benchmarks/fastest_solve.py` counts fifty."""
+    """All of these; `benchmarks/fastest_solve.py` counts a hundred."""
     template = transport_problem(cube(objects__0__uncertainty={}), robust=False, level=level)
     rng, limits, tried = np.random.default_rng(7), template.limits, 0
     assert template.keep_out is not None
