@@ -22,6 +22,7 @@ BENCHMARKS = DOCS.parent / "benchmarks"
 COMMANDS = {
     "planner": ["bench_planner.py", "--plot", str(DOCS / "images" / "planner.png")],
     "fastest": ["fastest_solve.py"],
+    "fastest-ipopt": ["fastest_ipopt.py"],
     "rollouts": ["rollouts.py"],
     "margins": ["bench_margins.py"],
     "controller": ["controller_step.py"],
