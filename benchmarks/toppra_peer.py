@@ -111,7 +111,9 @@ def main() -> None:
     options.add_argument("--only", nargs="*", help="names of scenarios")
     chosen = options.parse_args()
     logging.getLogger("toppra").setLevel(logging.ERROR)
-    print("ratio: duration by salver over that by toppra; in brackets the processor time in s")
+    print("duration in s by salver and by toppra (conditions at nodes, over intervals), ratios salver / toppra, and")
+    print("processor time of each in s")
+    print(f"{'':37s}points   salver    nodes intervals  ratios            processor time")
     for name, scenario in scenarios().items():
         if chosen.only is not None and name not in chosen.only:
             continue
@@ -119,12 +121,16 @@ def main() -> None:
         full = transport_problem(scenario, level=True, robust=False)
         for what, problem in (("limits", replace(full, contacts=())), ("limits, contact", full)):
             for count in chosen.points:
-                ours, spent = timed(own, problem, path, count)
-                words = f"{name:20s} {what:16s} {count:5d} points: salver {ours:.5f} s ({spent:.2f})"
-                for scheme, kind in SCHEMES.items():
+                ours, *seconds = timed(own, problem, path, count)
+                found = []
+                for kind in SCHEMES.values():
                     theirs, spent = timed(peer, problem, path, count, kind)
-                    words += f"; toppra, {scheme}, {theirs:.5f} s ({spent:.2f}), ratio {ours / theirs:.5f}"
-                print(words, flush=True)
+                    found.append(theirs)
+                    seconds.append(spent)
+                durations = " ".join(f"{duration:8.5f}" for duration in (ours, *found))
+                ratios = " ".join(f"{ours / theirs:.5f}" for theirs in found)
+                spent_all = " ".join(f"{spent:.2f}" for spent in seconds)
+                print(f"{name:20s} {what:16s} {count:5d} {durations}   {ratios}   {spent_all}", flush=True)
 
 
 if __name__ == "__main__":
