@@ -355,8 +355,8 @@ def page(results: dict[str, Any]) -> str:
         "",
         *table(failures),
         "",
-        "Processor time to find the motion, s (robust motions are checked for all parameters on a grid ten times finer",
-        "than the one they are planned on, which is part of it):",
+        "Processor time to find the motion, s (robust motions are checked for all parameters on a finer grid than the",
+        "one they are planned on, which is part of it):",
         "",
         *table(lambda found: f"{found['seconds']:.2f}" if "seconds" in found else ""),
     ]
