@@ -19,10 +19,10 @@ from salver.planning.fastest import FastestOptions, fastest, object_motion, plan
 from salver.planning.fastest_tradeoff import scaled, tradeoff
 from salver.planning.joint_contact import worst_case
 from salver.planning.joint_curves import FreeCurve, Grid
-from salver.planning.joint_problem import EndPose, TransportProblem, reach, transport_problem
+from salver.planning.joint_problem import EndPose, TransportProblem, end_residual, reach, transport_problem
 from salver.planning.joint_rows import Margins, evaluate
 from salver.planning.joint_spline import RestSpline, min_jerk_blend
-from salver.planning.joint_sqp import Iterate, _linearise, _near
+from salver.planning.joint_sqp import Iterate, _beyond_kinks, _iterate, _linearise, _near
 from salver.planning.joint_tracking import tracking_of
 from salver.planning.make import make_plan
 from salver.scenario import Scenario, load
@@ -187,6 +187,36 @@ def test_putting_the_goal_right_does_not_jolt_the_arm():
     size = np.abs(moved[0]).max()
     assert 5e-4 < size < 5e-3
     assert np.abs(moved[2]).max() < 20 * size / duration**2  # min-jerk takes 5.8; the last control point alone 1759
+
+
+def test_an_end_is_reached_with_a_joint_at_its_stop():
+    problem = transport_problem(cube(), robust=False)
+    assert problem.start_posture is not None
+    free = reach(problem, problem.goal, problem.start_posture)
+    assert free is not None
+    for joint, shift in ((0, -0.05), (1, -0.05), (2, 0.05)):
+        q_min, q_max = problem.limits.q_min.copy(), problem.limits.q_max.copy()
+        side = q_max if shift < 0 else q_min
+        side[joint] = free[joint] + shift
+        tight = replace(problem, limits=replace(problem.limits, q_min=q_min, q_max=q_max))
+        q = reach(tight, problem.goal, problem.start_posture)
+        assert q is not None, joint
+        assert np.all((q > q_min) & (q < q_max))
+        assert np.abs(end_residual(problem, problem.goal, q)[0]).max() < 1e-10
+
+
+def test_rows_beyond_a_kink_are_exact_where_they_were_taken():
+    box = {"name": "post", "type": "box", "position": [0.55, -0.13, 0.3], "size": [0.1, 0.1, 0.6]}
+    problem = transport_problem(cube(obstacles=[box]), robust=False)
+    spline = RestSpline(5, 8)
+    curve = FreeCurve(problem, Grid.of(spline, spline.nodes(3)))
+    first = line(problem, spline)
+    path, trial = (_iterate(curve, c, 1.0, Margins()) for c in (first, first + 0.02 * np.sin(np.arange(7))))
+    kinked = _beyond_kinks(curve, path, trial)
+    (clearance,) = (family for family in trial.at.families if family.kinked)
+    moved = np.append((trial.coefficients - path.coefficients).ravel(), 0.0)
+    assert len(kinked.bound) > 3
+    assert np.allclose(kinked.matrix @ moved - kinked.bound, clearance.values[clearance.values > 0], atol=1e-12)
 
 
 # The closed loop -----------------------------------------------------------------------------------------------
