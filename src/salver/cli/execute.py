@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -110,7 +111,8 @@ def _pose(text: str | None) -> Any:
 
 
 def _tell(result: Execution) -> None:
-    summary, clock, tell = result.summary, result.summary.get("timing", {}), result_console().print
+    summary, clock = result.summary, result.summary.get("timing", {})
+    tell = partial(result_console().print, markup=False)
     for check in result.checks:
         tell(f"  {'ok ' if check.ok else 'NO '} {check.name}: {check.sentence}")
     if "jitter_median" in clock:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
@@ -44,12 +45,12 @@ def retime(
     if json:
         print_json({"directory": directory, "plan": plan.summary()})
     else:
-        console = result_console()
-        console.print(str(plan.status))
-        console.print(plan.verification.sentence)
+        tell = partial(result_console().print, markup=False)
+        tell(str(plan.status))
+        tell(plan.verification.sentence)
         if plan.arm_status is not None:
-            console.print(str(plan.arm_status))
-        console.print(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
+            tell(str(plan.arm_status))
+        tell(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)

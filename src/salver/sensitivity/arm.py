@@ -175,16 +175,19 @@ class ArmChain:
         """(T, n_lambda, n_c) of the first object's Lambda = pinv(grasp_map) wrench: what the paper calls Theta."""
         return np.asarray(np.linalg.pinv(grasp_map) @ self.wrench)
 
-    def least_slack(self, tracking: bool = True) -> Array:
+    def least_slack(self, tracking: bool = True, held: bool = True) -> Array:
         """(T,) least contact slack over all rows and the whole uncertain set; safe above 0.
 
-        tracking: with the arm's tracking error, held commands included; otherwise for a tray that moves as planned,
-        which is what a plan checks with contact.condition = "exact".
+        tracking: with the arm's tracking error; otherwise for a tray that moves as planned, which is what a plan
+        checks with contact.condition = "exact". held: and with what commands that are held do to the nominal motion;
+        without, it is what the fastest plan allows for.
         """
         load, rows = self.model.load, self.model.worst_rows
         motions = [(self.nominal.w, np.zeros_like(self.w))]
-        if tracking:
+        if tracking and held:
             motions = [(self.nominal.w + self.held.w + sign * self.held.swing, self.w) for sign in (-1, 1)]
+        elif tracking:
+            motions = [(self.nominal.w, self.w)]
         worst = [worst_contact(part, w, dw, load) for part in rows for w, dw in motions]
         return -np.max(np.concatenate(worst, axis=1), axis=1)
 
