@@ -17,7 +17,7 @@ import numpy as np
 
 from salver.margins import Margins, margin_model, margins
 from salver.models.wrench_cone import hull_facets
-from salver.planning.evaluation import evaluate
+from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import PolynomialReference, min_jerk_line

@@ -16,10 +16,10 @@ import time
 import casadi as ca
 import numpy as np
 
-from salver.planning.conditions import WrenchRows
 from salver.planning.make import plan_object
-from salver.planning.problem import Problem
-from salver.planning.solvers import solve, solve_convex
+from salver.planning.object.conditions import WrenchRows
+from salver.planning.object.problem import Problem
+from salver.planning.object.solvers import solve, solve_convex
 from salver.scenario import Scenario, load
 
 PAPER = load("panda-cube")

@@ -18,7 +18,7 @@ import numpy as np
 from salver import scenario
 from salver.control.arm import ArmController, ArmState, controller_for
 from salver.models.arm import load_arm
-from salver.planning.joint_motion import follow_scenario
+from salver.planning.follow.motion import follow_scenario
 from salver.trajectory import JointMotion, Reference, min_jerk_line
 
 BUDGET = 150e-6  # s, at the median

@@ -36,11 +36,11 @@ from salver.errors import SalverError, Status
 from salver.files import read_json, write_atomic, write_json
 from salver.models.bodies import bodies
 from salver.planning.fastest import fastest, object_motion
-from salver.planning.joint_problem import TransportProblem, transport_problem
-from salver.planning.joint_rows import Margins, evaluate
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.retiming import SplinePath, reachable_law
+from salver.planning.fastest.rows import Margins, evaluate
 from salver.planning.make import plan_baseline, plan_object, with_arm
 from salver.planning.plan import Plan, load_plan
-from salver.planning.retiming import SplinePath, reachable_law
 from salver.scenario import Scenario, load
 from salver.trajectory import JointMotion, SampledReference
 

@@ -3,9 +3,9 @@
     python benchmarks/fastest_ipopt.py [--limit 120]
 
 The paper's cube, friction known, level and tilting. Both start from the same straight path at the same duration, and
-both get values and derivatives from `salver.planning.joint_rows`; IPOPT has exact first derivatives with their sparsity
-and a limited-memory Hessian, and every row from the beginning. salver's time is that of the whole search, from few
-spline pieces to many, with the checks between the nodes; IPOPT's that of its one programme at the nodes.
+both get values and derivatives from `salver.planning.fastest.rows`; IPOPT has exact first derivatives with their
+sparsity and a limited-memory Hessian, and every row from the beginning. salver's time is that of the whole search, from
+few spline pieces to many, with the checks between the nodes; IPOPT's that of its one programme at the nodes.
 """
 
 from __future__ import annotations
@@ -21,13 +21,12 @@ import numpy as np
 
 from fastest_solve import TURNS, cube
 from salver.geometry import Array
-from salver.planning import fastest as search
-from salver.planning.fastest import FastestOptions, fastest
-from salver.planning.joint_curves import FreeCurve, Grid
-from salver.planning.joint_exchange import _node_margins, _watching
-from salver.planning.joint_problem import TransportProblem, end_residual, transport_problem
-from salver.planning.joint_spline import RestSpline
-from salver.planning.joint_sqp import Iterate, _derivatives, _iterate
+from salver.planning.fastest import FastestOptions, fastest, search
+from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.exchange import _node_margins, _watching
+from salver.planning.fastest.problem import TransportProblem, end_residual, transport_problem
+from salver.planning.fastest.spline import RestSpline
+from salver.planning.fastest.sqp import Iterate, _derivatives, _iterate
 
 
 class Rows:

@@ -20,7 +20,7 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.planning.fastest import fastest
-from salver.planning.joint_problem import EndPose, TransportProblem, reach, transport_problem
+from salver.planning.fastest.problem import EndPose, TransportProblem, reach, transport_problem
 from salver.scenario import Scenario, load
 
 TURNS = {"fixed": "level", "free": "tilting"}

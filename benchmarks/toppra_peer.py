@@ -20,9 +20,9 @@ import numpy as np
 
 from fastest import line_path, scenarios
 from salver.geometry import Array
-from salver.planning.joint_problem import TransportProblem, transport_problem
-from salver.planning.retiming import SplinePath, reachable_law
-from salver.sensitivity.arm_terms import motion_terms
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.retiming import SplinePath, reachable_law
+from salver.sensitivity.arm.terms import motion_terms
 
 try:
     import toppra

@@ -15,8 +15,8 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.bodies import bodies
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
-from salver.planning.cost import tray_loop
 from salver.planning.make import plan_baseline, plan_object
+from salver.planning.object.cost import tray_loop
 from salver.planning.plan import Plan
 from salver.report import figures
 from salver.report.perturbed import perturbed_rollouts

@@ -14,8 +14,8 @@ from salver.errors import ScenarioError
 from salver.geometry import exp, log
 from salver.models.arm import load_arm, with_load
 from salver.models.bodies import bodies
-from salver.planning.joint_motion import follow_scenario
-from salver.planning.posture import solve_pose
+from salver.planning.follow.motion import follow_scenario
+from salver.planning.follow.posture import solve_pose
 from salver.trajectory import min_jerk_line
 
 CUBE = scenario.load("panda-cube")

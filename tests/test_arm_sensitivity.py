@@ -20,10 +20,10 @@ from salver.models.wrench_cone import cone_facets
 from salver.planning.make import plan_baseline, with_arm
 from salver.planning.plan import Plan
 from salver.sensitivity.arm import arm_chain, chain_model, tracking_wrench_motion
-from salver.sensitivity.arm_contact import worst_contact
-from salver.sensitivity.arm_filter import node_filter, sagged, transition
-from salver.sensitivity.arm_load import load_change
-from salver.sensitivity.arm_terms import motion_terms
+from salver.sensitivity.arm.contact import worst_contact
+from salver.sensitivity.arm.filter import node_filter, sagged, transition
+from salver.sensitivity.arm.load import load_change
+from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.filter import ErrorFilter, QuadratureGrid
 from salver.sensitivity.tray import TrayLoop
 from salver.simulation.physics import Options, simulate

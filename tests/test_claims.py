@@ -14,10 +14,10 @@ from salver.errors import SalverError, ScenarioError
 from salver.geometry import GRAVITY_S, Array
 from salver.margins import margins
 from salver.models.bodies import bodies
-from salver.planning.conditions import MotionRows, WrenchRows
 from salver.planning.make import plan_baseline, plan_object
-from salver.planning.problem import Problem
-from salver.planning.solvers import solve_convex
+from salver.planning.object.conditions import MotionRows, WrenchRows
+from salver.planning.object.problem import Problem
+from salver.planning.object.solvers import solve_convex
 from salver.sampling import draw
 from salver.scenario import Scenario, load, parse
 from salver.simulation.closed_loop import rollout

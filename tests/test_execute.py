@@ -15,12 +15,12 @@ import pytest
 
 from salver import scenario
 from salver.control.arm import ArmState, controller_for
+from salver.driver import execute, mocap
+from salver.driver.execution import CoolStop, Watchdog, drive, timing
+from salver.driver.franka_limits import FR3, velocity_range
+from salver.driver.preflight import check_franka, check_plan, check_posture, demand
+from salver.driver.robots import SimulatedRobot
 from salver.errors import FileFormatError, MissingDependencyError, SalverError
-from salver.export import execute, mocap
-from salver.export.execution import CoolStop, Watchdog, drive, timing
-from salver.export.franka_limits import FR3, velocity_range
-from salver.export.preflight import check_franka, check_plan, check_posture, demand
-from salver.export.robots import SimulatedRobot
 from salver.geometry import Array, compose, exp, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.models.arm import load_arm, with_load
 from salver.models.bodies import bodies
@@ -364,7 +364,7 @@ def test_pylibfranka_has_the_names_that_are_used() -> None:
     assert hasattr(real.ControllerMode, "JointImpedance")
     assert real.JointPositions([0.1] * 7).motion_finished is False
     assert {"q", "q_d", "dq"} <= set(dir(real.RobotState))
-    from salver.export.robots import FrankaRobot
+    from salver.driver.robots import FrankaRobot
 
     case = scenario.load("panda-cube")
     with pytest.raises(SalverError, match=r"The arm at 127\.0\.0\.1 says: "):

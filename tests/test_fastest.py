@@ -14,19 +14,19 @@ from salver.margins import margins
 from salver.models.arm import with_load
 from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import inertial_vector
-from salver.planning import fastest as fastest_module
 from salver.planning.fastest import FastestOptions, fastest, object_motion, plan_fastest
-from salver.planning.fastest_tradeoff import scaled, tradeoff
-from salver.planning.joint_contact import worst_case
-from salver.planning.joint_curves import FreeCurve, Grid
-from salver.planning.joint_problem import EndPose, TransportProblem, end_residual, reach, transport_problem
-from salver.planning.joint_rows import Margins, evaluate
-from salver.planning.joint_spline import RestSpline, min_jerk_blend
-from salver.planning.joint_sqp import Iterate, _beyond_kinks, _iterate, _linearise, _near
-from salver.planning.joint_tracking import tracking_of
+from salver.planning.fastest import search as fastest_module
+from salver.planning.fastest.contact import worst_case
+from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.problem import EndPose, TransportProblem, end_residual, reach, transport_problem
+from salver.planning.fastest.rows import Margins, evaluate
+from salver.planning.fastest.spline import RestSpline, min_jerk_blend
+from salver.planning.fastest.sqp import Iterate, _beyond_kinks, _iterate, _linearise, _near
+from salver.planning.fastest.tracking import tracking_of
+from salver.planning.fastest.tradeoff import scaled, tradeoff
 from salver.planning.make import make_plan
 from salver.scenario import Scenario, load
-from salver.sensitivity.arm_terms import motion_terms
+from salver.sensitivity.arm.terms import motion_terms
 
 UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "friction": "10%"}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from salver.planning.evaluation import evaluate
+from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load
 from salver.simulation.inflation import RESERVE, Inflation, inflate
 from salver.trajectory import min_jerk_line

@@ -10,11 +10,11 @@ from salver.geometry import GRAVITY_S, exp, log
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.bodies import bodies
-from salver.planning.joint_limits import peaks, torques, verdict
-from salver.planning.joint_motion import follow, follow_scenario
+from salver.planning.follow.limits import peaks, torques, verdict
+from salver.planning.follow.motion import follow, follow_scenario
+from salver.planning.follow.posture import candidate_postures, check_start_posture
+from salver.planning.follow.redundancy import march, tray_path
 from salver.planning.make import plan_pair
-from salver.planning.posture import candidate_postures, check_start_posture
-from salver.planning.redundancy import march, tray_path
 from salver.trajectory import JointMotion, PolynomialReference, min_jerk_line
 
 CUBE = scenario.load("panda-cube")

@@ -11,7 +11,7 @@ from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.tray_motion import at_rest, frame_map, motion_vector, wrench_map
-from salver.planning.evaluation import evaluate
+from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load, parse
 from salver.simulation.closed_loop import rollout
 from salver.trajectory import MotionSamples, PolynomialReference, min_jerk_line

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from salver.errors import FileFormatError, ScenarioError
-from salver.planning.evaluation import evaluate
 from salver.planning.make import make_plan, plan_baseline, plan_object
+from salver.planning.object.evaluation import evaluate
 from salver.planning.plan import load_plan
 from salver.scenario import load
 

@@ -5,11 +5,11 @@ import pytest
 from scipy.optimize import minimize
 
 from salver.errors import ScenarioError
-from salver.planning.conditions import conditions_for
-from salver.planning.cost import integration_weights, row_scale
 from salver.planning.make import plan_baseline, plan_object
-from salver.planning.problem import Problem
-from salver.planning.solvers import solve, solve_convex
+from salver.planning.object.conditions import conditions_for
+from salver.planning.object.cost import integration_weights, row_scale
+from salver.planning.object.problem import Problem
+from salver.planning.object.solvers import solve, solve_convex
 from salver.scenario import load
 
 PAPER = load("panda-cube")

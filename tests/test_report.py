@@ -215,7 +215,7 @@ def test_a_log_of_the_arm_is_shown_like_a_simulation(plan_only: Path, tmp_path: 
     """With the object seen now and then by motion capture: where it was not, the tray carries it."""
     import shutil
 
-    from salver.export.execute import dry_run
+    from salver.driver.execute import dry_run
     from salver.files import load_npz, save_npz
 
     shutil.copytree(plan_only, tmp_path / "run")

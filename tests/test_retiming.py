@@ -14,12 +14,12 @@ from salver.cli.retime import retime as retime_command
 from salver.errors import ScenarioError
 from salver.models.contact_rows import contact_rows
 from salver.planning.fastest import FastestOptions, fastest, object_motion
-from salver.planning.joint_curves import Grid, PathCurve
-from salver.planning.joint_limits import peaks
-from salver.planning.joint_problem import TransportProblem, transport_problem
-from salver.planning.joint_spline import RestSpline
+from salver.planning.fastest.curves import Grid, PathCurve
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.retiming import SplinePath, plan_retimed, reachable_law, retime
+from salver.planning.fastest.spline import RestSpline
+from salver.planning.follow.limits import peaks
 from salver.planning.plan import load_plan
-from salver.planning.retiming import SplinePath, plan_retimed, reachable_law, retime
 from salver.scenario import Scenario, load
 
 
@@ -120,7 +120,7 @@ def test_retimed_path_keeps_every_limit_and_the_contact(robust):
         assert peak.share < 1.001, peak
     terms = object_motion(given, motion.t, motion.q, motion.dq, motion.ddq)
     assert np.abs(terms.v_S[[0, -1]]).max() < 1e-9
-    from salver.sensitivity.arm_terms import motion_terms
+    from salver.sensitivity.arm.terms import motion_terms
 
     w = motion_terms(given.model, given.arm.tray_id, motion.q, motion.dq, motion.ddq).w
     for rows in contact_rows(scenario, robust=robust):

@@ -12,8 +12,8 @@ from salver.cli.common import NOT_ACHIEVED, Json, print_json, result_console, sa
 from salver.errors import SalverError
 
 if TYPE_CHECKING:
-    from salver.export.execute import Execution
-    from salver.export.preflight import Check
+    from salver.driver.execute import Execution
+    from salver.driver.preflight import Check
 
 
 def execute(
@@ -48,9 +48,9 @@ def execute(
 
     Example: `salver execute runs/panda-cube --dry-run`
     """
-    from salver.export.execute import ROBOTS, merge_mocap, run_on_franka
-    from salver.export.execute import dry_run as run_dry
-    from salver.export.execution import Watchdog
+    from salver.driver.execute import ROBOTS, merge_mocap, run_on_franka
+    from salver.driver.execute import dry_run as run_dry
+    from salver.driver.execution import Watchdog
 
     if robot not in ROBOTS:
         raise SalverError(f'There is no robot "{robot}"; known are {", ".join(ROBOTS)}.')

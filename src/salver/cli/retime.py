@@ -33,7 +33,7 @@ def retime(
     """
     from salver import scenario as scenarios
     from salver.errors import ScenarioError
-    from salver.planning.retiming import plan_retimed, read_waypoints
+    from salver.planning.fastest.retiming import plan_retimed, read_waypoints
 
     if scenario is None:
         if not path.is_dir():

@@ -10,7 +10,7 @@ import typer
 from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
 
 if TYPE_CHECKING:
-    from salver.planning.fastest_tradeoff import TradeoffPoint
+    from salver.planning.fastest.tradeoff import TradeoffPoint
 
 
 def tradeoff(
@@ -35,7 +35,7 @@ def tradeoff(
     from salver import scenario as scenarios
     from salver.errors import ScenarioError
     from salver.files import provenance, write_atomic, write_json
-    from salver.planning.fastest_tradeoff import tradeoff as curve
+    from salver.planning.fastest.tradeoff import tradeoff as curve
 
     try:
         wanted = [float(word) for word in scales.split(",")]

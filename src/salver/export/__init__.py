@@ -1,4 +1,4 @@
-"""Plans for other programs: CSV, JSON, ROS 2, MuJoCo; and the driver of a real arm."""
+"""Plans for other programs: CSV, JSON, ROS 2, MuJoCo."""
 
 from __future__ import annotations
 

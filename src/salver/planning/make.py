@@ -10,9 +10,9 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array
+from salver.planning.object.problem import Problem
+from salver.planning.object.solvers import Solution, solve
 from salver.planning.plan import FINER, Plan
-from salver.planning.problem import Problem
-from salver.planning.solvers import Solution, solve
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, min_jerk_line
 
@@ -67,8 +67,8 @@ def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
     """
     from salver.models.arm import load_arm
     from salver.models.bodies import bodies
-    from salver.planning.joint_limits import torques
-    from salver.planning.joint_motion import follow_scenario
+    from salver.planning.follow.limits import torques
+    from salver.planning.follow.motion import follow_scenario
 
     scenario = plan.scenario
     assert scenario.arm is not None

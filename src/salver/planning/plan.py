@@ -14,9 +14,9 @@ from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import load_npz, provenance, read_json, save_npz, write_atomic, write_json
 from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.models.bodies import uncertain_set
-from salver.planning.conditions import TILT, unit_of
-from salver.planning.cost import sensitivity_cost
-from salver.planning.evaluation import Evaluation, evaluate
+from salver.planning.object.conditions import TILT, unit_of
+from salver.planning.object.cost import sensitivity_cost
+from salver.planning.object.evaluation import Evaluation, evaluate
 from salver.scenario import Scenario
 from salver.trajectory import (
     JointMotion,

@@ -13,7 +13,7 @@ import numpy as np
 
 from salver.files import write_atomic
 from salver.models.bodies import uncertain_set
-from salver.planning.conditions import UNITS
+from salver.planning.object.conditions import UNITS
 from salver.report.parameters import pretty, quantity
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from salver.control.object import Gains
 from salver.geometry import Array
 from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
-from salver.planning.evaluation import Evaluation
+from salver.planning.object.evaluation import Evaluation
 from salver.scenario import Scenario
 from salver.simulation.closed_loop import Coverage, coverage, rollout
 from salver.trajectory import Reference

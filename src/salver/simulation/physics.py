@@ -92,7 +92,7 @@ class Experiment:
 
     @cached_property
     def controller(self) -> ArmController:
-        # Plans made in joint space know their tracking errors in joint space (salver.planning.joint_tracking).
+        # Plans made in joint space know their tracking errors in joint space (salver.planning.fastest.tracking).
         space: Literal["object", "joint"] = "joint" if self.plan.method == "fastest" else "object"
         return controller_for(self.plan.scenario, self.joint, self.plan.reference, arm=self.arm, space=space)
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import GRAVITY_S, Array, exp, log
-from salver.planning.conditions import TILT, unit_of
-from salver.planning.problem import Linearisation, Problem
-from salver.planning.subproblem import TOLERANCE, Step, solve_model
+from salver.planning.object.conditions import TILT, unit_of
+from salver.planning.object.problem import Linearisation, Problem
+from salver.planning.object.subproblem import TOLERANCE, Step, solve_model
 
 _PROGRESS = 1e-6  # the sequential method ends when a step promises less, relative to the cost
 _SMALLEST_RADIUS = 1e-8  # of its trust region

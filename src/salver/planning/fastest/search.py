@@ -1,7 +1,7 @@
 """The fastest motion that stays safe: shortest duration within the arm's limits, contact kept for all parameters.
 
 The decision variables are the coefficients of rest-to-rest joint splines and the duration, so the arm can run
-every candidate. `joint_rows` says what must hold, `joint_sqp` finds the optimum; here are the starts, the
+every candidate. `rows` says what must hold, `sqp` finds the optimum; here are the starts, the
 refinement from few spline pieces to many, and the check between the nodes.
 """
 
@@ -16,13 +16,13 @@ import numpy as np
 
 from salver.errors import Status, UnreachableError
 from salver.geometry import GRAVITY_S, Array
-from salver.planning.joint_curves import FreeCurve
-from salver.planning.joint_exchange import optimise, rough
-from salver.planning.joint_problem import TransportProblem, reach, transport_problem
-from salver.planning.joint_spline import RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.joint_sqp import Iterate, Solution
+from salver.planning.fastest.curves import FreeCurve
+from salver.planning.fastest.exchange import optimise, rough
+from salver.planning.fastest.problem import TransportProblem, reach, transport_problem
+from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.fastest.sqp import Iterate, Solution
 from salver.scenario import Scenario
-from salver.sensitivity.arm_terms import motion_terms
+from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def joint_plan(
     scenario: Scenario, problem: TransportProblem, joint: JointMotion, status: Status, record: Mapping[str, Any]
 ) -> Plan:
     """A motion of the joints as a plan under the exact contact condition, judged by the arm's own verdict."""
-    from salver.planning.joint_limits import torques, verdict
+    from salver.planning.follow.limits import torques, verdict
     from salver.planning.plan import Plan
 
     exact = scenario.with_changes(contact__condition="exact")

@@ -16,8 +16,8 @@ from salver.models.arm_limits import JointLimits
 from salver.models.bodies import Body, bodies, uncertain_set
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import UncertainSet
-from salver.planning.joint_obstacles import KeepOut
-from salver.planning.joint_tracking import Tracking, tracking_of
+from salver.planning.fastest.obstacles import KeepOut
+from salver.planning.fastest.tracking import Tracking, tracking_of
 from salver.scenario import Scenario
 
 TORQUE_RATE_SHARE = 0.95  # of the maker's limit; feedback needs the rest

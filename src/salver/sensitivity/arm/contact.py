@@ -18,7 +18,7 @@ from salver.models.bodies import bodies, uncertain_set
 from salver.models.contact_rows import ContactRows, network_rows
 from salver.models.interfaces import ContactNetwork, networks
 from salver.models.parameters import UncertainSet
-from salver.sensitivity.arm_load import LoadChange
+from salver.sensitivity.arm.load import LoadChange
 
 if TYPE_CHECKING:
     from salver.scenario import Scenario

@@ -3,7 +3,7 @@
 Two stages. Without limits on jerk and torque rate, and for nominal parameters, every condition is linear in
 x = (du/dt)^2 and its slope, and the time-optimal law is the largest x everywhere (Bobrow, Dubowsky, Gibson 1985;
 as one linear programme: Verscheure et al. 2009; as reachability: Pham and Pham, TOPP-RA, 2018). That law starts
-the second: a smooth time law with all conditions of `joint_rows`, jerk, uncertain parameters and the arm's
+the second: a smooth time law with all conditions of `rows`, jerk, uncertain parameters and the arm's
 tracking among them.
 """
 
@@ -22,12 +22,12 @@ from scipy.sparse import coo_matrix
 from salver.errors import FileFormatError, ScenarioError, Status, UnreachableError
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest import joint_plan
-from salver.planning.joint_curves import PathCurve
-from salver.planning.joint_exchange import optimise
-from salver.planning.joint_problem import TransportProblem, transport_problem
-from salver.planning.joint_spline import RestSpline, SplineMotion
+from salver.planning.fastest.curves import PathCurve
+from salver.planning.fastest.exchange import optimise
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.spline import RestSpline, SplineMotion
 from salver.scenario import Scenario
-from salver.sensitivity.arm_terms import motion_terms
+from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
 
 if TYPE_CHECKING:

@@ -1,8 +1,8 @@
 """From a motion of the object to a motion of the joints, and whether the arm can follow it at all.
 
-The start posture is chosen among many (`salver.planning.posture`), the redundancy resolved for each
-(`salver.planning.redundancy`), and the best motion that keeps clear of itself and of obstacles is judged against
-every limit (`salver.planning.joint_limits`).
+The start posture is chosen among many (`salver.planning.follow.posture`), the redundancy resolved for each
+(`salver.planning.follow.redundancy`), and the best motion that keeps clear of itself and of obstacles is judged against
+every limit (`salver.planning.follow.limits`).
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
 from salver.models.bodies import bodies as bodies_of
-from salver.planning.joint_limits import COLLISION, verdict
-from salver.planning.posture import candidate_postures, check_start_posture
-from salver.planning.redundancy import Choice, TrayPath, first_choice, improved, march, solve_path, tray_path
+from salver.planning.follow.limits import COLLISION, verdict
+from salver.planning.follow.posture import candidate_postures, check_start_posture
+from salver.planning.follow.redundancy import Choice, TrayPath, first_choice, improved, march, solve_path, tray_path
 from salver.scenario import Obstacle, Scenario
 from salver.trajectory import JointMotion, Reference
 

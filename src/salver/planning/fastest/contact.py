@@ -1,7 +1,7 @@
 """Worst case of the contact rows over the uncertain set, with the rows that attain it and the closed loop's share.
 
 `salver.models.contact_rows` bounds a body that follows its tray exactly. A wrong load also makes the arm miss its
-reference, and what the tray then feels differs from w by some dw for each parameter (`joint_tracking`). The same
+reference, and what the tray then feels differs from w by some dw for each parameter (`tracking`). The same
 parameter acts through both, so they are added before absolute values are taken.
 """
 

@@ -19,9 +19,9 @@ from salver.control.object import Gains
 from salver.geometry import Array, hat
 from salver.models.bodies import Body
 from salver.models.tray_motion import PRODUCTS, frame_map
-from salver.sensitivity.arm_filter import node_filter, sagged
-from salver.sensitivity.arm_terms import MotionTerms
-from salver.sensitivity.arm_tracking import JointDeviation
+from salver.sensitivity.arm.filter import node_filter, sagged
+from salver.sensitivity.arm.terms import MotionTerms
+from salver.sensitivity.arm.tracking import JointDeviation
 
 _FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from salver.driver.franka_limits import FR3, velocity_range
 from salver.errors import SalverError
-from salver.export.franka_limits import FR3, velocity_range
 from salver.geometry import Array
-from salver.planning.joint_limits import verdict
+from salver.planning.follow.limits import verdict
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

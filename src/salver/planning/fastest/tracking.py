@@ -1,7 +1,7 @@
 """What a wrong load does to an arm under computed torque, and so to the tray: first order, along a joint motion.
 
 The controller carries the nominal load: tau = M_n (ddq* + kd e' + kp e) + h_n with e = q* - q. The true load
-needs another wrench at the tray, dF = W_k w for parameter k (`salver.sensitivity.arm_load`; products of two
+needs another wrench at the tray, dF = W_k w for parameter k (`salver.sensitivity.arm.load`; products of two
 parameters are terms of their own), and then
 
     e'' + kd e' + kp e = M_n^-1 J^T dF                                                            (1)
@@ -19,8 +19,8 @@ from scipy.linalg import solve_banded
 
 from salver.geometry import Array
 from salver.scenario import Scenario
-from salver.sensitivity.arm_load import load_change
-from salver.sensitivity.arm_terms import MotionTerms
+from salver.sensitivity.arm.load import load_change
+from salver.sensitivity.arm.terms import MotionTerms
 
 
 @dataclass(frozen=True)

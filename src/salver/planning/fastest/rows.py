@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
-from salver.planning.joint_contact import WorstCase, worst_case
-from salver.planning.joint_obstacles import KeepOut
-from salver.planning.joint_problem import LEVEL_TOLERANCE, TransportProblem
-from salver.planning.joint_tracking import Response
-from salver.sensitivity.arm_terms import MotionTerms, motion_terms
+from salver.planning.fastest.contact import WorstCase, worst_case
+from salver.planning.fastest.obstacles import KeepOut
+from salver.planning.fastest.problem import LEVEL_TOLERANCE, TransportProblem
+from salver.planning.fastest.tracking import Response
+from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 
 Indices = npt.NDArray[np.intp]
 Gradient = Callable[[Indices, Indices], Array]

@@ -6,7 +6,7 @@ moves with the tray, and what is wrong is the arm's torque. With M the mass matr
 
     M (ddq_cmd - ddq) = J_E^T dF(t),        dF = (d load / dp) w(t)
 
-to first order, whatever the law for ddq_cmd; `salver.sensitivity.arm_tracking` and `.arm_task` solve it for the two
+to first order, whatever the law for ddq_cmd; `salver.sensitivity.arm.tracking` and `.arm_task` solve it for the two
 laws of `salver.control.arm`. From the deviation of the joints follow the tray's, what the objects feel, the torque
 and the contact rows.
 
@@ -30,12 +30,12 @@ from salver.models.bodies import Body, bodies
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import UncertainSet
 from salver.sensitivity import tubes
-from salver.sensitivity.arm_contact import ContactChange, contact_change, worst_contact
-from salver.sensitivity.arm_filter import node_filter
-from salver.sensitivity.arm_load import LoadChange, load_change
-from salver.sensitivity.arm_task import TrayDeviation, joints_of_task, tray_of_joints, tray_of_task
-from salver.sensitivity.arm_terms import MotionTerms, motion_terms
-from salver.sensitivity.arm_tracking import (
+from salver.sensitivity.arm.contact import ContactChange, contact_change, worst_contact
+from salver.sensitivity.arm.filter import node_filter
+from salver.sensitivity.arm.load import LoadChange, load_change
+from salver.sensitivity.arm.task import TrayDeviation, joints_of_task, tray_of_joints, tray_of_task
+from salver.sensitivity.arm.terms import MotionTerms, motion_terms
+from salver.sensitivity.arm.tracking import (
     JointDeviation,
     missing_acceleration,
     tracking_error,
@@ -129,7 +129,7 @@ class ArmChain:
     """The chain along a motion at T instants, and what n_c terms change (last axis), per unit of each.
 
     The first n_p terms are the uncertain parameters, so `[..., :n_p]` are the derivatives; the others are products of
-    two parameters (`salver.sensitivity.arm_load`), which `radius` adds. They hold what is of second order in the load,
+    two parameters (`salver.sensitivity.arm.load`), which `radius` adds. They hold what is of second order in the load,
     and what the wrong load makes of the deviation that it causes.
 
     t: (T,) s. space: where the controller closes its loop. nominal: poses, w, torque along the motion.

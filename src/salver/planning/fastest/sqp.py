@@ -20,8 +20,8 @@ from scipy.sparse import csc_matrix
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.planning.joint_curves import Curve
-from salver.planning.joint_rows import Evaluated, Family, Indices, Margins, evaluate
+from salver.planning.fastest.curves import Curve
+from salver.planning.fastest.rows import Evaluated, Family, Indices, Margins, evaluate
 
 Mask = npt.NDArray[np.bool_]
 

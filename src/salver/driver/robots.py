@@ -1,6 +1,6 @@
 """Arms that can be driven by torque: the Franka through pylibfranka, and the simulated one in real time.
 
-A robot is asked for its state and given a torque, once per control period; `salver.export.execution` does both.
+A robot is asked for its state and given a torque, once per control period; `salver.driver.execution` does both.
 """
 
 from __future__ import annotations

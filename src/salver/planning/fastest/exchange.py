@@ -13,11 +13,11 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.planning.joint_curves import Curve, Grid
-from salver.planning.joint_problem import TransportProblem
-from salver.planning.joint_rows import Indices, Margins, evaluate
-from salver.planning.joint_spline import SplineMotion
-from salver.planning.joint_sqp import DEEPEST, Options, Solution, minimise_duration
+from salver.planning.fastest.curves import Curve, Grid
+from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.rows import Indices, Margins, evaluate
+from salver.planning.fastest.spline import SplineMotion
+from salver.planning.fastest.sqp import DEEPEST, Options, Solution, minimise_duration
 
 ROUGH_GAIN = 5e-3  # relative shortening below which a rough optimum is good enough
 EXCHANGES = 6  # rounds of adding nodes

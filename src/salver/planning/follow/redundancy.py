@@ -24,7 +24,7 @@ from scipy.optimize import minimize
 from salver.geometry import Array, invert, log
 from salver.models.arm import ArmModel
 from salver.models.arm_geometry import ArmGeometry
-from salver.planning.posture import REACHED, pose_error
+from salver.planning.follow.posture import REACHED, pose_error
 from salver.trajectory import MotionSamples, Reference
 
 BUMPS = 3  # polynomial terms of s(t) besides its step from start to end

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.joint_problem import TransportProblem, end_residual, reach
-from salver.planning.joint_rows import Indices
-from salver.planning.joint_spline import RestSpline, min_jerk_blend
+from salver.planning.fastest.problem import TransportProblem, end_residual, reach
+from salver.planning.fastest.rows import Indices
+from salver.planning.fastest.spline import RestSpline, min_jerk_blend
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.models.bodies import bodies, uncertain_set
-from salver.planning.conditions import TILT, conditions_for
-from salver.planning.cost import tray_loop
+from salver.planning.object.conditions import TILT, conditions_for
+from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
 from salver.sensitivity.tray import BodyMotion

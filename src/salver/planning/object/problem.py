@@ -7,7 +7,7 @@ goal orientation is met by an equality on z, because SO(3) is not flat.
     minimise    integral of |S Pi(t)|^2 dt                       (13)   (and a trace of jerk)
     subject to  c(t) - r(t) >= margin on a grid of instants      (16)
 
-c - r is the slack of the contact conditions (`salver.planning.conditions`). With fixed orientation, and
+c - r is the slack of the contact conditions (`salver.planning.object.conditions`). With fixed orientation, and
 unless the paper's condition meets an uncertain centre of mass, cost residuals and constraints are affine in z:
 the problem is convex.
 """
@@ -22,8 +22,8 @@ import numpy as np
 from salver.geometry import Array, hat, log, right_jacobian_inverse
 from salver.models.bodies import Body, bodies, uncertain_set
 from salver.models.parameters import COM, UncertainSet
-from salver.planning.conditions import Condition, Rows, conditions_for
-from salver.planning.cost import column_scale, integration_weights, row_scale, tray_loop
+from salver.planning.object.conditions import Condition, Rows, conditions_for
+from salver.planning.object.cost import column_scale, integration_weights, row_scale, tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.filter import QuadratureGrid, fastest_rate
@@ -171,7 +171,7 @@ class Problem:
 
     @cached_property
     def row_scale(self) -> tuple[float, float, float, float]:
-        """Weights of the blocks (dp, dtheta, dv, domega) of Pi; see `salver.planning.cost`."""
+        """Weights of the blocks (dp, dtheta, dv, domega) of Pi; see `salver.planning.object.cost`."""
         return row_scale(self.scenario.objective.weighting, self.body, self.loop.gains)
 
     @cached_property

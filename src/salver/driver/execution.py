@@ -18,7 +18,7 @@ from salver.models.arm import ArmModel, with_load
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from salver.export.robots import Robot
+    from salver.driver.robots import Robot
     from salver.models.bodies import Body
     from salver.trajectory import JointMotion
 

@@ -11,7 +11,7 @@ import numpy as np
 from salver.errors import ScenarioError, Status
 from salver.margins import margins
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest
-from salver.planning.joint_problem import transport_problem
+from salver.planning.fastest.problem import transport_problem
 from salver.scenario import Scenario
 
 SCALES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0)

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from salver.geometry import Array
-from salver.sensitivity.arm_filter import NodeFilter
-from salver.sensitivity.arm_load import LoadChange
+from salver.sensitivity.arm.filter import NodeFilter
+from salver.sensitivity.arm.load import LoadChange
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 import piqp
 
 from salver.geometry import Array
-from salver.planning.conditions import Rows
-from salver.planning.problem import Linearisation
+from salver.planning.object.conditions import Rows
+from salver.planning.object.problem import Linearisation
 
 TOLERANCE = 1e-9  # N (or the row's own unit): a constraint counts as kept within this
 _CUT_LIMIT = 60  # rounds of tangents

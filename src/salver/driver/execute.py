@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from salver.control.arm import ArmController, ArmState, controller_for
+from salver.driver import mocap
+from salver.driver.execution import CoolStop, Log, Watchdog, drive, timing
+from salver.driver.preflight import Check, check_franka, check_plan, check_posture, demand
+from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
 from salver.errors import FileFormatError, SalverError, UnreachableError
-from salver.export import mocap
-from salver.export.execution import CoolStop, Log, Watchdog, drive, timing
-from salver.export.preflight import Check, check_franka, check_plan, check_posture, demand
-from salver.export.robots import FrankaRobot, Robot, SimulatedRobot
 from salver.files import load_npz, provenance, read_json, save_npz, write_json
 from salver.geometry import Array, log, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel, load_arm
