@@ -8,7 +8,7 @@ DOCS   := $(VENV)/.docs-ready
 OUT    ?= out/demo
 SOURCES = src tests $(wildcard benchmarks examples docs)
 
-.PHONY: help setup demo test lint format types layers check bench scenario-table docs lock clean
+.PHONY: help setup demo test lint format types layers check bench scenario-table pages docs lock clean
 
 help:
 	@echo "make demo    plan, check and simulate the paper's scenario; pages and figures in $(OUT)"
@@ -16,6 +16,7 @@ help:
 	@echo "make check   lint, types and import layers"
 	@echo "make bench   run the speed benchmarks and write docs/performance.md"
 	@echo "make scenario-table   docs/scenarios.md: the shortest safe durations, checked in the engine"
+	@echo "make pages   write options, keys and names of the program into the pages of docs/ again"
 	@echo "make docs    build the documentation into site/"
 	@echo "make lock    resolve the dependencies again"
 	@echo "make clean   remove what was built (the virtual environment too)"
@@ -61,6 +62,9 @@ bench: $(READY)
 
 scenario-table: $(READY)
 	$(BIN)/python benchmarks/scenario_table.py docs/scenarios.md
+
+pages: $(READY)
+	$(BIN)/python docs/make_pages.py
 
 docs: $(DOCS)
 	$(BIN)/python docs/make_figures.py

@@ -129,6 +129,13 @@ def test_every_command_is_shown():
         assert f"<!-- help: {name} -->" in pages or name in ("demo", "scenarios"), name
 
 
+def test_what_pages_take_from_the_program_is_what_it_says_now():
+    done = subprocess.run(
+        [sys.executable, ROOT / "docs" / "make_pages.py", "--check"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_links_between_pages_lead_somewhere():
     for page in PAGES:
         for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", page.read_text(encoding="utf-8")):

@@ -1,0 +1,117 @@
+"""What the pages take from the program, written into the pages themselves, so that they read the same everywhere.
+
+    python docs/make_pages.py            write it again
+    python docs/make_pages.py --check    exit 1, with the names, when a page differs from the program
+
+Each place is `<!-- KIND: NAME -->`, what this command wrote, `<!-- end -->`:
+
+help: plan                 the text of `salver plan --help`
+keys: Motion               the keys of a table of the scenario file, from the model that checks it
+api: salver.margins        the public names of a module, each with the first sentence of its docstring (on the site, all
+                           of it with signatures: `docs/hooks.py`)
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pydantic_core import PydanticUndefined
+
+from salver import scenario
+from salver.validation import in_words
+
+DOCS = Path(__file__).parent
+PLACE = re.compile(r"<!-- (help|keys|api): ([\w.-]+) -->(?:\n(?:(?!<!-- ).)*<!-- end -->)?", re.S)
+
+
+def written(markdown: str) -> str:
+    """A page with every place filled from the program."""
+    return PLACE.sub(
+        lambda place: f"<!-- {place[1]}: {place[2]} -->\n{WRITERS[place[1]](place[2])}\n<!-- end -->", markdown
+    )
+
+
+def help_of(command: str) -> str:
+    """What `salver COMMAND --help` prints, 92 characters wide."""
+    environment = {**os.environ, "COLUMNS": "92", "NO_COLOR": "1", "TERM": "dumb"}
+    salver = [sys.executable, "-c", "from salver.cli import main; main()", command, "--help"]
+    done = subprocess.run(salver, capture_output=True, text=True, env=environment, check=True)
+    lines = [line.rstrip() for line in done.stdout.replace("Usage: -c ", "Usage: salver ").strip("\n").splitlines()]
+    return "```text\n" + "\n".join(line.removeprefix(" ") for line in lines).strip("\n") + "\n```"
+
+
+def keys_of(model: str) -> str:
+    """A table of the keys that a scenario's table may have."""
+    rows = ["| key | what it must be | default |", "|---|---|---|"]
+    for name, field in getattr(scenario, model).model_fields.items():
+        default = field.get_default(call_default_factory=True)
+        rows.append(f"| `{name}` | {_in_cell(in_words(field))} | {_default(default)} |")
+    return "\n".join(rows)
+
+
+def names_of(module: str) -> str:
+    """A table of the public names of a module, functions and classes, that have a docstring."""
+    found = importlib.import_module(module)
+    rows = [_first_sentence(found), "", "| name | what it is |", "|---|---|"]
+    for name in getattr(found, "__all__", vars(found)):
+        thing = getattr(found, name)
+        if name.startswith("_") or not (inspect.isclass(thing) or inspect.isfunction(thing)):
+            continue
+        sentence = _first_sentence(thing)
+        if sentence and (hasattr(found, "__all__") or thing.__module__ == module):
+            rows.append(f"| `{name}` | {_in_cell(sentence)} |")
+    return "\n".join(rows)
+
+
+def _first_sentence(thing: object) -> str:
+    own = vars(thing).get("__doc__") if isinstance(thing, type) else thing.__doc__
+    text = inspect.cleandoc(own or "")
+    if isinstance(thing, type) and text.startswith(f"{thing.__name__}("):  # a dataclass without a docstring
+        text = ""
+    paragraph = " ".join(text.split("\n\n")[0].split())
+    return re.split(r"(?<=[^.]\.)\s", paragraph)[0]
+
+
+def _in_cell(text: str) -> str:
+    return text.replace("|", r"\|")
+
+
+def _default(value: Any) -> str:
+    if value is PydanticUndefined:
+        return "required"
+    if value is None or value == {} or value == []:
+        return "none"
+    if isinstance(value, scenario.Model):
+        return "see below"
+    if isinstance(value, tuple):
+        return f"`[{', '.join(map(str, value))}]`"
+    return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"
+
+
+WRITERS: dict[str, Callable[[str], str]] = {"help": help_of, "keys": keys_of, "api": names_of}
+
+
+def main() -> int:
+    check, stale = "--check" in sys.argv[1:], []
+    for page in sorted(DOCS.rglob("*.md")):
+        old = page.read_text(encoding="utf-8")
+        new = written(old)
+        if new != old:
+            stale.append(str(page.relative_to(DOCS.parent)))
+            if not check:
+                page.write_text(new, encoding="utf-8")
+    if check and stale:
+        print(f"{', '.join(stale)} differ from the program; write them again with: python docs/make_pages.py")
+    return int(check and bool(stale))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
