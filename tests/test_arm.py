@@ -8,7 +8,7 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log, vee
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
-from salver.models.arm_limits import KNOWN_ARMS
+from salver.models.arm_limits import KNOWN_ARMS, LIMITS, POSITION, JointLimits
 from salver.models.bodies import bodies
 from salver.models.contact import support_contacts
 
@@ -190,6 +190,23 @@ def test_published_panda_limits():
     planning = make(velocity_scale=0.5, torque_scale=0.9).planning_limits
     assert planning.velocity == pytest.approx(0.5 * limits.velocity)
     assert planning.torque == pytest.approx(0.9 * limits.torque)
+    assert planning.torque_rate == pytest.approx(0.95 * limits.torque_rate)
+    assert np.array_equal(planning.q_max, limits.q_max)
+
+
+def test_shares_of_limits_by_hand():
+    """A joint from -1 to 3 rad has its middle at 1; what is not published uses no share."""
+    free = np.array([np.inf])
+    limits = JointLimits(np.array([-1.0]), np.array([3.0]), np.array([2.0]), free, free, np.array([50.0]), free)
+    curves = {kind.key: np.array([[2.0], [-1.0]]) for kind in LIMITS}
+    shares = limits.shares(curves)
+    assert list(shares) == ["position", "velocity", "acceleration", "jerk", "torque", "torque_rate"]
+    assert shares["position"].ravel().tolist() == [0.5, -1.0]
+    assert shares["velocity"].ravel().tolist() == [1.0, -0.5]
+    assert shares["torque"].ravel().tolist() == [0.04, -0.02]
+    assert not any(np.any(shares[key]) for key in ("acceleration", "jerk", "torque_rate"))
+    assert [limits.bound(POSITION, 0, value) for value in (2.0, 0.0)] == [3.0, -1.0]
+    assert JointLimits(-free, free, *[free] * 5).shares(curves)["position"].ravel().tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("name", ARMS)

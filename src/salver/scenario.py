@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from salver.errors import ScenarioError
+from salver.models.arm_limits import PLANNING_SHARES
 from salver.validation import sentences
 
 SCENARIO_DIR = Path(__file__).parent / "scenarios"
@@ -28,6 +29,7 @@ Positive = Annotated[Number, Field(gt=0)]
 NonNegative = Annotated[Number, Field(ge=0)]
 Vector3 = tuple[Number, Number, Number]
 Metres = Annotated[Number, Field(gt=0, le=5)]
+Share = Annotated[Number, Field(gt=0, le=1)]
 
 
 class Model(BaseModel):
@@ -270,10 +272,15 @@ class Arm(Model):
     base_position: Vector3 = (0.0, 0.0, 0.0)
     base_yaw_deg: Number = 0.0
     start_posture: list[Number] | None = None
-    velocity_scale: Annotated[Number, Field(gt=0, le=1)] = 0.98
-    acceleration_scale: Annotated[Number, Field(gt=0, le=1)] = 0.95
-    jerk_scale: Annotated[Number, Field(gt=0, le=1)] = 0.95
-    torque_scale: Annotated[Number, Field(gt=0, le=1)] = 1.0
+    velocity_scale: Share = PLANNING_SHARES["velocity"]
+    acceleration_scale: Share = PLANNING_SHARES["acceleration"]
+    jerk_scale: Share = PLANNING_SHARES["jerk"]
+    torque_scale: Share = PLANNING_SHARES["torque"]
+
+    @property
+    def limit_shares(self) -> dict[str, float]:
+        """The share of each kind of limit (`salver.models.arm_limits.LIMITS`, by key) that a plan may use."""
+        return {key: getattr(self, f"{key}_scale", share) for key, share in PLANNING_SHARES.items()}
 
 
 class Obstacle(Model):

@@ -74,16 +74,13 @@ def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
 
 def _within(limits: JointLimits, arm: ArmModel, t: Array, q: Array, dq: Array, ddq: Array, plan: Plan) -> list[Check]:
     low, high = velocity_range(q)
-    middle, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
     assert plan.joint is not None
-    shares = {
-        "position": np.abs(q - middle) / half,
-        "velocity": np.where(dq > 0, dq / np.maximum(high, 1e-9), dq / np.minimum(low, -1e-9)),
-        "acceleration": np.abs(ddq) / limits.acceleration,
-        "jerk": np.abs(plan.joint.jerk(t)) / limits.jerk,
-    }
+    shares = limits.shares({"position": q, "velocity": dq, "acceleration": ddq, "jerk": plan.joint.jerk(t)})
+    # Here the velocity allowed depends on the position.
+    shares["velocity"] = np.where(dq > 0, dq / np.maximum(high, 1e-9), dq / np.minimum(low, -1e-9))
     made = []
     for kind, share in shares.items():
+        share = np.abs(share)
         k, j = np.unravel_index(int(np.argmax(share)), share.shape)
         made.append(
             Check(

@@ -168,7 +168,7 @@ def load_arm(arm: scenario.Arm, tray: scenario.Tray) -> ArmModel:
         joint_names=tuple(model.names)[1:],
         link_names=links,
         limits=limits,
-        planning_limits=limits.scaled(arm.velocity_scale, arm.acceleration_scale, arm.jerk_scale, arm.torque_scale),
+        planning_limits=limits.scaled(arm.limit_shares),
         urdf=text,
         urdf_path=path,
         base_position=np.array(arm.base_position),

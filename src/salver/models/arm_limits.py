@@ -1,4 +1,4 @@
-"""Limits of known arms, as their makers publish them, and where their models are found.
+"""The limits of an arm: which kinds there are, and their values for known arms, as the makers publish them.
 
 A URDF holds position, velocity and torque limits at best. What a motion may ask for also includes
 acceleration, jerk and the rate of torque; those numbers come from the makers' documents cited here. A limit
@@ -7,14 +7,56 @@ that no maker publishes is infinite: it is not checked.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
 
 from salver.geometry import Array
 
 
 @dataclass(frozen=True)
+class LimitKind:
+    """One kind of limit. All that plans, checks or reports limits goes by `LIMITS`, the table of them.
+
+    key: its name in code, in files, and as a field of `JointLimits`. of, order: it bounds the time derivative of
+    this order of the joint positions or of the joint torques. unit: of its values. share: what a plan may use of
+    it unless the scenario says otherwise; feedback needs the rest.
+    """
+
+    key: str
+    of: Literal["position", "torque"]
+    order: int
+    unit: str
+    share: float
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        return self.key.replace("_", " ")
+
+
+LIMITS = (
+    LimitKind("position", "position", 0, "rad", 1.0),
+    LimitKind("velocity", "position", 1, "rad/s", 0.98),
+    LimitKind("acceleration", "position", 2, "rad/s^2", 0.95),
+    LimitKind("jerk", "position", 3, "rad/s^3", 0.95),
+    LimitKind("torque", "torque", 0, "N m", 1.0),
+    LimitKind("torque_rate", "torque", 1, "N m/s", 0.95),
+)
+
+
+POSITION = LIMITS[0]
+# By key; positions are not scaled.
+PLANNING_SHARES = {kind.key: kind.share for kind in LIMITS if kind.key != "position"}
+
+
+@dataclass(frozen=True)
 class JointLimits:
-    """Limits of n joints, each (n,): rad, rad/s, rad/s^2, rad/s^3, N m, N m/s; infinite when unknown."""
+    """Limits of n joints, each (n,), in the units of `LIMITS`; infinite when unknown. Positions are from q_min to
+    q_max, the others from -limit to limit.
+    """
 
     q_min: Array
     q_max: Array
@@ -24,17 +66,35 @@ class JointLimits:
     torque: Array
     torque_rate: Array
 
-    def scaled(self, velocity: float, acceleration: float, jerk: float, torque: float) -> JointLimits:
-        """The share of the limits that a plan may use; positions and torque rate stay as they are."""
-        return JointLimits(
-            self.q_min,
-            self.q_max,
-            velocity * self.velocity,
-            acceleration * self.acceleration,
-            jerk * self.jerk,
-            torque * self.torque,
-            self.torque_rate,
-        )
+    def range(self, kind: LimitKind) -> tuple[Array, Array]:
+        """Middle and half-width (n,) of what is allowed; the middle is 0 where the half-width is infinite."""
+        if kind.key != "position":
+            half = getattr(self, kind.key)
+            return np.zeros_like(half), half
+        half = 0.5 * (self.q_max - self.q_min)
+        with np.errstate(invalid="ignore"):  # from -infinity to infinity
+            middle = 0.5 * (self.q_max + self.q_min)
+        return np.where(np.isfinite(half), middle, 0.0), half
+
+    def bound(self, kind: LimitKind, joint: int, value: float) -> float:
+        """The limit that a joint's value is on the side of; for all but positions, its magnitude."""
+        if kind.key != "position":
+            return float(getattr(self, kind.key)[joint])
+        above = value > 0.5 * (self.q_min[joint] + self.q_max[joint])
+        return float(self.q_max[joint] if above else self.q_min[joint])
+
+    def shares(self, curves: Mapping[str, Array]) -> dict[str, Array]:
+        """Shares (..., n) used of each kind of limit, by key, for values (..., n) of some: 1 and -1 are the limits."""
+        found = {}
+        for kind in LIMITS:
+            if kind.key in curves:
+                middle, half = self.range(kind)
+                found[kind.key] = (curves[kind.key] - middle) / half
+        return found
+
+    def scaled(self, shares: Mapping[str, float]) -> JointLimits:
+        """These shares, by key, of the limits; the whole of the others."""
+        return replace(self, **{key: share * getattr(self, key) for key, share in shares.items()})
 
 
 @dataclass(frozen=True)

@@ -225,19 +225,19 @@ def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
     """Joint velocity and torque as a share of what the maker allows, one curve a joint."""
     charts = []
     for m in run.motions:
-        for key, limit, what in (("dq", limits.velocity, "velocity"), ("tau", limits.torque, "torque")):
-            if key not in m.arrays or not np.all(np.isfinite(limit)):
+        curves = {what: m.arrays[key] for what, key in (("velocity", "dq"), ("torque", "tau")) if key in m.arrays}
+        for what, share in limits.shares(curves).items():
+            if not np.all(np.isfinite(getattr(limits, what))):
                 continue
-            share = 100 * m.arrays[key] / limit
-            curves = []
-            for j, column in enumerate(share.T):
+            joints = []
+            for j, column in enumerate(100 * share.T):
                 t, y = thin(m.t, column)
-                curves.append({"name": f"joint {j + 1}", "colour": CYCLE[j % len(CYCLE)], "width": 1.4, "x": t, "y": y})
+                joints.append({"name": f"joint {j + 1}", "colour": CYCLE[j % len(CYCLE)], "width": 1.4, "x": t, "y": y})
             lines = [
                 {"y": s * 100, "label": "limit" if s > 0 else "", "colour": VERMILION, "optional": True}
                 for s in (1, -1)
             ]
-            charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", curves, lines=lines))
+            charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", joints, lines=lines))
     return charts
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.files import write_atomic
+from salver.models.arm_limits import LIMITS
 from salver.models.bodies import uncertain_set
 from salver.planning.object.conditions import UNITS
 from salver.report.parameters import pretty, quantity
@@ -125,21 +126,12 @@ def _vector(values: Any, unit: str) -> str:
 
 def arm_usage(m: Motion, arm: ArmModel) -> dict[str, np.ndarray]:
     """Largest share (n,) of each of the maker's limits over the motion. Jerk by differences of the acceleration."""
-    limits = arm.limits
-    middle, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
-    t, q, dq, ddq = (m.arrays[key] for key in ("t", "q", "dq", "ddq"))
-    candidates: dict[str, tuple[np.ndarray, np.ndarray]] = {
-        "position": (q - middle, half),
-        "velocity": (dq, limits.velocity),
-        "acceleration": (ddq, limits.acceleration),
-        "jerk": (np.gradient(ddq, t, axis=0), limits.jerk),
-        "torque": (m.arrays["tau"], limits.torque),
-    }
-    return {
-        kind: np.abs(values / limit).max(axis=0)
-        for kind, (values, limit) in candidates.items()
-        if np.all(np.isfinite(limit))
-    }
+    t, q, dq, ddq, torque = (m.arrays[key] for key in ("t", "q", "dq", "ddq", "tau"))
+    jerk = np.gradient(ddq, t, axis=0)
+    curves = {"position": q, "velocity": dq, "acceleration": ddq, "jerk": jerk, "torque": torque}
+    shares = arm.limits.shares(curves)
+    known = [kind.key for kind in LIMITS if np.all(np.isfinite(arm.limits.range(kind)[1]))]
+    return {key: np.abs(shares[key]).max(axis=0) for key in known if key in shares}
 
 
 def table_one(run: Run) -> Table:

@@ -171,7 +171,7 @@ def _run_arm(run: Run, controller: ArmController, q_start: Array, rng: np.random
 def _arm_summary(limits: JointLimits, trace: Trace, saturation: Saturation) -> dict[str, Any]:
     """How near the arm came to its limits; shares of 1 are limits. cut: share of commands that were cut back."""
     outside = np.maximum(limits.q_min - trace.q, trace.q - limits.q_max).max(axis=0)
-    speed = np.abs(trace.dq).max(axis=0) / limits.velocity
+    speed = np.abs(limits.shares({"velocity": trace.dq})["velocity"])
     return {
         "torque_share_peak": saturation.peak_share,
         "torque_cut": saturation.torque / max(1, saturation.steps),

@@ -20,7 +20,6 @@ from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.tracking import Tracking, tracking_of
 from salver.scenario import Scenario
 
-TORQUE_RATE_SHARE = 0.95  # of the maker's limit; feedback needs the rest
 REACHED = 1e-10  # m, rad; of an end pose
 START_TOLERANCE = 5e-3  # m, rad; a posture written with few digits is put right
 LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is judged on the true motion
@@ -119,7 +118,7 @@ def transport_problem(
         start_posture=None,
         start=EndPose(np.array(motion.start.position), motion.start.rotation, False),
         goal=EndPose(np.array(motion.goal.position), motion.goal.rotation, yaw_free),
-        limits=replace(arm.planning_limits, torque_rate=TORQUE_RATE_SHARE * arm.planning_limits.torque_rate),
+        limits=arm.planning_limits,
         max_tilt=max_tilt,
         contacts=contact_rows(scenario, robust=robust),
         uncertain=uncertain,

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
+from salver.models.arm_limits import LIMITS
 from salver.planning.fastest.contact import WorstCase, worst_case
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.problem import LEVEL_TOLERANCE, TransportProblem
@@ -110,25 +111,17 @@ def evaluate(
 
 def _limits(problem: TransportProblem, z: Array, margin: float) -> list[Family]:
     """Position, velocity, acceleration, jerk; two rows for each joint with a finite limit."""
-    n, limits = problem.n, problem.limits
-    centre, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
-    points = np.arange(z.shape[1])
+    n, points = problem.n, np.arange(z.shape[1])
     families = []
-    for order, (name, bound) in enumerate(
-        (
-            ("position", half),
-            ("velocity", limits.velocity),
-            ("acceleration", limits.acceleration),
-            ("jerk", limits.jerk),
-        )
-    ):
+    for kind in LIMITS:
+        middle, bound = problem.limits.range(kind)
         finite = np.flatnonzero(np.isfinite(bound))
-        if not len(finite):
+        if kind.of != "position" or not len(finite):
             continue
-        scaled = ((z[order] - (centre if order == 0 else 0.0)) / bound)[:, finite]
+        scaled = ((z[kind.order] - middle) / bound)[:, finite]
 
         def gradient(
-            i: Indices, f: Indices, order: int = order, bound: Array = bound, finite: Indices = finite
+            i: Indices, f: Indices, order: int = kind.order, bound: Array = bound, finite: Indices = finite
         ) -> Array:
             joint, sign = finite[f % len(finite)], np.where(f < len(finite), 1.0, -1.0)
             rows = np.zeros((len(i), 4 * n))
@@ -136,7 +129,7 @@ def _limits(problem: TransportProblem, z: Array, margin: float) -> list[Family]:
             return rows
 
         values = np.hstack([scaled, -scaled]) - 1 + margin
-        families.append(Family(name, values, gradient, points, scales=order > 0))
+        families.append(Family(kind.name, values, gradient, points, scales=kind.order > 0))
     return families
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from salver.errors import Status, UnreachableError
 from salver.geometry import GRAVITY_S, Array
+from salver.models.arm_limits import POSITION
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.exchange import optimise, rough
 from salver.planning.fastest.problem import TransportProblem, reach, transport_problem
@@ -226,8 +227,8 @@ def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]
     """
     rng = np.random.default_rng(options.seed)
     limits, n = problem.limits, problem.n
-    centre, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
-    centre, half = np.where(np.isfinite(half), centre, 0.0), np.where(np.isfinite(half), half, np.pi)
+    centre, half = limits.range(POSITION)
+    half = np.where(np.isfinite(half), half, np.pi)
     given = problem.start_posture
     found: list[tuple[float, _Guess]] = []
 

@@ -12,6 +12,7 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
+from salver.models.arm_limits import LIMITS
 from salver.models.bodies import Body
 from salver.trajectory import JointMotion
 
@@ -47,26 +48,21 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
     """
     limits = arm.planning_limits
     t = np.sort(np.concatenate([motion.t, 0.5 * (motion.t[1:] + motion.t[:-1])]))
-    q, dq, ddq = motion.sample(t)
-    jerk = motion.jerk(t)
     torque = torques(arm, motion, bodies)
-    torque_rate = np.gradient(torque, motion.t, axis=0)
-    middle, half = 0.5 * (limits.q_max + limits.q_min), 0.5 * (limits.q_max - limits.q_min)
-    kinds = [
-        ("position", t, q, (q - middle) / half, np.where(q > middle, limits.q_max, limits.q_min), "rad"),
-        ("velocity", t, dq, dq / limits.velocity, limits.velocity, "rad/s"),
-        ("acceleration", t, ddq, ddq / limits.acceleration, limits.acceleration, "rad/s^2"),
-        ("jerk", t, jerk, jerk / limits.jerk, limits.jerk, "rad/s^3"),
-        ("torque", motion.t, torque, torque / limits.torque, limits.torque, "N m"),
-        ("torque rate", motion.t, torque_rate, torque_rate / limits.torque_rate, limits.torque_rate, "N m/s"),
-    ]
+    times = {"position": t, "torque": motion.t}
+    derivatives = {
+        "position": (*motion.sample(t), motion.jerk(t)),
+        "torque": (torque, np.gradient(torque, motion.t, axis=0)),
+    }
+    curves = {kind.key: derivatives[kind.of][kind.order] for kind in LIMITS}
+    shares = limits.shares(curves)
     found = []
-    for kind, time, values, shares, limit, unit in kinds:
-        k, i = np.unravel_index(int(np.argmax(np.abs(shares))), shares.shape)
-        bound = float(np.broadcast_to(limit, values.shape)[k, i])
-        found.append(
-            Peak(kind, float(abs(shares[k, i])), arm.joint_names[i], float(time[k]), float(values[k, i]), bound, unit)
-        )
+    for kind in LIMITS:
+        share, values = shares[kind.key], curves[kind.key]
+        k, i = (int(x) for x in np.unravel_index(int(np.argmax(np.abs(share))), share.shape))
+        value, time = float(values[k, i]), float(times[kind.of][k])
+        bound = limits.bound(kind, i, value)
+        found.append(Peak(kind.name, float(abs(share[k, i])), arm.joint_names[i], time, value, bound, kind.unit))
     return found
 
 

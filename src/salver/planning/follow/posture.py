@@ -16,6 +16,7 @@ import pinocchio as pin
 from salver.errors import ScenarioError, UnreachableError
 from salver.geometry import Array, log
 from salver.models.arm import ArmModel
+from salver.models.arm_limits import POSITION
 
 REACHED = 1e-11  # m and rad: the pose error below which a posture counts as exact
 START_POSITION_TOLERANCE = 2e-3  # m: how far a given start posture may miss the start of the motion ...
@@ -115,7 +116,7 @@ def check_start_posture(
 
 
 def _middle(arm: ArmModel) -> Array:
-    return 0.5 * (arm.limits.q_min + arm.limits.q_max)
+    return arm.limits.range(POSITION)[0]
 
 
 def _unwound(arm: ArmModel, q: Array) -> Array:

@@ -188,18 +188,14 @@ def _usage(arm: ArmModel, parts: ArmGeometry, joints: JointPath) -> float:
 
     `arm` includes what is carried.
     """
-    limits = arm.planning_limits
-    half = 0.5 * (limits.q_max - limits.q_min)
     torque = np.array(
         [pin.rnea(arm.pin_model, arm.data, *state) for state in zip(joints.q, joints.dq, joints.ddq, strict=True)]
     )
     smallest = np.linalg.svd(joints.jacobian, compute_uv=False)[:, -1:]
+    curves = {"position": joints.q, "velocity": joints.dq, "acceleration": joints.ddq, "torque": torque}
     shares = np.hstack(
         [
-            (joints.q - limits.q_min - half) / half,
-            joints.dq / limits.velocity,
-            joints.ddq / limits.acceleration,
-            torque / limits.torque,
+            *arm.planning_limits.shares(curves).values(),
             _SINGULAR / np.maximum(smallest, 1e-9),
             np.maximum(0.0, 1 - parts.clearance(joints.q) / _CLEAR),
         ]
