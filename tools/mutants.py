@@ -1,0 +1,240 @@
+"""Small wrong changes to a Python file: what a slip of the hand would do to code full of signs, indices and transposes.
+
+Left alone are texts, annotations, decorators and what only words an error: a change there is no wrong number.
+"""
+
+import ast
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+COMPARISONS = {
+    ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
+}  # fmt: skip
+EDGES = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
+ARITHMETIC = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult,
+    ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
+}  # fmt: skip
+PAIRS = [
+    ("min", "max"), ("minimum", "maximum"), ("argmin", "argmax"), ("nanmin", "nanmax"), ("any", "all"), ("sin", "cos"),
+    ("fmin", "fmax"), ("floor", "ceil"), ("zeros", "ones"), ("zeros_like", "ones_like"), ("vstack", "hstack"),
+]  # fmt: skip
+TWINS = dict(PAIRS) | {second: first for first, second in PAIRS}
+WRAPPERS = {  # f(x, ...) becomes x
+    "abs", "sorted", "reversed", "sqrt", "square", "exp", "flip", "clip", "transpose", "swapaxes", "inv", "pinv",
+    "deg2rad", "rad2deg", "radians", "degrees", "cumsum", "diff", "cholesky", "unique", "isfinite", "outer",
+}  # fmt: skip
+METHODS = {"transpose", "swapaxes", "clip", "strip", "copy", "conj"}  # x.f(...) becomes x
+PRECAUTIONS = {"strict", "encoding", "dtype"}  # keywords that change nothing where the rest is right
+UNORDERED = {"isinstance", "issubclass", "getattr", "hasattr", "zip", "min", "max", "minimum", "maximum", "allclose"}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    path: Path  # of the file
+    function: str  # "function" or "Class.method"; "" at the top of the module or of a class
+    operator: str
+    line: int
+    source: str  # of the whole file, changed
+    was: str  # the lines that change, stripped of their indentation
+    becomes: str
+
+    @property
+    def key(self) -> str:
+        return f"{self.path.as_posix()}:{self.line}:{self.was}:{self.becomes}"
+
+
+def mutants(path: Path, text: str) -> list[Mutant]:
+    """All mutants of a file, in the order of its lines."""
+    data, starts = text.encode(), [0]
+    for line in text.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line.encode()))
+    found: dict[str, Mutant] = {}
+    for function, node, replacement, operator in _changes(ast.parse(text), ""):
+        begin = starts[node.lineno - 1] + node.col_offset
+        end = starts[node.end_lineno - 1] + node.end_col_offset
+        new = ast.unparse(ast.fix_missing_locations(replacement))
+        if isinstance(replacement, ast.expr) and not isinstance(replacement, _ATOMS):
+            new = f"({new})"
+        changed = (data[:begin] + new.encode() + data[end:]).decode()
+        first, last = starts[node.lineno - 1], starts[node.end_lineno]
+        was, becomes = data[first:last].decode(), (data[first:begin] + new.encode() + data[end:last]).decode()
+        if new != ast.unparse(node):
+            mutant = Mutant(path, function, operator, node.lineno, changed, _flat(was), _flat(becomes))
+            found.setdefault(changed, mutant)
+    return sorted(found.values(), key=lambda mutant: mutant.line)
+
+
+_ATOMS = (ast.Name, ast.Constant, ast.Attribute, ast.Call, ast.Subscript, ast.Slice, ast.Tuple)
+
+
+def _flat(text: str) -> str:
+    return "\n".join(line.strip() for line in text.strip().splitlines())
+
+
+def _changes(node: ast.AST, function: str) -> Iterator[tuple[str, ast.AST, ast.AST, str]]:
+    """(function, node, what takes its place, operator) for everything below a node."""
+    for child in _children(node):
+        inside = function
+        if isinstance(child, ast.ClassDef | ast.FunctionDef) and (not function or isinstance(node, ast.ClassDef)):
+            inside = f"{function}.{child.name}" if function else child.name
+        if isinstance(child, ast.If):  # of a condition the test alone is changed
+            yield inside, child.test, *_condition(child)
+        elif type(child) in _MAKERS:
+            for replacement, operator in _MAKERS[type(child)](child):
+                yield inside, child, replacement, operator
+        yield from _changes(child, inside)
+
+
+def _children(node: ast.AST) -> Iterator[ast.AST]:
+    """What may be changed below a node: no texts, annotations, decorators, words of an error."""
+    if isinstance(node, ast.JoinedStr | ast.Raise | ast.Import | ast.ImportFrom):
+        return
+    if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+        return
+    for name, value in ast.iter_fields(node):
+        if name in ("annotation", "returns", "decorator_list", "type_params", "bases"):
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            if isinstance(child, ast.AST) and getattr(child, "arg", None) not in PRECAUTIONS:
+                yield child
+
+
+def _with(node: ast.AST, **fields: object) -> ast.AST:
+    changed = copy.copy(node)
+    for name, value in fields.items():
+        setattr(changed, name, value)
+    return changed
+
+
+def _compare(node: ast.Compare) -> Iterator[tuple[ast.AST, str]]:
+    for k, operator in enumerate(node.ops):
+        ops = [*node.ops]
+        ops[k] = COMPARISONS[type(operator)]()
+        yield _with(node, ops=ops), "comparison turned"
+        counted = any(isinstance(part, ast.Constant) and type(part.value) is int for part in node.comparators)
+        if type(operator) in EDGES and (counted or "len(" in ast.unparse(node)):  # of floats the edge is never met
+            ops = [*node.ops]
+            ops[k] = EDGES[type(operator)]()
+            yield _with(node, ops=ops), "edge of a comparison"
+
+
+def _binary(node: ast.BinOp) -> Iterator[tuple[ast.AST, str]]:
+    if isinstance(node.left, ast.JoinedStr | ast.List | ast.Tuple) or isinstance(node.right, ast.JoinedStr | ast.List):
+        return
+    if isinstance(node.op, ast.MatMult):
+        yield _with(node, left=node.right, right=node.left), "factors swapped"
+    elif type(node.op) in ARITHMETIC:
+        yield _with(node, op=ARITHMETIC[type(node.op)]()), "arithmetic"
+
+
+def _unary(node: ast.UnaryOp) -> Iterator[tuple[ast.AST, str]]:
+    if not isinstance(node.op, ast.UAdd):
+        yield node.operand, "not dropped" if isinstance(node.op, ast.Not) else "sign dropped"
+
+
+def _boolean(node: ast.BoolOp) -> Iterator[tuple[ast.AST, str]]:
+    yield _with(node, op=ast.Or() if isinstance(node.op, ast.And) else ast.And()), "and, or"
+
+
+def _constant(node: ast.Constant) -> Iterator[tuple[ast.AST, str]]:
+    value = node.value
+    if isinstance(value, bool):
+        yield ast.Constant(not value), "constant"
+    elif isinstance(value, int):
+        yield ast.Constant(value + 1), "constant"
+    elif isinstance(value, float):
+        yield ast.Constant(10 * value if value else 1.0), "constant"
+
+
+def _choice(node: ast.IfExp) -> Iterator[tuple[ast.AST, str]]:
+    yield _with(node, body=node.orelse, orelse=node.body), "choice swapped"
+
+
+def _condition(node: ast.If) -> tuple[ast.AST, str]:
+    if isinstance(node.body[-1], ast.Return | ast.Raise | ast.Continue | ast.Break) and not node.orelse:
+        return ast.Constant(False), "guard dropped"
+    return ast.UnaryOp(ast.Not(), node.test), "condition turned"
+
+
+def _attribute(node: ast.Attribute) -> Iterator[tuple[ast.AST, str]]:
+    if node.attr == "T":
+        yield node.value, "transpose dropped"
+
+
+def _call(node: ast.Call) -> Iterator[tuple[ast.AST, str]]:
+    function = node.func
+    name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
+    module = ast.unparse(function.value) if isinstance(function, ast.Attribute) else ""
+    free = isinstance(function, ast.Name) or module in ("np", "ca", "math", "np.linalg", "scipy.linalg", "linalg")
+    if name in TWINS:
+        twin = _with(function, **{"attr" if isinstance(function, ast.Attribute) else "id": TWINS[name]})
+        yield _with(node, func=twin), "twin function"
+    if name in WRAPPERS and free and node.args and not isinstance(node.args[0], ast.Starred):
+        yield node.args[0], "function dropped"
+    elif name in METHODS and not free and isinstance(function, ast.Attribute):
+        yield function.value, "method dropped"
+    for k, keyword in enumerate(node.keywords):
+        if keyword.arg not in (None, *PRECAUTIONS) and not name[:1].isupper():
+            yield _with(node, keywords=node.keywords[:k] + node.keywords[k + 1 :]), "keyword dropped"
+    plain = len(node.args) == 2 and not any(isinstance(arg, ast.Starred | ast.Constant) for arg in node.args)
+    if plain and not node.keywords and name not in UNORDERED:
+        yield _with(node, args=node.args[::-1]), "arguments swapped"
+
+
+def _subscript(node: ast.Subscript) -> Iterator[tuple[ast.AST, str]]:
+    index = node.slice
+    if isinstance(index, ast.Tuple) and len(index.elts) > 1:
+        first, second, *rest = index.elts
+        yield _with(node, slice=_with(index, elts=[second, first, *rest])), "indices swapped"
+
+
+def _slice(node: ast.Slice) -> Iterator[tuple[ast.AST, str]]:
+    for bound in ("lower", "upper", "step"):
+        if getattr(node, bound) is not None:
+            yield _with(node, **{bound: None}), "slice"
+
+
+def _return(node: ast.Return) -> Iterator[tuple[ast.AST, str]]:
+    if node.value is not None and not (isinstance(node.value, ast.Constant) and node.value.value is None):
+        yield _with(node, value=None), "result dropped"
+
+
+def _augmented(node: ast.AugAssign) -> Iterator[tuple[ast.AST, str]]:
+    yield ast.Pass(), "statement dropped"
+    if type(node.op) in ARITHMETIC:
+        yield _with(node, op=ARITHMETIC[type(node.op)]()), "arithmetic"
+
+
+def _assignment(node: ast.Assign) -> Iterator[tuple[ast.AST, str]]:
+    if isinstance(node.targets[0], ast.Attribute | ast.Subscript):
+        yield ast.Pass(), "statement dropped"
+
+
+def _expression(node: ast.Expr) -> Iterator[tuple[ast.AST, str]]:
+    if isinstance(node.value, ast.Call):
+        yield ast.Pass(), "statement dropped"
+
+
+def _statement(node: ast.stmt) -> Iterator[tuple[ast.AST, str]]:
+    yield ast.Pass(), "statement dropped"
+
+
+def _filtered(node: ast.ListComp | ast.SetComp | ast.GeneratorExp | ast.DictComp) -> Iterator[tuple[ast.AST, str]]:
+    for k, loop in enumerate(node.generators):
+        if loop.ifs:
+            loops = [*node.generators]
+            loops[k] = _with(loop, ifs=[])
+            yield _with(node, generators=loops), "filter dropped"
+
+
+_MAKERS = {
+    ast.Compare: _compare, ast.BinOp: _binary, ast.UnaryOp: _unary, ast.BoolOp: _boolean, ast.Constant: _constant,
+    ast.IfExp: _choice, ast.Attribute: _attribute, ast.Call: _call, ast.Subscript: _subscript,
+    ast.Slice: _slice, ast.Return: _return, ast.AugAssign: _augmented, ast.Assign: _assignment, ast.Expr: _expression,
+    ast.Raise: _statement, ast.Continue: _statement, ast.Break: _statement, ast.ListComp: _filtered,
+    ast.SetComp: _filtered, ast.GeneratorExp: _filtered, ast.DictComp: _filtered,
+}  # fmt: skip

@@ -1,0 +1,114 @@
+"""One run of pytest in a process of its own, forked from one that has loaded the libraries but nothing of salver."""
+
+import contextlib
+import faulthandler
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from signal import SIGKILL
+from typing import Any
+
+# Loaded once: they take longer than most tests. None of them starts a thread or keeps a state that a test could see.
+LIBRARIES = ["pytest", "hypothesis", "numpy", "scipy.optimize", "scipy.signal", "scipy.spatial", "casadi", "mujoco"]
+LIBRARIES += ["pinocchio", "coal", "clarabel", "piqp", "trimesh", "pydantic", "typer", "matplotlib.pyplot", "pyarrow"]
+
+
+@dataclass
+class Outcome:
+    """What a run of pytest said. `code` is pytest's own, or -9 when it took too long as a whole."""
+
+    code: int
+    failed: str | None = None  # the first test that failed
+    slow: bool = False  # whether that one is left out of `make quick`
+    seconds: dict[str, float] = field(default_factory=dict)  # of each test, with what it set up
+
+
+def run_tests(
+    tree: Path, files: list[str], rank: Callable[[str, bool], Any], *, limit: float, slowest: float, coverage: str = ""
+) -> Outcome:
+    """Run the tests of some files of a copy of the repository, up to the first that fails.
+
+    `rank(node id, whether it is marked slow)` orders the tests.
+    `slowest`: seconds after which a single test counts as hanging; `limit`: for all together. With `coverage`, a
+    configuration file of coverage.py, the run is measured with the test as context, and goes on after a failure.
+    """
+    context = get_context("forkserver")
+    context.set_forkserver_preload(LIBRARIES)
+    result = tree / "outcome.json"
+    result.unlink(missing_ok=True)
+    process = context.Process(target=_child, args=(str(tree), files, rank, slowest, coverage))
+    process.start()
+    process.join(limit)
+    late = process.is_alive()
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid or 0, SIGKILL)  # with all that the tests left running
+    process.join()
+    found = json.loads(result.read_text()) if result.is_file() else {}
+    return Outcome(**{**found, "code": -9 if late else process.exitcode})
+
+
+class _Plugin:
+    """Orders the tests, stops those that hang, notes the first that fails, and tells coverage which test runs."""
+
+    def __init__(self, tree: str, rank: Callable[[str, bool], Any], slowest: float, measure: Any) -> None:
+        self.result, self.rank, self.slowest, self.measure = Path(tree, "outcome.json"), rank, slowest, measure
+        self.outcome, self.slow = Outcome(0), set[str]()
+
+    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
+        self.slow = {item.nodeid for item in items if item.get_closest_marker("slow")}
+        items.sort(key=lambda item: self.rank(item.nodeid, item.nodeid in self.slow))
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self.note(nodeid)  # should the process die
+        self.save()
+        self.note(None)
+        faulthandler.dump_traceback_later(self.slowest, exit=True, file=sys.__stderr__)
+        if self.measure is not None:
+            self.measure.switch_context(nodeid)
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        seconds = self.outcome.seconds
+        seconds[report.nodeid] = seconds.get(report.nodeid, 0.0) + report.duration
+        if report.failed and self.outcome.failed is None:
+            self.note(report.nodeid)
+
+    def pytest_sessionfinish(self) -> None:
+        faulthandler.cancel_dump_traceback_later()
+        self.save()
+
+    def note(self, nodeid: str | None) -> None:
+        self.outcome.failed, self.outcome.slow = nodeid, nodeid in self.slow
+
+    def save(self) -> None:
+        self.result.write_text(json.dumps(asdict(self.outcome)))
+
+
+def _child(tree: str, files: list[str], rank: Callable[[str, bool], Any], slowest: float, coverage: str) -> None:
+    os.setsid()
+    os.chdir(tree)
+    sys.path.insert(0, f"{tree}/src")
+    os.environ["PYTHONPATH"] = f"{tree}/src"
+    sink = os.open(os.devnull if not coverage else f"{tree}/output.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(sink, 1)
+    os.dup2(sink, 2)
+    measure = None
+    if coverage:
+        import coverage as library
+
+        measure = library.Coverage(config_file=coverage)
+        measure.start()
+    import pytest
+
+    arguments = ["-q", "-p", "no:faulthandler", "-p", "no:cacheprovider", "--rootdir", tree, *files]
+    if measure is None:
+        arguments += ["-x"]
+    code = pytest.main(arguments, plugins=[_Plugin(tree, rank, slowest, measure)])
+    if measure is not None:
+        measure.stop()
+        measure.save()
+    sys.stdout.flush()
+    os._exit(int(code))
