@@ -13,7 +13,6 @@ SOURCES = src tests $(wildcard benchmarks examples docs tools)
 help:
 	@echo "make demo    plan, check and simulate the paper's scenario; pages and figures in $(OUT)"
 	@echo "make test    run the tests"
-	@echo "make quick   the tests for every day: under a minute on two cores"
 	@echo "make mutate  are wrong changes noticed? N=300 SEED=0 MODULE=salver.models; prints those that no test sees"
 	@echo "make check   lint, types and import layers"
 	@echo "make bench   run the speed benchmarks and write docs/performance.md"
@@ -42,9 +41,6 @@ demo: $(READY)
 # One worker for each core, so one thread of linear algebra for each worker.
 test: $(READY)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
-
-quick: $(READY)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto -m "not slow"
 
 mutate: $(READY)
 	$(BIN)/python tools/mutate.py -n $(or $(N),300) --seed $(or $(SEED),0) $(addprefix --module ,$(MODULE))
