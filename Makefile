@@ -11,7 +11,7 @@ SOURCES = src tests $(wildcard benchmarks examples docs tools)
 .PHONY: help setup demo test mutate lint format types layers check bench scenario-table pages docs lock clean
 
 help:
-	@echo "make demo    plan, check and simulate the paper's scenario; pages and figures in $(OUT)"
+	@echo "make demo    the paper's experiment and a tall bottle, planned, checked and simulated; pages and figures in $(OUT)"
 	@echo "make test    run the tests"
 	@echo "make mutate  are wrong changes noticed? N=300 SEED=0 MODULE=salver.models; prints those that no test sees"
 	@echo "make check   lint, types and import layers"

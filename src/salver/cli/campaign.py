@@ -112,6 +112,12 @@ def show(summary: dict[str, Any]) -> None:
         table.add_row("furthest out", *(_excess(plan["tube"]) for plan in plans.values()))
     out = result_console()
     out.print(table)
+    if any(plan["tube"] and plan["tube"]["left"]["count"] for plan in plans.values()):
+        out.print(
+            "A tube bounds the paper's contact coefficients to first order, for an arm that starts without error. It "
+            "starts sagged\nunder the wrong mass, so tubes are left at start-up. Whether the load stays, the first row "
+            "tells."
+        )
     for pair in summary["paired"]:
         held = pair["holds"]
         out.print(

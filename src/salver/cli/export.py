@@ -16,7 +16,7 @@ def export(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
     ] = None,
-    stem: Annotated[str, typer.Option(help="Which motion: plan or baseline.")] = "plan",
+    stem: Annotated[str, typer.Option(help="Which motion: plan, baseline or nominal.")] = "plan",
     rate: Annotated[float | None, typer.Option(help="Samples per second; the plan's own instants by default.")] = None,
     json: Json = False,
 ) -> None:

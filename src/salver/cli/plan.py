@@ -11,6 +11,8 @@ import typer
 from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from salver.planning.plan import Plan
 
 
@@ -20,11 +22,18 @@ def plan(
     ],
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Run directory; default runs/NAME.")] = None,
     fastest: Annotated[bool, typer.Option("--fastest", help="Find the shortest duration that is safe.")] = False,
+    beside: Annotated[
+        str,
+        typer.Option(
+            help="What to compare it with: baseline (the straight line in the same time), or nominal (the fastest "
+            "motion for someone who believes the nominal values)."
+        ),
+    ] = "baseline",
     duration: Annotated[float | None, typer.Option(help="Duration in s, instead of the scenario's.")] = None,
     arm: Annotated[bool, typer.Option(help="Follow the plan with the scenario's arm, when it has one.")] = True,
     json: Json = False,
 ) -> None:
-    """Plan a motion that keeps the object on the tray, and the straight line beside it.
+    """Plan a motion that keeps the object on the tray, and another one beside it to compare it with.
 
     Example: `salver plan panda-cube -o runs/cube`
 
@@ -36,13 +45,13 @@ def plan(
     chosen = scenarios.load(scenario)
     if duration is not None:
         chosen = chosen.with_changes(motion__duration=duration)
-    found, baseline = plan_pair(chosen, "fastest" if fastest else "robust", arm)
+    found, other = plan_pair(chosen, "fastest" if fastest else "robust", arm, beside)
     directory = found.save(out if out is not None else Path("runs") / chosen.name)
-    baseline.save(directory, "baseline")
+    other.save(directory, beside)
     if json:
-        print_json({"directory": directory, "plan": found.summary(), "baseline": baseline.summary()})
+        print_json({"directory": directory, "plan": found.summary(), beside: other.summary()})
     else:
-        show(found, baseline)
+        show(found, other, beside)
         quoted = quote(str(directory))
         simulate = f"salver simulate {quoted}, or " if found.joint is not None or chosen.arm is None else ""
         say(f"Written to {directory}; next: {simulate}salver report {quoted}")
@@ -50,8 +59,8 @@ def plan(
         raise typer.Exit(NO_SAFE_PLAN)
 
 
-def show(plan: Plan, baseline: Plan) -> None:
-    """The plan and its baseline for a person, on standard output."""
+def show(plan: Plan, other: Plan, beside: str) -> None:
+    """The plan and what it is compared with, for a person, on standard output."""
     from rich.table import Table
 
     console = result_console()
@@ -65,12 +74,18 @@ def show(plan: Plan, baseline: Plan) -> None:
     )
     table = Table(box=None, padding=(0, 3, 0, 0))
     table.add_column("")
-    for item in (plan, baseline):
-        table.add_column(item.method, justify="right")
-    lines = {
-        "sensitivity cost, eq (13)": lambda p: f"{p.cost:.4g}",
-        "least cone coefficient, nominal": lambda p: f"{1e3 * p.cone_coefficients.min():.1f} mN",
-        "least cone coefficient, in its tube": lambda p: f"{1e3 * (p.cone_coefficients - p.cone_radius).min():.1f} mN",
+    names = (plan.method, beside)
+    for name in names:
+        table.add_column(name, justify="right")
+    lines: dict[str, Callable[[Plan], str]] = {"sensitivity cost, eq (13)": lambda p: f"{p.cost:.4g}"}
+    if scenario.contact.condition == "paper":
+        lines |= {
+            "least cone coefficient, nominal": lambda p: f"{1e3 * p.cone_coefficients.min():.1f} mN",
+            "least cone coefficient, in its tube": lambda p: (
+                f"{1e3 * (p.cone_coefficients - p.cone_radius).min():.1f} mN"
+            ),
+        }
+    lines |= {
         "exact margin of the weight, worst case": lambda p: f"{100 * p.margins.exact_worst.min():.1f} %",
         "friction needed / sure, worst case": _friction,
         "distance to tipping, worst case": lambda p: (
@@ -80,10 +95,10 @@ def show(plan: Plan, baseline: Plan) -> None:
         "arm can follow": lambda p: "-" if p.arm_status is None else "yes" if p.arm_status.ok else "NO",
     }
     for label, value in lines.items():
-        table.add_row(label, value(plan), value(baseline))
+        table.add_row(label, value(plan), value(other))
     console.print(table)
-    for item in (plan, baseline):
-        console.print(f"[bold]{item.method}[/bold]: {item.status}")
+    for name, item in zip(names, (plan, other), strict=True):
+        console.print(f"[bold]{name}[/bold]: {item.status}")
         if item.arm_status is not None:
             console.print(f"  arm: {item.arm_status}")
     console.print(plan.verification.sentence)

@@ -14,12 +14,10 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
     from salver.simulation.record import SimulationRecord
 
-STEMS = ("plan", "baseline")
-
 
 def simulate(
     directory: Annotated[Path, typer.Argument(help="Run directory that `salver plan` made.")],
-    stem: Annotated[str, typer.Option(help="Which plan: plan, baseline, or both.")] = "plan",
+    stem: Annotated[str, typer.Option(help="Which plan: plan, baseline, nominal, or both that there are.")] = "plan",
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", help="True value of a parameter, as mass=0.3 (SI units); repeat for several."),
@@ -41,11 +39,11 @@ def simulate(
 
     Ends with 0 when the run was made, whatever became of the object.
     """
-    from salver.planning.plan import load_plan
+    from salver.planning.plan import STEMS, load_plan
     from salver.simulation.physics import simulate as run_physics
 
     if stem not in (*STEMS, "both"):
-        raise ScenarioError(f'--stem = "{stem}"; it must be plan, baseline or both.')
+        raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both.')
     parameters = _parameters(set_ or [])
     if run is not None:
         from salver.campaign import parameters_of_run
@@ -54,7 +52,8 @@ def simulate(
             raise ScenarioError("--run takes its parameters from the campaign; leave out --set.")
         parameters, seed = parameters_of_run(directory, run, folder)
     results: dict[str, SimulationRecord] = {}
-    for name in STEMS if stem == "both" else (stem,):
+    both = [name for name in STEMS if (directory / f"{name}.npz").is_file()]
+    for name in both if stem == "both" else (stem,):
         plan = load_plan(directory, name)
         _warn(plan, name)
         results[name] = run_physics(plan, parameters=parameters, seed=seed)

@@ -12,7 +12,7 @@ from salver.errors import ScenarioError, Status
 from salver.geometry import Array
 from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import Solution, solve
-from salver.planning.plan import FINER, Plan
+from salver.planning.plan import FINER, STEMS, Plan
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, min_jerk_line
 
@@ -60,6 +60,18 @@ def plan_baseline(scenario: Scenario) -> Plan:
     return plan
 
 
+def plan_nominal(scenario: Scenario) -> Plan:
+    """The fastest motion that is safe when every parameter is nominal; judged over the whole uncertain set."""
+    from salver.planning.fastest import plan_fastest
+
+    plan = plan_fastest(scenario.with_changes(motion__duration=None), robust=False)
+    if not plan.status.ok or plan.verification.violation == 0:
+        return plan
+    found = f"The shortest motion for nominal parameters takes {plan.duration:.4f} s"
+    sentence = f"{found}; over the uncertain set it is not safe: {plan.verification.sentence}"
+    return replace(plan, status=Status("unsafe", sentence, False))
+
+
 def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
     """The same plan with the joint motion that follows it, its torques, and whether the arm can; needs an arm.
 
@@ -80,9 +92,20 @@ def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
     return replace(plan, joint=joint, arm_status=status, tau=tau)
 
 
-def plan_pair(scenario: Scenario, method: str = "robust", arm: bool = True) -> tuple[Plan, Plan]:
-    """The plan asked for and the straight line of the same duration, from the same start posture."""
+def plan_pair(
+    scenario: Scenario, method: str = "robust", arm: bool = True, beside: str = "baseline"
+) -> tuple[Plan, Plan]:
+    """The plan asked for and what it is compared with.
+
+    beside: "baseline", the straight line of the same duration, from the same start posture; or "nominal", the fastest
+    motion for someone who believes the nominal parameters.
+    Raises ScenarioError for an unknown comparison, and where one cannot be made.
+    """
+    if beside not in STEMS[1:]:
+        raise ScenarioError(f'A plan can be compared with {" or ".join(STEMS[1:])}, not with "{beside}".')
     plan = make_plan(scenario, method, arm)
+    if beside == "nominal":
+        return plan, plan_nominal(plan.scenario)
     timed = plan.scenario if plan.scenario.motion.duration else scenario.with_changes(motion__duration=plan.duration)
     baseline = replace(plan_baseline(timed), scenario=plan.scenario)
     if arm and scenario.arm is not None:

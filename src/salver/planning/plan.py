@@ -31,6 +31,11 @@ if TYPE_CHECKING:
     from salver.models.parameters import UncertainSet
     from salver.sensitivity.arm import ArmChain
 
+STEMS = (
+    "plan",
+    "baseline",
+    "nominal",
+)  # the motions that a run directory may hold: a plan, and what it is compared with
 FINER = 10  # the check's grid against the planner's
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
 

@@ -19,7 +19,7 @@ Spec = dict[str, Any]
 TIP_WORTH_SHOWING = 1e-3  # rad; less is the softness of the contact
 WORTH_A_CURVE = 0.02  # of the largest effect of a parameter
 POINTS = 240  # per curve: more than the pixels of a chart
-DASH = {"plan": "", "baseline": "6 3"}
+DASH = {"plan": "", "baseline": "6 3", "nominal": "6 3"}
 
 
 def thin(t: Array, *curves: Array) -> list[list[float | None]]:

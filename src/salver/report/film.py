@@ -15,8 +15,7 @@ import numpy as np
 
 from salver.errors import MissingDependencyError, SalverError
 from salver.files import write_atomic
-from salver.planning.plan import load_plan
-from salver.report.run import STEMS
+from salver.planning.plan import STEMS, load_plan
 from salver.simulation.record import FOLDER, SimulationRecord, load_record
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
 FILMS = (".mp4", ".mkv", ".webm")  # by ffmpeg
 STILLS = (".gif", ".webp")  # by pillow
-LABELS = {"plan": "planned", "baseline": "baseline"}
+LABELS = {"plan": "planned", "baseline": "straight line", "nominal": "planned for nominal values"}
 _GAP = 4  # pixels between two pictures
 
 
@@ -48,7 +47,7 @@ def write_film(
     width: int = 960,
     height: int = 720,
 ) -> Film:
-    """Film of the simulations that a run directory holds; "both" shows plan and baseline side by side.
+    """Film of the simulations that a run directory holds; "both" shows plan and comparison side by side.
 
     rate: pictures a second. speed: of time in the film; 0.25 shows it four times slower. width, height: of a picture.
     Formats by the ending of `path`: mp4, mkv, webm through ffmpeg; gif, webp without it. Raises SalverError for

@@ -14,9 +14,9 @@ from salver.errors import FileFormatError
 from salver.files import load_npz, read_json
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.bodies import Body, bodies
+from salver.planning.plan import STEMS
 from salver.report.contact import ContactCurves, contact_curves
 
-STEMS = ("plan", "baseline")
 _NEEDED = (
     "t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B", "wrench_B", "grasp_map", "cone_coefficients",
     "cone_radius", "state_sensitivity", "input_sensitivity", "parameter_names", "parameter_half_range",
@@ -37,9 +37,9 @@ class Record:
 
 @dataclass(frozen=True)
 class Motion:
-    """A plan or the baseline, with what is known of it.
+    """A plan or what it is compared with, and what is known of it.
 
-    stem: "plan" or "baseline". arrays: those of plan.npz (docs: file formats). summary: plan.json.
+    stem: "plan", "baseline" or "nominal". arrays: those of plan.npz (docs: file formats). summary: plan.json.
     simulation: its run in the physics engine, if there was one. execution: its run on an arm, real or simulated.
     """
 
@@ -57,8 +57,8 @@ class Motion:
     @property
     def label(self) -> str:
         """For a legend: what kind of motion this is."""
-        if self.stem == "baseline":
-            return "Baseline"
+        if self.stem != "plan":
+            return self.stem.capitalize()
         return "Fastest" if self.summary.get("method") == "fastest" else "Robust"
 
     @property
@@ -96,6 +96,11 @@ class Run:
     @property
     def plan(self) -> Motion:
         return self.motions[0]
+
+    @property
+    def compared(self) -> Motion | None:
+        """What the plan is compared with."""
+        return self.motions[1] if len(self.motions) > 1 else None
 
     @cached_property
     def contact(self) -> dict[str, ContactCurves]:

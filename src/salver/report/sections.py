@@ -109,14 +109,14 @@ def build(run: Run, arm: ArmModel | None) -> Sections:
 def tiles(run: Run) -> str:
     """Key numbers below the verdict."""
     plan = run.plan
-    base = run.motion("baseline")
+    base = run.compared
     curves = [run.contact[m.stem] for m in run.motions]
     floor = [float(m.cone_floor.min()) for m in run.motions]
     tip = [1e3 * float(c.tip_worst.min()) for c in curves]
     worst = [100 * float(c.worst.min()) for c in curves]
 
     def versus(values: list[float], digits: int, unit: str = "", otherwise: str = "–") -> str:
-        return f"baseline {number(values[1], digits, unit, otherwise)}" if base is not None else ""
+        return f"{base.stem} {number(values[1], digits, unit, otherwise)}" if base is not None else ""
 
     shown = [
         ("Duration", f"{plan.duration:.2f} s", versus([m.duration for m in run.motions], 2, " s")),
@@ -131,7 +131,7 @@ def tiles(run: Run) -> str:
     slips = [charts.record_curve(m.simulation, "slip") for m in run.motions]
     if slips[0] is not None:
         moved = [length(float(np.max(s))) if s is not None else "not run" for s in slips]
-        shown.append(("Slip in simulation", moved[0], f"baseline {moved[1]}" if len(moved) > 1 else ""))
+        shown.append(("Slip in simulation", moved[0], f"{base.stem} {moved[1]}" if base is not None else ""))
     if run.campaign is not None:
         held = run.campaign["plans"].get(plan.stem, {}).get("outcomes", {}).get("holds")
         if held:
@@ -173,14 +173,25 @@ def _friction_tile(run: Run) -> tuple[str, str, str]:
     curves = [run.contact[m.stem] for m in run.motions]
     if curves[0].coefficient is None:
         used = [f"{100 * float(c.friction.max()):.0f} %" for c in curves]
-        return "Friction in use", used[0], " · ".join(["of what there is", *(f"baseline {x}" for x in used[1:])])
+        return (
+            "Friction in use",
+            used[0],
+            " · ".join(
+                ["of what there is", *(f"{m.stem} {x}" for m, x in zip(run.motions[1:], used[1:], strict=True))]
+            ),
+        )
     needed = [
         number(float(c.coefficient.max()), 3, otherwise="none suffices") for c in curves if c.coefficient is not None
     ]
     return (
         "Friction needed",
         needed[0],
-        " · ".join([f"of {curves[0].available:g}", *(f"baseline {x}" for x in needed[1:])]),
+        " · ".join(
+            [
+                f"of {curves[0].available:g}",
+                *(f"{m.stem} {x}" for m, x in zip(run.motions[1:], needed[1:], strict=False)),
+            ]
+        ),
     )
 
 

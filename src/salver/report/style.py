@@ -1,7 +1,7 @@
 """Colours and type of figures and pages, in one place.
 
-Robust and baseline take two colours of Okabe and Ito's set (distinct to every kind of colour vision), and the
-baseline is dashed besides: figures survive a black-and-white printer.
+A plan and what it is compared with take two colours of Okabe and Ito's set (distinct to every kind of colour vision),
+and the latter is dashed besides: figures survive a black-and-white printer.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ MAUVE = "#CC79A7"
 BLACK = "#1b2430"
 GREY = "#7a8490"
 
-ROLE_COLOURS = {"plan": BLUE, "baseline": VERMILION}
-ROLE_DASHES = {"plan": "-", "baseline": (0, (5, 2))}
+ROLE_COLOURS = {"plan": BLUE, "baseline": VERMILION, "nominal": VERMILION}
+ROLE_DASHES = {"plan": "-", "baseline": (0, (5, 2)), "nominal": (0, (5, 2))}
 CYCLE = (BLUE, VERMILION, GREEN, AMBER, MAUVE, SKY, BLACK, GREY)
 OUTCOME_COLOURS = {
     "holds": GREEN,
