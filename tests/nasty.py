@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from salver.geometry import Array
+from salver.models.arm import ArmModel
 from salver.models.bodies import Body, bodies, uncertain_set
 from salver.models.contact import support_contacts
 from salver.models.parameters import UncertainSet
@@ -147,7 +150,9 @@ def true_body(made: Scenario, body: Body, change: dict[str, float]) -> TrueBody:
         return change.get(own + name, 0.0)
 
     item = next(o for o in made.objects if o.name == body.name)
-    xx, xy, yy, xz, yz, zz = np.array(item.inertia) + [by(f"inertia_{s}") for s in ("xx", "xy", "yy", "xz", "yz", "zz")]
+    given = np.array(item.inertia)
+    six = given if len(given) == 6 else np.array([given[0], 0, given[1], 0, 0, given[2]])
+    xx, xy, yy, xz, yz, zz = six + [by(f"inertia_{s}") for s in ("xx", "xy", "yy", "xz", "yz", "zz")]
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     tilt = rotation([change.get("tilt_x", 0.0), change.get("tilt_y", 0.0), 0.0])
     yaw = rotation([0.0, 0.0, np.deg2rad(item.yaw_deg)])
@@ -311,3 +316,26 @@ def samples(uncertain: UncertainSet, count: int, seed: int = 0) -> list[dict[str
         s = rng.normal(size=(count, uncertain.size))
         s /= np.linalg.norm(s, axis=1, keepdims=True)
     return [dict(zip(uncertain.names, x, strict=True)) for x in s @ directions(uncertain).T]
+
+
+# What an arm needs, by Pinocchio ---------------------------------------------------------------------------------
+
+
+def with_bodies(arm: ArmModel, carried: Sequence[TrueBody]) -> Any:
+    """Pinocchio's model of arm and tray with these bodies bolted to the tray."""
+    model = arm.pin_model.copy()
+    frame = model.frames[arm.tray_id]
+    for body in carried:
+        inertia = pin.Inertia(body.mass, body.c_E, body.I_E)
+        model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)
+    return model
+
+
+def torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
+    """(T, n) N m."""
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)])
+
+
+def nominal_bodies(made: Scenario) -> list[TrueBody]:
+    return [true_body(made, body, {}) for body in bodies(made)]

@@ -149,10 +149,10 @@ KNOWN_ARMS: dict[str, KnownArm] = {
             "q_max": [6.283185, 2.094395, 6.283185, 3.926990, 6.283185, 3.141593, 6.283185],
             "velocity": [3.14159265] * 7,
             "acceleration": [20.0] * 7,
-            "torque": [50.0, 50.0, 32.0, 32.0, 32.0, 20.0, 20.0],
+            "torque": [50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0],
         },
         source="UFACTORY, xArm user manual, technical specifications (180 degrees/s); xArm-Python-SDK, "
         "xarm/core/config/x_config.py (positions) and xarm/x3/base.py (20 rad/s^2); xarm_ros, "
-        "xarm_description/urdf/xarm7.urdf.xacro (torques). Jerk and torque rate are not published",
+        "xarm_description/urdf/xarm7/xarm7.urdf.xacro (torques). Jerk and torque rate are not published",
     ),
 }
