@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from browser import Browser, chromium, missing
+from run_files import rewrite
 from salver import scenario
 from salver.errors import FileFormatError
-from salver.files import read_json, write_json
 from salver.geometry import matrix_from_quat_wxyz
 from salver.models.arm import load_arm
 from salver.planning.make import make_plan
@@ -105,10 +105,12 @@ def test_a_plan_that_failed_is_not_praised(plan_only: Path, tmp_path: Path) -> N
     import shutil
 
     shutil.copytree(plan_only, tmp_path / "run")
-    summary = read_json(tmp_path / "run" / "plan.json")
-    summary["ok"] = False
-    summary["verification"] |= {"ok": False, "sentence": "cube leaves its contact condition by 0.2 N at t = 0.3 s."}
-    write_json(tmp_path / "run" / "plan.json", summary)
+
+    def fail(record: dict[str, Any]) -> None:
+        record["ok"] = False
+        record["verification"] |= {"ok": False, "sentence": "cube leaves its contact condition by 0.2 N at t = 0.3 s."}
+
+    rewrite(tmp_path / "run", record=fail)
     answer = verdict(read_run(tmp_path / "run"))
     assert (answer.level, answer.headline) == ("bad", "No safe plan was found")
     assert "by 0.2 N at t = 0.3 s" in answer.detail
@@ -130,9 +132,8 @@ def test_text_from_files_is_escaped(plan_only: Path, tmp_path: Path) -> None:
     import shutil
 
     shutil.copytree(plan_only, tmp_path / "run")
-    summary = read_json(tmp_path / "run" / "plan.json")
-    summary["status"]["sentence"] = "</script><script>alert(1)</script>"
-    write_json(tmp_path / "run" / "plan.json", summary)
+    script = {"sentence": "</script><script>alert(1)</script>"}
+    rewrite(tmp_path / "run", record=lambda record: record["status"].update(script))
     text = write_report(tmp_path / "run").read_text()
     assert "alert(1)" in text
     assert "<script>alert(1)" not in text
@@ -388,7 +389,7 @@ def test_a_plan_of_another_scenario_gets_a_sentence(tmp_path: Path) -> None:
     make_plan(case, "baseline").save(tmp_path, "plan")
     path = tmp_path / "scenario.toml"
     path.write_text(path.read_text().replace("mass = 0.256", "mass = 0.3"))
-    with pytest.raises(FileFormatError, match="was made from another scenario"):
+    with pytest.raises(FileFormatError, match=r"scenario\.toml was edited since"):
         read_run(tmp_path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import FileFormatError, ScenarioError, Status
-from salver.files import load_npz, provenance, read_json, save_npz, write_atomic, write_json
+from salver.files import load_npz, provenance, read_json, save_npz, to_json, write_atomic, write_json
 from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.models.bodies import uncertain_set
+from salver.planning import certificate
 from salver.planning.object.conditions import TILT, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
@@ -84,6 +86,7 @@ class Plan:
     reference: the motion of B. joint: the arm's motion, or None. status: how planning ended; arm_status: whether
     the arm can follow, None without an arm. solver: method, cost, duality gap, iterations, times.
     tau: (T, n) feed-forward torque at `t`, or None. Arrays have the time axis first (docs/conventions.md).
+    digest: of the files it was read from (`salver.planning.certificate`); empty when it was read from none.
     """
 
     scenario: Scenario
@@ -94,6 +97,7 @@ class Plan:
     arm_status: Status | None = None
     tau: Array | None = None
     solver: Mapping[str, Any] = field(default_factory=dict)
+    digest: str = ""
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -254,11 +258,15 @@ class Plan:
         return out
 
     def save(self, directory: str | Path, stem: str = "plan") -> Path:
-        """Write `<stem>.npz`, `<stem>.json` and `scenario.toml` into a run directory, each atomically."""
-        directory = Path(directory)
+        """Write `<stem>.npz`, `<stem>.json` and `scenario.toml` into a run directory, each atomically.
+
+        The record carries the certificate of all three (`salver.planning.certificate`).
+        """
+        directory, arrays, record = Path(directory), self.arrays(), json.loads(to_json(self.summary()))
         write_scenario(self.scenario, directory)
-        save_npz(directory / f"{stem}.npz", **self.arrays())
-        write_json(directory / f"{stem}.json", self.summary())
+        save_npz(directory / f"{stem}.npz", **arrays)
+        certified = certificate.certificate(self.scenario, arrays, record)
+        write_json(directory / f"{stem}.json", {**record, certificate.KEY: certified})
         return directory
 
 
@@ -279,8 +287,21 @@ def write_scenario(scenario: Scenario, directory: Path) -> None:
     write_atomic(path, tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)))
 
 
-def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
-    """Read a plan back. Raises FileFormatError or ScenarioError with a sentence; executes nothing."""
+@dataclass(frozen=True)
+class PlanFiles:
+    """What the files of a plan hold, checked against their certificate. record: plan.json. digest: of all of them."""
+
+    scenario: Scenario
+    arrays: dict[str, Array]
+    record: dict[str, Any]
+    digest: str
+
+
+_NEEDED = ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B")
+
+
+def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ...] = _NEEDED) -> PlanFiles:
+    """Read a plan's files. Raises FileFormatError or ScenarioError: none there, damaged, edited since."""
     from salver.scenario import load
 
     directory = Path(directory)
@@ -290,35 +311,46 @@ def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
             "make one with `salver plan SCENARIO -o DIR`."
         )
     scenario = load(directory / "scenario.toml")
-    arrays = load_npz(directory / f"{stem}.npz", ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B"))
-    summary = read_json(directory / f"{stem}.json")
-    if summary.get("provenance", {}).get("scenario_digest") != scenario.digest:
-        raise FileFormatError(f"{directory / stem}.json was made from another scenario than {directory}/scenario.toml.")
-    reference: Reference
+    arrays = load_npz(directory / f"{stem}.npz", required)
+    record = read_json(directory / f"{stem}.json")
+    if not isinstance(record, dict):
+        raise FileFormatError(f"{directory / stem}.json is no record of a plan; write it again with `salver plan`.")
+    return PlanFiles(scenario, arrays, record, certificate.check(directory, stem, scenario, arrays, record))
+
+
+def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
+    """Read a plan back. Raises FileFormatError or ScenarioError with a sentence; executes nothing."""
+    files = read_plan(directory, stem)
+    arrays, record = files.arrays, files.record
+    try:
+        return Plan(
+            files.scenario,
+            record["method"],
+            _reference(arrays),
+            _status_from(record["status"]),
+            JointMotion(*(arrays[key] for key in _JOINT)) if "joint_t" in arrays else None,
+            _status_from(record["arm"]) if "arm" in record else None,
+            arrays.get("tau"),
+            record["solver"],
+            files.digest,
+        )
+    except (KeyError, TypeError, ValueError, IndexError):
+        raise FileFormatError(f"{Path(directory) / stem}.npz and .json are not those of a plan; plan again.") from None
+
+
+_JOINT = ("joint_t", "joint_q", "joint_dq", "joint_ddq")
+
+
+def _reference(arrays: Mapping[str, Array]) -> Reference:
     if "position_coefficients" in arrays:
-        reference = PolynomialReference(
+        return PolynomialReference(
             float(arrays["t"][-1]),
             arrays["R_start"],
             arrays["position_coefficients"],
             arrays.get("angular_velocity_coefficients"),
         )
-    else:
-        keys = ("t", "p_SB", "v_S", "a_S", "R_SB", "omega_B", "alpha_B")
-        arrays["R_SB"] = matrix_from_quat_wxyz(arrays["quat_SB_wxyz"])
-        reference = SampledReference(MotionSamples(*(arrays[key] for key in keys)))
-    joint = None
-    if "joint_t" in arrays:
-        joint = JointMotion(*(arrays[key] for key in ("joint_t", "joint_q", "joint_dq", "joint_ddq")))
-    return Plan(
-        scenario,
-        summary["method"],
-        reference,
-        _status_from(summary["status"]),
-        joint,
-        _status_from(summary["arm"]) if "arm" in summary else None,
-        arrays.get("tau"),
-        summary["solver"],
-    )
+    t, p_SB, v_S, a_S, quat_SB_wxyz, omega_B, alpha_B = (arrays[key] for key in _NEEDED)
+    return SampledReference(MotionSamples(t, p_SB, v_S, a_S, matrix_from_quat_wxyz(quat_SB_wxyz), omega_B, alpha_B))
 
 
 def _margin_record(m: InterfaceMargins) -> dict[str, float]:

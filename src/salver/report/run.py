@@ -14,7 +14,7 @@ from salver.errors import FileFormatError
 from salver.files import load_npz, read_json
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.bodies import Body, bodies
-from salver.planning.plan import STEMS
+from salver.planning.plan import STEMS, PlanFiles, read_plan
 from salver.report.contact import ContactCurves, contact_curves
 
 _NEEDED = (
@@ -123,24 +123,15 @@ def read_run(directory: str | Path) -> Run:
         raise FileFormatError(
             f"{directory} is no run directory: it has no plan.npz; make one with `salver plan SCENARIO -o {directory}`."
         )
-    scenario = scenarios.load(directory / "scenario.toml")
-    motions = [_motion(directory, stem) for stem in STEMS if (directory / f"{stem}.npz").is_file()]
-    for m in motions:
-        if m.summary.get("provenance", {}).get("scenario_digest") != scenario.digest:
-            raise FileFormatError(
-                f"{directory / m.stem}.json was made from another scenario than {directory}/scenario.toml; plan again "
-                "into another directory."
-            )
+    files = {stem: read_plan(directory, stem, _NEEDED) for stem in STEMS if (directory / f"{stem}.npz").is_file()}
+    motions = [_motion(directory, stem, plan) for stem, plan in files.items()]
     campaign, runs = _campaign(directory / "campaign")
-    return Run(directory, scenario, motions, campaign, runs)
+    return Run(directory, files["plan"].scenario, motions, campaign, runs)
 
 
-def _motion(directory: Path, stem: str) -> Motion:
-    arrays = load_npz(directory / f"{stem}.npz", required=_NEEDED)
-    summary = read_json(directory / f"{stem}.json")
-    return Motion(
-        stem, arrays, summary, *(_record(directory / folder / stem) for folder in ("simulation", "execution"))
-    )
+def _motion(directory: Path, stem: str, plan: PlanFiles) -> Motion:
+    runs = (_record(directory / folder / stem) for folder in ("simulation", "execution"))
+    return Motion(stem, plan.arrays, plan.record, *runs)
 
 
 def _record(path: Path) -> Record | None:

@@ -1,0 +1,95 @@
+"""What ties a plan's files together: digests of the scenario, of every array and of every field of the record.
+
+A verdict is worth what it was given on. `certificate` is written with a plan and says what that was, piece by piece, so
+that `check` can name the piece that was edited since. It guards against editing, mixing and damage; it is no signature.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.errors import FileFormatError
+
+if TYPE_CHECKING:
+    from salver.scenario import Scenario
+
+KEY = "certificate"  # of the record: where it stands
+
+
+def certificate(scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]) -> dict[str, Any]:
+    """Digests of each table of the resolved scenario, of the files it names, of each array and each field of a record.
+
+    record: as it is read back from JSON.
+    """
+    resolved = scenario.model_dump(mode="json")
+    return {
+        "scenario": {key: _of_json(value) for key, value in resolved.items()},
+        "files": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in _files(resolved)},
+        "arrays": {name: _of_array(array) for name, array in arrays.items()},
+        "record": {key: _of_json(value) for key, value in record.items() if key != KEY},
+    }
+
+
+def digest(certified: Mapping[str, Any]) -> str:
+    """One word for a whole certificate, by which results say of which plan they are."""
+    return _of_json(certified)[:16]
+
+
+def check(
+    directory: Path, stem: str, scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]
+) -> str:
+    """The digest of a plan's certificate. Raises FileFormatError, one sentence with what differs, when it does."""
+    certified = record.get(KEY)
+    fastest = " --fastest" if record.get("method") == "fastest" else ""
+    again = f"plan again with `salver plan {directory}/scenario.toml{fastest} -o ANOTHER_DIRECTORY`"
+    if not isinstance(certified, dict):
+        raise FileFormatError(
+            f"{directory / stem}.json has no certificate: it was written before plans had one, or it was edited, and "
+            f"nothing tells whether {stem}.npz is what was judged; {again}."
+        )
+    found = certificate(scenario, arrays, record)
+    where = {
+        "scenario": (f"{directory / 'scenario.toml'}", "key"),
+        "files": ("a file that scenario.toml names", "file"),
+        "arrays": (f"{directory / stem}.npz", "array"),
+        "record": (f"{directory / stem}.json", "key"),
+    }
+    for part, (place, kind) in where.items():
+        was, now = certified.get(part), found[part]
+        if was == now:
+            continue
+        was = was if isinstance(was, dict) else {}
+        different = [name for name in {**was, **now} if was.get(name) != now.get(name)]
+        names = ", ".join(different[:3]) + (f" and {len(different) - 3} more" if len(different) > 3 else "")
+        raise FileFormatError(
+            f"{place} was edited since {directory / stem} was planned: {kind} {names} is not what was judged; put "
+            f"back what was there, or {again}."
+        )
+    return digest(certified)
+
+
+def _of_json(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def _of_array(array: np.ndarray) -> str:
+    array = np.asarray(array)
+    head = f"{array.dtype.str}{array.shape}".encode()
+    return hashlib.sha256(head + np.ascontiguousarray(array).tobytes()).hexdigest()
+
+
+def _files(value: Any) -> Iterator[Path]:
+    """Files that a resolved scenario names (by absolute paths): a robot's description, meshes."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        for item in value:
+            yield from _files(item)
+    elif isinstance(value, str) and value.startswith("/") and Path(value).is_file():
+        yield Path(value)
