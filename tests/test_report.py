@@ -349,6 +349,51 @@ def test_in_a_browser_a_chart_moves_the_time_of_all(browser: Browser, full: Path
     assert float(shown.split()[0]) == pytest.approx(expected, rel=6e-3)
 
 
+def test_in_a_browser_it_is_usable_on_a_phone(browser: Browser, full: Path) -> None:
+    browser.resize(390, 844)
+    _open(browser, write_report(full))
+    box = "const r = document.querySelector(arguments[0]).getBoundingClientRect(); return [r.left, r.right, r.height]"
+    left, right, _ = browser.script(box, "#scrub")
+    assert right - left > 300
+    assert browser.script(box, "nav")[2] < 50
+    one_above_the_other = browser.script(
+        "return [...document.querySelectorAll('#names > div')].map((d) => d.getBoundingClientRect().top)"
+    )
+    assert one_above_the_other[1] - one_above_the_other[0] > 250
+    browser.script("document.getElementById('canvas').scrollIntoView({block: 'end', behavior: 'instant'})")
+    picture = _picture(browser)
+    bluish = (picture[..., 2].astype(int) - picture[..., 0] > 12) & (picture[..., 0] < 90) & (picture[..., 0] > 20)
+    assert bluish.sum() > 200  # the tray is seen,
+    assert not bluish[:, [0, 1, -2, -1]].any()  # and none of it is cut off at the sides
+    assert browser.script("return document.documentElement.scrollWidth") <= 390
+    browser.resize(1400, 900)
+
+
+def test_in_a_browser_it_is_legible_in_the_dark(browser: Browser, full: Path) -> None:
+    page = write_report(full)
+    for scheme in ("dark", "light"):
+        browser.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        _open(browser, page)
+        for selector in ("body", ".verdict p", ".tiles dt", "nav a", "figcaption", "svg .tick", "svg .label"):
+            contrast = browser.script(CONTRAST, selector)
+            assert contrast >= 4.5, f"{scheme}: {selector} has a contrast of {contrast:.2f}"  # WCAG 2.1, AA
+    browser.devtools("Emulation.setEmulatedMedia", features=[])
+
+
+# Contrast ratio of WCAG 2.1 between an element's text and the page.
+CONTRAST = """
+const linear = (v) => (v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+const light = (text) => {
+  const [r, g, b] = text.match(/[0-9.]+/g).map((v) => linear(v / 255));
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const element = document.querySelector(arguments[0]), style = getComputedStyle(element);
+const text = light(element instanceof SVGElement ? style.fill : style.color);
+const page = light(getComputedStyle(document.body).backgroundColor);
+return (Math.max(text, page) + 0.05) / (Math.min(text, page) + 0.05);
+"""
+
+
 def test_in_a_browser_it_prints(browser: Browser, full: Path) -> None:
     _open(browser, write_report(full))
     document = browser.pdf()

@@ -110,4 +110,5 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
 def _friction(plan: Plan) -> str:
     """Of the interface that needs most of what it surely has."""
     tight = max(plan.margins.interfaces, key=lambda m: m.friction_needed_worst / m.least_friction)
-    return f"{tight.friction_needed_worst:.3f} / {tight.least_friction:.3f}"
+    needed = tight.friction_needed_worst
+    return f"{f'{needed:.3f}' if needed < float('inf') else 'none suffices'} / {tight.least_friction:.3f}"

@@ -160,7 +160,7 @@ def load_arm(arm: scenario.Arm, tray: scenario.Tray) -> ArmModel:
     tray_id = _attach_tray(model, flange, tray, p_FE, com_F)
     limits = _limits(model, known.limits if known and arm.flange in (None, known.flange) else {})
     return ArmModel(
-        name=arm.model,
+        name=Path(arm.model).stem,
         pin_model=model,
         data=model.createData(),
         flange=flange,

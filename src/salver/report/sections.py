@@ -172,7 +172,7 @@ RUNS = {
 def _friction_tile(run: Run) -> tuple[str, str, str]:
     curves = [run.contact[m.stem] for m in run.motions]
     if curves[0].coefficient is None:
-        used = [f"{100 * float(c.friction.max()):.0f} %" for c in curves]
+        used = [number(100 * float(c.friction.max()), 0, " %", "more than any") for c in curves]
         return (
             "Friction in use",
             used[0],

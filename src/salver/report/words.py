@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -101,9 +102,7 @@ def asked(run: Run) -> str:
         np.arccos(np.clip((np.trace(s.motion.start.rotation.T @ s.motion.goal.rotation) - 1) / 2, -1, 1))
     )
     what = " and ".join(_thing(run, i) for i in range(len(s.objects)))
-    carrier = (
-        f"A {s.arm.model.upper() if len(s.arm.model) <= 4 else s.arm.model.capitalize()} arm" if s.arm else "A tray"
-    )
+    carrier = f"A {_arm_name(s.arm.model)} arm" if s.arm else "A tray"
     parts = [f"{abs(across[i]):.2f} m along {axis}" for i, axis in enumerate("xyz") if abs(across[i]) > 5e-3]
     text = (
         f"{carrier} carries {what}, loose on a {s.tray.size[0] * 100:.0f} × {s.tray.size[1] * 100:.0f} cm tray, "
@@ -154,3 +153,9 @@ def length(metres: float) -> str:
 
 def _signed(value: float) -> str:
     return f"{value:.3f}".replace("-", "−")
+
+
+def _arm_name(model: str) -> str:
+    """As in a sentence: Panda, UR10; of a URDF its file's name."""
+    name = Path(model).stem
+    return name if name != model else name.upper() if len(name) <= 4 else name.capitalize()

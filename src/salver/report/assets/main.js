@@ -16,8 +16,9 @@ function setTime(t) {
 
 function paint() {
   if (!state.viewer) return;
-  const shownKeys = state.viewer.render(state.time);
+  const { stacked, shown: shownKeys } = state.viewer.render(state.time);
   const names = byId("names"), text = shownKeys.map((keys) => keys.join()).join("|");
+  names.classList.toggle("stacked", stacked);
   if (names.dataset.shown === text) return;
   names.dataset.shown = text;
   names.replaceChildren(...shownKeys.map((keys) => {
@@ -25,6 +26,7 @@ function paint() {
     for (const key of keys) {
       const variant = data.replay.variants.find((v) => v.key === key), title = document.createElement("b");
       title.textContent = variant.label + (keys.length > 1 && key !== keys[0] ? " (ghost)" : "");
+      title.className = "series";
       title.style.color = `rgb(${variant.colour.map((c) => Math.round(255 * c)).join()})`;
       const line = document.createElement("span");
       line.textContent = variant.caption;
@@ -94,6 +96,12 @@ function buildReplay() {
     canvas.replaceWith(text);
   } else {
     state.viewer = viewer;
+    const darkness = window.matchMedia("screen and (prefers-color-scheme: dark)");
+    viewer.options.dark = darkness.matches;
+    darkness.addEventListener("change", () => {
+      viewer.options.dark = darkness.matches;
+      paint();
+    });
     attachOrbit(canvas, viewer, paint);
     new ResizeObserver(paint).observe(canvas);
     for (const name of ["forces", "cones", "path"])

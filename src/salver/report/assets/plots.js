@@ -92,11 +92,11 @@ function chart(host, spec, onTime) {
       svg("path", { d: path(band.x, band.high) + path(back, low).replace("M", "L") + "Z", fill: band.colour, opacity: band.opacity || 0.16 }, inside);
     }
     for (const line of spec.lines || []) {
-      svg("line", { x1: box.left, x2: box.right, y1: Y(line.y), y2: Y(line.y), stroke: line.colour || "#9aa3ad", "stroke-dasharray": "5 4" }, inside);
-      if (line.label) svg("text", { x: box.right - 4, y: Y(line.y) + (line.below ? 13 : -5), "text-anchor": "end", class: "note", fill: line.colour || "#6b7480" }, image, line.label);
+      svg("line", { x1: box.left, x2: box.right, y1: Y(line.y), y2: Y(line.y), stroke: line.colour || "var(--axis)", "stroke-dasharray": "5 4" }, inside);
+      if (line.label) svg("text", { x: box.right - 4, y: Y(line.y) + (line.below ? 13 : -5), "text-anchor": "end", class: "note", fill: line.colour || "var(--soft)" }, image, line.label);
     }
     for (const s of spec.series)
-      svg("path", { d: path(s.x, s.y), fill: "none", stroke: s.colour, "stroke-width": s.width || 1.8, "stroke-dasharray": s.dash || "none", "stroke-linejoin": "round", opacity: s.opacity || 1 }, inside);
+      svg("path", { d: path(s.x, s.y), fill: "none", class: "series", stroke: s.colour, "stroke-width": s.width || 1.8, "stroke-dasharray": s.dash || "none", "stroke-linejoin": "round", opacity: s.opacity || 1 }, inside);
     if (spec.time) attachCursor(host, image, box, xRange, X, Y, spec, onTime);
   };
   drawn(host, draw);
@@ -120,22 +120,22 @@ function extent(spec) {
 function axes(image, box, xRange, yRange, X, Y, spec) {
   const across = ticks(xRange[0], xRange[1], (box.right - box.left) / 90), up = ticks(yRange[0], yRange[1], 5);
   tickLabels(up).forEach((label, i) => {
-    svg("line", { x1: box.left, x2: box.right, y1: Y(up[i]), y2: Y(up[i]), stroke: up[i] === 0 ? "#b9c0c8" : "#eceff2" }, image);
+    svg("line", { x1: box.left, x2: box.right, y1: Y(up[i]), y2: Y(up[i]), stroke: up[i] === 0 ? "var(--zero)" : "var(--grid)" }, image);
     svg("text", { x: box.left - 7, y: Y(up[i]) + 4, "text-anchor": "end", class: "tick" }, image, label);
   });
   tickLabels(across).forEach((label, i) => {
-    svg("line", { x1: X(across[i]), x2: X(across[i]), y1: box.bottom, y2: box.bottom + 4, stroke: "#9aa3ad" }, image);
+    svg("line", { x1: X(across[i]), x2: X(across[i]), y1: box.bottom, y2: box.bottom + 4, stroke: "var(--axis)" }, image);
     svg("text", { x: X(across[i]), y: box.bottom + 17, "text-anchor": "middle", class: "tick" }, image, label);
   });
-  svg("line", { x1: box.left, x2: box.right, y1: box.bottom, y2: box.bottom, stroke: "#9aa3ad" }, image);
+  svg("line", { x1: box.left, x2: box.right, y1: box.bottom, y2: box.bottom, stroke: "var(--axis)" }, image);
   svg("text", { x: (box.left + box.right) / 2, y: box.bottom + 33, "text-anchor": "middle", class: "label" }, image, spec.x);
   svg("text", { transform: `translate(12 ${(box.top + box.bottom) / 2}) rotate(-90)`, "text-anchor": "middle", class: "label" }, image, spec.y);
 }
 
 function attachCursor(host, image, box, xRange, X, Y, spec, onTime) {
-  const line = svg("line", { y1: box.top, y2: box.bottom, stroke: "#1b2430", "stroke-width": 1, opacity: 0.45, class: "cursor" }, image);
+  const line = svg("line", { y1: box.top, y2: box.bottom, stroke: "var(--ink)", "stroke-width": 1, opacity: 0.45, class: "cursor" }, image);
   const named = spec.series.filter((s) => s.name && !s.quiet);
-  const dots = named.map((s) => svg("circle", { r: 3, fill: s.colour, stroke: "#fff", class: "cursor" }, image));
+  const dots = named.map((s) => svg("circle", { r: 3, fill: s.colour, stroke: "var(--paper)", class: "cursor" }, image));
   const values = host.closest("figure")?.querySelectorAll("[data-value]") || [];
   const move = (t) => {
     line.setAttribute("x1", X(t));

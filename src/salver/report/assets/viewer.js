@@ -271,7 +271,7 @@ function createViewer(canvas, scene) {
     path: upload(tube(v.path, 0.0011 * reach)),
   }));
 
-  const options = { forces: false, cones: false, path: true, layout: "side", camera: "whole" };
+  const options = { forces: false, cones: false, path: true, layout: "side", camera: "whole", dark: false };
   const home = { azimuth: scene.azimuth, elevation: 0.3, distance: 1, pan: [0, 0, 0] }, orbit = { ...home };
 
   function draw(shape, model, colour, mode = 0) {
@@ -334,31 +334,49 @@ function createViewer(canvas, scene) {
     }
   }
 
-  function camera(pane, t) {
-    let target = middle, distance = 1.28 * reach;
+  const FOV = 0.6;  // rad, upright
+  const eyeward = (azimuth, elevation) => {
+    const c = Math.cos(elevation);
+    return [c * Math.cos(azimuth), c * Math.sin(azimuth), Math.sin(elevation)];
+  };
+
+  // From how far all corners of the scene's bounds are in the picture, whatever its shape, seen from where it begins.
+  function fitting(aspect) {
+    const back = eyeward(home.azimuth, home.elevation), right = Vec.unit(Vec.cross([0, 0, 1], back)), up = Vec.cross(back, right);
+    const half = 0.96 * Math.tan(FOV / 2);
+    let distance = 0;
+    for (let i = 0; i < 8; i++) {
+      const corner = Vec.sub([0, 1, 2].map((k) => bounds[(i >> k) & 1][k]), middle);
+      const [x, y] = [right, up].map((axis) => Math.abs(Vec.dot(corner, axis)));
+      distance = Math.max(distance, Vec.dot(corner, back) + Math.max(x / (half * aspect), y / half));
+    }
+    return distance;
+  }
+
+  function camera(pane, t, aspect) {
+    let target = middle, distance = fitting(aspect);
     if (options.camera === "close") {
       const tray = posesAt(pane[0].variant.tray, pane[0].variant.t, 1, t);
       target = [tray[0], tray[1], tray[2] + 0.45 * scene.loadHeight];
-      distance = 1.9 * Math.max(...scene.tray.size, 1.35 * scene.loadHeight);
+      distance = (1.9 * Math.max(...scene.tray.size, 1.35 * scene.loadHeight)) / Math.min(1, aspect);
     }
     target = Vec.add(target, orbit.pan);
     distance *= orbit.distance;
-    const c = Math.cos(orbit.elevation), eye = Vec.add(target, Vec.scale([c * Math.cos(orbit.azimuth), c * Math.sin(orbit.azimuth), Math.sin(orbit.elevation)], distance));
+    const eye = Vec.add(target, Vec.scale(eyeward(orbit.azimuth, orbit.elevation), distance));
     return { eye, target, distance };
   }
 
   function renderPane(pane, t, x, y, width, height) {
     gl.viewport(x, y, width, height);
     gl.scissor(x, y, width, height);
-    const aspect = width / height, { eye, target, distance } = camera(pane, t);
-    const fov = 0.6 * Math.max(1, Math.min(1.7, 0.95 / aspect));
-    const matrix = Mat.multiply(Mat.perspective(fov, aspect, 0.02 * distance, 20 * distance), Mat.lookAt(eye, target));
+    const aspect = width / height, { eye, target, distance } = camera(pane, t, aspect);
+    const matrix = Mat.multiply(Mat.perspective(FOV, aspect, 0.02 * distance, 20 * distance), Mat.lookAt(eye, target));
     gl.uniformMatrix4fv(where.viewProjection, false, matrix);
     gl.uniform3fv(where.eye, eye);
     gl.uniform3fv(where.centre, [middle[0], middle[1], 1.45 * Math.max(reach, 1)]);
     gl.enable(gl.BLEND);
     gl.depthMask(false);
-    draw(shapes.ground, Mat.pose([0, 0, scene.floor, 1, 0, 0, 0]), [0.955, 0.96, 0.965, 1], 2);
+    draw(shapes.ground, Mat.pose([0, 0, scene.floor, 1, 0, 0, 0]), options.dark ? [0.17, 0.19, 0.21, 1] : [0.955, 0.96, 0.965, 1], 2);
     gl.depthMask(true);
     const seeInside = options.forces || options.cones;
     for (const { variant, ghost } of pane) {
@@ -373,7 +391,7 @@ function createViewer(canvas, scene) {
         gl.disable(gl.STENCIL_TEST);
       }
       const tint = (c) => (ghost ? c.map((x, i) => 0.45 * x + 0.55 * variant.colour[i]) : c);
-      if (options.path) draw(variant.path, identity, [...variant.colour, 1]);
+      if (options.path) draw(variant.path, identity, [...variant.colour.map((c) => (options.dark ? Math.min(1, 1.35 * c + 0.1) : c)), 1]);
       if (ghost) {  // depth first, then colour: only the nearest surface of the ghost shows; behind what coincides
         gl.enable(gl.POLYGON_OFFSET_FILL);
         gl.polygonOffset(2, 2);
@@ -418,9 +436,11 @@ function createViewer(canvas, scene) {
     gl.enable(gl.DEPTH_TEST);
     gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.useProgram(program);
-    const list = panes(), each = Math.floor(width / list.length);
-    list.forEach((pane, i) => renderPane(pane, t, i * each, 0, each, height));
-    return list.map((pane) => pane.map(({ variant }) => variant.key));
+    // Side by side, or one above the other where that would make towers of them.
+    const list = panes(), n = list.length, stacked = n > 1 && width / n < 0.8 * height;
+    const [w, h] = stacked ? [width, Math.floor(height / n)] : [Math.floor(width / n), height];
+    list.forEach((pane, i) => (stacked ? renderPane(pane, t, 0, height - (i + 1) * h, w, h) : renderPane(pane, t, i * w, 0, w, h)));
+    return { stacked, shown: list.map((pane) => pane.map(({ variant }) => variant.key)) };
   }
 
   return { options, orbit, render, reset: () => Object.assign(orbit, home, { pan: [0, 0, 0] }) };
