@@ -6,7 +6,6 @@ import csv
 import sys
 import time
 import types
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,6 @@ from salver import scenario
 from salver.control.arm import ArmState, controller_for
 from salver.driver import execute, mocap
 from salver.driver.execution import CoolStop, Watchdog, drive, timing
-from salver.driver.franka_limits import FR3, velocity_range
-from salver.driver.preflight import check_franka, check_plan, check_posture, demand
 from salver.driver.robots import SimulatedRobot
 from salver.errors import FileFormatError, MissingDependencyError, SalverError
 from salver.geometry import Array, compose, exp, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
@@ -178,37 +175,6 @@ def test_approach_keeps_its_share_of_the_limits(plan: Plan) -> None:
     assert np.abs(q[-1] - goal).max() < 1e-12
     assert (np.abs(dq) / arm.limits.velocity).max() <= 0.1 + 1e-6
     assert (np.abs(ddq) / arm.limits.acceleration).max() <= 0.1 + 1e-6
-
-
-def test_limits_of_the_research_3_by_hand() -> None:
-    low, high = velocity_range(np.array([2.5, 0.0, 0.0, -1.5, 2.8101, 0.5445, 0.0]))
-    assert high[0] == pytest.approx(-0.30 + np.sqrt(12 * (2.7501 - 2.5)))
-    assert low[0] == -2.62
-    assert high[1] == pytest.approx(min(2.62, -0.2 + np.sqrt(5.17 * 1.7918)))
-    assert high[4] == 0.0
-    assert low[5] == pytest.approx(0.0)  # -(sqrt(11 * 0.00358) - 0.35) would be positive
-    assert np.all(FR3.q_min < FR3.q_max)
-
-
-def test_preflight_refuses_with_a_sentence(plan: Plan) -> None:
-    arm, carried, _ = _parts(plan)
-    assert plan.joint is not None
-    demand(check_plan(plan, arm, carried) + check_franka(plan, arm))
-    q = plan.joint.sample(0.0)[0][0]
-    away = ArmState(q + np.array([0, 0, 0.2, 0, 0, 0, 0]), np.zeros(7))
-    with pytest.raises(SalverError, match=r"panda_joint3 is at -0\.577\d rad, the motion starts at -0\.777\d rad"):
-        demand(check_posture(plan, arm, away))
-    with pytest.raises(SalverError, match=r"panda_joint1 turns at 0\.5000 rad/s"):
-        demand(check_posture(plan, arm, ArmState(q, np.array([0.5, 0, 0, 0, 0, 0, 0]))))
-    quick = replace(plan.joint, t=0.3 * plan.joint.t, dq=plan.joint.dq / 0.3, ddq=plan.joint.ddq / 0.09)
-    failed = {c.name for c in check_franka(replace(plan, joint=quick), arm) if not c.ok}
-    assert "FR3 acceleration" in failed
-    with pytest.raises(SalverError, match=r"Not moved\. panda cannot follow"):
-        demand(check_plan(replace(plan, joint=quick), arm, carried))
-    measured = replace(
-        plan, scenario=plan.scenario.with_changes(physics__feedback="object", physics__command_period=0.002)
-    )
-    assert {c.name for c in check_franka(measured, arm) if not c.ok} == {"period", "feedback"}
 
 
 class _Library(types.ModuleType):

@@ -311,6 +311,11 @@ class JointMotion:
         tc = np.clip(t, self.t[0], self.t[-1])
         return self._spline(tc), self._spline.derivative(1)(tc) * moving, self._spline.derivative(2)(tc) * moving
 
+    @cached_property
+    def rate_coefficients(self) -> Array:
+        """(5, T - 1, n) Bernstein coefficients of dq between the samples: it stays within the range of their values."""
+        return np.asarray(self._spline.derivative(1).c)
+
     def jerk(self, t: npt.ArrayLike) -> Array:
         """Third derivative (T, n)."""
         tc = np.clip(np.atleast_1d(np.asarray(t, dtype=float)), self.t[0], self.t[-1])

@@ -13,7 +13,7 @@ import numpy as np
 from salver.control.arm import ArmController, ArmState, controller_for
 from salver.driver import mocap
 from salver.driver.execution import CoolStop, Log, Watchdog, drive, timing
-from salver.driver.preflight import Check, check_franka, check_plan, check_posture, demand
+from salver.driver.preflight import Check, check_approach, check_franka, check_plan, check_posture, demand
 from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
 from salver.errors import FileFormatError, SalverError, UnreachableError
 from salver.files import load_npz, provenance, read_json, save_npz, write_json
@@ -56,7 +56,7 @@ def dry_run(
     checks = check_plan(plan, arm, carried)
     demand(checks)
     robot = SimulatedRobot(plan, arm, STOP_ROOM, realtime)
-    checks += check_posture(plan, arm, robot.look())
+    checks += check_posture(_motion(plan), arm, robot.look())
     demand(checks)
     began = time.perf_counter()
     log_ = _run(plan, arm, carried, robot, watchdog or Watchdog(), robot.start_time)
@@ -96,13 +96,15 @@ def run_on_franka(
     tray = plan.scenario.tray
     robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
     watchdog = watchdog or Watchdog()
-    posture = check_posture(plan, arm, robot.look())
+    posture = check_posture(_motion(plan), arm, robot.look())
     if move_to_start:
         if not confirm([*checks, *posture]):
             raise SalverError("Not moved: it was not confirmed.")
-        start = plan.joint.sample(0.0)[0][0] if plan.joint is not None else robot.look().q
+        start = _motion(plan).q[0]
+        checks += check_approach(approach(robot.look().q, start, arm), plan, arm)
+        demand(checks)
         robot.move(lambda q: approach(q, start, arm))
-        posture = check_posture(plan, arm, robot.look())
+        posture = check_posture(_motion(plan), arm, robot.look())
     checks += posture
     demand(checks)
     if not confirm(checks):
@@ -166,6 +168,11 @@ def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, list[Bo
         why = plan.no_arm_motion
         raise UnreachableError(f"{plan.scenario.name} has no joint motion to execute: {why}")
     return plan, load_arm(plan.scenario.arm, plan.scenario.tray), bodies(plan.scenario)
+
+
+def _motion(plan: Plan) -> JointMotion:
+    assert plan.joint is not None  # `_prepared` refuses a plan without
+    return plan.joint
 
 
 def _run(plan: Plan, arm: ArmModel, carried: list[Body], robot: Robot, watchdog: Watchdog, start: float) -> Log:

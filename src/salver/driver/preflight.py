@@ -1,4 +1,8 @@
-"""What must hold before an arm moves: each check is a sentence, whether it passes or not."""
+"""What must hold before an arm moves: each check is a sentence, whether it passes or not.
+
+What is judged is the very joint motion that will be sent, not what the files say of it: between its samples too, and
+every motion alike. A number that is none, or a comparison with one, is never a pass.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,13 @@ import numpy as np
 
 from salver.driver.franka_limits import FR3, velocity_range
 from salver.errors import SalverError
-from salver.geometry import Array
+from salver.geometry import log
+from salver.margins import margins
+from salver.models.arm_geometry import arm_geometry
+from salver.planning.follow.clearance import closest
+from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import verdict
+from salver.trajectory import JointMotion, MotionSamples
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +32,13 @@ if TYPE_CHECKING:
 
 START_TOLERANCE = 0.01  # rad of each joint
 REST_TOLERANCE = 0.01  # rad/s
+STILL = 1e-6  # rad/s, rad/s^2 at the ends of the motion
 FRANKA_PERIOD = 1e-3  # s
+LOOK = 1e-3  # s between the instants at which a motion is judged, at most, and
+LONGEST = 600.0  # s, and as many milliseconds of samples
+LOOKS = 4  # pieces of each interval between its samples, at least
+SMOOTH = 0.15  # of the largest acceleration; what q, dq and ddq of neighbouring samples may disagree by
+AGREES = {"m, rad": 1e-5, "m/s, rad/s": 1e-4, "m/s^2, rad/s^2": 1e-2}  # of reference and joints; plans keep 1e-3 of it
 
 
 @dataclass(frozen=True)
@@ -36,23 +51,151 @@ class Check:
 def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> list[Check]:
     """What can be checked without the robot. The plan must have a joint motion."""
     assert plan.joint is not None
-    limits = verdict(arm, plan.joint, bodies)
-    compared = plan.method == "baseline"  # runs beside a plan, to be compared with it; may well be unsafe
-    safe = plan.ok or compared
-    _, dq, ddq = plan.joint.sample([0.0, plan.joint.duration])
-    still = max(float(np.abs(dq).max()), float(np.abs(ddq).max()))
+    numbers = _numbers(plan, arm)
+    if not numbers.ok:  # nothing can be computed from what is no number
+        return [numbers]
+    motion = looked_at(plan.joint)
+    given = _object_motion(arm, bodies, motion)
     return [
-        Check("plan", safe, plan.verification.sentence if safe else f"The plan is not safe: {plan.status.sentence}"),
-        Check("limits", limits.ok, limits.sentence),
-        Check("rest", still < 1e-6, f"The motion starts and ends with a joint rate of {still:.1g} rad/s or rad/s^2."),
+        numbers,
+        Check("plan", plan.ok, plan.verification.sentence if plan.ok else f"The plan is not safe: {_complaint(plan)}"),
+        _smooth(plan.joint, arm),
+        *_arm(motion, arm, bodies, plan),
+        _reference(plan, given),
+        _contact(plan, given),
+        _rest(plan.joint),
+        Check(
+            "feedback",
+            plan.scenario.physics.feedback == "joints",
+            f'physics.feedback is "{plan.scenario.physics.feedback}"; without a live measurement of the object it must '
+            'be "joints".',
+        ),
     ]
+
+
+def looked_at(joint: JointMotion) -> JointMotion:
+    """The same motion with more samples: where it is judged."""
+    pieces = np.maximum(LOOKS, np.ceil(np.diff(joint.t) / LOOK)).astype(int)
+    parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(joint.t[:-1], joint.t[1:], pieces, strict=True)]
+    t = np.concatenate([*parts, joint.t[-1:]])
+    return JointMotion(t, *joint.sample(t))
+
+
+def _numbers(plan: Plan, arm: ArmModel) -> Check:
+    """Numbers everywhere, as many as the arm has joints, at times that increase from 0."""
+    joint = plan.joint
+    assert joint is not None
+
+    def check(wrong: str) -> Check:
+        good = f"{len(joint.t)} samples of {arm.n} joints, all of them numbers, at times that increase."
+        return Check("numbers", not wrong, f"The joint motion is not usable: {wrong}." if wrong else good)
+
+    arrays = {"joint_t": joint.t, "joint_q": joint.q, "joint_dq": joint.dq, "joint_ddq": joint.ddq}
+    for name, array in arrays.items():
+        wanted = (len(joint.t),) if name == "joint_t" else (len(joint.t), arm.n)
+        if array.dtype.kind != "f" or array.shape != wanted or len(joint.t) < 2:
+            return check(f"{name} is an array of {array.dtype.name} of shape {array.shape}")
+        if not np.all(np.isfinite(array)):
+            return check(f"{name} holds {array[~np.isfinite(array)][0]} where a number must be")
+    if joint.t[0] != 0 or not np.all(np.diff(joint.t) > 0):
+        return check("joint_t does not increase from 0")
+    if not joint.duration + len(joint.t) * LOOK < LONGEST:
+        return check(f"{len(joint.t)} samples over {joint.duration:.6g} s are more than can be judged")
+    if not abs(plan.duration - joint.duration) < 1e-9:
+        return check(f"it lasts {joint.duration:.6g} s and the object's motion {plan.duration:.6g} s")
+    samples = plan.reference.sample(looked_at(joint).t)
+    for name, array in vars(samples).items():
+        if not np.all(np.isfinite(array)):
+            return check(f"{name} of the object's motion holds what is no number")
+    return check("")
+
+
+def _complaint(plan: Plan) -> str:
+    if not plan.status.ok:
+        return plan.status.sentence
+    if not plan.verification.ok:
+        return plan.verification.sentence
+    return "" if plan.arm_status is None else plan.arm_status.sentence
+
+
+def _smooth(joint: JointMotion, arm: ArmModel) -> Check:
+    """Between samples that belong together the acceleration goes from one to the next nearly straight."""
+    peak = max(float(np.abs(joint.ddq).max()), 1e-3)
+    share = np.linspace(0, 1, LOOKS + 1)[1:-1]
+    off = []
+    for u in share:
+        bend = joint.sample(joint.t[:-1] + u * np.diff(joint.t))[2]
+        off.append(np.abs(bend - ((1 - u) * joint.ddq[:-1] + u * joint.ddq[1:])).max(axis=0))
+    worst = np.max(off, axis=0)
+    j = int(np.argmax(worst))
+    return Check(
+        "smoothness",
+        bool(worst[j] <= SMOOTH * peak),
+        f"Position, speed and acceleration of the samples agree to {worst[j]:.2g} rad/s^2 ({arm.joint_names[j]}); "
+        f"{SMOOTH * peak:.2g} are allowed.",
+    )
+
+
+def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan) -> list[Check]:
+    """Limits, and the arm against itself, its tray, its load and the scenario's obstacles."""
+    parts = arm_geometry(arm, bodies, plan.scenario.obstacles)
+    status, near = verdict(arm, motion, bodies, parts), closest(parts, motion)
+    clear = near is not None and not near.touches
+    around = f"{len(plan.scenario.obstacles)} obstacles" if plan.scenario.obstacles else "no obstacles"
+    if near is None:
+        sentence = "Nothing is known of the arm's shape, so collisions cannot be excluded."
+    elif near.touches:
+        sentence = f"{near.first} and {near.second} touch at t = {near.time:.2f} s."
+    else:
+        sentence = (
+            f"Arm, tray, load and {around} keep apart all along; nearest are {near.first} and {near.second}, "
+            f"{1e3 * near.distance:.1f} mm at t = {near.time:.2f} s."
+        )
+    return [Check("limits", status.ok, status.sentence), Check("clearance", clear, sentence)]
+
+
+def _object_motion(arm: ArmModel, bodies: Sequence[Body], motion: JointMotion) -> MotionSamples:
+    """Where these joints take the first object, while it stays on its place."""
+    return tray_motion(arm, motion).of_frame(bodies[0].p_EB, bodies[0].R_EB)
+
+
+def _reference(plan: Plan, given: MotionSamples) -> Check:
+    """The reference that the controller is given is what the joints give."""
+    wanted = plan.reference.sample(given.t)
+    turn = log(np.swapaxes(given.R_SB, 1, 2) @ wanted.R_SB)
+    differences = {
+        "m, rad": (given.p_SB - wanted.p_SB, turn),
+        "m/s, rad/s": (given.v_S - wanted.v_S, given.omega_B - wanted.omega_B),
+        "m/s^2, rad/s^2": (given.a_S - wanted.a_S, given.alpha_B - wanted.alpha_B),
+    }
+    off = {unit: max(float(np.abs(x).max()) for x in pair) for unit, pair in differences.items()}
+    worst = max(off, key=lambda unit: off[unit] / AGREES[unit])
+    return Check(
+        "reference",
+        all(off[unit] <= AGREES[unit] for unit in off),
+        f"The object's motion in the plan and where its joints take it differ by {off[worst]:.2g} {worst}; "
+        f"{AGREES[worst]:g} are allowed.",
+    )
+
+
+def _contact(plan: Plan, given: MotionSamples) -> Check:
+    """What the joints' own motion asks of every contact, in the worst case of the uncertain set."""
+    status = margins(plan.scenario, given).verdict(worst=True)
+    return Check("contact", status.ok, status.sentence)
+
+
+def _rest(joint: JointMotion) -> Check:
+    still = max(float(np.abs(x[[0, -1]]).max()) for x in (joint.dq, joint.ddq))
+    return Check(
+        "rest",
+        bool(still <= STILL),
+        f"The motion starts and ends with a joint rate of {still:.1g} rad/s or rad/s^2; it must be at rest there.",
+    )
 
 
 def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
     """What the Franka Research 3 asks for beyond the Panda, and what its interface cannot do."""
     assert plan.joint is not None
-    t = np.linspace(0.0, plan.joint.duration, 2001)
-    q, dq, ddq = plan.joint.sample(t)
     physics = plan.scenario.physics
     right_arm = plan.scenario.arm is not None and plan.scenario.arm.model == "panda"
     checks = [
@@ -63,55 +206,57 @@ def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
             f"physics.command_period is {physics.command_period:g} s; the arm wants a torque every "
             f"{FRANKA_PERIOD:g} s.",
         ),
-        Check(
-            "feedback",
-            physics.feedback == "joints",
-            f'physics.feedback is "{physics.feedback}"; without a live measurement of the object it must be "joints".',
-        ),
     ]
-    return checks + (_within(FR3, arm, t, q, dq, ddq, plan) if right_arm else [])
+    return checks + (_within(FR3, arm, looked_at(plan.joint)) if right_arm else [])
 
 
-def _within(limits: JointLimits, arm: ArmModel, t: Array, q: Array, dq: Array, ddq: Array, plan: Plan) -> list[Check]:
+def _within(limits: JointLimits, arm: ArmModel, motion: JointMotion) -> list[Check]:
+    q, dq, ddq, jerk = motion.q, motion.dq, motion.ddq, motion.jerk(motion.t)
     low, high = velocity_range(q)
-    assert plan.joint is not None
-    shares = limits.shares({"position": q, "velocity": dq, "acceleration": ddq, "jerk": plan.joint.jerk(t)})
-    # Here the velocity allowed depends on the position.
+    shares = {
+        key: np.abs(share) for key, share in limits.shares({"position": q, "acceleration": ddq, "jerk": jerk}).items()
+    }
     shares["velocity"] = np.where(dq > 0, dq / np.maximum(high, 1e-9), dq / np.minimum(low, -1e-9))
     made = []
     for kind, share in shares.items():
-        share = np.abs(share)
         k, j = np.unravel_index(int(np.argmax(share)), share.shape)
         made.append(
             Check(
                 f"FR3 {kind}",
                 bool(share[k, j] <= 1.0),
                 f"{arm.joint_names[j]} uses {100 * share[k, j]:.0f} % of the Franka Research 3's {kind} limit "
-                f"at t = {t[k]:.2f} s.",
+                f"at t = {motion.t[k]:.2f} s.",
             )
         )
     return made
 
 
-def check_posture(plan: Plan, arm: ArmModel, state: ArmState) -> list[Check]:
+def check_posture(joint: JointMotion, arm: ArmModel, state: ArmState) -> list[Check]:
     """Whether the arm stands at the start of the motion, at rest."""
-    assert plan.joint is not None
-    start = plan.joint.sample(0.0)[0][0]
-    error = np.abs(state.q - start)
-    j, k = int(np.argmax(error)), int(np.argmax(np.abs(state.dq)))
+    start = joint.q[0]
+    q, dq = state.q, state.dq
+    if q.shape != start.shape or dq.shape != start.shape or not np.all(np.isfinite([q, dq])):
+        return [Check("state", False, "The arm does not report numbers for the positions and speeds of its joints.")]
+    error = np.abs(q - start)
+    j, k = int(np.argmax(error)), int(np.argmax(np.abs(dq)))
     return [
         Check(
             "start posture",
             bool(error[j] <= START_TOLERANCE),
-            f"{arm.joint_names[j]} is at {state.q[j]:.4f} rad, the motion starts at {start[j]:.4f} rad; "
+            f"{arm.joint_names[j]} is at {q[j]:.4f} rad, the motion starts at {start[j]:.4f} rad; "
             f"{START_TOLERANCE:g} rad apart are allowed (--move-to-start takes the arm there, slowly).",
         ),
         Check(
             "at rest",
-            bool(abs(state.dq[k]) <= REST_TOLERANCE),
-            f"{arm.joint_names[k]} turns at {state.dq[k]:.4f} rad/s; {REST_TOLERANCE:g} rad/s are allowed.",
+            bool(abs(dq[k]) <= REST_TOLERANCE),
+            f"{arm.joint_names[k]} turns at {dq[k]:.4f} rad/s; {REST_TOLERANCE:g} rad/s are allowed.",
         ),
     ]
+
+
+def check_approach(joint: JointMotion, plan: Plan, arm: ArmModel) -> list[Check]:
+    """The way to the start posture, with an empty tray: limits, and clear of the arm itself and of obstacles."""
+    return [Check(f"way there: {c.name}", c.ok, c.sentence) for c in _arm(looked_at(joint), arm, (), plan)]
 
 
 def demand(checks: Sequence[Check]) -> None:

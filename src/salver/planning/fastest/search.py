@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import Status, UnreachableError
-from salver.geometry import GRAVITY_S, Array
+from salver.geometry import Array
 from salver.models.arm_limits import POSITION
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.exchange import optimise, rough
 from salver.planning.fastest.problem import TransportProblem, reach, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Iterate, Solution
+from salver.planning.follow.forward import tray_motion
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
@@ -89,12 +90,8 @@ class FastestMotion:
 
 def object_motion(problem: TransportProblem, t: Array, q: Array, dq: Array, ddq: Array) -> MotionSamples:
     """Motion of the first object's frame B at joint states (T, n)."""
-    terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
-    omega = np.einsum("tij,tj->ti", terms.jacobian[:, 3:], dq)
-    v_S = np.einsum("tij,tj->ti", terms.R_SE, np.einsum("tij,tj->ti", terms.jacobian[:, :3], dq))
-    a_S = np.einsum("tij,tj->ti", terms.R_SE, terms.w[:, :3]) + GRAVITY_S
-    samples = MotionSamples(t, terms.p_SE, v_S, a_S, terms.R_SE, omega, terms.w[:, 3:6])
-    return samples.of_frame(problem.items[0].p_EB, problem.items[0].R_EB)
+    tray = tray_motion(problem.arm, JointMotion(t, q, dq, ddq))
+    return tray.of_frame(problem.items[0].p_EB, problem.items[0].R_EB)
 
 
 def plan_fastest(scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None) -> Plan:

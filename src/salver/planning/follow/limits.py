@@ -14,10 +14,10 @@ from salver.models.arm import ArmModel, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.arm_limits import LIMITS
 from salver.models.bodies import Body
+from salver.planning.follow.clearance import closest
 from salver.trajectory import JointMotion
 
 WITHIN_LIMITS, LIMIT_EXCEEDED, COLLISION = "within_limits", "limit_exceeded", "collision"
-COLLISION_SAMPLES = 61  # instants at which parts that touch are looked for
 _TOLERANCE = 1e-9  # relative; a motion planned up to a limit touches it
 
 
@@ -75,18 +75,16 @@ def verdict(
     """
     found = peaks(arm, motion, bodies)
     details: dict[str, Any] = {peak.kind.replace(" ", "_"): vars(peak) for peak in found}
-    broken = sorted((peak for peak in found if peak.share > 1 + _TOLERANCE), key=lambda peak: -peak.share)
+    broken = sorted((peak for peak in found if not peak.share <= 1 + _TOLERANCE), key=lambda peak: -peak.share)
     sentences = [
         f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, "
         f"{100 * (peak.share - 1):.3g} % over its limit of {peak.limit:.4g}"
         for peak in broken
     ]
-    samples = np.unique(np.linspace(0, len(motion.t) - 1, COLLISION_SAMPLES).astype(int))
-    touch = (arm_geometry(arm, bodies) if parts is None else parts).first_touch(motion.q[samples])
-    if touch is not None:
-        time = float(motion.t[samples[touch.index]])
-        details[COLLISION] = {"first": touch.first, "second": touch.second, "time": time}
-        sentences.append(f"{touch.first} and {touch.second} touch at t = {time:.2f} s")
+    near = closest(arm_geometry(arm, bodies) if parts is None else parts, motion)
+    if near is not None and near.touches:
+        details[COLLISION] = {"first": near.first, "second": near.second, "time": near.time}
+        sentences.append(f"{near.first} and {near.second} touch at t = {near.time:.2f} s")
     if sentences:
         code = LIMIT_EXCEEDED if broken else COLLISION
         return Status(code, f"{arm.name} cannot follow: {'; '.join(sentences)}.", False, details)
