@@ -113,6 +113,7 @@ def main() -> int:
     parser.add_argument("--module", action="append", help="salver.models, salver.models.arm ...; default: all folders")
     parser.add_argument("-n", type=int, default=300, help="number of mutants, drawn at random (0: all)")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--tests", nargs="+", metavar="FILE", help="judge by these test files alone, not by all")
     parser.add_argument("-j", type=int, default=os.cpu_count(), help="mutants at a time")
     parser.add_argument("--again", action="store_true", help="only those that survived when last run")
     parser.add_argument("--map", action="store_true", help="measure anew which tests run which function")
@@ -131,7 +132,7 @@ def main() -> int:
         print(*map(describe, sample), sep="\n\n")
         return 0
 
-    state, verdicts, before = state_of_the_tree(), {}, {}
+    state, verdicts, before = f"{state_of_the_tree()} {' '.join(sorted(options.tests or []))}".strip(), {}, {}
     JOURNAL.parent.mkdir(parents=True, exist_ok=True)
     if JOURNAL.is_file():
         for line in JOURNAL.read_text(encoding="utf-8").splitlines():
@@ -144,7 +145,9 @@ def main() -> int:
     due = [mutant for mutant in sample if mutant.key not in verdicts]
 
     tests = TestMap()
-    tests.update(options.j, options.map)
+    tests.update(options.j, options.map, options.tests)
+    if options.tests:
+        tests = tests.of_files(options.tests)
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(options.j) as pool, JOURNAL.open("a") as journal:
         trees: Queue[Path] = Queue()
         for k in range(min(options.j, len(due))):

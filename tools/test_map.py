@@ -47,11 +47,18 @@ class TestMap:
         self.path = path
         self.files: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.is_file() else {}
 
-    def update(self, workers: int, again: bool = False) -> None:
-        """Measure the test files that are new or have changed, or all of them."""
+    def update(self, workers: int, again: bool = False, only: list[str] | None = None) -> None:
+        """Measure the test files (or `only` some) that are new or have changed, or all of them again."""
         present = {path.relative_to(ROOT).as_posix(): _digest(path) for path in sorted(ROOT.glob("tests/**/test_*.py"))}
-        self.files = {name: entry for name, entry in self.files.items() if name in present and not again}
-        due = [name for name, digest in present.items() if self.files.get(name, {}).get("digest") != digest]
+        for name in only or []:
+            if name not in present:
+                raise SystemExit(f"There is no test file {name}; give it as in tests/test_geometry.py.")
+        self.files = {name: entry for name, entry in self.files.items() if name in present}
+        due = [
+            name
+            for name, digest in present.items()
+            if (again or self.files.get(name, {}).get("digest") != digest) and (not only or name in only)
+        ]
         if not due:
             return
         print(f"measuring which functions {len(due)} test files run", file=sys.stderr)
@@ -75,6 +82,12 @@ class TestMap:
     def save(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_text(json.dumps(self.files, indent=0, sort_keys=True))
+
+    def of_files(self, names: list[str]) -> "TestMap":
+        """A part of the map, not saved."""
+        part = TestMap(self.path)
+        part.files = {name: self.files[name] for name in names}
+        return part
 
     def tests_of(self, source: str, function: str) -> tuple[list[str], set[str]]:
         """Test files that run a function, the quickest first, and their tests that were seen to run it."""
