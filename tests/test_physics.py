@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -43,6 +44,11 @@ def quick(**changes):
 @pytest.fixture(scope="module")
 def fast():
     return quick()
+
+
+@pytest.fixture(scope="module")
+def plain(fast):
+    return simulate(fast)
 
 
 def test_the_papers_move_holds_and_creep_is_not_slip(nominal):
@@ -170,9 +176,8 @@ def test_sampled_runs_are_reproducible(fast):
     assert first.outcome == other.outcome == "holds"
 
 
-def test_what_lies_between_controller_and_arm_shows(fast):
+def test_what_lies_between_controller_and_arm_shows(fast, plain):
     """Delay, joint friction and measured object: each changes the run, none drops the cube."""
-    plain = simulate(fast)
 
     def with_physics(**changes):
         return simulate(replace(fast, scenario=fast.scenario.with_changes(**changes)))
@@ -188,15 +193,57 @@ def test_what_lies_between_controller_and_arm_shows(fast):
     assert plain.e_p[-1] > 2e-5
 
 
-def test_torque_limits_are_kept_and_saturation_is_told(fast):
+def test_torque_limits_are_kept_and_saturation_is_told(fast, plain):
     """A payload of 12 kg, unknown to the controller, is more than the wrist can carry."""
     record = simulate(fast, parameters={"mass": 12.0, "inertia_xx": 0.01, "inertia_yy": 0.01, "inertia_zz": 0.01})
     arm = load_arm(fast.scenario.arm, fast.scenario.tray)
     assert np.all(np.abs(record.tau) <= arm.limits.torque + 1e-9)
-    change = np.abs(np.diff(simulate(fast).tau, axis=0)) / (record.t[1] - record.t[0])
+    change = np.abs(np.diff(plain.tau, axis=0)) / (record.t[1] - record.t[0])
     assert np.all(change <= arm.limits.torque_rate)
     assert record.summary["arm"]["torque_cut"] > 0
     assert record.outcome != "holds"
+
+
+def with_limit(plan, folder, joint, limit, value):
+    """The same plan on an arm of which one limit of one joint is another."""
+    root = ElementTree.fromstring(load_arm(plan.scenario.arm, plan.scenario.tray).urdf)
+    element = next(j for j in root.iter("joint") if j.get("name") == f"panda_joint{joint + 1}").find("limit")
+    element.set(limit, repr(value))
+    path = folder / "arm.urdf"
+    path.write_bytes(ElementTree.tostring(root))
+    return replace(plan, scenario=plan.scenario.with_changes(arm__model=str(path), arm__flange="panda_link8"))
+
+
+@pytest.mark.parametrize(
+    ("limit", "joint", "used", "step", "told"),
+    [
+        ("velocity", 0, lambda r: np.abs(r.dq[:, 0]).max(), 0.01, "velocity_share_peak"),
+        ("upper", 1, lambda r: r.q[:, 1].max(), 0.01, "position_margin"),
+        ("lower", 4, lambda r: r.q[:, 4].min(), -0.01, "position_margin"),
+        ("effort", 1, lambda r: np.abs(r.tau[:, 1]).max(), 0.2, "torque_share_peak"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_load_that_holds_while_the_arm_breaks_a_limit_is_not_said_to_hold(
+    fast, plain, tmp_path, limit, joint, used, step, told
+):
+    """A limit just beyond what the motion uses changes nothing; just short of it the word is `limit`."""
+    peak = used(plain)
+    kept = simulate(with_limit(fast, tmp_path, joint, limit, float(peak + step)))
+    assert (kept.outcome, kept.summary["arm"]["limits_kept"]) == ("holds", True)
+    broken = simulate(with_limit(fast, tmp_path, joint, limit, float(peak - step)))
+    arm = broken.summary["arm"]
+    assert (broken.outcome, arm["limits_kept"]) == ("limit", False)
+    assert broken.summary["objects"][0]["outcome"] == "holds"
+    if told == "position_margin":  # the engine has a stop there, which gives way
+        assert kept.summary["arm"][told] == pytest.approx(0.01, abs=1e-4)
+        assert -0.0101 < arm[told] < 0
+    elif told == "velocity_share_peak":
+        assert arm[told] == pytest.approx(used(broken) / (peak - step), rel=1e-3)
+    else:
+        assert kept.summary["arm"][told] == pytest.approx(peak / (peak + step), rel=1e-3)
+        assert arm[told] > 1
+    assert (arm["torque_cut"] > 0) == (limit == "effort")
 
 
 def test_round_base_with_many_feet_does_not_chatter():
@@ -216,9 +263,9 @@ def test_friction_decides_the_outcome(fast):
     assert at_rest.summary["slides_at_rest"]
 
 
-def test_a_collision_with_an_obstacle_is_told(fast):
+def test_a_collision_with_an_obstacle_is_told(fast, plain):
     """A post in the way of the tray, half way along the line."""
-    assert simulate(fast).summary["collides_at"] is None
+    assert plain.summary["collides_at"] is None
     post = {"type": "box", "size": [0.02, 0.02, 0.6], "position": [0.6, -0.135, 0.3]}
     plan = replace(fast, scenario=fast.scenario.with_changes(obstacles=[post]))
     record = simulate(plan)
