@@ -213,6 +213,16 @@ def test_coverage_counts_by_hand():
     assert coverage(t, values, nominal, radius, ("a", "b"), tolerance=0.3).left == 1
 
 
+def test_by_default_leaving_counts_from_a_millionth_of_the_largest_radius():
+    """That is what the rollouts are good for; the radius at the instant itself, here a tenth, does not matter."""
+    t, nominal = np.array([0.0, 1.0]), np.zeros((2, 1))
+    radius = np.array([[10.0], [1.0]])
+    values = np.array([[0.0], [1.0]]) + np.array([5e-6, 2e-5])[:, None, None] * [[0.0], [1.0]]
+    found = coverage(t, values, nominal, radius, ("x",))
+    np.testing.assert_array_equal(found.outside, [[False], [True]])
+    np.testing.assert_allclose(found.relative[:, 0], [5e-7, 2e-6], rtol=1e-6)
+
+
 def test_a_tube_of_no_width_is_left_by_more_than_rounding():
     t, nominal, radius = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1))
     assert coverage(t, np.full((1, 1, 1), 1e-13), nominal, radius, ("x",)).left == 0
