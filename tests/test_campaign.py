@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,7 @@ from salver.campaign.journal import Journal
 from salver.campaign.runners import run_scalars, tube_scalars
 from salver.campaign.summary import read_table, summarise, table, write_table
 from salver.errors import SalverError
-from salver.models.bodies import bodies, uncertain_set
 from salver.planning.make import make_plan
-from salver.sampling import draw
 
 N = 30
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="processes are looked up in /proc")
@@ -64,18 +63,29 @@ def test_all_plans_run_on_the_same_samples_within_the_set(finished):
     assert np.all(np.abs(mass - 0.256) <= 0.0256)
 
 
-def test_parameters_of_a_run_are_those_in_the_table_and_of_the_sampler(finished):
+def test_parameters_of_a_run_are_those_in_the_table_and_follow_from_its_number(finished):
+    """Uniform over the box, from numpy's generator seeded with (seed, run) alone: `salver.sampling`."""
     directory = finished.folder.parent
     columns = read_table(finished.folder / "runs.parquet")
-    case = scenarios.load(directory / "scenario.toml")
-    drawn = draw(uncertain_set(case), N, 0, "uniform", bodies(case))
+    moments = [f"inertia_{pair}" for pair in ("xx", "yy", "zz")]
     for k in (0, 7, N - 1):
-        parameters, seed = parameters_of_run(directory, k)
-        assert list(parameters.values()) == list(drawn[k])
-        assert all(columns[name][2 * k] == value for name, value in parameters.items())
-        assert seed == seed_of_run(0, k)
-    with pytest.raises(SalverError, match=f"no run {N}; the campaign has the runs 0 to {N - 1}"):
-        parameters_of_run(directory, N)
+        parameters, _ = parameters_of_run(directory, k)
+        assert set(parameters) == {"mass", *moments}
+        assert all(columns[name][2 * k] == columns[name][2 * k + 1] == value for name, value in parameters.items())
+        drawn = dict(zip(parameters, 2 * np.random.default_rng([0, k]).random(4) - 1, strict=True))
+        assert parameters["mass"] == pytest.approx(0.256 + 0.0256 * drawn["mass"], rel=1e-12)
+        assert [parameters[m] for m in moments] == pytest.approx([3.4e-4 * (1 + 0.1 * drawn[m]) for m in moments])
+    for run in (-1, N):
+        with pytest.raises(SalverError, match=f"no run {run}; the campaign has the runs 0 to {N - 1}"):
+            parameters_of_run(directory, run)
+
+
+def test_every_run_of_every_campaign_has_a_seed_of_its_own_for_its_noise():
+    seeds = [seed_of_run(campaign, run) for campaign in range(20) for run in range(100)]
+    assert len(set(seeds)) == len(seeds)
+    assert all(0 <= seed < 2**31 for seed in seeds)
+    assert len({seed // 2**27 for seed in seeds}) == 16  # all over the range, not one beside the other
+    assert seed_of_run(3, 5) == seed_of_run(3, 5) != seed_of_run(5, 3)
 
 
 def test_a_cube_of_another_mass_sags_as_the_step_response_says(finished):
@@ -130,6 +140,20 @@ def test_a_journal_cut_off_anywhere_is_completed(finished, run_dir, cut):
     assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
     items = [(r["stem"], r["run"]) for r in map(json.loads, journal.read_bytes().splitlines())]
     assert len(items) == len(set(items)) == 2 * N
+
+
+def test_only_lines_that_end_are_finished_runs(tmp_path):
+    """A line is written whole or not at all; one without its newline may be the begin of a longer one."""
+    first, second = ({"stem": "plan", "run": k, "outcome": "holds"} for k in (1, 12))
+    whole = json.dumps(first) + "\n"
+    path = tmp_path / "journal.jsonl"
+    for rest in (json.dumps(second), json.dumps(second)[:-3], "12", "{}\n", "null\n" + whole, "\n"):
+        path.write_text(whole + rest)
+        with Journal(tmp_path) as journal:
+            assert journal.records == {("plan", 1): first}
+            journal.append(second)
+            assert journal.records == {("plan", 1): first, ("plan", 12): second}
+        assert path.read_text() == whole + json.dumps(second, separators=(",", ":")) + "\n"
 
 
 def test_killed_at_any_moment_nothing_is_lost_or_done_twice(run_dir):
@@ -327,6 +351,39 @@ def record(stem, run, outcome, slip):
     }
 
 
+@pytest.mark.parametrize(
+    ("outcome", "slip", "least", "worse"),
+    [
+        ("slides", 1e-3, 0.1, True),  # the word counts first
+        ("holds", 2e-3, 0.9, False),
+        ("limit", 2e-3, 0.2, True),  # then the slip
+        ("limit", 1e-3, 0.0, False),
+        ("limit", 1.5e-3, 0.05, True),  # then the least cone coefficient
+        ("limit", 1.5e-3, 0.2, False),
+        ("limit", 1.5e-3, 0.1, False),  # then the earlier run
+        ("limit", None, None, False),  # without figures: nothing is known to be worse
+        ("exploded", None, None, True),  # a word that nobody knows is the worst
+    ],
+)
+def test_the_worst_run_by_word_then_slip_then_coefficient_then_number(outcome, slip, least, worse):
+    rows = [
+        {"stem": "plan", "run": 0, "outcome": "limit", "peak_slip": 1.5e-3, "cone_least": 0.1},
+        {"stem": "plan", "run": 1, "outcome": outcome, "peak_slip": slip, "cone_least": least},
+    ]
+    for given in (rows, rows[::-1]):
+        assert summarise(given, ["plan"], Path("x"))["plans"]["plan"]["worst_run"]["run"] == int(worse)
+
+
+def test_words_from_harmless_to_worst():
+    """Each must be worse than the one before: an arm beyond its limits, then what the load does, then no result."""
+    words = ["holds", "leaves cone", "limit", "slides", "lifts", "tips", "lost", "crashed", "error"]
+    for better, worse in pairwise(words):
+        rows = [{"stem": "p", "run": k, "outcome": word} for k, word in enumerate([worse, better])]
+        assert summarise(rows, ["p"], Path("x"))["plans"]["p"]["worst_run"]["outcome"] == worse
+    rows = [{"stem": "p", "run": k, "outcome": word} for k, word in enumerate(reversed(words))]
+    assert list(summarise(rows, ["p"], Path("x"))["plans"]["p"]["outcomes"]) == words
+
+
 def test_summary_of_known_runs(tmp_path):
     # plan slides once, baseline slides in three others: discordant 3 to 1 of four, p = 2 (1 + 4) / 16.
     slides = {"plan": {3}, "baseline": {0, 1, 2}}
@@ -415,6 +472,24 @@ def test_a_run_of_the_physics_engine_is_reproduced_alone_from_its_number(tmp_pat
         record = simulate(load_plan(directory, "baseline"), parameters=parameters, seed=seed)
         assert record.outcome == columns["outcome"][k]
         assert record.summary["objects"][0]["peak_slip"] == columns["peak_slip"][k]
+
+
+def test_the_noise_of_a_run_is_that_of_its_seed(tmp_path):
+    """With sensor noise and (almost) nothing else uncertain, runs differ by their seeds alone, and come again alone."""
+    from salver.planning.plan import load_plan
+    from salver.simulation.physics import simulate
+
+    case = scenarios.load("panda-cube").with_changes(
+        motion__duration=1.2, physics__settle_before=0.0, physics__settle_after=0.0, physics__velocity_noise=1e-3
+    )
+    case = case.with_changes(objects__0__uncertainty={"friction": 1e-9})  # it sticks: friction does nothing
+    make_plan(case, "baseline").save(tmp_path, "baseline")
+    result = run_campaign(tmp_path, n=2, stems=["baseline"], seed=8, jobs=1)
+    errors = read_table(result.folder / "runs.parquet")["e_p_peak"]
+    assert abs(errors[1] - errors[0]) > 1e-8
+    plan = load_plan(tmp_path, "baseline")
+    for k in range(2):
+        assert simulate(plan, seed=seed_of_run(8, k)).summary["e_p_peak"] == pytest.approx(errors[k], rel=1e-6)
 
 
 def test_a_full_disk_loses_nothing_that_was_finished(finished, run_dir, monkeypatch):
