@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import filecmp
 import io
+import itertools
 import json
 import math
 import os
@@ -11,6 +13,7 @@ import platform
 import secrets
 import zipfile
 import zlib
+from collections.abc import Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -29,9 +32,10 @@ if TYPE_CHECKING:
 _RECORDED = ("numpy", "scipy", "casadi", "piqp", "pin", "mujoco")
 
 
-def write_atomic(path: str | Path, data: bytes | str) -> Path:
+def write_atomic(path: str | Path, data: bytes | str, *, keep: bool = False) -> Path:
     """Write a whole file or nothing: whoever reads `path` sees the old content or all of the new.
 
+    keep: what stands there with another content is kept beside it, numbered (`set_aside`).
     Makes the directories that are missing. Raises SalverError when the place cannot be written to.
     """
     path = Path(path)
@@ -43,7 +47,7 @@ def write_atomic(path: str | Path, data: bytes | str) -> Path:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, path)
+        put_in_place(temporary, path, keep=keep)
     except BaseException as error:
         with contextlib.suppress(OSError):
             temporary.unlink()
@@ -53,15 +57,64 @@ def write_atomic(path: str | Path, data: bytes | str) -> Path:
     return path
 
 
+def put_in_place(made: Path, path: Path, *, keep: bool) -> None:
+    """Rename a finished file to `path`; keep: set aside what stands there, unless it is the same."""
+    if keep and path.is_file() and not filecmp.cmp(made, path, shallow=False):
+        set_aside(path)
+    os.replace(made, path)
+
+
+def set_aside(*paths: Path) -> None:
+    """Keep what stands at `paths` under the first number that is free for all of them: plan.npz as plan-1.npz."""
+    number = next(k for k in itertools.count(1) if not any(_numbered(path, k).exists() for path in paths))
+    for path in paths:
+        if path.exists():
+            path.rename(_numbered(path, number))
+
+
+def _numbered(path: Path, number: int) -> Path:
+    return path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
+def output_file(path: str | Path, endings: tuple[str, ...]) -> Path:
+    """The place that a user named for an output, when it has one of the endings and is no file of a run.
+
+    Raises SalverError: a page over a scenario, a table over a plan, would destroy what cannot be made again.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in endings:
+        raise SalverError(f"{path} is not a name for this output; it must end in {' or '.join(endings)}.")
+    if path.is_dir():
+        raise SalverError(f"{path} is a directory; name a file that ends in {' or '.join(endings)}.")
+    if path.with_suffix(".npz").is_file() or (path.parent / "journal.jsonl").is_file():
+        raise SalverError(f"{path} stands among the files of a run; name another place with -o.")
+    return path
+
+
 def save_npz(path: str | Path, /, **arrays: npt.ArrayLike) -> Path:
     """Write named arrays, atomically. The same arrays give the same bytes."""
+    return write_atomic(path, npz_bytes(arrays))
+
+
+def save_result(path: str | Path, arrays: Mapping[str, npt.ArrayLike], summary: Any) -> Path:
+    """Write PATH.npz and PATH.json. Those of an earlier, different run are kept beside them, numbered."""
+    place, content, text = Path(path).with_suffix(".npz"), npz_bytes(arrays), to_json(summary)
+    if place.is_file() and place.read_bytes() != content:
+        set_aside(place, place.with_suffix(".json"))
+    write_atomic(place, content)
+    write_atomic(place.with_suffix(".json"), text)
+    return place
+
+
+def npz_bytes(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
+    """What a file of named arrays holds."""
     made = {name: np.asarray(value) for name, value in arrays.items()}
     for name, array in made.items():
         if array.dtype.hasobject:
             raise TypeError(f"array {name} holds Python objects; only numbers, booleans and strings can be stored")
     buffer = io.BytesIO()
     np.savez(buffer, **made)  # type: ignore[arg-type]
-    return write_atomic(path, buffer.getvalue())
+    return buffer.getvalue()
 
 
 def load_npz(path: str | Path, required: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
@@ -114,6 +167,16 @@ def read_json(path: str | Path) -> Any:
         raise FileFormatError(
             f"{path} is truncated or is not JSON: {error.msg} at line {error.lineno}, column {error.colno}."
         ) from None
+    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, brackets in brackets
+        raise FileFormatError(f"{path} is not JSON that salver wrote ({type(error).__name__}).") from None
+
+
+def read_object(path: str | Path) -> dict[str, Any]:
+    """`read_json` of a file that holds an object. Raises FileFormatError when it holds something else."""
+    found = read_json(path)
+    if not isinstance(found, dict):
+        raise FileFormatError(f"{path} is not a file that salver wrote: it holds a {type(found).__name__}.")
+    return found
 
 
 def provenance(scenario: Scenario) -> dict[str, Any]:

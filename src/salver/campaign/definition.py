@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from salver.errors import FileFormatError, SalverError
 from salver.files import read_json
 from salver.geometry import Array
 from salver.models.bodies import bodies, uncertain_set
+from salver.run_directory import plan_digest
 
 Engine = Literal["physics", "closed-loop"]
 ENGINES: tuple[str, ...] = get_args(Engine)
@@ -49,7 +49,9 @@ class Definition:
         )
 
 
-def define(directory: Path, stems: Sequence[str], n: int, seed: int, method: str, engine: str) -> Definition:
+def define(
+    directory: Path, stems: Sequence[str], n: int, seed: int, method: str, engine: str, folder: str
+) -> Definition:
     """Definition of a campaign in a run directory. Raises SalverError, one sentence for each mistake."""
     if n < 1:
         raise SalverError(f"A campaign of {n} runs was asked for; it needs at least 1.")
@@ -59,6 +61,8 @@ def define(directory: Path, stems: Sequence[str], n: int, seed: int, method: str
         raise SalverError(f'There is no sampling method "{method}"; known are {", ".join(sampling.METHODS)}.')
     if engine not in ENGINES:
         raise SalverError(f'There is no engine "{engine}"; known are {", ".join(ENGINES)}.')
+    if Path(folder).name != folder:
+        raise SalverError(f'The folder is "{folder}"; it must be one name, for a folder in {directory}.')
     case = load_scenario(directory)
     if not uncertain_set(case).names:
         raise SalverError(f"Nothing is uncertain in {case.name}: all runs would be the same; use simulate for one run.")
@@ -71,23 +75,6 @@ def load_scenario(directory: Path) -> scenario.Scenario:
     if not path.is_file():
         raise SalverError(f"{directory} holds no scenario.toml; it is not a directory that `salver plan` made.")
     return scenario.load(path)
-
-
-def known_stems(directory: Path) -> list[str]:
-    """Plans of a run directory: "plan" and "baseline" first, then others."""
-    found = {path.stem for path in directory.glob("*.npz")}
-    first = [stem for stem in ("plan", "baseline") if stem in found]
-    return first + sorted(found - set(first))
-
-
-def plan_digest(directory: Path, stem: str) -> str:
-    """Content hash of a plan's arrays."""
-    path = directory / f"{stem}.npz"
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-    except OSError:
-        known = ", ".join(known_stems(directory)) or "none"
-        raise SalverError(f'{directory} has no plan "{stem}" ({path.name}); it has {known}.') from None
 
 
 def samples(directory: Path, definition: Definition) -> tuple[tuple[str, ...], Array]:
@@ -113,10 +100,18 @@ def read_definition(directory: str | Path, folder: str = DEFAULT_FOLDER) -> Defi
     path = Path(directory) / folder / SUMMARY
     if not path.is_file():
         raise SalverError(f"{Path(directory)} holds no campaign ({folder}/{SUMMARY}); make one with `salver campaign`.")
-    try:
-        return Definition(**read_json(path)["definition"])
-    except (KeyError, TypeError):
-        raise FileFormatError(f"{path} is not a campaign that salver wrote; it has no definition.") from None
+    return definition_in(read_json(path), path)
+
+
+def definition_in(summary: Any, path: Path) -> Definition:
+    """The definition that a campaign.json holds. Raises FileFormatError when it is not one of salver's."""
+    found = summary.get("definition") if isinstance(summary, dict) else None
+    kinds = {"scenario": str, "plans": dict, "n": int, "seed": int, "method": str, "engine": str}
+    if not isinstance(found, dict) or {key: type(value) for key, value in found.items()} != kinds:
+        raise FileFormatError(
+            f"{path} is not a campaign that salver wrote: it has no definition; move it away or use another --folder."
+        )
+    return Definition(**found)
 
 
 def parameters_of_run(directory: str | Path, run: int, folder: str = DEFAULT_FOLDER) -> tuple[dict[str, float], int]:

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from salver.campaign import workers
-from salver.campaign.definition import DEFAULT_FOLDER, SUMMARY, Definition, define, known_stems, load_scenario
+from salver.campaign.definition import DEFAULT_FOLDER, SUMMARY, Definition, define, definition_in, load_scenario
 from salver.campaign.journal import Item, Journal
 from salver.campaign.runners import BLOCK, Context
 from salver.campaign.summary import summarise, table, write_table
 from salver.errors import FileFormatError, SalverError
 from salver.files import provenance, read_json, write_json
+from salver.run_directory import known_stems
 
 TABLE = "runs.parquet"
 Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
@@ -24,11 +25,15 @@ Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
 
 @dataclass(frozen=True)
 class Campaign:
-    """A finished campaign. summary: what campaign.json holds. folder: where it and runs.parquet are."""
+    """A finished campaign. summary: what campaign.json holds. folder: where it and runs.parquet are.
+
+    notes: what was found damaged and made again, as sentences.
+    """
 
     folder: Path
     definition: Definition
     summary: dict[str, Any]
+    notes: tuple[str, ...] = ()
 
 
 def run_campaign(
@@ -56,7 +61,7 @@ def run_campaign(
         raise SalverError(f"{directory} holds no plan; make one with `salver plan`.")
     if jobs is not None and jobs < 1:
         raise SalverError(f"{jobs} jobs were asked for; it needs at least 1.")
-    definition = define(directory, stems, n, seed, method, engine)
+    definition = define(directory, stems, n, seed, method, engine, folder)
     place = directory / folder
     _claim(place, definition)
     with Journal(place) as journal:
@@ -71,7 +76,7 @@ def run_campaign(
         context = Context(directory, definition)
         batches = _batches(wanted - journal.records.keys(), stems, engine)
         if batches and journal.records and previous is not None:
-            _same_versions(place, previous["provenance"], _provenance(directory))
+            _same_versions(place, previous.get("provenance"), _provenance(directory))
         if batches:
             head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
             write_json(place / SUMMARY, head)
@@ -91,7 +96,7 @@ def run_campaign(
     }
     write_table(place / TABLE, rows)
     write_json(place / SUMMARY, summary)
-    return Campaign(place, definition, summary)
+    return Campaign(place, definition, summary, tuple(journal.notes))
 
 
 def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:
@@ -100,12 +105,7 @@ def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     previous = read_json(path)
-    try:
-        existing = Definition(**previous["definition"])
-    except (KeyError, TypeError):
-        raise FileFormatError(
-            f"{path} is not a campaign that salver wrote; move it away or use another --folder."
-        ) from None
+    existing = definition_in(previous, path)
     if not definition.extends(existing):
         raise SalverError(
             f"{place} holds another campaign: {existing.in_words()}; asked for were {definition.in_words()}. "
@@ -114,9 +114,11 @@ def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:
     return dict(previous)
 
 
-def _same_versions(place: Path, before: dict[str, Any], now: dict[str, Any]) -> None:
+def _same_versions(place: Path, before: Any, now: dict[str, Any]) -> None:
     """A table must not be made half by one engine and half by another."""
-    old, new = ({"salver": p["salver"], **p["versions"]} for p in (before, now))
+    if not isinstance(before, dict) or not isinstance(before.get("versions"), dict):
+        raise FileFormatError(f"{place / SUMMARY} does not say which versions made it; use another --folder.")
+    old, new = ({"salver": p.get("salver"), **p["versions"]} for p in (before, now))
     changed = [f"{name} {old.get(name)} (now {new[name]})" for name in new if old.get(name) != new[name]]
     if changed:
         raise SalverError(

@@ -57,6 +57,8 @@ def campaign(
         except KeyboardInterrupt:
             say("salver: stopped; the runs that were finished are kept, and the same command goes on from there.")
             raise typer.Exit(130) from None
+    for note in result.notes:
+        say(f"salver: {note}")
     if json:
         print_json(result.summary)
     else:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from salver.errors import SalverError, UnreachableError
+from salver.errors import SalverError, ScenarioError, UnreachableError
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from salver.planning.plan import Plan
 
 ACHIEVED = 0
 NOT_ACHIEVED = 1
@@ -55,6 +59,29 @@ def say(text: str) -> None:
     """A line for a person, on standard error, never wrapped or coloured: safe to grep."""
     sys.stderr.write(text.rstrip("\n") + "\n")
     sys.stderr.flush()
+
+
+def save_plans(directory: Path, plans: Mapping[str, Plan]) -> None:
+    """Write plans by stem into a run directory, and say what became of another plan that stood there.
+
+    A directory of another scenario is left alone: the plans go beside it, so that they are not lost, and the command
+    ends as wrong use, because nothing stands where the next command would look for it.
+    """
+    from salver.run_directory import EARLIER
+
+    before = set(directory.glob(f"{EARLIER}/*"))
+    try:
+        for stem, plan in plans.items():
+            plan.save(directory, stem)
+    except ScenarioError as error:
+        beside = next(p for k in itertools.count(1) if not (p := directory.with_name(f"{directory.name}-{k}")).exists())
+        for stem, plan in plans.items():
+            plan.save(beside, stem)
+        say(f"salver: {error}")
+        say(f"salver: what was planned is kept in {beside}.")
+        raise typer.Exit(WRONG_USE) from None
+    for path in sorted(set(directory.glob(f"{EARLIER}/*")) - before):
+        say(f"salver: {directory} held another plan; it is kept with its results in {path}.")
 
 
 def console() -> Console:

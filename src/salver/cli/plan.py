@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
+from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, save_plans, say
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,13 +41,19 @@ def plan(
     """
     from salver import scenario as scenarios
     from salver.planning.make import plan_pair
+    from salver.planning.plan import check_place
+    from salver.run_directory import check_free
 
     chosen = scenarios.load(scenario)
     if duration is not None:
         chosen = chosen.with_changes(motion__duration=duration)
+    directory = out if out is not None else Path("runs") / chosen.name
+    if fastest or chosen.motion.duration is None:  # the scenario that is saved is known when the plan is
+        check_free(directory)
+    else:
+        check_place(chosen, directory)
     found, other = plan_pair(chosen, "fastest" if fastest else "robust", arm, beside)
-    directory = found.save(out if out is not None else Path("runs") / chosen.name)
-    other.save(directory, beside)
+    save_plans(directory, {"plan": found, beside: other})
     if json:
         print_json({"directory": directory, "plan": found.summary(), beside: other.summary()})
     else:

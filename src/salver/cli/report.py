@@ -26,7 +26,7 @@ def report(
     """
     from salver.report.page import write_report
 
-    path = write_report(directory, output)
+    path = write_report(directory, output, say)
     if json:
         print_json({"page": str(path), "bytes": path.stat().st_size})
     else:

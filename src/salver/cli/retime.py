@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
+from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, save_plans, say
 
 
 def retime(
@@ -34,14 +34,17 @@ def retime(
     from salver import scenario as scenarios
     from salver.errors import ScenarioError
     from salver.planning.fastest.retiming import plan_retimed, read_waypoints
+    from salver.run_directory import check_free
 
     if scenario is None:
         if not path.is_dir():
             raise ScenarioError(f"{path} is not a run directory; for a file of waypoints give --scenario.")
         scenario = str(path / "scenario.toml")
     chosen = scenarios.load(scenario)
+    directory = out if out is not None else Path("runs") / f"{chosen.name}-retimed"
+    check_free(directory)
     plan = plan_retimed(chosen, read_waypoints(path), robust=robust)
-    directory = plan.save(out if out is not None else Path("runs") / f"{chosen.name}-retimed")
+    save_plans(directory, {"plan": plan})
     if json:
         print_json({"directory": directory, "plan": plan.summary()})
     else:

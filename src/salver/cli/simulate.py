@@ -9,6 +9,7 @@ import typer
 
 from salver.cli.common import Json, print_json, result_console, say
 from salver.errors import ScenarioError
+from salver.run_directory import STEMS
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
@@ -33,13 +34,13 @@ def simulate(
 
     Tells whether each object held, slid, tipped or left the tray, how far the arm was from its limits, and how far the
     measured contact forces are from the plan's tube. Without an arm in the scenario, the tray is moved exactly.
-    Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary).
+    Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary); earlier runs are kept as STEM-1, STEM-2.
 
     Example: `salver simulate runs/panda-cube --stem both --set mass=0.306`
 
     Ends with 0 when the run was made, whatever became of the object.
     """
-    from salver.planning.plan import STEMS, load_plan
+    from salver.planning.plan import load_plan
     from salver.simulation.physics import simulate as run_physics
 
     if stem not in (*STEMS, "both"):

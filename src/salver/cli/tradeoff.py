@@ -34,7 +34,7 @@ def tradeoff(
     """
     from salver import scenario as scenarios
     from salver.errors import ScenarioError
-    from salver.files import provenance, write_atomic, write_json
+    from salver.files import provenance, to_json, write_atomic
     from salver.planning.fastest.tradeoff import tradeoff as curve
 
     try:
@@ -53,11 +53,12 @@ def tradeoff(
             say(f"{point.scale:g} times the uncertainty: {point.status}")
     directory = out if out is not None else Path("runs") / f"{chosen.name}-tradeoff"
     records = [point.record() for point in points]
-    write_json(directory / "tradeoff.json", {"points": records, "provenance": provenance(chosen)})
+    document = to_json({"points": records, "provenance": provenance(chosen)})
+    write_atomic(directory / "tradeoff.json", document, keep=True)
     solved = [point for point in points if point.status.ok]
     picture = directory / f"tradeoff.{file_format}"
     if solved:
-        write_atomic(picture, draw(solved, file_format))
+        write_atomic(picture, draw(solved, file_format), keep=True)
     if json:
         print_json({"directory": directory, "points": records})
     else:

@@ -16,11 +16,12 @@ from salver.driver.execution import CoolStop, Log, Watchdog, drive, timing
 from salver.driver.preflight import Check, check_approach, check_franka, check_plan, check_posture, demand
 from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
 from salver.errors import FileFormatError, SalverError, UnreachableError
-from salver.files import load_npz, provenance, read_json, save_npz, write_json
+from salver.files import load_npz, provenance, read_json
 from salver.geometry import Array, log, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel, load_arm
 from salver.models.bodies import Body, bodies
 from salver.planning.plan import Plan, load_plan
+from salver.run_directory import save_record
 from salver.trajectory import JointMotion
 
 FOLDER = "execution"
@@ -248,7 +249,5 @@ def _summary(plan: Plan, robot: Robot, log_: Log, checks: list[Check], watchdog:
 def _saved(
     directory: str | Path, stem: str, arrays: dict[str, np.ndarray], summary: dict[str, Any], checks: list[Check]
 ) -> Execution:
-    folder = Path(directory) / FOLDER
-    path = save_npz(folder / f"{stem}.npz", **arrays)
-    write_json(folder / f"{stem}.json", summary)
+    path = save_record(Path(directory), FOLDER, stem, arrays, summary)
     return Execution(arrays, summary, checks, path)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from salver.errors import SalverError
+from salver.files import output_file
 
 FORMATS = {"csv": ".csv", "json": ".json", "ros2": "_bag", "yaml": ".yaml", "mujoco": "_mujoco"}
+_ENDINGS = {"csv": (".csv", ".txt"), "json": (".json",), "yaml": (".yaml", ".yml")}  # the others are directories
 
 
 def write_export(
@@ -18,12 +20,15 @@ def write_export(
 ) -> list[Path]:
     """Write the motion `stem` of a run directory in a format; returns the files. By default DIR/export/STEM + ending.
 
-    rate: samples per second, the plan's own instants when None. Raises SalverError for an unknown format or a
-    place that is taken, FileFormatError for a directory without such a plan.
+    rate: samples per second, the plan's own instants when None. Another file that stands there is kept, numbered.
+    Raises SalverError for an unknown format or a place that is taken, FileFormatError for a directory without such
+    a plan.
     """
     if file_format not in FORMATS:
         raise SalverError(f'There is no export format "{file_format}"; known are {", ".join(FORMATS)}.')
     target = Path(path) if path is not None else Path(directory) / "export" / f"{stem}{FORMATS[file_format]}"
+    if file_format in _ENDINGS:
+        target = output_file(target, _ENDINGS[file_format])
     if file_format == "mujoco":
         from salver.export.mujoco import write_scene
 

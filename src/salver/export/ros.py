@@ -132,7 +132,7 @@ def write_yaml(motion: ExportedMotion, path: Path) -> list[Path]:
     found = messages(motion)
     for topic, message in found.items():
         own = path if topic == next(iter(found)) else path.with_name(f"{path.stem}_{topic}{path.suffix}")
-        made.append(write_atomic(own, f"# {TOPICS[topic]}\n" + "\n".join(_block(message, "")) + "\n"))
+        made.append(write_atomic(own, f"# {TOPICS[topic]}\n" + "\n".join(_block(message, "")) + "\n", keep=True))
     return made
 
 

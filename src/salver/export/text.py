@@ -40,7 +40,7 @@ def write_csv(motion: ExportedMotion, path: Path) -> list[Path]:
     writer.writerow(table)
     for row in zip(*(values.tolist() for values in table.values()), strict=True):
         writer.writerow([repr(float(value)) for value in row])
-    return [write_atomic(path, text.getvalue())]
+    return [write_atomic(path, text.getvalue(), keep=True)]
 
 
 def write_json(motion: ExportedMotion, path: Path) -> list[Path]:
@@ -54,4 +54,4 @@ def write_json(motion: ExportedMotion, path: Path) -> list[Path]:
         **{field: getattr(motion, field) for field in _FIELDS},
         "scenario": json.loads(motion.plan.scenario.model_dump_json(exclude_none=True)),
     }
-    return [write_atomic(path, to_json(document))]
+    return [write_atomic(path, to_json(document), keep=True)]

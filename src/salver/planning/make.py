@@ -12,7 +12,8 @@ from salver.errors import ScenarioError, Status
 from salver.geometry import Array
 from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import Solution, solve
-from salver.planning.plan import FINER, STEMS, Plan
+from salver.planning.plan import FINER, Plan
+from salver.run_directory import STEMS
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, min_jerk_line
 

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import FileFormatError, ScenarioError, Status
-from salver.files import load_npz, provenance, read_json, save_npz, to_json, write_atomic, write_json
+from salver.files import load_npz, npz_bytes, provenance, read_json, to_json, write_atomic, write_json
 from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.models.bodies import uncertain_set
 from salver.planning import certificate
 from salver.planning.object.conditions import TILT, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
+from salver.run_directory import check_free, make_room
 from salver.scenario import Scenario
 from salver.trajectory import (
     JointMotion,
@@ -33,11 +34,6 @@ if TYPE_CHECKING:
     from salver.models.parameters import UncertainSet
     from salver.sensitivity.arm import ArmChain
 
-STEMS = (
-    "plan",
-    "baseline",
-    "nominal",
-)  # the motions that a run directory may hold: a plan, and what it is compared with
 FINER = 10  # the check's grid against the planner's
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
 
@@ -260,31 +256,45 @@ class Plan:
     def save(self, directory: str | Path, stem: str = "plan") -> Path:
         """Write `<stem>.npz`, `<stem>.json` and `scenario.toml` into a run directory, each atomically.
 
-        The record carries the certificate of all three (`salver.planning.certificate`).
+        The record carries the certificate of all three (`salver.planning.certificate`). Another plan that stands there
+        is kept with its results, in DIRECTORY/earlier/N. Raises ScenarioError when the directory belongs to another
+        scenario, SalverError when it has files of others under these names.
         """
         directory, arrays, record = Path(directory), self.arrays(), json.loads(to_json(self.summary()))
+        check_place(self.scenario, directory)
         write_scenario(self.scenario, directory)
-        save_npz(directory / f"{stem}.npz", **arrays)
+        content, path = npz_bytes(arrays), directory / f"{stem}.npz"
+        if path.is_file() and path.read_bytes() != content:
+            make_room(directory, stem)
+        write_atomic(path, content)
         certified = certificate.certificate(self.scenario, arrays, record)
         write_json(directory / f"{stem}.json", {**record, certificate.KEY: certified})
         return directory
 
 
+def check_place(scenario: Scenario, directory: Path) -> None:
+    """Raise ScenarioError when the directory belongs to another scenario, SalverError when it is not free.
+
+    Ask before planning, so that no plan is made in vain.
+    """
+    from salver.scenario import load
+
+    check_free(directory)
+    path = directory / "scenario.toml"
+    if path.is_file() and (existing := load(path)).digest != scenario.digest:
+        raise ScenarioError(
+            f"{directory} holds the plan of another scenario ({existing.name}, {existing.digest}; this one is "
+            f"{scenario.name}, {scenario.digest}); choose another directory with -o, or remove that one."
+        )
+
+
 def write_scenario(scenario: Scenario, directory: Path) -> None:
-    """Write the resolved scenario. Raises ScenarioError when the directory belongs to another scenario."""
+    """Write the resolved scenario, unless the directory has it already: somebody's own file is not rewritten."""
     import tomli_w
 
     path = directory / "scenario.toml"
-    if path.is_file():
-        from salver.scenario import load
-
-        existing = load(path)
-        if existing.digest != scenario.digest:
-            raise ScenarioError(
-                f"{directory} holds the plan of another scenario ({existing.name}, {existing.digest}; this one is "
-                f"{scenario.name}, {scenario.digest}); choose another directory with -o, or remove that one."
-            )
-    write_atomic(path, tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)))
+    if not path.is_file():
+        write_atomic(path, tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)))
 
 
 @dataclass(frozen=True)

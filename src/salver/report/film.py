@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import MissingDependencyError, SalverError
-from salver.files import write_atomic
-from salver.planning.plan import STEMS, load_plan
+from salver.files import put_in_place, write_atomic
+from salver.planning.plan import load_plan
+from salver.run_directory import STEMS
 from salver.simulation.record import FOLDER, SimulationRecord, load_record
 
 if TYPE_CHECKING:
@@ -216,7 +217,7 @@ def _ffmpeg(path: Path) -> Save:
         if process.returncode:
             temporary.unlink(missing_ok=True)
             raise SalverError(f"ffmpeg could not write {path}: {said.splitlines()[-1] if said else 'no reason given'}.")
-        temporary.replace(path)
+        put_in_place(temporary, path, keep=True)
 
     return save
 
@@ -234,6 +235,6 @@ def _pillow(path: Path) -> Save:
         images[0].save(
             content, path.suffix[1:], save_all=True, append_images=images[1:], duration=milliseconds, loop=0, **options
         )
-        write_atomic(path, content.getvalue())
+        write_atomic(path, content.getvalue(), keep=True)
 
     return save

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver import __version__
-from salver.files import write_atomic
+from salver.files import output_file, write_atomic
 from salver.report import sections
 from salver.report.charts import thin
 from salver.report.replay import replay_scene
@@ -23,15 +24,20 @@ if TYPE_CHECKING:
     from salver.models.arm import ArmModel
 
 
-def write_report(directory: str | Path, path: str | Path | None = None) -> Path:
+def write_report(
+    directory: str | Path, path: str | Path | None = None, say: Callable[[str], None] = lambda text: None
+) -> Path:
     """Write the page of a run directory, by default DIR/report.html. Returns where it is.
 
-    Shows what the directory has: a plan alone, with a simulation, with a campaign. Raises FileFormatError when it
-    is no run directory.
+    Shows what the directory has: a plan alone, with a simulation, with a campaign. say: told what is left out and why.
+    Another file that stands at `path` is kept, numbered. Raises FileFormatError when it is no run directory,
+    SalverError when `path` is no place for the page.
     """
+    target = output_file(path, (".html", ".htm")) if path is not None else Path(directory) / "report.html"
     run = read_run(directory)
-    target = Path(path) if path is not None else run.directory / "report.html"
-    return write_atomic(target, page(run))
+    for note in run.notes:
+        say(note)
+    return write_atomic(target, page(run), keep=path is not None)
 
 
 def page(run: Run) -> str:
@@ -49,6 +55,7 @@ def page(run: Run) -> str:
         headline=escape(answer.headline),
         detail=escape(answer.detail),
         asked=escape(asked(run)),
+        notes="".join(f'<p class="note">{escape(note)}</p>' for note in run.notes),
         tiles=sections.tiles(run),
         navigation="".join(f'<a href="#{key}">{escape(title)}</a>' for key, title in made.titles),
         replay=_asset("replay.html"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,12 @@ import numpy as np
 
 from salver import scenario as scenarios
 from salver.errors import FileFormatError
-from salver.files import load_npz, read_json
+from salver.files import load_npz, read_object
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.bodies import Body, bodies
-from salver.planning.plan import STEMS, PlanFiles, read_plan
+from salver.planning.plan import read_plan
 from salver.report.contact import ContactCurves, contact_curves
+from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest
 
 _NEEDED = (
     "t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B", "wrench_B", "grasp_map", "cone_coefficients",
@@ -81,13 +82,17 @@ class Motion:
 
 @dataclass(frozen=True)
 class Run:
-    """A run directory: the scenario, one or two motions, what later commands added."""
+    """A run directory: the scenario, one or two motions, what later commands added.
+
+    notes: what is there but belongs to other plans, and so is not part of this, as sentences.
+    """
 
     directory: Path
     scenario: scenarios.Scenario
     motions: list[Motion]
     campaign: dict[str, Any] | None = None
     runs: dict[str, np.ndarray] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     @cached_property
     def bodies(self) -> list[Body]:
@@ -124,39 +129,52 @@ def read_run(directory: str | Path) -> Run:
             f"{directory} is no run directory: it has no plan.npz; make one with `salver plan SCENARIO -o {directory}`."
         )
     files = {stem: read_plan(directory, stem, _NEEDED) for stem in STEMS if (directory / f"{stem}.npz").is_file()}
-    motions = [_motion(directory, stem, plan) for stem, plan in files.items()]
-    campaign, runs = _campaign(directory / "campaign")
-    return Run(directory, files["plan"].scenario, motions, campaign, runs)
+    notes: list[str] = []
+    motions = [_with_records(directory, Motion(stem, plan.arrays, plan.record), notes) for stem, plan in files.items()]
+    campaign, runs = _campaign(directory, notes)
+    return Run(directory, files["plan"].scenario, motions, campaign, runs, notes)
 
 
-def _motion(directory: Path, stem: str, plan: PlanFiles) -> Motion:
-    runs = (_record(directory / folder / stem) for folder in ("simulation", "execution"))
-    return Motion(stem, plan.arrays, plan.record, *runs)
+def _with_records(directory: Path, motion: Motion, notes: list[str]) -> Motion:
+    """The motion with its runs in the engine and on an arm; those of another plan are noted and left out."""
+    found: dict[str, Any] = {}
+    for folder in RECORDS:
+        path = directory / folder / f"{motion.stem}.npz"
+        if not path.is_file():
+            continue
+        record = Record(load_npz(path, required=("t",)), read_object(path.with_suffix(".json")))
+        try:
+            check_digest(record.summary, path, directory, motion.stem)
+            found[folder] = record
+        except FileFormatError as error:
+            notes.append(f"Not shown: {error}")
+    return replace(motion, **found)
 
 
-def _record(path: Path) -> Record | None:
-    if not path.with_suffix(".npz").is_file():
-        return None
-    arrays = load_npz(path.with_suffix(".npz"), required=("t",))
-    summary = read_json(path.with_suffix(".json"))
-    return Record(arrays, summary)
-
-
-def _campaign(directory: Path) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
-    """Summary and table of runs (column name to values) of a campaign, if there is a finished one."""
-    if not (directory / "campaign.json").is_file() or not (directory / "runs.parquet").is_file():
+def _campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
+    """Summary and table of runs (column name to values) of a campaign, if there is a finished one of these plans."""
+    path = directory / "campaign" / "campaign.json"
+    if not path.is_file() or not path.with_name("runs.parquet").is_file():
         return None, {}
-    summary = read_json(directory / "campaign.json")
+    summary = read_object(path)
     if "plans" not in summary:  # begun, not finished
+        return None, {}
+    definition = summary.get("definition")
+    ran = definition.get("plans") if isinstance(definition, dict) else None
+    if not isinstance(ran, dict) or any(
+        stem not in known_stems(directory) or plan_digest(directory, stem) != digest for stem, digest in ran.items()
+    ):
+        notes.append(f"Not shown: {path} is a campaign of other plans than those of {directory}.")
         return None, {}
     import pyarrow
     from pyarrow import parquet
 
     try:
-        table = parquet.read_table(directory / "runs.parquet")
-    except pyarrow.ArrowException:
+        table = parquet.read_table(path.with_name("runs.parquet"))
+    except (pyarrow.ArrowException, OSError):
         raise FileFormatError(
-            f"{directory / 'runs.parquet'} is truncated or no Parquet file; run `salver campaign` again, it resumes."
+            f"{path.with_name('runs.parquet')} is truncated or no Parquet file; run `salver campaign` again, it "
+            "resumes."
         ) from None
     columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
     return summary, columns

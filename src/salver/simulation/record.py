@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from salver.errors import FileFormatError
-from salver.files import load_npz, read_json, save_npz, write_json
+from salver.files import load_npz, read_json
 from salver.geometry import Array
+from salver.run_directory import check_digest, save_record
 
 FOLDER = "simulation"
 OUTCOMES = ("holds", "slides", "tips", "lifts", "lost", "limit")
@@ -67,14 +68,17 @@ class SimulationRecord:
         return str(self.summary["outcome"])
 
     def save(self, directory: str | Path, stem: str = "plan") -> Path:
-        """Write DIRECTORY/simulation/STEM.npz and .json, atomically; returns the path of the first."""
-        folder = Path(directory) / FOLDER
-        path = save_npz(folder / f"{stem}.npz", **{name: getattr(self, name) for name in ARRAYS})
-        write_json(
-            folder / f"{stem}.json",
+        """Write DIRECTORY/simulation/STEM.npz and .json, atomically; returns the path of the first.
+
+        A different run that stands there is kept, as STEM-1.npz and .json, STEM-2.npz ...
+        """
+        return save_record(
+            Path(directory),
+            FOLDER,
+            stem,
+            {name: getattr(self, name) for name in ARRAYS},
             {"object_names": list(self.object_names), "parameters": dict(self.parameters), **self.summary},
         )
-        return path
 
 
 _META = ("object_names", "parameters", "summary")
@@ -82,13 +86,14 @@ ARRAYS = tuple(f.name for f in dataclasses.fields(SimulationRecord) if f.name no
 
 
 def load_record(directory: str | Path, stem: str = "plan") -> SimulationRecord:
-    """Read what `SimulationRecord.save` wrote. Raises FileFormatError."""
+    """Read what `SimulationRecord.save` wrote. Raises FileFormatError, also when it is of another plan."""
     folder = Path(directory) / FOLDER
     arrays = load_npz(folder / f"{stem}.npz", required=ARRAYS)
     path = folder / f"{stem}.json"
     summary = read_json(path)
     if not isinstance(summary, dict) or summary.get("outcome") not in OUTCOMES:
         raise FileFormatError(f"{path} is no summary of a simulation; write it again with salver simulate.")
+    check_digest(summary, path, Path(directory), stem)
     names = tuple(summary.pop("object_names", ()))
     parameters = summary.pop("parameters", {})
     if np.shape(arrays["p_SB"])[1:2] != (len(names),):

@@ -1,0 +1,127 @@
+"""The run directory: which files belong to a plan, and how one plan makes room for another without a loss."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import itertools
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from salver.errors import FileFormatError, SalverError
+from salver.files import save_result
+
+EARLIER = "earlier"  # folder with the plans that were replaced, numbered, each with its results
+SCENARIO = "scenario.toml"
+STEMS = ("plan", "baseline", "nominal")  # the motions that it may hold: a plan, and what it is compared with
+RECORDS = ("simulation", "execution")  # folders with one record a stem
+_OF_ALL = ("report.html", "figures", "export", "film.mp4", "film.gif")
+
+
+def check_free(directory: Path) -> None:
+    """Raise SalverError when a plan cannot be written there, or would replace files that salver did not write.
+
+    To be asked before a plan is computed: what is not known until it is saved is lost then.
+    """
+    if directory.exists() and not directory.is_dir():
+        raise SalverError(f"{directory} is a file; a plan needs a directory: name another with -o.")
+    ours = (directory / SCENARIO).is_file()
+    for stem in STEMS:
+        arrays, summary = directory / f"{stem}.npz", directory / f"{stem}.json"
+        for path in (arrays, summary):
+            if path.exists() and not (ours and arrays.is_file()):
+                raise SalverError(
+                    f"{path} is there already and belongs to no plan of salver; name another directory with -o."
+                )
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        probe = directory / f".{SCENARIO}.probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        reason = error.strerror.lower() if error.strerror else str(error)
+        raise SalverError(f"{directory} cannot be written to: {reason}; name another directory with -o.") from None
+
+
+def make_room(directory: Path, stem: str) -> Path | None:
+    """Move the plan `stem` and all results that rest on it to DIRECTORY/earlier/N; returns that folder.
+
+    None when there is nothing to move. With "plan" goes what it was compared with. Raises SalverError
+    when a campaign of it is running.
+    """
+    old = [path for path in _belongings(directory, stem) if path.exists()]
+    if not old:
+        return None
+    for path in old:
+        _check_idle(path)
+    place = next(p for k in itertools.count(1) if not (p := directory / EARLIER / str(k)).exists())
+    try:
+        for path in old:
+            target = place / path.relative_to(directory)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            path.rename(target)
+    except OSError as error:
+        raise SalverError(f"{path} cannot be moved to {place}: {error.strerror}.") from None
+    return place
+
+
+def _belongings(directory: Path, stem: str) -> list[Path]:
+    """Results first, the plan itself last: what is stopped half way still tells that it is not done."""
+    stems = STEMS if stem == "plan" else (stem,)
+    results = [directory / name for name in _OF_ALL] + campaign_folders(directory)
+    for folder in RECORDS:
+        if stem == "plan":
+            results.append(directory / folder)
+        else:
+            results += [*(directory / folder).glob(f"{stem}.*"), *(directory / folder).glob(f"{stem}-*")]
+    return results + [directory / f"{name}{ending}" for name in stems[::-1] for ending in (".json", ".npz")]
+
+
+def plan_digest(directory: Path, stem: str) -> str:
+    """Content hash of the plan `stem` of a run directory. Raises SalverError when there is none."""
+    path = directory / f"{stem}.npz"
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    except OSError:
+        known = ", ".join(known_stems(directory)) or "none"
+        raise SalverError(f'{directory} has no plan "{stem}" ({path.name}); it has {known}.') from None
+
+
+def known_stems(directory: Path) -> list[str]:
+    """Plans of a run directory: those of `STEMS` first, then others."""
+    found = {path.stem for path in directory.glob("*.npz")}
+    first = [stem for stem in STEMS if stem in found]
+    return first + sorted(found - set(first))
+
+
+def save_record(directory: Path, folder: str, stem: str, arrays: Mapping[str, Any], summary: Mapping[str, Any]) -> Path:
+    """Write what became of the plan `stem`: DIRECTORY/FOLDER/STEM.npz and .json, which says which plan it was.
+
+    Records of other runs that stand there are kept, as STEM-1, STEM-2 ...
+    """
+    digest = {"plan_digest": plan_digest(directory, stem)} if (directory / f"{stem}.npz").is_file() else {}
+    return save_result(directory / folder / stem, arrays, {**summary, **digest})
+
+
+def check_digest(summary: Mapping[str, Any], path: Path, directory: Path, stem: str) -> None:
+    """Raise FileFormatError when the summary at `path` is not of the plan `stem` that the directory has now."""
+    if (directory / f"{stem}.npz").is_file() and summary.get("plan_digest") != plan_digest(directory, stem):
+        raise FileFormatError(f"{path} is of another plan than {directory / stem}.npz; make it again.")
+
+
+def campaign_folders(directory: Path) -> list[Path]:
+    """Folders of a run directory that hold a campaign, finished or not."""
+    return sorted({path.parent for name in ("journal.jsonl", "campaign.json") for path in directory.glob(f"*/{name}")})
+
+
+def _check_idle(folder: Path) -> None:
+    """The lock of `salver.campaign.journal`."""
+    lock = folder / "lock"
+    if not lock.is_file():
+        return
+    with open(lock) as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            raise SalverError(f"A campaign is running in {folder}; wait until it ends or stop it.") from None
