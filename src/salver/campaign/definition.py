@@ -61,7 +61,7 @@ def define(
         raise SalverError(f'There is no sampling method "{method}"; known are {", ".join(sampling.METHODS)}.')
     if engine not in ENGINES:
         raise SalverError(f'There is no engine "{engine}"; known are {", ".join(ENGINES)}.')
-    if Path(folder).name != folder:
+    if Path(folder).name != folder or folder in ("", ".."):
         raise SalverError(f'The folder is "{folder}"; it must be one name, for a folder in {directory}.')
     case = load_scenario(directory)
     if not uncertain_set(case).names:
