@@ -77,12 +77,12 @@ def _numbered(path: Path, number: int) -> Path:
 
 
 def output_file(path: str | Path, endings: tuple[str, ...]) -> Path:
-    """The place that a user named for an output, when it has one of the endings and is no file of a run.
+    """The place that a user named for an output, when it has one of the endings, or none, and is no file of a run.
 
     Raises SalverError: a page over a scenario, a table over a plan, would destroy what cannot be made again.
     """
     path = Path(path)
-    if path.suffix.lower() not in endings:
+    if path.suffix and path.suffix.lower() not in endings:
         raise SalverError(f"{path} is not a name for this output; it must end in {' or '.join(endings)}.")
     if path.is_dir():
         raise SalverError(f"{path} is a directory; name a file that ends in {' or '.join(endings)}.")
