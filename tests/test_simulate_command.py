@@ -61,7 +61,7 @@ def test_sentences_for_what_happened(run_directory):
         (["--set", "mass"], ["mass=0.3"]),
         (["--set", "mass=heavy"], ["mass=heavy"]),
         (["--set", "weight=1"], ['"weight"', "mass"]),
-        (["--stem", "other"], ["plan, baseline or both"]),
+        (["--stem", "other"], ["baseline, nominal or both"]),
         (["--run", "0"], ["campaign"]),
         (["--seed", "-1"], ["--seed", "0"]),
     ],
