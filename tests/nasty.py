@@ -7,8 +7,9 @@ ellipsoids whose parameters are correlated, across objects too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -276,6 +277,10 @@ class TrueRows:
             out.append(wrench @ rows.T / self.weight(above, change if weight is None else weight))
         return out
 
+    def worst(self, change: dict[str, float], w: Array, weight: dict[str, float] | None = None) -> Array:
+        """(T,) the largest of all."""
+        return np.hstack(self.at(change, w, weight)).max(axis=1)
+
     def weight(self, above: list[str], change: dict[str, float]) -> float:
         return G * sum(true_body(self.made, b, change).mass for b in self.items if b.name in above)
 
@@ -318,6 +323,86 @@ def samples(uncertain: UncertainSet, count: int, seed: int = 0) -> list[dict[str
     return [dict(zip(uncertain.names, x, strict=True)) for x in s @ directions(uncertain).T]
 
 
+Felt = Callable[[dict[str, float]], Array]
+"""What a tray feels, (T, 12), when the parameters deviate."""
+
+
+def base_masses(made: Scenario) -> list[dict[str, float]]:
+    """Deviations around which the worst case is taken: a box's masses at their extremes."""
+    uncertain = uncertain_set(made)
+    if uncertain.kind == "ellipsoid":
+        return [{}]
+    half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
+    masses = [name for name in uncertain.names if name.endswith("mass")]
+    return [
+        {m: s * half[m] for m, s in zip(masses, signs, strict=True)} for signs in product((-1, 1), repeat=len(masses))
+    ]
+
+
+class Expansion:
+    """Values (T, n_f), slopes (n_p, T, n_f), squares and mixed terms of the true rows, by differences over half-ranges.
+
+    Around a base, for the parameters that are not in it; all rows of all objects side by side.
+    """
+
+    def __init__(self, rows: TrueRows, w: Array | Felt, base: dict[str, float], products: bool = True) -> None:
+        uncertain = rows.uncertain
+        half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
+        names = tuple(n for n in uncertain.names if not n.endswith("friction") and n not in base)
+        self.base, self.kept = base, uncertain.restricted(names)
+
+        def at(*moved: tuple[str, int]) -> Array:
+            change = base | {name: sign * half[name] for name, sign in moved}
+            return np.hstack(rows.at(change, _under(w, change), base))
+
+        self.centre = at()
+        up, down = (
+            np.array([at((n, sign)) for n in names]).reshape(len(names), *self.centre.shape) for sign in (1, -1)
+        )
+        self.slope, self.square = 0.5 * (up - down), 0.5 * (up + down) - self.centre
+        pairs = combinations(range(len(names)), 2) if products else ()
+        self.mixed = [at((names[i], 1), (names[j], 1)) - up[i] - up[j] + self.centre for i, j in pairs]
+
+    def linear(self) -> Array:
+        """(T, n_f) most that the slopes can add over the set."""
+        if self.kept.kind == "box":
+            return np.abs(self.slope).sum(axis=0)
+        unit = directions(self.kept) / self.kept.half_range[:, None]
+        return np.linalg.norm(np.einsum("ptf,pq->qtf", self.slope, unit), axis=0)
+
+    def bound(self) -> Array:
+        """(T,) what `contact_rows` promises: linear terms over the set, squares and products one by one."""
+        squares = np.maximum(self.square, 0.0).sum(axis=0)
+        products = sum((np.abs(m) for m in self.mixed), np.zeros_like(self.centre))
+        return (self.centre + self.linear() + squares + products).max(axis=1)
+
+
+def documented(rows: TrueRows, w: Array | Felt) -> Array:
+    return np.max([Expansion(rows, w, base).bound() for base in base_masses(rows.made)], axis=0)
+
+
+def sampled(rows: TrueRows, w: Array | Felt, count: int = 60) -> Array:
+    """(T,) the worst true row over samples of the set: random ones, and at each instant where slopes point."""
+    uncertain = rows.uncertain
+    weight = {} if uncertain.kind == "ellipsoid" else None
+    seen = [rows.worst(change, _under(w, change), weight) for change in samples(uncertain, count)]
+    for base in base_masses(rows.made):
+        found = Expansion(rows, w, base, products=False)
+        expected = found.centre + found.linear()
+        for t in range(len(expected)):
+            for f in np.argsort(expected[t])[-2:]:
+                point = steepest(found.slope[:, t, f] / found.kept.half_range, found.kept)
+                change = base | dict(zip(found.kept.names, point, strict=True))
+                value = np.full(len(expected), -np.inf)
+                value[t] = rows.worst(change, _under(w, change)[t : t + 1], base)[0]
+                seen.append(value)
+    return np.max(seen, axis=0)
+
+
+def _under(w: Array | Felt, change: dict[str, float]) -> Array:
+    return w(change) if callable(w) else w
+
+
 # What an arm needs, by Pinocchio ---------------------------------------------------------------------------------
 
 
@@ -337,5 +422,17 @@ def torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
     return np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)])
 
 
+def true_bodies(made: Scenario, change: dict[str, float]) -> list[TrueBody]:
+    return [true_body(made, body, change) for body in bodies(made)]
+
+
 def nominal_bodies(made: Scenario) -> list[TrueBody]:
-    return [true_body(made, body, {}) for body in bodies(made)]
+    return true_bodies(made, {})
+
+
+def mass_matrices(model: Any, q: Array) -> Array:
+    """(T, n, n) column by column from inverse dynamics: what a unit acceleration of each joint takes at rest."""
+    still = np.zeros_like(q)
+    weight = torques(model, q, still, still)
+    columns = [torques(model, q, still, still + unit) - weight for unit in np.eye(q.shape[1])]
+    return np.stack(columns, axis=2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations, product
+from itertools import product
 
 import numpy as np
 import pytest
@@ -10,83 +10,11 @@ from numpy.testing import assert_allclose
 
 import nasty
 from salver.geometry import Array
-from salver.models.bodies import uncertain_set
 from salver.models.contact_rows import contact_rows
 from salver.scenario import Scenario
 
 LOADS = {"single": nasty.single, "stack": nasty.stack, "pair": nasty.pair}
 CASES = [(load, kind) for load in LOADS for kind in ("box", "ellipsoid")]
-
-
-def base_masses(made: Scenario) -> list[dict[str, float]]:
-    """Deviations around which the worst case is taken: a box's masses at their extremes."""
-    uncertain = uncertain_set(made)
-    if uncertain.kind == "ellipsoid":
-        return [{}]
-    half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
-    masses = [name for name in uncertain.names if name.endswith("mass")]
-    return [
-        {m: s * half[m] for m, s in zip(masses, signs, strict=True)} for signs in product((-1, 1), repeat=len(masses))
-    ]
-
-
-class Expansion:
-    """Values (T, n_f), slopes (n_p, T, n_f), squares and mixed terms of the true rows, by differences over half-ranges.
-
-    Around a base, for the parameters that are not in it; all rows of all objects side by side.
-    """
-
-    def __init__(self, rows: nasty.TrueRows, w: Array, base: dict[str, float], products: bool = True) -> None:
-        uncertain = rows.uncertain
-        half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
-        names = tuple(n for n in uncertain.names if not n.endswith("friction") and n not in base)
-        self.base, self.kept = base, uncertain.restricted(names)
-
-        def at(*moved: tuple[str, int]) -> Array:
-            return np.hstack(rows.at(base | {name: sign * half[name] for name, sign in moved}, w, base))
-
-        self.centre = at()
-        up, down = (
-            np.array([at((n, sign)) for n in names]).reshape(len(names), *self.centre.shape) for sign in (1, -1)
-        )
-        self.slope, self.square = 0.5 * (up - down), 0.5 * (up + down) - self.centre
-        pairs = combinations(range(len(names)), 2) if products else ()
-        self.mixed = [at((names[i], 1), (names[j], 1)) - up[i] - up[j] + self.centre for i, j in pairs]
-
-    def linear(self) -> Array:
-        """(T, n_f) most that the slopes can add over the set."""
-        if self.kept.kind == "box":
-            return np.abs(self.slope).sum(axis=0)
-        unit = nasty.directions(self.kept) / self.kept.half_range[:, None]
-        return np.linalg.norm(np.einsum("ptf,pq->qtf", self.slope, unit), axis=0)
-
-    def bound(self) -> Array:
-        """(T,) what `contact_rows` promises: linear terms over the set, squares and products one by one."""
-        squares = np.maximum(self.square, 0.0).sum(axis=0)
-        products = sum((np.abs(m) for m in self.mixed), np.zeros_like(self.centre))
-        return (self.centre + self.linear() + squares + products).max(axis=1)
-
-
-def documented(rows: nasty.TrueRows, w: Array) -> Array:
-    return np.max([Expansion(rows, w, base).bound() for base in base_masses(rows.made)], axis=0)
-
-
-def sampled(rows: nasty.TrueRows, w: Array, count: int = 60) -> Array:
-    """(T,) the worst true row over samples of the set: random ones, and at each instant where slopes point."""
-    uncertain = rows.uncertain
-    weight = {} if uncertain.kind == "ellipsoid" else None
-    seen = [np.hstack(rows.at(change, w, weight)).max(axis=1) for change in nasty.samples(uncertain, count)]
-    for base in base_masses(rows.made):
-        found = Expansion(rows, w, base, products=False)
-        expected = found.centre + found.linear()
-        for t in range(len(w)):
-            for f in np.argsort(expected[t])[-2:]:
-                point = nasty.steepest(found.slope[:, t, f] / found.kept.half_range, found.kept)
-                change = base | dict(zip(found.kept.names, point, strict=True))
-                value = np.full(len(w), -np.inf)
-                value[t] = np.hstack(rows.at(change, w[t : t + 1], base)).max()
-                seen.append(value)
-    return np.max(seen, axis=0)
 
 
 def claimed(made: Scenario, w: Array) -> Array:
@@ -101,11 +29,11 @@ def claimed(made: Scenario, w: Array) -> Array:
 def test_worst_case_lies_between_samples_and_what_is_documented(load: str, kind: str, turning: float) -> None:
     made = LOADS[load](kind)
     rows, w = nasty.TrueRows(made), nasty.felt(nasty.tray_motion(6, 1, turning))
-    bound, most, reached = claimed(made, w), documented(rows, w), sampled(rows, w)
+    bound, most, reached = claimed(made, w), nasty.documented(rows, w), nasty.sampled(rows, w)
     # The tilt is cut off after its second order: tilt^3 / 6 of the weight, 3e-6.
     assert np.all(reached <= bound + 1e-5)
     assert np.all(bound <= most + 1e-9)
-    nominal = np.hstack(rows.at({}, w)).max(axis=1)
+    nominal = rows.worst({}, w)
     assert np.all(nominal < bound)
     # Products are counted one by one, as if each could be at its worst: at most a third of the tube in an ellipsoid.
     assert np.median((reached - nominal) / (bound - nominal)) > 0.66
@@ -117,8 +45,8 @@ def test_worst_case_of_a_small_set_is_attained(load: str, kind: str) -> None:
     made = nasty.small(LOADS[load](kind), 1e-3)
     made = made.with_changes(**{f"objects__{k}__uncertainty__position": [3e-6, 2e-6] for k in range(len(made.objects))})
     rows, w = nasty.TrueRows(made), nasty.felt(nasty.tray_motion(10, 2))
-    nominal = np.hstack(rows.at({}, w)).max(axis=1)
-    share = (sampled(rows, w, 2) - nominal) / (claimed(made, w) - nominal)
+    nominal = rows.worst({}, w)
+    share = (nasty.sampled(rows, w, 2) - nominal) / (claimed(made, w) - nominal)
     assert_allclose(share, 1.0, atol=2e-3)  # products are a thousandth of the slopes
 
 
@@ -189,7 +117,7 @@ def test_no_product_of_two_parameters_is_missed(names: tuple[str, str], slippery
     cut = {0: 1e-9, 1: 3e-4, 2: 9e-4}[sum("tilt" in name for name in set(names))]
     assert gap.min() > -cut
     assert np.sum(gap < cut) >= 3, np.sort(gap)[:4]
-    assert np.all(bound <= documented(rows, w) + 1e-9)
+    assert np.all(bound <= nasty.documented(rows, w) + 1e-9)
 
 
 @pytest.mark.parametrize("names", [pair for pair in TWO if pair[0] != pair[1]], ids="*".join)
@@ -202,4 +130,4 @@ def test_two_correlated_parameters(names: tuple[str, str]) -> None:
     reached = np.max([np.hstack(rows.at(change, w, {})).max(axis=1) for change in changes], axis=0)
     bound = claimed(made, w)
     assert np.all(reached <= bound + 3e-4)
-    assert np.all(bound <= documented(rows, w) + 1e-9)
+    assert np.all(bound <= nasty.documented(rows, w) + 1e-9)
