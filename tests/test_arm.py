@@ -9,9 +9,10 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log, vee
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
-from salver.models.arm_limits import KNOWN_ARMS, LIMITS, POSITION, JointLimits
+from salver.models.arm_limits import LIMITS, POSITION, JointLimits
 from salver.models.bodies import bodies
 from salver.models.contact import support_contacts
+from salver.models.known_arms import KNOWN_ARMS
 
 ARMS = sorted(KNOWN_ARMS)
 
@@ -181,7 +182,7 @@ def test_tray_adds_its_weight_and_the_hand_is_gone():
     assert not any("hand" in frame.name or "finger" in frame.name for frame in bare.pin_model.frames)
 
 
-# Each number again, from another place than the one that `salver.models.arm_limits` names.
+# Each number again, from another place than the one that `salver.models.known_arms` names.
 MAKERS = {
     # The crate franka_rust 0.1.15, src/franka/franka_emika.rs; positions, speeds and torques also in panda.urdf of
     # example-robot-data. Torque rate: libfranka 0.9, include/franka/rate_limiting.h.
@@ -203,6 +204,36 @@ MAKERS = {
         "jerk": [np.inf] * 6,
         "torque": [330, 330, 150, 56, 56, 56],
         "torque_rate": [np.inf] * 6,
+    },
+    # Universal_Robots_ROS2_Description, config/ur3/joint_limits.yaml and config/ur5/joint_limits.yaml.
+    "ur3": {
+        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
+        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
+        "velocity": np.deg2rad([180, 180, 180, 360, 360, 360]),
+        "acceleration": [5.0] * 6,
+        "jerk": [np.inf] * 6,
+        "torque": [56, 56, 28, 12, 12, 12],
+        "torque_rate": [np.inf] * 6,
+    },
+    "ur5": {
+        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
+        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
+        "velocity": np.deg2rad([180] * 6),
+        "acceleration": [5.0] * 6,
+        "jerk": [np.inf] * 6,
+        "torque": [150, 150, 150, 28, 28, 28],
+        "torque_rate": [np.inf] * 6,
+    },
+    # ros2_kortex: speeds from kinova_gen3_7dof_robotiq_2f_85_moveit_config/config/joint_limits.yaml; accelerations from
+    # gen3_move_it_config/config/7dof/hard_joint_limits.yaml, which has 95 % of them. Joints 1, 3, 5, 7 turn for ever.
+    "gen3": {
+        "q_min": [-2 * np.pi, -2.24, -2 * np.pi, -2.57, -2 * np.pi, -2.09, -2 * np.pi],
+        "q_max": [2 * np.pi, 2.24, 2 * np.pi, 2.57, 2 * np.pi, 2.09, 2 * np.pi],
+        "velocity": [1.3963] * 4 + [1.2218] * 3,
+        "acceleration": np.array([4.94] * 4 + [9.5] * 3) / 0.95,
+        "jerk": [np.inf] * 7,
+        "torque": [39] * 4 + [9] * 3,
+        "torque_rate": [np.inf] * 7,
     },
     # Positions: xarm_ros2, xarm_description/config/xarm7/joint_limits.yaml, in degrees there. Speeds: UFACTORY, xArm
     # product page, 180 degrees/s. Torques: xarm_ros2, xarm_description/urdf/xarm7/xarm7.urdf.xacro.
@@ -394,7 +425,7 @@ def test_clearance_gradient_by_differences():
 @pytest.mark.parametrize(
     ("text", "keys", "words"),
     [
-        (None, {"model": "pandaa"}, ["pandaa", "panda, ur10, xarm7"]),
+        (None, {"model": "pandaa"}, ["pandaa", "panda, ur10,", "xarm7"]),
         (None, {"model": "nowhere.urdf", "flange": "x"}, ["nowhere.urdf", "no such file"]),
         ("<robot", {"flange": "plate"}, ["cannot be read", "XML"]),
         ("<world/>", {"flange": "plate"}, ["no robot", "<world>"]),

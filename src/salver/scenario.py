@@ -264,11 +264,37 @@ class Tray(Model):
     inertia: Vector3 = (1.25e-4, 1.25e-4, 1.25e-4)
 
 
+EachJoint = Annotated[
+    Positive | list[Positive],
+    Field(description="a finite number greater than 0, or a list of such numbers, one for each joint"),
+]
+
+
+class ArmLimits(Model):
+    """Limits of the joints, one number for all or one for each: rad/s, rad/s^2, rad/s^3, N m, N m/s (m, N for a joint
+    that slides). They go before what the maker, a URDF or a `joint_limits.yaml` says."""
+
+    velocity: EachJoint | None = None
+    acceleration: EachJoint | None = None
+    jerk: EachJoint | None = None
+    torque: EachJoint | None = None
+    torque_rate: EachJoint | None = None
+
+
 class Arm(Model):
-    """The arm: a known name (see `salver.models.arm`) or a URDF file with the frame that carries the tray."""
+    """The arm: a known name (see `salver.models.arm`) or a URDF file with the frame that carries the tray.
+
+    package_dirs: where the packages are whose meshes the URDF names. collisions: what to do about links whose geometry
+    cannot be read: refuse, fit capsules to them, or leave them unchecked.
+    """
 
     model: str = "panda"
     flange: str | None = None
+    package_dirs: Annotated[list[str], Field(description="a list of folders")] = []
+    srdf: str | None = None
+    collisions: Literal["meshes", "capsules", "unchecked"] = "meshes"
+    limits: ArmLimits = ArmLimits()
+    joint_limits: str | None = None
     base_position: Vector3 = (0.0, 0.0, 0.0)
     base_yaw_deg: Number = 0.0
     start_posture: list[Number] | None = None
@@ -284,19 +310,27 @@ class Arm(Model):
 
 
 class Obstacle(Model):
-    """A keep-out region in the world."""
+    """A keep-out region in the world. A mesh counts as the convex hulls of its separate pieces."""
 
-    type: Literal["box", "sphere", "capsule"]
+    type: Literal["box", "sphere", "capsule", "cylinder", "mesh"]
     name: str = "obstacle"
     position: Vector3
     rpy_deg: Vector3 = (0.0, 0.0, 0.0)
     size: tuple[Metres, Metres, Metres] | None = None
     radius: Metres | None = None
     length: Metres | None = None
+    file: str | None = None
+    scale: Positive = 1.0
 
     @model_validator(mode="after")
     def _sized(self) -> Obstacle:
-        needed = {"box": ("size",), "sphere": ("radius",), "capsule": ("radius", "length")}[self.type]
+        needed = {
+            "box": ("size",),
+            "sphere": ("radius",),
+            "capsule": ("radius", "length"),
+            "cylinder": ("radius", "length"),
+            "mesh": ("file",),
+        }[self.type]
         for key in needed:
             if getattr(self, key) is None:
                 raise ValueError(f"a {self.type} needs {' and '.join(needed)}")
@@ -414,14 +448,28 @@ def load(name_or_path: str | Path) -> Scenario:
 
 def _find_files(data: dict[str, Any], folder: Path) -> None:
     """Files that a scenario names are looked for beside it; from here on their paths are absolute."""
-    arm, objects = data.get("arm"), data.get("objects")
-    named = [(arm, "model")] if isinstance(arm, dict) and str(arm.get("model")).endswith((".urdf", ".xml")) else []
-    for item in objects if isinstance(objects, list) else []:
-        shape = item.get("shape") if isinstance(item, dict) else None
-        if isinstance(shape, dict) and isinstance(shape.get("file"), str):
-            named.append((shape, "file"))
-    for table, key in named:
-        table[key] = str((folder / table[key]).resolve())
+
+    def tables(value: Any) -> list[dict[str, Any]]:
+        return [item for item in (value if isinstance(value, list) else [value]) if isinstance(item, dict)]
+
+    def resolved(value: Any) -> Any:
+        return str((folder / value).resolve()) if isinstance(value, str) else value
+
+    for arm in tables(data.get("arm")):
+        if str(arm.get("model")).endswith((".urdf", ".xml", ".xacro")):
+            arm["model"] = resolved(arm["model"])
+        for key in ("srdf", "joint_limits"):
+            if key in arm:
+                arm[key] = resolved(arm[key])
+        if isinstance(arm.get("package_dirs"), list):
+            arm["package_dirs"] = [resolved(item) for item in arm["package_dirs"]]
+    for item in tables(data.get("objects")):
+        for shape in tables(item.get("shape")):
+            if "file" in shape:
+                shape["file"] = resolved(shape["file"])
+    for obstacle in tables(data.get("obstacles")):
+        if "file" in obstacle:
+            obstacle["file"] = resolved(obstacle["file"])
 
 
 def names() -> list[str]:

@@ -311,12 +311,21 @@ class JointMotion:
         tc = np.clip(t, self.t[0], self.t[-1])
         return self._spline(tc), self._spline.derivative(1)(tc) * moving, self._spline.derivative(2)(tc) * moving
 
-    @cached_property
-    def rate_coefficients(self) -> Array:
-        """(5, T - 1, n) Bernstein coefficients of dq between the samples: it stays within the range of their values."""
-        return np.asarray(self._spline.derivative(1).c)
-
     def jerk(self, t: npt.ArrayLike) -> Array:
         """Third derivative (T, n)."""
         tc = np.clip(np.atleast_1d(np.asarray(t, dtype=float)), self.t[0], self.t[-1])
         return self._spline.derivative(3)(tc)
+
+    def travel(self, t: Array) -> Array:
+        """(T, n) way that each joint has gone, back and forth, up to instants t: at most that, and nearly so.
+
+        Between instants a and b no joint moves by more than travel(b) - travel(a): the control points of a Bernstein
+        polynomial go at least as far as it does (variation diminishing; Farin, "Curves and Surfaces", section 6.3).
+        """
+        grid = np.union1d(self.t, np.clip(t, self.t[0], self.t[-1]))
+        states = np.stack([self._spline.derivative(k)(grid) if k else self._spline(grid) for k in range(3)])
+        # At a knot the derivatives are those of the sample, whichever side the spline takes them from.
+        control = _quintic_bernstein(states[:, :-1], states[:, 1:], np.diff(grid))
+        steps = np.abs(np.diff(control, axis=0)).sum(axis=0)
+        gone = np.vstack([np.zeros(steps.shape[1]), np.cumsum(steps, axis=0)])
+        return gone[np.searchsorted(grid, np.clip(t, self.t[0], self.t[-1]))]

@@ -16,7 +16,7 @@ from salver.errors import SalverError
 from salver.geometry import log
 from salver.margins import margins
 from salver.models.arm_geometry import arm_geometry
-from salver.planning.follow.clearance import closest
+from salver.planning.follow.clearance import sweep
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import verdict
 from salver.trajectory import JointMotion, MotionSamples
@@ -139,19 +139,22 @@ def _smooth(joint: JointMotion, arm: ArmModel) -> Check:
 def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan) -> list[Check]:
     """Limits, and the arm against itself, its tray, its load and the scenario's obstacles."""
     parts = arm_geometry(arm, bodies, plan.scenario.obstacles)
-    status, near = verdict(arm, motion, bodies, parts), closest(parts, motion)
-    clear = near is not None and not near.touches
+    status, swept = verdict(arm, motion, bodies, parts), sweep(parts, motion)
+    near, touch = swept.nearest, swept.touch
     around = f"{len(plan.scenario.obstacles)} obstacles" if plan.scenario.obstacles else "no obstacles"
     if near is None:
         sentence = "Nothing is known of the arm's shape, so collisions cannot be excluded."
-    elif near.touches:
-        sentence = f"{near.first} and {near.second} touch at t = {near.time:.2f} s."
+    elif touch is not None:
+        sentence = f"{touch.first} and {touch.second} touch at t = {touch.time:.2f} s."
     else:
         sentence = (
             f"Arm, tray, load and {around} keep apart all along; nearest are {near.first} and {near.second}, "
             f"{1e3 * near.distance:.1f} mm at t = {near.time:.2f} s."
         )
-    return [Check("limits", status.ok, status.sentence), Check("clearance", clear, sentence)]
+    return [
+        Check("limits", status.ok, status.sentence),
+        Check("clearance", near is not None and touch is None, sentence),
+    ]
 
 
 def _object_motion(arm: ArmModel, bodies: Sequence[Body], motion: JointMotion) -> MotionSamples:

@@ -8,20 +8,20 @@ uncertain (paper, section V). Two frames matter: F, the flange, and E, the centr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
-from salver.errors import MissingDependencyError, ScenarioError
+from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array, adjoint, invert
-from salver.models.arm_limits import KNOWN_ARMS, JointLimits
+from salver.models.arm_limits import JointLimits, joint_limits, read_joint_limits
 from salver.models.contact import ContactSet
+from salver.models.known_arms import KNOWN_ARMS, robot_file
+from salver.models.urdf import SUFFIXES, read_chain, read_disabled_pairs
 
 if TYPE_CHECKING:
     from salver import scenario
@@ -37,9 +37,12 @@ class ArmModel:
     name: as in the scenario. pin_model, data: Pinocchio's model (tray included) and work space.
     flange, tray_id: name of the frame F; index of the frame E in `pin_model.frames`.
     joint_names: n names from the base outwards. link_names: links from the root to F, root first.
-    limits: what the maker publishes. planning_limits: the share of it that the scenario lets a plan use.
+    limits: of the joints; planning_limits: the share of them that the scenario lets a plan use. limit_sources: for
+    each kind of limit and joint, who gave it; None where nobody did. linear: whether a joint slides (m instead of rad).
     urdf: the URDF that was loaded, as text: everything beyond the flange left off, joints beside the chain
-    fixed, `package://` replaced by absolute paths. urdf_path: the file it came from.
+    fixed, mesh files that were found by their absolute paths. urdf_path: the file it came from.
+    collisions: what is done about links whose geometry is not known: "meshes" (refuse), "capsules" (fit some),
+    "unchecked" (leave them out). disabled_pairs: links that an SRDF says need not be compared, (first, second) sorted.
     base_position, base_yaw: pose of the URDF's root in S, m and rad.
     p_FE: (3,) centre of the tray's top surface in F, m. tray_com_F: (3,) the tray's centre of mass in F.
     tray_size: its edges along x and y of E, m.
@@ -54,8 +57,12 @@ class ArmModel:
     link_names: tuple[str, ...]
     limits: JointLimits
     planning_limits: JointLimits
+    limit_sources: Mapping[str, tuple[str | None, ...]]
+    linear: tuple[bool, ...]
     urdf: str
     urdf_path: Path
+    collisions: str
+    disabled_pairs: frozenset[tuple[str, str]]
     base_position: Array
     base_yaw: float
     p_FE: Array
@@ -147,30 +154,42 @@ def load_arm(arm: scenario.Arm, tray: scenario.Tray) -> ArmModel:
     Raises ScenarioError (unknown arm, unreadable URDF, no such flange), MissingDependencyError.
     """
     known = KNOWN_ARMS.get(arm.model)
-    path = _robots_folder() / known.urdf if known else _urdf_file(arm.model)
+    path = robot_file(known) if known else _urdf_file(arm.model)
     flange = arm.flange or (known.flange if known else None)
     if flange is None:
         raise ScenarioError(f"arm.flange is missing; with the URDF {path} it must name the link that carries the tray.")
-    text, links = _chain(path, flange)
-    model = _build(text, path)
+    chain = read_chain(path, flange, _folders(arm.package_dirs))
+    model = _build(chain.urdf, path)
     yaw = float(np.deg2rad(arm.base_yaw_deg))
     _move_base(model, np.array(arm.base_position), yaw)
     p_FE = np.array([0.0, 0.0, tray.height])
     com_F = np.array([0.0, 0.0, tray.height - 0.5 * tray.thickness])
     tray_id = _attach_tray(model, flange, tray, p_FE, com_F)
-    limits = _limits(model, known.limits if known and arm.flange in (None, known.flange) else {})
+    names = tuple(model.names)[1:]
+    name = Path(arm.model).stem
+    given: list[tuple[str, Mapping[str, Any]]] = [("the URDF", _urdf_limits(model))]
+    if known and arm.flange in (None, known.flange):
+        given.append((f"the maker of the {arm.model}", known.limits))
+    if arm.joint_limits is not None:
+        given.append((Path(arm.joint_limits).name, read_joint_limits(Path(arm.joint_limits), names, chain.all_joints)))
+    given.append(("arm.limits", _scenario_limits(arm, name, model.nv)))
+    limits, sources = joint_limits(model.nv, given)
     return ArmModel(
-        name=Path(arm.model).stem,
+        name=name,
         pin_model=model,
         data=model.createData(),
         flange=flange,
         tray_id=tray_id,
-        joint_names=tuple(model.names)[1:],
-        link_names=links,
+        joint_names=names,
+        link_names=chain.links,
         limits=limits,
         planning_limits=limits.scaled(arm.limit_shares),
-        urdf=text,
+        limit_sources=sources,
+        linear=tuple("JointModelP" in joint.shortname() for joint in list(model.joints)[1:]),
+        urdf=chain.urdf,
         urdf_path=path,
+        collisions=arm.collisions,
+        disabled_pairs=frozenset() if arm.srdf is None else read_disabled_pairs(Path(arm.srdf), chain.all_links),
         base_position=np.array(arm.base_position),
         base_yaw=yaw,
         p_FE=p_FE,
@@ -189,19 +208,9 @@ def with_load(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
     return replace(arm, pin_model=model, data=model.createData())
 
 
-def _robots_folder() -> Path:
-    try:
-        package = metadata.distribution("example-robot-data")
-    except metadata.PackageNotFoundError:
-        raise MissingDependencyError(
-            "The arm models are not installed; install the package example-robot-data, or give a .urdf file."
-        ) from None
-    return Path(str(package.locate_file("cmeel.prefix/share/example-robot-data/robots"))).resolve()
-
-
 def _urdf_file(name: str) -> Path:
     path = Path(name)
-    if path.suffix not in (".urdf", ".xml"):
+    if path.suffix not in (*SUFFIXES, ".xacro"):
         raise ScenarioError(
             f'arm.model = "{name}" is not known; known are {", ".join(sorted(KNOWN_ARMS))}, or give a .urdf file.'
         )
@@ -210,68 +219,14 @@ def _urdf_file(name: str) -> Path:
     return path.resolve()
 
 
-def _chain(path: Path, flange: str) -> tuple[str, tuple[str, ...]]:
-    """The URDF as text, cut to the chain from its root to the flange, and the names of the chain's links.
-
-    What hangs beyond the flange (a gripper) is left off; joints beside the chain are fixed at zero. A
-    continuous joint becomes a revolute one of two turns: the rest of salver counts joint angles as numbers.
-    """
-    try:
-        root = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise ScenarioError(f"The URDF {path} cannot be read ({error}); it must be an XML file of a robot.") from None
-    names = {link.get("name") for link in root.iter("link")}
-    if root.tag != "robot" or not names:
-        raise ScenarioError(
-            f"The URDF {path} describes no robot: its root is <{root.tag}>; it must be <robot> with links."
-        )
-    if flange not in names:
-        shown = ", ".join(sorted(str(name) for name in names))
-        raise ScenarioError(f'arm.flange = "{flange}" is no link of {path}; its links are {shown}.')
-
-    joints = root.findall("joint")
-    to_child = {_end(joint, "child"): joint for joint in joints}
-    links = [flange]
-    while links[0] in to_child:
-        links.insert(0, _end(to_child[links[0]], "parent"))
-    beyond = {flange}
-    while grown := {_end(j, "child") for j in joints if _end(j, "parent") in beyond} - beyond:
-        beyond |= grown
-    beyond.discard(flange)
-
-    for element in list(root):
-        if element.tag == "link" and element.get("name") in beyond:
-            root.remove(element)
-        elif element.tag == "joint":
-            if _end(element, "child") in beyond:
-                root.remove(element)
-            elif _end(element, "child") not in links:
-                element.set("type", "fixed")
-            elif element.get("type") == "continuous":
-                element.set("type", "revolute")
-                limit = element.find("limit")
-                limit = ElementTree.SubElement(element, "limit", effort="0", velocity="0") if limit is None else limit
-                limit.set("lower", str(-2 * np.pi))
-                limit.set("upper", str(2 * np.pi))
-        elif element.tag in ("gazebo", "transmission"):
-            root.remove(element)
-    for mesh in root.iter("mesh"):
-        mesh.set("filename", _mesh_path(mesh.get("filename", ""), path))
-    return ElementTree.tostring(root, encoding="unicode"), tuple(links)
-
-
-def _end(joint: ElementTree.Element, which: str) -> str:
-    element = joint.find(which)
-    return "" if element is None else element.get("link", "")
-
-
-def _mesh_path(name: str, urdf: Path) -> str:
-    """Absolute path of a mesh: the part after `package://` is looked for in every folder above the URDF."""
-    relative = name.removeprefix("file://").removeprefix("package://")
-    for folder in urdf.parents:
-        if (folder / relative).is_file():
-            return str(folder / relative)
-    return name
+def _folders(package_dirs: Sequence[str]) -> list[Path]:
+    for k, folder in enumerate(package_dirs):
+        if not Path(folder).is_dir():
+            raise ScenarioError(
+                f'arm.package_dirs[{k}] = "{folder}": there is no such folder; give folders that hold the packages '
+                "whose meshes the URDF names."
+            )
+    return [Path(folder).resolve() for folder in package_dirs]
 
 
 def _build(text: str, path: Path) -> Any:
@@ -310,17 +265,24 @@ def _attach_tray(model: Any, flange: str, tray: scenario.Tray, p_FE: Array, com_
     return int(model.addFrame(pin.Frame(TRAY_FRAME, frame.parentJoint, frame_id, placement, pin.FrameType.OP_FRAME)))
 
 
-def _limits(model: Any, published: dict[str, list[float]]) -> JointLimits:
-    """Published limits; for what is not published, the URDF's; infinite where that says nothing (or zero)."""
-    unknown = np.full(model.nv, np.inf)
-    values: dict[str, Array] = {
+def _urdf_limits(model: Any) -> dict[str, Array]:
+    """What the URDF says; a velocity or torque of zero there means that nobody gave one."""
+    return {
         "q_min": model.lowerPositionLimit.copy(),
         "q_max": model.upperPositionLimit.copy(),
-        "velocity": np.where(model.velocityLimit > 0, model.velocityLimit, np.inf),
-        "acceleration": unknown,
-        "jerk": unknown,
-        "torque": np.where(model.effortLimit > 0, model.effortLimit, np.inf),
-        "torque_rate": unknown,
+        "velocity": np.where(model.velocityLimit > 0, model.velocityLimit, np.nan),
+        "torque": np.where(model.effortLimit > 0, model.effortLimit, np.nan),
     }
-    values.update({key: np.array(value) for key, value in published.items()})
-    return JointLimits(**values)
+
+
+def _scenario_limits(arm: scenario.Arm, name: str, n: int) -> dict[str, Array]:
+    """The table arm.limits; one number stands for all joints."""
+    found = {}
+    for key, value in arm.limits.model_dump(exclude_none=True).items():
+        values = np.atleast_1d(np.array(value, dtype=float))
+        if len(values) not in (1, n) or (isinstance(value, list) and len(values) != n):
+            raise ScenarioError(
+                f"arm.limits.{key} has {len(values)} values; {name} has {n} joints: give one for each, or one number."
+            )
+        found[key] = np.broadcast_to(values, n)
+    return found

@@ -1,28 +1,33 @@
-"""Where the arm is: hulls of its links, the tray, what stands on it; whether they touch one another or an obstacle.
+"""Where the arm is: shapes of its links, the tray, what stands on it; whether they touch one another or an obstacle.
 
-Hulls of the URDF's collision meshes, by Coal. A hull is larger than the link, so a posture that is found free is
-free; links that share a joint always touch and are not compared.
+All shapes are convex (`salver.models.link_shapes`), compared by Coal. A hull is larger than its link, so a posture that
+is found free is free, as far as it was looked at. What is not looked at is told by `ArmGeometry.unchecked`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from salver.geometry import Array, matrix_from_rpy
+from salver.errors import ScenarioError
+from salver.geometry import Array
 from salver.models.arm import ArmModel
 from salver.models.bodies import Body
+from salver.models.link_shapes import link_shapes
+from salver.models.obstacle_shapes import obstacle_shapes
 
 if TYPE_CHECKING:
     from salver import scenario
 
 TRAY = "tray"
+_POSTURES = 200  # at which links that touch at every one are taken to touch always
+
+Pair = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -39,14 +44,20 @@ class ArmGeometry:
     """The arm's hulls, its tray and its load. Not for use by several threads at once.
 
     names: of the parts: links of the URDF, "tray", carried objects, obstacles.
-    pairs: (index, index) into names; those that can touch.
+    pairs: (index, index) into names; those that are compared.
+    obstacles: how many of the parts, the last ones, stand around in the world.
+    unchecked: what is not looked at, in words: links without geometry, pairs that are left out.
+    left_out: pairs of names that could touch and are not compared, by reason.
     """
 
     arm: ArmModel
     model: Any
     data: Any
     names: tuple[str, ...]
-    pairs: tuple[tuple[int, int], ...]
+    pairs: tuple[Pair, ...]
+    obstacles: int
+    unchecked: tuple[str, ...]
+    left_out: dict[str, list[tuple[str, str]]]
 
     def first_touch(self, q: Array) -> Touch | None:
         """The first of postures (N, n) at which two parts touch, or None."""
@@ -92,8 +103,11 @@ class ArmGeometry:
 
     def near(self, q: Array, distance: float) -> ArmGeometry:
         """The same parts with only those pairs that come within a distance (m) at one of the postures (N, n)."""
-        close = self.clearance(q).min(axis=0) < distance
-        return _with_pairs(self, tuple(pair for pair, keep in zip(self.pairs, close, strict=True) if keep))
+        return self.only(np.flatnonzero(self.clearance(q).min(axis=0) < distance))
+
+    def only(self, pairs: Iterable[int]) -> ArmGeometry:
+        """The same parts with some of the pairs, by their indices."""
+        return _with_pairs(self, tuple(self.pairs[k] for k in pairs))
 
     def lowest(self, q: Array) -> float:
         """Height over the base (m, the URDF's root) of the lowest point of links beyond the second joint."""
@@ -110,72 +124,124 @@ class ArmGeometry:
         return float(low - self.arm.base_position[2])
 
 
-@lru_cache(maxsize=1)
-def _loader() -> Any:
-    """Meshes stay in memory: every plan of a session asks for the same ones."""
-    return coal.CachedMeshLoader()
-
-
 def arm_geometry(
     arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[scenario.Obstacle] = ()
 ) -> ArmGeometry:
-    """Hulls of an arm's links, its tray, the boxes around what it carries, and what stands around it in the world.
+    """Shapes of an arm's links, its tray, the boxes around what it carries, and what stands around it in the world.
 
-    A link that has no mesh is left out; so are all when a mesh cannot be read.
+    Compared are all pairs that move against one another, except: links that share a joint, pairs that the arm's SRDF
+    disables, and pairs of the arm's own parts whose hulls overlap in every posture.
+
+    Raises ScenarioError when the geometry of a link is not known and `arm.collisions` does not say what to do about
+    it, or when an obstacle's mesh cannot be used.
     """
+    known = link_shapes(arm.urdf, capsules=arm.collisions == "capsules")
+    if known.missing and arm.collisions != "unchecked":
+        raise ScenarioError(_refusal(arm, known.missing))
     model = arm.pin_model
-    try:
-        parts = pin.buildGeomFromUrdfString(model, arm.urdf, pin.GeometryType.COLLISION, mesh_loader=_loader())
-    except (ValueError, RuntimeError):
-        parts = pin.GeometryModel()
-    for part in parts.geometryObjects:
-        if isinstance(part.geometry, coal.BVHModelBase):
-            part.geometry.buildConvexHull(True, "Qt")
-            part.geometry = part.geometry.convex
-    links = [model.frames[part.parentFrame].name for part in parts.geometryObjects]
+    parts = pin.GeometryModel()
+    names: list[str] = []
+    for item in known.shapes:
+        frame = model.frames[model.getFrameId(item.link)]
+        _add(parts, names, item.link, frame.parentJoint, frame.placement * item.placement, item.shape)
+    links = len(names)
 
     frame = model.frames[arm.tray_id]
     thickness = 2 * float(arm.p_FE[2] - arm.tray_com_F[2])
-    _add_box(parts, TRAY, frame, np.array([0, 0, -0.5 * thickness]), np.eye(3), np.array([*arm.tray_size, thickness]))
+    plate = pin.SE3(np.eye(3), np.array([0, 0, -0.5 * thickness]))
+    box = coal.Box(*arm.tray_size, thickness)
+    _add(parts, names, TRAY, frame.parentJoint, frame.placement * plate, box)
     for body in bodies:
         points = body.solid.bounding_points_G - body.com_G
         low, high = points.min(axis=0), points.max(axis=0)
-        centre = body.p_EB + body.R_EB @ (0.5 * (low + high))
-        _add_box(parts, body.name, frame, centre, body.R_EB, high - low)
+        placement = frame.placement * pin.SE3(body.R_EB, body.p_EB + body.R_EB @ (0.5 * (low + high)))
+        _add(parts, names, body.name, frame.parentJoint, placement, coal.Box(*(high - low)))
+    fixed = len(names)
     for obstacle in obstacles:
-        placement = pin.SE3(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg)), np.array(obstacle.position))
-        parts.addGeometryObject(pin.GeometryObject(obstacle.name, 0, placement, _obstacle_shape(obstacle)))
-    for part in parts.geometryObjects:
-        part.geometry.computeLocalAABB()
+        for shape, placement in obstacle_shapes(obstacle):
+            _add(parts, names, obstacle.name, 0, placement, shape)
 
-    fixed = len(parts.geometryObjects) - len(obstacles)
     joints = [part.parentJoint for part in parts.geometryObjects]
-    pairs = [
-        (i, j)
-        for j, second in enumerate(joints)
-        for i, first in enumerate(joints[:j])
-        if first != second and (j >= fixed or (first != model.parents[second] and second != model.parents[first]))
-    ]
-    names = (*links, TRAY, *(body.name for body in bodies), *(obstacle.name for obstacle in obstacles))
-    return _with_pairs(ArmGeometry(arm, parts, None, names, ()), tuple(pairs))
+    pairs: list[Pair] = []
+    left_out: dict[str, list[Pair]] = {"neighbours": [], "srdf": [], "always": []}
+    for j in range(len(names)):
+        for i in range(min(j, fixed)):
+            if joints[i] == joints[j]:
+                continue
+            neighbours = joints[i] == model.parents[joints[j]] or joints[j] == model.parents[joints[i]]
+            if j < links and neighbours:
+                left_out["neighbours"].append((i, j))
+            elif j < links and (min(names[i], names[j]), max(names[i], names[j])) in arm.disabled_pairs:
+                left_out["srdf"].append((i, j))
+            else:
+                pairs.append((i, j))
+    compared = ArmGeometry(arm, parts, None, tuple(names), (), len(names) - fixed, (), {})
+    left_out["always"] = _always(_with_pairs(compared, tuple(pair for pair in pairs if pair[1] < fixed)))
+    pairs = [pair for pair in pairs if pair not in left_out["always"]]
+    named = {
+        key: list(dict.fromkeys((names[i], names[j]) for i, j in found)) for key, found in left_out.items() if found
+    }
+    told = _unchecked(known.missing, known.fitted, named)
+    return replace(_with_pairs(compared, tuple(pairs)), unchecked=told, left_out=named)
 
 
-def _with_pairs(parts: ArmGeometry, pairs: tuple[tuple[int, int], ...]) -> ArmGeometry:
+def _add(parts: Any, names: list[str], name: str, joint: int, placement: Any, shape: Any) -> None:
+    shape.computeLocalAABB()
+    parts.addGeometryObject(pin.GeometryObject(f"{len(names)}:{name}", joint, placement, shape))
+    names.append(name)
+
+
+def _always(parts: ArmGeometry) -> list[Pair]:
+    """Pairs of the arm's own parts that overlap whatever the posture is."""
+    limits = parts.arm.limits
+    low, high = np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi)
+    for q in np.random.default_rng(0).uniform(low, high, (_POSTURES, parts.arm.n)):
+        if not parts.pairs:
+            break
+        overlap = parts.clearance(q[None])[0] <= 0
+        if not overlap.all():
+            parts = _with_pairs(parts, tuple(pair for pair, yes in zip(parts.pairs, overlap, strict=True) if yes))
+    return list(parts.pairs)
+
+
+def _refusal(arm: ArmModel, missing: dict[str, str]) -> str:
+    link, reason = next(iter(missing.items()))
+    more = f", nor those of {len(missing) - 1} more links ({', '.join(list(missing)[1:])})" if len(missing) > 1 else ""
+    return (
+        f"{arm.name}: the shape of {link} is not known ({reason}){more}, so it cannot be told whether the arm hits "
+        "something; name the folders of the packages that hold the meshes in arm.package_dirs (or AMENT_PREFIX_PATH, "
+        'ROS_PACKAGE_PATH), or give arm.collisions = "capsules" to fit capsules to the inertia of such links, or '
+        '"unchecked" to plan without looking at them.'
+    )
+
+
+def _unchecked(
+    missing: dict[str, str], fitted: Sequence[str], left_out: dict[str, list[tuple[str, str]]]
+) -> tuple[str, ...]:
+    told = []
+    if missing:
+        told.append(f"whether {listed(missing)} hits anything (shape not known)")
+    if fitted:
+        told.append(f"the true shape of {listed(fitted)} (capsules fitted to the inertia stand for it)")
+    if "always" in left_out:
+        pairs = ", ".join(f"{first} against {second}" for first, second in left_out["always"])
+        told.append(f"{pairs} (their hulls overlap in every posture)")
+    if "srdf" in left_out:
+        told.append(f"{len(left_out['srdf'])} pairs of links that the SRDF disables")
+    if "neighbours" in left_out:
+        told.append("links that share a joint against one another")
+    return tuple(told)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names in a row: "a, b and c"."""
+    found = list(names)
+    return found[0] if len(found) == 1 else ", ".join(found[:-1]) + " and " + found[-1]
+
+
+def _with_pairs(parts: ArmGeometry, pairs: tuple[Pair, ...]) -> ArmGeometry:
     model = parts.model.copy()
     model.removeAllCollisionPairs()
     for i, j in pairs:
         model.addCollisionPair(pin.CollisionPair(i, j))
     return replace(parts, model=model, data=model.createData(), pairs=pairs)
-
-
-def _obstacle_shape(obstacle: scenario.Obstacle) -> Any:
-    if obstacle.type == "box":
-        return coal.Box(*(obstacle.size or (0.0, 0.0, 0.0)))
-    if obstacle.type == "sphere":
-        return coal.Sphere(obstacle.radius or 0.0)
-    return coal.Capsule(obstacle.radius or 0.0, obstacle.length or 0.0)
-
-
-def _add_box(parts: Any, name: str, frame: Any, centre: Array, rotation: Array, size: Array) -> None:
-    placement = frame.placement * pin.SE3(rotation, centre)
-    parts.addGeometryObject(pin.GeometryObject(name, frame.parentJoint, placement, coal.Box(*size)))

@@ -1,18 +1,21 @@
-"""The limits of an arm: which kinds there are, and their values for known arms, as the makers publish them.
+"""The limits of an arm: which kinds there are, and where their values come from.
 
 A URDF holds position, velocity and torque limits at best. What a motion may ask for also includes
-acceleration, jerk and the rate of torque; those numbers come from the makers' documents cited here. A limit
-that no maker publishes is infinite: it is not checked.
+acceleration, jerk and the rate of torque; those come from the maker of a known arm, from a `joint_limits.yaml` as
+MoveIt reads it, or from the scenario. A limit that nobody gave is infinite: it is not checked, and whoever judges a
+motion has to say so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
+from salver.errors import ScenarioError
 from salver.geometry import Array
 
 
@@ -21,7 +24,8 @@ class LimitKind:
     """One kind of limit. All that plans, checks or reports limits goes by `LIMITS`, the table of them.
 
     key: its name in code, in files, and as a field of `JointLimits`. of, order: it bounds the time derivative of
-    this order of the joint positions or of the joint torques. unit: of its values. share: what a plan may use of
+    this order of the joint positions or of the joint torques. unit: of its values, for a joint that turns.
+    share: what a plan may use of
     it unless the scenario says otherwise; feedback needs the rest.
     """
 
@@ -35,6 +39,10 @@ class LimitKind:
     def name(self) -> str:
         """In words."""
         return self.key.replace("_", " ")
+
+    def unit_of(self, linear: bool) -> str:
+        """The unit for a joint that turns, or for one that slides."""
+        return self.unit.replace("rad", "m").replace("N m", "N") if linear else self.unit
 
 
 LIMITS = (
@@ -97,62 +105,85 @@ class JointLimits:
         return replace(self, **{key: share * getattr(self, key) for key, share in shares.items()})
 
 
-@dataclass(frozen=True)
-class KnownArm:
-    """An arm that can be asked for by name.
+def joint_limits(
+    n: int, given: Sequence[tuple[str, Mapping[str, Any]]]
+) -> tuple[JointLimits, dict[str, tuple[str | None, ...]]]:
+    """Limits of n joints from several sources, later ones over earlier ones, and who gave each.
 
-    urdf: path below example-robot-data's folder of robots. flange: frame that carries the tray, z outwards.
-    limits: name of a `JointLimits` field -> n numbers; what is missing is taken from the URDF.
-    source: where the numbers are published.
+    given: (source in words, name of a `JointLimits` field -> n numbers, NaN where the source says nothing).
+    Returns the limits, and for each kind of limit the source for each joint, None where nobody gave one.
     """
+    low = {field.name: -np.inf if field.name == "q_min" else np.inf for field in fields(JointLimits)}
+    values = {name: np.full(n, none) for name, none in low.items()}
+    sources: dict[str, list[str | None]] = {name: [None] * n for name in values}
+    for source, numbers in given:
+        for name, row in numbers.items():
+            for j, value in enumerate(row):
+                if not np.isnan(value):
+                    values[name][j], sources[name][j] = value, source if np.isfinite(value) else None
+    sources["position"] = sources.pop("q_min")
+    del sources["q_max"]
+    return JointLimits(**values), {kind.key: tuple(sources[kind.key]) for kind in LIMITS}
 
-    urdf: str
-    flange: str
-    limits: dict[str, list[float]]
-    source: str
+
+# MoveIt's words for what `JointLimits` calls otherwise.
+_MOVEIT = {"velocity": "velocity", "acceleration": "acceleration", "jerk": "jerk", "effort": "torque"}
 
 
-KNOWN_ARMS: dict[str, KnownArm] = {
-    "panda": KnownArm(
-        urdf="panda_description/urdf/panda.urdf",
-        flange="panda_link8",
-        limits={
-            "q_min": [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
-            "q_max": [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
-            "velocity": [2.1750, 2.1750, 2.1750, 2.1750, 2.6100, 2.6100, 2.6100],
-            "acceleration": [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0],
-            "jerk": [7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0],
-            "torque": [87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0],
-            "torque_rate": [1000.0] * 7,
-        },
-        source="Franka Emika, Franka Control Interface documentation, 'Robot and interface specifications', "
-        "limits for Panda; the same numbers are in libfranka, include/franka/rate_limiting.h",
-    ),
-    "ur10": KnownArm(
-        urdf="ur_description/urdf/ur10_robot.urdf",
-        flange="tool0",
-        limits={
-            "velocity": [2.0943951, 2.0943951, 3.14159265, 3.14159265, 3.14159265, 3.14159265],
-            "acceleration": [5.0] * 6,
-            "torque": [330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
-        },
-        source="Universal Robots, UR10/CB3 User Manual, version 3.13 (speeds: 120 and 180 degrees/s) and the article "
-        "'Max. joint torques'. No joint acceleration is published, the maker says that only torque limits it; "
-        "5 rad/s^2 is the conservative figure of the maker's own driver: Universal_Robots_ROS2_Driver, "
-        "ur_moveit_config/config/joint_limits.yaml. Jerk and torque rate are not published",
-    ),
-    "xarm7": KnownArm(
-        urdf="xarm_description/urdf/xarm7.urdf",
-        flange="link_eef",
-        limits={
-            "q_min": [-6.283185, -2.059488, -6.283185, -0.191986, -6.283185, -1.692969, -6.283185],
-            "q_max": [6.283185, 2.094395, 6.283185, 3.926990, 6.283185, 3.141593, 6.283185],
-            "velocity": [3.14159265] * 7,
-            "acceleration": [20.0] * 7,
-            "torque": [50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0],
-        },
-        source="UFACTORY, xArm user manual, technical specifications (180 degrees/s); xArm-Python-SDK, "
-        "xarm/core/config/x_config.py (positions) and xarm/x3/base.py (20 rad/s^2); xarm_ros, "
-        "xarm_description/urdf/xarm7/xarm7.urdf.xacro (torques). Jerk and torque rate are not published",
-    ),
-}
+def read_joint_limits(path: Path, names: Sequence[str], known: Collection[str]) -> dict[str, Array]:
+    """Limits of the joints `names` from a `joint_limits.yaml` as MoveIt reads it; NaN where it gives none.
+
+    known: all joints of the robot, a gripper's among them; the file may speak of those too. A limit counts when its
+    `has_...` is not false. MoveIt's default scaling factors are of its requests, no limits, and are not read.
+    Raises ScenarioError.
+    """
+    table = _read_yaml(path)
+    joints = table.get("joint_limits") if isinstance(table, dict) else None
+    if not isinstance(joints, dict) or not all(isinstance(entry, dict) for entry in joints.values()):
+        raise ScenarioError(f"{path} has no table joint_limits with a table for each joint, as MoveIt writes it.")
+    unknown = [str(name) for name in joints if name not in known]
+    if unknown:
+        raise ScenarioError(
+            f"{path} limits {', '.join(unknown)}, which the URDF does not have; its joints are "
+            f"{', '.join(sorted(known))}."
+        )
+    found = {name: np.full(len(names), np.nan) for name in ("q_min", "q_max", *_MOVEIT.values())}
+    for j, joint in enumerate(names):
+        entry = joints.get(joint, {})
+        for word, name in _MOVEIT.items():
+            if entry.get(f"has_{word}_limits", True) and f"max_{word}" in entry:
+                found[name][j] = _number(path, joint, f"max_{word}", entry, positive=True)
+        if entry.get("has_position_limits", True) and {"min_position", "max_position"} <= entry.keys():
+            found["q_min"][j] = _number(path, joint, "min_position", entry)
+            found["q_max"][j] = _number(path, joint, "max_position", entry)
+            if found["q_min"][j] >= found["q_max"][j]:
+                raise ScenarioError(f"{path}: min_position of {joint} is not below its max_position.")
+    return found
+
+
+def _read_yaml(path: Path) -> Any:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.constructor import SafeConstructor
+    from ruamel.yaml.error import YAMLError
+
+    class WithAngles(SafeConstructor):
+        """`!degrees 180` and `!radians 3.14`, as files for xacro have them."""
+
+    WithAngles.add_constructor("!degrees", lambda self, node: float(np.deg2rad(float(self.construct_scalar(node)))))
+    WithAngles.add_constructor("!radians", lambda self, node: float(self.construct_scalar(node)))
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Constructor = WithAngles
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, YAMLError, RecursionError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise ScenarioError(f"{path} cannot be read ({reason}); joint limits are a .yaml file.") from None
+
+
+def _number(path: Path, joint: str, key: str, entry: Mapping[str, Any], positive: bool = False) -> float:
+    value = entry[key]
+    wanted = "a finite number greater than 0" if positive else "a finite number"
+    fits = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+    if not fits or (positive and value <= 0):
+        raise ScenarioError(f"{path}: {key} of {joint} is {value!r}; it must be {wanted}.")
+    return float(value)

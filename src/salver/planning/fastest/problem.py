@@ -128,7 +128,7 @@ def transport_problem(
     if given is not None:
         problem = replace(problem, start_posture=_start_posture(problem, np.asarray(given, dtype=float)))
     parts = arm_geometry(arm, items, scenario.obstacles)
-    return replace(problem, keep_out=KeepOut.of(parts, problem.start_posture))
+    return replace(problem, keep_out=KeepOut.of(parts, problem.start_posture) if parts.pairs else None)
 
 
 def _start_posture(problem: TransportProblem, given: Array) -> Array:

@@ -1,109 +1,136 @@
-"""Does anything touch anything along a joint motion? Between its samples too.
+"""Does anything touch along a motion, at any instant? And how near do things come?
 
-How fast two parts can approach each other is bounded: every joint between them turns points of one against the other,
-and those are no farther from its axis than the chain is long. Where the distances at both ends of an interval are too
-small for that speed it is halved, until it is sure either way.
+Distances are taken at some instants. Between two of them a pair of parts comes no nearer than half of what the two
+distances leave beyond the way that the parts can have gone against one another (conservative advancement; Mirtich,
+"Impulse-based Dynamic Simulation", 1996): where that is not enough, the interval is halved.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.geometry import Array
 from salver.models.arm_geometry import ArmGeometry
 from salver.trajectory import JointMotion
 
-RESOLUTION = 1e-4  # m; parts that are nearer, or that may have been between two looks, are said to touch
-EXACT = 1e-5  # m; distances are not known better
+Indices = npt.NDArray[np.intp]
+
+FIRST_INSTANTS = 33
+RESOLUTION = 1e-4  # m: parts that may have come nearer than this count as touching
+EXACT = 1e-5  # m: Coal's distances are not known better
+LEAST = 1e-3  # m: how exactly the least distance is found
 
 
 @dataclass(frozen=True)
-class Approach:
-    """The first touch of two parts, or else where two of them are nearest. distance: m, at time, s."""
+class Near:
+    """Two parts, an instant (s) and their distance there (m): 0 or less when they overlap."""
 
-    touches: bool
     first: str
     second: str
     time: float
     distance: float
 
 
-def closest(parts: ArmGeometry, motion: JointMotion) -> Approach | None:
-    """The first touch along a motion, or the nearest approach; None when there are no parts that could touch."""
+@dataclass(frozen=True)
+class Sweep:
+    """touch: the first instant found at which two parts touch, or None. nearest: where any two of them are nearest;
+    obstacle: the same of those that stand around and of what passes them; None where nothing was compared.
+    """
+
+    touch: Near | None
+    nearest: Near | None
+    obstacle: Near | None
+
+
+def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
+    """All pairs of `parts` along the whole of a motion, distances to `LEAST` exactly."""
     if not parts.pairs:
-        return None
-    t, distance = motion.t, parts.clearance(motion.q)
-    reach = _reach(parts)
-    # |dq| within an interval is at most the largest coefficient of its Bernstein form.
-    speed = np.abs(motion.rate_coefficients).max(axis=0) @ reach.T
-    sure = 0.5 * (distance[:-1] + distance[1:] - speed * np.diff(t)[:, None])
-    doubtful = np.flatnonzero((sure <= EXACT).any(axis=1))
-    for k in doubtful:
-        touch = _within(parts, motion, (t[k], t[k + 1]), (distance[k], distance[k + 1]), speed[k])
+        return Sweep(None, None, None)
+    reach = _reach(parts, motion)
+    around = np.array([j >= len(parts.names) - parts.obstacles for _, j in parts.pairs])
+    t = np.linspace(0.0, motion.duration, FIRST_INSTANTS)
+    distance = parts.clearance(motion.sample(t)[0])
+    least, when = distance.min(axis=0), t[np.argmin(distance, axis=0)]
+    touch = _first_touch(t, distance, np.arange(len(least)))
+
+    watched, pairs = parts, np.arange(len(least))
+    begin, end, first, last = t[:-1], t[1:], distance[:-1], distance[1:]
+    while len(begin):
+        gone = (motion.travel(end) - motion.travel(begin)) @ reach[pairs].T
+        left = 0.5 * (first + last - gone)
+        settled = gone <= RESOLUTION
+        touch = _earlier(touch, _first_touch(end, np.where(settled, left, np.inf), pairs))
+        enough = np.zeros(len(pairs))  # what must be left, for an interval to need no further look
+        if touch is None:
+            nearest_obstacle = least[around].min(initial=np.inf)
+            enough = np.where(around[pairs], max(nearest_obstacle, least.min()), least.min()) - LEAST
+        open_ = (left <= np.maximum(enough, EXACT)) & ~settled
         if touch is not None:
-            return touch
-    k, pair = np.unravel_index(int(np.argmin(distance)), distance.shape)
-    return _approach(parts, False, int(pair), float(t[k]), float(distance[k, pair]))
+            open_ &= (begin < touch[0])[:, None]
+        rows, columns = open_.any(axis=1), open_.any(axis=0)
+        begin, end, pairs = begin[rows], end[rows], pairs[columns]
+        first, last = first[rows][:, columns], last[rows][:, columns]
+        if not len(begin):
+            break
+        watched = parts.only(pairs)
+        t = 0.5 * (begin + end)
+        distance = watched.clearance(motion.sample(t)[0])
+        nearer = distance.min(axis=0) < least[pairs]
+        when[pairs[nearer]] = t[np.argmin(distance, axis=0)][nearer]
+        least[pairs] = np.minimum(least[pairs], distance.min(axis=0))
+        touch = _earlier(touch, _first_touch(t, distance, pairs))
+        begin, end = np.concatenate([begin, t]), np.concatenate([t, end])
+        first, last = np.vstack([first, distance]), np.vstack([distance, last])
+
+    def near(pair: int, time: float, distance: float) -> Near:
+        i, j = parts.pairs[pair]
+        return Near(parts.names[i], parts.names[j], float(time), float(distance))
+
+    def nearest(among: Indices) -> Near | None:
+        if not len(among):
+            return None
+        pair = int(among[np.argmin(least[among])])
+        return near(pair, when[pair], least[pair])
+
+    touching = None if touch is None else near(touch[1], touch[0], min(least[touch[1]], 0.0))
+    return Sweep(touching, nearest(np.arange(len(least))), nearest(np.flatnonzero(around)))
 
 
-def _within(
-    parts: ArmGeometry, motion: JointMotion, t: tuple[float, float], distance: tuple[Array, Array], speed: Array
-) -> Approach | None:
-    """The first touch within an interval with known distances (pairs,) at its ends."""
-    if distance[0].min() <= EXACT:
-        return _approach(parts, True, int(np.argmin(distance[0])), t[0], float(distance[0].min()))
-    travel = speed * (t[1] - t[0])
-    sure = 0.5 * (distance[0] + distance[1] - travel)
-    if sure.min() > EXACT:
+def _first_touch(t: Array, distance: Array, pairs: Indices) -> tuple[float, int] | None:
+    """The earliest instant at which a pair touches, and which; distances (T, len(pairs)), indices of the pairs."""
+    touching = distance <= EXACT
+    if not touching.any():
         return None
-    worst = int(np.argmin(sure))
-    if travel[worst] < RESOLUTION:
-        return _approach(parts, True, worst, t[1], float(min(distance[0][worst], distance[1][worst])))
-    middle = 0.5 * (t[0] + t[1])
-    between = parts.clearance(motion.sample(middle)[0])[0]
-    first = _within(parts, motion, (t[0], middle), (distance[0], between), speed)
-    return first or _within(parts, motion, (middle, t[1]), (between, distance[1]), speed)
+    k = int(np.argmin(np.where(touching.any(axis=1), t, np.inf)))
+    return float(t[k]), int(pairs[np.argmin(distance[k])])
 
 
-def _approach(parts: ArmGeometry, touches: bool, pair: int, time: float, distance: float) -> Approach:
-    i, j = parts.pairs[pair]
-    return Approach(touches, parts.names[i], parts.names[j], float(time), distance)
+def _earlier(known: tuple[float, int] | None, found: tuple[float, int] | None) -> tuple[float, int] | None:
+    return known if found is None or (known is not None and known[0] <= found[0]) else found
 
 
-def _reach(parts: ArmGeometry) -> Array:
-    """(pairs, n): m per unit of a joint (rad, or m of a slider) by which it can bring two parts nearer, at most."""
-    model = parts.arm.pin_model
-    reach = np.zeros((len(parts.pairs), model.nv))
+def _reach(parts: ArmGeometry, motion: JointMotion) -> Array:
+    """(pairs, n) at most how far a pair moves against one another when a joint moves by 1 (rad, or m).
+
+    For a joint that turns: the way from its origin along the links to the farthest point of the part it carries.
+    """
+    model, linear = parts.arm.pin_model, parts.arm.linear
+    stroke = np.abs(motion.q).max(axis=0) * np.array(linear)
+    links = np.array([np.linalg.norm(placement.translation) for placement in model.jointPlacements])
+    links[1:] += stroke  # joints have one coordinate each
+    radius = []
+    for part in parts.model.geometryObjects:
+        shape = part.geometry
+        radius.append(float(np.linalg.norm(part.placement.act(shape.aabb_center))) + float(shape.aabb_radius))
+    reach = np.zeros((len(parts.pairs), parts.arm.n))
     for row, pair in enumerate(parts.pairs):
-        lines = [_ancestors(model, parts.model.geometryObjects[i].parentJoint) for i in pair]
-        for i, own, other in zip(pair, lines, reversed(lines), strict=True):
-            length = _radius(parts.model.geometryObjects[i])
-            for joint in own:  # from the part towards the base
-                slides = model.joints[joint].shortname().startswith("JointModelP")
-                column = model.joints[joint].idx_v
-                if slides:
-                    low, high = (limit[column] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
-                    length += max(abs(low), abs(high))
-                if joint not in other:
-                    reach[row, column] += 1.0 if slides else length
-                length += float(np.linalg.norm(model.jointPlacements[joint].translation))
+        chains = [list(model.supports[parts.model.geometryObjects[k].parentJoint])[1:] for k in pair]
+        for part, chain, other in zip(pair, chains, reversed(chains), strict=True):
+            length = radius[part]
+            for joint in reversed([j for j in chain if j not in other]):
+                reach[row, joint - 1] = 1.0 if linear[joint - 1] else length
+                length += links[joint]
     return reach
-
-
-def _ancestors(model: Any, joint: int) -> list[int]:
-    """The joints that move a part, from its own to the base."""
-    found = []
-    while joint > 0:
-        found.append(joint)
-        joint = model.parents[joint]
-    return found
-
-
-def _radius(part: Any) -> float:
-    """Of a ball around the part's joint that holds the part, m."""
-    box = part.geometry.aabb_local
-    corners = np.array([np.where(pick, box.max_, box.min_) for pick in np.ndindex(2, 2, 2)])
-    return float(np.linalg.norm(part.placement.translation + corners @ part.placement.rotation.T, axis=1).max())

@@ -11,10 +11,10 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
-from salver.models.arm_geometry import ArmGeometry, arm_geometry
+from salver.models.arm_geometry import ArmGeometry, arm_geometry, listed
 from salver.models.arm_limits import LIMITS
 from salver.models.bodies import Body
-from salver.planning.follow.clearance import closest
+from salver.planning.follow.clearance import sweep
 from salver.trajectory import JointMotion
 
 WITHIN_LIMITS, LIMIT_EXCEEDED, COLLISION = "within_limits", "limit_exceeded", "collision"
@@ -62,37 +62,57 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
         k, i = (int(x) for x in np.unravel_index(int(np.argmax(np.abs(share))), share.shape))
         value, time = float(values[k, i]), float(times[kind.of][k])
         bound = limits.bound(kind, i, value)
-        found.append(Peak(kind.name, float(abs(share[k, i])), arm.joint_names[i], time, value, bound, kind.unit))
+        unit = kind.unit_of(arm.linear[i])
+        found.append(Peak(kind.name, float(abs(share[k, i])), arm.joint_names[i], time, value, bound, unit))
     return found
+
+
+def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
+    """What a verdict on this arm does not cover, in words: limits that nobody gave, shapes and pairs not looked at."""
+    nobody: dict[str, list[str]] = {}
+    for kind in LIMITS:
+        joints = [name for name, source in zip(arm.joint_names, arm.limit_sources[kind.key], strict=True) if not source]
+        if joints:
+            nobody.setdefault("all joints" if len(joints) == arm.n else listed(joints), []).append(kind.name)
+    limits = [f"{listed(kinds)} of {joints} (nobody gave a limit)" for joints, kinds in nobody.items()]
+    return [*limits, *parts.unchecked]
 
 
 def verdict(
     arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = (), parts: ArmGeometry | None = None
 ) -> Status:
-    """Status "within_limits", "limit_exceeded" or "collision"; `details` has the peak of each kind of limit.
+    """Status "within_limits", "limit_exceeded" or "collision". A good one says first what was not checked.
 
-    parts: the arm's geometry, when it is known already.
+    parts: the arm's geometry, when it is known already. `details` has the peak of each kind of limit by its key;
+    "unchecked" (`unchecked`); "limit_sources": who gave each limit, joint by joint; "pairs_left_out": links that were
+    not compared, by reason; "clearance": the nearest two parts; "obstacle_clearance": the part nearest to an obstacle;
+    "collision": the parts that touch.
     """
+    parts = arm_geometry(arm, bodies) if parts is None else parts
     found = peaks(arm, motion, bodies)
     details: dict[str, Any] = {peak.kind.replace(" ", "_"): vars(peak) for peak in found}
+    blind = unchecked(arm, parts)
+    details |= {"unchecked": blind, "limit_sources": arm.limit_sources, "pairs_left_out": parts.left_out}
     broken = sorted((peak for peak in found if not peak.share <= 1 + _TOLERANCE), key=lambda peak: -peak.share)
     sentences = [
         f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, "
         f"{100 * (peak.share - 1):.3g} % over its limit of {peak.limit:.4g}"
         for peak in broken
     ]
-    near = closest(arm_geometry(arm, bodies) if parts is None else parts, motion)
-    if near is not None and near.touches:
-        details[COLLISION] = {"first": near.first, "second": near.second, "time": near.time}
-        sentences.append(f"{near.first} and {near.second} touch at t = {near.time:.2f} s")
+    swept = sweep(parts, motion)
+    for key, near in (("clearance", swept.nearest), ("obstacle_clearance", swept.obstacle), (COLLISION, swept.touch)):
+        if near is not None:
+            details[key] = vars(near)
+    if swept.touch is not None:
+        touch = swept.touch
+        sentences.append(f"{touch.first} and {touch.second} touch at t = {touch.time:.2f} s")
     if sentences:
         code = LIMIT_EXCEEDED if broken else COLLISION
         return Status(code, f"{arm.name} cannot follow: {'; '.join(sentences)}.", False, details)
+    first = f"Not checked: {'; '.join(blind)}. " if blind else ""
     worst = max(found, key=lambda peak: peak.share)
-    return Status(
-        WITHIN_LIMITS,
-        f"{arm.name} follows within its limits; nearest is the {worst.kind} of {worst.joint}, at "
-        f"{100 * worst.share:.0f} % at t = {worst.time:.2f} s.",
-        True,
-        details,
-    )
+    nearest = f"nearest is the {worst.kind} of {worst.joint}, at {100 * worst.share:.0f} % at t = {worst.time:.2f} s"
+    if swept.obstacle is not None:
+        near = swept.obstacle
+        nearest += f"; {near.first} passes {near.second} at {1e3 * near.distance:.0f} mm at t = {near.time:.2f} s"
+    return Status(WITHIN_LIMITS, f"{first}{arm.name} follows within its limits; {nearest}.", True, details)

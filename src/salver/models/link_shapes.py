@@ -1,0 +1,174 @@
+"""The shapes of an arm's links, convex, for telling what touches: from the URDF's geometry, or fitted to what is known.
+
+A mesh becomes its convex hull, which is larger than the link. Of a link without collision geometry the visual one
+is taken. Of a link whose geometry cannot be read, capsules can be fitted: they are an estimate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from salver.geometry import Array, matrix_from_rpy
+
+DENSITIES = (2700.0, 700.0)  # kg/m^3: solid aluminium; light shells with little inside
+FRAME_MASS = 0.02  # kg: a lighter link without geometry is a frame that somebody gave a mass, not a body
+_SAME_DIRECTION = 1e-9
+
+
+@dataclass(frozen=True)
+class LinkShape:
+    """A convex shape (Coal's) of a link and its placement in the link's frame (pin.SE3)."""
+
+    link: str
+    shape: Any
+    placement: Any
+
+
+@dataclass(frozen=True, eq=False)
+class LinkShapes:
+    """Shapes of all links of a URDF.
+
+    shapes: those that are known. missing: link -> why its geometry, or a part of it, is not known.
+    fitted: links that stand as capsules fitted to their inertia.
+    """
+
+    shapes: tuple[LinkShape, ...]
+    missing: dict[str, str]
+    fitted: tuple[str, ...]
+
+
+@lru_cache(maxsize=16)
+def link_shapes(urdf: str, capsules: bool = False) -> LinkShapes:
+    """Shapes of the links of a URDF whose mesh files have absolute paths (`salver.models.urdf.read_chain`).
+
+    capsules: fit capsules to links whose geometry cannot be read. They run from the link's own joint, and from each of
+    the next ones, to its centre of mass. Their radius is that of the solid cylinder of the same mass and least moment
+    of inertia, kept to where the link is as dense as `DENSITIES`: URDFs are full of moments that nobody computed.
+    """
+    root = ElementTree.fromstring(urdf)
+    shapes: list[LinkShape] = []
+    missing: dict[str, str] = {}
+    fitted: list[str] = []
+    for link in root.iter("link"):
+        name = link.get("name", "")
+        elements = link.findall("collision") or link.findall("visual")
+        reasons = []
+        for element in elements:
+            try:
+                shape = _shape(element.find("geometry"))
+            except (ValueError, RuntimeError) as error:
+                reasons.append(str(error))
+            else:
+                shapes.append(LinkShape(name, shape, _origin(element)))
+        if not elements and _mass(link) > FRAME_MASS:
+            reasons.append("the URDF gives it no geometry")
+        if not reasons:
+            continue
+        guesses = _capsules(link, root) if capsules else []
+        if guesses:
+            fitted.append(name)
+            shapes += guesses
+        else:
+            missing[name] = "; ".join(dict.fromkeys(reasons))
+    return LinkShapes(tuple(shapes), missing, tuple(fitted))
+
+
+@lru_cache(maxsize=1)
+def _loader() -> Any:
+    """Meshes stay in memory: every plan of a session asks for the same ones."""
+    return coal.CachedMeshLoader()
+
+
+def _shape(geometry: ElementTree.Element | None) -> Any:
+    """Coal's shape of a URDF's geometry. Raises ValueError with the reason when it is not to be had."""
+    kind = geometry[0] if geometry is not None and len(geometry) else None
+    if kind is None:
+        raise ValueError("its geometry is empty")
+    if kind.tag == "mesh":
+        file = kind.get("filename", "")
+        if not Path(file).is_file():
+            raise ValueError(f"there is no file {file}")
+        return _hull(file, tuple(_numbers(kind, "scale", "1 1 1")))
+    sizes = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
+    if kind.tag not in sizes:
+        raise ValueError(f"its geometry is a <{kind.tag}>")
+    numbers = [x for key in sizes[kind.tag] for x in _numbers(kind, key)]
+    if not all(np.isfinite(x) and x > 0 for x in numbers):
+        raise ValueError(f"the size of its {kind.tag} is not positive")
+    return getattr(coal, kind.tag.capitalize())(*numbers)
+
+
+@lru_cache(maxsize=256)
+def _hull(file: str, scale: tuple[float, ...]) -> Any:
+    try:
+        mesh = _loader().load(file, np.array(scale))
+        mesh.buildConvexHull(True, "Qt")
+    except (ValueError, RuntimeError):
+        raise ValueError(f"the mesh {file} cannot be read") from None
+    if not np.isfinite(mesh.convex.points()).all():
+        raise ValueError(f"the mesh {file} has points that are not finite")
+    return mesh.convex
+
+
+def _numbers(element: ElementTree.Element, key: str, otherwise: str = "") -> list[float]:
+    return [float(x) for x in element.get(key, otherwise).split()]
+
+
+def _origin(element: ElementTree.Element) -> Any:
+    origin = element.find("origin")
+    if origin is None:
+        return pin.SE3.Identity()
+    return pin.SE3(
+        matrix_from_rpy(_numbers(origin, "rpy", "0 0 0")), np.array(_numbers(origin, "xyz", "0 0 0"), dtype=float)
+    )
+
+
+def _mass(link: ElementTree.Element) -> float:
+    mass = link.find("inertial/mass")
+    return 0.0 if mass is None else float(mass.get("value", "0"))
+
+
+def _capsules(link: ElementTree.Element, root: ElementTree.Element) -> list[LinkShape]:
+    """Capsules of a link by its mass, inertia and joints; none when the URDF gives it no mass."""
+    name, mass, inertial = link.get("name", ""), _mass(link), link.find("inertial")
+    if mass <= 0 or inertial is None:
+        return []
+    placement, entries = _origin(inertial), inertial.find("inertia")
+    joints = [joint for joint in root.findall("joint") if _parent(joint) == name]
+    ends = [np.zeros(3), *(_origin(joint).translation for joint in joints)]
+    segments = [(end, placement.translation) for end in ends]
+    length = float(sum(np.linalg.norm(b - a) for a, b in segments))
+    least, most = (_capsule_radius(mass / density, length) for density in DENSITIES)
+    radius = most
+    if entries is not None:
+        xx, xy, xz, yy, yz, zz = (float(entries.get(f"i{k}", "0")) for k in ("xx", "xy", "xz", "yy", "yz", "zz"))
+        moment = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))[0]
+        radius = float(np.clip(np.sqrt(2 * max(moment, 0.0) / mass), least, most))
+    return [_capsule(name, a, b, radius) for a, b in segments]
+
+
+def _capsule_radius(volume: float, length: float) -> float:
+    """Radius (m) of a capsule about a segment of a length (m) that holds a volume (m^3)."""
+    roots = np.roots([4 / 3 * np.pi, np.pi * length, 0.0, -volume])
+    return float(roots[np.abs(roots.imag) < 1e-12].real.max())
+
+
+def _parent(joint: ElementTree.Element) -> str:
+    parent = joint.find("parent")
+    return "" if parent is None else parent.get("link", "")
+
+
+def _capsule(link: str, start: Array, end: Array, radius: float) -> LinkShape:
+    """The capsule about the segment from start to end (link's frame, m)."""
+    length = float(np.linalg.norm(end - start))
+    z = np.array([0.0, 0.0, 1.0]) if length < _SAME_DIRECTION else (end - start) / length
+    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), z).toRotationMatrix()
+    return LinkShape(link, coal.Capsule(radius, length), pin.SE3(rotation, 0.5 * (start + end)))

@@ -1,0 +1,81 @@
+"""Convex shapes of the obstacles of a scenario, placed in the world."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from salver.errors import ScenarioError
+from salver.geometry import Array, matrix_from_rpy
+
+if TYPE_CHECKING:
+    from salver.scenario import Obstacle
+
+MOST_PIECES = 64  # of one mesh
+
+
+def obstacle_shapes(obstacle: Obstacle) -> list[tuple[Any, Any]]:
+    """Coal's shapes of an obstacle with their placements in S (pin.SE3); several when it is a mesh of several pieces.
+
+    Raises ScenarioError when its mesh cannot be used.
+    """
+    placement = pin.SE3(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg)), np.array(obstacle.position))
+    if obstacle.type == "mesh":
+        return [(_convex(points), placement) for points in mesh_pieces(obstacle)]
+    if obstacle.type == "box":
+        return [(coal.Box(*(obstacle.size or ())), placement)]
+    if obstacle.type == "sphere":
+        return [(coal.Sphere(obstacle.radius or 0.0), placement)]
+    kind = coal.Capsule if obstacle.type == "capsule" else coal.Cylinder
+    return [(kind(obstacle.radius or 0.0, obstacle.length or 0.0), placement)]
+
+
+def mesh_pieces(obstacle: Obstacle) -> list[Array]:
+    """Corners (n, 3), m, in the obstacle's frame, of the convex hull of each separate piece of its mesh."""
+    try:
+        return [obstacle.scale * points for points in _pieces(obstacle.file or "")]
+    except ValueError as error:
+        raise ScenarioError(f"The obstacle {obstacle.name}: its file {obstacle.file} {error}.") from None
+
+
+@lru_cache(maxsize=64)
+def _pieces(file: str) -> tuple[Array, ...]:
+    import trimesh
+
+    try:
+        mesh = trimesh.load(file, force="mesh")
+    except Exception:  # each reader raises whatever it meets
+        raise ValueError("cannot be read as a mesh; give a .stl, .obj, .ply or .off file") from None
+    points = np.asarray(getattr(mesh, "vertices", np.empty((0, 3))), dtype=float)
+    if len(points) < 4 or not np.isfinite(points).all():
+        raise ValueError(f"has {len(points)} corners, all of which must be finite and at least 4")
+    pieces = [np.asarray(piece.vertices, dtype=float) for piece in mesh.split(only_watertight=False)]
+    if len(pieces) > MOST_PIECES:
+        raise ValueError(
+            f"has {len(pieces)} separate pieces; at most {MOST_PIECES} are taken: give it in several files"
+        )
+    return tuple(trimesh.convex.hull_points(piece) if len(piece) > 3 else piece for piece in pieces or [points])
+
+
+def _convex(points: Array) -> Any:
+    """Coal's convex hull of points; a flat piece becomes a slab of a millimetre."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        points = np.vstack([points - 5e-4, points + 5e-4])
+        hull = ConvexHull(points)
+    corners = points[hull.vertices]
+    mesh = coal.BVHModelOBBRSS()
+    triangles = ConvexHull(corners).simplices
+    mesh.beginModel(len(triangles), len(corners))
+    for row in triangles:
+        mesh.addTriangle(*(corners[k] for k in row))
+    mesh.endModel()
+    mesh.buildConvexHull(True, "Qt")
+    return mesh.convex

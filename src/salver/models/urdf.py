@@ -1,0 +1,219 @@
+"""Reading a URDF: the chain from its root to the flange, mesh files found, what is not an arm told in a sentence.
+
+xacro is a language whose files are run to give a URDF; loading a scenario runs nothing, so such a file is
+refused and has to be converted first.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from itertools import islice
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+import numpy as np
+
+from salver.errors import ScenarioError
+
+SUFFIXES = (".urdf", ".xml")
+TURNS = 1.0  # of a continuous joint, either way: the rest of salver counts joint angles as numbers
+_NESTED = 2  # folders between one that is searched and a package in it
+
+
+@dataclass(frozen=True)
+class Chain:
+    """An arm out of a URDF. urdf: text of what is left of it. links: from the root to the flange, root first.
+    all_links, all_joints: names of everything that the file has.
+    """
+
+    urdf: str
+    links: tuple[str, ...]
+    all_links: frozenset[str]
+    all_joints: frozenset[str]
+
+
+def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Chain:
+    """The URDF, cut to the chain from its root to the flange.
+
+    What hangs beyond the flange (a gripper) is left off; joints beside the chain are fixed at zero. A continuous
+    joint becomes a revolute one of `TURNS` turns either way. Mesh files that are found get absolute paths.
+
+    Raises ScenarioError: no URDF, no such link, a chain that closes or branches back, a joint on it that follows
+    another one.
+    """
+    root = _parse(path)
+    names = frozenset(link.get("name", "") for link in root.iter("link"))
+    if flange not in names:
+        shown = ", ".join(sorted(names))
+        raise ScenarioError(f'arm.flange = "{flange}" is no link of {path}; its links are {shown}.')
+    joints = root.findall("joint")
+    links = _links_to(flange, joints, path)
+    beyond = _beyond(flange, joints)
+
+    for element in list(root):
+        if element.tag == "link" and element.get("name") in beyond:
+            root.remove(element)
+        elif element.tag == "joint":
+            if _end(element, "child") in beyond:
+                root.remove(element)
+            elif _end(element, "child") not in links:
+                element.set("type", "fixed")
+                _drop(element, "mimic")
+            else:
+                _on_the_chain(element, path)
+        elif element.tag in ("gazebo", "transmission"):
+            root.remove(element)
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", find_mesh(mesh.get("filename", ""), path, package_dirs))
+    all_joints = frozenset(joint.get("name", "") for joint in joints)
+    return Chain(ElementTree.tostring(root, encoding="unicode"), tuple(links), names, all_joints)
+
+
+def read_disabled_pairs(path: Path, links: Collection[str]) -> frozenset[tuple[str, str]]:
+    """Pairs of links that an SRDF (MoveIt's semantic description) says need not be compared, names in order.
+
+    Raises ScenarioError: it cannot be read, or names none of the robot's links.
+    """
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise ScenarioError(f"arm.srdf: {path} cannot be read ({error}); it must be an SRDF file.") from None
+    pairs = [(e.get("link1", ""), e.get("link2", "")) for e in root.iter("disable_collisions")]
+    found = frozenset((min(pair), max(pair)) for pair in pairs if pair[0] in links and pair[1] in links)
+    if pairs and not found:
+        raise ScenarioError(f"arm.srdf: {path} names no links of this arm; give the SRDF that belongs to its URDF.")
+    return found
+
+
+def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
+    """Absolute path of a mesh file that a URDF names; the name as it is when no such file is found.
+
+    `package://PACKAGE/FILE` is looked for in `package_dirs`, then in AMENT_PREFIX_PATH and ROS_PACKAGE_PATH, then in
+    every folder above the URDF, then among the packages that came with salver. Other names are relative to the URDF.
+    """
+    scheme, _, rest = name.rpartition("://")
+    if scheme not in ("package", "model"):
+        folders = [folder for folder in urdf.parents if (folder / rest).is_file()]
+        return str(folders[0] / rest) if folders else name
+    package, _, file = rest.partition("/")
+    for folder in (*package_dirs, *_ros_folders()):
+        here = [folder] if folder.name == package else []
+        nested = (p for k in range(_NESTED) for p in folder.glob("*/" * k + package))
+        for place in (*here, *islice(nested, 16)):
+            if (place / file).is_file():
+                return str(place / file)
+    came_with_salver = shared_folder()
+    for folder in (*urdf.parents, *([] if came_with_salver is None else [came_with_salver])):
+        for relative in (rest, file):
+            if (folder / relative).is_file():
+                return str(folder / relative)
+    return name
+
+
+def shared_folder() -> Path | None:
+    """Where the packages of robot models that pip installs keep their files; None when there are none."""
+    try:
+        package = metadata.distribution("example-robot-data")
+    except metadata.PackageNotFoundError:
+        return None
+    return Path(str(package.locate_file("cmeel.prefix/share"))).resolve()
+
+
+def _ros_folders() -> list[Path]:
+    """Folders that hold ROS packages, of ROS 2 and of ROS 1."""
+    ament = [Path(prefix) / "share" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    ros = [Path(folder) for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]
+    return [folder for folder in (*ament, *ros) if folder.is_dir()]
+
+
+def _parse(path: Path) -> ElementTree.Element:
+    try:
+        root = _tree(path)
+    except (OSError, expat.ExpatError, UnicodeError) as error:
+        raise ScenarioError(f"The URDF {path} cannot be read ({error}); it must be an XML file of a robot.") from None
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
+        raise ScenarioError(
+            f"The file {path} is written in xacro, which has to be run to give a URDF; do that once, with "
+            f"xacrodoc {path.name} -o {path.name.split('.')[0]}.urdf (pip install xacrodoc), and give the result."
+        )
+    if root.tag != "robot" or root.find("link") is None:
+        raise ScenarioError(
+            f"The URDF {path} describes no robot: its root is <{root.tag}>; it must be <robot> with links."
+        )
+    for element in list(root.iter()):
+        element.attrib = {key: value for key, value in element.attrib.items() if ":" not in key}
+        for child in [child for child in element if ":" in child.tag]:
+            element.remove(child)
+    return root
+
+
+def _tree(path: Path) -> ElementTree.Element:
+    """The file's elements, names as they are written: URDFs use prefixes of other tools without declaring them."""
+    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    with path.open("rb") as file:
+        parser.ParseFile(file)
+    return builder.close()
+
+
+def _links_to(flange: str, joints: Sequence[ElementTree.Element], path: Path) -> list[str]:
+    """Links from the root to the flange."""
+    to_child: dict[str, ElementTree.Element] = {}
+    for joint in joints:
+        child = _end(joint, "child")
+        if child in to_child:
+            raise ScenarioError(
+                f"The URDF {path} closes a chain: the link {child} hangs on the joints {to_child[child].get('name')} "
+                f"and {joint.get('name')}; an arm is one open chain, each link on one joint."
+            )
+        to_child[child] = joint
+    links = [flange]
+    while links[0] in to_child:
+        parent = _end(to_child[links[0]], "parent")
+        if parent in links:
+            raise ScenarioError(
+                f"The URDF {path} closes a chain: following parents from {flange}, the link {parent} comes again; an "
+                "arm is one open chain that begins at a root."
+            )
+        links.insert(0, parent)
+    return links
+
+
+def _beyond(flange: str, joints: Sequence[ElementTree.Element]) -> set[str]:
+    """Links that hang on the flange, directly or not."""
+    beyond = {flange}
+    while grown := {_end(j, "child") for j in joints if _end(j, "parent") in beyond} - beyond:
+        beyond |= grown
+    return beyond - {flange}
+
+
+def _on_the_chain(joint: ElementTree.Element, path: Path) -> None:
+    """Put a joint between root and flange in the form that salver works with."""
+    name, mimic = joint.get("name"), joint.find("mimic")
+    if mimic is not None and joint.get("type") != "fixed":
+        raise ScenarioError(
+            f"The joint {name} of {path} mimics {mimic.get('joint')}, and it lies between root and flange; joints of "
+            "an arm must move on their own: describe the linkage by one joint, or fix this one."
+        )
+    if joint.get("type") == "continuous":
+        joint.set("type", "revolute")
+        limit = joint.find("limit")
+        limit = ElementTree.SubElement(joint, "limit", effort="0", velocity="0") if limit is None else limit
+        limit.set("lower", str(-TURNS * 2 * np.pi))
+        limit.set("upper", str(TURNS * 2 * np.pi))
+
+
+def _drop(element: ElementTree.Element, tag: str) -> None:
+    for child in element.findall(tag):
+        element.remove(child)
+
+
+def _end(joint: ElementTree.Element, which: str) -> str:
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")

@@ -1,0 +1,311 @@
+"""Nothing unchecked passes in silence: each check is blinded in turn, by taking away what it needs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shutil import copyfile
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from salver import scenario
+from salver.errors import ScenarioError
+from salver.geometry import Array
+from salver.models.arm import ArmModel, load_arm
+from salver.models.arm_geometry import ArmGeometry, arm_geometry
+from salver.models.arm_limits import LIMITS
+from salver.models.known_arms import KNOWN_ARMS, robot_file
+from salver.models.link_shapes import link_shapes
+from salver.planning.follow.clearance import sweep
+from salver.planning.follow.limits import verdict
+from salver.trajectory import JointMotion
+
+UR5 = robot_file(KNOWN_ARMS["ur5"])
+ALL_LIMITS = {"velocity": 3.0, "acceleration": 5.0, "jerk": 100.0, "torque": 150.0, "torque_rate": 2000.0}
+REST = np.array([0.0, -1.2, 1.5, -0.3, 1.6, 0.0])
+
+
+def still(arm: ArmModel, q: Array = REST) -> JointMotion:
+    return JointMotion(np.linspace(0, 1, 5), np.tile(q, (5, 1)), np.zeros((5, arm.n)), np.zeros((5, arm.n)))
+
+
+def turn(q: Array, joint: int, to: float, duration: float = 1.0) -> JointMotion:
+    """A min-jerk turn of one joint, in one polynomial piece."""
+    ends = np.stack([q, q])
+    ends[1, joint] = to
+    return JointMotion(np.array([0.0, duration]), ends, np.zeros_like(ends), np.zeros_like(ends))
+
+
+def urdf_without(tmp_path: Path, change) -> Path:
+    """A copy of the UR5's URDF, changed, its meshes by absolute paths."""
+    root = ElementTree.fromstring(load_arm(scenario.Arm(model="ur5"), scenario.Tray()).urdf)
+    change(root)
+    path = tmp_path / "arm.urdf"
+    path.write_text(ElementTree.tostring(root, encoding="unicode"))
+    return path
+
+
+def make(model: str | Path, **keys) -> ArmModel:
+    keys = {"flange": "tool0", "limits": ALL_LIMITS, **keys}
+    return load_arm(scenario.Arm(model=str(model), **keys), scenario.Tray())
+
+
+# ---- limits ---------------------------------------------------------------------------------------------------
+
+
+def test_with_all_limits_only_neighbours_are_left() -> None:
+    status = verdict(make("ur5"), still(make("ur5")))
+    assert status.details["unchecked"] == ["links that share a joint against one another"]
+    assert status.sentence.startswith("Not checked: links that share a joint against one another. ur5 follows")
+    assert ("shoulder_link", "upper_arm_link") in status.details["pairs_left_out"]["neighbours"]
+
+
+@pytest.mark.parametrize("blind", [kind for kind in LIMITS if kind.key != "position"], ids=lambda kind: kind.key)
+def test_a_limit_that_nobody_gave_is_told_first(tmp_path: Path, blind) -> None:
+    def forget(root: ElementTree.Element) -> None:
+        for limit in root.iter("limit"):
+            limit.set({"velocity": "velocity", "torque": "effort"}.get(blind.key, "none"), "0")
+
+    limits = {key: value for key, value in ALL_LIMITS.items() if key != blind.key}
+    arm = make(urdf_without(tmp_path, forget), limits=limits)
+    status = verdict(arm, still(arm))
+    assert status.ok
+    assert status.details["unchecked"][0] == f"{blind.name} of all joints (nobody gave a limit)"
+    assert status.sentence.startswith(f"Not checked: {blind.name} of all joints")
+    assert status.details["limit_sources"][blind.key] == (None,) * 6
+
+
+def test_limits_of_one_joint_are_told_by_its_name(tmp_path: Path) -> None:
+    moveit = "joint_limits: {elbow_joint: {max_acceleration: 4.0}, wrist_1_joint: {max_acceleration: 5, max_jerk: 60}}"
+    file = tmp_path / "joint_limits.yaml"
+    file.write_text(moveit)
+    arm = make(UR5, limits={"torque_rate": 1e3}, joint_limits=str(file))
+    told = verdict(arm, still(arm)).details["unchecked"]
+    assert told[:2] == [
+        "acceleration of shoulder_pan_joint, shoulder_lift_joint, wrist_2_joint and wrist_3_joint "
+        "(nobody gave a limit)",
+        "jerk of shoulder_pan_joint, shoulder_lift_joint, elbow_joint, wrist_2_joint and wrist_3_joint "
+        "(nobody gave a limit)",
+    ]
+    assert arm.limits.acceleration[2:4] == pytest.approx([4.0, 5.0])
+    assert arm.limit_sources["acceleration"][2] == "joint_limits.yaml"
+    assert arm.limit_sources["velocity"][0] == "the URDF"
+    assert arm.limit_sources["torque_rate"][0] == "arm.limits"
+
+
+def test_moveit_limits_override_the_urdf_and_are_overridden_by_the_scenario(tmp_path: Path) -> None:
+    file = tmp_path / "joint_limits.yaml"
+    file.write_text(
+        "default_velocity_scaling_factor: 0.1\n"
+        "joint_limits:\n"
+        "  elbow_joint:\n"
+        "    {has_position_limits: true, min_position: !degrees -90, max_position: !degrees 90.0, max_velocity: 1,"
+        " has_acceleration_limits: false, max_acceleration: 5.0, max_effort: 100}\n"
+    )
+    arm = make(UR5, limits={"velocity": [1, 2, 3, 4, 5, 6]}, joint_limits=str(file))
+    assert (arm.limits.q_min[2], arm.limits.q_max[2]) == pytest.approx((-np.pi / 2, np.pi / 2))
+    assert arm.limits.velocity == pytest.approx([1, 2, 3, 4, 5, 6])
+    assert np.isinf(arm.limits.acceleration).all()  # the file says that this one does not count
+    assert arm.limits.torque == pytest.approx([150, 150, 100, 28, 28, 28])
+
+
+# ---- shapes of links ------------------------------------------------------------------------------------------
+
+LINKS = ["base_link", "shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link", "wrist_2_link", "wrist_3_link"]
+
+
+def blinded(tmp_path: Path, link: str, how: str) -> Path:
+    """The UR5 with the geometry of one link missing, broken, or not given at all."""
+
+    def change(root: ElementTree.Element) -> None:
+        element = next(item for item in root.iter("link") if item.get("name") == link)
+        if how == "none":
+            for tag in ("visual", "collision"):
+                for child in element.findall(tag):
+                    element.remove(child)
+        for mesh in element.iter("mesh"):
+            broken = tmp_path / "broken.stl"
+            broken.write_bytes(b"solid nothing\n")
+            mesh.set("filename", str(broken) if how == "broken" else "package://nowhere/mesh.stl")
+
+    return urdf_without(tmp_path, change)
+
+
+@pytest.mark.parametrize("link", LINKS)
+@pytest.mark.parametrize("how", ["missing", "broken", "none"])
+def test_a_link_of_unknown_shape_is_refused_or_told(tmp_path: Path, link: str, how: str) -> None:
+    path = blinded(tmp_path, link, how)
+    with pytest.raises(ScenarioError) as refused:
+        arm_geometry(make(path))
+    message = str(refused.value)
+    for words in (link, "arm.package_dirs", 'arm.collisions = "capsules"', '"unchecked"', "AMENT_PREFIX_PATH"):
+        assert words in message, message
+    assert "\n" not in message
+
+    left_out = make(path, collisions="unchecked")
+    status = verdict(left_out, still(left_out))
+    assert status.sentence.startswith(f"Not checked: whether {link} hits anything (shape not known)")
+    fitted = make(path, collisions="capsules")
+    status = verdict(fitted, still(fitted))
+    assert status.sentence.startswith(f"Not checked: the true shape of {link} (capsules")
+    assert link in arm_geometry(fitted).names
+
+
+@pytest.mark.parametrize(
+    ("moment", "radius"), [("true", 0.03), ("none", 0.04006), ("dummy", 0.04006), ("tiny", 0.02099)]
+)
+def test_fitted_capsules_by_hand(moment: str, radius: float) -> None:
+    """A rod of 1.6 kg along y, its joint at 0, the next one at 0.4 m, its centre of mass half-way.
+
+    True: a cylinder of radius 0.03 m, I_y = m r^2 / 2. A moment that is none, too large or too small to be true leaves
+    what the mass says, pi r^2 l + 4/3 pi r^3 = m / density: with light shells 1.6 / 700 = 2.286e-3 m^3, with solid
+    aluminium 1.6 / 2700 = 5.93e-4 m^3.
+    """
+    along = {"true": 1.6 * 0.03**2 / 2, "dummy": 1.0, "tiny": 1e-9, "none": 0.0}[moment]
+    entries = f'<inertia ixx="1" iyy="{along}" izz="1" ixy="0" ixz="0" iyz="0"/>' if moment != "none" else ""
+    urdf = f"""<robot name="rod"><link name="rod">
+      <inertial><mass value="1.6"/><origin xyz="0 0.2 0"/>{entries}</inertial>
+      <visual><geometry><mesh filename="nowhere.stl"/></geometry></visual></link><link name="next"/>
+      <joint name="j" type="revolute"><parent link="rod"/><child link="next"/><origin xyz="0 0.4 0"/></joint></robot>"""
+    known = link_shapes(urdf, capsules=True)
+    assert known.fitted == ("rod",)
+    for item, middle in zip(known.shapes, (0.1, 0.3), strict=True):
+        assert (item.shape.radius, 2 * item.shape.halfLength) == pytest.approx((radius, 0.2), abs=2e-5)
+        assert np.abs(item.placement.rotation[:, 2]) == pytest.approx([0, 1, 0], abs=1e-12)
+        assert item.placement.translation == pytest.approx([0, middle, 0], abs=1e-12)
+
+
+def test_capsules_stand_near_the_true_hulls(tmp_path: Path) -> None:
+    """Fitted to the UR5's inertia they tell of the same collisions most of the time; of where, they are an estimate."""
+    copyfile(UR5, tmp_path / "alone.urdf")
+    (tmp_path / "alone.urdf").write_text(UR5.read_text().replace("package://example-robot-data", "package://gone"))
+    with pytest.raises(ScenarioError, match="nor those of 6 more links"):
+        arm_geometry(make(tmp_path / "alone.urdf"))
+    around = [scenario.Obstacle(type="box", size=(2, 0.1, 2), position=(0, 0.45, 0.5))]
+    guess = arm_geometry(make(tmp_path / "alone.urdf", collisions="capsules"), [], around)
+    true = arm_geometry(make("ur5"), [], around)
+
+    def hits(parts: ArmGeometry, q: Array) -> bool:
+        distances = parts.clearance(q[None])[0]
+        return any(d <= 0 and parts.names[j] == "obstacle" for d, (_, j) in zip(distances, parts.pairs, strict=True))
+
+    postures = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, 6))
+    agree = [hits(guess, q) == hits(true, q) for q in postures]
+    assert np.mean(agree) > 0.9
+
+
+def test_a_wall_through_the_arm_is_not_passed_in_silence(tmp_path: Path) -> None:
+    """The URDF alone, its meshes nowhere: no yes through a wall around the arm's base."""
+    alone = tmp_path / "my_arm.urdf"
+    alone.write_text(UR5.read_text().replace("package://example-robot-data", "package://gone"))
+    wall = {"type": "box", "name": "wall", "size": (0.5, 0.5, 0.4), "position": (0, 0, 0.2)}
+    for collisions, answer in (("meshes", None), ("capsules", False)):
+        arm = make(alone, collisions=collisions)
+        if answer is None:
+            with pytest.raises(ScenarioError, match="shape of base_link is not known"):
+                arm_geometry(arm, [], [scenario.Obstacle(**wall)])
+        else:
+            assert verdict(arm, still(arm), parts=arm_geometry(arm, [], [scenario.Obstacle(**wall)])).ok is answer
+
+
+# ---- pairs ----------------------------------------------------------------------------------------------------
+
+FOLDED = np.array([0.0, -1.2, 2.9, 0.0, 1.57, 0.0])  # the wrist beside the upper arm
+
+
+def test_an_srdf_leaves_pairs_out_and_that_is_told(tmp_path: Path) -> None:
+    arm = make("ur5")
+    parts = arm_geometry(arm)
+    q = next(
+        q
+        for q in np.random.default_rng(1).uniform(-np.pi, np.pi, (500, 6))
+        if (touch := parts.first_touch(q[None])) and {touch.first, touch.second} == {"shoulder_link", "forearm_link"}
+    )
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text(
+        '<robot name="ur5"><disable_collisions link1="forearm_link" link2="shoulder_link" reason="Never"/>'
+        '<disable_collisions link1="gripper" link2="forearm_link" reason="Never"/></robot>'
+    )
+    blind = make("ur5", srdf=str(srdf))
+    told = verdict(blind, still(blind))
+    assert told.details["pairs_left_out"]["srdf"] == [("shoulder_link", "forearm_link")]
+    assert "1 pairs of links that the SRDF disables" in told.sentence
+    assert not verdict(arm, still(arm, q)).ok
+    pairs = {(parts.names[i], parts.names[j]) for i, j in parts.pairs}
+    kept = arm_geometry(blind)
+    assert {(kept.names[i], kept.names[j]) for i, j in kept.pairs} == pairs - {("shoulder_link", "forearm_link")}
+
+
+BALLS = """<robot name="balls">
+  <link name="a"><collision><geometry><sphere radius="0.2"/></geometry></collision></link>
+  <link name="b"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
+  <link name="c"><collision><geometry><sphere radius="0.2"/></geometry></collision></link>
+  <link name="d"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
+  {joints}</robot>"""
+JOINT = """<joint name="{a}{b}" type="revolute"><parent link="{a}"/><child link="{b}"/><origin xyz="{x} 0 0"/>
+  <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>"""
+
+
+def test_hulls_that_always_overlap_are_left_out_by_name(tmp_path: Path) -> None:
+    """Balls of 0.2 m about a and c, which are never farther apart than 0.2 m."""
+    joints = "".join(JOINT.format(a=a, b=b, x=x) for a, b, x in (("a", "b", 0.1), ("b", "c", 0.1), ("c", "d", 0.9)))
+    path = tmp_path / "balls.urdf"
+    path.write_text(BALLS.format(joints=joints))
+    arm = load_arm(scenario.Arm(model=str(path), flange="d"), scenario.Tray(height=0.5))
+    parts = arm_geometry(arm)
+    assert parts.left_out["always"] == [("a", "c")]
+    assert "a against c (their hulls overlap in every posture)" in parts.unchecked
+    assert verdict(arm, still(arm, np.zeros(3)), parts=parts).sentence.count("a against c") == 1
+
+
+# ---- between samples ------------------------------------------------------------------------------------------
+
+
+def test_nothing_passes_between_two_instants() -> None:
+    """A thin wall that the tray goes through within a hundredth of a turn, far from any of the first instants."""
+    arm = make("ur5")
+    motion = turn(REST, 0, 2.0)
+    middle = arm.tray_pose(motion.sample([0.4871])[0][0])[0]
+    yaw = float(np.rad2deg(motion.sample([0.4871])[0][0, 0]))
+    wall = scenario.Obstacle(
+        type="box", name="foil", size=(0.02, 0.001, 0.02), position=tuple(middle), rpy_deg=(0, 0, yaw)
+    )
+    found = sweep(arm_geometry(arm, [], [wall]), motion)
+    assert found.touch is not None
+    assert {found.touch.first, found.touch.second} & {"foil"}
+    assert not verdict(arm, motion, parts=arm_geometry(arm, [], [wall])).ok
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_least_clearance_is_never_above_a_dense_search(seed: int) -> None:
+    """Random turns and posts: what a thousand samples find is found, and what is called clear is clear there."""
+    rng = np.random.default_rng(seed)
+    arm = make("ur5")
+    ends = np.stack([REST, REST + rng.uniform(-1.0, 1.0, 6)])
+    motion = JointMotion(np.array([0.0, 1.0]), ends, np.zeros_like(ends), np.zeros_like(ends))
+    post = scenario.Obstacle(type="cylinder", radius=0.03, length=1.0, position=(*rng.uniform(0.2, 0.7, 2), 0.5))
+    parts = arm_geometry(arm, [], [post])
+    found = sweep(parts, motion)
+    dense = parts.clearance(motion.sample(np.linspace(0, 1, 1001))[0]).min()
+    if found.touch is None:
+        assert dense > 0
+        assert found.nearest is not None
+        assert found.nearest.distance <= dense + 1.1e-3
+        assert found.nearest.distance >= dense - 1e-5
+    else:
+        assert dense < 1e-3
+
+
+def test_travel_bounds_what_joints_do_and_is_near_it() -> None:
+    rng = np.random.default_rng(0)
+    t = np.sort(np.concatenate([[0.0, 1.0], rng.uniform(0, 1, 6)]))
+    motion = JointMotion(t, *(rng.normal(size=(3, 8, 2)) * np.array([1.0, 5.0, 50.0])[:, None, None]))
+    at = np.linspace(0, 1, 13)
+    dense = np.linspace(0, 1, 120001)
+    gone = np.vstack([np.zeros(2), np.cumsum(np.abs(np.diff(motion.sample(dense)[0], axis=0)), axis=0)])
+    true = np.diff(gone[np.searchsorted(dense, at)], axis=0)
+    bound = np.diff(motion.travel(at), axis=0)
+    assert (bound >= true - 1e-3).all()
+    monotone = turn(np.zeros(6), 2, 1.5)
+    assert monotone.travel(np.array([1.0]))[0] == pytest.approx([0, 0, 1.5, 0, 0, 0], abs=1e-12)
