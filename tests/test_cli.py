@@ -130,9 +130,6 @@ def test_errors_map_to_exit_codes(capfd):
     def interrupted():
         raise KeyboardInterrupt
 
-    def broken():
-        raise ZeroDivisionError("a defect")
-
     done, text = _exit_of(foreign, capfd)
     assert (done.exit_code, text) == (2, "salver: plan.npz is truncated.\n")
     done, text = _exit_of(far, capfd)
@@ -140,8 +137,52 @@ def test_errors_map_to_exit_codes(capfd):
     done, text = _exit_of(interrupted, capfd)
     assert done.exit_code == 130
     assert text == "salver: interrupted; what was written to disk before is complete and was kept.\n"
-    done, _ = _exit_of(broken, capfd)
-    assert isinstance(done.exception, ZeroDivisionError)  # a defect keeps its traceback
+
+
+def test_a_defect_is_one_sentence_and_a_file_with_its_traceback(capfd, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    def broken():
+        raise ZeroDivisionError("a \x1b[31mdefect")
+
+    done, text = _exit_of(broken, capfd)
+    (crash,) = tmp_path.glob("salver-crash-*.txt")
+    assert done.exit_code == 70
+    assert text.startswith("salver: this is a defect of salver (ZeroDivisionError at test_cli.py:")
+    assert str(crash) in text
+    assert text.count("\n") == 1
+    told = crash.read_text()
+    assert "Traceback" in told
+    assert "in broken" in told
+    assert f"salver {__version__}" in told
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (
+            OSError(28, "No space left on device", "/there/plan.npz"),
+            "salver: /there/plan.npz: no space left on device.",
+        ),
+        (PermissionError(13, "Permission denied", "/there"), "salver: /there: permission denied."),
+        (MemoryError(), "salver: the memory of this machine was not enough"),
+    ],
+)
+def test_what_the_machine_refuses_is_no_defect(error, words, capfd):
+    def refused():
+        raise error
+
+    done, text = _exit_of(refused, capfd)
+    assert done.exit_code == 2
+    assert text.startswith(words)
+
+
+def test_a_full_disk_behind_the_output_is_one_sentence():
+    for arguments in (["scenarios"], ["scenarios", "--json"]):
+        with open("/dev/full", "w") as full:
+            done = subprocess.run([SALVER, *arguments], stdout=full, stderr=subprocess.PIPE, text=True)
+        assert done.returncode == 2
+        assert done.stderr == "salver: the output: no space left on device.\n"
 
 
 def test_interrupting_a_running_command(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import filecmp
+import hashlib
 import io
 import itertools
 import json
@@ -13,7 +14,7 @@ import platform
 import secrets
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -57,6 +58,15 @@ def write_atomic(path: str | Path, data: bytes | str, *, keep: bool = False) -> 
     return path
 
 
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Errors of the disk as a SalverError that names `path`: for what is written by others than `write_atomic`."""
+    try:
+        yield
+    except OSError as error:
+        raise SalverError(f"{path} cannot be written: {_reason(error)}.") from None
+
+
 def put_in_place(made: Path, path: Path, *, keep: bool) -> None:
     """Rename a finished file to `path`; keep: set aside what stands there, unless it is the same."""
     if keep and path.is_file() and not filecmp.cmp(made, path, shallow=False):
@@ -96,14 +106,24 @@ def save_npz(path: str | Path, /, **arrays: npt.ArrayLike) -> Path:
     return write_atomic(path, npz_bytes(arrays))
 
 
-def save_result(path: str | Path, arrays: Mapping[str, npt.ArrayLike], summary: Any) -> Path:
+def save_result(path: str | Path, arrays: Mapping[str, npt.ArrayLike], summary: Mapping[str, Any]) -> Path:
     """Write PATH.npz and PATH.json. Those of an earlier, different run are kept beside them, numbered."""
-    place, content, text = Path(path).with_suffix(".npz"), npz_bytes(arrays), to_json(summary)
+    place, content = Path(path).with_suffix(".npz"), npz_bytes(arrays)
+    text = to_json(sealed({**summary, "arrays_digest": hashlib.sha256(content).hexdigest()}))
     if place.is_file() and place.read_bytes() != content:
         set_aside(place, place.with_suffix(".json"))
     write_atomic(place, content)
     write_atomic(place.with_suffix(".json"), text)
     return place
+
+
+def read_result(path: str | Path, required: tuple[str, ...] = ()) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays and summary of `save_result`. Raises FileFormatError when they are damaged, edited or not of one run."""
+    place = Path(path).with_suffix(".npz")
+    arrays, summary = load_npz(place, required), read_sealed(place.with_suffix(".json"))
+    if summary.pop("arrays_digest", None) != hashlib.sha256(place.read_bytes()).hexdigest():
+        raise FileFormatError(f"{place} and {place.stem}.json are of different runs; make them again.")
+    return arrays, summary
 
 
 def npz_bytes(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
@@ -179,16 +199,45 @@ def read_object(path: str | Path) -> dict[str, Any]:
     return found
 
 
+def sealed(obj: Mapping[str, Any]) -> dict[str, Any]:
+    """The object as JSON has it, with the digest of it all: a result that is edited by hand is no result."""
+    plain: dict[str, Any] = _plain(obj)
+    return {**plain, "digest": _digest(plain)}
+
+
+def read_sealed(path: str | Path) -> dict[str, Any]:
+    """`read_object` of what was written with `sealed`. Raises FileFormatError when it was edited since."""
+    found = read_object(path)
+    if found.pop("digest", None) != _digest(found):
+        raise FileFormatError(f"{path} was edited or damaged since salver wrote it; make it again.")
+    return found
+
+
+def _digest(obj: Any) -> str:
+    return hashlib.sha256(json.dumps(obj, sort_keys=True).encode()).hexdigest()[:16]
+
+
 def provenance(scenario: Scenario) -> dict[str, Any]:
     """What made a result: scenario, its content hash and seed, versions. The same run gives the same record."""
+    own, python, system, *packages = versions().items()
     return {
-        "salver": _version("salver"),
+        "salver": own[1],
         "scenario": scenario.name,
         "scenario_digest": scenario.digest,
         "seed": scenario.seed,
+        "python": python[1],
+        "platform": system[1],
+        "versions": dict(packages),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Of salver, Python, the platform, and the packages that can change numbers."""
+    return {
+        "salver": _version("salver"),
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
-        "versions": {name: _version(name) for name in _RECORDED},
+        **{name: _version(name) for name in _RECORDED},
     }
 
 

@@ -16,7 +16,7 @@ from salver.campaign.journal import Item, Journal
 from salver.campaign.runners import BLOCK, Context
 from salver.campaign.summary import summarise, table, write_table
 from salver.errors import FileFormatError, SalverError
-from salver.files import provenance, read_json, write_json
+from salver.files import provenance, read_json, sealed, write_json
 from salver.run_directory import known_stems
 
 TABLE = "runs.parquet"
@@ -92,10 +92,10 @@ def run_campaign(
         "complete": True,
         "definition": asdict(definition),
         **summarise(rows, stems, directory, folder),
+        "table_digest": write_table(place / TABLE, rows),
         "provenance": _provenance(directory),
     }
-    write_table(place / TABLE, rows)
-    write_json(place / SUMMARY, summary)
+    write_json(place / SUMMARY, sealed(summary))
     return Campaign(place, definition, summary, tuple(journal.notes))
 
 

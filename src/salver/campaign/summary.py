@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 from collections.abc import Mapping, Sequence
@@ -43,8 +44,8 @@ def table(records: Mapping[Item, Record], stems: Sequence[str]) -> list[Row]:
     return sorted(rows, key=lambda row: (row["run"], order[row["stem"]]))
 
 
-def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """Parquet, columns in the order of first appearance. The same rows give the same bytes."""
+def write_table(path: Path, rows: Sequence[Row]) -> str:
+    """Parquet, columns in the order of first appearance; returns its digest. The same rows give the same bytes."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -61,6 +62,7 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     buffer = io.BytesIO()
     pq.write_table(pa.table(columns), buffer, compression="zstd")
     write_atomic(path, buffer.getvalue())
+    return hashlib.sha256(buffer.getvalue()).hexdigest()
 
 
 def read_table(path: str | Path) -> dict[str, list[Any]]:

@@ -49,8 +49,6 @@ def audit(
 
 
 def _show(result: Audit) -> None:
-    from rich.markup import escape
-
     out = result_console()
     motion, margins = result.motion, result.margins
     lines = [
@@ -75,7 +73,7 @@ def _show(result: Audit) -> None:
     lines.append(f"Pace, nominal: {_pace_words(result.pace.factor, result.pace.status.sentence)}")
     lines.append(f"Pace, worst case: {_pace_words(result.pace_worst.factor, result.pace_worst.status.sentence)}")
     for line in lines:
-        out.print(escape(line))
+        out.print(line)
 
 
 def _smoothing(result: Audit) -> str:

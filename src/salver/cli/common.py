@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import functools
 import itertools
+import os
+import re
+import shlex
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
+from click import ClickException
 
 from salver.errors import SalverError, ScenarioError, UnreachableError
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
     from salver.planning.plan import Plan
 
@@ -22,6 +27,7 @@ ACHIEVED = 0
 NOT_ACHIEVED = 1
 WRONG_USE = 2
 NO_SAFE_PLAN = 3
+DEFECT = 70  # as sysexits.h has it: salver itself failed
 INTERRUPTED = 130  # 128 + SIGINT, as a shell reports it
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON document on standard output.")]
@@ -30,15 +36,18 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def handled(command: Command) -> Command:
-    """The command, with user mistakes as one sentence on standard error and the exit code that fits.
+    """The command, with whatever goes wrong as one sentence on standard error and the exit code that fits.
 
-    Anything else that goes wrong is a defect of salver and keeps its traceback.
+    What is neither a mistake of the user nor the machine's (disk, memory) is a defect of salver; its traceback goes to
+    a file.
     """
 
     @functools.wraps(command)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         try:
-            return command(*args, **kwargs)
+            result = command(*args, **kwargs)
+            sys.stdout.flush()
+            return result
         except UnreachableError as error:
             say(f"salver: {error}")
             raise typer.Exit(NO_SAFE_PLAN) from None
@@ -51,14 +60,66 @@ def handled(command: Command) -> Command:
         except BrokenPipeError:  # the reader of our output, `head` for one, has seen enough
             sys.stderr.close()
             raise typer.Exit(ACHIEVED) from None
+        except (typer.Exit, typer.Abort, ClickException):
+            raise
+        except OSError as error:  # a full disk, a directory that is not ours
+            say(f"salver: {error.filename or 'the output'}: {(error.strerror or str(error)).lower()}.")
+            raise typer.Exit(WRONG_USE) from None
+        except MemoryError:
+            say("salver: the memory of this machine was not enough; what was written to disk before is complete.")
+            raise typer.Exit(WRONG_USE) from None
+        except Exception as error:
+            say(f"salver: {_defect(error)}")
+            raise typer.Exit(DEFECT) from None
 
     return wrapper  # type: ignore[return-value]
 
 
+def _defect(error: Exception) -> str:
+    """A sentence on what nobody foresaw; where, and with what, goes to a file for the maintainers."""
+    import tempfile
+    import traceback
+
+    from salver.files import versions
+
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    report = [
+        f"command: {shlex.join(sys.argv)}",
+        f"in: {os.getcwd()}",
+        f"versions: {', '.join(f'{name} {version}' for name, version in versions().items())}",
+        "".join(traceback.format_exception(error)),
+    ]
+    text = f"this is a defect of salver ({type(error).__name__} at {Path(where.filename).name}:{where.lineno})"
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="salver-crash-", suffix=".txt", delete=False, encoding="utf-8", errors="backslashreplace"
+        ) as file:
+            file.write("\n".join(report))
+    except OSError:
+        return f"{text}; it could not be written down."
+    return f"{text}; please send {file.name} to the maintainers, with the files that the command was given."
+
+
+# Control characters and those that turn the direction of writing: in a name, they would command the terminal.
+_COMMANDS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+
+
+def printable(text: str) -> str:
+    """The text with what a terminal would obey instead of show written out, as \\x1b."""
+    return _COMMANDS.sub(lambda found: ascii(found[0])[1:-1], text)
+
+
 def say(text: str) -> None:
     """A line for a person, on standard error, never wrapped or coloured: safe to grep."""
-    sys.stderr.write(text.rstrip("\n") + "\n")
+    sys.stderr.write(printable(text).rstrip("\n") + "\n")
     sys.stderr.flush()
+
+
+def headed(name: str, text: object) -> Text:
+    """For a console: "name: text", the name in bold."""
+    from rich.text import Text
+
+    return Text.assemble((printable(name), "bold"), f": {printable(str(text))}")
 
 
 def save_plans(directory: Path, plans: Mapping[str, Plan]) -> None:
@@ -86,21 +147,29 @@ def save_plans(directory: Path, plans: Mapping[str, Plan]) -> None:
 
 def console() -> Console:
     """Console on standard error, for progress and logs."""
-    from rich.console import Console
-
-    return Console(stderr=True, highlight=False)
+    return _console(stderr=True)
 
 
 def result_console() -> Console:
     """Console on standard output, for the result a person asked for (without --json)."""
+    return _console(soft_wrap=not sys.stdout.isatty())
+
+
+def _console(**options: Any) -> Console:
+    """A console to which strings are text: no markup, no emoji, no commands of the terminal, also in tables."""
     from rich.console import Console
 
-    return Console(highlight=False, soft_wrap=not sys.stdout.isatty())
+    class PlainConsole(Console):
+        def render_str(self, text: str, **more: Any) -> Text:
+            return super().render_str(printable(text), **{**more, "markup": False, "emoji": False})
+
+    return PlainConsole(highlight=False, **options)
 
 
 def print_json(obj: Any) -> None:
     """The result for a machine: one JSON document on standard output (`salver.files.to_json`)."""
     from salver.files import to_json
 
-    sys.stdout.write(to_json(obj))
+    # Control characters can only be within strings, where JSON has a word for them.
+    sys.stdout.write(re.sub("[\x7f-\x9f]", lambda found: f"\\u{ord(found[0]):04x}", to_json(obj)))
     sys.stdout.flush()

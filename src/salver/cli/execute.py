@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -112,7 +111,7 @@ def _pose(text: str | None) -> Any:
 
 def _tell(result: Execution) -> None:
     summary, clock = result.summary, result.summary.get("timing", {})
-    tell = partial(result_console().print, markup=False)
+    tell = result_console().print
     for check in result.checks:
         tell(f"  {'ok ' if check.ok else 'NO '} {check.name}: {check.sentence}")
     if "jitter_median" in clock:

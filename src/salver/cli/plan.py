@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, save_plans, say
+from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, save_plans, say
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,7 +71,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
 
     console = result_console()
     scenario = plan.scenario
-    console.print(f"[bold]{scenario.name}[/bold]: {scenario.summary}" if scenario.summary else scenario.name)
+    console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
     uncertain = ", ".join(
         f"{name} ±{half:.3g}" for name, half in zip(plan.uncertain.names, plan.uncertain.half_range, strict=True)
     )
@@ -104,7 +104,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
         table.add_row(label, value(plan), value(other))
     console.print(table)
     for name, item in zip(names, (plan, other), strict=True):
-        console.print(f"[bold]{name}[/bold]: {item.status}")
+        console.print(headed(name, item.status))
         if item.arm_status is not None:
             console.print(f"  arm: {item.arm_status}")
     console.print(plan.verification.sentence)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
@@ -48,7 +47,7 @@ def retime(
     if json:
         print_json({"directory": directory, "plan": plan.summary()})
     else:
-        tell = partial(result_console().print, markup=False)
+        tell = result_console().print
         tell(str(plan.status))
         tell(plan.verification.sentence)
         if plan.arm_status is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import Json, print_json, result_console, say
+from salver.cli.common import Json, headed, print_json, result_console, say
 from salver.errors import ScenarioError
 from salver.run_directory import STEMS
 
@@ -105,7 +105,7 @@ def show(results: dict[str, SimulationRecord]) -> None:
     console.print(table)
     for name, record in results.items():
         for sentence in sentences(record):
-            console.print(f"[bold]{name}[/bold]: {sentence}")
+            console.print(headed(name, sentence))
 
 
 def _lines(record: SimulationRecord) -> dict[str, str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
+from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, say
 
 if TYPE_CHECKING:
     from salver.planning.fastest.tradeoff import TradeoffPoint
@@ -88,7 +88,7 @@ def show(name: str, points: list[TradeoffPoint]) -> None:
         else:
             table.add_row(f"{point.scale:g} x", "none", "", "", "")
     console = result_console()
-    console.print(f"[bold]{name}[/bold]: fastest motion that is safe for so much uncertainty")
+    console.print(headed(name, "fastest motion that is safe for so much uncertainty"))
     console.print(table)
 
 

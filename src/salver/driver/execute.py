@@ -16,7 +16,7 @@ from salver.driver.execution import CoolStop, Log, Watchdog, drive, timing
 from salver.driver.preflight import Check, check_approach, check_franka, check_plan, check_posture, demand
 from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
 from salver.errors import FileFormatError, SalverError, UnreachableError
-from salver.files import load_npz, provenance, read_json
+from salver.files import provenance, read_result
 from salver.geometry import Array, log, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel, load_arm
 from salver.models.bodies import Body, bodies
@@ -132,10 +132,7 @@ def merge_mocap(
     folder = Path(directory) / FOLDER
     if not (folder / f"{stem}.npz").is_file():
         raise FileFormatError(f"{folder} holds no log of {stem}; run `salver execute {directory}` first.")
-    arrays, summary = (
-        load_npz(folder / f"{stem}.npz", ("t", "p_SE", "quat_SE_wxyz")),
-        read_json(folder / f"{stem}.json"),
-    )
+    arrays, summary = read_result(folder / stem, ("t", "p_SE", "quat_SE_wxyz"))
     merged = mocap.merge(
         arrays,
         mocap.read_tracks(path),

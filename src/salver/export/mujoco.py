@@ -13,6 +13,7 @@ import numpy as np
 from salver.errors import SalverError
 from salver.export.motion import read_motion
 from salver.export.text import write_csv
+from salver.files import write_atomic, writing
 from salver.geometry import GRAVITY_S, Array
 from salver.planning.plan import load_plan
 
@@ -50,9 +51,10 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[P
     spec.modelname = scenario.name
     spec.option.gravity = GRAVITY_S  # without an arm the engine leaves it to the moving tray
     temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}.tmp"
-    temporary.mkdir(parents=True)
     try:
-        _copy_meshes(spec, temporary)
+        with writing(path):
+            temporary.mkdir(parents=True)
+            _copy_meshes(spec, temporary)
         if arm is not None:
             _add_servos(spec, arm)
         scene = scenes.build(scenario, world, arm, visual=True)
@@ -61,10 +63,11 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[P
         scene.place(data, q)
         spec.add_key(name=START, qpos=data.qpos, ctrl=q if q is not None else [])
         model = spec.compile()
-        (temporary / "scene.xml").write_text(with_all_digits(spec.to_xml(), model), encoding="utf-8")
+        write_atomic(temporary / "scene.xml", with_all_digits(spec.to_xml(), model))
         if arm is not None:
             write_csv(read_motion(directory, stem), temporary / "motion.csv")
-        temporary.rename(path)
+        with writing(path):
+            temporary.rename(path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return sorted(p for p in path.rglob("*") if p.is_file())

@@ -16,7 +16,7 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.export.motion import WORLD_FRAME, ExportedMotion
-from salver.files import write_atomic
+from salver.files import write_atomic, writing
 from salver.geometry import Array
 
 TOPICS = {
@@ -84,18 +84,18 @@ def write_bag(motion: ExportedMotion, path: Path) -> list[Path]:
     if path.exists():
         raise SalverError(f"{path} exists; a ROS 2 bag is a new directory: name another with -o, or remove that one.")
     store = get_typestore(Stores.ROS2_JAZZY)
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}.tmp" / path.name
-    temporary.parent.mkdir()
     try:
-        with Writer(temporary, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
-            for topic, message in messages(motion).items():
-                kind = TOPICS[topic]
-                connection = writer.add_connection(f"/salver/{topic}", kind, typestore=store)
-                writer.write(connection, 0, store.serialize_cdr(_typed(store, kind, message), kind))
-        temporary.rename(path)
+        with writing(path):
+            temporary.parent.mkdir(parents=True)
+            with Writer(temporary, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+                for topic, message in messages(motion).items():
+                    kind = TOPICS[topic]
+                    connection = writer.add_connection(f"/salver/{topic}", kind, typestore=store)
+                    writer.write(connection, 0, store.serialize_cdr(_typed(store, kind, message), kind))
+            temporary.rename(path)
     finally:
-        shutil.rmtree(temporary.parent)
+        shutil.rmtree(temporary.parent, ignore_errors=True)
     return sorted(path.iterdir())
 
 

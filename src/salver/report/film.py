@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import MissingDependencyError, SalverError
-from salver.files import put_in_place, write_atomic
+from salver.files import put_in_place, write_atomic, writing
 from salver.planning.plan import load_plan
 from salver.run_directory import STEMS
 from salver.simulation.record import FOLDER, SimulationRecord, load_record
@@ -183,7 +183,8 @@ def _ffmpeg(path: Path) -> Save:
     def save(pictures: Iterator[np.ndarray], rate: float, count: int) -> None:
         first = next(pictures)
         height, width = first.shape[:2]
-        path.parent.mkdir(parents=True, exist_ok=True)
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_name(f".{path.stem}.tmp{path.suffix}")
         codec = (
             ["-c:v", "libvpx-vp9", "-b:v", "0", "-crf", "33"]
@@ -217,7 +218,8 @@ def _ffmpeg(path: Path) -> Save:
         if process.returncode:
             temporary.unlink(missing_ok=True)
             raise SalverError(f"ffmpeg could not write {path}: {said.splitlines()[-1] if said else 'no reason given'}.")
-        put_in_place(temporary, path, keep=True)
+        with writing(path):
+            put_in_place(temporary, path, keep=True)
 
     return save
 

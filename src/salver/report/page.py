@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 from collections.abc import Callable
-from html import escape
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup, escape
 
 from salver import __version__
 from salver.files import output_file, write_atomic
 from salver.report import sections
+from salver.report.cells import joined
 from salver.report.charts import thin
 from salver.report.replay import replay_scene
 from salver.report.run import Motion, Run, read_run
@@ -46,35 +49,46 @@ def page(run: Run) -> str:
     made = sections.build(run, arm)
     answer = verdict(run)
     data = {"replay": _replay(run, arm), "charts": made.specs}
+    script = _asset("viewer.js") + _asset("plots.js") + _asset("main.js")
     return _fill(
         _asset("page.html"),
-        title=escape(f"{run.scenario.name}: {answer.headline}"),
-        name=escape(run.scenario.name),
-        css=_asset("page.css"),
+        title=f"{run.scenario.name}: {answer.headline}",
+        name=run.scenario.name,
+        css=Markup(_asset("page.css")),
+        policy=_policy(script),
         level=answer.level,
-        headline=escape(answer.headline),
-        detail=escape(answer.detail),
-        asked=escape(asked(run)),
-        notes="".join(f'<p class="note">{escape(note)}</p>' for note in run.notes),
+        headline=answer.headline,
+        detail=answer.detail,
+        asked=asked(run),
+        notes=joined(Markup('<p class="note">{}</p>').format(note) for note in run.notes),
         tiles=sections.tiles(run),
-        navigation="".join(f'<a href="#{key}">{escape(title)}</a>' for key, title in made.titles),
-        replay=_asset("replay.html"),
+        navigation=joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in made.titles),
+        replay=Markup(_asset("replay.html")),
         sections=made.html,
-        version=escape(__version__),
-        directory=escape(run.directory.name or str(run.directory)),
-        # "</" would end the script element; in JSON "<\/" is the same text.
-        data=json.dumps(data, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
-        script=_asset("viewer.js") + _asset("plots.js") + _asset("main.js"),
+        version=__version__,
+        directory=run.directory.name or str(run.directory),
+        # "<" could end the script element, or begin a comment in it; in JSON "\\u003c" is the same text.
+        data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
+        script=Markup(script),
     )
 
 
+def _policy(script: str) -> str:
+    """What the page may do: run this very script, and none that came in with what it shows."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'; img-src data:"
+
+
 def _fill(template: str, **parts: str) -> str:
-    """Each {{key}} of the template replaced, in one pass: what is put in is not searched again."""
+    """Each {{key}} of the template replaced, in one pass: what is put in is not searched again.
+
+    What is not `Markup` is text.
+    """
     pieces = template.split("{{")
     out = [pieces[0]]
     for piece in pieces[1:]:
         key, rest = piece.split("}}", 1)
-        out += [parts[key], rest]
+        out += [escape(parts[key]), rest]
     return "".join(out)
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
-from salver.report.cells import motion_cell, outcome_cell, percent, table
+from salver.report.cells import joined, motion_cell, outcome_cell, percent, table
 from salver.report.charts import Spec
 from salver.report.style import ROLE_COLOURS
 from salver.report.words import length
@@ -26,7 +26,7 @@ BINS = 24
 START = 0.02  # share of the duration that counts as its very start
 
 
-def section(run: Run, campaign: dict[str, Any]) -> tuple[str, list[Spec], str]:
+def section(run: Run, campaign: dict[str, Any]) -> tuple[str, list[Spec], Markup]:
     """Introduction, charts, and HTML below them."""
     plans = campaign["plans"]
     total = max(int(own["runs"]) for own in plans.values())
@@ -39,15 +39,14 @@ def section(run: Run, campaign: dict[str, Any]) -> tuple[str, list[Spec], str]:
     if not campaign.get("complete", True):
         intro += f" So far: {definition.get('n')} were asked for; the same command goes on."
     specs = [spec for spec in (_histogram(run, *wanted) for wanted in HISTOGRAMS) if spec is not None][:2]
-    remarks = "".join(_remarks(run, m, plans[m.stem]) for m in run.motions if m.stem in plans)
-    extra = (
-        f'<div class="columns" style="margin-top:14px"><div>{_outcomes(run, plans)}{_paired(run, campaign)}</div>'
-        f"<div>{remarks}</div></div>"
+    remarks = joined(_remarks(run, m, plans[m.stem]) for m in run.motions if m.stem in plans)
+    extra = Markup('<div class="columns" style="margin-top:14px"><div>{}{}</div><div>{}</div></div>').format(
+        _outcomes(run, plans), _paired(run, campaign), remarks
     )
     return intro, specs, extra
 
 
-def _outcomes(run: Run, plans: dict[str, Any]) -> str:
+def _outcomes(run: Run, plans: dict[str, Any]) -> Markup:
     rows = []
     for m in run.motions:
         for i, (word, rate) in enumerate(plans.get(m.stem, {}).get("outcomes", {}).items()):
@@ -64,23 +63,21 @@ def _outcomes(run: Run, plans: dict[str, Any]) -> str:
     return table(["", "outcome", "runs", "rate", "95 % interval (Clopper–Pearson)"], rows, numeric=(2, 3))
 
 
-def _remarks(run: Run, m: Motion, own: dict[str, Any]) -> str:
+def _remarks(run: Run, m: Motion, own: dict[str, Any]) -> Markup:
     """Worst run, how to repeat it, and how the tubes did, in sentences."""
     worst, label = own["worst_run"], m.label
     slip = f", slip {length(worst['peak_slip'])}" if worst.get("peak_slip") is not None else ""
     least = f", least coefficient {worst['cone_least']:.3g} N" if worst.get("cone_least") is not None else ""
-    text = (
-        f"<p><b>{escape(label)}, worst run:</b> number {worst['run']}, {escape(str(worst['outcome']))}{slip}{least}; "
-        f"again with <code>{escape(str(worst.get('replay', '')))}</code></p>"
+    text = Markup("<p><b>{}, worst run:</b> number {}, {}{}{}; again with <code>{}</code></p>").format(
+        label, worst["run"], worst["outcome"], slip, least, worst.get("replay", "")
     )
     tube = own.get("tube")
     if tube:
         left = tube["left"]
-        text += (
-            f"<p><b>{escape(label)}, tubes:</b> in {left['count']} of {left['of']} runs a cone coefficient left its "
-            f"first-order tube, at most by {tube['worst_excess']:.3g} N (run {tube['worst_run']})"
-            f"{_at_start(run, m)}.</p>"
-        )
+        text += Markup(
+            "<p><b>{}, tubes:</b> in {} of {} runs a cone coefficient left its first-order tube, at most by {:.3g} N "
+            "(run {}){}.</p>"
+        ).format(label, left["count"], left["of"], tube["worst_excess"], tube["worst_run"], _at_start(run, m))
     return text
 
 
@@ -97,17 +94,16 @@ def _at_start(run: Run, m: Motion) -> str:
     )
 
 
-def _paired(run: Run, campaign: dict[str, Any]) -> str:
-    text = ""
+def _paired(run: Run, campaign: dict[str, Any]) -> Markup:
+    text = Markup("")
     label = {m.stem: m.label.lower() for m in run.motions}
     for pair in campaign.get("paired", []):
         held = pair["holds"]
-        first, second = (escape(label.get(pair[key], pair[key])) for key in ("first", "second"))
-        text += (
-            f"<p>On the same draws: both held {held['both']} times, only {first} {held['only_first']}, "
-            f"only {second} {held['only_second']}, neither {held['neither']} "
-            f"(McNemar’s exact p = {held['p_value']:.3g}).</p>"
-        )
+        first, second = (label.get(pair[key], pair[key]) for key in ("first", "second"))
+        text += Markup(
+            "<p>On the same draws: both held {} times, only {} {}, only {} {}, neither {} "
+            "(McNemar’s exact p = {:.3g}).</p>"
+        ).format(held["both"], first, held["only_first"], second, held["only_second"], held["neither"], held["p_value"])
     return text
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +13,7 @@ import numpy as np
 
 from salver import scenario as scenarios
 from salver.errors import FileFormatError
-from salver.files import load_npz, read_object
+from salver.files import read_result, read_sealed
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.bodies import Body, bodies
 from salver.planning.plan import read_plan
@@ -142,7 +144,7 @@ def _with_records(directory: Path, motion: Motion, notes: list[str]) -> Motion:
         path = directory / folder / f"{motion.stem}.npz"
         if not path.is_file():
             continue
-        record = Record(load_npz(path, required=("t",)), read_object(path.with_suffix(".json")))
+        record = Record(*read_result(path, ("t",)))
         try:
             check_digest(record.summary, path, directory, motion.stem)
             found[folder] = record
@@ -156,7 +158,7 @@ def _campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | None,
     path = directory / "campaign" / "campaign.json"
     if not path.is_file() or not path.with_name("runs.parquet").is_file():
         return None, {}
-    summary = read_object(path)
+    summary = read_sealed(path)
     if "plans" not in summary:  # begun, not finished
         return None, {}
     definition = summary.get("definition")
@@ -166,15 +168,14 @@ def _campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | None,
     ):
         notes.append(f"Not shown: {path} is a campaign of other plans than those of {directory}.")
         return None, {}
-    import pyarrow
     from pyarrow import parquet
 
-    try:
-        table = parquet.read_table(path.with_name("runs.parquet"))
-    except (pyarrow.ArrowException, OSError):
+    content = path.with_name("runs.parquet").read_bytes()
+    if hashlib.sha256(content).hexdigest() != summary.get("table_digest"):
         raise FileFormatError(
-            f"{path.with_name('runs.parquet')} is truncated or no Parquet file; run `salver campaign` again, it "
-            "resumes."
-        ) from None
+            f"{path.with_name('runs.parquet')} was damaged or edited since it was written; run `salver campaign` "
+            "again, it resumes."
+        )
+    table = parquet.read_table(io.BytesIO(content))
     columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
     return summary, columns

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup
 
 from salver.report import charts, perturbed_runs
-from salver.report.cells import motion_cell, number, outcome_cell, table
+from salver.report.cells import NOTHING, joined, motion_cell, number, outcome_cell, table
 from salver.report.tables import arm_usage, scenario_rows, solver_rows
 from salver.report.words import length, true_parameters
 
@@ -37,30 +37,35 @@ NAVIGATION = {
 class Sections:
     """What `build` gathers: HTML, (anchor, title) of each section, chart specs by key."""
 
-    html: str = ""
+    html: Markup = NOTHING
     titles: list[tuple[str, str]] = field(default_factory=lambda: [("replay", NAVIGATION["replay"])])
     specs: dict[str, charts.Spec] = field(default_factory=dict)
 
     def add(
-        self, key: str, title: str, intro: str, specs: Iterable[charts.Spec] = (), extra: str = "", grid: str = ""
+        self,
+        key: str,
+        title: str,
+        intro: str,
+        specs: Iterable[charts.Spec] = (),
+        extra: Markup = NOTHING,
+        grid: str = "",
     ) -> None:
-        figures = "".join(self._figure(key, i, spec) for i, spec in enumerate(specs))
+        figures = joined(self._figure(key, i, spec) for i, spec in enumerate(specs))
         if not figures and not extra:
             return
         self.titles.append((key, NAVIGATION[key]))
-        self.html += f'<section id="{key}"><h2>{escape(title)}</h2>'
-        self.html += f"<p>{escape(intro)}</p>" if intro else ""
-        self.html += f'<div class="charts {grid}">{figures}</div>' if figures else ""
-        self.html += extra + "</section>\n"
+        self.html += Markup('<section id="{}"><h2>{}</h2>').format(key, title)
+        self.html += Markup("<p>{}</p>").format(intro) if intro else ""
+        self.html += Markup('<div class="charts {}">{}</div>').format(grid, figures) if figures else ""
+        self.html += extra + Markup("</section>\n")
 
-    def _figure(self, key: str, number: int, spec: charts.Spec) -> str:
+    def _figure(self, key: str, number: int, spec: charts.Spec) -> Markup:
         name = f"{key}-{number}"
         self.specs[name] = spec
-        note = f'<p class="note">{escape(spec.get("note", ""))}</p>'
-        return (
-            f'<figure><figcaption>{escape(spec["title"])}</figcaption>{note}<div class="legend"></div>'
-            f'<div class="plot" data-chart="{name}"></div></figure>'
-        )
+        return Markup(
+            '<figure><figcaption>{}</figcaption><p class="note">{}</p><div class="legend"></div>'
+            '<div class="plot" data-chart="{}"></div></figure>'
+        ).format(spec["title"], spec.get("note", ""), name)
 
 
 def build(run: Run, arm: ArmModel | None) -> Sections:
@@ -106,7 +111,7 @@ def build(run: Run, arm: ArmModel | None) -> Sections:
     return page
 
 
-def tiles(run: Run) -> str:
+def tiles(run: Run) -> Markup:
     """Key numbers below the verdict."""
     plan = run.plan
     base = run.compared
@@ -152,9 +157,7 @@ def tiles(run: Run) -> str:
                 str(solver.get("name", "")),
             )
         )
-    return "".join(
-        f"<div><dt>{escape(a)}</dt><dd>{escape(b)}<small>{escape(c)}</small></dd></div>" for a, b, c in shown
-    )
+    return joined(Markup("<div><dt>{}</dt><dd>{}<small>{}</small></dd></div>").format(*tile) for tile in shown)
 
 
 RUNS = {
@@ -205,9 +208,9 @@ def _run_section(page: Sections, run: Run, kind: str) -> None:
         rows.append(
             [
                 motion_cell(m.stem, m.label),
-                outcome_cell(str(record.summary.get("outcome", "unknown"))),
+                outcome_cell(record.summary.get("outcome", "unknown")),
                 *(_peak(record, key, factor) for key, factor in _PEAKS),
-                escape(true_parameters(record.summary) or "nominal" if kind == "simulation" else _source(record)),
+                true_parameters(record.summary) or "nominal" if kind == "simulation" else _source(record),
             ]
         )
     last = "true parameters" if kind == "simulation" else "arm"
@@ -226,55 +229,54 @@ def _source(record: Record) -> str:
 _PEAKS = (("slip", 1e3), ("lift", 1e3), ("tip_angle", 180 / np.pi), ("e_p", 1e3), ("e_o", 1e3))
 
 
-def _clocks(records: list[tuple[Motion, Record]]) -> str:
+def _clocks(records: list[tuple[Motion, Record]]) -> Markup:
     """How well the control loop kept its period, and why it stopped if it did."""
-    rows, stops = [], ""
+    rows, stops = [], NOTHING
     for m, record in records:
         clock = record.summary.get("timing", {})
         if "jitter_median" in clock:
             rows.append(
                 [
                     motion_cell(m.stem, m.label),
-                    str(clock["periods"]),
-                    str(clock["missed"]),
+                    clock["periods"],
+                    clock["missed"],
                     *(number(1e3 * clock[key], 3) for key in ("jitter_median", "jitter_p999", "jitter_max")),
                     *(number(1e3 * clock[key], 3) for key in ("step_median", "step_p999")),
                 ]
             )
         if record.summary.get("stopped"):
-            stops += f"<p><b>{escape(m.label)} was stopped:</b> {escape(str(record.summary['stopped']))}</p>"
+            stops += Markup("<p><b>{} was stopped:</b> {}</p>").format(m.label, record.summary["stopped"])
     head = ["", "periods", "missed", "jitter, ms", "at 99.9 %", "at most", "step, ms", "at 99.9 %"]
-    return stops + ('<div style="margin-top:14px">' + table(head, rows, numeric=range(1, 8)) + "</div>" if rows else "")
+    if rows:
+        stops += Markup('<div style="margin-top:14px">{}</div>').format(table(head, rows, numeric=range(1, 8)))
+    return stops
 
 
-def _usage_table(run: Run, arm: ArmModel) -> str:
+def _usage_table(run: Run, arm: ArmModel) -> Markup:
     usage = {m.stem: arm_usage(m, arm) for m in run.motions}
     kinds = list(next(iter(usage.values())))
     rows = []
     for j in range(arm.n):
-        cells = [escape(arm.joint_names[j])]
-        for kind in kinds:
-            cells.append("".join(_bar(usage[m.stem][kind][j], m.stem) for m in run.motions))
-        rows.append(cells)
-    return (
-        '<div style="margin-top:16px">' + table(["joint", *(f"{kind}, % of limit" for kind in kinds)], rows) + "</div>"
+        bars = [joined(_bar(usage[m.stem][kind][j], m.stem) for m in run.motions) for kind in kinds]
+        rows.append([arm.joint_names[j], *bars])
+    head = ["joint", *(f"{kind}, % of limit" for kind in kinds)]
+    return Markup('<div style="margin-top:16px">{}</div>').format(table(head, rows))
+
+
+def _bar(share: float, stem: str) -> Markup:
+    near = " near" if share > 0.95 else ""
+    return Markup('<div class="bar {}{}"><i><b style="width:{:.1f}%"></b></i><span>{:.0f}</span></div>').format(
+        stem, near, 100 * min(share, 1.0), 100 * share
     )
 
 
-def _bar(share: float, stem: str) -> str:
-    near = " near" if share > 0.95 else ""
-    width = f"{100 * min(share, 1.0):.1f}"
-    return f'<div class="bar {stem}{near}"><i><b style="width:{width}%"></b></i><span>{100 * share:.0f}</span></div>'
-
-
-def _provenance(run: Run) -> str:
-    left = table(["asked", ""], [[escape(a), escape(b)] for a, b in scenario_rows(run)])
-    right = table(["computed", ""], [[escape(a), escape(b)] for a, b in solver_rows(run)])
-    details = ""
+def _provenance(run: Run) -> Markup:
+    left, right = table(["asked", ""], scenario_rows(run)), table(["computed", ""], solver_rows(run))
+    details = NOTHING
     for name in ("scenario.toml", *(f"{m.stem}.json" for m in run.motions)):
         text = (run.directory / name).read_text(encoding="utf-8")
-        details += f"<details><summary>{name}</summary><pre>{escape(text)}</pre></details>"
-    return f'<div class="columns"><div>{left}</div><div>{right}</div></div>{details}'
+        details += Markup("<details><summary>{}</summary><pre>{}</pre></details>").format(name, text)
+    return Markup('<div class="columns"><div>{}</div><div>{}</div></div>{}').format(left, right, details)
 
 
 def _peak(record: Record, key: str, factor: float) -> str:

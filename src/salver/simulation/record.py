@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import FileFormatError
-from salver.files import load_npz, read_json
+from salver.files import read_result
 from salver.geometry import Array
 from salver.run_directory import check_digest, save_record
 
@@ -88,10 +88,9 @@ ARRAYS = tuple(f.name for f in dataclasses.fields(SimulationRecord) if f.name no
 def load_record(directory: str | Path, stem: str = "plan") -> SimulationRecord:
     """Read what `SimulationRecord.save` wrote. Raises FileFormatError, also when it is of another plan."""
     folder = Path(directory) / FOLDER
-    arrays = load_npz(folder / f"{stem}.npz", required=ARRAYS)
     path = folder / f"{stem}.json"
-    summary = read_json(path)
-    if not isinstance(summary, dict) or summary.get("outcome") not in OUTCOMES:
+    arrays, summary = read_result(path, ARRAYS)
+    if summary.get("outcome") not in OUTCOMES:
         raise FileFormatError(f"{path} is no summary of a simulation; write it again with salver simulate.")
     check_digest(summary, path, Path(directory), stem)
     names = tuple(summary.pop("object_names", ()))
