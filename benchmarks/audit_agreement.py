@@ -28,7 +28,6 @@ from salver.audit import audit
 from salver.audit.motion import TrayMotion
 from salver.audit.verdict import Audit
 from salver.geometry import invert, quat_wxyz_from_matrix
-from salver.models.bodies import bodies
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import PolynomialReference, boundary_solution, position_boundary
@@ -91,7 +90,7 @@ def random_motion(rng: np.random.Generator, scenario: Scenario, duration: float)
 def judged(scenario: Scenario, reference: PolynomialReference, folder: Path) -> Audit:
     """By way of a file."""
     t = np.arange(round(reference.duration * 1000) + 1) / 1000
-    first = bodies(scenario)[0]
+    first = scenario.payload.first
     s = reference.sample(t).of_frame(*invert(first.p_EB, first.R_EB))
     path = folder / "motion.csv"
     rows = np.column_stack([t, s.p_SB, quat_wxyz_from_matrix(s.R_SB)])
@@ -101,7 +100,7 @@ def judged(scenario: Scenario, reference: PolynomialReference, folder: Path) -> 
 
 def exact_pace(scenario: Scenario, reference: PolynomialReference) -> float | None:
     """Factor of the duration at which the motion itself, without file or smoothing, just holds."""
-    first = bodies(scenario)[0]
+    first = scenario.payload.first
     s = reference.sample(np.linspace(0, reference.duration, 2001)).of_frame(*invert(first.p_EB, first.R_EB))
     return Audit(scenario, "exact", TrayMotion(s, {}, None, 0.0, ())).pace.factor
 

@@ -253,7 +253,7 @@ def speed(plan: Plan) -> None:
     instants = len(arm_chain(model, plan.joint).t)
     print(
         f"Speed, {plan.scenario.name}, {instants} instants, {model.uncertain.size} parameters and "
-        f"{len(model.load.names) - model.uncertain.size} products: constants of the scenario "
+        f"{len(model.load.half_range) - model.uncertain.size} products: constants of the scenario "
         f"{least(lambda: chain_model(plan.scenario, model.arm), 5):.0f} ms; loop on the object "
         f"{least(lambda: arm_chain(model, plan.joint)):.1f} ms, on the joints "
         f"{least(lambda: arm_chain(model, plan.joint, space='joint')):.1f} ms"

@@ -34,7 +34,6 @@ import numpy as np
 from salver.campaign import run_campaign
 from salver.errors import SalverError, Status
 from salver.files import read_json, write_atomic, write_json
-from salver.models.bodies import bodies
 from salver.planning.fastest import fastest, object_motion
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.retiming import SplinePath, reachable_law
@@ -140,7 +139,7 @@ def scenarios() -> dict[str, Scenario]:
             contact__condition="exact",
             **changes,
         )
-        first = bodies(base)[0]
+        first = base.payload.first
         height = 0.38 + float(first.p_EB[2])
         start, goal = np.array([0.54237, -0.370574, height]), np.array([0.444272, 0.100574, height])
         offset = np.array([*first.p_EB[:2], 0.0])

@@ -85,9 +85,8 @@ def run(cell: Cell) -> dict[str, Any]:
 def worst_corner(scenario: Scenario, plan: Any) -> dict[str, float]:
     """The corner of the uncertain set with the least exact margin along the plan's own motion."""
     from salver.margins import margins
-    from salver.models.bodies import uncertain_set
 
-    uncertain = uncertain_set(scenario)
+    uncertain = scenario.payload.uncertain
     samples = plan.reference.sample(plan.t)
     best: tuple[float, dict[str, float]] | None = None
     # Of equal ones the first: heavier, for mass alone changes what the arm does and not the margin; less friction.

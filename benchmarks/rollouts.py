@@ -18,14 +18,13 @@ import numpy as np
 
 from salver.control.object import Gains
 from salver.geometry import exp
-from salver.models.bodies import bodies
 from salver.models.parameters import inertial_vector, phi_of
 from salver.scenario import load
 from salver.simulation.closed_loop import rollout
 from salver.trajectory import PolynomialReference, Reference, min_jerk_line
 
 PAPER = load("panda-cube")
-CUBE = bodies(PAPER)[0]
+CUBE = PAPER.payload.first
 GAINS = Gains(PAPER.control.kp, PAPER.control.kd)
 
 

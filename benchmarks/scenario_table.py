@@ -19,7 +19,6 @@ import numpy as np
 
 from salver.files import read_json, write_atomic
 from salver.margins import Margins, margin_model, margins, tray_motion
-from salver.models.bodies import bodies
 from salver.planning.make import plan_object
 from salver.scenario import Scenario, load, names
 from salver.simulation.physics import simulate_tray
@@ -74,7 +73,7 @@ def row(name: str) -> str:
         return str(simulate_tray(level_line(scenario, duration), scenario, parameters).summary["outcome"])
 
     length = np.linalg.norm(np.subtract(scenario.motion.goal.position, scenario.motion.start.position))
-    objects = len(bodies(scenario))
+    objects = len(scenario.payload.bodies)
     verdicts = (engine(robust), engine(robust, worst), engine(SHORTER * nominal))
     plan = plan_object(scenario)
     found = margins(scenario, plan.reference.sample(np.linspace(0, plan.duration, INSTANTS)))

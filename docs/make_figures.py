@@ -14,7 +14,6 @@ import numpy as np
 
 from salver import scenario as scenarios
 from salver.geometry import Array, exp, matrix_from_rpy
-from salver.models.bodies import bodies, uncertain_set
 from salver.models.contact import cone_edges
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.models.wrench_cone import facets, margin
@@ -51,7 +50,7 @@ def cone() -> Any:
 
 def acceleration() -> Any:
     """What is left of the paper's condition and of the exact one while a level tray accelerates sideways."""
-    cube = bodies(scenarios.load("panda-cube"))[0]
+    cube = scenarios.load("panda-cube").payload.first
     a = np.linspace(0, 5.6, 561)
     wrench = np.zeros((len(a), 6))
     wrench[:, 0], wrench[:, 2] = cube.inertial.mass * a, cube.inertial.mass * 9.81
@@ -84,7 +83,7 @@ def tube() -> Any:
         objects__0__uncertainty={"mass": "10%", "com": [1e-3, 1e-3, 1e-3]}, motion__duration=1.5
     )
     plan = make_plan(scenario, arm=False)
-    cube, uncertain = bodies(scenario)[0], uncertain_set(scenario)
+    cube, uncertain = scenario.payload.first, scenario.payload.uncertain
     values = np.tile(inertial_vector(cube.inertial), (60, 1))
     values[:, [INERTIAL.index(name) for name in uncertain.names]] = draw(uncertain, len(values), seed=0)
     gains = Gains(scenario.control.kp, scenario.control.kd)
@@ -108,7 +107,7 @@ def tube() -> Any:
 
 def frames() -> Any:
     """Frames of docs/conventions.md on the paper's cube, tilted a little so that they can be told apart."""
-    cube = bodies(scenarios.load("panda-cube").with_changes(objects__0__at=[-0.035, 0.0]))[0]
+    cube = scenarios.load("panda-cube").with_changes(objects__0__at=[-0.035, 0.0]).payload.first
     R_SE = matrix_from_rpy(np.deg2rad([0, 12, 20]))
     p_SE = np.array([0.10, 0.0, 0.07])
     p_SB, R_SB = p_SE + R_SE @ cube.p_EB, R_SE @ cube.R_EB

@@ -13,7 +13,6 @@ import blocks
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.bodies import bodies
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.cost import tray_loop
@@ -81,9 +80,8 @@ def least_perturbed(plan: Plan, share: float, inertia: bool) -> tuple[float, flo
     """Least Lambda (mN) over RUNS nonlinear closed loops with mass (and inertia) off by up to a share; and when."""
     uncertainty = {"mass": f"{100 * share:g}%"} | ({"inertia": f"{100 * share:g}%"} if inertia else {})
     scenario = plan.scenario.with_changes(objects__0__uncertainty=uncertainty)
-    from salver.models.bodies import uncertain_set
 
-    carried, uncertain = bodies(scenario), uncertain_set(scenario)
+    carried, uncertain = scenario.payload.bodies, scenario.payload.uncertain
     values = np.tile(inertial_vector(carried[0].inertial), (RUNS, 1))
     drawn = draw(uncertain, RUNS, SEED, "corners", carried)
     for column, name in enumerate(uncertain.names):

@@ -26,7 +26,7 @@ GRAVITY, ARM = 9.81, 0.18
 KP, KD, KI = 6.0, 4.5, 3.0
 KP_PITCH, KD_PITCH = 120.0, 20.0
 DURATION = 3.0
-VEHICLE = UncertainSet(
+VEHICLE = UncertainSet.named(
     ("mass", "inertia", "thrust"), np.array([1.2, 0.015, 6e-6]), np.array([0.06, 0.0015, 3e-7])
 )  # kg, kg m^2, N s^2: 5, 10 and 5 %
 

@@ -22,7 +22,7 @@ from tube_check import Example, check, plot, report
 
 STATES, INPUTS = ("x [m]", "y [m]", "theta [rad]"), ("w_R [rad/s]", "w_L [rad/s]")
 KP, KD, KI = 9.0, 6.0, 2.0
-WHEELS = UncertainSet(("r", "b"), np.array([0.1, 0.4]), np.array([0.005, 0.02]))
+WHEELS = UncertainSet.named(("r", "b"), np.array([0.1, 0.4]), np.array([0.005, 0.02]))
 
 
 def path(t: ca.SX) -> ca.SX:

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from salver.geometry import Array
 from salver.models.arm import ArmModel
-from salver.models.bodies import Body, bodies, uncertain_set
+from salver.models.bodies import Body
 from salver.models.contact import support_contacts
 from salver.models.parameters import UncertainSet
 from salver.models.wrench_cone import cone_facets
@@ -256,7 +256,7 @@ class TrueRows:
     """For each object, the facets of its sure contact with least friction, at the wrench it truly needs, N."""
 
     def __init__(self, made: Scenario, edges: int | None = None) -> None:
-        self.made, self.items, self.uncertain = made, bodies(made), uncertain_set(made)
+        self.made, self.items, self.uncertain = made, made.payload.bodies, made.payload.uncertain
         self.facets = []
         for body, item in zip(self.items, made.objects, strict=True):
             points = sure_points_B(made, body.name)
@@ -329,11 +329,11 @@ Felt = Callable[[dict[str, float]], Array]
 
 def base_masses(made: Scenario) -> list[dict[str, float]]:
     """Deviations around which the worst case is taken: a box's masses at their extremes."""
-    uncertain = uncertain_set(made)
+    uncertain = made.payload.uncertain
     if uncertain.kind == "ellipsoid":
         return [{}]
     half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
-    masses = [name for name in uncertain.names if name.endswith("mass")]
+    masses = [p.name for p in uncertain.parameters if p.kind == "mass"]
     return [
         {m: s * half[m] for m, s in zip(masses, signs, strict=True)} for signs in product((-1, 1), repeat=len(masses))
     ]
@@ -348,8 +348,9 @@ class Expansion:
     def __init__(self, rows: TrueRows, w: Array | Felt, base: dict[str, float], products: bool = True) -> None:
         uncertain = rows.uncertain
         half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
-        names = tuple(n for n in uncertain.names if not n.endswith("friction") and n not in base)
-        self.base, self.kept = base, uncertain.restricted(names)
+        acting = [p for p in uncertain.parameters if p.kind != "friction" and p.name not in base]
+        self.base, self.kept = base, uncertain.restricted(acting)
+        names = self.kept.names
 
         def at(*moved: tuple[str, int]) -> Array:
             change = base | {name: sign * half[name] for name, sign in moved}
@@ -423,7 +424,7 @@ def torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
 
 
 def true_bodies(made: Scenario, change: dict[str, float]) -> list[TrueBody]:
-    return [true_body(made, body, change) for body in bodies(made)]
+    return [true_body(made, body, change) for body in made.payload.bodies]
 
 
 def nominal_bodies(made: Scenario) -> list[TrueBody]:

@@ -10,7 +10,6 @@ from salver.geometry import GRAVITY_S, exp, log, vee
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.arm_limits import LIMITS, POSITION, JointLimits
-from salver.models.bodies import bodies
 from salver.models.contact import support_contacts
 from salver.models.known_arms import KNOWN_ARMS
 
@@ -409,7 +408,7 @@ def test_clearance_gradient_by_differences():
         scenario.Obstacle(type="capsule", radius=0.05, length=0.3, position=(0.4, 0.2, 0.4)),
     ]
     arm = load_arm(cube.arm, cube.tray)
-    parts = arm_geometry(arm, bodies(cube), around)
+    parts = arm_geometry(arm, cube.payload.bodies, around)
     q = np.random.default_rng(0).uniform(np.maximum(arm.limits.q_min, -2), np.minimum(arm.limits.q_max, 2), (10, 7))
     distances, gradient = parts.clearance_gradient(q)
     assert distances == pytest.approx(parts.clearance(q), abs=1e-6)  # Coal stops its search at 1e-6 m

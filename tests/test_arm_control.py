@@ -13,7 +13,6 @@ from salver.control.object import Gains, command, distribute, errors, wrench_com
 from salver.errors import ScenarioError
 from salver.geometry import exp, log
 from salver.models.arm import load_arm, with_load
-from salver.models.bodies import bodies
 from salver.planning.follow.motion import follow_scenario
 from salver.planning.follow.posture import solve_pose
 from salver.trajectory import min_jerk_line
@@ -84,7 +83,7 @@ def second_order(kp, kd, e, de, t):
 @pytest.mark.parametrize("feedback", ["joints", "object"])
 def test_torque_is_equation_22_with_25(panda, reference, joint, feedback):
     """tau = J_c^T F_c + C dq + N + M u, every term from the module that owns it."""
-    cube = bodies(CUBE)[0]
+    cube = CUBE.payload.first
     controller = ArmController(panda, [cube], joint, reference, GAINS, feedback=feedback, limit_torque=False)
     rng = np.random.default_rng(0)
     # Between multiples of the period the reference is a Taylor series, short of the snap by 1e-5 of the acceleration.
@@ -120,7 +119,7 @@ def test_torque_is_equation_22_with_25(panda, reference, joint, feedback):
 
 
 def test_feedback_from_a_sticking_object_changes_nothing(panda, reference, joint):
-    cube = bodies(CUBE)[0]
+    cube = CUBE.payload.first
     by_joints, by_object = (
         ArmController(panda, [cube], joint, reference, GAINS, feedback=feedback) for feedback in ("joints", "object")
     )
@@ -133,7 +132,7 @@ def test_feedback_from_a_sticking_object_changes_nothing(panda, reference, joint
 
 def test_nominal_error_dynamics_are_linear(panda, reference, joint):
     """From a wrong start, in full motion: e_p'' = -kd e_p' - kp e_p exactly. Without J-dot dq it would not be."""
-    cube = bodies(CUBE)[0]
+    cube = CUBE.payload.first
     controller = ArmController(panda, [cube], joint, reference, GAINS, limit_torque=False)
     start, span = 0.5, 0.3
     q, dq = (x[0] for x in joint.sample(start)[:2])
@@ -153,7 +152,7 @@ def test_nominal_error_dynamics_are_linear(panda, reference, joint):
 
 
 def test_null_space_moves_the_posture_and_not_the_object(panda, reference, joint):
-    cube = bodies(CUBE)[0]
+    cube = CUBE.payload.first
     controller = ArmController(panda, [cube], joint, reference, GAINS, limit_torque=False)
     free = np.linalg.svd(panda.body_jacobian(joint.q[0]))[2][6]
     q, left = solve_pose(panda, joint.q[0] + 0.15 * free, *panda.tray_pose(joint.q[0]))
@@ -168,7 +167,7 @@ def test_null_space_moves_the_posture_and_not_the_object(panda, reference, joint
 @pytest.mark.parametrize("space", ["object", "joint"])
 def test_whole_motion_at_a_thousand_hertz(panda, reference, joint, space):
     """Torque held for 1 ms, limits on: the object is back on its path, and stays at the end."""
-    cube = bodies(CUBE)[0]
+    cube = CUBE.payload.first
     controller = ArmController(panda, [cube], joint, reference, GAINS, space=space)
     q = joint.q[0] + np.array([0.01, -0.01, 0.01, 0.0, 0.01, 0.0, 0.0])
     path, speed = rollout(panda, [cube], controller, q, np.zeros(7), DURATION + 0.5, hold=True)
@@ -184,7 +183,7 @@ def test_whole_motion_at_a_thousand_hertz(panda, reference, joint, space):
 
 def test_wrong_mass_shows_as_a_tracking_error(panda, reference, joint):
     """The plant carries 0.5 kg more than the controller knows: it settles low by dm g / (kp effective mass)."""
-    cube = bodies(CUBE)[0]
+    cube = CUBE.payload.first
     heavier = replace(cube, inertial=replace(cube.inertial, mass=cube.inertial.mass + 0.5))
     controller = ArmController(panda, [cube], joint, reference, GAINS)
     path, _ = rollout(panda, [heavier], controller, joint.q[-1], np.zeros(7), 1.5, start=DURATION, hold=True)
@@ -204,7 +203,7 @@ def test_wrong_mass_shows_as_a_tracking_error(panda, reference, joint):
 
 
 def test_torques_and_their_rates_are_cut_and_counted(panda, reference, joint):
-    cube = bodies(CUBE)[0]
+    cube = CUBE.payload.first
     controller = ArmController(panda, [cube], joint, reference, GAINS)
     calm = ArmState(joint.q[0], joint.dq[0])
     first = controller.step(calm, 0.0)
@@ -224,7 +223,7 @@ def test_torques_and_their_rates_are_cut_and_counted(panda, reference, joint):
 
 
 def test_singular_posture_gives_finite_torques(panda, reference, joint):
-    controller = ArmController(panda, bodies(CUBE), joint, reference, GAINS, limit_torque=False)
+    controller = ArmController(panda, CUBE.payload.bodies, joint, reference, GAINS, limit_torque=False)
     torque = controller.step(ArmState(np.zeros(7), np.zeros(7)), 0.0)
     assert np.all(np.isfinite(torque))
     assert np.abs(torque).max() < 1e6
@@ -232,8 +231,8 @@ def test_singular_posture_gives_finite_torques(panda, reference, joint):
 
 def test_mistakes(panda, reference, joint):
     with pytest.raises(ValueError, match="needs the object's reference"):
-        ArmController(panda, bodies(CUBE), joint, None, GAINS)
-    controller = ArmController(panda, bodies(CUBE), joint, reference, GAINS, feedback="object")
+        ArmController(panda, CUBE.payload.bodies, joint, None, GAINS)
+    controller = ArmController(panda, CUBE.payload.bodies, joint, reference, GAINS, feedback="object")
     with pytest.raises(ValueError, match="needs its pose and twist"):
         controller.step(ArmState(joint.q[0], joint.dq[0]), 0.0)
     with pytest.raises(ScenarioError, match="has no arm"):

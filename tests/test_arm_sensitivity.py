@@ -212,7 +212,7 @@ def test_terms_against_differences(case):
 
 def test_load_terms_are_the_torque_of_the_true_load(case):
     """J^T (d load) w against inverse dynamics with the load as it truly is, far from nominal."""
-    load, names = load_change(case.scenario), case.model.uncertain.names
+    load, names = load_change(case.scenario.payload), case.model.uncertain.names
     rng = np.random.default_rng(2)
     q, dq, ddq = (x[200:201] for x in case.joint.sample(T))
     terms = motion_terms(case.model.loaded.pin_model, case.model.loaded.tray_id, q, dq, ddq)
@@ -331,8 +331,10 @@ def test_without_the_arms_own_inertia_it_is_the_papers_loop():
     case.model = replace(case.model, settle=0.0, loaded=_weightless(case.model))
     chain = arm_chain(case.model, case.joint, space="object", t=T)
     names = chain.uncertain.names
-    gains = case.model.gains
-    paper = TrayLoop(case.body.inertial, gains, phi_jacobian(case.body.inertial, names)).along(case.reference, T)
+    gains, own = case.model.gains, chain.uncertain.parameters
+    paper = TrayLoop(case.body.inertial, gains, phi_jacobian(case.body.inertial, case.body.name, own)).along(
+        case.reference, T
+    )
     p, turn, R = case.body.p_EB, case.body.R_EB, chain.nominal.R_SE
     acting = [j for j, name in enumerate(names) if name in INERTIAL]
     half = chain.uncertain.half_range[acting]
@@ -356,8 +358,8 @@ def _weightless(model):
 
 def test_worst_contact_without_tracking_is_that_of_the_rows(case):
     w = arm_chain(case.model, case.joint, space="joint").nominal.w
-    for rows in contact_rows(case.scenario):
-        still = np.zeros((*w.shape, len(case.model.load.names)))
+    for rows in contact_rows(case.scenario.payload):
+        still = np.zeros((*w.shape, len(case.model.load.half_range)))
         assert worst_contact(rows, w, still, case.model.load) == pytest.approx(rows.worst(w), abs=1e-12)
 
 

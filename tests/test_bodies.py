@@ -6,7 +6,6 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from salver.errors import ScenarioError
-from salver.models.bodies import bodies
 from salver.models.polygons import eroded, inset, intersection, simplified
 from salver.scenario import Scenario, parse
 
@@ -54,7 +53,7 @@ def test_simplified_polygon_lies_within() -> None:
 
 
 def test_stack_turned_by_45_degrees_touches_in_an_octagon() -> None:
-    items = bodies(scenario([cube("lower"), cube("upper", on="lower", yaw_deg=45.0)]))
+    items = scenario([cube("lower"), cube("upper", on="lower", yaw_deg=45.0)]).payload.bodies
     upper = items[1]
     assert upper.supports == ("lower",)
     assert upper.regions == (8,)
@@ -68,7 +67,7 @@ def test_composite_object() -> None:
         {"shape": {"type": "box", "size": [0.1, 0.1, 0.02]}, "mass": 0.2},
         {"shape": {"type": "cylinder", "radius": 0.02, "height": 0.1}, "position": [0.02, 0, 0.06], "mass": 0.3},
     ]
-    (body,) = bodies(scenario([{"shape": {"type": "composite", "parts": parts}, "mass": 0.5, "friction": 0.4}]))
+    (body,) = scenario([{"shape": {"type": "composite", "parts": parts}, "mass": 0.5, "friction": 0.4}]).payload.bodies
     # Centre of mass over the base: (0.2 * 0.01 + 0.3 * 0.07) / 0.5; 12 mm to the side.
     assert_allclose(body.com_height, 0.046)
     assert_allclose(body.p_EB, [0.012, 0, 0.046], atol=1e-12)
@@ -83,8 +82,8 @@ def test_mesh_object(tmp_path) -> None:
     path = tmp_path / "box.stl"
     trimesh.creation.box((40, 40, 40)).export(path)
     shape = {"type": "mesh", "file": str(path), "scale": 1e-3}
-    (body,) = bodies(scenario([{"shape": shape, "mass": 0.1, "friction": 0.4}]))
-    (same,) = bodies(scenario([cube("object")]))
+    (body,) = scenario([{"shape": shape, "mass": 0.1, "friction": 0.4}]).payload.bodies
+    (same,) = scenario([cube("object")]).payload.bodies
     assert_allclose(body.inertial.inertia_com, same.inertial.inertia_com, rtol=1e-9)
     assert_allclose(body.p_EB, same.p_EB)
     assert_allclose(np.ptp(body.contacts.p_BC, axis=0), [0.04, 0.04, 0], atol=1e-12)
@@ -94,7 +93,7 @@ def test_nothing_stands_on_a_pointed_top(tmp_path) -> None:
     path = tmp_path / "cone.stl"
     trimesh.creation.cone(0.03, 0.1).export(path)
     cone = {**cube("cone"), "shape": {"type": "mesh", "file": str(path)}}
-    assert len(bodies(scenario([cone]))[0].contacts.p_BC) == 16
+    assert len(scenario([cone]).payload.first.contacts.p_BC) == 16
     with pytest.raises(ScenarioError, match="top stands beside cone, not on it"):
         scenario([cone, cube("top", on="cone")])
 
@@ -126,6 +125,6 @@ def test_objects_may_touch_and_bridge() -> None:
     scenario([cube("a"), cube("b", at=[0.04, 0])])
     posts = [cube("a", at=[-0.03, 0]), cube("b", at=[0.03, 0])]
     top = {**cube("top", on=["a", "b"]), "shape": {"type": "box", "size": [0.1, 0.04, 0.01]}}
-    (*_, body) = bodies(scenario([*posts, top]))
+    (*_, body) = scenario([*posts, top]).payload.bodies
     assert body.regions == (4, 4)
     assert_allclose(np.sort(np.unique(np.round(body.contacts.p_BC[:, 0], 9))), [-0.05, -0.01, 0.01, 0.05])

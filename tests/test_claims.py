@@ -13,7 +13,6 @@ from salver.control.object import Gains
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import GRAVITY_S, Array
 from salver.margins import margins
-from salver.models.bodies import bodies
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.conditions import MotionRows, WrenchRows
 from salver.planning.object.problem import Problem
@@ -126,7 +125,7 @@ def test_what_is_planned_as_safe_holds_in_the_engine_at_the_worst_and_at_corners
             assert plan.status.sentence.endswith(".")
             continue
         assert plan.margins.verdict(worst=True).ok  # judged with finer pyramids that contain the plan's
-        corner = draw(plan.uncertain, 4, k, "corners", bodies(scenario))[k % 4]
+        corner = draw(plan.uncertain, 4, k, "corners", scenario.payload.bodies)[k % 4]
         for values in (plan.margins.worst_parameters(), dict(zip(plan.uncertain.names, corner, strict=True))):
             try:
                 record = simulate_tray(plan.reference, scenario, values)
@@ -259,10 +258,10 @@ def test_the_papers_condition_answers_for_friction_tilt_and_place(changes: dict)
     scenario = CUBE.with_changes(contact__condition="paper", motion__duration=1.6, **changes)
     plan = plan_baseline(scenario)
     slack = plan.evaluation.slack.min()
-    body, least = bodies(scenario)[0], np.inf
+    body, least = scenario.payload.first, np.inf
     half = dict(zip(plan.uncertain.names, plan.uncertain.half_range, strict=True))
     mu = body.friction - half.get("friction", 0.0)
-    contacts = bodies(scenario.with_changes(objects__0__friction=mu, objects__0__uncertainty={}))[0].contacts
+    contacts = scenario.with_changes(objects__0__friction=mu, objects__0__uncertainty={}).payload.first.contacts
     distribution = np.linalg.pinv(contacts.grasp_map)
     for signs in np.ndindex(2, 2):
         x, y = (2 * s - 1 for s in signs)
@@ -350,7 +349,7 @@ def test_full_rollouts_leave_the_tube_by_no_more_than_second_order(kind: str) ->
         scenario = CUBE.with_changes(
             motion__orientation=kind, motion__duration=1.2, objects__0__uncertainty={"mass": 0.25 * share}
         )
-        plan, body = plan_object(scenario), bodies(scenario)[0]
+        plan, body = plan_object(scenario), scenario.payload.first
         true = np.tile(body.inertial.phi, (2, 1))
         true[:, 0] += [-0.25 * share, 0.25 * share]
         gains = Gains(scenario.control.kp, scenario.control.kd)

@@ -8,19 +8,23 @@ from scipy.linalg import expm
 from salver import scenario
 from salver.control.object import Gains
 from salver.geometry import GRAVITY_S, exp, hat, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
-from salver.models.bodies import bodies
-from salver.models.parameters import inertial_vector, phi_jacobian, phi_of
+from salver.models.parameters import inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.models.rigid_body import RigidBody
 from salver.sensitivity.tray import TrayLoop
 from salver.simulation.closed_loop import STATE_NAMES, coverage, rollout
 from salver.trajectory import PolynomialReference, min_jerk_line
 
 GAINS = Gains(kp=(500.0, 300.0), kd=(25.0, 15.0))
-CUBE = bodies(scenario.load("panda-cube"))[0]
+CUBE = scenario.load("panda-cube").payload.first
 GRASP_MAP = CUBE.contacts.grasp_map
 MOVE = min_jerk_line(
     2.5, np.array([0.54237, -0.370574, 0.4]), np.array([0.444272, 0.100574, 0.4]), np.eye(3), np.eye(3)
 )
+
+
+def own(names):
+    """The cube's parameters of these names."""
+    return [p for p in parameters_of("cube", True) if p.name in names]
 
 
 def tumbling() -> PolynomialReference:
@@ -231,7 +235,7 @@ def test_a_tube_of_no_width_is_left_by_more_than_rounding():
 
 def test_first_order_tubes_miss_by_second_order():
     """Paper's move, mass alone: the excess at the ends of the range is small and falls fourfold when that halves."""
-    loop = TrayLoop(CUBE.inertial, GAINS, phi_jacobian(CUBE.inertial, ("mass",)))
+    loop = TrayLoop(CUBE.inertial, GAINS, phi_jacobian(CUBE.inertial, "cube", own(("mass",))))
     t = np.linspace(0, 2.5, 126)
     sensitivity = loop.along(MOVE, t)
     inverse = np.linalg.pinv(GRASP_MAP)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 from salver.geometry import GRAVITY_S, Array, exp
-from salver.models.bodies import Body, bodies, uncertain_set
+from salver.models.bodies import Body
 from salver.models.contact_rows import contact_rows
 from salver.models.interfaces import networks, sure_contacts, to_tray
 from salver.models.internal_wrench import internal_wrenches
@@ -82,12 +82,12 @@ def true_values(body: Body, values: dict[str, float], motion_E: MotionSamples, r
 @pytest.mark.parametrize("turning", [0.0, 1.0])
 def test_worst_case_is_never_optimistic(kind: str, turning: float) -> None:
     made = scenario([BOX | {"uncertainty": EVERYTHING}], uncertainty={"set": kind, "tilt_deg": [1.5, 2.0]})
-    body, rows = bodies(made)[0], contact_rows(made)[0]
+    body, rows = made.payload.first, contact_rows(made.payload)[0]
     least = facets(replace(body.contacts, friction=body.contacts.friction - 0.05))
     assert_allclose(rows.label.size % len(least), 0)
     motion = tray_motions(40, 1, turning)
     bound = rows.worst(vector(motion)).reshape(40, -1, len(least)).max(axis=1)
-    uncertain, rng = uncertain_set(made), np.random.default_rng(2)
+    uncertain, rng = made.payload.uncertain, np.random.default_rng(2)
     assert uncertain.size == 15
     largest = np.full_like(bound, -np.inf)
     for _ in range(300):
@@ -105,7 +105,7 @@ def test_worst_case_is_never_optimistic(kind: str, turning: float) -> None:
 def test_corners_attain_the_worst_case_when_the_tray_does_not_turn() -> None:
     """Mass, centre of mass, inertia and friction: exact, row by row."""
     made = scenario([BOX | {"uncertainty": EVERYTHING | {"position": [0, 0]}}])
-    body, rows = bodies(made)[0], contact_rows(made)[0]
+    body, rows = made.payload.first, contact_rows(made.payload)[0]
     least = facets(replace(body.contacts, friction=body.contacts.friction - 0.05))
     motion = tray_motions(30, 3, 0.0)
     bound = rows.worst(vector(motion)).reshape(30, -1, len(least)).max(axis=1)
@@ -122,15 +122,15 @@ def test_corners_attain_the_worst_case_when_the_tray_does_not_turn() -> None:
 def test_nominal_rows_are_the_facets_of_each_body() -> None:
     made = scenario([BOX, BOX | {"name": "other", "at": [-0.05, 0.04], "yaw_deg": -40.0}])
     motion = tray_motions(20, 4, 1.0)
-    both = contact_rows(made, robust=False)
+    both = contact_rows(made.payload.nominal)
     assert [r.network.bodies[0].name for r in both] == ["box", "other"]
-    for body, rows in zip(bodies(made), both, strict=True):
+    for body, rows in zip(made.payload.bodies, both, strict=True):
         assert_allclose(rows.worst(vector(motion)), true_values(body, {}, motion, facets(body.contacts)), atol=1e-12)
 
 
 def test_rows_seen_from_the_object() -> None:
     made = scenario([BOX | {"uncertainty": EVERYTHING}])
-    body, rows = bodies(made)[0], contact_rows(made)[0]
+    body, rows = made.payload.first, contact_rows(made.payload)[0]
     motion = tray_motions(10, 5, 1.0)
     seen = rows.seen_from(body.p_EB, body.R_EB).worst(vector(motion.of_frame(body.p_EB, body.R_EB)))
     assert_allclose(seen, rows.worst(vector(motion)), atol=1e-11)
@@ -143,14 +143,14 @@ def die(name: str, on: str, **more: object) -> dict:
 
 def test_lower_of_two_dice_carries_both() -> None:
     made = scenario([die("lower", "tray"), die("upper", "lower", at=[0.01, 0.0], friction=0.71)])
-    (network,) = networks(bodies(made))
+    (network,) = networks(made.payload.bodies)
     assert [f.name for f in network.interfaces] == ["lower on tray", "upper on lower"]
     assert network.determinate
     # The upper die rests where the two faces overlap: x from -0.0225 to 0.0325 of the lower one.
     corners = network.interfaces[1].contacts.p_BC[:, 0] + network.bodies[1].p_EB[0]
     assert_allclose([corners.min(), corners.max()], [-0.0225, 0.0325], atol=1e-12)
     motion = tray_motions(15, 6, 1.0)
-    rows = contact_rows(made, robust=False)[0]
+    rows = contact_rows(made.payload.nominal)[0]
     lower, upper = network.bodies
     total = sum(required_wrench(b, {}, motion) @ to_tray(b.p_EB - lower.p_EB, b.R_EB).T for b in network.bodies)
     expected = total @ facets(lower.contacts).T / (0.04 * 9.81)
@@ -162,12 +162,11 @@ def test_lower_of_two_dice_carries_both() -> None:
 def test_uncertain_position_keeps_only_the_sure_overlap() -> None:
     where = {"position": [0.002, 0.003]}
     made = scenario([die("lower", "tray", uncertainty=where), die("upper", "lower", uncertainty=where)])
-    rows = contact_rows(made)[0]
+    rows = contact_rows(made.payload)[0]
     motion = tray_motions(1, 7, 0.0)
     still = replace(motion, a_S=np.zeros((1, 3)), R_SB=np.eye(3)[None])
     # At rest the margin of tipping shrinks with the overlap: by 4 mm in x and 6 mm in y, of 32.5 mm.
-    shift = {"lower": np.array([0.002, 0.003]), "upper": np.array([0.002, 0.003])}
-    sure = sure_contacts(rows.network, np.array([0.1, 0.1]), {}, shift)[1]
+    sure = sure_contacts(rows.network, np.array([0.1, 0.1]), made.payload.uncertain)[1]
     assert_allclose(np.abs(sure.p_BC[:, :2]).max(axis=0), [0.0285, 0.0265], atol=1e-12)
     assert rows.worst(vector(still)).max() < 0
 
@@ -199,7 +198,7 @@ def lifted_feasible(items: list[Body], motion: MotionSamples) -> bool:
 
 def test_arch_agrees_with_all_contact_forces_at_once() -> None:
     made = scenario(ARCH)
-    items, (rows,) = bodies(made), contact_rows(made, robust=False)
+    items, (rows,) = made.payload.bodies, contact_rows(made.payload.nominal)
     assert rows.internal.shape[1] == 6
     # Neither sharing alone would do: the rows need the internal wrenches.
     motion = tray_motions(40, 8, 0.3)
@@ -221,7 +220,7 @@ def least_of(row: Array, internal: Array) -> float:
 @pytest.mark.parametrize("pace", [0.9, 1.1])
 def test_arch_along_a_motion_has_the_right_least_margin_and_first_failure(pace: float) -> None:
     """Internal wrenches are solved for at few instants and interpolated between them."""
-    (rows,) = contact_rows(scenario(ARCH), robust=False)
+    (rows,) = contact_rows(scenario(ARCH).payload.nominal)
     t = np.linspace(0, 1, 101)
     motion = tray_motions(101, 9, 0.0)
     bell = 2.8 * pace**2 * np.sin(2 * np.pi * t)[:, None] * np.array([0.2, 1.0, 0.1])
@@ -236,7 +235,7 @@ def test_arch_along_a_motion_has_the_right_least_margin_and_first_failure(pace: 
 
 
 def test_arch_at_rest_shares_the_weight_evenly() -> None:
-    (network,) = networks(bodies(scenario(ARCH)))
+    (network,) = networks(scenario(ARCH).payload.bodies)
     weight = np.array([0, 0, 0.18 * 9.81, 0, 0, 0])
     carried = network.share[:, 2] @ (to_tray(network.bodies[2].p_EB, np.eye(3)) @ weight)
     by_name = {f.name: c[2] for f, c in zip(network.interfaces, carried, strict=True)}

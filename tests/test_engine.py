@@ -8,8 +8,7 @@ from scipy.linalg import expm
 from salver import scenario
 from salver.control.object import Gains
 from salver.geometry import exp
-from salver.models.bodies import bodies
-from salver.models.parameters import INERTIAL, inertial_vector, phi_jacobian, phi_of
+from salver.models.parameters import INERTIAL, inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.models.rigid_body import RigidBody
 from salver.sensitivity import engine
 from salver.sensitivity.engine import ClosedLoop, closed_loop_rate, sensitivity, simulate, variational
@@ -19,11 +18,16 @@ from salver.simulation.closed_loop import rollout
 from salver.trajectory import PolynomialReference, SampledReference
 
 GAINS = Gains(kp=(500.0, 300.0), kd=(25.0, 15.0))
-CUBE = bodies(scenario.load("panda-cube"))[0]
+CUBE = scenario.load("panda-cube").payload.first
 GRASP_MAP = CUBE.contacts.grasp_map
 NAMES = ("mass", "com_x", "com_y", "com_z", "inertia_xx", "inertia_xy", "inertia_zz")
 STEPS = np.array([2e-4, *[2e-5] * 3, *[3e-7] * 3])  # a thousandth of what is carried, or 20 micrometres
 TIMES = np.linspace(0, 1, 21)
+
+
+def own(names):
+    """The cube's parameters of these names."""
+    return [p for p in parameters_of("cube", True) if p.name in names]
 
 
 def tumbling() -> PolynomialReference:
@@ -198,7 +202,7 @@ def test_error_of_central_differences_falls_with_the_square_of_the_step(tray):
 
 
 def test_tray_agrees_with_the_linear_filter_form(tray):
-    exact = TrayLoop(CUBE.inertial, GAINS, phi_jacobian(CUBE.inertial, NAMES)).along(tumbling(), TIMES)
+    exact = TrayLoop(CUBE.inertial, GAINS, phi_jacobian(CUBE.inertial, "cube", own(NAMES))).along(tumbling(), TIMES)
     assert largest_relative(exact.state, tray.state_sensitivity) < 2e-8
     assert largest_relative(np.linalg.pinv(GRASP_MAP) @ exact.wrench, tray.input_sensitivity) < 2e-8
 

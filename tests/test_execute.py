@@ -20,7 +20,6 @@ from salver.driver.robots import SimulatedRobot
 from salver.errors import FileFormatError, MissingDependencyError, SalverError
 from salver.geometry import Array, compose, exp, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.models.arm import load_arm, with_load
-from salver.models.bodies import bodies
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan, load_plan
 from salver.simulation.physics import simulate
@@ -45,7 +44,7 @@ def plan(directory: Path) -> Plan:
 
 def _parts(plan: Plan) -> tuple[Any, Any, Any]:
     arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
-    return arm, bodies(plan.scenario), controller_for(plan.scenario, plan.joint, plan.reference, arm=arm)  # type: ignore[arg-type]
+    return arm, plan.scenario.payload.bodies, controller_for(plan.scenario, plan.joint, plan.reference, arm=arm)  # type: ignore[arg-type]
 
 
 def test_dry_run_without_waiting_is_the_simulation(directory: Path, plan: Plan) -> None:
@@ -350,7 +349,7 @@ def _capture(
     """What Vicon would write at 200 Hz of a cube that follows the plan or slides along the tray, markers anywhere."""
     t = np.arange(0.0, 6.0, 0.005)
     m = plan.reference.sample(t - STARTS_AT)
-    body = bodies(plan.scenario)[0]
+    body = plan.scenario.payload.first
     gone = slides * np.clip(t - STARTS_AT - 0.4, 0.0, 0.2) / 0.2
     p_SB = m.p_SB + np.einsum("tij,tj->ti", m.R_SB, np.outer(gone, [0.0, 1.0, 0.0]))
     tray = m.of_frame(*compose(np.zeros(3), body.R_EB.T, -body.p_EB, np.eye(3)))
@@ -414,7 +413,7 @@ def test_motion_capture_with_a_gap_leaves_the_gap_open(plan: Plan, tmp_path: Pat
     assert len(tracks["cube"].t) < 1200
     late = mocap.Track(tracks["cube"].t + 0.0, tracks["cube"].p, tracks["cube"].R)
     keep = late.t < STARTS_AT + 0.7
-    carried = bodies(plan.scenario)
+    carried = plan.scenario.payload.bodies
     t = np.arange(0, 1.0, 0.01)
     arrays = {"t": t, "p_SE": np.zeros((100, 3)), "quat_SE_wxyz": np.tile([1.0, 0, 0, 0], (100, 1))}
     cut = {"cube": mocap.Track(late.t[keep], late.p[keep], late.R[keep])}

@@ -13,7 +13,6 @@ from salver import scenario
 from salver.errors import FileFormatError, SalverError
 from salver.export import FORMATS, write_export
 from salver.export.motion import read_motion
-from salver.models.bodies import bodies
 from salver.planning.make import make_plan
 from salver.planning.plan import load_plan
 
@@ -68,7 +67,7 @@ def test_exported_motion_is_the_plan(directory: Path) -> None:
     for k in (0, len(motion.t) // 3, -1):
         p_SE, _ = arm.tray_pose(motion.q[k])
         assert np.abs(p_SE - motion.p_SE[k]).max() < 1e-5
-    body = bodies(plan.scenario)[0]
+    body = plan.scenario.payload.first
     assert np.allclose(np.linalg.norm(motion.p_SB - motion.p_SE, axis=1), np.linalg.norm(body.p_EB), atol=1e-12)
 
 
@@ -142,7 +141,7 @@ def test_mujoco_scene_opens_elsewhere_and_holds_still(directory: Path, tmp_path:
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "moved" / "scene.xml"))
     data = mujoco.MjData(model)
     plan = load_plan(directory)
-    body = bodies(plan.scenario)[0]
+    body = plan.scenario.payload.first
     cube = model.body("salver:object:0").id
     assert model.body_mass[cube] == pytest.approx(body.inertial.mass, abs=TOLERANCE)
     assert np.abs(model.body_inertia[cube] - np.diag(body.inertial.inertia_com)).max() < TOLERANCE

@@ -12,7 +12,6 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.margins import margins
 from salver.models.arm import with_load
-from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import inertial_vector
 from salver.planning.fastest import FastestOptions, fastest, object_motion, plan_fastest
 from salver.planning.fastest import search as fastest_module
@@ -249,14 +248,14 @@ class WrongLoad:
         z = self.motion(s)
         terms = motion_terms(self.problem.model, self.problem.arm.tray_id, z[0], z[1], z[2])
         response = replace(tracking, settled=0.0).response(s, self.duration, terms)
-        return response.error[:, :, tracking.names.index(name)]
+        return response.error[:, :, ["*".join(p.name for p in factors) for factors in tracking.terms].index(name)]
 
     def rollout(self, **signs: float) -> Array:
         """The same of the true arm: nominal computed torque on Pinocchio's forward dynamics, by Runge-Kutta."""
-        problem, tracking, uncertain = self.problem, self.problem.tracking, uncertain_set(self.scenario)
+        problem, tracking, uncertain = self.problem, self.problem.tracking, self.scenario.payload.uncertain
         assert tracking is not None
         half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
-        body = bodies(self.scenario)[0]
+        body = self.scenario.payload.first
         values = inertial_vector(body.inertial)
         for name, sign in signs.items():
             values[("mass", "com_x", "com_y", "com_z").index(name)] += sign * half[name]
@@ -307,7 +306,7 @@ def test_tracking_starts_sagged_after_long_rest():
     """After a long rest the error is static: kp e = M^-1 J^T dF."""
     scenario = bottle(mass="10%")
     problem = transport_problem(scenario, level=False)
-    tracking = tracking_of(scenario)
+    tracking = tracking_of(scenario, scenario.payload)
     assert tracking is not None
     spline = RestSpline(5, 8)
     z = Grid.of(spline, np.linspace(0, 1, 51)).motion(line(problem, spline), 1.0)
@@ -413,10 +412,10 @@ def test_random_start_postures_converge(level):
 
 def test_scaled_uncertainty_scales_every_half_range():
     scenario = bottle(mass="20%", com=[0.003, 0.002, 0.004], inertia="10%", friction=0.04)
-    before, after = uncertain_set(scenario), uncertain_set(scaled(scenario, 1.5))
+    before, after = scenario.payload.uncertain, scaled(scenario, 1.5).payload.uncertain
     assert before.names == after.names
     assert np.allclose(after.half_range, 1.5 * before.half_range)
-    assert uncertain_set(scaled(scenario, 0.0)).size == 0
+    assert scaled(scenario, 0.0).payload.uncertain.size == 0
 
 
 def test_more_robustness_takes_longer():

@@ -1,6 +1,7 @@
 """Importing salver is cheap and silent: nothing heavy is loaded until it is needed."""
 
 import ast
+import graphlib
 import json
 import re
 import subprocess
@@ -77,3 +78,18 @@ def test_everything_imported_is_a_declared_dependency():
                 names.append(node.module)
             for top in {name.split(".")[0] for name in names} - set(sys.stdlib_module_names) - {"salver"} - optional:
                 assert {normal(d) for d in distributions[top]} & declared, f"{path.name} imports {top}"
+
+
+def test_there_is_no_circle_of_imports():
+    """Those for types alone included: whatever two modules both need is below them."""
+    root = Path(salver.__file__).parent.parent
+    names = {".".join(path.relative_to(root).with_suffix("").parts): path for path in root.glob("salver/**/*.py")}
+    modules = {name.removesuffix(".__init__"): path for name, path in names.items()}
+    graph = {}
+    for name, path in modules.items():
+        nodes = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom)]
+        found = {f"{n.module}.{alias.name}" for n in nodes for alias in n.names} | {n.module for n in nodes}
+        parents = {n.module for n in nodes if {f"{n.module}.{a.name}" for a in n.names} <= modules.keys()}
+        graph[name] = (found & modules.keys()) - parents
+    assert len(graph) > 100
+    tuple(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the circle

@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from salver.control.object import Gains
-from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import inertial_vector, phi_of
 from salver.planning.object.evaluation import evaluate
 from salver.sampling import draw
@@ -42,9 +41,9 @@ def test_no_sample_both_shapes_the_tubes_and_checks_them() -> None:
     """The halves together are all the samples, once each; extreme points (the first 16) are in both."""
     made, n = with_com(0.002), 41
     found = inflated(made, n)
-    evaluation, body = evaluate(made, LINE, 101), bodies(made)[0]
+    evaluation, body = evaluate(made, LINE, 101), made.payload.first
     inertial = np.tile(inertial_vector(body.inertial), (n, 1))
-    inertial[:, :4] = draw(uncertain_set(made), n, 1, "corners", bodies(made))
+    inertial[:, :4] = draw(made.payload.uncertain, n, 1, "corners", made.payload.bodies)
     gains = Gains(made.control.kp, made.control.kd)
     runs = rollout(LINE, body.inertial, body.contacts.grasp_map, gains, phi_of(inertial), evaluation.t)
     beyond = np.abs(runs.cone_coefficients - evaluation.cone_coefficients) - evaluation.cone_radius
@@ -69,7 +68,7 @@ def test_what_stands_beside_the_object_changes_nothing() -> None:
     data = with_com(0.002).model_dump(mode="json", exclude_none=True)
     data["objects"][0]["at"] = [-0.06, 0.0]
     alone, beside = parse(data, "alone"), parse({**data, "objects": [*data["objects"], other]}, "beside")
-    assert uncertain_set(beside).names[0] == "cube.mass"
+    assert beside.payload.uncertain.names[0] == "cube.mass"
     assert inflated(beside, 12).share == inflated(alone, 12).share > 0
 
 

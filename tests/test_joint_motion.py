@@ -9,7 +9,6 @@ from salver.errors import ScenarioError, UnreachableError
 from salver.geometry import GRAVITY_S, exp, log
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
-from salver.models.bodies import bodies
 from salver.planning.follow.limits import peaks, torques, verdict
 from salver.planning.follow.motion import follow, follow_scenario
 from salver.planning.follow.posture import candidate_postures, check_start_posture
@@ -30,7 +29,7 @@ def panda():
 
 @pytest.fixture(scope="module")
 def cube():
-    return bodies(CUBE)[0]
+    return CUBE.payload.first
 
 
 def line(duration=2.5, goal=GOAL, start=START):
@@ -204,7 +203,7 @@ def test_load_counts_in_the_torque(panda, cube):
     _, rotation = panda.object_pose(POSTURE, cube.p_EB, cube.R_EB)
     assert extra == pytest.approx(-v.T @ rotation.T @ (0.256 * GRAVITY_S), abs=1e-12)
     heavy = CUBE.with_changes(objects__0__mass=40.0, objects__0__inertia=[0.1, 0.1, 0.1])
-    status = verdict(panda, motion, bodies(heavy))
+    status = verdict(panda, motion, heavy.payload.bodies)
     assert "torque of" in status.sentence
 
 
@@ -270,7 +269,7 @@ def test_a_chosen_start_stays_above_the_base():
     arm = load_arm(bottle.arm, bottle.tray)
     motion, status = follow_scenario(bottle, reference, arm)
     assert status.ok, status
-    parts = arm_geometry(arm, bodies(bottle))
+    parts = arm_geometry(arm, bottle.payload.bodies)
     assert parts.first_touch(motion.q) is None
     assert parts.lowest(motion.q) > 0
 

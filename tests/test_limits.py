@@ -13,7 +13,6 @@ from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.arm_limits import JointLimits
-from salver.models.bodies import bodies
 from salver.planning.fastest import FastestOptions, TransportProblem, fastest, transport_problem
 from salver.planning.fastest.retiming import SplinePath, retime
 from salver.planning.follow.limits import peaks, verdict
@@ -146,13 +145,15 @@ def test_a_limit_is_a_limit(arm: ArmModel, problem: TransportProblem, kind: str,
             kept.q_min[0], kept.q_max[0] = middle - half, middle + half
         else:
             kept = limits(**{kind: factor * float(peak)})
-        status = verdict(replace(arm, planning_limits=kept), motion, bodies(CUBE))
+        status = verdict(replace(arm, planning_limits=kept), motion, CUBE.payload.bodies)
         assert status.ok == within, status.sentence
         if not within:
             assert status.code == "limit_exceeded"
             name = kind.replace("_", " ")
             assert f"the {name} of panda_joint1" in status.sentence
-            found = next(x for x in peaks(replace(arm, planning_limits=kept), motion, bodies(CUBE)) if x.kind == name)
+            found = next(
+                x for x in peaks(replace(arm, planning_limits=kept), motion, CUBE.payload.bodies) if x.kind == name
+            )
             assert abs(found.value) == pytest.approx(abs(float(peak)), rel=hair)
             assert found.share == pytest.approx(1 / factor, rel=hair)
 
@@ -189,7 +190,7 @@ def test_a_collision_on_the_way_is_told(arm: ArmModel) -> None:
     there, back = np.concatenate([out.q, out.q[-2::-1]]), np.concatenate([out.t, 4.0 - out.t[-2::-1]])
     rates = (np.concatenate([x, sign * x[-2::-1]]) for x, sign in ((out.dq, -1), (out.ddq, 1)))
     motion = JointMotion(back, there, *rates)
-    carried = bodies(CUBE)
+    carried = CUBE.payload.bodies
 
     def status_with(place: Array) -> object:
         post = scenario.Obstacle(type="sphere", radius=0.01, position=tuple(place), name="post")

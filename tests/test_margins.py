@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose
 from salver.control.object import Gains
 from salver.geometry import Array, exp
 from salver.margins import Margins, margin_model, margins, tracking_motion
-from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.tray_motion import at_rest, frame_map, motion_vector, wrench_map
@@ -199,7 +198,7 @@ def test_tracking_motion_against_nonlinear_rollouts(name: str) -> None:
     """What the closed loop makes of wrong parameters, seen as a change of the tray's motion."""
     ranges = {"mass": 0.02, "com": [1e-3, 1e-3, 1e-3], "inertia": [1e-5] * 6}
     made = CUBE.with_changes(objects__0__uncertainty=ranges)
-    body, names = bodies(made)[0], uncertain_set(made).names
+    body, names = made.payload.first, made.payload.uncertain.names
     reference, gains = tumbling(), Gains(made.control.kp, made.control.kd)
     evaluation = evaluate(made, reference, 41)
     grasp_map = body.contacts.grasp_map
@@ -245,7 +244,7 @@ def test_tracking_widens_the_worst_case() -> None:
     made = load("panda-cube").with_changes(arm=None)
     start, goal = (np.array(p.position) for p in (made.motion.start, made.motion.goal))
     evaluation = evaluate(made, min_jerk_line(1.0, start, goal, np.eye(3), np.eye(3)), 101)
-    wrench = bodies(made)[0].contacts.grasp_map @ evaluation.input_sensitivity
+    wrench = made.payload.first.contacts.grasp_map @ evaluation.input_sensitivity
     tracking = tracking_motion(made, evaluation.samples, evaluation.state_sensitivity, wrench)
     follower = margins(made, evaluation.samples)
     loose = margins(made, evaluation.samples, tracking=tracking)
@@ -264,7 +263,7 @@ def test_model_is_made_once_for_a_scenario() -> None:
 
 def test_inertia_matters_only_where_the_tray_turns() -> None:
     made = scenario([tall_box(uncertainty={"inertia": "50%"})])
-    body = bodies(made)[0]
+    body = made.payload.first
     assert_allclose(inertia_matrix(inertial_vector(body.inertial)[4:]), body.inertial.inertia_com)
     straight = margins(made, level([[1.0, 0, 0]]))
     assert_allclose(straight.exact_worst, straight.exact, atol=1e-12)

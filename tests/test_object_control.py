@@ -6,12 +6,11 @@ import pytest
 from salver import scenario
 from salver.control.object import Gains, acceleration, command, distribute, errors, wrench_command
 from salver.geometry import GRAVITY_S, exp, log, right_jacobian_inverse
-from salver.models.bodies import bodies
 from salver.models.rigid_body import RigidBody
 from salver.trajectory import MotionSamples, PolynomialReference
 
 GAINS = Gains(kp=(500.0, 300.0), kd=(25.0, 15.0))
-CUBE = bodies(scenario.load("panda-cube"))[0]
+CUBE = scenario.load("panda-cube").payload.first
 
 
 @pytest.fixture

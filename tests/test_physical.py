@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from salver.geometry import Array
-from salver.models.bodies import Body, bodies
+from salver.models.bodies import Body
 from salver.models.parameters import inertial_vector
 from salver.models.physical import mass_distribution, realisable
 from salver.models.rigid_body import inertia_entries, parallel_axis
@@ -16,7 +16,7 @@ def body_of(shape: dict) -> Body:
     ends = {"start": {"position": [0, 0, 0]}, "goal": {"position": [1, 0, 0]}, "duration": 1.0}
     tray = {"size": [0.4, 0.4]}
     item = {"shape": shape, "mass": 0.7, "friction": 0.4}
-    return bodies(parse({"name": "test", "motion": ends, "objects": [item], "tray": tray}, "test"))[0]
+    return parse({"name": "test", "motion": ends, "objects": [item], "tray": tray}, "test").payload.first
 
 
 BOX = body_of({"type": "box", "size": [0.1, 0.2, 0.3]})
@@ -80,7 +80,7 @@ def test_no_distribution_breaks_the_triangle_inequality_or_has_no_mass() -> None
 
 def test_inertia_of_the_papers_cube_needs_more_than_the_cube() -> None:
     """Table I gives 3.4e-4; mass at the corners of the cube has 2.05e-4."""
-    (cube,) = bodies(load("panda-cube"))
+    (cube,) = load("panda-cube").payload.bodies
     value = inertial_vector(cube.inertial)
     assert not realisable(cube, value)[0]
     assert realisable(cube, value, within_shape=False)[0]

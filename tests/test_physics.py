@@ -101,9 +101,8 @@ def test_measured_cone_coefficients_are_the_plans(baseline, nominal):
     np.testing.assert_allclose(nominal.cone_coefficients[moving], expected, atol=1e-3)
     # and the four corner forces themselves are the pseudo-inverse distribution
     body = baseline.scenario.objects[0]
-    from salver.models.bodies import bodies
 
-    contacts = bodies(baseline.scenario)[0].contacts
+    contacts = baseline.scenario.payload.first.contacts
     np.testing.assert_allclose(nominal.contact_points_B, contacts.p_BC)
     forces = (contacts.cone_edges @ nominal.cone_coefficients.T).T.reshape(-1, 4, 3)
     np.testing.assert_allclose(nominal.contact_forces_B, forces, atol=2e-3)

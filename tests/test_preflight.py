@@ -19,7 +19,6 @@ from salver.errors import SalverError, Status
 from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
-from salver.models.bodies import bodies
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.forward import tray_motion
 from salver.planning.make import make_plan
@@ -40,12 +39,12 @@ def plan() -> Plan:
 
 
 def failed(plan: Plan, arm: ArmModel) -> dict[str, str]:
-    return {c.name: c.sentence for c in check_plan(plan, arm, bodies(plan.scenario)) if not c.ok}
+    return {c.name: c.sentence for c in check_plan(plan, arm, plan.scenario.payload.bodies) if not c.ok}
 
 
 def carried_by(plan: Plan, arm: ArmModel, joint: JointMotion) -> Plan:
     """A plan that claims to be safe, whose reference is just what these joints give."""
-    body = bodies(plan.scenario)[0]
+    body = plan.scenario.payload.first
     reference = SampledReference(tray_motion(arm, looked_at(joint)).of_frame(body.p_EB, body.R_EB))
     return replace(plan, joint=joint, reference=reference)
 
@@ -61,7 +60,7 @@ def by_itself(q_from: Array, q_to: Array, duration: float, count: int = 141) -> 
 
 
 def test_good_plans_pass_every_check(plan: Plan, arm: ArmModel) -> None:
-    checks = check_plan(plan, arm, bodies(plan.scenario))
+    checks = check_plan(plan, arm, plan.scenario.payload.bodies)
     assert all(c.ok for c in checks), checks
     assert {c.name for c in checks} >= {
         "numbers", "plan", "smoothness", "limits", "clearance", "reference", "contact", "rest"
@@ -195,7 +194,7 @@ def test_a_thin_wall_between_two_samples_is_seen(arm: ArmModel) -> None:
     q = np.array([-0.75, 0.0, 0.0, -1.6, 0.0, 1.6, 0.8])
     swing = by_itself(q, q + np.array([1.5, 0, 0, 0, 0, 0, 0]), 1.0, count=2)
     wall = scenario.Obstacle(type="box", name="wall", position=(0.6, 0.0, 0.5), size=(0.4, 0.002, 0.8))
-    parts = arm_geometry(arm, bodies(CASE), [wall])
+    parts = arm_geometry(arm, CASE.payload.bodies, [wall])
     assert parts.first_touch(swing.q) is None
     near = sweep(parts, swing).touch
     assert near is not None
@@ -220,7 +219,7 @@ def test_nothing_touches_where_the_sweep_says_so(seed: int) -> None:
         )
         for k in range(4)
     ]
-    parts = arm_geometry(arm, bodies(CASE), around)
+    parts = arm_geometry(arm, CASE.payload.bodies, around)
     found = sweep(parts, motion)
     near = found.nearest
     assert near is not None
@@ -327,5 +326,5 @@ def test_what_the_robot_cannot_do_is_told_by_name(plan: Plan, arm: ArmModel) -> 
 
 def test_a_check_that_compares_with_no_number_is_no_pass(plan: Plan, arm: ArmModel) -> None:
     """Every sentence of a check that passes is free of "nan": none passes because nothing could be computed."""
-    checks: list[Any] = check_plan(plan, arm, bodies(plan.scenario)) + check_franka(plan, arm)
+    checks: list[Any] = check_plan(plan, arm, plan.scenario.payload.bodies) + check_franka(plan, arm)
     assert not any("nan" in c.sentence.replace("panda", "") for c in checks)

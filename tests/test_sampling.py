@@ -7,13 +7,13 @@ import pytest
 
 from salver import scenario as scenarios
 from salver.errors import SalverError
-from salver.models.bodies import bodies, uncertain_set
-from salver.models.parameters import UncertainSet
+from salver.models.parameters import NOTHING, Parameter, UncertainSet
 from salver.sampling import METHODS, draw, sign_vectors
 
-BOX = UncertainSet(("mass", "com_x", "friction"), np.array([1.0, 0.0, 0.5]), np.array([0.1, 0.02, 0.05]))
+OWN = (Parameter("cube", "mass"), Parameter("cube", "com", "x"), Parameter("cube", "friction"))
+BOX = UncertainSet(OWN, np.array([1.0, 0.0, 0.5]), np.array([0.1, 0.02, 0.05]))
 CORRELATION = np.array([[1.0, 0.6, 0.0], [0.6, 1.0, -0.3], [0.0, -0.3, 1.0]])
-ELLIPSOID = UncertainSet(BOX.names, BOX.nominal, BOX.half_range, "ellipsoid", CORRELATION)
+ELLIPSOID = UncertainSet(OWN, BOX.nominal, BOX.half_range, "ellipsoid", CORRELATION)
 
 
 def unit(uncertain: UncertainSet, values: np.ndarray) -> np.ndarray:
@@ -110,10 +110,10 @@ def test_impossible_inertias_are_left_out():
     # A slender rod has Izz << Ixx = Iyy: half of the draws of Ixx against Iyy break the triangle inequality.
     data = cube(inertia=[2e-5, 2e-5, 6e-5])
     scenario = scenarios.parse(data, "test")
-    values = draw(uncertain_set(scenario), 300, 0, "uniform", bodies(scenario))
+    values = draw(scenario.payload.uncertain, 300, 0, "uniform", scenario.payload.bodies)
     xx, yy, zz = values.T
     assert np.all((xx + yy >= zz) & (xx + zz >= yy) & (yy + zz >= xx))
-    free = draw(uncertain_set(scenario), 300, 0, "uniform")
+    free = draw(scenario.payload.uncertain, 300, 0, "uniform")
     assert not np.all(free[:, 0] + free[:, 1] >= free[:, 2])
 
 
@@ -121,8 +121,8 @@ def test_no_sample_needs_mass_outside_the_shape():
     # All mass in the faces x = +-a is the most that E[x^2] can be: a^2 m = (Iyy + Izz - Ixx) / 2.
     data = cube(mass="10%", inertia="95%", com=[0.015, 0.015, 0.0])
     scenario = scenarios.parse(data, "test")
-    values = draw(uncertain_set(scenario), 300, 0, "uniform", bodies(scenario))
-    names = uncertain_set(scenario).names
+    values = draw(scenario.payload.uncertain, 300, 0, "uniform", scenario.payload.bodies)
+    names = scenario.payload.uncertain.names
     column = {name: values[:, names.index(name)] for name in names}
     second_x = (column["inertia_yy"] + column["inertia_zz"] - column["inertia_xx"]) / 2
     about_B = second_x / column["mass"] + column["com_x"] ** 2
@@ -134,7 +134,7 @@ def test_no_sample_needs_mass_outside_the_shape():
 def test_a_nominal_inertia_too_large_for_the_shape_does_not_empty_the_set():
     # The paper's 3.4e-4 kg m^2 cannot be had within a 4 cm cube of 0.256 kg (2.05e-4 at most, mass in the corners).
     scenario = scenarios.load("panda-cube").with_changes(objects__0__uncertainty__inertia="10%")
-    values = draw(uncertain_set(scenario), 100, 0, "uniform", bodies(scenario))
+    values = draw(scenario.payload.uncertain, 100, 0, "uniform", scenario.payload.bodies)
     assert np.ptp(values[:, 1]) > 0.9 * 0.2 * 3.4e-4
 
 
@@ -143,9 +143,9 @@ def test_a_set_in_which_nothing_is_possible_is_refused_with_a_sentence(method):
     data = cube(inertia=[1e-9, 1e-9, 1e-9])
     scenario = scenarios.parse(data, "test")
     nominal = np.array([1e-5, 1e-5, 9e-5])  # Izz > Ixx + Iyy
-    impossible = UncertainSet(uncertain_set(scenario).names, nominal, np.full(3, 1e-9))
+    impossible = UncertainSet(scenario.payload.uncertain.parameters, nominal, np.full(3, 1e-9))
     with pytest.raises(SalverError, match=r"None of \d+ samples"):
-        draw(impossible, 5, 0, method, bodies(scenario))
+        draw(impossible, 5, 0, method, scenario.payload.bodies)
 
 
 def test_wrong_use_is_one_sentence():
@@ -153,4 +153,4 @@ def test_wrong_use_is_one_sentence():
         draw(BOX, 3, 0, "random")
     with pytest.raises(SalverError, match="must be 0 or more"):
         draw(BOX, -1)
-    assert draw(UncertainSet((), np.zeros(0), np.zeros(0)), 4).shape == (4, 0)
+    assert draw(NOTHING, 4).shape == (4, 0)

@@ -6,7 +6,7 @@ import pytest
 from salver.control.object import Gains
 from salver.geometry import exp
 from salver.models.contact import support_contacts
-from salver.models.parameters import INERTIAL, inertial_vector, phi_jacobian, phi_of
+from salver.models.parameters import INERTIAL, inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.sensitivity.dual import Dual, DualRotation
 from salver.sensitivity.tray import TrayLoop
@@ -25,6 +25,11 @@ def tumbling():
     rng = np.random.default_rng(3)
     position = min_jerk_line(1.7, np.zeros(3), np.ones(3), np.eye(3), np.eye(3)).position
     return PolynomialReference(1.7, exp(rng.normal(size=3)), position, 0.7 * rng.normal(size=(6, 3)))
+
+
+def own(names):
+    """The cube's parameters of these names."""
+    return [p for p in parameters_of("cube", True) if p.name in names]
 
 
 def central_differences(reference, names, step):
@@ -47,7 +52,7 @@ def relative_error(got, expected):
 
 
 def test_filter_agrees_with_central_differences_on_a_tumbling_reference(tumbling):
-    loop = TrayLoop(BODY, GAINS, phi_jacobian(BODY, INERTIAL))
+    loop = TrayLoop(BODY, GAINS, phi_jacobian(BODY, "cube", own(INERTIAL)))
     sensitivity = loop.along(tumbling, T)
     state, coefficients = central_differences(tumbling, INERTIAL, 1e-3)
     theta = np.linalg.pinv(GRASP_MAP) @ sensitivity.wrench
@@ -57,7 +62,7 @@ def test_filter_agrees_with_central_differences_on_a_tumbling_reference(tumbling
 
 def test_what_is_left_of_the_difference_falls_with_the_square_of_the_step(tumbling):
     names = ("mass", "com_x", "inertia_yy")
-    loop = TrayLoop(BODY, GAINS, phi_jacobian(BODY, names))
+    loop = TrayLoop(BODY, GAINS, phi_jacobian(BODY, "cube", own(names)))
     state = loop.along(tumbling, T).state
     errors = [relative_error(state, central_differences(tumbling, names, h)[0]) for h in (0.08, 0.04)]
     assert np.all(np.log2(errors[0] / errors[1]) > 1.8)
@@ -66,7 +71,7 @@ def test_what_is_left_of_the_difference_falls_with_the_square_of_the_step(tumbli
 
 def test_wrong_mass_at_rest_sags_by_its_weight_over_the_stiffness():
     resting = min_jerk_line(3.0, np.zeros(3), np.zeros(3), np.eye(3), np.eye(3))
-    loop = TrayLoop(BODY, GAINS, phi_jacobian(BODY, ("mass",)))
+    loop = TrayLoop(BODY, GAINS, phi_jacobian(BODY, "cube", own(("mass",))))
     sensitivity = loop.along(resting, np.linspace(0, 3, 101))
     # m (g + kp dp) = (m + dm) g in balance, so dp = -g dm / (m kp); the wrench takes up all of the new weight.
     assert sensitivity.state[-1, :, 0] == pytest.approx([0, 0, -9.81 / (0.256 * 500), *[0] * 9], abs=1e-9)
@@ -75,7 +80,7 @@ def test_wrong_mass_at_rest_sags_by_its_weight_over_the_stiffness():
 
 
 def test_response_to_mass_does_not_depend_on_orientation(tumbling):
-    loop = TrayLoop(BODY, GAINS, phi_jacobian(BODY, ("mass",)))
+    loop = TrayLoop(BODY, GAINS, phi_jacobian(BODY, "cube", own(("mass",))))
     upright = PolynomialReference(1.7, np.eye(3), tumbling.position)
     assert loop.along(tumbling, T).state[:, :3] == pytest.approx(loop.along(upright, T).state[:, :3], abs=1e-10)
 

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from salver.models.parameters import UncertainSet
+from salver.models.parameters import NOTHING, Parameter, UncertainSet
 from salver.sensitivity.tubes import direction_radius, ellipsoid, envelope, radius, scalar_sensitivity
 
 
 def uncertain(kind, correlation=None):
-    return UncertainSet(("mass", "com_x"), np.zeros(2), np.array([0.1, 0.2]), kind, correlation)
+    parameters = (Parameter("cube", "mass"), Parameter("cube", "com", "x"))
+    return UncertainSet(parameters, np.zeros(2), np.array([0.1, 0.2]), kind, correlation)
 
 
 def test_radii_by_hand():
@@ -62,7 +63,7 @@ def test_scalar_sensitivity_is_the_chain_rule():
 
 
 def test_nothing_uncertain_means_no_tube():
-    nothing = UncertainSet((), np.zeros(0), np.zeros(0))
+    nothing = NOTHING
     assert not radius(np.zeros((7, 3, 0)), nothing).any()
     low, high = envelope(np.ones(3), np.full(3, 0.25))
     assert low == pytest.approx([0.75] * 3)

@@ -19,7 +19,7 @@ CASES = [(load, kind) for load in LOADS for kind in ("box", "ellipsoid")]
 
 def claimed(made: Scenario, w: Array) -> Array:
     """(T,) the worst case that the contact rows claim, of everything carried."""
-    return np.max([rows.worst(w).max(axis=1) for rows in contact_rows(made)], axis=0)
+    return np.max([rows.worst(w).max(axis=1) for rows in contact_rows(made.payload)], axis=0)
 
 
 @pytest.mark.parametrize(

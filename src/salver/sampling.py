@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.models.parameters import INERTIAL, UncertainSet, inertial_vector
+from salver.models.parameters import UncertainSet, inertial_vector
 from salver.models.physical import realisable
 
 if TYPE_CHECKING:
@@ -175,8 +175,8 @@ def from_unit_cube(uncertain: UncertainSet, cube: Array) -> Array:
 
 def _possible(uncertain: UncertainSet, bodies: Sequence[Body] | None) -> Possible:
     """Whether objects with these parameters (n, n_p) can exist: (n,)."""
-    positive = [j for j, name in enumerate(uncertain.names) if name.rpartition(".")[2] in ("mass", "friction")]
-    tests = [_inertial_test(uncertain, body, len(bodies or ()) > 1) for body in bodies or ()]
+    positive = [j for j, p in enumerate(uncertain.parameters) if p.kind in ("mass", "friction")]
+    tests = [_inertial_test(uncertain, body) for body in bodies or ()]
 
     def possible(p: Array) -> npt.NDArray[np.bool_]:
         fine = np.all(p[:, positive] > 0, axis=1)
@@ -187,14 +187,10 @@ def _possible(uncertain: UncertainSet, bodies: Sequence[Body] | None) -> Possibl
     return possible
 
 
-def _inertial_test(uncertain: UncertainSet, body: Body, several: bool) -> Possible:
+def _inertial_test(uncertain: UncertainSet, body: Body) -> Possible:
     """The test of one body's mass, centre of mass and inertia together."""
-    prefix = f"{body.name}." if several else ""
-    columns = [
-        (j, INERTIAL.index(name.removeprefix(prefix)))
-        for j, name in enumerate(uncertain.names)
-        if name.startswith(prefix) and name.removeprefix(prefix) in INERTIAL
-    ]
+    own = [(j, p.entry) for j, p in enumerate(uncertain.parameters) if p.owner == body.name]
+    columns = [(j, entry) for j, entry in own if entry is not None]
     nominal = inertial_vector(body.inertial)
     within_shape = bool(realisable(body, nominal)[0])
 

@@ -18,7 +18,6 @@ from salver.errors import Status
 from salver.files import provenance
 from salver.geometry import Array, invert
 from salver.margins import Margins, margin_model
-from salver.models.bodies import bodies
 from salver.models.tray_motion import motion_vector
 from salver.scenario import Scenario
 
@@ -211,7 +210,7 @@ def audit(
         return load_arm(scenario.arm, scenario.tray)
 
     samples = read(path, lambda: found.joint_names if (found := arm()) else (), topic)
-    first = bodies(scenario)[0]
+    first = scenario.payload.first
     joints = arm() if isinstance(samples, JointSamples) else None
     motion = tray_motion(samples, joints, *invert(first.p_EB, first.R_EB), bandwidth, longest_gap)
     return Audit(scenario, samples.source, motion)

@@ -13,7 +13,6 @@ from salver import sampling, scenario
 from salver.errors import FileFormatError, SalverError
 from salver.files import read_json
 from salver.geometry import Array
-from salver.models.bodies import bodies, uncertain_set
 from salver.run_directory import plan_digest
 
 Engine = Literal["physics", "closed-loop"]
@@ -64,7 +63,7 @@ def define(
     if Path(folder).name != folder or folder in ("", ".."):
         raise SalverError(f'The folder is "{folder}"; it must be one name, for a folder in {directory}.')
     case = load_scenario(directory)
-    if not uncertain_set(case).names:
+    if not case.payload.uncertain.size:
         raise SalverError(f"Nothing is uncertain in {case.name}: all runs would be the same; use simulate for one run.")
     return Definition(case.digest, {stem: plan_digest(directory, stem) for stem in stems}, n, seed, method, engine)
 
@@ -85,9 +84,10 @@ def samples(directory: Path, definition: Definition) -> tuple[tuple[str, ...], A
             f"{directory / 'scenario.toml'} has the digest {case.digest}, but the campaign was made for "
             f"{definition.scenario}; the scenario was changed afterwards."
         )
-    uncertain = uncertain_set(case)
+    payload = case.payload
     method: Any = definition.method
-    return uncertain.names, sampling.draw(uncertain, definition.n, definition.seed, method, bodies(case))
+    drawn = sampling.draw(payload.uncertain, definition.n, definition.seed, method, payload.bodies)
+    return payload.uncertain.names, drawn
 
 
 def seed_of_run(seed: int, run: int) -> int:

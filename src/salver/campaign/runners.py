@@ -96,20 +96,18 @@ def _physics(experiment: Experiment, drawn: Sequence[Mapping[str, float]], seeds
 def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, float]]) -> list[Scalars]:
     """The object under its controller alone (eqs 18, 19): what the tubes are tubes of, no contact, no arm."""
     from salver.control.object import Gains
-    from salver.models.bodies import bodies
-    from salver.models.parameters import INERTIAL, inertial_vector, phi_of
     from salver.simulation.closed_loop import rollout
 
-    body = bodies(plan.scenario)[0]
+    payload = plan.scenario.payload
+    body = payload.first
     grasp_map = body.contacts.grasp_map
-    prefix = f"{body.name}." if len(plan.scenario.objects) > 1 else ""
-    inertial = np.tile(inertial_vector(body.inertial), (BLOCK, 1))
+    values = np.tile(payload.uncertain.nominal, (BLOCK, 1))
     for run, parameters in zip(runs, drawn, strict=True):
-        row = inertial[run % BLOCK]
-        for column, name in enumerate(INERTIAL):
-            row[column] = parameters.get(prefix + name, row[column])
+        values[run % BLOCK] = [parameters[name] for name in payload.uncertain.names]
     gains = Gains(plan.scenario.control.kp, plan.scenario.control.kd)
-    result = rollout(plan.reference, body.inertial, grasp_map, gains, phi_of(inertial), plan.t[:: _stride(plan.t)])
+    result = rollout(
+        plan.reference, body.inertial, grasp_map, gains, payload.phi(body, values), plan.t[:: _stride(plan.t)]
+    )
     results: list[Scalars] = []
     for run in runs:
         coefficients, deviation = result.cone_coefficients[run % BLOCK], result.deviation[run % BLOCK]

@@ -34,9 +34,7 @@ def scenarios(json: Json = False) -> None:
 
 
 def _record(item: Scenario) -> dict[str, Any]:
-    from salver.models.bodies import uncertain_set
-
-    uncertain = uncertain_set(item)
+    uncertain = item.payload.uncertain
     return {
         "name": item.name,
         "summary": item.summary,
@@ -63,7 +61,5 @@ def _objects_in_words(item: Scenario) -> str:
 
 def _uncertain_in_words(item: Scenario) -> str:
     """What is uncertain, parts and axes taken together: "mass, com, friction"."""
-    from salver.models.bodies import uncertain_set
-
-    kinds = [name.rpartition(".")[2].split("_")[0] for name in uncertain_set(item).names]
+    kinds = [parameter.kind for parameter in item.payload.uncertain.parameters]
     return ", ".join(dict.fromkeys(kinds)) or "nothing"

@@ -24,7 +24,6 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.bodies import Body
-from salver.models.bodies import bodies as bodies_of
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, Reference
 
@@ -233,7 +232,7 @@ def controller_for(
         raise ScenarioError(f"The scenario {scenario.name} has no arm; give it a table [arm] to control one.")
     return ArmController(
         load_arm(scenario.arm, scenario.tray) if arm is None else arm,
-        bodies_of(scenario),
+        scenario.payload.bodies,
         joint,
         reference,
         Gains(scenario.control.kp, scenario.control.kd),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from salver.errors import FileFormatError, SalverError, UnreachableError
 from salver.files import provenance, read_result
 from salver.geometry import Array, log, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel, load_arm
-from salver.models.bodies import Body, bodies
+from salver.models.bodies import Body
 from salver.planning.plan import Plan, load_plan
 from salver.run_directory import save_record
 from salver.trajectory import JointMotion
@@ -158,14 +158,14 @@ def merge_mocap(
     return _saved(directory, stem, merged, summary, [])
 
 
-def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, list[Body]]:
+def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, Sequence[Body]]:
     plan = load_plan(directory, stem)
     if plan.scenario.arm is None:
         raise SalverError(f"{plan.scenario.name} has no arm; give the scenario a table [arm] to execute it.")
     if plan.joint is None:
         why = plan.no_arm_motion
         raise UnreachableError(f"{plan.scenario.name} has no joint motion to execute: {why}")
-    return plan, load_arm(plan.scenario.arm, plan.scenario.tray), bodies(plan.scenario)
+    return plan, load_arm(plan.scenario.arm, plan.scenario.tray), plan.scenario.payload.bodies
 
 
 def _motion(plan: Plan) -> JointMotion:
@@ -173,7 +173,7 @@ def _motion(plan: Plan) -> JointMotion:
     return plan.joint
 
 
-def _run(plan: Plan, arm: ArmModel, carried: list[Body], robot: Robot, watchdog: Watchdog, start: float) -> Log:
+def _run(plan: Plan, arm: ArmModel, carried: Sequence[Body], robot: Robot, watchdog: Watchdog, start: float) -> Log:
     assert plan.joint is not None
     space = "joint" if plan.method == "fastest" else "object"
     controller = controller_for(plan.scenario, plan.joint, plan.reference, arm=arm, space=space)  # type: ignore[arg-type]
@@ -182,7 +182,7 @@ def _run(plan: Plan, arm: ArmModel, carried: list[Body], robot: Robot, watchdog:
     return drive(robot, controller, plan.joint, arm, carried, start=start, end=end, watchdog=watchdog)
 
 
-def _warm_up(controller: ArmController, arm: ArmModel, carried: list[Body], joint: JointMotion) -> None:
+def _warm_up(controller: ArmController, arm: ArmModel, carried: Sequence[Body], joint: JointMotion) -> None:
     """First calls load code and fill caches; they must not happen in the loop."""
     q, dq, _ = joint.sample(0.0)
     state = ArmState(q[0], dq[0])

@@ -10,7 +10,6 @@ import numpy as np
 from salver.errors import SalverError
 from salver.files import load_npz
 from salver.geometry import Array, quat_wxyz_from_matrix
-from salver.models.bodies import bodies
 from salver.planning.plan import Plan, load_plan
 
 WORLD_FRAME = "world"
@@ -59,7 +58,7 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
     ns = _instants(load_npz(Path(directory) / f"{stem}.npz")["t"], plan.duration, rate)
     t = ns * 1e-9
     samples = plan.reference.sample(t)
-    first = bodies(plan.scenario)[0]
+    first = plan.scenario.payload.first
     R_SE = samples.R_SB @ first.R_EB.T
     p_SE = samples.p_SB - np.einsum("tij,j->ti", R_SE, first.p_EB)
     names, (q, dq, ddq), tau = _joints(plan, t)

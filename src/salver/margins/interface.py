@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
 from salver.margins.model import friction_rows
+from salver.margins.values import RowValues
 from salver.models.contact_rows import ContactRows
 from salver.models.interfaces import Interface, to_tray
 from salver.models.tray_motion import frame_map, wrench_map
 from salver.models.wrench_cone import coulomb_friction_needed, friction_needed, tip_over_margin
-
-if TYPE_CHECKING:
-    from salver.margins.whole import Margins
 
 _TOLERANCE = 1e-9  # of a margin, as a share of the weight
 _FINE = 32  # edges of the pyramids that settle what the model's leave open
@@ -27,7 +24,7 @@ _FINE = 32  # edges of the pyramids that settle what the model's leave open
 class InterfaceMargins:
     """Margins of one object on one support. Arrays (T,), time first; `_worst` over the uncertain set."""
 
-    whole: Margins
+    whole: RowValues
     network: int
     index: int
 
@@ -161,11 +158,8 @@ class InterfaceMargins:
     @property
     def least_friction(self) -> float:
         """Of the uncertain set."""
-        uncertain = self.whole.model.uncertain
-        name = f"{self.object}.friction" if len(self.whole.model.scenario.objects) > 1 else "friction"
-        if name not in uncertain.names:
-            return self.friction
-        return self.friction - float(uncertain.half_range[uncertain.names.index(name)])
+        network = self.whole.model.networks[self.network]
+        return self.whole.model.payload.least_friction(network.bodies[self.interface.upper])
 
     def failure(self, worst: bool) -> tuple[float, int, str, InterfaceMargins] | None:
         """(time, order, code, self) of the first failure, or None."""

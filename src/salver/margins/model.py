@@ -8,35 +8,42 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.bodies import Body, bodies, uncertain_set
 from salver.models.contact import ContactSet
 from salver.models.contact_rows import MOST_GENERATORS, ContactRows, Labels, RowsOf, cone_rows, network_rows
-from salver.models.interfaces import ContactNetwork, networks
-from salver.models.parameters import UncertainSet
+from salver.models.interfaces import ContactNetwork
+from salver.models.parameters import NOTHING, Parameter, UncertainSet
+from salver.models.payload import Payload
 from salver.models.wrench_cone import support_rows, unit_friction_rows
 from salver.scenario import Scenario
 
 EDGES = 8  # of the friction pyramids, at least: at most 8 % short of the round cone
-_NOTHING = UncertainSet((), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
 class MarginModel:
-    """Everything of a scenario that does not depend on the motion; made once by `margin_model`."""
+    """Everything of a scenario that does not depend on the motion; made once by `margin_model`.
 
-    scenario: Scenario
+    payload: with `edges` to its friction pyramids; own_edges: as the scenario has them.
+    """
+
+    payload: Payload
     edges: int
-    first: Body
-    networks: tuple[ContactNetwork, ...]
-    uncertain: UncertainSet
+    own_edges: int
+
+    @property
+    def networks(self) -> tuple[ContactNetwork, ...]:
+        return self.payload.networks
+
+    @property
+    def uncertain(self) -> UncertainSet:
+        return self.payload.uncertain
 
     def rows(self, network: int, uncertain: UncertainSet, rows_of: RowsOf, per_weight: bool) -> ContactRows:
-        several, half = len(self.scenario.objects) > 1, 0.5 * np.array(self.scenario.tray.size)
-        return network_rows(self.networks[network], uncertain, several, half, rows_of, per_weight)
+        return network_rows(self.networks[network], uncertain, self.payload.tray_half, rows_of, per_weight)
 
     @cached_property
     def nominal(self) -> tuple[ContactRows, ...]:
-        return tuple(self.rows(i, _NOTHING, cone_rows, True) for i in range(len(self.networks)))
+        return tuple(self.rows(i, NOTHING, cone_rows, True) for i in range(len(self.networks)))
 
     @cached_property
     def robust(self) -> tuple[ContactRows, ...]:
@@ -45,9 +52,9 @@ class MarginModel:
     @cached_property
     def paper(self) -> tuple[tuple[ContactRows, ContactRows], ...]:
         """Rows -pinv(G F-hat), in N: nominal and over the uncertain set, with the scenario's own cone edges."""
-        rows_of = coefficient_rows(self.scenario.contact.edges)
+        rows_of = coefficient_rows(self.own_edges)
         return tuple(
-            (self.rows(i, _NOTHING, rows_of, False), self.rows(i, self.uncertain, rows_of, False))
+            (self.rows(i, NOTHING, rows_of, False), self.rows(i, self.uncertain, rows_of, False))
             for i in range(len(self.networks))
         )
 
@@ -56,9 +63,9 @@ class MarginModel:
         """Rows of the support polygon's edges in m, and of f_z and -f_z, per weight, over the uncertain set."""
         return tuple(self.rows(i, self.uncertain, edge_rows, True) for i in range(len(self.networks)))
 
-    def with_only(self, names: tuple[str, ...]) -> MarginModel:
-        """The same scenario with only these parameters uncertain."""
-        return replace(self, uncertain=self.uncertain.restricted(names))
+    def with_only(self, parameter: Parameter) -> MarginModel:
+        """The same with only this parameter uncertain."""
+        return replace(self, payload=self.payload.with_only((parameter,)))
 
 
 def margin_model(scenario: Scenario, edges: int | None = None) -> MarginModel:
@@ -69,7 +76,7 @@ def margin_model(scenario: Scenario, edges: int | None = None) -> MarginModel:
     """
     own = scenario.contact.edges
     finer = own * -(-EDGES // own)
-    most = max(max(body.regions) for body in bodies(scenario))
+    most = max(max(body.regions) for body in scenario.payload.bodies)
     return _margin_model(
         scenario.model_dump_json(exclude_none=True), edges or (finer if most * finer <= MOST_GENERATORS else own)
     )
@@ -78,9 +85,7 @@ def margin_model(scenario: Scenario, edges: int | None = None) -> MarginModel:
 @lru_cache(maxsize=16)
 def _margin_model(text: str, edges: int) -> MarginModel:
     scenario = Scenario.model_validate_json(text)
-    contact = scenario.contact.model_copy(update={"edges": edges})
-    items = bodies(scenario.model_copy(update={"contact": contact}))
-    return MarginModel(scenario, edges, items[0], networks(items), uncertain_set(scenario))
+    return MarginModel(scenario.payload.with_edges(edges), edges, scenario.contact.edges)
 
 
 def coefficient_rows(edges: int) -> RowsOf:

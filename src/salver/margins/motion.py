@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.geometry import Array, invert
-from salver.models.bodies import bodies, uncertain_set
 from salver.models.parameters import phi_jacobian
 from salver.models.rigid_body import inertia_entries, regressor
 from salver.models.tray_motion import frame_map, motion_vector
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 def tray_motion(scenario: Scenario, samples: MotionSamples) -> Array:
     """w (T, 12) of the tray frame E when the first object's B moves as `samples`."""
-    first = bodies(scenario)[0]
+    first = scenario.payload.first
     w_B = motion_vector(samples.R_SB, samples.a_S, samples.omega_B, samples.alpha_B)
     return w_B @ frame_map(*invert(first.p_EB, first.R_EB)).T
 
@@ -31,11 +30,9 @@ def tracking_motion(scenario: Scenario, samples: MotionSamples, state: Array, wr
     the uncertain parameters of the scenario (Plan.state_sensitivity; grasp_map @ Plan.input_sensitivity).
     What of the wrench's change is not due to the parameters themselves is due to the motion's.
     """
-    first, uncertain = bodies(scenario)[0], uncertain_set(scenario)
-    prefix = f"{first.name}." if len(scenario.objects) > 1 else ""
-    own = tuple(n.removeprefix(prefix) if n.startswith(prefix) else "" for n in uncertain.names)
+    first, uncertain = scenario.payload.first, scenario.payload.uncertain
     y = regressor(samples.R_SB, samples.a_S, samples.omega_B, samples.alpha_B)
-    moved = wrench - y @ phi_jacobian(first.inertial, own)
+    moved = wrench - y @ phi_jacobian(first.inertial, first.name, uncertain.parameters)
     omega, domega = samples.omega_B, np.swapaxes(state[:, 9:], 1, 2)
     inertia = first.inertial.inertia_com
     gyroscopic = np.cross(domega, (omega @ inertia)[:, None]) + np.cross(omega[:, None], domega @ inertia)

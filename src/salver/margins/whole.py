@@ -11,11 +11,10 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array
 from salver.margins.interface import InterfaceMargins
-from salver.margins.model import MarginModel, margin_model
+from salver.margins.model import margin_model
 from salver.margins.motion import tray_motion
-from salver.models.contact_rows import ContactRows, name_prefixes
-from salver.models.interfaces import ContactNetwork, regions_lost, shift_ranges
-from salver.models.internal_wrench import internal_wrenches
+from salver.margins.values import RowValues
+from salver.models.interfaces import regions_lost
 from salver.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -34,16 +33,8 @@ def margins(
 
 
 @dataclass(frozen=True)
-class Margins:
-    """Margins of everything on the tray along one motion; computed when asked for.
-
-    t (T,); w (T, 12): motion of the tray frame E. tracking: (T, 12, n_p) or None, see `margins`.
-    """
-
-    model: MarginModel
-    t: Array
-    w: Array
-    tracking: Array | None = None
+class Margins(RowValues):
+    """Margins of everything on the tray along one motion; computed when asked for."""
 
     @cached_property
     def interfaces(self) -> tuple[InterfaceMargins, ...]:
@@ -68,25 +59,6 @@ class Margins:
         """(T,) the same in the worst case of the uncertain set."""
         return np.min([-self.worst_values[i][0].max(axis=1) for i in range(len(self.model.networks))], axis=0)
 
-    @cached_property
-    def nominal_values(self) -> list[tuple[Array, Array]]:
-        """Rows (T, n) and internal wrenches (T, n_w) of each network."""
-        return [_balanced(rows.worst(self.w), rows) for rows in self.model.nominal]
-
-    @cached_property
-    def worst_values(self) -> list[tuple[Array, Array]]:
-        return [_balanced(self.worst_case(rows), rows) for rows in self.model.robust]
-
-    def worst_case(self, rows: ContactRows) -> Array:
-        """Worst case of the rows (T, n), with the tube of the tracking error added."""
-        value = rows.worst(self.w)
-        if self.tracking is not None:
-            scaled = self.tracking @ self.model.uncertain.factor
-            terms = np.einsum("fk,tkp->tfp", rows.nominal, scaled, optimize=True)
-            box = self.model.uncertain.kind == "box"
-            value += np.abs(terms).sum(axis=2) if box else np.linalg.norm(terms, axis=2)
-        return value
-
     def verdict(self, worst: bool = False) -> Status:
         """Holds, slides, tips or lifts: the first interface that fails, and when, in one sentence.
 
@@ -95,8 +67,9 @@ class Margins:
         """
         failures = [f for m in self.interfaces if (f := m.failure(worst)) is not None]
         case = "in the worst case of the uncertain parameters " if worst else ""
-        lost = [name for net in self.model.networks for name in self._lost(net)] if worst else []
-        if lost:
+        payload = self.model.payload
+        lost = [name for net in payload.networks for name in regions_lost(net, payload.tray_half, payload.uncertain)]
+        if worst and lost:
             sentence = f"{lost[0]} may stand beside it: the uncertain position is as large as the contact region."
             return Status("tips", sentence, False, {"interface": lost[0], "time": float(self.t[0])})
         if failures:
@@ -113,12 +86,6 @@ class Margins:
         details = {"interface": least.name, "time": float(self.t[k]), "margin": float(margin[k])}
         return Status("holds", sentence, True, details)
 
-    def _lost(self, network: ContactNetwork) -> list[str]:
-        several = len(self.model.scenario.objects) > 1
-        half = dict(zip(self.model.uncertain.names, self.model.uncertain.half_range, strict=True))
-        shift = shift_ranges(network, half, name_prefixes(network, several))
-        return regions_lost(network, 0.5 * np.array(self.model.scenario.tray.size), shift)
-
     def worst_parameters(self) -> dict[str, float]:
         """Values of the uncertain parameters at which the least worst-case margin occurs (to first order)."""
         values = self.worst_values
@@ -126,7 +93,7 @@ class Margins:
         instant, row = np.unravel_index(int(np.argmax(values[network][0])), values[network][0].shape)
         point = self.model.robust[network].worst_point(self.w[instant], int(row))
         uncertain = self.model.uncertain
-        signs = [-1.0 if name.endswith("friction") else point.get(name, 0.0) for name in uncertain.names]
+        signs = [-1.0 if p.kind == "friction" else point.get(p, 0.0) for p in uncertain.parameters]
         worst = uncertain.nominal + uncertain.half_range * np.array(signs)
         return dict(zip(uncertain.names, worst.tolist(), strict=True))
 
@@ -134,12 +101,6 @@ class Margins:
         """What each uncertain parameter, alone, takes from the least exact margin (share of the normal force)."""
         least = float(self.exact.min())
         return {
-            name: least - float(Margins(self.model.with_only((name,)), self.t, self.w).exact_worst.min())
-            for name in self.model.uncertain.names
+            p.name: least - float(Margins(self.model.with_only(p), self.t, self.w).exact_worst.min())
+            for p in self.model.uncertain.parameters
         }
-
-
-def _balanced(value: Array, rows: ContactRows) -> tuple[Array, Array]:
-    """Rows with the best internal wrenches added, and those wrenches (T, n_w)."""
-    w_0 = internal_wrenches(value, rows.internal)
-    return value + w_0 @ rows.internal.T, w_0

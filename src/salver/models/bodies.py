@@ -1,24 +1,46 @@
-"""From the scenario's objects to bodies that mechanics can use, and whether they can exist at all."""
+"""From objects to bodies at rest on a tray, and whether such objects can exist and stand there at all."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from salver.geometry import Array, exp
 from salver.models import shapes
 from salver.models.contact import ContactSet, support_contacts
-from salver.models.parameters import COM, INERTIA, UncertainSet, inertial_vector
+from salver.models.parameters import Parameter, inertial_vector, phi_of
 from salver.models.polygons import inset, intersection
-from salver.models.rigid_body import RigidBody, inertia_matrix
-
-if TYPE_CHECKING:
-    from salver.scenario import CarriedObject, Relative, Scenario
+from salver.models.rigid_body import RigidBody
 
 TRAY = "tray"
+
+
+@dataclass(frozen=True)
+class LooseObject:
+    """An object before it is put on the tray.
+
+    inertial: in B. com: (3,) of the nominal centre of mass from the solid's, m. on: what it stands on, names of objects
+    or ("tray",). at: (2,) where the shape's centre stands from the tray's, m. yaw: rad. support_inset: m by which the
+    base that carries is smaller than the solid's.
+    """
+
+    name: str
+    solid: shapes.Solid
+    inertial: RigidBody
+    com: Array
+    friction: float
+    on: tuple[str, ...]
+    at: tuple[float, float]
+    yaw: float = 0.0
+    support_inset: float = 0.0
+
+    @property
+    def com_G(self) -> Array:
+        """(3,) origin of B in the shape frame G."""
+        return self.solid.centroid_G + self.com
 
 
 @dataclass(frozen=True)
@@ -62,70 +84,59 @@ class Body:
         """(n, 3) contact points in B."""
         return self.contacts.p_BC
 
+    def phi_at(self, deviation: Mapping[Parameter, float]) -> Array:
+        """(10,) inertial parameters in B at parameters that deviate from nominal, exactly."""
+        inertial = inertial_vector(self.inertial)
+        for parameter, value in deviation.items():
+            if parameter.owner == self.name and parameter.entry is not None:
+                inertial[parameter.entry] += value
+        return phi_of(inertial)
 
-def solid_of(shape: object) -> shapes.Solid:
-    """The solid of a scenario's shape."""
-    kind = shape.type  # type: ignore[attr-defined]
-    if kind == "box":
-        return shapes.box(shape.size)  # type: ignore[attr-defined]
-    if kind == "cylinder":
-        return shapes.cylinder(shape.radius, shape.height, shape.support_points)  # type: ignore[attr-defined]
-    if kind == "prism":
-        return shapes.prism(np.array(shape.polygon), shape.height)  # type: ignore[attr-defined]
-    if kind == "composite":
-        parts = [(solid_of(part.shape), np.array(part.position), part.mass) for part in shape.parts]  # type: ignore[attr-defined]
-        return shapes.composite(parts)
-    if kind == "mesh":
-        return shapes.mesh(shape.file, shape.scale)  # type: ignore[attr-defined]
-    raise ValueError(f'shape type "{kind}" is not supported')
+    def place_at(self, deviation: Mapping[Parameter, float]) -> Array:
+        """(3,) origin of B in E at parameters that deviate from nominal, the tilt of the tray left out."""
+        shift = [deviation.get(Parameter(self.name, "position", axis), 0.0) for axis in "xy"]
+        return self.p_EB + np.array([*shift, 0.0])
 
 
-def inertial_of(item: CarriedObject, solid: shapes.Solid) -> RigidBody:
-    """Nominal inertial parameters in B, whose origin is the nominal centre of mass.
+def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -> tuple[Body, ...]:
+    """All objects at rest, in their order. edges, phase: of the linearised friction cones, rad.
 
-    Inertia that is not given is that of the uniform solid.
+    Raises ValueError when one stands on something that is not there before it.
     """
-    if item.inertia is None:
-        inertia = item.mass * solid.unit_inertia
-    elif len(item.inertia) == 3:
-        inertia = np.diag(item.inertia)
-    else:
-        inertia = inertia_matrix(item.inertia)
-    return RigidBody(item.mass, np.zeros(3), inertia)
-
-
-def bodies(scenario: Scenario) -> list[Body]:
-    """All carried objects of a scenario, at rest, in the scenario's order."""
     made: dict[str, Body] = {}
     top: dict[str, float] = {TRAY: 0.0}
     surface: dict[str, Array] = {}
-    phase = np.deg2rad(scenario.contact.edge_phase_deg)
-    for item in scenario.objects:
-        solid = solid_of(item.shape)
-        supports = (item.on,) if isinstance(item.on, str) else tuple(item.on)
-        com_G = solid.centroid_G + np.asarray(item.com)
-        base = max(top[name] for name in supports)
-        R_EB = exp(np.array([0.0, 0.0, np.deg2rad(item.yaw_deg)]))
+    for item in objects:
+        if item.name in top:
+            raise ValueError(f'objects: the name "{item.name}" is used twice; each object needs its own')
+        for support in item.on:
+            if support not in top:
+                raise ValueError(
+                    f'{item.name} stands on "{support}", which is neither "tray" nor an object listed before it'
+                )
+        solid = item.solid
+        base = max(top[name] for name in item.on)
+        R_EB = exp(np.array([0.0, 0.0, item.yaw]))
         centre_E = np.array([*item.at, base - solid.base_z])
         polygon = inset(solid.base_polygon, item.support_inset)
-        regions = [_standing_on(polygon, centre_E, R_EB, surface.get(name)) for name in supports]
+        regions = [_standing_on(polygon, centre_E, R_EB, surface.get(name)) for name in item.on]
         corners = np.vstack(regions)
-        points_B = np.column_stack([corners, np.full(len(corners), solid.base_z)]) - com_G
-        contacts = support_contacts(points_B, item.friction, scenario.contact.edges, phase)
+        points_B = np.column_stack([corners, np.full(len(corners), solid.base_z)]) - item.com_G
+        contacts = support_contacts(points_B, item.friction, edges, phase)
         made[item.name] = Body(
             item.name,
             solid,
-            inertial_of(item, solid),
-            centre_E + R_EB @ com_G,
+            item.inertial,
+            centre_E + R_EB @ item.com_G,
             R_EB,
-            com_G,
-            supports,
+            item.com_G,
+            item.on,
             contacts,
             tuple(len(region) for region in regions),
         )
         top[item.name] = base + solid.height
         surface[item.name] = centre_E[:2] + solid.top_polygon @ R_EB[:2, :2].T
-    return list(made.values())
+    return tuple(made.values())
 
 
 def _standing_on(polygon: Array, centre_E: Array, R_EB: Array, surface_E: Array | None) -> Array:
@@ -135,75 +146,9 @@ def _standing_on(polygon: Array, centre_E: Array, R_EB: Array, surface_E: Array 
     return intersection(polygon, (surface_E - centre_E[:2]) @ R_EB[:2, :2])
 
 
-def uncertain_set(scenario: Scenario) -> UncertainSet:
-    """All uncertain parameters of a scenario, in the order of its objects: eq (8)."""
-    names: list[str] = []
-    nominal: list[float] = []
-    half: list[float] = []
-
-    def add(name: str, value: float, half_range: float) -> None:
-        if half_range > 0:
-            names.append(name)
-            nominal.append(value)
-            half.append(half_range)
-
-    several = len(scenario.objects) > 1
-    for item in scenario.objects:
-        prefix = f"{item.name}." if several else ""
-        u = item.uncertainty
-        values = inertial_vector(inertial_of(item, solid_of(item.shape)))
-        if u.mass is not None:
-            add(prefix + "mass", item.mass, _absolute(u.mass, item.mass))
-        for name, value in zip(COM, u.com or (), strict=False):
-            add(prefix + name, 0.0, value)
-        if u.inertia is not None:
-            for k, value in _inertia_ranges(u.inertia, values[4:]):
-                add(prefix + INERTIA[k], values[4 + k], value)
-        if u.friction is not None:
-            add(prefix + "friction", item.friction, _absolute(u.friction, item.friction))
-        for name, value in zip(("position_x", "position_y"), u.position or (), strict=False):
-            add(prefix + name, 0.0, value)
-    for name, value in zip(("tilt_x", "tilt_y"), scenario.uncertainty.tilt_deg or (), strict=False):
-        add(name, 0.0, float(np.deg2rad(value)))
-    return UncertainSet(
-        tuple(names),
-        np.array(nominal),
-        np.array(half),
-        scenario.uncertainty.set,
-        _correlation(names, scenario.uncertainty.correlation),
-    )
-
-
-def _absolute(value: float | Relative, nominal: float) -> float:
-    return value if isinstance(value, float) else value.relative * abs(nominal)
-
-
-def _inertia_ranges(value: object, nominal: Array) -> list[tuple[int, float]]:
-    """(index among the six entries, half-range): three values mean the diagonal."""
-    diagonal = (0, 2, 5)
-    if hasattr(value, "relative"):
-        return [(k, value.relative * nominal[k]) for k in diagonal]
-    assert isinstance(value, tuple)
-    return list(zip(diagonal if len(value) == 3 else range(6), value, strict=True))
-
-
-def _correlation(names: list[str], pairs: dict[str, float]) -> Array | None:
-    """Correlation matrix of entries such as "mass,com_x" = 0.5; None when there is none."""
-    if not pairs:
-        return None
-    matrix = np.eye(len(names))
-    for key, value in pairs.items():
-        first, _, second = (part.strip() for part in key.partition(","))
-        i, j = names.index(first), names.index(second)
-        matrix[i, j] = matrix[j, i] = value
-    return matrix
-
-
-def check(item: CarriedObject) -> None:
+def check(item: LooseObject) -> None:
     """Raise ValueError when no such object can exist: one sentence, with the value."""
-    solid = solid_of(item.shape)
-    body = inertial_of(item, solid)
-    principal = np.linalg.eigvalsh(body.inertia_com)
+    principal = np.linalg.eigvalsh(item.inertial.inertia_com)
     if principal[0] <= 0:
         raise ValueError(
             f"inertia of {item.name} has the principal moment {principal[0]:.3g} kg m^2; all must be positive"
@@ -213,10 +158,9 @@ def check(item: CarriedObject) -> None:
             f"inertia of {item.name} has principal moments {', '.join(f'{x:.3g}' for x in principal)} kg m^2; no mass "
             "distribution has one that is larger than the sum of the other two"
         )
-    com_G = solid.centroid_G + np.asarray(item.com)
-    if not _inside_hull(com_G, solid.bounding_points_G):
-        raise ValueError(f"com of {item.name} = {tuple(item.com)} m lies outside its shape; it must be inside")
-    if len(inset(solid.base_polygon, item.support_inset)) < 3:
+    if not _inside_hull(item.com_G, item.solid.bounding_points_G):
+        raise ValueError(f"com of {item.name} = {tuple(item.com.tolist())} m lies outside its shape; it must be inside")
+    if len(inset(item.solid.base_polygon, item.support_inset)) < 3:
         raise ValueError(
             f"support_inset of {item.name} = {item.support_inset} m leaves nothing of its base to stand on"
         )
@@ -229,49 +173,8 @@ def _inside_hull(point: Array, vertices: Array) -> bool:
     return bool(np.all(equations[:, :3] @ point + equations[:, 3] <= 1e-9))
 
 
-def check_arrangement(scenario: Scenario) -> None:
-    """Raise ValueError when the objects cannot stand as they are said to."""
-    known = {TRAY}
-    for item in scenario.objects:
-        if item.name in known:
-            raise ValueError(f'objects: the name "{item.name}" is used twice; each object needs its own')
-        for support in (item.on,) if isinstance(item.on, str) else item.on:
-            if support not in known:
-                raise ValueError(
-                    f'{item.name} stands on "{support}", which is neither "tray" nor an object listed before it'
-                )
-        known.add(item.name)
-    items = bodies(scenario)
-    _check_stacking(scenario, items)
-    half = 0.5 * np.array(scenario.tray.size)
-    for body in items:
-        if body.supports == (TRAY,):
-            corners = (body.R_EB @ body.contacts.p_BC.T).T[:, :2] + body.p_EB[:2]
-            beyond = np.abs(corners) - half
-            if beyond.max() > 1e-9:
-                raise ValueError(
-                    f"{body.name} stands {1e3 * beyond.max():.1f} mm over the edge of the tray, which is "
-                    f"{scenario.tray.size[0]:g} x {scenario.tray.size[1]:g} m; move it with at, or give the tray "
-                    "a larger size"
-                )
-    names = uncertain_set(scenario.model_copy(update={"uncertainty": _without_correlation(scenario)})).names
-    for key in scenario.uncertainty.correlation:
-        parts = [part.strip() for part in key.split(",")]
-        if len(parts) != 2 or any(part not in names for part in parts):
-            raise ValueError(
-                f'uncertainty.correlation has the key "{key}"; it must name two uncertain parameters, as in '
-                f'"mass,com_x"; uncertain here are {", ".join(names) or "none"}'
-            )
-    if scenario.uncertainty.correlation:
-        if scenario.uncertainty.set == "box":
-            raise ValueError('uncertainty.correlation needs set = "ellipsoid"; a box has no correlation')
-        matrix = _correlation(list(names), scenario.uncertainty.correlation)
-        if matrix is not None and np.linalg.eigvalsh(matrix)[0] <= 0:
-            raise ValueError("uncertainty.correlation is not positive definite; no distribution has it")
-
-
-def _check_stacking(scenario: Scenario, items: list[Body]) -> None:
-    """Raise ValueError when an object stands beside or askew on its supports, or where another one is."""
+def check_standing(items: Sequence[Body], tray_half: Array) -> None:
+    """Raise ValueError when bodies on a tray of half size (2,) stand askew, beside their supports or in each other."""
     made = {body.name: body for body in items}
     for body in items:
         for name, count in zip(body.supports, body.regions, strict=True):
@@ -296,7 +199,12 @@ def _check_stacking(scenario: Scenario, items: list[Body]) -> None:
                     f"{body.name} and {other.name} are in the same place; move one of them with at, "
                     "from the middle of the tray"
                 )
-
-
-def _without_correlation(scenario: Scenario) -> object:
-    return scenario.uncertainty.model_copy(update={"correlation": {}})
+    for body in items:
+        if body.supports == (TRAY,):
+            corners = (body.R_EB @ body.contacts.p_BC.T).T[:, :2] + body.p_EB[:2]
+            beyond = np.abs(corners) - tray_half
+            if beyond.max() > 1e-9:
+                raise ValueError(
+                    f"{body.name} stands {1e3 * beyond.max():.1f} mm over the edge of the tray, which is "
+                    f"{2 * tray_half[0]:g} x {2 * tray_half[1]:g} m; move it with at, or give the tray a larger size"
+                )

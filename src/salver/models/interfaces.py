@@ -9,6 +9,7 @@ network holds if some w_0 puts every interface wrench in its own contact wrench 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from salver.geometry import Array, hat
 from salver.models.bodies import TRAY, Body
 from salver.models.contact import ContactSet
+from salver.models.parameters import Parameter, UncertainSet
 from salver.models.polygons import eroded, half_planes, intersection
 
 
@@ -52,7 +54,7 @@ class ContactNetwork:
         return replace(self, interfaces=tuple(replace(interface, contacts=c) for interface, c in pairs))
 
 
-def networks(items: list[Body]) -> tuple[ContactNetwork, ...]:
+def networks(items: Sequence[Body]) -> tuple[ContactNetwork, ...]:
     """The networks of bodies (in the scenario's order); a body alone on the tray is one of its own."""
     group = {body.name: {body.name} for body in items}
     for body in items:
@@ -123,29 +125,27 @@ def to_tray(p_EB: Array, R_EB: Array) -> Array:
     return matrix
 
 
-def shift_ranges(network: ContactNetwork, half_range: dict[str, float], prefix: dict[str, str]) -> dict[str, Array]:
-    """(2,) half-ranges of position_x, position_y by body, m, of half-ranges by parameter name."""
+def shift_ranges(network: ContactNetwork, uncertain: UncertainSet) -> dict[str, Array]:
+    """(2,) half-ranges of position_x, position_y by body, m."""
+    ranges = uncertain.ranges
     return {
-        body.name: np.array([half_range.get(f"{prefix[body.name]}position_{axis}", 0.0) for axis in "xy"])
+        body.name: np.array([ranges.get(Parameter(body.name, "position", axis), 0.0) for axis in "xy"])
         for body in network.bodies
     }
 
 
-def sure_contacts(
-    network: ContactNetwork, tray_half: Array, friction: dict[str, float], shift: dict[str, Array]
-) -> list[ContactSet]:
+def sure_contacts(network: ContactNetwork, tray_half: Array, uncertain: UncertainSet) -> list[ContactSet]:
     """Contact sets that remain whatever happens: least friction, and the area that every placement keeps.
 
-    tray_half: (2,) half size of the tray. friction: least coefficient by body. shift: (2,) half-ranges of the
-    position by body, m. A region that can vanish altogether is left as it is, so that the verdict is not
-    about it: `regions_lost` names such interfaces.
+    tray_half: (2,) half size of the tray. A region that can vanish altogether is left as it is, so that the verdict is
+    not about it: `regions_lost` names such interfaces.
     """
+    shift, ranges = shift_ranges(network, uncertain), uncertain.ranges
     kept = []
     for interface in network.interfaces:
         upper = network.bodies[interface.upper]
-        contacts = replace(
-            interface.contacts, friction=np.full(interface.contacts.count, friction.get(upper.name, upper.friction))
-        )
+        least = upper.friction - ranges.get(Parameter(upper.name, "friction"), 0.0)
+        contacts = replace(interface.contacts, friction=np.full(interface.contacts.count, least))
         region = _sure_region(network, interface, tray_half, shift)
         if region is not None and len(region) >= 3:
             p_BC = np.column_stack([region, np.full(len(region), contacts.p_BC[0, 2])])
@@ -159,8 +159,9 @@ def sure_contacts(
     return kept
 
 
-def regions_lost(network: ContactNetwork, tray_half: Array, shift: dict[str, Array]) -> list[str]:
+def regions_lost(network: ContactNetwork, tray_half: Array, uncertain: UncertainSet) -> list[str]:
     """Interfaces whose contact region vanishes within the position uncertainty."""
+    shift = shift_ranges(network, uncertain)
     regions = [(f.name, _sure_region(network, f, tray_half, shift)) for f in network.interfaces]
     return [name for name, region in regions if region is not None and len(region) < 3]
 

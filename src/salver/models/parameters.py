@@ -1,4 +1,4 @@
-"""Named uncertain parameters and the set they lie in: eq (8) of the paper.
+"""Uncertain parameters and the set they lie in: eq (8) of the paper.
 
 The parameters a user speaks of (mass, centre of mass, inertia about it) are not the inertial parameters
 phi in which the dynamics are linear: `phi_of` maps one to the other exactly, `phi_jacobian` to first order.
@@ -6,42 +6,116 @@ phi in which the dynamics are linear: `phi_of` maps one to the other exactly, `p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, Self
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, exp
 from salver.models.rigid_body import RigidBody, inertia_entries, parallel_axis
 
-COM = ("com_x", "com_y", "com_z")
-INERTIA = tuple(f"inertia_{s}" for s in ("xx", "xy", "yy", "xz", "yz", "zz"))
-INERTIAL = ("mass", *COM, *INERTIA)
-OTHER = ("friction", "position_x", "position_y", "tilt_x", "tilt_y")
-NAMES = (*INERTIAL, *OTHER)
+INERTIAL = ("mass", "com_x", "com_y", "com_z", *(f"inertia_{s}" for s in ("xx", "xy", "yy", "xz", "yz", "zz")))
+_AXES = {
+    "mass": ("",),
+    "com": ("x", "y", "z"),
+    "inertia": ("xx", "xy", "yy", "xz", "yz", "zz"),
+    "friction": ("",),
+    "position": ("x", "y"),
+}
 
 SetKind = Literal["box", "ellipsoid"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that may be uncertain; `name` is what files and users call it.
+
+    owner: the object it belongs to; "" for the tray (tilt), and for the parameters of a model of one's own.
+    kind: mass, com, inertia, friction, position or tilt; whatever else, of one's own. axis: "" for a scalar.
+    lone: whether its object is the only one, so that the name can leave it out.
+    """
+
+    owner: str
+    kind: str
+    axis: str = ""
+    lone: bool = field(default=False, compare=False)
+
+    @property
+    def quantity(self) -> str:
+        """The name without its owner: "mass", "com_x"."""
+        return f"{self.kind}_{self.axis}" if self.axis else self.kind
+
+    @cached_property
+    def name(self) -> str:
+        """Such as "cup1.com_x"; "com_x" when there is one object, "tilt_x" of the tray."""
+        return self.quantity if self.lone or not self.owner else f"{self.owner}.{self.quantity}"
+
+    @cached_property
+    def entry(self) -> int | None:
+        """Place among the ten of `INERTIAL`; None for what does not act through the object's inertia."""
+        return INERTIAL.index(self.quantity) if self.quantity in INERTIAL else None
+
+    @property
+    def places(self) -> bool:
+        """Whether it says where things are, not what they are."""
+        return self.kind in ("position", "tilt")
+
+
+TILT = (Parameter("", "tilt", "x"), Parameter("", "tilt", "y"))
+
+
+def parameters_of(owner: str, lone: bool) -> tuple[Parameter, ...]:
+    """Everything that may be uncertain about one object."""
+    return tuple(Parameter(owner, kind, axis, lone) for kind, axes in _AXES.items() for axis in axes)
+
+
+def all_parameters(objects: Sequence[str]) -> tuple[Parameter, ...]:
+    """Everything that may be uncertain about these objects on a tray."""
+    return (*(p for owner in objects for p in parameters_of(owner, len(objects) == 1)), *TILT)
+
+
+def parse(name: str, objects: Sequence[str]) -> Parameter:
+    """The parameter of a name that a user or a file gives. Raises ValueError when these objects have none such."""
+    for parameter in all_parameters(objects):
+        if parameter.name == name:
+            return parameter
+    raise ValueError(f'there is no parameter "{name}" of {", ".join(objects)}')
 
 
 @dataclass(frozen=True)
 class UncertainSet:
     """Which parameters are uncertain and how far they may lie from nominal.
 
-    names: n_p names, of `NAMES`, with an `object.` prefix when there are several objects.
-    nominal, half_range: (n_p,) in the parameter's own unit.
+    parameters: n_p of them. nominal, half_range: (n_p,) in the parameter's own unit.
     kind: "box" (eq 8: each within its range, all corners possible) or "ellipsoid" (eq 9).
     correlation: (n_p, n_p) unit-diagonal matrix, for an ellipsoid only; the identity is the paper's W.
     """
 
-    names: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
     nominal: Array
     half_range: Array
     kind: SetKind = "box"
     correlation: Array | None = None
 
+    @classmethod
+    def named(cls, names: Sequence[str], nominal: Array, half_range: Array) -> Self:
+        """A box of parameters of a model of one's own, which only their names tell apart."""
+        return cls(tuple(Parameter("", name) for name in names), nominal, half_range)
+
     @property
     def size(self) -> int:
-        return len(self.names)
+        return len(self.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def ranges(self) -> dict[Parameter, float]:
+        """Half-range of each parameter."""
+        return dict(zip(self.parameters, self.half_range.tolist(), strict=True))
 
     @property
     def factor(self) -> Array:
@@ -51,13 +125,24 @@ class UncertainSet:
             return scale
         return scale @ np.linalg.cholesky(self.correlation)
 
-    def restricted(self, names: tuple[str, ...]) -> UncertainSet:
+    @property
+    def spread(self) -> Array | None:
+        """The factor in half-ranges (n_p, n_p): A A^T is the correlation of an ellipsoid; None for a box."""
+        if self.kind == "box":
+            return None
+        return np.eye(self.size) if self.correlation is None else np.asarray(np.linalg.cholesky(self.correlation))
+
+    def restricted(self, parameters: Collection[Parameter]) -> UncertainSet:
         """The same set seen in some of its parameters (projection)."""
-        keep = [i for i, name in enumerate(self.names) if name in names]
+        keep = [i for i, parameter in enumerate(self.parameters) if parameter in parameters]
         correlation = None if self.correlation is None else self.correlation[np.ix_(keep, keep)]
         return UncertainSet(
-            tuple(self.names[i] for i in keep), self.nominal[keep], self.half_range[keep], self.kind, correlation
+            tuple(self.parameters[i] for i in keep), self.nominal[keep], self.half_range[keep], self.kind, correlation
         )
+
+
+NOTHING = UncertainSet((), np.zeros(0), np.zeros(0))
+"""The set of somebody who knows everything."""
 
 
 def inertial_vector(body: RigidBody) -> Array:
@@ -73,15 +158,19 @@ def phi_of(inertial: Array) -> Array:
     return np.concatenate([mass[..., None], moment, inertia_B], axis=-1)
 
 
-def phi_jacobian(body: RigidBody, names: tuple[str, ...]) -> Array:
-    """d phi / d p (10, n_p) at a body whose centre of mass is the origin of B; names of `INERTIAL`.
+def phi_jacobian(body: RigidBody, owner: str, parameters: Sequence[Parameter]) -> Array:
+    """d phi / d p (10, n_p) at the body of `owner`, whose centre of mass is the origin of B.
 
     There c = 0, so a shift of the centre of mass changes m c to first order and I about B not at all.
-    Other names (friction, ...) do not act through the dynamics: their column is zero.
+    What is another object's or does not act through the dynamics (friction, ...) has a column of zeros.
     """
-    jacobian = np.zeros((10, len(names)))
-    for column, name in enumerate(names):
-        if name in INERTIAL:
-            row = INERTIAL.index(name)
-            jacobian[row, column] = body.mass if name in COM else 1.0
+    jacobian = np.zeros((10, len(parameters)))
+    for column, parameter in enumerate(parameters):
+        if parameter.owner == owner and parameter.entry is not None:
+            jacobian[parameter.entry, column] = body.mass if parameter.kind == "com" else 1.0
     return jacobian
+
+
+def tilt_at(deviation: Mapping[Parameter, float]) -> Array:
+    """(3, 3) axes of the real tray in the assumed E."""
+    return exp(np.array([*(deviation.get(tilt, 0.0) for tilt in TILT), 0.0]))

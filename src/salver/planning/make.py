@@ -79,7 +79,6 @@ def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
     q_start: posture to start from instead of the scenario's or the best one, so that two plans can share theirs.
     """
     from salver.models.arm import load_arm
-    from salver.models.bodies import bodies
     from salver.planning.follow.limits import torques
     from salver.planning.follow.motion import follow_scenario
 
@@ -89,7 +88,7 @@ def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
     joint, status = follow_scenario(scenario, plan.reference, arm, q_start)
     tau = None
     if joint is not None:
-        tau = torques(arm, JointMotion(plan.t, *joint.sample(plan.t)), bodies(scenario))
+        tau = torques(arm, JointMotion(plan.t, *joint.sample(plan.t)), scenario.payload.bodies)
     return replace(plan, joint=joint, arm_status=status, tau=tau)
 
 

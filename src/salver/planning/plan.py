@@ -14,7 +14,6 @@ import numpy as np
 from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import load_npz, npz_bytes, provenance, read_json, to_json, write_atomic, write_json
 from salver.geometry import Array, log, matrix_from_quat_wxyz
-from salver.models.bodies import uncertain_set
 from salver.planning import certificate
 from salver.planning.object.conditions import TILT, unit_of
 from salver.planning.object.cost import sensitivity_cost
@@ -125,7 +124,7 @@ class Plan:
 
     @property
     def uncertain(self) -> UncertainSet:
-        return uncertain_set(self.scenario)
+        return self.scenario.payload.uncertain
 
     @cached_property
     def cost(self) -> float:
@@ -220,7 +219,6 @@ class Plan:
         """What `plan.npz` holds."""
         e, uncertain = self.evaluation, self.uncertain
         s = e.samples
-        from salver.models.bodies import bodies
 
         out: dict[str, Any] = {
             "t": s.t,
@@ -231,7 +229,7 @@ class Plan:
             "omega_B": s.omega_B,
             "alpha_B": s.alpha_B,
             "wrench_B": e.wrench_B,
-            "grasp_map": bodies(self.scenario)[0].contacts.grasp_map,
+            "grasp_map": self.scenario.payload.first.contacts.grasp_map,
             "cone_coefficients": e.cone_coefficients,
             "cone_radius": e.cone_radius,
             "state_sensitivity": e.state_sensitivity,

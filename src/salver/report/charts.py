@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.geometry import Array
+from salver.models.parameters import Parameter
 from salver.report.parameters import pretty
 from salver.report.style import CYCLE, ROLE_COLOURS, VERMILION
 from salver.sensitivity import tubes
@@ -179,13 +180,13 @@ def sensitivity_charts(run: Run) -> list[Spec]:
             zero=True,
         )
     )
-    names = [str(n) for n in run.plan.arrays["parameter_names"]]
-    if len(names) > 1:
-        charts.append(_by_parameter(run.plan, names))
+    parameters = [run.parameter(str(n)) for n in run.plan.arrays["parameter_names"]]
+    if len(parameters) > 1:
+        charts.append(_by_parameter(run.plan, parameters))
     return charts
 
 
-def _by_parameter(plan: Motion, names: list[str]) -> Spec:
+def _by_parameter(plan: Motion, parameters: list[Parameter]) -> Spec:
     """The parameters that move a cone coefficient; those that hardly do are named below the title."""
     half = plan.arrays["parameter_half_range"]
     effect = np.abs(plan.arrays["input_sensitivity"] * half).max(axis=1)
@@ -194,8 +195,8 @@ def _by_parameter(plan: Motion, names: list[str]) -> Spec:
     curves = []
     for colour, i in zip(CYCLE, order, strict=False):
         t, y = thin(plan.t, effect[:, i])
-        curves.append({"name": pretty(names[i]), "colour": colour, "x": t, "y": y})
-    small = [pretty(name) for i, name in enumerate(names) if i not in order]
+        curves.append({"name": pretty(parameters[i]), "colour": colour, "x": t, "y": y})
+    small = [pretty(p) for i, p in enumerate(parameters) if i not in order]
     note = "Share of each parameter in the widest tube."
     if small:
         note += f" Less than {100 * WORTH_A_CURVE:.0f} % of the largest: {', '.join(small)}."
@@ -203,9 +204,7 @@ def _by_parameter(plan: Motion, names: list[str]) -> Spec:
 
 
 def _state_radius(run: Run, m: Motion) -> Array:
-    from salver.models.bodies import uncertain_set
-
-    uncertain = uncertain_set(run.scenario).restricted(tuple(str(n) for n in m.arrays["parameter_names"]))
+    uncertain = run.scenario.payload.uncertain.restricted([run.parameter(n) for n in m.arrays["parameter_names"]])
     return tubes.radius(m.arrays["state_sensitivity"], uncertain)
 
 

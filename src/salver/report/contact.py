@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.margins import Margins, margins, tracking_motion
 from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
-    from salver.report.run import Motion
     from salver.scenario import Scenario
 
 INSTANTS = 301  # enough for curves; a plan's own check is ten times finer than its nodes
@@ -38,16 +38,15 @@ class ContactCurves:
     tip_worst: Array
 
 
-def contact_curves(scenario: Scenario, motion: Motion) -> ContactCurves:
-    """All margins of a planned motion."""
-    a = motion.arrays
-    keep = np.unique(np.round(np.linspace(0, len(motion.t) - 1, min(len(motion.t), INSTANTS))).astype(int))
+def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCurves:
+    """All margins of a planned motion, given by the arrays of its plan."""
+    keep = np.unique(np.round(np.linspace(0, len(a["t"]) - 1, min(len(a["t"]), INSTANTS))).astype(int))
     samples = MotionSamples(
         a["t"][keep],
         a["p_SB"][keep],
         a["v_S"][keep],
         a["a_S"][keep],
-        motion.R_SB[keep],
+        matrix_from_quat_wxyz(a["quat_SB_wxyz"][keep]),
         a["omega_B"][keep],
         a["alpha_B"][keep],
     )

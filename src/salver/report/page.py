@@ -109,7 +109,7 @@ def _replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
     scene = replay_scene(run, arm)
     used = []
     for motion, variant in zip(run.motions, scene["variants"], strict=True):
-        variant["caption"] = _caption(motion)
+        variant["caption"] = _caption(run, motion)
         used.append(np.clip(np.nan_to_num(run.contact[motion.stem].friction, posinf=1.0), 0.0, 1.0))
     largest = max(float(np.max(share)) for share in used) or 1.0
     strips = []
@@ -120,11 +120,11 @@ def _replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
     return scene
 
 
-def _caption(motion: Motion) -> str:
+def _caption(run: Run, motion: Motion) -> str:
     """What the replay of a motion shows."""
     if motion.seen is None:
         return "as planned"
     summary = motion.seen.summary
-    true = true_parameters(summary)
+    true = true_parameters(run, summary)
     source = summary.get("source", "physics engine")
     return f"{source}{f', {true}' if true else ''}: {outcome_in_words(str(summary.get('outcome', 'unknown')))}"

@@ -1,12 +1,15 @@
-"""Names and values of uncertain parameters as people write them."""
+"""Uncertain parameters and their values as people write them."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from salver.models.parameters import Parameter
+
 _UNITS = {
     "mass": (1e3, "g"),
     "com": (1e3, "mm"),
+    "inertia": (1.0, "kg m²"),
     "position": (1e3, "mm"),
     "tilt": (180 / np.pi, "°"),
     "friction": (1.0, ""),
@@ -14,20 +17,14 @@ _UNITS = {
 _NAMES = {"com": "centre of mass", "position": "place on the tray"}
 
 
-def pretty(name: str) -> str:
-    """A parameter's name for people: "cup1.com_x" is "centre of mass x of cup1"."""
-    owner, _, own = name.rpartition(".")
-    for key, word in _NAMES.items():
-        own = own.replace(f"{key}_", f"{word} ")
-    return own.replace("_", " ") + (f" of {owner}" if owner else "")
+def pretty(parameter: Parameter) -> str:
+    """For people: "cup1.com_x" is "centre of mass x of cup1"."""
+    own = f"{_NAMES.get(parameter.kind, parameter.kind)} {parameter.axis}".rstrip()
+    return own + ("" if parameter.lone or not parameter.owner else f" of {parameter.owner}")
 
 
-def quantity(name: str, value: float) -> str:
+def quantity(parameter: Parameter, value: float) -> str:
     """A parameter's value in the unit people use for it."""
-    base = name.split(".")[-1]
-    kind = next((key for key in _UNITS if base.startswith(key)), None)
-    if kind is None:
-        return f"{value:.3g} kg m²"
-    factor, unit = _UNITS[kind]
-    text = f"{factor * value:.4g}"
+    factor, unit = _UNITS[parameter.kind]
+    text = f"{factor * value:.{3 if parameter.kind == 'inertia' else 4}g}"
     return text + unit if unit == "°" else f"{text} {unit}".rstrip()

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from salver import sampling
 from salver.control.object import Gains
 from salver.geometry import Array
-from salver.models.bodies import uncertain_set
-from salver.models.parameters import INERTIAL, inertial_vector, phi_of
+from salver.models.parameters import Parameter
 from salver.simulation.closed_loop import Coverage, Rollout, coverage, rollout
 
 if TYPE_CHECKING:
@@ -35,16 +32,11 @@ def perturbed_rollouts(run: Run, stem: str, n: int, seed: int) -> Perturbed:
     from salver.planning.plan import load_plan
 
     plan = load_plan(run.directory, stem)
-    body = run.bodies[0]
-    uncertain = uncertain_set(run.scenario)
-    drawn = sampling.draw(uncertain, n, seed, "corners", run.bodies)
-    prefix = f"{body.name}." if len(run.bodies) > 1 else ""
-    inertial = np.tile(inertial_vector(body.inertial), (n, 1))
-    for column, name in enumerate(INERTIAL):
-        if prefix + name in uncertain.names:
-            inertial[:, column] = drawn[:, uncertain.names.index(prefix + name)]
+    payload = run.scenario.payload
+    body = payload.first
+    phi = payload.phi(body, sampling.draw(payload.uncertain, n, seed, "corners", payload.bodies))
     gains = Gains(run.scenario.control.kp, run.scenario.control.kd)
-    made = rollout(plan.reference, body.inertial, body.contacts.grasp_map, gains, phi_of(inertial), plan.t)
+    made = rollout(plan.reference, body.inertial, body.contacts.grasp_map, gains, phi, plan.t)
     names = [f"coefficient {i + 1}" for i in range(plan.cone_coefficients.shape[1])]
     return Perturbed(made, coverage(plan.t, made.cone_coefficients, plan.cone_coefficients, plan.cone_radius, names))
 
@@ -54,8 +46,8 @@ def heavier(plan: Plan, extra: float = EXTRA_MASS) -> SimulationRecord:
     from salver.simulation.physics import simulate
 
     item = plan.scenario.objects[0]
-    prefix = f"{item.name}." if len(plan.scenario.objects) > 1 else ""
-    return simulate(plan, parameters={prefix + "mass": item.mass + extra})
+    mass = Parameter(item.name, "mass", lone=len(plan.scenario.objects) == 1)
+    return simulate(plan, parameters={mass.name: item.mass + extra})
 
 
 def envelope(coefficients: Array, radius: Array) -> tuple[Array, Array]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import GRAVITY_S, Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
-from salver.models.bodies import Body, solid_of
+from salver.models.bodies import Body
+from salver.models.parameters import Parameter
 from salver.report.meshes import link_meshes, pack
 from salver.report.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
 
@@ -88,7 +90,7 @@ def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
         "tray": _pack(tray),
         "objects": _pack(objects),
         "contactCount": len(points_B),
-        "friction": _true_friction(motion, body, several=len(run.bodies) > 1),
+        "friction": _true_friction(motion, body, lone=len(run.bodies) == 1),
         "metresPerNewton": REST_FORCE_LENGTH * len(points_B) / (body.inertial.mass * abs(GRAVITY_S[2])),
         "contacts": _pack(contacts),
         "forces": _pack(np.einsum("tij,tcj->tci", R, forces_B)),
@@ -96,10 +98,10 @@ def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
     }
 
 
-def _true_friction(motion: Motion, body: Body, several: bool) -> float:
+def _true_friction(motion: Motion, body: Body, lone: bool) -> float:
     """Of the run that is shown, which may differ from what the plan assumed."""
     changed = (motion.seen.summary.get("parameters") or {}) if motion.seen else {}
-    return float(changed.get(f"{body.name}.friction" if several else "friction", body.friction))
+    return float(changed.get(Parameter(body.name, "friction", lone=lone).name, body.friction))
 
 
 def _at(wanted: Array, t: Array, values: Array) -> Array:
@@ -119,7 +121,7 @@ def contact_forces_B(motion: Motion, body: Body) -> Array:
     return np.einsum("cij,tcj->tci", body.contacts.R_BC, forces_C)
 
 
-def _on_tray(p_SE: Array, R_SE: Array, objects: list[Body]) -> Array:
+def _on_tray(p_SE: Array, R_SE: Array, objects: Sequence[Body]) -> Array:
     """Poses (T, m, 7) of objects that stay where they stand on a tray with poses (T, 3), (T, 3, 3)."""
     poses = [np.hstack([p_SE + R_SE @ b.p_EB, quat_wxyz_from_matrix(R_SE @ b.R_EB)]) for b in objects]
     return np.stack(poses, axis=1)
@@ -144,7 +146,7 @@ def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
     kind = shape.type  # type: ignore[attr-defined]
     offset = -body.com_G
     if kind in ("box", "cylinder", "prism"):
-        polygon = solid_of(shape).base_polygon
+        polygon = shape.solid().base_polygon  # type: ignore[attr-defined]
         if kind == "cylinder":
             angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
             polygon = shape.radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)  # type: ignore[attr-defined]

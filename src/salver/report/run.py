@@ -15,7 +15,8 @@ from salver import scenario as scenarios
 from salver.errors import FileFormatError
 from salver.files import read_result, read_sealed
 from salver.geometry import Array, matrix_from_quat_wxyz
-from salver.models.bodies import Body, bodies
+from salver.models.bodies import Body
+from salver.models.parameters import Parameter
 from salver.planning.plan import read_plan
 from salver.report.contact import ContactCurves, contact_curves
 from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest
@@ -97,8 +98,8 @@ class Run:
     notes: list[str] = field(default_factory=list)
 
     @cached_property
-    def bodies(self) -> list[Body]:
-        return bodies(self.scenario)
+    def bodies(self) -> tuple[Body, ...]:
+        return self.scenario.payload.bodies
 
     @property
     def plan(self) -> Motion:
@@ -112,7 +113,14 @@ class Run:
     @cached_property
     def contact(self) -> dict[str, ContactCurves]:
         """Stem to how near the motion comes to sliding, tipping or lifting."""
-        return {m.stem: contact_curves(self.scenario, m) for m in self.motions}
+        return {m.stem: contact_curves(self.scenario, m.arrays) for m in self.motions}
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter that one of the files calls so. Raises FileFormatError."""
+        try:
+            return self.scenario.payload.parameter(name)
+        except ValueError as error:
+            raise FileFormatError(f"{self.directory}: {error}; the files of a run directory belong together.") from None
 
     @property
     def load(self) -> str:

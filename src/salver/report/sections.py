@@ -210,7 +210,7 @@ def _run_section(page: Sections, run: Run, kind: str) -> None:
                 motion_cell(m.stem, m.label),
                 outcome_cell(record.summary.get("outcome", "unknown")),
                 *(_peak(record, key, factor) for key, factor in _PEAKS),
-                true_parameters(record.summary) or "nominal" if kind == "simulation" else _source(record),
+                true_parameters(run, record.summary) or "nominal" if kind == "simulation" else _source(record),
             ]
         )
     last = "true parameters" if kind == "simulation" else "arm"

@@ -13,7 +13,6 @@ import numpy as np
 
 from salver.files import write_atomic
 from salver.models.arm_limits import LIMITS
-from salver.models.bodies import uncertain_set
 from salver.planning.object.conditions import UNITS
 from salver.report.parameters import pretty, quantity
 
@@ -35,7 +34,7 @@ class Table:
 
 def scenario_rows(run: Run) -> Rows:
     """What was asked, as the paper's Table I and beyond."""
-    s, uncertain = run.scenario, uncertain_set(run.scenario)
+    s, uncertain = run.scenario, run.scenario.payload.uncertain
     rows: Rows = [("scenario", s.name), ("source", s.source or "–")]
     rows += [
         ("start", _vector(s.motion.start.position, "m")),
@@ -59,8 +58,8 @@ def scenario_rows(run: Run) -> Rows:
             (f"{item.name}, inertia", _vector(np.diag(inertia), "kg m²")),
         ]
     rows += [
-        (f"± {pretty(name)}", quantity(name, half) + (f" ({100 * half / abs(nominal):.3g} %)" if nominal else ""))
-        for name, nominal, half in zip(uncertain.names, uncertain.nominal, uncertain.half_range, strict=True)
+        (f"± {pretty(p)}", quantity(p, half) + (f" ({100 * half / abs(nominal):.3g} %)" if nominal else ""))
+        for p, nominal, half in zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
     ]
     rows += [
         ("uncertain set", uncertain.kind),

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.models.bodies import uncertain_set
 from salver.report.charts import record_curve
 from salver.report.parameters import pretty, quantity
 
@@ -47,7 +46,7 @@ def verdict(run: Run) -> Verdict:
         outcome = str(plan.simulation.summary.get("outcome", "unknown"))
         slip = record_curve(plan.simulation, "slip")
         moved = f"; slip in the physics engine {length(float(np.max(slip)))}" if slip is not None else ""
-        true = true_parameters(plan.simulation.summary)
+        true = true_parameters(run, plan.simulation.summary)
         true = f" with {true}" if true else ""
         if outcome == "holds":
             stay = "stay" if several else "stays"
@@ -124,12 +123,12 @@ def _thing(run: Run, i: int) -> str:
 
 
 def _unknown(run: Run) -> str:
-    uncertain = uncertain_set(run.scenario)
+    uncertain = run.scenario.payload.uncertain
     if not uncertain.size:
         return "Everything about it is taken as known."
     ranges = [
-        f"{pretty(name)} ±{quantity(name, half)}" + (f" ({100 * half / abs(nominal):.3g} %)" if nominal else "")
-        for name, nominal, half in zip(uncertain.names, uncertain.nominal, uncertain.half_range, strict=True)
+        f"{pretty(p)} ±{quantity(p, half)}" + (f" ({100 * half / abs(nominal):.3g} %)" if nominal else "")
+        for p, nominal, half in zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
     ]
     joined = ranges[0] if len(ranges) == 1 else ", ".join(ranges[:-1]) + " and " + ranges[-1]
     return f"Not known exactly: {joined}."
@@ -140,10 +139,10 @@ def outcome_in_words(outcome: str) -> str:
     return {"limit": "joint limits broken", "lost": "left the tray"}.get(outcome, outcome)
 
 
-def true_parameters(summary: Mapping[str, Any]) -> str:
+def true_parameters(run: Run, summary: Mapping[str, Any]) -> str:
     """What was not nominal in a run: "friction 0.09", or nothing."""
-    changed = summary.get("parameters") or {}
-    return ", ".join(f"{pretty(name)} {quantity(name, value)}" for name, value in changed.items())
+    changed = ((run.parameter(name), value) for name, value in (summary.get("parameters") or {}).items())
+    return ", ".join(f"{pretty(p)} {quantity(p, value)}" for p, value in changed)
 
 
 def length(metres: float) -> str:

@@ -14,8 +14,6 @@ import numpy as np
 from salver import sampling
 from salver.control.object import Gains
 from salver.geometry import Array
-from salver.models.bodies import bodies, uncertain_set
-from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.object.evaluation import Evaluation
 from salver.scenario import Scenario
 from salver.simulation.closed_loop import Coverage, coverage, rollout
@@ -49,17 +47,13 @@ def inflate(scenario: Scenario, reference: Reference, evaluation: Evaluation, n:
 
     evaluation: of the same reference. Raises SalverError when no combination of the parameters is possible.
     """
-    carried, uncertain = bodies(scenario), uncertain_set(scenario)
-    body = carried[0]
-    drawn = sampling.draw(uncertain, n, seed, "corners", carried)
+    payload = scenario.payload
+    body = payload.first
+    drawn = sampling.draw(payload.uncertain, n, seed, "corners", payload.bodies)
     order = np.random.default_rng(seed).permutation(n)  # extreme points and inner ones in both halves
-    prefix = f"{body.name}." if len(carried) > 1 else ""
-    inertial = np.tile(inertial_vector(body.inertial), (n, 1))
-    for column, name in enumerate(INERTIAL):
-        if prefix + name in uncertain.names:
-            inertial[:, column] = drawn[order, uncertain.names.index(prefix + name)]
+    phi = payload.phi(body, drawn[order])
     gains = Gains(scenario.control.kp, scenario.control.kd)
-    made = rollout(reference, body.inertial, body.contacts.grasp_map, gains, phi_of(inertial), evaluation.t)
+    made = rollout(reference, body.inertial, body.contacts.grasp_map, gains, phi, evaluation.t)
     nominal, radius = evaluation.cone_coefficients, evaluation.cone_radius
     names = [f"coefficient {i + 1}" for i in range(nominal.shape[1])]
     half = n // 2

@@ -9,15 +9,14 @@ import numpy as np
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, exp
-from salver.models.bodies import TRAY, Body, bodies, inertial_of, solid_of
-from salver.models.parameters import INERTIAL, NAMES, inertial_vector
+from salver.models.bodies import TRAY, Body
+from salver.models.parameters import TILT, Parameter, all_parameters, inertial_vector
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.shapes import Solid, cylinder
 from salver.scenario import CarriedObject, Scenario
 
 LEAST_MOMENT = 1e-14  # kg m^2; MuJoCo takes less for zero
 ROUND_POINTS = 24  # support points of a round base: the inscribed polygon is at most 0.9 % inside the circle
-TILT = ("tilt_x", "tilt_y")
 
 
 @dataclass(frozen=True)
@@ -72,33 +71,35 @@ def true_world(scenario: Scenario, parameters: Mapping[str, float] | None = None
     Raises ScenarioError for an unknown name, a value that cannot be, or an object that then stands on nothing.
     """
     values = {name: float(value) for name, value in (parameters or {}).items()}
-    several = len(scenario.objects) > 1
-    known = [f"{item.name}.{n}" if several else n for item in scenario.objects for n in NAMES if n not in TILT]
-    known += TILT
+    known = {parameter.name: parameter for parameter in all_parameters([item.name for item in scenario.objects])}
     for name, value in values.items():
         if name not in known:
-            shown = ", ".join(known if len(known) < 40 else [*known[:13], "...", *TILT])
+            names = list(known)
+            shown = ", ".join(names if len(names) < 40 else [*names[:13], "...", *names[-2:]])
             raise ScenarioError(f'There is no parameter "{name}" in {scenario.name}; known are {shown}.')
         if not np.isfinite(value):
             raise ScenarioError(f"Parameter {name} = {value}; it must be a finite number.")
     loads: list[Load] = []
-    for item, nominal in zip(scenario.objects, bodies(scenario), strict=True):
-        prefix = f"{item.name}." if several else ""
-        own = {n: values[prefix + n] for n in NAMES if prefix + n in values}
-        loads.append(_load(item, nominal, own, scenario, loads))
-    return TrueWorld(tuple(loads), np.array([values.get("tilt_x", 0.0), values.get("tilt_y", 0.0), 0.0]))
+    true = {known[name]: value for name, value in values.items()}
+    for item, nominal in zip(scenario.objects, scenario.payload.bodies, strict=True):
+        loads.append(_load(item, nominal, true, scenario, loads))
+    return TrueWorld(tuple(loads), np.array([*(true.get(tilt, 0.0) for tilt in TILT), 0.0]))
 
 
-def _load(item: CarriedObject, nominal: Body, own: Mapping[str, float], scenario: Scenario, below: list[Load]) -> Load:
+def _load(
+    item: CarriedObject, nominal: Body, true: Mapping[Parameter, float], scenario: Scenario, below: list[Load]
+) -> Load:
     shape = item.shape
-    solid = cylinder(shape.radius, shape.height, ROUND_POINTS) if shape.type == "cylinder" else solid_of(shape)
-    inertial = inertial_vector(inertial_of(item, solid))
-    for k, name in enumerate(INERTIAL):
-        inertial[k] = own.get(name, inertial[k])
+    round_base = cylinder(shape.radius, shape.height, ROUND_POINTS) if shape.type == "cylinder" else None
+    loose = item.loose(round_base)
+    solid, inertial = loose.solid, inertial_vector(loose.inertial)
+    for parameter, value in true.items():
+        if parameter.owner == item.name and parameter.entry is not None:
+            inertial[parameter.entry] = value
     body = RigidBody(float(inertial[0]), inertial[1:4], inertia_matrix(inertial[4:]))
-    friction = own.get("friction", item.friction)
+    friction = true.get(Parameter(item.name, "friction"), item.friction)
     _check(item.name, body, friction)
-    p_EB = nominal.p_EB + np.array([own.get("position_x", 0.0), own.get("position_y", 0.0), 0.0])
+    p_EB = nominal.place_at(true)
     supports = _supports(nominal, solid, p_EB, scenario, below)
     return Load(item.name, solid, shape, nominal.com_G, body, friction, p_EB, nominal.R_EB, supports, nominal)
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
+from salver.models.parameters import Parameter
 
 Indices = npt.NDArray[np.intp]
 
@@ -38,9 +39,12 @@ class WorstCase:
         return out
 
 
-def worst_case(rows: ContactRows, w: Array, dw: Array | None = None, names: tuple[str, ...] = ()) -> WorstCase:
-    """Worst case at w (N, 12), also when each of `names` changes w by dw (N, 12, len(names)) per half-range.
+def worst_case(
+    rows: ContactRows, w: Array, dw: Array | None = None, parameters: tuple[Parameter, ...] = ()
+) -> WorstCase:
+    """Worst case at w (N, 12), also when term k changes w by dw[..., k] (N, 12, n_k) per half-range.
 
+    The first terms are those of `parameters`, the others products of two.
     With dw, the larger of two: the tray strays by dw, or it follows exactly (a controller better than assumed).
     """
     values = w @ rows.nominal.T
@@ -54,12 +58,13 @@ def worst_case(rows: ContactRows, w: Array, dw: Array | None = None, names: tupl
     if dw is not None:
         followed = rows.nominal @ dw
         strayed, extra = change.copy(), np.zeros_like(values)
-        for k, name in enumerate(names):
-            if name in rows.names:
-                strayed[..., rows.names.index(name)] += followed[..., k]
-            elif name in rows.mass_names:
-                extra += rows.mass_signs[:, rows.mass_names.index(name)] * followed[..., k]
-            else:  # a parameter of something else on the tray
+        for k in range(followed.shape[-1]):
+            parameter = parameters[k] if k < len(parameters) else None
+            if parameter in rows.acting:
+                strayed[..., rows.acting.index(parameter)] += followed[..., k]
+            elif parameter in rows.masses:
+                extra += rows.mass_signs[:, rows.masses.index(parameter)] * followed[..., k]
+            else:  # a product, or a parameter of something else on the tray
                 extra += np.abs(followed[..., k])
         straying, straying_weight = _radius(rows, strayed)
         straying = straying + extra

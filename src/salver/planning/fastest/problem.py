@@ -13,7 +13,7 @@ from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm, tray_to_object, with_load
 from salver.models.arm_geometry import arm_geometry
 from salver.models.arm_limits import JointLimits
-from salver.models.bodies import Body, bodies, uncertain_set
+from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import UncertainSet
 from salver.planning.fastest.obstacles import KeepOut
@@ -90,10 +90,7 @@ def transport_problem(
             f'{scenario.name}: a fastest plan needs an arm; add an [arm] table, for example model = "panda".'
         )
     arm = load_arm(scenario.arm, scenario.tray) if arm is None else arm
-    items = bodies(scenario)
-    uncertain = uncertain_set(scenario)
-    if not robust:
-        uncertain = uncertain.restricted(())
+    payload = scenario.payload if robust else scenario.payload.nominal
     if level is None:
         level = not scenario.motion.may_turn
     tilt = scenario.motion.max_tilt_deg
@@ -113,21 +110,21 @@ def transport_problem(
     problem = TransportProblem(
         scenario=scenario,
         arm=arm,
-        model=with_load(arm, items).pin_model,
-        items=tuple(items),
+        model=with_load(arm, payload.bodies).pin_model,
+        items=payload.bodies,
         start_posture=None,
         start=EndPose(np.array(motion.start.position), motion.start.rotation, False),
         goal=EndPose(np.array(motion.goal.position), motion.goal.rotation, yaw_free),
         limits=arm.planning_limits,
         max_tilt=max_tilt,
-        contacts=contact_rows(scenario, robust=robust),
-        uncertain=uncertain,
-        tracking=tracking_of(scenario) if robust else None,
+        contacts=contact_rows(payload),
+        uncertain=payload.uncertain,
+        tracking=tracking_of(scenario, payload),
         keep_out=None,
     )
     if given is not None:
         problem = replace(problem, start_posture=_start_posture(problem, np.asarray(given, dtype=float)))
-    parts = arm_geometry(arm, items, scenario.obstacles)
+    parts = arm_geometry(arm, payload.bodies, scenario.obstacles)
     return replace(problem, keep_out=KeepOut.of(parts, problem.start_posture) if parts.pairs else None)
 
 

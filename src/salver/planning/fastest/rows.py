@@ -187,10 +187,10 @@ def _contact(
     problem: TransportProblem, terms: MotionTerms, loop: Response | None, nodes: Indices, margin: float
 ) -> list[Family]:
     """Facets of the contact wrench cones of everything on the tray, at the worst parameters."""
-    change, names = (None, ()) if loop is None else (loop.motion_change(), loop.tracking.names)
+    change, acting = (None, ()) if loop is None else (loop.motion_change(), loop.tracking.parameters)
     families = []
     for rows in problem.contacts:
-        worst = worst_case(rows, terms.w, change, names)
+        worst = worst_case(rows, terms.w, change, acting)
 
         def gradient(i: Indices, f: Indices, worst: WorstCase = worst) -> Array:
             return _padded(np.einsum("rk,rkz->rz", worst.attained(i, f), terms.w_z[i]), problem.n)

@@ -18,6 +18,8 @@ import numpy as np
 from scipy.linalg import solve_banded
 
 from salver.geometry import Array
+from salver.models.parameters import Parameter
+from salver.models.payload import Payload
 from salver.scenario import Scenario
 from salver.sensitivity.arm.load import load_change
 from salver.sensitivity.arm.terms import MotionTerms
@@ -27,19 +29,22 @@ from salver.sensitivity.arm.terms import MotionTerms
 class Tracking:
     """The closed loop's response to uncertain loads.
 
-    names: the n_k terms that act on the arm, `first` parameters and then products of two of them ("mass*com_x").
+    terms: what acts on the arm, n_k: first single parameters, then products of two.
     wrench: (n_k, 6, 12), w of E to the change of the load's wrench at E for one half-range. kp, kd: joint gains, 1/s^2
-    and 1/s. settled: s at rest under the load before the start. spread: (first, first) factor of the ellipsoid's
-    correlation, None for a box.
+    and 1/s. settled: s at rest under the load before the start. spread: factor of the ellipsoid's correlation, None
+    for a box.
     """
 
-    names: tuple[str, ...]
-    first: int
+    terms: tuple[tuple[Parameter, ...], ...]
     wrench: Array
     kp: float
     kd: float
     settled: float
     spread: Array | None
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return tuple(factors[0] for factors in self.terms if len(factors) == 1)
 
     def response(self, s: Array, duration: float, terms: MotionTerms) -> Response:
         """Errors along a motion at nodes s (N,) in [0, 1]."""
@@ -53,8 +58,9 @@ class Tracking:
         """Worst case (...) of sum_k s_k change_k (..., n_k) over the parameters' unit box or ellipsoid."""
         if self.spread is None:
             return np.abs(change).sum(axis=-1)
-        within = np.linalg.norm(change[..., : self.first] @ self.spread, axis=-1)
-        return np.asarray(within + np.abs(change[..., self.first :]).sum(axis=-1))
+        first = len(self.parameters)
+        within = np.linalg.norm(change[..., :first] @ self.spread, axis=-1)
+        return np.asarray(within + np.abs(change[..., first:]).sum(axis=-1))
 
 
 @dataclass(frozen=True)
@@ -85,21 +91,17 @@ class Response:
         return moved[:, :3], moved[:, 3:]
 
 
-def tracking_of(scenario: Scenario) -> Tracking | None:
+def tracking_of(scenario: Scenario, payload: Payload) -> Tracking | None:
     """The response to everything uncertain that changes the load; None without any."""
-    load = load_change(scenario)
+    load = load_change(payload)
     maps = load.load_p * load.half_range[:, None, None]
     acting = np.abs(maps).max(axis=(1, 2), initial=0.0) > 1e-12
     if not acting.any():
         return None
-    names = tuple(name for name, acts in zip(load.names, acting, strict=True) if acts)
-    first = int(acting[: load.uncertain.size].sum())
-    spread = None
-    if load.uncertain.kind == "ellipsoid":
-        correlation = load.uncertain.restricted(names[:first]).correlation
-        spread = np.eye(first) if correlation is None else np.asarray(np.linalg.cholesky(correlation))
+    terms = tuple(factors for factors, acts in zip(load.terms, acting, strict=True) if acts)
+    spread = load.uncertain.restricted([factors[0] for factors in terms if len(factors) == 1]).spread
     kp, kd = scenario.control.kp[0], scenario.control.kd[0]
-    return Tracking(names, first, maps[acting], kp, kd, scenario.physics.settle_before, spread)
+    return Tracking(terms, maps[acting], kp, kd, scenario.physics.settle_before, spread)
 
 
 def _filtered(drive: Array, steps: Array, kp: float, kd: float, settled: float) -> tuple[Array, Array]:

@@ -16,7 +16,6 @@ from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
-from salver.models.bodies import bodies as bodies_of
 from salver.planning.follow.limits import COLLISION, verdict
 from salver.planning.follow.posture import candidate_postures, check_start_posture
 from salver.planning.follow.redundancy import Choice, TrayPath, first_choice, improved, march, solve_path, tray_path
@@ -90,7 +89,7 @@ def follow_scenario(
         raise ScenarioError(
             f"The scenario {scenario.name} has no arm; give it a table [arm] to follow a motion with one."
         )
-    carried = bodies_of(scenario)
+    carried = scenario.payload.bodies
     return follow(
         load_arm(scenario.arm, scenario.tray) if arm is None else arm,
         reference,

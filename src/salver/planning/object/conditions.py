@@ -22,11 +22,11 @@ import numpy.typing as npt
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, exp, invert
-from salver.models.bodies import TRAY, Body, bodies, uncertain_set
-from salver.models.contact import ContactSet
-from salver.models.contact_rows import ContactRows, check_places, contact_rows, name_prefixes
-from salver.models.interfaces import networks, shift_ranges, sure_contacts
-from salver.models.parameters import UncertainSet, phi_jacobian
+from salver.models.bodies import TRAY, Body
+from salver.models.contact_rows import ContactRows, contact_rows
+from salver.models.interfaces import networks, sure_contacts
+from salver.models.parameters import Parameter, phi_jacobian
+from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, PRODUCTS, frame_map, wrench_map
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
@@ -82,18 +82,18 @@ def unit_of(scenario: Scenario, owner: str) -> str:
 
 
 def _contact_conditions(scenario: Scenario) -> list[Condition]:
-    carried = bodies(scenario)
-    first = carried[0]
-    check_places(scenario)
+    payload = scenario.payload
+    first = payload.first
+    payload.check_places()
     if scenario.contact.condition == "exact":
-        return [_exact(rows.seen_from(first.p_EB, first.R_EB)) for rows in contact_rows(scenario)]
-    for body in carried:
+        return [_exact(rows.seen_from(first.p_EB, first.R_EB)) for rows in contact_rows(payload)]
+    for body in payload.bodies:
         if body.supports != (TRAY,):
             raise ScenarioError(
                 f'{scenario.name}: contact.condition = "paper" knows objects on the tray only, and {body.name} stands '
                 f'on {" and ".join(body.supports)}; use "exact".'
             )
-    return [_paper(scenario, body, first) for body in carried]
+    return [_paper(payload, body) for body in payload.bodies]
 
 
 # The paper's condition ---------------------------------------------------------------------------------------
@@ -135,15 +135,14 @@ class WrenchRows:
         return offset, slope
 
 
-def _paper(scenario: Scenario, body: Body, first: Body) -> Condition:
+def _paper(payload: Payload, body: Body) -> Condition:
     """Lambda of one body: the closed loop's tube for the first, that of a body that follows its tray for others."""
-    uncertain = uncertain_set(scenario)
-    prefix = f"{body.name}." if len(scenario.objects) > 1 else ""
-    own = tuple(n.removeprefix(prefix) if n.startswith((prefix, "tilt_")) else "" for n in uncertain.names)
-    jacobian = phi_jacobian(body.inertial, own)
-    distribution: Array = np.linalg.pinv(_sure_contacts(scenario, body, uncertain).grasp_map).astype(float)
+    first, uncertain = payload.first, payload.uncertain
+    jacobian = phi_jacobian(body.inertial, body.name, uncertain.parameters)
+    contacts = sure_contacts(networks([body])[0], payload.tray_half, uncertain)[0]
+    distribution: Array = np.linalg.pinv(contacts.grasp_map).astype(float)
     p_BX, R_BX = first.R_EB.T @ (body.p_EB - first.p_EB), first.R_EB.T @ body.R_EB
-    placed = _place_map(body, own, first)
+    placed = _place_map(body, uncertain.parameters, first)
 
     def rows(motion: BodyMotion, loop: TraySensitivity, n_z: int) -> WrenchRows:
         own_motion = motion.of_frame(p_BX, R_BX)
@@ -168,30 +167,17 @@ def _paper(scenario: Scenario, body: Body, first: Body) -> Condition:
     return rows
 
 
-def _sure_contacts(scenario: Scenario, body: Body, uncertain: UncertainSet) -> ContactSet:
-    """What is left of a body's contact on the tray with the least friction, in all of its places."""
-    if not any(name.endswith(("friction", "position_x", "position_y")) for name in uncertain.names):
-        return body.contacts
-    network = networks([body])[0]
-    half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
-    prefixes = name_prefixes(network, len(scenario.objects) > 1)
-    friction = {body.name: body.friction - half.get(f"{prefixes[body.name]}friction", 0.0)}
-    size = 0.5 * np.array(scenario.tray.size)
-    return sure_contacts(network, size, friction, shift_ranges(network, half, prefixes))[0]
-
-
-def _place_map(body: Body, own: tuple[str, ...], first: Body) -> Array:
+def _place_map(body: Body, parameters: tuple[Parameter, ...], first: Body) -> Array:
     """(n_p, 6, 12) change of a body's wrench with its place and the tray's tilt, of w of the first object's B."""
-    maps = np.zeros((len(own), 6, N_MOTION))
-    for k, name in enumerate(own):
-        kind, _, axis = name.rpartition("_")
-        if kind not in ("position", "tilt"):
+    maps = np.zeros((len(parameters), 6, N_MOTION))
+    for k, parameter in enumerate(parameters):
+        if not parameter.places or parameter.owner not in ("", body.name):
             continue
-        ends = []
+        tilt, ends = parameter.kind == "tilt", []
         for sign in (1.0, -1.0):
-            step = sign * _PLACE_STEP * np.eye(3)["xy".index(axis)]
-            place = exp(step) @ body.p_EB if kind == "tilt" else body.p_EB + step
-            turned = exp(step) @ body.R_EB if kind == "tilt" else body.R_EB
+            step = sign * _PLACE_STEP * np.eye(3)["xy".index(parameter.axis)]
+            place = exp(step) @ body.p_EB if tilt else body.p_EB + step
+            turned = exp(step) @ body.R_EB if tilt else body.R_EB
             ends.append(frame_map(place, turned))
         change = wrench_map(body.inertial.phi) @ (ends[0] - ends[1]) / (2 * _PLACE_STEP)
         maps[k] = change @ frame_map(*invert(first.p_EB, first.R_EB))

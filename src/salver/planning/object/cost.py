@@ -6,7 +6,7 @@ import numpy as np
 
 from salver.control.object import Gains
 from salver.geometry import Array
-from salver.models.bodies import Body, bodies, uncertain_set
+from salver.models.bodies import Body
 from salver.models.parameters import UncertainSet, phi_jacobian
 from salver.scenario import Scenario
 from salver.sensitivity.tray import TrayLoop
@@ -14,11 +14,9 @@ from salver.sensitivity.tray import TrayLoop
 
 def tray_loop(scenario: Scenario) -> TrayLoop:
     """The closed loop of the scenario's first object, with all its uncertain parameters."""
-    carried, uncertain = bodies(scenario), uncertain_set(scenario)
-    prefix = f"{carried[0].name}." if len(carried) > 1 else ""
-    own = tuple(n.removeprefix(prefix) if n.startswith(prefix) else "" for n in uncertain.names)
+    first, uncertain = scenario.payload.first, scenario.payload.uncertain
     gains = Gains(scenario.control.kp, scenario.control.kd)
-    return TrayLoop(carried[0].inertial, gains, phi_jacobian(carried[0].inertial, own))
+    return TrayLoop(first.inertial, gains, phi_jacobian(first.inertial, first.name, uncertain.parameters))
 
 
 def row_scale(weighting: str, body: Body, gains: Gains) -> tuple[float, float, float, float]:
@@ -56,7 +54,7 @@ def integration_weights(instants: int, duration: float) -> Array:
 def sensitivity_cost(scenario: Scenario, t: Array, state_sensitivity: Array) -> float:
     """Integral (13) of the weighted squared norm of Pi (T, 12, n_p) over uniform instants t (T,)."""
     weighting = scenario.objective.weighting
-    blocks = row_scale(weighting, bodies(scenario)[0], tray_loop(scenario).gains)
-    columns = column_scale(weighting, uncertain_set(scenario))
+    blocks = row_scale(weighting, scenario.payload.first, tray_loop(scenario).gains)
+    columns = column_scale(weighting, scenario.payload.uncertain)
     weighted = np.repeat(blocks, 3)[:, None] * (state_sensitivity @ columns)
     return float(np.einsum("t,tij->", integration_weights(len(t), float(t[-1])), weighted**2))

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.bodies import bodies, uncertain_set
 from salver.planning.object.conditions import TILT, conditions_for
 from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
@@ -56,13 +55,13 @@ class Evaluation:
 
 def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluation:
     """Evaluate a reference at uniform instants from its start to its end."""
-    loop, uncertain = tray_loop(scenario), uncertain_set(scenario)
+    loop, uncertain = tray_loop(scenario), scenario.payload.uncertain
     grid = loop.grid(np.linspace(0, reference.duration, instants))
     samples = reference.sample(grid.t)
     motion = BodyMotion.of(samples)
     sensitivity = loop.sensitivity(grid, motion, BodyMotion.of(reference.sample(grid.times)))
     wrench_B = joined(*motion.wrench(loop.body.phi[:, None]))[:, 0]
-    distribution = np.linalg.pinv(bodies(scenario)[0].contacts.grasp_map)
+    distribution = np.linalg.pinv(scenario.payload.first.contacts.grasp_map)
     theta = distribution @ sensitivity.wrench
     rows = [condition(motion, sensitivity, 0) for condition in conditions_for(scenario)]
     return Evaluation(

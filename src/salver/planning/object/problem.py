@@ -20,8 +20,8 @@ from functools import cached_property
 import numpy as np
 
 from salver.geometry import Array, hat, log, right_jacobian_inverse
-from salver.models.bodies import Body, bodies, uncertain_set
-from salver.models.parameters import COM, UncertainSet
+from salver.models.bodies import Body
+from salver.models.parameters import UncertainSet
 from salver.planning.object.conditions import Condition, Rows, conditions_for
 from salver.planning.object.cost import column_scale, integration_weights, row_scale, tray_loop
 from salver.scenario import Scenario
@@ -83,11 +83,11 @@ class Problem:
     @cached_property
     def body(self) -> Body:
         """The object whose closed loop is planned: the first."""
-        return bodies(self.scenario)[0]
+        return self.scenario.payload.first
 
     @cached_property
     def uncertain(self) -> UncertainSet:
-        return uncertain_set(self.scenario)
+        return self.scenario.payload.uncertain
 
     @cached_property
     def loop(self) -> TrayLoop:
@@ -123,7 +123,7 @@ class Problem:
         In the closed loop an uncertain centre of mass turns the object against the reference, and the force it
         feels is then turned: a product of two things that depend on z.
         """
-        turned = any(name.split(".")[-1] in COM for name in self.uncertain.names)
+        turned = any(parameter.kind == "com" for parameter in self.uncertain.parameters)
         return not self.rotates and not (turned and self.scenario.contact.condition == "paper")
 
     # Variables -------------------------------------------------------------------------------------------

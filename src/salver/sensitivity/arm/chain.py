@@ -26,7 +26,7 @@ from salver.control.object import Gains
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm, with_load
-from salver.models.bodies import Body, bodies
+from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import UncertainSet
 from salver.sensitivity import tubes
@@ -83,27 +83,27 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
     """
     if scenario.arm is None:
         raise ScenarioError(f"The scenario {scenario.name} has no arm; give it a table [arm].")
-    load = load_change(scenario)
+    payload = scenario.payload
+    load = load_change(payload)
     if scenario.physics.feedback == "object":
-        for name in load.uncertain.names:
-            if name.endswith(("position_x", "position_y", "tilt_x", "tilt_y")):
+        for parameter in payload.uncertain.parameters:
+            if parameter.places:
                 raise ScenarioError(
-                    f'{scenario.name}: physics.feedback = "object" and an uncertain {name} together have no '
+                    f'{scenario.name}: physics.feedback = "object" and an uncertain {parameter.name} together have no '
                     'sensitivity here; use feedback = "joints".'
                 )
     arm = load_arm(scenario.arm, scenario.tray) if arm is None else arm
-    items = tuple(bodies(scenario))
     gains = Gains(scenario.control.kp, scenario.control.kd)
     settle = scenario.physics.settle_before
     return ChainModel(
         scenario,
         arm,
-        with_load(arm, items),
-        items,
+        with_load(arm, payload.bodies),
+        payload.bodies,
         gains,
         load,
-        contact_change(scenario),
-        contact_rows(scenario),
+        contact_change(payload),
+        contact_rows(payload),
         settle,
         0.5 * scenario.physics.command_period,
     )
@@ -222,7 +222,9 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
     lost = missing_acceleration(terms.w, terms.jacobian, terms.mass_matrix, load)
     rate = np.gradient(terms.torque, t, axis=0, edge_order=2)[:, :, None]
     late = model.delay * np.linalg.solve(terms.mass_matrix, rate)
-    settled = np.append(np.ones(len(load.names)), 0.0)  # a wrong load is there before the motion, a late command not
+    settled = np.append(
+        np.ones(len(load.half_range)), 0.0
+    )  # a wrong load is there before the motion, a late command not
     whole, tray_whole = _response(model, t, terms, np.concatenate([lost, late], axis=2), space, settled)
     n_p = load.uncertain.size
     # The wrong load also feels the deviation that it makes: of second order, with the products.

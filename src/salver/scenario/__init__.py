@@ -9,31 +9,40 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from salver.errors import ScenarioError
 from salver.models.arm_limits import PLANNING_SHARES
+from salver.scenario.fields import Metres, Model, NonNegative, Number, Positive, Share, Vector3, Whole
+from salver.scenario.objects import (
+    Box,
+    CarriedObject,
+    Composite,
+    Cylinder,
+    Mesh,
+    Part,
+    Prism,
+    Uncertainty,
+    UncertaintySet,
+)
 from salver.validation import sentences
 
-SCENARIO_DIR = Path(__file__).parent / "scenarios"
+if TYPE_CHECKING:
+    from salver.models.payload import Payload
 
+__all__ = [
+    "SCENARIO_DIR", "Arm", "ArmLimits", "Box", "CarriedObject", "Composite", "Contact", "Control", "Cylinder", "Mesh",
+    "Motion", "Objective", "Obstacle", "Part", "Physics", "Pose", "Prism", "Scenario", "Tray", "Uncertainty",
+    "UncertaintySet", "load", "names", "parse",
+]  # fmt: skip
 
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Whole = Annotated[int, Field(strict=True)]
-Positive = Annotated[Number, Field(gt=0)]
-NonNegative = Annotated[Number, Field(ge=0)]
-Vector3 = tuple[Number, Number, Number]
-Metres = Annotated[Number, Field(gt=0, le=5)]
-Share = Annotated[Number, Field(gt=0, le=1)]
-
-
-class Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+SCENARIO_DIR = Path(__file__).parent.parent / "scenarios"
 
 
 class Pose(Model):
@@ -78,154 +87,6 @@ class Motion(Model):
     def may_turn(self) -> bool:
         """Whether the tray may tilt and turn on the way; unless it is said, only the fastest motion may."""
         return self.duration is None if self.orientation is None else self.orientation == "free"
-
-
-class Box(Model):
-    type: Literal["box"]
-    size: tuple[Metres, Metres, Metres]
-
-
-class Cylinder(Model):
-    type: Literal["cylinder"]
-    radius: Metres
-    height: Metres
-    support_points: Annotated[Whole, Field(ge=3, le=64)] = 8
-
-
-class Prism(Model):
-    type: Literal["prism"]
-    polygon: Annotated[list[tuple[Number, Number]], Field(min_length=3)]
-    height: Metres
-
-    @model_validator(mode="after")
-    def _convex(self) -> Prism:
-        corners = np.array(self.polygon)
-        edges = np.roll(corners, -1, axis=0) - corners
-        after = np.roll(edges, -1, axis=0)
-        turns = np.arctan2(edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0], np.sum(edges * after, axis=1))
-        # Once round, always to the left: convex, with no corner twice.
-        if turns.min() <= 1e-9 or abs(turns.sum() - 2 * np.pi) > 1e-6:
-            raise ValueError("polygon must go once round a convex outline, counter-clockwise, without repeated corners")
-        if np.abs(corners).max() > 5:
-            raise ValueError(f"polygon reaches {np.abs(corners).max():g} m from its origin; its corners are in metres")
-        return self
-
-
-class Mesh(Model):
-    type: Literal["mesh"]
-    file: str
-    scale: Positive = 1.0
-
-
-class Part(Model):
-    """A piece of a composite: its shape, where its centre is, its share of the mass (kg)."""
-
-    shape: Annotated[Box | Cylinder | Prism, Field(discriminator="type")]
-    position: Vector3 = (0.0, 0.0, 0.0)
-    mass: Positive
-
-
-class Composite(Model):
-    type: Literal["composite"]
-    parts: Annotated[list[Part], Field(min_length=1)]
-
-
-Shape = Annotated[Box | Cylinder | Prism | Mesh | Composite, Field(discriminator="type")]
-
-
-def _relative(value: Any) -> Any:
-    """ "10%" becomes {"relative": 0.1}; a number or a list stays an absolute half-range."""
-    if isinstance(value, str):
-        text = value.strip()
-        try:
-            if not text.endswith("%"):
-                raise ValueError
-            return {"relative": float(text.removesuffix("%")) / 100}
-        except ValueError:
-            raise ValueError(f'"{value}" is not a percentage; write "10%", or a half-range in SI units') from None
-    return value
-
-
-class Relative(Model):
-    relative: Annotated[Number, Field(ge=0, lt=1)]
-
-
-_EITHER = 'a percentage below 100 % such as "10%", or {} in SI units, at least 0'
-Range = Annotated[Relative | NonNegative, BeforeValidator(_relative), Field(description=_EITHER.format("a half-range"))]
-AbsoluteRange3 = tuple[NonNegative, NonNegative, NonNegative]
-Range6 = Annotated[
-    Relative
-    | tuple[NonNegative, NonNegative, NonNegative]
-    | tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative],
-    BeforeValidator(_relative),
-    Field(description=_EITHER.format("three or six half-ranges")),
-]
-
-
-class Uncertainty(Model):
-    """Half-ranges of what is not known exactly about an object: eq (8).
-
-    A percentage is relative to the nominal value; a number is absolute, in SI units. `inertia` takes three
-    (xx, yy, zz) or six (xx, xy, yy, xz, yz, zz) half-ranges; a percentage means the three on the diagonal.
-    """
-
-    mass: Range | None = None
-    com: AbsoluteRange3 | None = None
-    inertia: Range6 | None = None
-    friction: Range | None = None
-    position: tuple[NonNegative, NonNegative] | None = None
-
-
-class CarriedObject(Model):
-    """One loose object. `at` is where its shape's centre stands, from the tray's centre whatever it stands `on`, m."""
-
-    name: Annotated[
-        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="letters a to z, digits, - and _, a letter first")
-    ] = "object"
-    shape: Shape
-    mass: Annotated[Number, Field(gt=0, le=100)]
-    com: Vector3 = (0.0, 0.0, 0.0)
-    inertia: Vector3 | tuple[Number, Number, Number, Number, Number, Number] | None = None
-    friction: Annotated[Number, Field(gt=0, le=5)]
-    on: str | list[str] = Field(
-        default="tray", description='"tray", the name of an object listed before, or a list of these'
-    )
-    at: tuple[Number, Number] = (0.0, 0.0)
-    yaw_deg: Number = 0.0
-    support_inset: NonNegative = 0.0
-    uncertainty: Uncertainty = Uncertainty()
-
-    @model_validator(mode="after")
-    def _physical(self) -> CarriedObject:
-        from salver.models import bodies
-
-        bodies.check(self)
-        for key in ("mass", "friction"):
-            nominal, half = getattr(self, key), getattr(self.uncertainty, key)
-            if isinstance(half, float) and half >= nominal:
-                raise ValueError(
-                    f"uncertainty.{key} = {half:g} reaches down to zero from {key} = {nominal:g}; it must be less "
-                    "than that"
-                )
-        return self
-
-    @property
-    def least_friction(self) -> float:
-        """The least coefficient of friction within its range."""
-        half = self.uncertainty.friction
-        if half is None:
-            return self.friction
-        return self.friction - half if isinstance(half, float) else self.friction * (1 - half.relative)
-
-
-class UncertaintySet(Model):
-    """Shape of the uncertain set, and what is uncertain beyond the objects themselves."""
-
-    set: Literal["box", "ellipsoid"] = "box"
-    tilt_deg: tuple[NonNegative, NonNegative] | None = None
-    correlation: dict[str, Annotated[Number, Field(gt=-1, lt=1)]] = Field(
-        default={}, description='numbers between -1 and 1 under keys such as "mass,com_x"'
-    )
 
 
 class Contact(Model):
@@ -290,7 +151,7 @@ class Arm(Model):
 
     model: str = "panda"
     flange: str | None = None
-    package_dirs: Annotated[list[str], Field(description="a list of folders")] = []
+    package_dirs: list[str] = Field(default=[], description="a list of folders")
     srdf: str | None = None
     collisions: Literal["meshes", "capsules", "unchecked"] = "meshes"
     limits: ArmLimits = ArmLimits()
@@ -372,14 +233,12 @@ class Scenario(Model):
     objective: Objective = Objective()
     tray: Tray = Tray()
     arm: Arm | None = None
-    obstacles: list[Obstacle] = []
+    obstacles: list[Obstacle] = Field(default=[])
     physics: Physics = Physics()
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
-        from salver.models import bodies
-
-        bodies.check_arrangement(self)
+        self.payload.check()
         for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
             tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
             for item in self.objects:
@@ -391,6 +250,22 @@ class Scenario(Model):
                         f"with its least friction of {least:.4g} at most {holds:.4g} deg hold"
                     )
         return self
+
+    @cached_property
+    def payload(self) -> Payload:
+        """What is carried, as mechanics see it: bodies, who touches whom, what is uncertain."""
+        from salver.models.bodies import bodies
+        from salver.models.payload import Payload
+
+        loose = [item.loose() for item in self.objects]
+        standing = bodies(loose, self.contact.edges, float(np.deg2rad(self.contact.edge_phase_deg)))
+        return Payload(standing, self.uncertainty.around(self.objects, loose), 0.5 * np.array(self.tray.size))
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Pydantic's, without what was made of the old values. It checks nothing: prefer `with_changes`."""
+        copy = super().model_copy(update=update, deep=deep)
+        copy.__dict__.pop("payload", None)
+        return copy
 
     @property
     def digest(self) -> str:

@@ -1,0 +1,82 @@
+"""What is carried: loose bodies on a tray, who touches whom, and what is not known about them.
+
+Made once from a scenario (`Scenario.payload`) and passed on; everything that depends on the uncertain parameters is
+asked of it or of its bodies (`Body.phi_at`, `Body.place_at`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from salver.errors import ScenarioError
+from salver.geometry import Array
+from salver.models.bodies import Body, check_standing
+from salver.models.interfaces import ContactNetwork, networks, regions_lost
+from salver.models.parameters import NOTHING, Parameter, UncertainSet, inertial_vector, parse, phi_of
+
+
+@dataclass(frozen=True, eq=False)
+class Payload:
+    """Bodies in the scenario's order; the first is the one whose motion is planned.
+
+    uncertain: about all of them and the tray's tilt. tray_half: (2,) half size of the tray, m.
+    """
+
+    bodies: tuple[Body, ...]
+    uncertain: UncertainSet
+    tray_half: Array
+
+    @property
+    def first(self) -> Body:
+        return self.bodies[0]
+
+    @cached_property
+    def networks(self) -> tuple[ContactNetwork, ...]:
+        """The bodies that touch each other, directly or through others."""
+        return networks(self.bodies)
+
+    @cached_property
+    def nominal(self) -> Payload:
+        """The same, with nothing uncertain."""
+        return replace(self, uncertain=NOTHING)
+
+    def with_only(self, parameters: Collection[Parameter]) -> Payload:
+        """The same, with only these parameters uncertain."""
+        return replace(self, uncertain=self.uncertain.restricted(parameters))
+
+    def with_edges(self, edges: int) -> Payload:
+        """The same, with friction cones linearised by so many edges."""
+        return replace(self, bodies=tuple(replace(b, contacts=replace(b.contacts, edges=edges)) for b in self.bodies))
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter that a user or a file calls so. Raises ValueError when there is none."""
+        return parse(name, [body.name for body in self.bodies])
+
+    def least_friction(self, body: Body) -> float:
+        """The least coefficient within the uncertain set."""
+        return body.friction - self.uncertain.ranges.get(Parameter(body.name, "friction"), 0.0)
+
+    def phi(self, body: Body, values: Array) -> Array:
+        """(..., 10) inertial parameters of a body in B at values (..., n_p) of the uncertain parameters, exactly."""
+        inertial = np.broadcast_to(inertial_vector(body.inertial), (*values.shape[:-1], 10)).copy()
+        for column, parameter in enumerate(self.uncertain.parameters):
+            if parameter.owner == body.name and parameter.entry is not None:
+                inertial[..., parameter.entry] = values[..., column]
+        return phi_of(inertial)
+
+    def check(self) -> None:
+        """Raise ValueError when the bodies cannot stand as they are said to: one sentence."""
+        check_standing(self.bodies, self.tray_half)
+
+    def check_places(self) -> None:
+        """Raise ScenarioError when an uncertain position can leave nothing of a contact: nothing is safe then."""
+        for network in self.networks:
+            for name in regions_lost(network, self.tray_half, self.uncertain):
+                raise ScenarioError(
+                    f"With the uncertainty.position of its objects, one may stand beside its support ({name}); the "
+                    "half-ranges must leave a part of the contact region that is sure."
+                )

@@ -1,0 +1,291 @@
+"""The objects of a scenario, what is not known about them, and how they become bodies that mechanics can use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+
+from salver.scenario.fields import Metres, Model, NonNegative, Number, Positive, Vector3, Whole
+
+if TYPE_CHECKING:
+    from salver.models.bodies import LooseObject
+    from salver.models.parameters import Parameter, UncertainSet
+    from salver.models.shapes import Solid
+
+
+class Box(Model):
+    type: Literal["box"]
+    size: tuple[Metres, Metres, Metres]
+
+    def solid(self) -> Solid:
+        from salver.models import shapes
+
+        return shapes.box(self.size)
+
+
+class Cylinder(Model):
+    type: Literal["cylinder"]
+    radius: Metres
+    height: Metres
+    support_points: Annotated[Whole, Field(ge=3, le=64)] = 8
+
+    def solid(self) -> Solid:
+        from salver.models import shapes
+
+        return shapes.cylinder(self.radius, self.height, self.support_points)
+
+
+class Prism(Model):
+    type: Literal["prism"]
+    polygon: Annotated[list[tuple[Number, Number]], Field(min_length=3)]
+    height: Metres
+
+    @model_validator(mode="after")
+    def _convex(self) -> Prism:
+        corners = np.array(self.polygon)
+        edges = np.roll(corners, -1, axis=0) - corners
+        after = np.roll(edges, -1, axis=0)
+        turns = np.arctan2(edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0], np.sum(edges * after, axis=1))
+        # Once round, always to the left: convex, with no corner twice.
+        if turns.min() <= 1e-9 or abs(turns.sum() - 2 * np.pi) > 1e-6:
+            raise ValueError("polygon must go once round a convex outline, counter-clockwise, without repeated corners")
+        if np.abs(corners).max() > 5:
+            raise ValueError(f"polygon reaches {np.abs(corners).max():g} m from its origin; its corners are in metres")
+        return self
+
+    def solid(self) -> Solid:
+        from salver.models import shapes
+
+        return shapes.prism(np.array(self.polygon), self.height)
+
+
+class Mesh(Model):
+    type: Literal["mesh"]
+    file: str
+    scale: Positive = 1.0
+
+    def solid(self) -> Solid:
+        from salver.models import shapes
+
+        return shapes.mesh(self.file, self.scale)
+
+
+class Part(Model):
+    """A piece of a composite: its shape, where its centre is, its share of the mass (kg)."""
+
+    shape: Annotated[Box | Cylinder | Prism, Field(discriminator="type")]
+    position: Vector3 = (0.0, 0.0, 0.0)
+    mass: Positive
+
+
+class Composite(Model):
+    type: Literal["composite"]
+    parts: Annotated[list[Part], Field(min_length=1)]
+
+    def solid(self) -> Solid:
+        from salver.models import shapes
+
+        return shapes.composite([(part.shape.solid(), np.array(part.position), part.mass) for part in self.parts])
+
+
+Shape = Annotated[Box | Cylinder | Prism | Mesh | Composite, Field(discriminator="type")]
+
+
+def _relative(value: Any) -> Any:
+    """ "10%" becomes {"relative": 0.1}; a number or a list stays an absolute half-range."""
+    if isinstance(value, str):
+        text = value.strip()
+        try:
+            if not text.endswith("%"):
+                raise ValueError
+            return {"relative": float(text.removesuffix("%")) / 100}
+        except ValueError:
+            raise ValueError(f'"{value}" is not a percentage; write "10%", or a half-range in SI units') from None
+    return value
+
+
+class Relative(Model):
+    relative: Annotated[Number, Field(ge=0, lt=1)]
+
+
+_EITHER = 'a percentage below 100 % such as "10%", or {} in SI units, at least 0'
+Range = Annotated[Relative | NonNegative, BeforeValidator(_relative), Field(description=_EITHER.format("a half-range"))]
+AbsoluteRange3 = tuple[NonNegative, NonNegative, NonNegative]
+Range6 = Annotated[
+    Relative
+    | tuple[NonNegative, NonNegative, NonNegative]
+    | tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative],
+    BeforeValidator(_relative),
+    Field(description=_EITHER.format("three or six half-ranges")),
+]
+
+
+class Uncertainty(Model):
+    """Half-ranges of what is not known exactly about an object: eq (8).
+
+    A percentage is relative to the nominal value; a number is absolute, in SI units. `inertia` takes three
+    (xx, yy, zz) or six (xx, xy, yy, xz, yz, zz) half-ranges; a percentage means the three on the diagonal.
+    """
+
+    mass: Range | None = None
+    com: AbsoluteRange3 | None = None
+    inertia: Range6 | None = None
+    friction: Range | None = None
+    position: tuple[NonNegative, NonNegative] | None = None
+
+    def ranges(self, item: LooseObject, lone: bool) -> Iterator[tuple[Parameter, float, float]]:
+        """What is uncertain about an object, with its nominal value and half-range, each above 0."""
+        from salver.models.parameters import inertial_vector, parameters_of
+
+        inertial = inertial_vector(item.inertial)
+        half = {
+            "mass": [_absolute(self.mass, inertial[0])],
+            "com": self.com,
+            "inertia": _inertia_ranges(self.inertia, inertial[4:]),
+            "friction": [_absolute(self.friction, item.friction)],
+            "position": self.position,
+        }
+        for kind in half:
+            own = [p for p in parameters_of(item.name, lone) if p.kind == kind]
+            for parameter, value in zip(own, half[kind] or (), strict=False):
+                entry = parameter.entry
+                nominal = item.friction if kind == "friction" else 0.0 if entry is None else float(inertial[entry])
+                if value > 0:
+                    yield parameter, nominal, value
+
+
+class CarriedObject(Model):
+    """One loose object. `at` is where its shape's centre stands, from the tray's centre whatever it stands `on`, m."""
+
+    name: Annotated[
+        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="letters a to z, digits, - and _, a letter first")
+    ] = "object"
+    shape: Shape
+    mass: Annotated[Number, Field(gt=0, le=100)]
+    com: Vector3 = (0.0, 0.0, 0.0)
+    inertia: Vector3 | tuple[Number, Number, Number, Number, Number, Number] | None = None
+    friction: Annotated[Number, Field(gt=0, le=5)]
+    on: str | list[str] = Field(
+        default="tray", description='"tray", the name of an object listed before, or a list of these'
+    )
+    at: tuple[Number, Number] = (0.0, 0.0)
+    yaw_deg: Number = 0.0
+    support_inset: NonNegative = 0.0
+    uncertainty: Uncertainty = Uncertainty()
+
+    @model_validator(mode="after")
+    def _physical(self) -> CarriedObject:
+        from salver.models import bodies
+
+        bodies.check(self.loose())
+        for key in ("mass", "friction"):
+            nominal, half = getattr(self, key), getattr(self.uncertainty, key)
+            if isinstance(half, float) and half >= nominal:
+                raise ValueError(
+                    f"uncertainty.{key} = {half:g} reaches down to zero from {key} = {nominal:g}; it must be less "
+                    "than that"
+                )
+        return self
+
+    def loose(self, solid: Solid | None = None) -> LooseObject:
+        """The object as mechanics see it. Inertia that is not given is that of the uniform solid.
+
+        solid: instead of the shape's own, for example with a rounder base.
+        """
+        from salver.models.bodies import LooseObject
+        from salver.models.rigid_body import RigidBody, inertia_matrix
+
+        solid = self.shape.solid() if solid is None else solid
+        if self.inertia is None:
+            inertia = self.mass * solid.unit_inertia
+        elif len(self.inertia) == 3:
+            inertia = np.diag(self.inertia)
+        else:
+            inertia = inertia_matrix(self.inertia)
+        return LooseObject(
+            self.name,
+            solid,
+            RigidBody(self.mass, np.zeros(3), inertia),
+            np.asarray(self.com),
+            self.friction,
+            (self.on,) if isinstance(self.on, str) else tuple(self.on),
+            self.at,
+            float(np.deg2rad(self.yaw_deg)),
+            self.support_inset,
+        )
+
+    @property
+    def least_friction(self) -> float:
+        """The least coefficient of friction within its range."""
+        half = self.uncertainty.friction
+        if half is None:
+            return self.friction
+        return self.friction - half if isinstance(half, float) else self.friction * (1 - half.relative)
+
+
+class UncertaintySet(Model):
+    """Shape of the uncertain set, and what is uncertain beyond the objects themselves."""
+
+    set: Literal["box", "ellipsoid"] = "box"
+    tilt_deg: tuple[NonNegative, NonNegative] | None = None
+    correlation: dict[str, Annotated[Number, Field(gt=-1, lt=1)]] = Field(
+        default={}, description='numbers between -1 and 1 under keys such as "mass,com_x"'
+    )
+
+    def around(self, objects: list[CarriedObject], loose: list[LooseObject]) -> UncertainSet:
+        """All uncertain parameters, in the order of the objects and then of the tray: eq (8).
+
+        Raises ValueError when the correlation is none, or of something that is not uncertain.
+        """
+        from salver.models.parameters import TILT, UncertainSet
+
+        lone = len(objects) == 1
+        found = [r for item, it in zip(objects, loose, strict=True) for r in item.uncertainty.ranges(it, lone)]
+        for parameter, degrees in zip(TILT, self.tilt_deg or (), strict=False):
+            if degrees > 0:
+                found.append((parameter, 0.0, float(np.deg2rad(degrees))))
+        parameters, nominal, half = zip(*found, strict=True) if found else ((), (), ())
+        return UncertainSet(
+            parameters, np.array(nominal), np.array(half), self.set, self._matrix([p.name for p in parameters])
+        )
+
+    def _matrix(self, names: list[str]) -> np.ndarray | None:
+        """(n_p, n_p) correlation matrix; None when there is none."""
+        if not self.correlation:
+            return None
+        matrix = np.eye(len(names))
+        for key, value in self.correlation.items():
+            parts = [part.strip() for part in key.split(",")]
+            if len(parts) != 2 or any(part not in names for part in parts):
+                raise ValueError(
+                    f'uncertainty.correlation has the key "{key}"; it must name two uncertain parameters, as in '
+                    f'"mass,com_x"; uncertain here are {", ".join(names) or "none"}'
+                )
+            i, j = (names.index(part) for part in parts)
+            matrix[i, j] = matrix[j, i] = value
+        if self.set == "box":
+            raise ValueError('uncertainty.correlation needs set = "ellipsoid"; a box has no correlation')
+        if np.linalg.eigvalsh(matrix)[0] <= 0:
+            raise ValueError("uncertainty.correlation is not positive definite; no distribution has it")
+        return matrix
+
+
+def _absolute(value: float | Relative | None, nominal: float) -> float:
+    if value is None:
+        return 0.0
+    return value if isinstance(value, float) else value.relative * abs(nominal)
+
+
+def _inertia_ranges(value: Relative | tuple[float, ...] | None, nominal: np.ndarray) -> list[float]:
+    """Half-ranges of the six entries: three values mean the diagonal."""
+    if value is None:
+        return []
+    half, diagonal = np.zeros(6), [0, 2, 5]
+    if isinstance(value, Relative):
+        half[diagonal] = value.relative * nominal[diagonal]
+    else:
+        half[diagonal if len(value) == 3 else slice(None)] = value
+    return half.tolist()
