@@ -28,6 +28,7 @@ app = typer.Typer(
 COMMANDS = (
     "demo",
     "scenarios",
+    "new",
     "plan",
     "simulate",
     "campaign",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from salver.cli.common import Json, print_json, result_console
 
@@ -10,13 +12,21 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 
-def scenarios(json: Json = False) -> None:
+def scenarios(
+    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of a scenario file instead.")] = False,
+    json: Json = False,
+) -> None:
     """List the ready-made scenarios.
 
-    Example: `salver scenarios`
+    With the schema, editors complete and check a file of your own: its first line says `#:schema scenario.schema.json`.
+
+    Example: `salver scenarios`, or `salver scenarios --schema > scenario.schema.json`
     """
     from salver import scenario as model
 
+    if schema:
+        print_json({"$schema": "https://json-schema.org/draft/2020-12/schema", **model.Scenario.model_json_schema()})
+        return
     found = [model.load(name) for name in model.names()]
     if json:
         print_json([_record(item) for item in found])

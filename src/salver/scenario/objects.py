@@ -112,13 +112,21 @@ class Relative(Model):
 
 
 _EITHER = 'a percentage below 100 % such as "10%", or {} in SI units, at least 0'
-Range = Annotated[Relative | NonNegative, BeforeValidator(_relative), Field(description=_EITHER.format("a half-range"))]
+_Percentage = Annotated[str, Field(pattern=r"^[0-9.eE+-]+ *%$")]  # as it is written; for the schema that editors use
+Range = Annotated[
+    Relative | NonNegative,
+    BeforeValidator(_relative, json_schema_input_type=_Percentage | Relative | NonNegative),
+    Field(description=_EITHER.format("a half-range")),
+]
 AbsoluteRange3 = tuple[NonNegative, NonNegative, NonNegative]
-Range6 = Annotated[
+_Inertia = (
     Relative
     | tuple[NonNegative, NonNegative, NonNegative]
-    | tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative],
-    BeforeValidator(_relative),
+    | tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
+)
+Range6 = Annotated[
+    _Inertia,
+    BeforeValidator(_relative, json_schema_input_type=_Percentage | _Inertia),
     Field(description=_EITHER.format("three or six half-ranges")),
 ]
 

@@ -1,0 +1,88 @@
+"""A scenario of one's own, by five questions; and the schema with which editors check one."""
+
+import json
+import tomllib
+
+import jsonschema
+import pytest
+from typer.testing import CliRunner
+
+from salver import scenario
+from salver.cli import app
+
+RUNNER = CliRunner()
+ANSWERS = {
+    "--load": "box 0.06 0.06 0.1",
+    "--mass": "0.4 20%",
+    "--friction": "0.5 10%",
+    "--arm": "panda",
+    "--path": "0.5 -0.25 0.4 to 0.5 0.25 0.4",
+}
+
+
+def options(**changes):
+    return [word for pair in {**ANSWERS, **{f"--{k}": v for k, v in changes.items()}}.items() for word in pair]
+
+
+def test_answers_become_a_scenario_that_plans(tmp_path):
+    file = tmp_path / "my box.toml"
+    done = RUNNER.invoke(app, ["new", str(file), *options(), "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["ok"] is True
+    made = scenario.load(file)
+    item = made.objects[0]
+    assert (item.shape.size, item.mass, item.friction) == ((0.06, 0.06, 0.1), 0.4, 0.5)
+    assert (item.uncertainty.mass.relative, item.uncertainty.friction.relative) == (0.2, 0.1)
+    assert (made.motion.start.position, made.motion.goal.position) == ((0.5, -0.25, 0.4), (0.5, 0.25, 0.4))
+
+
+def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_path):
+    file = tmp_path / "asked.toml"
+    answers = ["ball 3", "cylinder 0.03 0.2", "heavy", "0.4 20%", "", "nope", "panda", ""]
+    done = RUNNER.invoke(app, ["new", str(file), "--json"], input="\n".join(answers) + "\n")
+    assert done.exit_code == 0, done.output
+    for sentence in (
+        '"ball 3" is no load',
+        '"heavy" must be a number and a percentage',
+        'arm.model = "nope" is not known',
+    ):
+        assert sentence in done.stderr
+    assert scenario.load(file).objects[0].shape.height == 0.2
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"load": "box 1 2"}, "must be 3 numbers"),
+        ({"mass": "-1 10%"}, "objects[0].mass = -1.0: must be a finite number greater than 0"),
+        ({"path": "0 0 0"}, "write x y z to x y z"),
+        ({"arm": "arm.urdf"}, "the link that carries the tray"),
+        ({"friction": "0.4 x%"}, "is not a percentage"),
+    ],
+)
+def test_a_wrong_option_is_one_sentence_and_nothing_is_written(tmp_path, changes, sentence):
+    file = tmp_path / "wrong.toml"
+    done = RUNNER.invoke(app, ["new", str(file), *options(**changes)])
+    assert done.exit_code == 2
+    assert sentence in done.stderr
+    assert not file.exists()
+
+
+def test_no_file_is_overwritten(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text("precious")
+    done = RUNNER.invoke(app, ["new", str(file), *options()])
+    assert (done.exit_code, file.read_text()) == (2, "precious")
+
+
+def test_the_schema_accepts_what_salver_accepts_and_refuses_what_it_refuses():
+    done = RUNNER.invoke(app, ["scenarios", "--schema"])
+    check = jsonschema.Draft202012Validator(json.loads(done.stdout))
+    check.check_schema(check.schema)
+    files = sorted(scenario.SCENARIO_DIR.glob("*.toml"))
+    assert len(files) > 20
+    for file in files:
+        assert list(check.iter_errors(tomllib.loads(file.read_text(encoding="utf-8")))) == [], file.name
+    wrong = tomllib.loads(files[0].read_text(encoding="utf-8"))
+    wrong["motion"]["durration"] = 2.0
+    assert any("durration" in error.message for error in check.iter_errors(wrong))
