@@ -197,6 +197,13 @@ def at_B(wrench_E: Array, body: TrueBody) -> Array:
     return np.hstack([force @ body.R_EB, moment @ body.R_EB])
 
 
+def interface_wrenches(made: Scenario, change: dict[str, float], w: Array) -> list[Array]:
+    """(T, 6) for each object: what its support must give, about the object's own frame B, in it."""
+    true = {body.name: true_body(made, body, change) for body in made.payload.bodies}
+    need = {name: needed_at_E(body, w) for name, body in true.items()}
+    return [at_B(sum(need[n] for n in carried_by(made, item.name)), true[item.name]) for item in made.objects]
+
+
 def carried_by(made: Scenario, name: str) -> list[str]:
     """The object and all that stands on it."""
     found = [name]
@@ -268,14 +275,12 @@ class TrueRows:
 
         weight: the deviations at which that normal force is taken; those of `change` unless given.
         """
-        true = {body.name: true_body(self.made, body, change) for body in self.items}
-        need = {name: needed_at_E(body, w) for name, body in true.items()}
-        out = []
-        for body, rows in zip(self.items, self.facets, strict=True):
-            above = carried_by(self.made, body.name)
-            wrench = at_B(sum(need[name] for name in above), true[body.name])
-            out.append(wrench @ rows.T / self.weight(above, change if weight is None else weight))
-        return out
+        wrenches = interface_wrenches(self.made, change, w)
+        at = change if weight is None else weight
+        return [
+            wrench @ rows.T / self.weight(carried_by(self.made, body.name), at)
+            for body, rows, wrench in zip(self.items, self.facets, wrenches, strict=True)
+        ]
 
     def worst(self, change: dict[str, float], w: Array, weight: dict[str, float] | None = None) -> Array:
         """(T,) the largest of all."""
