@@ -15,6 +15,7 @@ from salver.campaign.definition import DEFAULT_FOLDER, SUMMARY, Definition, defi
 from salver.campaign.journal import Item, Journal
 from salver.campaign.runners import BLOCK, Context
 from salver.campaign.summary import summarise, table, write_table
+from salver.display import Shown
 from salver.errors import FileFormatError, SalverError
 from salver.files import provenance, read_json, sealed, write_json
 from salver.run_directory import known_stems
@@ -23,8 +24,8 @@ TABLE = "runs.parquet"
 Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
 
 
-@dataclass(frozen=True)
-class Campaign:
+@dataclass(frozen=True, repr=False)
+class Campaign(Shown):
     """A finished campaign. summary: what campaign.json holds. folder: where it and runs.parquet are.
 
     notes: what was found damaged and made again, as sentences.
@@ -33,6 +34,15 @@ class Campaign:
     folder: Path
     definition: Definition
     summary: dict[str, Any]
+
+    def facts(self) -> dict[str, str]:
+        """What a notebook shows of it."""
+        outcomes = {
+            stem: ", ".join(f"{name} {rate['count']} of {rate['of']}" for name, rate in plan["outcomes"].items())
+            for stem, plan in self.summary["plans"].items()
+        }
+        return {"scenario": str(self.summary["provenance"]["scenario"]), **outcomes}
+
     notes: tuple[str, ...] = ()
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from salver.display import Shown
 from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import load_npz, npz_bytes, provenance, read_json, to_json, write_atomic, write_json
 from salver.geometry import Array, log, matrix_from_quat_wxyz
@@ -73,8 +74,8 @@ class Verification:
         return f"Checked at {self.instants} instants: {kept} (least for {where})."
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Shown):
     """A motion of the carried object (and of the arm, when there is one) with its guarantees.
 
     method: "robust" (eqs 13-17), "baseline" (straight min-jerk line) or "fastest".
@@ -176,6 +177,20 @@ class Plan:
         except ScenarioError:  # the chain of this scenario has no such sensitivity
             return None
         return arm_chain(model, self.joint, space="joint" if self.method == "fastest" else "object")
+
+    def facts(self) -> dict[str, str]:
+        """What a notebook shows of it."""
+        arm = {} if self.arm_status is None else {"arm": self.arm_status.sentence}
+        return {
+            "scenario": self.scenario.name,
+            "method": self.method,
+            "duration": f"{self.duration:.4g} s",
+            "ok": "yes" if self.ok else "no",
+            "status": self.status.sentence,
+            "check": self.verification.sentence,
+            **arm,
+            "left in the worst case": f"{100 * float(self.margins.exact_worst.min()):.3g} % of the weight",
+        }
 
     def verify(self) -> Verification:
         """Re-check boundary conditions and contact on the fine grid."""

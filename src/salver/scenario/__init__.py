@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
+from salver.display import Shown
 from salver.errors import ScenarioError
 from salver.models.arm_limits import PLANNING_SHARES
 from salver.scenario.fields import Metres, Model, NonNegative, Number, Positive, Share, Vector3, Whole
@@ -212,7 +213,7 @@ class Physics(Model):
     feedback: Literal["joints", "object"] = "joints"
 
 
-class Scenario(Model):
+class Scenario(Shown, Model):
     """Everything that a plan depends on. Same scenario, same seed: same plan."""
 
     name: Annotated[
@@ -235,6 +236,23 @@ class Scenario(Model):
     arm: Arm | None = None
     obstacles: list[Obstacle] = Field(default=[])
     physics: Physics = Physics()
+
+    def facts(self) -> dict[str, str]:
+        """What a notebook shows of it."""
+        motion = self.motion
+        distance = float(np.linalg.norm(np.subtract(motion.goal.position, motion.start.position)))
+        uncertain = self.payload.uncertain
+        return {
+            "name": self.name,
+            "carried": ", ".join(f"{o.name} {o.mass:g} kg, friction {o.friction:g}" for o in self.objects),
+            "arm": Path(self.arm.model).stem if self.arm else "none",
+            "way": f"{distance:.3g} m in {f'{motion.duration:g} s' if motion.duration else 'the shortest safe time'}",
+            "uncertain": ", ".join(
+                f"{name} ±{half:.3g}" for name, half in zip(uncertain.names, uncertain.half_range, strict=True)
+            )
+            or "nothing",
+            "summary": self.summary,
+        }
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from salver.display import Shown
 from salver.errors import FileFormatError
 from salver.files import read_result
 from salver.geometry import Array
@@ -19,8 +20,8 @@ FOLDER = "simulation"
 OUTCOMES = ("holds", "slides", "tips", "lifts", "lost", "limit")
 
 
-@dataclass(frozen=True)
-class SimulationRecord:
+@dataclass(frozen=True, repr=False)
+class SimulationRecord(Shown):
     """One run at T instants, with m objects, n joints (n = 0 without an arm), n_c feet of the first object.
 
     t (T,): s, 0 at the start of the motion. q, dq, tau (T, n): true joint state and applied torque.
@@ -66,6 +67,18 @@ class SimulationRecord:
     def outcome(self) -> str:
         """One of `OUTCOMES`."""
         return str(self.summary["outcome"])
+
+    def facts(self) -> dict[str, str]:
+        """What a notebook shows of it."""
+        slipped = {item["name"]: 1e3 * item["peak_slip"] for item in self.summary.get("objects", [])}
+        return {
+            "outcome": self.outcome,
+            "duration": f"{float(self.summary['duration']):.4g} s",
+            "slip": ", ".join(f"{name} {value:.3g} mm" for name, value in slipped.items()),
+            "true parameters": ", ".join(f"{name} = {value:.4g}" for name, value in self.parameters.items())
+            or "as assumed",
+            "objects off their reference": f"{1e3 * float(np.nanmax(self.e_p)):.3g} mm",
+        }
 
     def save(self, directory: str | Path, stem: str = "plan") -> Path:
         """Write DIRECTORY/simulation/STEM.npz and .json, atomically; returns the path of the first.

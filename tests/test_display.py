@@ -1,0 +1,36 @@
+"""Results say what they are in one line, and in a small table where there is a notebook."""
+
+import re
+
+import pytest
+
+import salver as sv
+from salver.campaign import run_campaign
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    plan = sv.plan("panda-cube-1.2s")
+    directory = plan.save(tmp_path_factory.mktemp("shown"))
+    run = sv.simulate(plan, parameters={"mass": 0.28})
+    return {"scenario": plan.scenario, "plan": plan, "run": run, "campaign": run_campaign(directory, 2, jobs=1)}
+
+
+@pytest.mark.parametrize("name", ["scenario", "plan", "run", "campaign"])
+def test_one_line_in_a_console_and_one_table_in_a_notebook(shown, name):
+    line, html = repr(shown[name]), shown[name]._repr_html_()
+    assert re.fullmatch(r"<[A-Z]\w+ [^\n]{5,180}>", line)
+    assert len(re.findall("<tr>", html)) == len(shown[name].facts()) >= 2
+    assert len(html) < 4000
+
+
+def test_what_is_shown_is_what_was_found(shown):
+    assert repr(shown["plan"]) == "<Plan panda-cube-1.2s, method robust, duration 1.2 s, ok yes>"
+    assert shown["run"].facts()["outcome"] == "holds"
+    assert shown["run"].facts()["true parameters"] == "mass = 0.28"
+    assert shown["campaign"].facts()["plan"] == "holds 2 of 2"
+
+
+def test_text_from_a_scenario_is_text_in_a_notebook(shown):
+    changed = shown["scenario"].with_changes(summary="<script>alert(1)</script>")
+    assert "<script>" not in changed._repr_html_()
