@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -258,6 +258,9 @@ class Plan(Shown):
             out["R_start"] = self.reference.R_start
             if self.reference.angular_velocity is not None:
                 out["angular_velocity_coefficients"] = self.reference.angular_velocity
+        elif isinstance(self.reference, SampledReference):
+            # Its own samples, so that it comes back as it was.
+            out |= {f"reference_{name}": value for name, value in vars(self.reference.samples).items()}
         if self.joint is not None:
             out["q"], out["dq"], out["ddq"] = self.joint.sample(s.t)
             out["joint_t"], out["joint_q"] = self.joint.t, self.joint.q
@@ -372,6 +375,8 @@ def _reference(arrays: Mapping[str, Array]) -> Reference:
             arrays["position_coefficients"],
             arrays.get("angular_velocity_coefficients"),
         )
+    if "reference_t" in arrays:
+        return SampledReference(MotionSamples(**{f.name: arrays[f"reference_{f.name}"] for f in fields(MotionSamples)}))
     t, p_SB, v_S, a_S, quat_SB_wxyz, omega_B, alpha_B = (arrays[key] for key in _NEEDED)
     return SampledReference(MotionSamples(t, p_SB, v_S, a_S, matrix_from_quat_wxyz(quat_SB_wxyz), omega_B, alpha_B))
 
