@@ -402,6 +402,24 @@ def test_in_a_browser_it_prints(browser: Browser, full: Path) -> None:
     assert browser.script("return document.querySelector('.plot svg').viewBox.baseVal.width") > 450  # as before
 
 
+def test_a_carried_mesh_is_drawn_as_it_is_not_as_its_hull(tmp_path: Path) -> None:
+    import trimesh
+
+    waist = [[0, 0], [0.03, 0], [0.01, 0.05], [0.03, 0.1], [0, 0.1]]
+    trimesh.creation.revolve(np.array(waist), sections=32).export(tmp_path / "vase.stl")
+    shape = {"type": "mesh", "file": str(tmp_path / "vase.stl")}
+    item = {"name": "vase", "shape": shape, "mass": 0.3, "friction": 0.5}
+    pose = {"position": [0.5, 0.0, 0.4]}
+    way = {"start": pose, "goal": {"position": [0.5, 0.1, 0.4]}, "duration": 2.0}
+    vase = scenario.parse({"name": "vase", "motion": way, "objects": [item]}, "vase")
+    make_plan(vase).save(tmp_path / "run")
+    drawn = _data(write_report(tmp_path / "run"))["replay"]["objects"][0]
+    points = np.array(drawn["points"])
+    radius, middle = np.hypot(points[:, 0], points[:, 1]), np.ptp(points[:, 2]) / 2 + points[:, 2].min()
+    assert np.ptp(points[:, 2]) == pytest.approx(0.1, abs=1e-4)
+    assert radius[np.abs(points[:, 2] - middle) < 0.002].max() == pytest.approx(0.01, abs=1e-3)  # the hull: 0.03
+
+
 def test_run_gives_motions_in_order(full: Path) -> None:
     run: Run = read_run(full)
     assert [m.label for m in run.motions] == ["Robust", "Baseline"]

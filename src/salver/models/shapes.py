@@ -26,6 +26,7 @@ class Solid:
     in G, m. centroid_G: (3,) centre of volume. unit_inertia: (3, 3) about it, kg m^2 per kg.
     bounding_points_G: (k, 3) points whose convex hull contains the solid (for "is the centre of mass inside").
     top_polygon: (m, 2) the flat top that another object can stand on. outline_polygon: seen from above.
+    surface: vertices (v, 3) in G and triangles (k, 3) of a mesh, for pictures; None for what the above draws.
     """
 
     height: float
@@ -35,6 +36,7 @@ class Solid:
     bounding_points_G: Array
     top_polygon: Array
     outline_polygon: Array
+    surface: tuple[Array, Array] | None = None
 
     @property
     def base_z(self) -> float:
@@ -158,6 +160,7 @@ def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
         vertices[ConvexHull(vertices).vertices],
         simplified(top, MOST_VERTICES),
         convex_hull(vertices[:, :2]),
+        (vertices, np.asarray(surface.faces)),
     )
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from salver.geometry import GRAVITY_S, Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.models.bodies import Body
 from salver.models.parameters import Parameter
-from salver.report.meshes import link_meshes, pack
+from salver.report.meshes import decimate, link_meshes, pack
 from salver.report.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 FRAME_RATE = 60.0  # Hz; the viewer interpolates between frames
 CONE_HEIGHT = 0.03  # m, of a drawn friction cone
 OBLIQUE = 0.45  # rad, of the camera off the direction across the motion
+TRIANGLES_PER_OBJECT = 3000  # of a carried mesh, at most
 REST_FORCE_LENGTH = 0.024  # m, of the arrow of a contact force at rest
 
 
@@ -142,7 +143,7 @@ def _joint_poses(q: Array, arm: ArmModel) -> Array:
 
 
 def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
-    """What an object looks like, in B: an upright prism, or the hull of anything else."""
+    """What an object looks like, in B: an upright prism, a mesh, or the hull of anything else."""
     kind = shape.type  # type: ignore[attr-defined]
     offset = -body.com_G
     if kind in ("box", "cylinder", "prism"):
@@ -157,16 +158,19 @@ def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
             "high": float(low + body.solid.height),
             "colour": rgb(colour),
         }
+    points, triangles = _hull(body.solid.bounding_points_G)
+    if body.solid.surface is not None:
+        points, triangles = decimate(*body.solid.surface, TRIANGLES_PER_OBJECT)
+    return {"points": np.round(points + offset, 6).tolist(), "triangles": triangles.tolist(), "colour": rgb(colour)}
+
+
+def _hull(points: Array) -> tuple[Array, np.ndarray]:
+    """Convex hull of points (n, 3) and its triangles, seen counter-clockwise from outside."""
     from scipy.spatial import ConvexHull
 
-    points = body.solid.bounding_points_G + offset
     hull = ConvexHull(points)
-    triangles = np.where(
-        (np.einsum("ij,ij->i", np.cross(*_edges(points, hull.simplices)), hull.equations[:, :3]) > 0)[:, None],
-        hull.simplices,
-        hull.simplices[:, ::-1],
-    )
-    return {"points": np.round(points, 6).tolist(), "triangles": triangles.tolist(), "colour": rgb(colour)}
+    outward = np.einsum("ij,ij->i", np.cross(*_edges(points, hull.simplices)), hull.equations[:, :3]) > 0
+    return points, np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])
 
 
 def _edges(points: Array, triangles: np.ndarray) -> tuple[Array, Array]:
