@@ -35,9 +35,9 @@ from salver.campaign import run_campaign
 from salver.errors import SalverError, Status
 from salver.files import read_json, write_atomic, write_json
 from salver.planning.fastest import fastest, object_motion
+from salver.planning.fastest.constraints import evaluate, worst_of
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.retiming import SplinePath, reachable_law
-from salver.planning.fastest.rows import Margins, evaluate
 from salver.planning.make import plan_baseline, plan_object, with_arm
 from salver.planning.plan import Plan, load_plan
 from salver.scenario import Scenario, load
@@ -189,8 +189,7 @@ def fastest_line(scenario: Scenario, problem: TransportProblem, path: SplinePath
     def kept(duration: float) -> bool:
         m = joint(duration)
         z = np.stack([m.q, m.dq, m.ddq, m.jerk(m.t)])
-        rows = evaluate(nominal, s, z, duration, Margins(0.0, 0.0, 0.0))
-        return rows.worst[0] <= 0
+        return worst_of(evaluate(nominal.constraints, nominal.at(s, z, duration), margins=False))[0] <= 0
 
     low, high = 0.3, 6.0
     while high - low > 1e-3:

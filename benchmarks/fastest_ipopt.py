@@ -3,7 +3,7 @@
     python benchmarks/fastest_ipopt.py [--limit 120]
 
 The paper's cube, friction known, level and tilting. Both start from the same straight path at the same duration, and
-both get values and derivatives from `salver.planning.fastest.rows`; IPOPT has exact first derivatives with their
+both get values and derivatives from `salver.planning.fastest.constraints`; IPOPT has exact first derivatives with their
 sparsity and a limited-memory Hessian, and every row from the beginning. salver's time is that of the whole search, from
 few spline pieces to many, with the checks between the nodes; IPOPT's that of its one programme at the nodes.
 """
@@ -21,28 +21,25 @@ import numpy as np
 
 from fastest_solve import TURNS, cube
 from salver.geometry import Array
-from salver.planning.fastest import FastestOptions, fastest, search
-from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.exchange import _node_margins, _watching
-from salver.planning.fastest.problem import TransportProblem, end_residual, transport_problem
+from salver.planning.fastest import FastestOptions, fastest
+from salver.planning.fastest.curves import FreeCurve
+from salver.planning.fastest.exchange import programme_of
+from salver.planning.fastest.objectives import Point
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.search import DEGREE, straight_start
 from salver.planning.fastest.spline import RestSpline
-from salver.planning.fastest.sqp import Iterate, _derivatives, _iterate
+from salver.planning.fastest.sqp import Iterate
 
 
 class Rows:
     """All rows at x = (coefficients but the start posture, T^2 / T_0^2), with the goal's residual below them."""
 
     def __init__(self, problem: TransportProblem, options: FastestOptions) -> None:
-        s = np.linspace(0, 1, 201)
-        guess = search._guesses(problem, options)[0]
-        path = guess.path(s)
-        spline = RestSpline(search.DEGREE, options.spans)
-        grid = Grid.of(spline, spline.nodes(options.nodes_per_span))
-        self.problem, self.size, self.n = problem, spline.size, problem.n
-        self.first = spline.fit(s, path)
-        self.duration = search._comfortable_duration(problem, np.abs(np.gradient(path, s, axis=0)).max(axis=0))
-        self.curve = FreeCurve(_watching(problem, path), grid)
-        self.margins = _node_margins(problem)
+        start = straight_start(problem, RestSpline(DEGREE, options.spans))
+        nodes = start.spline.nodes(options.nodes_per_span)
+        self.problem, self.size, self.n = problem, start.spline.size, problem.n
+        self.first, self.duration = start.coefficients, start.duration
+        self.programme = programme_of(problem, FreeCurve, start, nodes, points=1)
         self.start = np.append(self.first[1:].ravel(), 1.0)
         self.seen: tuple[Array, Iterate] | None = None
 
@@ -50,24 +47,24 @@ class Rows:
         if self.seen is None or not np.array_equal(self.seen[0], x):
             coefficients = np.vstack([self.first[:1], x[:-1].reshape(-1, self.n)])
             duration = self.duration * float(np.sqrt(x[-1]))
-            self.seen = x.copy(), _iterate(self.curve, coefficients, duration, self.margins)
+            self.seen = x.copy(), self.programme.at(Point(coefficients, duration))
         return self.seen[1]
 
     def values(self, x: Array) -> Array:
         path = self.at(x)
-        error, _ = end_residual(self.problem, self.problem.goal, path.coefficients[-1])
-        return np.concatenate([*(family.values.ravel() for family in path.at.families), error])
+        error, _ = self.problem.goal.residual(self.problem.arm, path.coefficients[-1])
+        return np.concatenate([*(block.values.ravel() for block in path.blocks), error])
 
     def jacobian(self, x: Array) -> Array:
         path = self.at(x)
         blocks = []
-        for family in path.at.families:
-            node, column = (index.ravel() for index in np.indices(family.values.shape))
-            block = _derivatives(self.curve, path, family, node, column)
-            if family.scales:  # these are of the row times T^2
-                block[:, -1] -= family.values.ravel()
-            blocks.append(block)
-        _, jacobian = end_residual(self.problem, self.problem.goal, path.coefficients[-1])
+        for block in path.blocks:
+            node, column = (index.ravel() for index in np.indices(block.values.shape))
+            slope = self.programme.derivatives(path, block, node, column)
+            if block.scales:  # these are of the row times T^2
+                slope[:, -1] -= block.values.ravel()
+            blocks.append(slope)
+        _, jacobian = self.problem.goal.residual(self.problem.arm, path.coefficients[-1])
         last = np.zeros((len(jacobian), self.size * self.n + 1))
         last[:, -1 - self.n : -1] = -jacobian
         full = np.vstack([*blocks, last])[:, self.n :]
@@ -145,7 +142,7 @@ def by_ipopt(rows: Rows, limit: float) -> tuple[float, float, str, float]:
     }
     began = time.perf_counter()
     solver = ca.nlpsol("fastest", "ipopt", programme, options)
-    equal = 5 if rows.problem.goal.yaw_free else 6
+    equal = len(rows.problem.goal.residual(rows.problem.arm, rows.first[-1])[0])
     low = np.full(value.count, -np.inf)
     low[-equal:] = 0.0
     bounds = np.full(len(rows.start), np.inf)

@@ -20,7 +20,9 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.planning.fastest import fastest
-from salver.planning.fastest.problem import EndPose, TransportProblem, reach, transport_problem
+from salver.planning.fastest.ends import AtPosture
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.postures import REACHED, PoseTarget, posture_at
 from salver.scenario import Scenario, load
 
 TURNS = {"fixed": "level", "free": "tilting"}
@@ -45,8 +47,10 @@ def random_start_postures(problem: TransportProblem, count: int, seed: int = 7) 
         guess = limits.q_min + rng.uniform(0.1, 0.9, problem.n) * (limits.q_max - limits.q_min)
         radius, angle = rng.uniform(0.35, 0.65), rng.uniform(-1.2, 1.2)
         place = np.array([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(0.2, 0.6)])
-        q = reach(problem, EndPose(place, np.eye(3), True), guess)
-        if q is not None and problem.keep_out.parts.clearance(q[None]).min() >= 0.02:
+        body = problem.items[0]
+        target = PoseTarget(place, np.eye(3), body.p_EB, body.R_EB, yaw_free=True)
+        q, left = posture_at(problem.arm, target, guess, limits=limits)
+        if left < REACHED and problem.keep_out.parts.clearance(q[None]).min() >= 0.02:
             found += 1
             yield q
 
@@ -76,7 +80,7 @@ def main() -> None:
         seconds, solved = [], 0
         for q in random_start_postures(problem, chosen.starts):
             began = time.perf_counter()
-            found = fastest(replace(problem, start_posture=q))
+            found = fastest(replace(problem, start=AtPosture(q)))
             seconds.append(time.perf_counter() - began)
             solved += found.status.ok
             if not found.status.ok:

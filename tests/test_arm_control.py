@@ -14,7 +14,7 @@ from salver.errors import ScenarioError
 from salver.geometry import exp, log
 from salver.models.arm import load_arm, with_load
 from salver.planning.follow.motion import follow_scenario
-from salver.planning.follow.posture import solve_pose
+from salver.planning.postures import PoseTarget, posture_at
 from salver.trajectory import min_jerk_line
 
 CUBE = scenario.load("panda-cube")
@@ -155,7 +155,7 @@ def test_null_space_moves_the_posture_and_not_the_object(panda, reference, joint
     cube = CUBE.payload.first
     controller = ArmController(panda, [cube], joint, reference, GAINS, limit_torque=False)
     free = np.linalg.svd(panda.body_jacobian(joint.q[0]))[2][6]
-    q, left = solve_pose(panda, joint.q[0] + 0.15 * free, *panda.tray_pose(joint.q[0]))
+    q, left = posture_at(panda, PoseTarget(*panda.tray_pose(joint.q[0])), joint.q[0] + 0.15 * free)
     assert left < 1e-10
     assert np.abs(q - joint.q[0]).max() > 0.05
     path, _ = rollout(panda, [cube], controller, q, np.zeros(7), 1.0, start=-1.0)

@@ -14,16 +14,19 @@ from salver.margins import margins
 from salver.models.arm import with_load
 from salver.models.parameters import inertial_vector
 from salver.planning.fastest import FastestOptions, fastest, object_motion, plan_fastest
-from salver.planning.fastest import search as fastest_module
+from salver.planning.fastest.constraints import evaluate, worst_of
 from salver.planning.fastest.contact import worst_case
 from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.problem import EndPose, TransportProblem, end_residual, reach, transport_problem
-from salver.planning.fastest.rows import Margins, evaluate
+from salver.planning.fastest.ends import AtPosture
+from salver.planning.fastest.objectives import Duration, Point
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.search import DEGREE
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
-from salver.planning.fastest.sqp import Iterate, _beyond_kinks, _iterate, _linearise, _near
+from salver.planning.fastest.sqp import Programme
 from salver.planning.fastest.tracking import tracking_of
 from salver.planning.fastest.tradeoff import scaled, tradeoff
 from salver.planning.make import make_plan
+from salver.planning.postures import REACHED, PoseTarget, posture_at
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm.terms import motion_terms
 
@@ -51,7 +54,7 @@ def bottle(**uncertainty: object) -> Scenario:
 def line(problem: TransportProblem, spline: RestSpline) -> Array:
     """Coefficients of the min-jerk line between the start posture and the nearest goal posture."""
     assert problem.start_posture is not None
-    goal = reach(problem, problem.goal, problem.start_posture)
+    goal = problem.goal.nearest(problem.arm, problem.limits, problem.start_posture)
     assert goal is not None
     s = np.linspace(0, 1, 101)
     return spline.fit(s, problem.start_posture + min_jerk_blend(s)[:, None] * (goal - problem.start_posture))
@@ -139,33 +142,28 @@ def test_worst_case_is_that_of_the_contact_rows_and_is_attained(kind):
 
 def test_linearised_rows_match_differences_in_coefficients_and_squared_duration():
     problem = transport_problem(cube(motion__orientation="fixed"), robust=False)
-    spline = RestSpline(5, 6)
-    grid, margins, duration = Grid.of(spline, spline.nodes(3)), Margins(), 0.9
+    spline, duration = RestSpline(5, 6), 0.9
+    grid = Grid.of(spline, spline.nodes(3))
+    programme = Programme(FreeCurve(problem, grid), problem.constraints, Duration())
     rng = np.random.default_rng(4)
     coefficients = line(problem, spline) + 0.02 * rng.normal(size=(spline.size, problem.n))
-
-    def at(coefficients: Array, squared: float):
-        duration = float(np.sqrt(squared))
-        z = grid.motion(coefficients, duration)
-        return Iterate(coefficients, evaluate(problem, grid.s, z, duration, margins))
-
-    path = at(coefficients, duration**2)
-    rows = _linearise(FreeCurve(problem, grid), path, _near(path.at, 10.0))
+    path = programme.at(Point(coefficients, duration))
+    rows = programme.linearised(path, [block.near(10.0) for block in path.blocks])
     direction, tau, h = rng.normal(size=coefficients.shape), 0.3, 1e-6
 
     def moved(sign: float) -> Array:
         """Rows, multiplied by T^2 / T_0^2 where they scale, after a small step."""
         factor = 1 + sign * h * tau
-        other = at(coefficients + sign * h * direction, duration**2 * factor)
+        other = programme.at(Point(coefficients + sign * h * direction, duration * float(np.sqrt(factor))))
         values = []
         for k, node, column in rows.where:
-            family = other.at.families[k]
-            values.append(family.values[node, column] * (factor if family.scales else 1.0))
+            block = other.blocks[k]
+            values.append(block.values[node, column] * (factor if block.scales else 1.0))
         return np.concatenate(values)
 
     difference = (moved(1.0) - moved(-1.0)) / (2 * h)
     predicted = rows.matrix @ np.append(direction.ravel(), tau)
-    names = np.concatenate([np.full(len(node), path.at.families[k].name) for k, node, _ in rows.where])
+    names = np.concatenate([np.full(len(node), path.blocks[k].name) for k, node, _ in rows.where])
     assert {"velocity", "torque", "torque rate", "tilt", "clearance", "contact of cube"} <= set(names)
     error = np.abs(difference - predicted) / (1 + np.abs(predicted))
     # Where the nearest points of two hulls jump, a distance has only one-sided derivatives.
@@ -191,28 +189,28 @@ def test_putting_the_goal_right_does_not_jolt_the_arm():
 def test_an_end_is_reached_with_a_joint_at_its_stop():
     problem = transport_problem(cube(), robust=False)
     assert problem.start_posture is not None
-    free = reach(problem, problem.goal, problem.start_posture)
+    free = problem.goal.nearest(problem.arm, problem.limits, problem.start_posture)
     assert free is not None
     for joint, shift in ((0, -0.05), (1, -0.05), (2, 0.05)):
         q_min, q_max = problem.limits.q_min.copy(), problem.limits.q_max.copy()
         side = q_max if shift < 0 else q_min
         side[joint] = free[joint] + shift
-        tight = replace(problem, limits=replace(problem.limits, q_min=q_min, q_max=q_max))
-        q = reach(tight, problem.goal, problem.start_posture)
+        tight = replace(problem.limits, q_min=q_min, q_max=q_max)
+        q = problem.goal.nearest(problem.arm, tight, problem.start_posture)
         assert q is not None, joint
         assert np.all((q > q_min) & (q < q_max))
-        assert np.abs(end_residual(problem, problem.goal, q)[0]).max() < 1e-10
+        assert np.abs(problem.goal.residual(problem.arm, q)[0]).max() < 1e-10
 
 
 def test_rows_beyond_a_kink_are_exact_where_they_were_taken():
     box = {"name": "post", "type": "box", "position": [0.55, -0.13, 0.3], "size": [0.1, 0.1, 0.6]}
     problem = transport_problem(cube(obstacles=[box]), robust=False)
     spline = RestSpline(5, 8)
-    curve = FreeCurve(problem, Grid.of(spline, spline.nodes(3)))
+    programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(3))), problem.constraints, Duration())
     first = line(problem, spline)
-    path, trial = (_iterate(curve, c, 1.0, Margins()) for c in (first, first + 0.02 * np.sin(np.arange(7))))
-    kinked = _beyond_kinks(curve, path, trial)
-    (clearance,) = (family for family in trial.at.families if family.kinked)
+    path, trial = (programme.at(Point(c, 1.0)) for c in (first, first + 0.02 * np.sin(np.arange(7))))
+    kinked = programme.beyond_kinks(path, trial)
+    (clearance,) = (block for block in trial.blocks if block.kinked)
     moved = np.append((trial.coefficients - path.coefficients).ravel(), 0.0)
     assert len(kinked.bound) > 3
     assert np.allclose(kinked.matrix @ moved - kinked.bound, clearance.values[clearance.values > 0], atol=1e-12)
@@ -359,11 +357,11 @@ def test_robust_plan_takes_longer_and_the_nominal_one_breaks_its_conditions():
     assert margins(scenario, slow.reference().samples, edges=4).exact_worst.min() > 0  # by another module's worst case
     assert fast.status.ok
     assert 1.03 * fast.duration < slow.duration < 1.4 * fast.duration
-    fine = Grid.of(fast.spline, np.linspace(0, 1, 301))
-    z = fine.motion(fast.coefficients, fast.duration)
-    check = evaluate(robust, fine.s, z, fast.duration, Margins(0, 0, 0))
-    assert check.worst[0] > 0.05
-    assert check.worst[1] == "contact of bottle"
+    s = np.linspace(0, 1, 301)
+    z = np.stack(fast.sample(s * fast.duration))
+    value, name = worst_of(evaluate(robust.constraints, robust.at(s, z, fast.duration), margins=False))
+    assert value > 0.05
+    assert name == "contact of bottle"
 
 
 def test_start_posture_is_chosen_when_none_is_given():
@@ -398,11 +396,13 @@ def test_random_start_postures_converge(level):
         guess = limits.q_min + rng.uniform(0.1, 0.9, 7) * (limits.q_max - limits.q_min)
         radius, angle = rng.uniform(0.35, 0.65), rng.uniform(-1.2, 1.2)
         place = np.array([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(0.2, 0.6)])
-        q = reach(template, EndPose(place, np.eye(3), True), guess)
-        if q is None or template.keep_out.parts.clearance(q[None]).min() < 0.02:
+        body = template.items[0]
+        target = PoseTarget(place, np.eye(3), body.p_EB, body.R_EB, yaw_free=True)
+        q, left = posture_at(template.arm, target, guess, limits=limits)
+        if left > REACHED or template.keep_out.parts.clearance(q[None]).min() < 0.02:
             continue
         tried += 1
-        found = fastest(replace(template, start_posture=q))
+        found = fastest(replace(template, start=AtPosture(q)))
         assert found.status.ok, found.status
         assert max(found.worst.values()) <= 0
 
@@ -439,7 +439,7 @@ def test_scenario_without_arm_is_refused():
 
 
 def test_start_posture_of_another_pose_is_refused():
-    with pytest.raises(ScenarioError, match=r"start_posture puts the object"):
+    with pytest.raises(ScenarioError, match=r"start_posture puts cube 392 mm"):
         transport_problem(cube(arm__start_posture=[0.0, 0.3, 0.0, -1.8, 0.0, 2.1, 0.8]))
 
 
@@ -453,7 +453,7 @@ def test_time_limit_is_kept():
     options = FastestOptions(spans=14, time_limit=0.05)
     found = fastest(transport_problem(cube()), options)
     assert found.wall_time < 5.0
-    assert fastest_module.DEGREE == 5
+    assert DEGREE == 5
 
 
 def test_start_posture_inside_an_obstacle_has_a_status():

@@ -5,15 +5,15 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 from salver import scenario
-from salver.errors import ScenarioError, UnreachableError
+from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.planning.follow.limits import peaks, torques, verdict
 from salver.planning.follow.motion import follow, follow_scenario
-from salver.planning.follow.posture import candidate_postures, check_start_posture
-from salver.planning.follow.redundancy import march, tray_path
-from salver.planning.make import plan_pair
+from salver.planning.follow.redundancy import tray_path
+from salver.planning.make import make_plan, plan_pair
+from salver.planning.postures import PoseTarget, candidate_postures, postures_along, start_posture
 from salver.trajectory import JointMotion, PolynomialReference, min_jerk_line
 
 CUBE = scenario.load("panda-cube")
@@ -104,7 +104,7 @@ def test_redundancy_brings_speeds_down(cube):
     speed; a swivel of the elbow brings that down, where a small tray leaves room for it."""
     arm = load_arm(CUBE.arm, scenario.Tray(size=(0.1, 0.1)))
     path = tray_path(line(0.8), cube.p_EB, cube.R_EB, np.linspace(0, 0.8, 81))
-    least_speed, _ = march(arm, path, POSTURE)
+    least_speed, _ = postures_along(arm, path.p_SE, path.R_SE, POSTURE)
     assert np.abs(np.gradient(least_speed[:, 0], path.t)).max() > 2.3
     motion, _ = follow(arm, line(0.8), cube.p_EB, cube.R_EB, q_start=POSTURE)
     assert np.abs(motion.dq[:, 0]).max() < 2.175
@@ -129,7 +129,7 @@ def test_same_seed_same_motion(panda, cube):
 
 def test_candidates_are_different_and_reach(panda):
     p, rotation = START - np.array([0, 0, 0.02]), UPRIGHT
-    found = candidate_postures(panda, p, rotation, seed=5)
+    found = candidate_postures(panda, PoseTarget(p, rotation), seed=5)
     assert len(found) > 3
     for i, q in enumerate(found):
         assert panda.tray_pose(q)[0] == pytest.approx(p, abs=1e-10)
@@ -235,7 +235,7 @@ def test_redundancy_keeps_the_tray_out_of_the_forearm(panda, cube):
     """With least joint speed the paper's posture would take a tray 5 cm over the flange 2 cm into link 5."""
     parts = arm_geometry(panda, [cube])
     path = tray_path(line(), cube.p_EB, cube.R_EB, np.linspace(0, 2.5, 31))
-    least_speed, reached = march(panda, path, POSTURE)
+    least_speed, reached = postures_along(panda, path.p_SE, path.R_SE, POSTURE)
     assert reached == 31
     assert parts.clearance(least_speed).min() < -0.015
     touch = parts.first_touch(least_speed)
@@ -301,31 +301,42 @@ def test_start_out_of_reach(panda, cube):
     assert "(2.000, 0.000, 0.380) m, where the motion starts" in status.sentence
 
 
+HERE = PoseTarget(START - np.array([0, 0, 0.02]), UPRIGHT)
+
+
 @pytest.mark.parametrize(
-    ("posture", "error", "words"),
+    ("posture", "words"),
     [
-        (POSTURE[:6], ScenarioError, ["arm.start_posture has 6 values", "7 joints"]),
-        (
-            POSTURE + np.array([0, 0.8, 0, 0, 0, 0, 0]),
-            ScenarioError,
-            ["arm.start_posture[1] = 1.83963", "[-1.763, 1.763]"],
-        ),
-        (POSTURE + np.array([0.1, 0, 0, 0, 0, 0, 0]), UnreachableError, ["mm from (0.542, -0.371, 0.380) m"]),
-        (
-            POSTURE + np.array([0, 0, 0, 0, 0, 0, 0.5]),
-            UnreachableError,
-            ["turns the tray 28.6 degrees about the tray's normal"],
-        ),
+        (POSTURE[:6], ["arm.start_posture has 6 values", "7 joints"]),
+        (POSTURE + np.array([0, 0.8, 0, 0, 0, 0, 0]), ["arm.start_posture[1] = 1.83963", "[-1.763, 1.763]"]),
+        (POSTURE + np.array([0.1, 0, 0, 0, 0, 0, 0]), ["mm and 5.73 deg", "from (0.542, -0.371, 0.380) m", "5 mm"]),
+        (POSTURE + np.array([0, 0, 0, 0, 0, 0, 0.5]), ["mm and 28.6 deg, about the vertical"]),
     ],
 )
-def test_wrong_start_postures(panda, posture, error, words):
-    with pytest.raises(error) as caught:
-        check_start_posture(panda, posture, START - np.array([0, 0, 0.02]), UPRIGHT)
+def test_wrong_start_postures(panda, posture, words):
+    with pytest.raises(ScenarioError) as caught:
+        start_posture(panda, posture, HERE)
     assert all(word in str(caught.value) for word in words), caught.value
+
+
+def test_every_plan_accepts_the_same_start_postures():
+    """One tolerance: 4.4 mm are put right, 5.5 mm are refused, whether the arm follows or is itself planned."""
+    arm = load_arm(CUBE.arm, CUBE.tray)
+    p = arm.tray_pose(POSTURE)[0]
+    lever = np.linalg.norm(arm.tray_pose(POSTURE + 1e-4 * np.eye(7)[0])[0] - p) / 1e-4
+    for away, accepted in ((4.4e-3, True), (5.5e-3, False)):
+        moved = POSTURE + away / lever * np.eye(7)[0]
+        scenario = CUBE.with_changes(arm__start_posture=moved.tolist())
+        for method in ("baseline", "fastest"):
+            if accepted:
+                assert make_plan(scenario, method).joint is not None
+            else:
+                with pytest.raises(ScenarioError, match=r"arm.start_posture puts"):
+                    make_plan(scenario, method)
 
 
 def test_a_nearly_right_start_posture_is_corrected(panda):
     nearly = POSTURE + 5e-4
-    exact = check_start_posture(panda, nearly, START - np.array([0, 0, 0.02]), UPRIGHT)
+    exact = start_posture(panda, nearly, HERE)
     assert np.abs(exact - nearly).max() < 5e-3
     assert panda.tray_pose(exact)[0] == pytest.approx(START - np.array([0, 0, 0.02]), abs=1e-10)

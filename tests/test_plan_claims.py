@@ -17,12 +17,12 @@ from salver.margins import margins
 from salver.models.arm import load_arm
 from salver.models.contact_rows import contact_rows
 from salver.planning.fastest import FastestOptions, fastest, transport_problem
-from salver.planning.follow.posture import candidate_postures
 from salver.planning.make import make_plan, plan_baseline, plan_object
 from salver.planning.object.evaluation import evaluate
 from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import solve, solve_sequential
 from salver.planning.plan import Plan, load_plan
+from salver.planning.postures import PoseTarget, candidate_postures
 from salver.scenario import Scenario, load
 from salver.trajectory import PolynomialReference, boundary_solution, min_jerk_line
 
@@ -181,7 +181,7 @@ def test_a_step_that_makes_it_worse_is_not_taken() -> None:
 
 def test_seeds_choose_other_postures() -> None:
     arm = load_arm(load("panda-cube").arm, PAPER.tray)
-    first, again, other = (candidate_postures(arm, START - [0, 0, 0.02], LEVEL, seed) for seed in (1, 1, 2))
+    first, again, other = (candidate_postures(arm, PoseTarget(START - [0, 0, 0.02], LEVEL), seed) for seed in (1, 1, 2))
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     # Beyond the first, from the middle of the ranges, the guesses are others.
     assert not any(np.allclose(first[1], q, atol=1e-6) for q in other[:2])

@@ -96,11 +96,11 @@ def test_ellipsoid_is_less_cautious_than_the_box_around_it():
     for kind in ("box", "ellipsoid"):
         place = {"com": [0.003] * 3}
         scenario = changed(
-            objects__0__uncertainty=place, uncertainty={"set": kind}, contact__condition="exact", motion__duration=0.75
+            objects__0__uncertainty=place, uncertainty={"set": kind}, contact__condition="exact", motion__duration=0.6
         )
         both[kind] = solve(Problem(scenario, 31))
         assert both[kind].status.ok
-    assert both["ellipsoid"].cost < both["box"].cost
+    assert both["ellipsoid"].cost < both["box"].cost * (1 - 1e-9)  # proven to 1e-11
 
 
 def test_more_freedom_never_costs_more():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import coal
@@ -68,14 +69,59 @@ class ArmGeometry:
                         return Touch(self.names[i], self.names[j], k)
         return None
 
-    def clearance(self, q: Array) -> Array:
-        """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap."""
+    def clearance(self, q: Array, within: float = np.inf) -> Array:
+        """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap.
+
+        within: distances larger than this (m) need not be exact, only no larger than the true ones: a pair that is
+        far away is not looked at again before the joints have turned far enough to bring it near.
+        """
         distances = np.empty((len(q), len(self.pairs)))
         results = list(self.data.distanceResults)  # views of what each call fills; making them takes longer than it
+        nearer = np.abs(np.diff(q, axis=0, prepend=q[:1])) @ self.levers(q).T
+        low = np.full(len(self.pairs), -np.inf)
         for k, posture in enumerate(q):
-            pin.computeDistances(self.arm.pin_model, self.arm.data, self.model, self.data, posture)
-            distances[k] = [result.min_distance for result in results]
+            low = low - nearer[k] if np.isfinite(within) else np.full(len(low), -np.inf)
+            due = np.flatnonzero(low < within)
+            if len(due):
+                pin.updateGeometryPlacements(self.arm.pin_model, self.arm.data, self.model, self.data, posture)
+            for pair in due:
+                pin.computeDistance(self.model, self.data, int(pair))
+                low[pair] = results[pair].min_distance
+            distances[k] = low
         return distances
+
+    def levers(self, q: Array) -> Array:
+        """(pairs, n) at most how far a pair moves against one another when a joint moves by 1 (rad, or m), at postures
+        (N, n).
+
+        For a joint that turns: the way from its origin along the links to the farthest point of the part it carries.
+        """
+        if not any(self.arm.linear):
+            return self._levers
+        return self._levers_with(np.abs(q).max(axis=0) * np.array(self.arm.linear))
+
+    @cached_property
+    def _levers(self) -> Array:
+        return self._levers_with(np.zeros(self.arm.n))
+
+    def _levers_with(self, stroke: Array) -> Array:
+        """`levers` of joints that slide by `stroke` (n,) m at most."""
+        model, linear = self.arm.pin_model, self.arm.linear
+        links = np.array([np.linalg.norm(placement.translation) for placement in model.jointPlacements])
+        links[1:] += stroke  # joints have one coordinate each
+        radius = []
+        for part in self.model.geometryObjects:
+            shape = part.geometry
+            radius.append(float(np.linalg.norm(part.placement.act(shape.aabb_center))) + float(shape.aabb_radius))
+        levers = np.zeros((len(self.pairs), self.arm.n))
+        for row, pair in enumerate(self.pairs):
+            chains = [list(model.supports[self.model.geometryObjects[k].parentJoint])[1:] for k in pair]
+            for part, chain, other in zip(pair, chains, reversed(chains), strict=True):
+                length = radius[part]
+                for joint in reversed([j for j in chain if j not in other]):
+                    levers[row, joint - 1] = 1.0 if linear[joint - 1] else length
+                    length += links[joint]
+        return levers
 
     def clearance_gradient(self, q: Array) -> tuple[Array, Array]:
         """`clearance` (N, pairs) and its derivative by the joints (N, pairs, n).
@@ -103,7 +149,7 @@ class ArmGeometry:
 
     def near(self, q: Array, distance: float) -> ArmGeometry:
         """The same parts with only those pairs that come within a distance (m) at one of the postures (N, n)."""
-        return self.only(np.flatnonzero(self.clearance(q).min(axis=0) < distance))
+        return self.only(np.flatnonzero(self.clearance(q, distance).min(axis=0) < distance))
 
     def only(self, pairs: Iterable[int]) -> ArmGeometry:
         """The same parts with some of the pairs, by their indices."""

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.fastest.problem import TransportProblem, end_residual, reach
-from salver.planning.fastest.rows import Indices
-from salver.planning.fastest.spline import RestSpline, min_jerk_blend
+from salver.planning.fastest.ends import AtPosture
+from salver.planning.fastest.evaluation import Indices
+from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.spline import DERIVATIVES, RestSpline, min_jerk_blend
+
+ORDERS = np.arange(float(DERIVATIVES))[:, None, None]  # of the rows of z
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class Grid:
     def motion(self, coefficients: Array, duration: float) -> Array:
         """(4, P, m): the spline's value and its first three time derivatives."""
         z = self.basis @ coefficients
-        return z / duration ** np.arange(4.0)[:, None, None]
+        return np.asarray(z / duration**ORDERS)
 
     def chained(self, parts: Array, point: Indices, duration: float) -> Array:
         """(r, size m) from derivatives by the value and its time derivatives, parts (r, 4, m), to the coefficients."""
@@ -48,8 +52,17 @@ class Curve(Protocol):
     @property
     def grid(self) -> Grid: ...
 
+    @property
+    def width(self) -> int:
+        """m, the number of curves."""
+        ...
+
     def motion(self, coefficients: Array, duration: float) -> Array:
         """z (4, P, n): q and its time derivatives at the points of the grid."""
+        ...
+
+    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
+        """(4, P, n): derivative of z by log T, the coefficients unchanged."""
         ...
 
     def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
@@ -75,31 +88,44 @@ class Curve(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FreeCurve:
-    """Joint splines between the problem's ends: coefficients (size, n) are control postures, the ends included."""
+    """Joint splines between the problem's ends: coefficients (size, n) are control postures, the ends included.
+
+    A start that is moving adds the quintic Hermite functions of its velocity and acceleration.
+    """
 
     problem: TransportProblem
     grid: Grid
 
+    @property
+    def width(self) -> int:
+        return self.problem.n
+
     def motion(self, coefficients: Array, duration: float) -> Array:
-        return self.grid.motion(coefficients, duration)
+        z = self.grid.motion(coefficients, duration)
+        return z if self._launch is None else z + self._launched(duration).sum(axis=0)
+
+    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
+        if self._launch is None:
+            return np.asarray(-ORDERS * z)
+        # Of order k: T^-k for the spline, T^(1 - k) and T^(2 - k) for the two functions of the start.
+        launched = self._launched(duration)
+        return np.asarray(-ORDERS * z + launched[0] + 2 * launched[1])
 
     def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
         return self.grid.chained(parts, point, duration)
 
     def fixed(self) -> tuple[int, int]:
-        return (0 if self.problem.start_posture is None else self.problem.n), 0
+        n = self.problem.n
+        return n * self.problem.start.given, n * self.problem.goal.given
 
     def equalities(self, coefficients: Array) -> tuple[Array, Array]:
         size, n = coefficients.shape
-        ends = [(self.problem.goal, size - 1)]
-        if self.problem.start_posture is None:
-            ends.append((self.problem.start, 0))
         blocks, targets = [], []
-        for end, row in ends:
-            error, jacobian = end_residual(self.problem, end, coefficients[row])
+        for end, row in ((self.problem.start, 0), (self.problem.goal, size - 1)):
+            error, jacobian = end.residual(self.problem.arm, coefficients[row])
             block = np.zeros((len(error), size, n))
             block[:, row] = jacobian
-            blocks.append(block.reshape(len(error), -1))
+            blocks.append(block.reshape(len(error), size * n))
             targets.append(error)
         return np.vstack(blocks), np.concatenate(targets)
 
@@ -107,17 +133,35 @@ class FreeCurve:
         return np.zeros((0, coefficients.size)), np.zeros(0)
 
     def repaired(self, coefficients: Array) -> Array | None:
-        problem = self.problem
-        goal = reach(problem, problem.goal, coefficients[-1], 20)
-        start = problem.start_posture
-        if start is None:
-            start = reach(problem, problem.start, coefficients[0], 20)
+        arm, limits = self.problem.arm, self.problem.limits
+        start = self.problem.start.nearest(arm, limits, coefficients[0], 20)
+        goal = self.problem.goal.nearest(arm, limits, coefficients[-1], 20)
         if goal is None or start is None:
             return None
         # Moving an end alone would be a jolt: the whole motion follows it, the less the further away.
         share = min_jerk_blend(np.linspace(0, 1, len(coefficients)))[:, None]
         moved = coefficients + (1 - share) * (start - coefficients[0]) + share * (goal - coefficients[-1])
         return np.vstack([start, moved[1:-1], goal])
+
+    @cached_property
+    def _launch(self) -> Array | None:
+        """(2, 4, P, n): what velocity and acceleration of the start add to z for T = 1; None when it is at rest."""
+        start = self.problem.start
+        if not isinstance(start, AtPosture) or not start.moving:
+            return None
+        return launch_basis(self.grid.s)[:, :, :, None] * start.rates[:, None, None, :]
+
+    def _launched(self, duration: float) -> Array:
+        assert self._launch is not None
+        return np.asarray(self._launch * duration ** (np.arange(1.0, 3.0)[:, None, None, None] - ORDERS))
+
+
+def launch_basis(s: Array) -> Array:
+    """(2, 4, P) the quintics in s with slope, and with curvature, 1 at s = 0 and all else 0 at both ends, and their
+    first three derivatives."""
+    velocity = np.polynomial.Polynomial([0, 1, 0, -6, 8, -3])
+    acceleration = np.polynomial.Polynomial([0, 0, 0.5, -1.5, 1.5, -0.5])
+    return np.array([[(p.deriv(k) if k else p)(s) for k in range(DERIVATIVES)] for p in (velocity, acceleration)])
 
 
 class JointPath(Protocol):
@@ -138,11 +182,15 @@ class PathCurve:
     problem: TransportProblem
     grid: Grid
     path: JointPath
+    width = 1
 
     def motion(self, coefficients: Array, duration: float) -> Array:
         _, u1, u2, u3 = self._law(coefficients, duration)
         p0, p1, p2, p3 = self.path.derivatives(self.grid.basis[0] @ coefficients[:, 0], 3)
         return np.stack([p0, p1 * u1, p2 * u1**2 + p1 * u2, p3 * u1**3 + 3 * p2 * u1 * u2 + p1 * u3])
+
+    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
+        return np.asarray(-ORDERS * z)
 
     def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
         u, u1, u2, u3 = (x[point] for x in self._law(coefficients, duration))

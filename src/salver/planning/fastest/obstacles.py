@@ -41,8 +41,8 @@ class KeepOut:
         return KeepOut(parts, np.array([required[pair] for pair in parts.pairs]))
 
     def distances(self, q: Array) -> Array:
-        """(N, pairs) free distance beyond what is required, m."""
-        return np.asarray(self.parts.clearance(q) - self.required)
+        """(N, pairs) free distance beyond what is required, m; exact where it is less than `NEAR`."""
+        return np.asarray(self.parts.clearance(q, NEAR + SAFETY) - self.required)
 
     def gradient(self, q: Array, node: npt.NDArray[np.intp], pair: npt.NDArray[np.intp]) -> Array:
         """(r, n) derivatives of the distances at postures q[node] for pairs (r,)."""

@@ -1,7 +1,7 @@
 """The fastest motion that stays safe: shortest duration within the arm's limits, contact kept for all parameters.
 
 The decision variables are the coefficients of rest-to-rest joint splines and the duration, so the arm can run
-every candidate. `rows` says what must hold, `sqp` finds the optimum; here are the starts, the
+every candidate. `constraints` says what must hold, `sqp` finds the optimum; here are the starts, the
 refinement from few spline pieces to many, and the check between the nodes.
 """
 
@@ -17,9 +17,10 @@ import numpy as np
 from salver.errors import Status, UnreachableError
 from salver.geometry import Array
 from salver.models.arm_limits import POSITION
-from salver.planning.fastest.curves import FreeCurve
+from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.exchange import optimise, rough
-from salver.planning.fastest.problem import TransportProblem, reach, transport_problem
+from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Iterate, Solution
 from salver.planning.follow.forward import tray_motion
@@ -55,7 +56,7 @@ class FastestOptions:
 
 @dataclass(frozen=True)
 class FastestMotion:
-    """Result. spline, coefficients (size, n), duration: the motion. worst: largest row of each family on the fine
+    """Result. spline, coefficients (size, n), duration: the motion. worst: largest row of each block on the fine
     grid (<= 0: kept). wall_time: s. iterations: of all rounds and starts.
     """
 
@@ -71,10 +72,11 @@ class FastestMotion:
     def sample(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """q, dq, ddq, dddq (T, n) at times t, clamped to rest outside [0, duration]."""
         s = np.clip(np.asarray(t, dtype=float) / self.duration, 0.0, 1.0)
-        z = self.spline.matrices(s) @ self.coefficients
+        curve = FreeCurve(self.problem, Grid.of(self.spline, s))
+        q, *rates = curve.motion(self.coefficients, self.duration)
         inside = ((t >= 0) & (t <= self.duration))[:, None]
-        powers = self.duration ** np.arange(4.0)
-        return z[0], z[1] / powers[1], z[2] / powers[2], np.where(inside, z[3] / powers[3], 0.0)
+        dq, ddq, dddq = (np.where(inside, rate, 0.0) for rate in rates)
+        return q, dq, ddq, dddq
 
     def joint_motion(self) -> JointMotion:
         """The same motion as samples; exact between them too, as the breaks of the spline are among them."""
@@ -174,7 +176,7 @@ def fastest(
             roughs.append(_rough(problem, options, further.pop(0), left()))
             continue
         start = roughs.pop(0)
-        if refined == 0 and problem.goal.yaw_free:
+        if refined == 0 and isinstance(problem.goal, AtPose) and problem.goal.target.yaw_free:
             start, *roughs = sorted([start, *_turned(problem, options, start, left()), *roughs], key=_merit)
         found = _optimum(problem, options, _with_all_pieces(options, start.iterate), left(), REFINED)
         iterations, refined = iterations + start.iterations + found.iterations, refined + 1
@@ -230,7 +232,7 @@ def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]
     found: list[tuple[float, _Guess]] = []
 
     def add(q_start: Array, near: Array) -> None:
-        q_goal = reach(problem, problem.goal, near)
+        q_goal = problem.goal.nearest(problem.arm, limits, near)
         if q_goal is None:
             return
         others = (np.abs(q_goal - g.q_goal).max() + np.abs(q_start - g.q_start).max() for _, g in found)
@@ -245,7 +247,7 @@ def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]
     for attempt in range(ATTEMPTS):
         guess = centre + (0.7 * half * rng.uniform(-1, 1, n) if attempt else 0.0)
         if given is None:
-            q_start = reach(problem, problem.start, guess)
+            q_start = problem.start.nearest(problem.arm, limits, guess)
             if q_start is not None:
                 add(q_start, q_start)
         elif attempt < OTHERS:
@@ -258,13 +260,27 @@ def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]
     return [*straight, *bent] if given is not None else [*straight[:POSTURES], *bent]
 
 
-def _rough(problem: TransportProblem, options: FastestOptions, guess: _Guess, time_limit: float) -> Solution:
-    """A first optimum with few spline pieces, from a comfortable duration."""
-    s, few = np.linspace(0, 1, 201), _few(options)
+def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotion:
+    """Where the search begins: the most promising straight line in joint space, at a comfortable duration.
+
+    Raises UnreachableError when no posture reaches an end.
+    """
+    guesses = _guesses(problem, FastestOptions())
+    if not guesses:
+        raise UnreachableError("No posture within the joint limits reaches the start or the goal pose.")
+    return _begun(problem, guesses[0], spline)
+
+
+def _begun(problem: TransportProblem, guess: _Guess, spline: RestSpline) -> SplineMotion:
+    s = np.linspace(0, 1, 201)
     q = guess.path(s)
     duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
-    start = SplineMotion(few, few.fit(s, q), duration)
-    return rough(problem, FreeCurve, start, options.nodes_per_span, time_limit)
+    return SplineMotion(spline, spline.fit(s, q), duration)
+
+
+def _rough(problem: TransportProblem, options: FastestOptions, guess: _Guess, time_limit: float) -> Solution:
+    """A first optimum with few spline pieces, from a comfortable duration."""
+    return rough(problem, FreeCurve, _begun(problem, guess, _few(options)), options.nodes_per_span, time_limit)
 
 
 def _turned(

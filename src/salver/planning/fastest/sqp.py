@@ -1,9 +1,9 @@
-"""Shortest duration by sequential quadratic programming on spline coefficients and T^2.
+"""Sequential quadratic programming on the coefficients of a motion and the scalar of its objective.
 
-Each iteration linearises the rows near their edge, in the coefficients and in sigma = T^2: multiplied by sigma,
-contact, torque and acceleration rows are exactly linear in sigma. A quadratic programme with one shared slack
-(an exact penalty on the largest violation) and a proximal term gives the step; its metric is the size of the
-change in posture and in acceleration, so smooth large changes are cheap and ripples are not. A second-order
+Each iteration linearises the rows near their edge, in the coefficients and in the scalar. The duration goes in as
+sigma = T^2: multiplied by sigma, contact, torque and acceleration rows are exactly linear in it. A quadratic programme
+with one shared slack (an exact penalty on the largest violation) and a proximal term gives the step; its metric is the
+size of the change in posture and in acceleration, so smooth large changes are cheap and ripples are not. A second-order
 correction (the same rows with their true values at the trial point; Fletcher 1982) keeps steps long: rows that were
 left out as too far away, and the far side of kinks, come in with it.
 """
@@ -11,35 +11,44 @@ left out as too far away, and the far side of kinks, come in with it.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-import piqp
-from scipy.sparse import csc_matrix
 
 from salver.errors import Status
 from salver.geometry import Array
+from salver.planning import qp
+from salver.planning.fastest.constraints import Block, Constraint, evaluate, worst_of
 from salver.planning.fastest.curves import Curve
-from salver.planning.fastest.rows import Evaluated, Family, Indices, Margins, evaluate
+from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.objectives import Objective, Point, Scalar
+from salver.planning.fastest.trust import Trust
 
 Mask = npt.NDArray[np.bool_]
 
 # The metric of a step: a change of acceleration by 1 rad/s^2 counts like 0.055 rad of posture, of jerk by 1000
-# rad/s^3 like 0.2 rad.
+# rad/s^3 like 0.03 rad.
 ACCELERATION_WEIGHT, JERK_WEIGHT = 3e-3, 1e-9
-LEAST_PENALTY = 1.0  # s per unit of violation
-DEEPEST = 0.2  # rows further than this from their edge are left out of a programme
-UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
-MOST_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
-LONGEST_SHRINK, LONGEST_STRETCH = -0.36, 0.5  # of sigma in one iteration: 20 % and 22 % of T
+RIDGE = 1e-9  # of the coefficients, where the metric has none
+SCALAR_RIDGE = 1e-6  # of scalar and slack, which have no metric
+PROGRAMME_TOLERANCE = 1e-5  # of rows: a fiftieth of the violation at which an iterate counts as converged
+LONGEST_STRETCH = 0.5  # of sigma, or of the margin, in one iteration: 22 % of T
+LARGEST_MOVE = 1.0  # rad of a coefficient in one iteration
+LARGEST_SLACK = 1e3
+KEPT = -0.3  # a row that has joined stays in until it is further away than this
+BENT = 2e-4  # violation of a trial, beyond the programme's own, that is worth a correction
+POOR, GOOD = 0.8, 0.3  # shares of what was hoped for: below, a correction is tried; above, a step is taken as it is
+LEAST_RATIO = 0.01  # of what was hoped for that a step must bring
 
 
 @dataclass(frozen=True)
 class Options:
-    """iterations, time_limit (s): when to stop. gain: relative shortening below which an iteration counts as idle.
-    violation: largest violation of a margin-tightened row that counts as converged. penalty: s per unit of violation.
-    least_damping: of the proximal term.
+    """iterations, time_limit (s): when to stop. gain: relative improvement below which an iteration counts as idle.
+    violation: largest violation of a margin-tightened row that counts as converged. penalty: first price of a unit of
+    violation, in the unit of the objective. least_damping: of the proximal term.
     """
 
     iterations: int = 60
@@ -52,17 +61,45 @@ class Options:
 
 @dataclass(frozen=True)
 class Iterate:
-    """Coefficients (size, m) and the rows of the motion they make."""
+    """Where the programme stands, the motion there and its rows, margins included."""
 
-    coefficients: Array
-    at: Evaluated
+    point: Point
+    motion: Evaluation
+    blocks: tuple[Block, ...]
+    cost: float
+
+    @property
+    def coefficients(self) -> Array:
+        return self.point.coefficients
 
     @property
     def duration(self) -> float:
-        return self.at.duration
+        return self.point.duration
+
+    @cached_property
+    def worst(self) -> tuple[float, str]:
+        """Largest row, and the name of the block it belongs to."""
+        return worst_of(self.blocks)
+
+    @property
+    def violation(self) -> float:
+        return max(0.0, self.worst[0])
 
     def merit(self, penalty: float) -> float:
-        return self.duration + penalty * self.at.violation
+        return self.cost + penalty * self.violation
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Rows A x <= b of x = (coefficients, scalar), and where they came from: (block, node, column)."""
+
+    matrix: Array
+    bound: Array
+    where: tuple[tuple[int, Indices, Indices], ...] = ()
+
+    def and_also(self, other: Linearised) -> Linearised:
+        matrix, bound = np.vstack([self.matrix, other.matrix]), np.concatenate([self.bound, other.bound])
+        return Linearised(matrix, bound, self.where + other.where)
 
 
 @dataclass(frozen=True)
@@ -74,146 +111,303 @@ class Solution:
     iterations: int
     programmes: int
     wall_time: float
-    damping: float
+
+
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """A nonlinear programme: an objective over the motions of a curve, under constraints at the nodes of its grid."""
+
+    curve: Curve
+    constraints: Sequence[Constraint]
+    objective: Objective
+
+    def at(self, point: Point) -> Iterate:
+        """All rows at a point."""
+        grid = self.curve.grid
+        z = self.curve.motion(point.coefficients, point.duration)
+        motion = self.curve.problem.at(grid.s, z, point.duration, grid.nodes)
+        blocks = evaluate(self.constraints, motion)
+        if point.margin:
+            counted = [point.margin if self.objective.counts(block) else 0.0 for block in blocks]
+            blocks = tuple(replace(b, values=b.values + more) for b, more in zip(blocks, counted, strict=True))
+        return Iterate(point, motion, blocks, self.objective.value(self.curve, point))
+
+    def begin(self, coefficients: Array, duration: float) -> Iterate:
+        """The iterate at coefficients (size, m) and a duration; the margin, if it is sought, is what there is."""
+        first = self.at(Point(coefficients, duration))
+        if self.objective.scalar is not Scalar.MARGIN:
+            return first
+        counted = [float(block.values.max()) for block in first.blocks if self.objective.counts(block)]
+        return self.at(Point(coefficients, duration, -max(counted)))
+
+    def moved(self, path: Iterate, step: Array) -> Iterate | None:
+        """The iterate after a step (coefficients, scalar), put back on what it must satisfy exactly; None if that is
+        impossible."""
+        coefficients = self.curve.repaired(path.coefficients + step[:-1].reshape(path.coefficients.shape))
+        if coefficients is None:
+            return None
+        duration, margin = path.duration, path.point.margin
+        if self.objective.scalar is Scalar.DURATION:
+            duration *= float(np.sqrt(1 + step[-1]))
+        elif self.objective.scalar is Scalar.MARGIN:
+            margin += float(step[-1])
+        return self.at(Point(coefficients, duration, margin))
+
+    def derivatives(self, path: Iterate, block: Block, node: Indices, column: Indices) -> Array:
+        """Rows (r, size m + 1) of a block by the coefficients and the scalar; with the duration free, of the rows that
+        scale multiplied by sigma / sigma_0."""
+        matrix = self._chained(path, block.gradient(node, column), block.points[node])
+        if block.following is not None:
+            matrix += self._chained(path, block.following(node, column), block.points[node + 1])
+        if self.objective.scalar is Scalar.DURATION:
+            if block.by_duration is not None:
+                matrix[:, -1] += 0.5 * block.by_duration[node, column]
+            if block.scales:
+                matrix[:, -1] += block.values[node, column]
+        else:
+            matrix[:, -1] = float(self.objective.counts(block))
+        return matrix
+
+    def _chained(self, path: Iterate, rows: Array, point: Indices) -> Array:
+        """Chain rule from z at points of the grid to the coefficients and, by log T, to sigma / sigma_0."""
+        parts = rows.reshape(len(point), 4, -1)
+        out = np.empty((len(point), path.coefficients.size + 1))
+        out[:, :-1] = self.curve.columns(path.coefficients, path.duration, parts, point)
+        slower = self.curve.by_duration(path.coefficients, path.duration, path.motion.z)
+        out[:, -1] = 0.5 * np.einsum("rkn,krn->r", parts, slower[:, point])
+        return out
+
+    def linearised(self, path: Iterate, masks: Sequence[Mask]) -> Linearised:
+        """The rows that the masks (N, m) of the blocks name."""
+        size = path.coefficients.size + 1
+        matrices, bounds, where = [np.zeros((0, size))], [np.zeros(0)], []
+        for k, (block, mask) in enumerate(zip(path.blocks, masks, strict=True)):
+            node, column = np.nonzero(mask)
+            if len(node):
+                matrices.append(self.derivatives(path, block, node, column))
+                bounds.append(-block.values[node, column])
+                where.append((k, node, column))
+        return Linearised(np.vstack(matrices), np.concatenate(bounds), tuple(where))
+
+    def corrected(self, rows: Linearised, trial: Iterate, step: Array) -> Linearised:
+        """The rows with bounds that make the linear model exact at the trial point, which a step led to."""
+        values, scales = [np.zeros(0)], [np.zeros(0)]
+        free = self.objective.scalar is Scalar.DURATION
+        for k, node, column in rows.where:
+            block = trial.blocks[k]
+            values.append(block.values[node, column])
+            scales.append(np.full(len(node), 1 + step[-1] * (free and block.scales)))
+        return replace(rows, bound=rows.matrix @ step - np.concatenate(scales) * np.concatenate(values))
+
+    def beyond_kinks(self, path: Iterate, trial: Iterate) -> Linearised:
+        """Violated rows of a trial that have kinks, linearised there: beyond one the path's derivative is no help."""
+        kinked = [(block.values > 0) & block.kinked for block in trial.blocks]
+        found = self.linearised(trial, kinked)
+        moved = (trial.coefficients - path.coefficients).ravel()
+        return Linearised(found.matrix, found.bound + found.matrix[:, :-1] @ moved)
+
+    @cached_property
+    def metric(self) -> Array:
+        """(3, size m, size m): squares of the change in posture, and for T = 1 in acceleration and jerk."""
+        basis, m = self.curve.grid.basis[[0, 2, 3]], self.curve.width
+        grams = np.swapaxes(basis, 1, 2) @ basis / basis.shape[1]
+        return np.stack([np.kron(gram, np.eye(m)) for gram in grams])
+
+    def subproblem(self, path: Iterate, trust: Trust) -> Subproblem:
+        """The quadratic programme of an iteration, without its rows."""
+        count = path.coefficients.size
+        model = self.objective.model(self.curve, path.point)
+        weights = trust.damping * np.array([1.0, ACCELERATION_WEIGHT, JERK_WEIGHT])
+        weights /= path.duration ** np.array([0.0, 4.0, 6.0])
+        hessian = np.zeros((count + 2, count + 2))
+        hessian[:count, :count] = np.tensordot(weights, self.metric, axes=1)
+        if model.curvature is not None:
+            hessian[:count, :count] += model.curvature
+        hessian[range(count + 2), range(count + 2)] += np.r_[np.full(count, RIDGE), SCALAR_RIDGE, SCALAR_RIDGE]
+        cost = np.concatenate([model.slope, [model.by_scalar, trust.penalty]])
+        low, high = np.full(count + 2, -LARGEST_MOVE), np.full(count + 2, LARGEST_MOVE)
+        low[-2:], high[-2:] = (-trust.largest_shrink, 0.0), (LONGEST_STRETCH, LARGEST_SLACK)
+        first, last = self.curve.fixed()
+        scalar = [] if self.objective.scalar is Scalar.NONE else [count]
+        free = np.r_[first : count - last, scalar, count + 1].astype(int)
+        equal, target = self.curve.equalities(path.coefficients)
+        extra, extra_bound = self.curve.inequalities(path.coefficients)
+        return Subproblem(hessian, cost, low, high, free, equal, target, extra, extra_bound)
+
+
+@dataclass(frozen=True, eq=False)
+class Subproblem:
+    """A quadratic programme over x = (coefficients, scalar, slack), of which only `free` are unknown.
+
+    equal, target: A x = b for the coefficients. extra, extra_bound: A x <= b for them, without slack.
+    """
+
+    hessian: Array
+    cost: Array
+    low: Array
+    high: Array
+    free: Indices
+    equal: Array
+    target: Array
+    extra: Array
+    extra_bound: Array
+
+    def solve(self, rows: Linearised) -> tuple[Array, float, float] | None:
+        """The step (coefficients, scalar), the slack that is left, and the sum of the rows' multipliers: what a unit
+        of violation is worth. None when the solver gives up."""
+        matrix = np.zeros((len(rows.bound) + len(self.extra), len(self.cost)))
+        matrix[: len(rows.bound), :-1], matrix[: len(rows.bound), -1] = rows.matrix, -1.0
+        matrix[len(rows.bound) :, :-2] = self.extra
+        equal = np.zeros((len(self.target), len(self.cost)))
+        equal[:, :-2] = self.equal
+        free = self.free
+        programme = qp.Quadratic(
+            self.hessian[np.ix_(free, free)],
+            self.cost[free],
+            matrix[:, free],
+            np.concatenate([rows.bound, self.extra_bound]),
+            equal[:, free],
+            self.target,
+            self.low[free],
+            self.high[free],
+        )
+        found = qp.solve(programme, PROGRAMME_TOLERANCE)
+        if found is None:
+            return None
+        step = np.zeros(len(self.cost))
+        step[free] = found.x
+        return step[:-1], float(step[-1]), float(found.rows[: len(rows.bound)].sum())
 
 
 @dataclass(frozen=True)
-class Linearised:
-    """Rows A x <= b of x = (coefficients, sigma / sigma_0 - 1), and where they came from: (family, node, column)."""
+class Attempt:
+    """What an iteration came to. trial: where it leads, None if nowhere. predicted: improvement of the merit that was
+    hoped for, gained: that it brought, hoped: of the objective alone. share: of the step that was taken. unseen: rows
+    that were left out and came near. programmes: that were solved."""
 
-    matrix: Array
-    bound: Array
-    where: list[tuple[int, Indices, Indices]]
+    trial: Iterate | None
+    predicted: float
+    gained: float
+    hoped: float
+    share: float
+    unseen: tuple[Mask, ...]
+    programmes: int
 
-    def with_more(self, other: Linearised) -> Linearised:
-        matrix, bound = np.vstack([self.matrix, other.matrix]), np.concatenate([self.bound, other.bound])
-        return Linearised(matrix, bound, self.where + other.where)
+    @property
+    def ratio(self) -> float:
+        return self.gained / max(self.predicted, 1e-12)
 
 
-def minimise_duration(
-    curve: Curve,
-    coefficients: Array,
-    duration: float,
-    margins: Margins,
-    options: Options,
-    damping: float = 1.0,
-    depth: float = DEEPEST,
-) -> Solution:
-    """Local optimum from a start, which may violate conditions. Coefficients (size, m), duration in s.
-
-    damping: weight of the proximal term in the first iteration; small for a start near the optimum.
-    depth: rows further than this from their edge are left out of the first programme.
-    """
+def minimise(programme: Programme, start: Iterate, options: Options, trust: Trust | None = None) -> Solution:
+    """Local optimum from a start, which may violate conditions. trust: how far the first steps may go."""
     begun = time.perf_counter()
-    path = _iterate(curve, coefficients, duration, margins)
-    grams = [basis.T @ basis / len(curve.grid.s) for basis in curve.grid.basis]
-    penalty, shrink = options.penalty, LONGEST_SHRINK
-    forced: list[Mask] = [np.zeros(f.values.shape, dtype=bool) for f in path.at.families]
+    trust = replace(trust or Trust(), penalty=options.penalty, least_damping=options.least_damping)
+    path, forced = start, tuple(np.zeros(block.values.shape, dtype=bool) for block in start.blocks)
     idle = programmes = done = 0
     code = "iteration_limit"
     while done < options.iterations:
         done += 1
-        masks = [near | more for near, more in zip(_near(path.at, depth), forced, strict=True)]
-        rows = _linearise(curve, path, masks)
-        metric = (
-            grams[0] + ACCELERATION_WEIGHT * grams[2] / path.duration**4 + JERK_WEIGHT * grams[3] / path.duration**6
-        )
-        programme = _Programme(curve, path, rows.matrix, metric, damping, penalty, shrink)
-        step = programme.solve(rows.bound)
-        programmes += 1
-        if step is None:
-            damping, shrink = damping * 10, shrink * 0.5
-            if damping > 1e6:
+        masks = [block.near(trust.depth) | more for block, more in zip(path.blocks, forced, strict=True)]
+        attempt = _attempt(programme, path, masks, trust)
+        if attempt is None:
+            programmes += 1
+            trust.failed()
+            if trust.hopeless:
                 code = "stalled"
                 break
             continue
-        # Just above what the violation is worth (the sum of multipliers), so that steps are not judged by it alone.
-        if step[-1] > 1e-6:
-            penalty *= 3
-        elif penalty > 3 * programme.worth:
-            penalty = max(2 * programme.worth, 0.3 * penalty, LEAST_PENALTY)
-        hoped = path.duration * (1 - float(np.sqrt(1 + step[-2])))
-        predicted = hoped + penalty * (path.at.violation - step[-1])
-        trial, share = _move(curve, path, step, margins), 1.0
-        poor = trial is None or path.merit(penalty) - trial.merit(penalty) < 0.8 * predicted
-        if trial is not None and poor and trial.at.violation > max(2e-4, 2 * step[-1]):
-            # Rows that were thought to be far away join, linearised where the others were.
-            unseen = [(f.values > UNSEEN) & ~mask for f, mask in zip(trial.at.families, masks, strict=True)]
-            forced = [mask | more for mask, more in zip(forced, unseen, strict=True)]
-            rows = rows.with_more(_linearise(curve, path, unseen))
-            kinked = _beyond_kinks(curve, path, trial)
-            if len(kinked.bound) or any(mask.any() for mask in unseen):
-                matrix = np.vstack([rows.matrix, kinked.matrix])
-                programme = _Programme(curve, path, matrix, metric, damping, penalty, shrink)
-            corrected = programme.solve(np.concatenate([_corrected(rows, trial, step), kinked.bound]))
-            programmes += 1
-            trial, share = _along_arc(curve, path, trial, step, corrected, margins, penalty, predicted)
-        gained = -np.inf if trial is None else path.merit(penalty) - trial.merit(penalty)
-        ratio = gained / max(predicted, 1e-12)
-        if trial is not None and ratio > 0.01:
-            change = max(
-                float(np.abs(new.values - old.values)[old.values > -1].max(initial=0.0))
-                for new, old in zip(trial.at.families, path.at.families, strict=True)
-            )
-            depth = float(np.clip(2 * change, 0.02, DEEPEST))
-            forced = [(mask & (f.values > -0.3)) for mask, f in zip(forced, trial.at.families, strict=True)]
-            idle = idle + 1 if gained < options.gain * path.duration else 0
-            path = trial
-            if hoped < 3 * options.gain * path.duration and path.at.violation <= options.violation:
+        programmes += attempt.programmes
+        enough = options.gain * programme.objective.scale(path.point)
+        forced = tuple(mask | more for mask, more in zip(forced, attempt.unseen, strict=True))
+        if attempt.trial is not None and attempt.ratio > LEAST_RATIO:
+            before, path = path, attempt.trial
+            forced = tuple(mask & (b.values > KEPT) for mask, b in zip(forced, path.blocks, strict=True))
+            trust.accepted(attempt.ratio, attempt.share, _change(before, path))
+            idle = idle + 1 if attempt.gained < enough else 0
+            if attempt.hoped < 3 * enough and path.violation <= options.violation:
                 idle = 2
-            if share < 1.0:
-                damping *= min(1 / share, 4.0)
-            else:
-                damping *= 0.33 if ratio > 0.9 else 0.5 if ratio > 0.6 else 2.0 if ratio < 0.3 else 1.0
-            damping = max(damping, options.least_damping)
-            shrink = max(1.5 * shrink, LONGEST_SHRINK) if ratio > 0.3 else shrink
         else:
-            damping, shrink = damping * 4, 0.5 * max(shrink, -0.5)
-            if predicted < options.gain * path.duration:
-                idle += 1
-        if idle >= 2 or damping > 1e7:
-            if path.at.violation > options.violation and penalty < 1e4 and damping <= 1e7:
-                penalty, idle, damping = 10 * penalty, 0, 1.0
+            trust.rejected()
+            idle += attempt.predicted < enough
+        if idle >= 2 or trust.hopeless:
+            if path.violation > options.violation and trust.dearer():
+                idle = 0
                 continue
             code = "optimal" if idle >= 2 else "stalled"
             break
         if time.perf_counter() - begun > options.time_limit:
             code = "time_limit"
             break
-    return Solution(path, _status(code, path, options), done, programmes, time.perf_counter() - begun, damping)
+    return Solution(path, _status(code, path, options), done, programmes, time.perf_counter() - begun)
+
+
+def _attempt(programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust) -> Attempt | None:
+    """One iteration: the step of the quadratic programme, corrected where the rows bend; None without a step."""
+    rows = programme.linearised(path, masks)
+    subproblem = programme.subproblem(path, trust)
+    solved = subproblem.solve(rows)
+    if solved is None:
+        return None
+    step, slack, worth = solved
+    trust.priced(slack, worth)
+    hoped = path.cost - programme.objective.expected(programme.curve, path.point, path.cost, step)
+    predicted = hoped + trust.penalty * (path.violation - slack)
+    merit = path.merit(trust.penalty)
+    unseen = tuple(np.zeros(block.values.shape, dtype=bool) for block in path.blocks)
+    trial, share, programmes = programme.moved(path, step), 1.0, 1
+    if (
+        trial is not None
+        and merit - trial.merit(trust.penalty) < POOR * predicted
+        and trial.violation > max(BENT, 2 * slack)
+    ):
+        # Rows that were thought to be far away join, linearised where the others were.
+        unseen = tuple(b.joining(m) for b, m in zip(trial.blocks, masks, strict=True))
+        rows = rows.and_also(programme.linearised(path, unseen))
+        bent = programme.corrected(rows, trial, step).and_also(programme.beyond_kinks(path, trial))
+        second = subproblem.solve(bent)
+        programmes = 2
+        trial, share = _along_arc(programme, path, trial, step, second, slack, predicted, trust.penalty)
+    gained = -np.inf if trial is None else merit - trial.merit(trust.penalty)
+    return Attempt(trial, predicted, gained, hoped, share, unseen, programmes)
 
 
 def _along_arc(
-    curve: Curve,
+    programme: Programme,
     path: Iterate,
     trial: Iterate,
     step: Array,
-    corrected: Array | None,
-    margins: Margins,
-    penalty: float,
+    second: tuple[Array, float, float] | None,
+    slack: float,
     predicted: float,
+    penalty: float,
 ) -> tuple[Iterate, float]:
     """The best of a step, of the corrected one, and of a point on the way x + a d + a^2 (d_c - d); and its share a.
 
     Along that arc the violation left at its end shrinks like a^3, along a straight line like a^2.
     """
     bend, power = np.zeros_like(step), 2
-    second = None if corrected is None else _move(curve, path, corrected, margins)
-    if corrected is not None and second is not None and second.merit(penalty) < trial.merit(penalty):
-        trial, bend, power = second, corrected - step, 3
-    if path.merit(penalty) - trial.merit(penalty) >= 0.3 * predicted:
+    corrected = None if second is None else programme.moved(path, second[0])
+    if second is not None and corrected is not None and corrected.merit(penalty) < trial.merit(penalty):
+        trial, bend, power = corrected, second[0] - step, 3
+    if path.merit(penalty) - trial.merit(penalty) >= GOOD * predicted:
         return trial, 1.0
-    left = max(trial.at.violation - max(path.at.violation, step[-1]), 1e-12)
+    left = max(trial.violation - max(path.violation, slack), 1e-12)
     best = (max(predicted, 0.0) / (power * penalty * left)) ** (1 / (power - 1))
     share = float(np.clip(best, 0.1, 0.8))
-    third = _move(curve, path, share * step + share**2 * bend, margins)
+    third = programme.moved(path, share * step + share**2 * bend)
     if third is not None and third.merit(penalty) < trial.merit(penalty):
         return third, share
     return trial, 1.0
 
 
+def _change(before: Iterate, after: Iterate) -> float:
+    """Largest change of a row that was not far from its edge."""
+    pairs = zip(before.blocks, after.blocks, strict=True)
+    return max(float(np.abs(b.values - a.values)[a.values > -1].max(initial=0.0)) for a, b in pairs)
+
+
 def _status(code: str, path: Iterate, options: Options) -> Status:
-    value, name = path.at.worst
+    value, name = path.worst
     if value <= options.violation:
         return Status(code, f"The shortest duration at the nodes is {path.duration:.4f} s.", True)
     return Status(
@@ -222,161 +416,3 @@ def _status(code: str, path: Iterate, options: Options) -> Status:
         False,
         {"worst": name, "violation": value},
     )
-
-
-def _near(at: Evaluated, depth: float) -> list[Mask]:
-    """Rows no further from their edge than `depth`, for each family."""
-    masks = []
-    for family in at.families:
-        floor = -np.inf if family.name == "tilt" and family.values.shape[1] == 4 else -depth
-        near = family.values > max(floor, -family.reach)
-        if family.values.shape[1] > MOST_ROWS and family.name.startswith("contact"):
-            near &= family.values >= -np.partition(-family.values, MOST_ROWS, axis=1)[:, MOST_ROWS - 1 : MOST_ROWS]
-        masks.append(near)
-    return masks
-
-
-def _linearise(curve: Curve, path: Iterate, masks: list[Mask]) -> Linearised:
-    matrices, bounds, where = [], [], []
-    for k, family in enumerate(path.at.families):
-        node, column = np.nonzero(masks[k])
-        if len(node):
-            matrices.append(_derivatives(curve, path, family, node, column))
-            bounds.append(-family.values[node, column])
-            where.append((k, node, column))
-    size = path.coefficients.size + 1
-    if not matrices:
-        return Linearised(np.zeros((0, size)), np.zeros(0), [])
-    return Linearised(np.vstack(matrices), np.concatenate(bounds), where)
-
-
-def _derivatives(curve: Curve, path: Iterate, family: Family, node: Indices, column: Indices) -> Array:
-    """Rows (r, size m + 1) of a family, with respect to the coefficients and sigma / sigma_0."""
-    matrix = _at_point(curve, path, family.gradient(node, column), family.points[node])
-    if family.following is not None:
-        matrix += _at_point(curve, path, family.following(node, column), family.points[node + 1])
-        # The time step between the nodes shrinks too.
-        matrix[:, -1] -= 0.5 * (family.values[node, column] + family.edge)
-    if family.scales:
-        matrix[:, -1] += family.values[node, column]
-    return matrix
-
-
-def _at_point(curve: Curve, path: Iterate, rows: Array, point: Indices) -> Array:
-    """Chain rule from z at a point of the grid to the coefficients and sigma / sigma_0."""
-    z = path.at.z
-    parts = rows.reshape(len(point), 4, z.shape[2])
-    out = np.empty((len(point), path.coefficients.size + 1))
-    out[:, :-1] = curve.columns(path.coefficients, path.duration, parts, point)
-    moved = np.einsum("rkn,krn->rk", parts[:, 1:], z[1:, point])
-    out[:, -1] = -moved @ np.array([0.5, 1.0, 1.5])
-    return out
-
-
-def _corrected(rows: Linearised, trial: Iterate, step: Array) -> Array:
-    """Bounds that make the linear model exact at the trial point."""
-    values = np.concatenate([trial.at.families[k].values[i, f] for k, i, f in rows.where])
-    scales = np.concatenate([np.full(len(i), 1 + step[-2] * trial.at.families[k].scales) for k, i, _ in rows.where])
-    return rows.matrix @ step[:-1] - scales * values
-
-
-def _beyond_kinks(curve: Curve, path: Iterate, trial: Iterate) -> Linearised:
-    """Violated rows of a trial that have kinks, linearised there: beyond a kink the path's derivative is no help."""
-    size = path.coefficients.size
-    matrices, bounds = [np.zeros((0, size + 1))], [np.zeros(0)]
-    moved = (trial.coefficients - path.coefficients).ravel()
-    for family in trial.at.families:
-        if family.kinked:
-            node, column = np.nonzero(family.values > 0)
-            if not len(node):
-                continue
-            matrices.append(_derivatives(curve, trial, family, node, column))
-            bounds.append(matrices[-1][:, :-1] @ moved - family.values[node, column])
-    return Linearised(np.vstack(matrices), np.concatenate(bounds), [])
-
-
-def _iterate(curve: Curve, coefficients: Array, duration: float, margins: Margins) -> Iterate:
-    z = curve.motion(coefficients, duration)
-    return Iterate(coefficients, evaluate(curve.problem, curve.grid.s, z, duration, margins, curve.grid.nodes))
-
-
-def _move(curve: Curve, path: Iterate, step: Array, margins: Margins) -> Iterate | None:
-    """The iterate after a step, put back on what it must satisfy exactly; None if that is impossible."""
-    coefficients = curve.repaired(path.coefficients + step[:-2].reshape(path.coefficients.shape))
-    if coefficients is None:
-        return None
-    return _iterate(curve, coefficients, path.duration * float(np.sqrt(1 + step[-2])), margins)
-
-
-class _Programme:
-    """The quadratic programme of one iteration, solved for several right-hand sides.
-
-    x = (coefficients, sigma / sigma_0 - 1, slack); what is given of the coefficients is left out.
-    """
-
-    def __init__(
-        self,
-        curve: Curve,
-        path: Iterate,
-        rows: Array,
-        metric: Array,
-        damping: float,
-        penalty: float,
-        shrink: float,
-    ) -> None:
-        size, m = path.coefficients.shape
-        count = size * m + 2
-        hessian = np.zeros((count, count))
-        hessian[:-2, :-2] = damping * np.kron(metric, np.eye(m))
-        hessian[range(count - 2), range(count - 2)] += 1e-9
-        hessian[-2:, -2:] = 1e-6 * np.eye(2)
-        cost = np.zeros(count)
-        cost[-2:] = 0.5 * path.duration, penalty
-        equal, target = curve.equalities(path.coefficients)
-        extra, self.extra_bound = curve.inequalities(path.coefficients)
-        low, high = np.full(count, -1.0), np.full(count, 1.0)
-        low[-2:], high[-2:] = (shrink, 0.0), (LONGEST_STRETCH, 1e3)
-        first, last = curve.fixed()
-        self.free = np.r_[first : size * m - last, count - 2, count - 1]
-        self.count = count
-        matrix = np.vstack(
-            [
-                np.hstack([rows, -np.ones((len(rows), 1))]),
-                np.hstack([extra, np.zeros((len(extra), 2))]),
-            ]
-        )
-        self.data = (
-            csc_matrix(hessian[np.ix_(self.free, self.free)]),
-            cost[self.free],
-            csc_matrix(np.hstack([equal, np.zeros((len(equal), 2))])[:, self.free]),
-            target,
-            csc_matrix(matrix[:, self.free]),
-        )
-        self.box = low[self.free], high[self.free]
-        self.worth = 0.0
-
-    def solve(self, bound: Array) -> Array | None:
-        """Minimiser (size m + 2,), or None when the solver gives up."""
-        solver = piqp.SparseSolver()
-        settings = solver.settings
-        settings.eps_abs = settings.eps_rel = 1e-5
-        settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = 1e-5
-        settings.max_iter = 80
-        settings.kkt_solver = piqp.sparse_multistage
-        # The rows are scaled already; equilibration and the default step length cost iterations here.
-        settings.preconditioner_iter = 0
-        settings.tau = 0.95
-        hessian, cost, equal, target, matrix = self.data
-        every = np.concatenate([bound, self.extra_bound])
-        conditions = (matrix, np.full(len(every), -1e30), every) if len(every) else (None, None, None)
-        ends = (equal, target) if len(target) else (None, None)
-        solver.setup(hessian, cost, *ends, *conditions, *self.box)
-        status = solver.solve()
-        if status != piqp.PIQP_SOLVED and not (
-            status == piqp.PIQP_MAX_ITER_REACHED and solver.result.info.primal_res < 1e-4
-        ):
-            return None
-        self.worth = float(solver.result.z_u[: len(bound)].sum())
-        step = np.zeros(self.count)
-        step[self.free] = solver.result.x
-        return step

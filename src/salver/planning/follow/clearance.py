@@ -49,7 +49,7 @@ def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
     """All pairs of `parts` along the whole of a motion, distances to `LEAST` exactly."""
     if not parts.pairs:
         return Sweep(None, None, None)
-    reach = _reach(parts, motion)
+    reach = parts.levers(motion.q)
     around = np.array([j >= len(parts.names) - parts.obstacles for _, j in parts.pairs])
     t = np.linspace(0.0, motion.duration, FIRST_INSTANTS)
     distance = parts.clearance(motion.sample(t)[0])
@@ -110,27 +110,3 @@ def _first_touch(t: Array, distance: Array, pairs: Indices) -> tuple[float, int]
 
 def _earlier(known: tuple[float, int] | None, found: tuple[float, int] | None) -> tuple[float, int] | None:
     return known if found is None or (known is not None and known[0] <= found[0]) else found
-
-
-def _reach(parts: ArmGeometry, motion: JointMotion) -> Array:
-    """(pairs, n) at most how far a pair moves against one another when a joint moves by 1 (rad, or m).
-
-    For a joint that turns: the way from its origin along the links to the farthest point of the part it carries.
-    """
-    model, linear = parts.arm.pin_model, parts.arm.linear
-    stroke = np.abs(motion.q).max(axis=0) * np.array(linear)
-    links = np.array([np.linalg.norm(placement.translation) for placement in model.jointPlacements])
-    links[1:] += stroke  # joints have one coordinate each
-    radius = []
-    for part in parts.model.geometryObjects:
-        shape = part.geometry
-        radius.append(float(np.linalg.norm(part.placement.act(shape.aabb_center))) + float(shape.aabb_radius))
-    reach = np.zeros((len(parts.pairs), parts.arm.n))
-    for row, pair in enumerate(parts.pairs):
-        chains = [list(model.supports[parts.model.geometryObjects[k].parentJoint])[1:] for k in pair]
-        for part, chain, other in zip(pair, chains, reversed(chains), strict=True):
-            length = radius[part]
-            for joint in reversed([j for j in chain if j not in other]):
-                reach[row, joint - 1] = 1.0 if linear[joint - 1] else length
-                length += links[joint]
-    return reach

@@ -1,6 +1,6 @@
 """From a motion of the object to a motion of the joints, and whether the arm can follow it at all.
 
-The start posture is chosen among many (`salver.planning.follow.posture`), the redundancy resolved for each
+The start posture is chosen among many (`salver.planning.postures`), the redundancy resolved for each
 (`salver.planning.follow.redundancy`), and the best motion that keeps clear of itself and of obstacles is judged against
 every limit (`salver.planning.follow.limits`).
 """
@@ -17,8 +17,8 @@ from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
 from salver.planning.follow.limits import COLLISION, verdict
-from salver.planning.follow.posture import candidate_postures, check_start_posture
-from salver.planning.follow.redundancy import Choice, TrayPath, first_choice, improved, march, solve_path, tray_path
+from salver.planning.follow.redundancy import Choice, TrayPath, first_choice, improved, solve_path, tray_path
+from salver.planning.postures import PoseTarget, candidate_postures, postures_along, start_posture
 from salver.scenario import Obstacle, Scenario
 from salver.trajectory import JointMotion, Reference
 
@@ -47,18 +47,16 @@ def follow(
 
     Returns the motion and a status: "within_limits"; "limit_exceeded" or "collision", with the joint or the
     parts, the time and by how much (the motion is returned all the same); or "unreachable", with no motion.
-    Raises ScenarioError or UnreachableError when `q_start` is wrong (`check_start_posture`).
+    Raises ScenarioError when `q_start` is wrong (`salver.planning.postures.start_posture`).
     """
     path = tray_path(reference, p_EB, R_EB, np.linspace(0.0, reference.duration, COARSE_NODES))
     parts = arm_geometry(arm, bodies, obstacles)
-    if q_start is not None:
-        starts = [check_start_posture(arm, q_start, path.p_SE[0], path.R_SE[0])]
-    else:
-        starts = candidate_postures(arm, path.p_SE[0], path.R_SE[0], seed)
-    marched = [march(arm, path, q) for q in starts]
-    whole = [postures for postures, reached in marched if reached == len(path.t)]
+    begin = PoseTarget(path.p_SE[0], path.R_SE[0])
+    starts = candidate_postures(arm, begin, seed) if q_start is None else [start_posture(arm, q_start, begin)]
+    followed = [postures_along(arm, path.p_SE, path.R_SE, q) for q in starts]
+    whole = [postures for postures, reached in followed if reached == len(path.t)]
     if not whole:
-        return None, _unreachable(arm, path, max((reached for _, reached in marched), default=0))
+        return None, _unreachable(arm, path, max((reached for _, reached in followed), default=0))
     if q_start is None:
         whole = _clear(parts, whole)
 
@@ -103,7 +101,7 @@ def follow_scenario(
 
 
 def _clear(parts: ArmGeometry, whole: list[Array]) -> list[Array]:
-    """Of marched postures, those free of collision, and of these those above the arm's base; all when none is.
+    """Of ways along the path, those free of collision, and of these those above the arm's base; all when none is.
 
     An arm mostly stands on something: unless it has to, it does not reach below.
     """

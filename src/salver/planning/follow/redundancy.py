@@ -24,7 +24,7 @@ from scipy.optimize import minimize
 from salver.geometry import Array, invert, log
 from salver.models.arm import ArmModel
 from salver.models.arm_geometry import ArmGeometry
-from salver.planning.follow.posture import REACHED, pose_error
+from salver.planning.postures import REACHED
 from salver.trajectory import MotionSamples, Reference
 
 BUMPS = 3  # polynomial terms of s(t) besides its step from start to end
@@ -84,28 +84,6 @@ def _kinematics(arm: ArmModel, q: Array) -> tuple[Array, Array, Array]:
 def _extended(jacobian: Array, rows: Array) -> Array:
     """[J; C] (N, n, n)."""
     return np.concatenate([jacobian, np.broadcast_to(rows, (len(jacobian), *rows.shape))], axis=1)
-
-
-def march(arm: ArmModel, path: TrayPath, q_start: Array) -> tuple[Array, int]:
-    """Postures (N, n) along the path by steps of least norm from q_start, and how many instants were reached."""
-    model, data, frame = arm.pin_model, arm.data, arm.tray_id
-    q = np.array(q_start, dtype=float)
-    postures = np.tile(q, (len(path.t), 1))
-    for k in range(1, len(path.t)):
-        for _ in range(12):
-            pin.computeJointJacobians(model, data, q)
-            placement = pin.updateFramePlacement(model, data, frame)
-            error = pose_error(placement.translation, placement.rotation, path.p_SE[k], path.R_SE[k])
-            if np.abs(error).max() < REACHED:
-                break
-            jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL)
-            q = q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + 1e-9 * np.eye(6), error)
-        else:
-            return postures, k
-        postures[k] = q
-        if np.abs(q - postures[k - 1]).max() > 1.0:
-            return postures, k
-    return postures, len(path.t)
 
 
 def solve_path(
@@ -197,7 +175,7 @@ def _usage(arm: ArmModel, parts: ArmGeometry, joints: JointPath) -> float:
         [
             *arm.planning_limits.shares(curves).values(),
             _SINGULAR / np.maximum(smallest, 1e-9),
-            np.maximum(0.0, 1 - parts.clearance(joints.q) / _CLEAR),
+            np.maximum(0.0, 1 - parts.clearance(joints.q, _CLEAR) / _CLEAR),
         ]
     )
     largest = np.abs(shares).max()
@@ -217,7 +195,7 @@ def _null_rows(jacobian: Array) -> Array:
 
 
 def first_choice(arm: ArmModel, parts: ArmGeometry, path: TrayPath, postures: Array) -> Choice | None:
-    """The marched postures in the form C q = s(t), which they fit nearly."""
+    """Postures by continuation in the form C q = s(t), which they fit nearly."""
     rows = _null_rows(_kinematics(arm, postures)[2])
     s = postures @ rows.T
     coefficients = np.linalg.lstsq(_basis(len(path.t))[0], s - s[0], rcond=None)[0]

@@ -9,13 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import piqp
 
 from salver.geometry import Array
+from salver.planning import qp
 from salver.planning.object.conditions import Rows
 from salver.planning.object.problem import Linearisation
+from salver.planning.qp import Optimum, Quadratic
 
 TOLERANCE = 1e-9  # N (or the row's own unit): a constraint counts as kept within this
+PROGRAMME_TOLERANCE = 1e-12  # of the scaled rows: the bound that a programme proves is only as good
 _CUT_LIMIT = 60  # rounds of tangents
 
 
@@ -139,46 +141,20 @@ def _quadratic(
         g[n], h[n, n] = penalty / unit, 1e-9 * penalty / unit
         low[n], high[n] = 0.0, np.inf
     goal_jacobian = np.hstack([model.goal_jacobian, np.zeros((len(model.goal), int(elastic)))])
-    solver = piqp.DenseSolver()
-    solver.settings.eps_abs = solver.settings.eps_rel = 1e-12
-    solver.settings.eps_duality_gap_abs = solver.settings.eps_duality_gap_rel = 1e-12
-    solver.settings.max_iter = 100
-    solver.setup(
-        np.asfortranarray(h),
-        g,
-        np.asfortranarray(goal_jacobian),
-        -model.goal,
-        np.asfortranarray(rows),
-        -offset / norm,
-        None,
-        low if np.isfinite(radius) or elastic else None,
-        high if np.isfinite(radius) or elastic else None,
+    programme = Quadratic(h, g, -rows, offset / norm, goal_jacobian, -model.goal, low, high)
+    found = qp.solve(programme, PROGRAMME_TOLERANCE)
+    if found is None:
+        return None
+    price = unit * float(np.sum(found.rows / norm) + np.abs(found.equal).max(initial=0.0))
+    return found.x[:n], float(found.x[n]) if elastic else 0.0, unit * _dual_value(programme, found), price
+
+
+def _dual_value(p: Quadratic, found: Optimum) -> float:
+    """Value of the dual at the solver's multipliers."""
+    low, high = np.isfinite(p.low), np.isfinite(p.high)
+    linear = p.cost + p.equal.T @ found.equal + p.rows.T @ found.rows + found.high * high - found.low * low
+    value = (
+        -found.equal @ p.target - found.rows @ p.bound + found.low[low] @ p.low[low] - found.high[high] @ p.high[high]
     )
-    status = solver.solve()
-    result = solver.result
-    if status in (piqp.PIQP_PRIMAL_INFEASIBLE, piqp.PIQP_NUMERICS) or not np.all(np.isfinite(result.x)):
-        return None
-    if status == piqp.PIQP_MAX_ITER_REACHED and result.info.primal_res > 1e-7:
-        return None
-    x = np.asarray(result.x)
-    value = unit * _dual_value(h, g, goal_jacobian, -model.goal, rows, -offset / norm, low, high, result)
-    price = unit * float(np.sum(np.maximum(result.z_l, 0.0) / norm) + np.abs(result.y).max(initial=0.0))
-    return x[:n], float(x[n]) if elastic else 0.0, value, price
-
-
-def _dual_value(
-    h: Array, g: Array, a: Array, b: Array, rows: Array, low_rows: Array, low: Array, high: Array, result: object
-) -> float:
-    """Dual of min 1/2 x'Hx + g'x, Ax = b, rows x >= low_rows, low <= x <= high at the solver's multipliers."""
-    z_l = np.maximum(np.asarray(result.z_l), 0.0)  # type: ignore[attr-defined]
-    y = np.asarray(result.y)  # type: ignore[attr-defined]
-    linear = g + a.T @ y - rows.T @ z_l
-    value = float(z_l @ low_rows - y @ b)
-    if np.all(np.isfinite(high[:-1])) and len(high) > 1:
-        z_bl = np.maximum(np.asarray(result.z_bl), 0.0)  # type: ignore[attr-defined]
-        z_bu = np.maximum(np.asarray(result.z_bu), 0.0)  # type: ignore[attr-defined]
-        finite = np.isfinite(high)
-        linear = linear - z_bl + np.where(finite, z_bu, 0.0)
-        value += float(z_bl @ np.where(np.isfinite(low), low, 0.0) - z_bu[finite] @ high[finite])
-    x = np.linalg.solve(h, -linear)
-    return value + 0.5 * float(linear @ x)
+    x = np.linalg.solve(p.hessian, -linear)
+    return float(value + 0.5 * linear @ x)

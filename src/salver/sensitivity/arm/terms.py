@@ -7,6 +7,7 @@ RSS 2018, as Pinocchio provides them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -19,29 +20,86 @@ _FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
 
 
 @dataclass(frozen=True)
+class Derivatives:
+    """Derivatives of a motion's terms; what they are is said at the properties of `MotionTerms`."""
+
+    twist_q: Array
+    acceleration_q: Array
+    acceleration_dq: Array
+    jacobian: Array
+    torque_z: Array
+
+
+@dataclass(frozen=True, eq=False)
 class MotionTerms:
     """At T instants of an arm with n joints; E is the tray's frame, everything of it in E.
 
-    p_SE (T, 3), R_SE (T, 3, 3). twist (T, 6), and twist_q (T, 6, n) its derivative. jacobian (T, 6, n): of twist by
-    dq, and of the spatial acceleration by ddq. acceleration_q, acceleration_dq (T, 6, n): derivatives of the spatial
-    acceleration. torque (T, n) N m with the load, torque_z (T, n, 3 n). mass_matrix (T, n, n).
-    w (T, 12) what the tray feels (`salver.models.tray_motion`), w_z (T, 12, 3 n).
+    Values are there from the beginning; derivatives, which cost seven times as much, from when the first is read.
+
+    p_SE (T, 3), R_SE (T, 3, 3). twist (T, 6); spatial (T, 6), its spatial acceleration. torque (T, n) N m with the
+    load. w (T, 12) what the tray feels (`salver.models.tray_motion`).
     """
 
+    model: Any
+    frame_id: int
+    q: Array
+    dq: Array
+    ddq: Array
     p_SE: Array
     R_SE: Array
     twist: Array
-    twist_q: Array
-    jacobian: Array
-    acceleration_q: Array
-    acceleration_dq: Array
+    spatial: Array
     torque: Array
-    torque_z: Array
     w: Array
-    w_z: Array
+
+    @cached_property
+    def derivatives(self) -> Derivatives:
+        """By Pinocchio, at every instant."""
+        model, data, frame_id = self.model, self.model.createData(), self.frame_id
+        count, n = self.q.shape
+        parts, torque_z = np.empty((count, 4, 6, n)), np.empty((count, n, 3 * n))
+        torque_q, torque_dq, mass_matrix = data.dtau_dq, data.dtau_dv, data.M  # what each call fills anew
+        for i, (q, dq, ddq) in enumerate(zip(self.q, self.dq, self.ddq, strict=True)):
+            pin.computeForwardKinematicsDerivatives(model, data, q, dq, ddq)
+            # Velocity by q; acceleration by q, dq and ddq. The last is the Jacobian.
+            of_velocity, *of_acceleration = pin.getFrameAccelerationDerivatives(model, data, frame_id, pin.LOCAL)
+            parts[i, 0] = of_velocity
+            parts[i, 1], parts[i, 2], parts[i, 3] = of_acceleration
+            pin.computeRNEADerivatives(model, data, q, dq, ddq)
+            torque_z[i, :, :n], torque_z[i, :, n : 2 * n], torque_z[i, :, 2 * n :] = torque_q, torque_dq, mass_matrix
+        half = torque_z[:, :, 2 * n :]
+        upper = np.triu(half)  # Pinocchio fills this half
+        half[:] = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+        return Derivatives(parts[:, 0], parts[:, 1], parts[:, 2], parts[:, 3], torque_z)
+
+    @property
+    def twist_q(self) -> Array:
+        """(T, 6, n) derivative of the twist by q."""
+        return self.derivatives.twist_q
+
+    @property
+    def jacobian(self) -> Array:
+        """(T, 6, n) derivative of the twist by dq, and of the spatial acceleration by ddq."""
+        return self.derivatives.jacobian
+
+    @property
+    def acceleration_q(self) -> Array:
+        """(T, 6, n) derivative of the spatial acceleration by q."""
+        return self.derivatives.acceleration_q
+
+    @property
+    def acceleration_dq(self) -> Array:
+        """(T, 6, n) derivative of the spatial acceleration by dq."""
+        return self.derivatives.acceleration_dq
+
+    @property
+    def torque_z(self) -> Array:
+        """(T, n, 3 n) derivative of the torque by (q, dq, ddq)."""
+        return self.derivatives.torque_z
 
     @property
     def mass_matrix(self) -> Array:
+        """(T, n, n)."""
         return self.torque_z[:, :, -self.torque.shape[1] :]
 
     @property
@@ -54,49 +112,41 @@ class MotionTerms:
         """(T, 3) -g in E."""
         return -np.einsum("tji,j->ti", self.R_SE, GRAVITY_S)
 
+    @cached_property
+    def w_z(self) -> Array:
+        """(T, 12, 3 n) derivative of w by (q, dq, ddq)."""
+        jacobian, twist_q = self.jacobian, self.twist_q
+        count, _, n = jacobian.shape
+        v, omega = self.twist[:, :3], self.twist[:, 3:]
+        w_z = np.zeros((count, N_MOTION, 3 * n))
+        w_z[:, :6, :n], w_z[:, :6, n : 2 * n], w_z[:, :6, 2 * n :] = self.acceleration_q, self.acceleration_dq, jacobian
+        turning, moving, upward = hat(omega), hat(v), hat(self.up)
+        for part, twist_part in ((slice(0, n), twist_q), (slice(n, 2 * n), jacobian)):
+            w_z[:, :3, part] += turning @ twist_part[:, :3] - moving @ twist_part[:, 3:]
+            omega_part = twist_part[:, 3:]
+            w_z[:, 6:, part] = omega[:, _FIRST, None] * omega_part[:, _SECOND]
+            w_z[:, 6:, part] += omega[:, _SECOND, None] * omega_part[:, _FIRST]
+        w_z[:, :3, :n] += upward @ jacobian[:, 3:]  # E turns by the Jacobian's rotation
+        return w_z
+
 
 def motion_terms(model: Any, frame_id: int, q: Array, dq: Array, ddq: Array) -> MotionTerms:
     """Terms of a Pinocchio model, load included, whose frame `frame_id` is E, at states (T, n)."""
-    count, n = q.shape
-    data = model.createData()
-    p_SE, R_SE = np.empty((count, 3)), np.empty((count, 3, 3))
-    twist, spatial = np.empty((count, 6)), np.empty((count, 6))
-    parts = np.empty((4, count, 6, n))
-    torque, torque_z = np.empty((count, n)), np.empty((count, n, 3 * n))
-    for i in range(count):
-        pin.computeForwardKinematicsDerivatives(model, data, q[i], dq[i], ddq[i])
-        # Velocity by q; acceleration by q, dq and ddq. The last is the Jacobian.
-        parts[:, i] = pin.getFrameAccelerationDerivatives(model, data, frame_id, pin.LOCAL)
-        placement = pin.updateFramePlacement(model, data, frame_id)
-        p_SE[i], R_SE[i] = placement.translation, placement.rotation
-        twist[i] = pin.getFrameVelocity(model, data, frame_id, pin.LOCAL).vector
-        spatial[i] = pin.getFrameAcceleration(model, data, frame_id, pin.LOCAL).vector
-        pin.computeRNEADerivatives(model, data, q[i], dq[i], ddq[i])
-        torque[i] = data.tau
-        torque_z[i, :, :n], torque_z[i, :, n : 2 * n] = data.dtau_dq, data.dtau_dv
-        torque_z[i, :, 2 * n :] = data.M
-    mass_matrix = torque_z[:, :, 2 * n :]
-    upper = np.triu(mass_matrix)  # Pinocchio fills this half
-    mass_matrix[:] = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
-    w, w_z = _felt(R_SE, twist, spatial, parts)
-    return MotionTerms(p_SE, R_SE, twist, parts[0], parts[3], parts[1], parts[2], torque, torque_z, w, w_z)
-
-
-def _felt(R_SE: Array, twist: Array, spatial: Array, parts: Array) -> tuple[Array, Array]:
-    """w and its derivatives from the body twist and the spatial acceleration of E."""
-    twist_q, acceleration_q, acceleration_dq, jacobian = parts
-    count, _, n = jacobian.shape
+    (count, n), data, frame = q.shape, model.createData(), model.frames[frame_id]
+    p, rotation = np.empty((count, 3)), np.empty((count, 3, 3))  # of the last joint, as twist and acceleration first
+    twist, spatial, torque = np.empty((count, 6)), np.empty((count, 6)), np.empty((count, n))
+    placement, velocity, acceleration = (x[frame.parentJoint] for x in (data.oMi, data.v, data.a))
+    p_now, rotation_now = placement.translation, placement.rotation  # what each call fills anew
+    for i, state in enumerate(zip(q, dq, ddq, strict=True)):
+        pin.forwardKinematics(model, data, *state)
+        p[i], rotation[i] = p_now, rotation_now
+        twist[i], spatial[i] = velocity.vector, acceleration.vector
+        torque[i] = pin.rnea(model, data, *state)
+    to_frame = frame.placement.inverse().action  # both are of the last link, seen from its joint
+    twist, spatial = twist @ to_frame.T, spatial @ to_frame.T
+    p_SE, R_SE = p + rotation @ frame.placement.translation, rotation @ frame.placement.rotation
     v, omega = twist[:, :3], twist[:, 3:]
     up = -np.einsum("tji,j->ti", R_SE, GRAVITY_S)
-    w = np.concatenate(
-        [spatial[:, :3] + np.cross(omega, v) + up, spatial[:, 3:], omega[:, _FIRST] * omega[:, _SECOND]], axis=1
-    )
-    zero = np.zeros_like(jacobian)
-    twist_z = np.concatenate([twist_q, jacobian, zero], axis=2)
-    w_z = np.empty((count, N_MOTION, 3 * n))
-    w_z[:, :6] = np.concatenate([acceleration_q, acceleration_dq, jacobian], axis=2)
-    w_z[:, :3] += hat(omega) @ twist_z[:, :3] - hat(v) @ twist_z[:, 3:]
-    w_z[:, :3, :n] += hat(up) @ jacobian[:, 3:]  # E turns by the Jacobian's rotation
-    omega_z = twist_z[:, 3:]
-    w_z[:, 6:] = omega[:, _FIRST, None] * omega_z[:, _SECOND] + omega[:, _SECOND, None] * omega_z[:, _FIRST]
-    return w, w_z
+    felt = spatial[:, :3] + np.cross(omega, v) + up
+    w = np.concatenate([felt, spatial[:, 3:], omega[:, _FIRST] * omega[:, _SECOND]], axis=1)
+    return MotionTerms(model, frame_id, q, dq, ddq, p_SE, R_SE, twist, spatial, torque, w)

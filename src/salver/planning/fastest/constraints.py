@@ -1,0 +1,305 @@
+"""Constraints on a joint motion: each gives blocks of rows g <= 0, sampled along the motion, with derivatives.
+
+A constraint is an object; the optimiser gets a list of them and knows none by name. One of your own is a subclass of
+`Constraint` (docs/extending.md). Rows are scaled so that 0 is the edge and 1 the size of the quantity: the limit
+itself, the weight of what stands there.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models.arm_limits import LIMITS, JointLimits
+from salver.models.contact_rows import ContactRows
+from salver.planning.fastest.contact import worst_case
+from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.obstacles import KeepOut
+
+Gradient = Callable[[Indices, Indices], Array]
+
+FINEST = 5e-5  # of a limit, for what may happen between the points of the check
+LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is judged on the true motion
+LEVEL_SCALE = 1e-3  # rows of "level" in rad, the size at which a tilt matters to contact
+REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves what stands on it
+CONTACT_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
+JOINING = 3  # times as many may join, where a step led beyond rows that had been left out
+UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
+INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Rows of one kind along a motion.
+
+    values (N, m), at most 0 where the row is kept; points: the points of the grid at which they are taken.
+    gradient(node, row): (r, 4 n) derivatives by z = (q, dq, ddq, dddq) at the node, for rows (r,) that are asked for.
+    margins: what the nodes keep from the edge, for what may happen between them, and what is kept in the check there;
+    in the unit of the rows.
+    scales: whether the rows depend on time, and so become nearly linear in T^2 when multiplied by it.
+    following: derivatives by z at the next node, for rows that couple two neighbours. by_duration: (N, m) derivative
+    by log T at fixed z, for rows in which the duration itself occurs.
+    slows: by how much longer a motion, relatively, is put right for each unit of excess.
+    reach: rows further than this from their edge are never considered, because their derivatives are expensive.
+    most: rows of one node that are considered; None for all. always: rows are considered however far away.
+    kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one. Such rows
+    depend on postures alone.
+    inherits: whether the first node's rows are of the state that the motion begins in, and so cannot be changed.
+    """
+
+    name: str
+    values: Array
+    gradient: Gradient
+    points: Indices
+    margins: tuple[float, float] = (1e-3, FINEST)
+    scales: bool = True
+    following: Gradient | None = None
+    by_duration: Array | None = None
+    slows: float = 1.5
+    reach: float = np.inf
+    most: int | None = None
+    always: bool = False
+    kinked: bool = False
+    inherits: bool = True
+    of: Constraint | None = None
+
+    @property
+    def peaks(self) -> np.ndarray:
+        """(N, m) True where a row is not smaller than at its neighbours in time."""
+        padded = np.pad(self.values, ((1, 1), (0, 0)), constant_values=-np.inf)
+        return np.asarray((self.values >= padded[:-2]) & (self.values >= padded[2:]))
+
+    def near(self, depth: float) -> np.ndarray:
+        """(N, m) True for rows no further from their edge than `depth` that are to be considered."""
+        return self._foremost(1) & (self.values > -min(np.inf if self.always else depth, self.reach))
+
+    def joining(self, known: np.ndarray) -> np.ndarray:
+        """(N, m) True for rows at or beyond their edge that a programme should have known of beside `known`."""
+        return self._foremost(JOINING) & (self.values > UNSEEN) & ~known
+
+    def _foremost(self, times: int) -> np.ndarray:
+        """(N, m) or (1, 1), True for the `most` rows of each node, times some, that are furthest out."""
+        if self.most is None or self.values.shape[1] <= times * self.most:
+            return np.ones((1, 1), dtype=bool)
+        k = times * self.most
+        return np.asarray(self.values >= -np.partition(-self.values, k - 1, axis=1)[:, k - 1 : k])
+
+
+class Constraint(ABC):
+    """A condition on a motion."""
+
+    @abstractmethod
+    def blocks(self, motion: Evaluation) -> Iterable[Block]:
+        """Its rows along a motion."""
+
+    def near(self, q: Array) -> Constraint:
+        """The same for motions near to postures (N, n), where it may have less to look at."""
+        return self
+
+
+def evaluate(constraints: Sequence[Constraint], motion: Evaluation, margins: bool = True) -> tuple[Block, ...]:
+    """All rows of a motion, margins included unless they are not wanted."""
+    blocks = []
+    for constraint in constraints:
+        for block in constraint.blocks(motion):
+            margin = block.margins[0 if motion.imposed else 1] if margins else 0.0
+            points = block.points[: len(block.values)]
+            eased = motion.eased(points) if block.inherits else np.ones(len(points))
+            values = block.values + margin * eased[:, None]
+            if motion.moving and block.inherits:
+                values[0] = np.where(values[0] < INHERITED, np.minimum(values[0], 0.0), values[0])
+            blocks.append(replace(block, values=values, of=constraint))
+    return tuple(blocks)
+
+
+def worst_of(blocks: Sequence[Block]) -> tuple[float, str]:
+    """Largest row, and the name of the block it belongs to."""
+    return max((float(block.values.max()), block.name) for block in blocks)
+
+
+def padded(rows: Array, n: int) -> Array:
+    """Derivatives by (q, dq, ddq) or fewer, filled up with zeros to 4 n columns."""
+    out = np.zeros((len(rows), 4 * n))
+    out[:, : rows.shape[1]] = rows
+    return out
+
+
+def both_sides(scaled: Array, extra: Array | float = 0.0) -> Array:
+    """(N, 2 m) rows that keep shares of a limit (N, m), and what is uncertain about them, within -1 and 1."""
+    return np.hstack([scaled + extra, extra - scaled]) - 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimit(Constraint):
+    """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit."""
+
+    limits: JointLimits
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        n, points = motion.n, np.arange(len(motion.s))
+        for kind in LIMITS:
+            middle, half = self.limits.range(kind)
+            finite = np.flatnonzero(np.isfinite(half))
+            if kind.of != "position" or not len(finite):
+                continue
+            order = kind.order
+
+            def gradient(
+                i: Indices, f: Indices, order: int = order, half: Array = half, finite: Indices = finite
+            ) -> Array:
+                joint, sign = finite[f % len(finite)], np.where(f < len(finite), 1.0, -1.0)
+                rows = np.zeros((len(i), 4 * n))
+                rows[np.arange(len(i)), order * n + joint] = sign / half[joint]
+                return rows
+
+            values = both_sides(((motion.z[order] - middle) / half)[:, finite])
+            # A derivative of order k goes with T^-k; a little more, for what else is nonlinear.
+            slows = 1.5 if order == 0 else 1.0 / order + 0.02
+            yield Block(kind.name, values, gradient, points, scales=order > 0, slows=slows, inherits=order < 3)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueLimit(Constraint):
+    """Torque, to which a wrong load adds its worst case."""
+
+    limits: JointLimits
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        finite = np.flatnonzero(np.isfinite(self.limits.torque))
+        if not len(finite):
+            return
+        bound = self.limits.torque[finite]
+        extra: Array | float = 0.0
+        if motion.response is not None:
+            extra = motion.response.torque_radius()[:, finite] / bound
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            column, sign = f % len(finite), np.where(f < len(finite), 1.0, -1.0)
+            return padded(motion.terms.torque_z[i, finite[column]] * (sign / bound[column])[:, None], motion.n)
+
+        yield Block("torque", both_sides(motion.terms.torque[:, finite] / bound, extra), gradient, motion.nodes)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueRateLimit(Constraint):
+    """Rate of torque between neighbouring nodes."""
+
+    limits: JointLimits
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        finite = np.flatnonzero(np.isfinite(self.limits.torque_rate))
+        if not len(finite):
+            return
+        bound, step = self.limits.torque_rate[finite], motion.steps
+        rate = np.diff(motion.terms.torque[:, finite], axis=0) / step[:, None] / bound
+
+        def side(i: Indices, f: Indices, shift: int) -> Array:
+            column, sign = f % len(finite), np.where(f < len(finite), 1.0, -1.0)
+            weight = (2 * shift - 1) * sign / step[i] / bound[column]
+            return padded(motion.terms.torque_z[i + shift, finite[column]] * weight[:, None], motion.n)
+
+        yield Block(
+            "torque rate",
+            both_sides(rate),
+            lambda i, f: side(i, f, 0),
+            motion.nodes,
+            following=lambda i, f: side(i, f, 1),
+            by_duration=-np.hstack([rate, -rate]),  # the step between the nodes grows with T
+            slows=1.02,
+            inherits=False,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Contact(Constraint):
+    """Facets of the contact wrench cones of one network of touching objects, at the worst parameters.
+
+    margin: that the scenario asks for, as a share of the normal force at rest.
+    """
+
+    rows: ContactRows
+    margin: float = 0.0
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        loop = motion.response
+        change, acting = (None, ()) if loop is None else (loop.motion_change(), loop.tracking.parameters)
+        worst = worst_case(self.rows, motion.terms.w, change, acting)
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            return padded(np.einsum("rk,rkz->rz", worst.attained(i, f), motion.terms.w_z[i]), motion.n)
+
+        carried = " and ".join(body.name for body in self.rows.network.bodies)
+        margins = (self.margin + 1e-3, self.margin)
+        yield Block(f"contact of {carried}", worst.values, gradient, motion.nodes, margins, most=CONTACT_ROWS)
+
+
+@dataclass(frozen=True)
+class Level(Constraint):
+    """Tray level within `LEVEL_TOLERANCE`."""
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        up = motion.terms.R_SE[:, 2, :]  # the vertical, in E
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            sign = np.where(f < 2, 1.0, -1.0) / LEVEL_TOLERANCE
+            return padded(_vertical_q(motion)[i, f % 2] * (sign * LEVEL_SCALE)[:, None], motion.n)
+
+        values = LEVEL_SCALE * both_sides(up[:, :2] / LEVEL_TOLERANCE)
+        margins = (50 * LEVEL_SCALE * 1e-3, 50 * LEVEL_SCALE * FINEST)
+        yield Block("tilt", values, gradient, motion.nodes, margins, scales=False, always=True)
+
+
+@dataclass(frozen=True)
+class Tilt(Constraint):
+    """Tray tilted from level by no more than `largest`, rad."""
+
+    largest: float
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        scale = 1.0 / max(1 - np.cos(self.largest), 1e-6)
+        values = scale * (np.cos(self.largest) - motion.terms.R_SE[:, 2, 2:])
+
+        def gradient(i: Indices, f: Indices) -> Array:
+            return padded(-scale * _vertical_q(motion)[i, 2], motion.n)
+
+        yield Block("tilt", values, gradient, motion.nodes, scales=False)
+
+
+def _vertical_q(motion: Evaluation) -> Array:
+    """(N, 3, n) derivative by q of the vertical in E."""
+    up = motion.terms.R_SE[:, 2, :]
+    return np.cross(up[:, :, None], motion.terms.jacobian[:, 3:], axisa=1, axisb=1, axisc=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Clearance(Constraint):
+    """Distances of all watched pairs, less what the arm may stray, in units of 0.1 m."""
+
+    keep_out: KeepOut
+
+    def near(self, q: Array) -> Constraint:
+        return Clearance(self.keep_out.near(q))
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        if not len(self.keep_out.required):
+            return
+        q = motion.at_nodes[0]
+        distance = self.keep_out.distances(q)
+        if motion.response is not None:
+            position, turn = motion.response.tray_radius()
+            stray = np.linalg.norm(position, axis=1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1)
+            distance = distance - stray[:, None]
+        yield Block(
+            "clearance",
+            -10.0 * distance,
+            lambda i, f: padded(-10.0 * self.keep_out.gradient(q, i, f), motion.n),
+            motion.nodes,
+            margins=(1e-2, 0.0),
+            scales=False,
+            reach=0.05,
+            kinked=True,
+        )

@@ -1,0 +1,74 @@
+"""A joint motion at the points of a grid, and the quantities along it that constraints and objectives read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.geometry import Array
+from salver.planning.fastest.tracking import Response, Tracking
+from salver.sensitivity.arm.terms import MotionTerms, motion_terms
+
+Indices = npt.NDArray[np.intp]
+
+EASING = 0.25  # of a motion that begins moving: over this share of it margins grow from nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A motion at points s (P,) in [0, 1] of its duration (s): z (4, P, n) is q and its three time derivatives there.
+
+    model: Pinocchio's, with all objects bolted on at nominal parameters; frame_id: of the tray in it. tracking: what
+    a wrong load does to the arm, or None. nodes: (N,) indices of the points at which dynamics and distances are
+    looked at; the joints' own motion costs little and is looked at at all points. imposed: whether the rows are
+    conditions of a programme; otherwise they are checked between its nodes. moving: whether it begins moving.
+
+    All further quantities are computed when they are first read, and once.
+    """
+
+    model: Any
+    frame_id: int
+    tracking: Tracking | None
+    s: Array
+    duration: float
+    z: Array
+    nodes: Indices
+    imposed: bool
+    moving: bool
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.z.shape[2]
+
+    @cached_property
+    def at_nodes(self) -> Array:
+        """(4, N, n) q and its time derivatives at the nodes."""
+        return self.z[:, self.nodes]
+
+    @cached_property
+    def terms(self) -> MotionTerms:
+        """What the tray feels and the torque it takes at the nodes; derivatives too, when they are read."""
+        return motion_terms(self.model, self.frame_id, *self.at_nodes[:3])
+
+    @cached_property
+    def response(self) -> Response | None:
+        """What a wrong load does to the arm at the nodes."""
+        if self.tracking is None:
+            return None
+        return self.tracking.response(self.s[self.nodes], self.duration, self.terms)
+
+    @cached_property
+    def steps(self) -> Array:
+        """(N - 1,) s from node to node."""
+        return np.diff(self.s[self.nodes]) * self.duration
+
+    def eased(self, points: Indices) -> Array:
+        """(N,) share of a margin that is asked for at points: all, but less soon after a moving start."""
+        if not self.moving:
+            return np.ones(len(points))
+        return np.minimum(self.s[points] / EASING, 1.0)

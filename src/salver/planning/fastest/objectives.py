@@ -1,0 +1,139 @@
+"""What is made small: the duration; at a given duration, how near the load comes to slipping, or the distance to a
+motion that is wanted.
+
+An objective sees a motion through its coefficients (size, m) and one number, the scalar, that goes with them: the
+duration where it is free, the margin where that is sought, or nothing. One of your own is a subclass of `Objective`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.planning.fastest.constraints import Block, Contact
+from salver.planning.fastest.curves import Curve
+
+
+class Scalar(Enum):
+    """What the scalar of a programme is: the change of T^2 relative to T^2, of the margin, or no unknown."""
+
+    DURATION = "duration"
+    MARGIN = "margin"
+    NONE = "none"
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a programme stands: coefficients (size, m), duration in s, and the margin that counted rows keep."""
+
+    coefficients: Array
+    duration: float
+    margin: float = 0.0
+
+
+@dataclass(frozen=True)
+class Model:
+    """Slope by the coefficients (size m,) and by the scalar, and curvature (size m, size m) by the coefficients."""
+
+    slope: Array
+    by_scalar: float = 0.0
+    curvature: Array | None = None
+
+
+class Objective(ABC):
+    """scalar: what is free beside the coefficients. counts(block): whether the margin is demanded of its rows."""
+
+    scalar: Scalar = Scalar.NONE
+
+    @abstractmethod
+    def value(self, curve: Curve, at: Point) -> float:
+        """What is made small."""
+
+    @abstractmethod
+    def model(self, curve: Curve, at: Point) -> Model:
+        """Its quadratic model there."""
+
+    def expected(self, curve: Curve, at: Point, value: float, step: Array) -> float:
+        """Its value after a step (size m + 1,) in the coefficients and the scalar, from `value`, by its model."""
+        model, move = self.model(curve, at), step[:-1]
+        bent = 0.0 if model.curvature is None else 0.5 * float(move @ model.curvature @ move)
+        return value + float(model.slope @ move) + model.by_scalar * float(step[-1]) + bent
+
+    def scale(self, at: Point) -> float:
+        """The size of a change that matters, for tolerances."""
+        return 1.0
+
+    def counts(self, block: Block) -> bool:
+        return False
+
+
+@dataclass(frozen=True)
+class Duration(Objective):
+    """T, s."""
+
+    scalar = Scalar.DURATION
+
+    def value(self, curve: Curve, at: Point) -> float:
+        return at.duration
+
+    def expected(self, curve: Curve, at: Point, value: float, step: Array) -> float:
+        return at.duration * float(np.sqrt(1 + step[-1]))
+
+    def scale(self, at: Point) -> float:
+        return at.duration
+
+    def model(self, curve: Curve, at: Point) -> Model:
+        return Model(np.zeros(at.coefficients.size), 0.5 * at.duration)
+
+
+@dataclass(frozen=True)
+class LeastMargin(Objective):
+    """The least distance of the contact rows from their edge, as a share of the weight, made large; T is given."""
+
+    scalar = Scalar.MARGIN
+
+    def value(self, curve: Curve, at: Point) -> float:
+        return -at.margin
+
+    def model(self, curve: Curve, at: Point) -> Model:
+        return Model(np.zeros(at.coefficients.size), -1.0)
+
+    def counts(self, block: Block) -> bool:
+        return isinstance(block.of, Contact)
+
+
+@dataclass(frozen=True, eq=False)
+class Distance(Objective):
+    """Mean square of the distance to a wanted motion, half of it; T is given.
+
+    wanted: (4, P, n) q and its time derivatives at the points of the grid. weights: (4,) of the squares of their
+    differences.
+    """
+
+    wanted: Array
+    weights: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+    def value(self, curve: Curve, at: Point) -> float:
+        away = self._away(curve, at)
+        return 0.5 * float(np.sum(np.array(self.weights) * np.mean(np.square(away).sum(axis=2), axis=1)))
+
+    def model(self, curve: Curve, at: Point) -> Model:
+        away, (_, count, n) = self._away(curve, at), self.wanted.shape
+        size = at.coefficients.size
+        slope, curvature = np.zeros(size), np.zeros((size, size))
+        point = np.arange(count)
+        for order, weight in enumerate(self.weights):
+            for joint in range(n) if weight else ():
+                parts = np.zeros((count, 4, n))
+                parts[:, order, joint] = 1.0
+                rows = curve.columns(at.coefficients, at.duration, parts, point)
+                slope += weight / count * rows.T @ away[order, :, joint]
+                curvature += weight / count * rows.T @ rows
+        return Model(slope, 0.0, curvature)
+
+    def _away(self, curve: Curve, at: Point) -> Array:
+        return np.asarray(curve.motion(at.coefficients, at.duration) - self.wanted)

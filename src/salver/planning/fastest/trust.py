@@ -1,0 +1,70 @@
+"""How far an iteration may go, and what a violation costs it: the rules, and every number in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+DEEPEST = 0.2  # rows further than this from their edge are left out of a programme ...
+SHALLOWEST = 0.02  # ... or than this, when steps have become small
+LARGEST_SHRINK = 0.36  # of sigma in one iteration: 20 % of T
+HOPELESS = 1e7  # damping at which no step of any use is left
+DEAREST = 1e4  # price of a violation at which it is taken for infeasible
+LEAST_PENALTY = 1.0  # s, or the objective's unit, per unit of violation
+
+
+@dataclass
+class Trust:
+    """damping: of the proximal term; small for a start that is near the optimum. depth: rows further than this from
+    their edge are left out. penalty: of a unit of violation. largest_shrink: of the scalar in one iteration.
+    """
+
+    damping: float = 1.0
+    depth: float = DEEPEST
+    penalty: float = 0.0
+    largest_shrink: float = LARGEST_SHRINK
+    least_damping: float = 0.0
+
+    @property
+    def hopeless(self) -> bool:
+        return self.damping > HOPELESS
+
+    def priced(self, slack: float, worth: float) -> None:
+        """After a programme: `slack` it left, `worth` of a unit of violation to it.
+
+        The penalty is kept just above that worth, so that steps are not judged by the violation alone.
+        """
+        if slack > 1e-6:
+            self.penalty *= 3
+        elif self.penalty > 3 * worth:
+            self.penalty = max(2 * worth, 0.3 * self.penalty, LEAST_PENALTY)
+
+    def dearer(self) -> bool:
+        """After an end with a violation: begin again with ten times its price; False when that is too much."""
+        if self.penalty >= DEAREST or self.hopeless:
+            return False
+        self.penalty, self.damping = 10 * self.penalty, 1.0
+        return True
+
+    def accepted(self, ratio: float, share: float, change: float) -> None:
+        """After a step that brought `ratio` of what was hoped for, of which a `share` was taken, and which changed
+        rows by `change` at most."""
+        self.depth = float(np.clip(2 * change, SHALLOWEST, DEEPEST))
+        if share < 1.0:
+            factor = min(1 / share, 4.0)
+        else:
+            factor = 0.33 if ratio > 0.9 else 0.5 if ratio > 0.6 else 2.0 if ratio < 0.3 else 1.0
+        self.damping = max(self.damping * factor, self.least_damping)
+        if ratio > 0.3:
+            self.largest_shrink = min(1.5 * self.largest_shrink, LARGEST_SHRINK)
+
+    def rejected(self) -> None:
+        """After a step that was of no use."""
+        self.damping *= 4
+        self.largest_shrink *= 0.5
+
+    def failed(self) -> None:
+        """After a programme that could not be solved."""
+        self.damping *= 10
+        self.largest_shrink *= 0.5

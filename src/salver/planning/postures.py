@@ -1,0 +1,175 @@
+"""Inverse kinematics of the arm: postures that put the tray, or what stands on it, where it must be.
+
+Damped Gauss-Newton steps on the pose error of a frame that is fixed to the tray (Levenberg 1944; Siciliano et al.,
+"Robotics", 2009, section 3.7): `posture_at`. Options say what else counts: joint limits that clamp, a pull of the null
+space to the middle of the joint ranges, a heading that is left open. `postures_along` follows a path of poses by
+continuation, each from the one before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from salver.errors import ScenarioError
+from salver.geometry import Array
+from salver.models.arm import ArmModel, tray_to_object
+from salver.models.arm_limits import POSITION, JointLimits
+
+REACHED = 1e-11  # m and rad: the pose error below which a posture counts as exact
+# How far a start posture that was given may miss the start of the motion before it is refused instead of being put
+# right: seven joints written to two decimals of a radian are off by as much.
+START_DISTANCE = 5e-3  # m
+START_ANGLE = np.deg2rad(0.5)  # rad
+SEEDS = 48
+INSIDE = 0.01  # rad; how far inside their limits clamped joints stay, so that a motion may begin and end there
+_LARGEST_STEP = 0.4  # rad
+_LARGEST_JUMP = 1.0  # rad between neighbours of a path; more is another branch
+_MIDDLE_STEPS = 30  # in which the null space is pulled
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTarget:
+    """A frame B that is fixed to the tray at (p_EB, R_EB) is to be at (p_SB, R_SB).
+
+    yaw_free: any turn about its own vertical will do.
+    """
+
+    p_SB: Array
+    R_SB: Array
+    p_EB: Array = field(default_factory=lambda: np.zeros(3))
+    R_EB: Array = field(default_factory=lambda: np.eye(3))
+    yaw_free: bool = False
+
+    @cached_property
+    def _to_frame(self) -> Array:
+        """(6, 6): twists of E to those of B."""
+        return tray_to_object(self.p_EB, self.R_EB)
+
+    def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
+        """Pose error (6 or 5,) at q, position in S and turn in B, and the Jacobian that a step dq should satisfy
+        J dq = error."""
+        model, data = arm.pin_model, arm.data
+        pin.computeJointJacobians(model, data, q)
+        placement = pin.updateFramePlacement(model, data, arm.tray_id)
+        jacobian = self._to_frame @ pin.getFrameJacobian(model, data, arm.tray_id, pin.LOCAL)
+        R_SE = placement.rotation
+        p_SB, R_SB = placement.translation + R_SE @ self.p_EB, R_SE @ self.R_EB
+        turn = pin.log3(R_SB.T @ self.R_SB)
+        if self.yaw_free:
+            up = R_SB.T @ self.R_SB[:, 2]
+            turn = np.array([-up[1], up[0], 0.0])
+        rows = 5 if self.yaw_free else 6
+        error = np.concatenate([self.p_SB - p_SB, turn])[:rows]
+        return error, np.vstack([R_SB @ jacobian[:3], jacobian[3:]])[:rows]
+
+
+def posture_at(
+    arm: ArmModel,
+    target: PoseTarget,
+    q: Array,
+    *,
+    limits: JointLimits | None = None,
+    centring: float = 0.0,
+    iterations: int = 60,
+) -> tuple[Array, float]:
+    """Joint positions (n,) near a guess q that meet the target, and the pose error that is left (m, rad).
+
+    limits: that no joint may leave; the others then do its share. centring: share of the way to the middle of the
+    joint ranges that the null space moves in each of the first steps.
+    """
+    q = np.array(q, dtype=float)
+    middle = arm.limits.range(POSITION)[0] if centring else q
+    low, high = (limits.q_min + INSIDE, limits.q_max - INSIDE) if limits is not None else (-np.inf, np.inf)
+    error, jacobian = target.residual(arm, q)
+    for iteration in range(iterations):
+        size = float(np.abs(error).max())
+        if size < REACHED:
+            return q, size
+        damping = 1e-2 * min(1e-2, size) * np.eye(len(error))
+        step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error)
+        stuck = ((q <= low) & (step < 0)) | ((q >= high) & (step > 0))
+        if stuck.any():
+            jacobian = jacobian * ~stuck
+            step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error)
+        if centring and iteration < _MIDDLE_STEPS:
+            pull = centring * (middle - q)
+            step += pull - jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, jacobian @ pull)
+        q = np.clip(q + step * min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-12)), low, high)
+        error, jacobian = target.residual(arm, q)
+    return q, float(np.abs(error).max())
+
+
+def postures_along(arm: ArmModel, p_SE: Array, R_SE: Array, q: Array) -> tuple[Array, int]:
+    """Postures (N, n) of a path of tray poses by continuation from q, and how many of the poses were reached."""
+    postures = np.tile(q, (len(p_SE), 1))
+    for k in range(1, len(p_SE)):
+        postures[k], size = posture_at(arm, PoseTarget(p_SE[k], R_SE[k]), postures[k - 1], iterations=12)
+        if size >= REACHED or np.abs(postures[k] - postures[k - 1]).max() > _LARGEST_JUMP:
+            return postures, k
+    return postures, len(p_SE)
+
+
+def candidate_postures(arm: ArmModel, target: PoseTarget, seed: int = 0, seeds: int = SEEDS) -> list[Array]:
+    """Different postures within the joint limits that meet a target; from seeded random guesses.
+
+    The first guess is the middle of the joint ranges. Same seed, same list.
+    """
+    rng = np.random.default_rng(seed)
+    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
+    middle = arm.limits.range(POSITION)[0]
+    guesses = [middle, *(low + (high - low) * rng.uniform(0.1, 0.9, arm.n) for _ in range(seeds - 1))]
+    found: list[Array] = []
+    for guess in guesses:
+        q, size = posture_at(arm, target, guess, centring=0.1)
+        # A joint that can turn more than once, as near to the middle of its range as possible.
+        turns = np.round((q - middle) / (2 * np.pi))
+        q = np.where(arm.limits.q_max - arm.limits.q_min > 2 * np.pi, q - 2 * np.pi * turns, q)
+        inside = np.all((q > arm.limits.q_min) & (q < arm.limits.q_max))
+        if size < REACHED and inside and all(np.abs(q - other).max() > 0.05 for other in found):
+            found.append(q)
+    return found
+
+
+def start_posture(
+    arm: ArmModel, given: Sequence[float] | npt.NDArray[np.float64], target: PoseTarget, what: str = "the tray"
+) -> Array:
+    """A start posture that the user gave, corrected to meet the target exactly; `what` it is that must meet it.
+
+    Raises ScenarioError: wrong length, beyond a joint limit, further off than `START_DISTANCE` and `START_ANGLE`, or
+    singular.
+    """
+    q = np.array(given, dtype=float)
+    if q.shape != (arm.n,):
+        raise ScenarioError(f"arm.start_posture has {q.size} values; {arm.name} has {arm.n} joints, in rad.")
+    for i, name in enumerate(arm.joint_names):
+        low, high = arm.limits.q_min[i], arm.limits.q_max[i]
+        if not low <= q[i] <= high:
+            raise ScenarioError(
+                f"arm.start_posture[{i}] = {q[i]:g} rad is beyond the limits of {name}; it must be within "
+                f"[{low:.4g}, {high:.4g}] rad."
+            )
+    error, _ = target.residual(arm, q)
+    distance, angle = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+    if distance > START_DISTANCE or angle > START_ANGLE:
+        x, y, z = target.p_SB
+        yaw = not target.yaw_free and abs(abs(error[5]) - angle) < 1e-3
+        hint = ", about the vertical (see objects.yaw_deg)" if yaw and angle > START_ANGLE else ""
+        raise ScenarioError(
+            f"arm.start_posture puts {what} {1e3 * distance:.3g} mm and {np.rad2deg(angle):.3g} deg{hint} from "
+            f"({x:.3f}, {y:.3f}, {z:.3f}) m, where the motion starts; at most {1e3 * START_DISTANCE:g} mm and "
+            f"{np.rad2deg(START_ANGLE):.2g} deg are put right: change one of them, or leave start_posture out to have "
+            "one chosen."
+        )
+    exact, size = posture_at(arm, target, q, iterations=20)
+    if size >= REACHED:
+        raise ScenarioError(
+            f"arm.start_posture is singular: its last {size:.2g} m cannot be corrected; change it, or leave it out to "
+            "have one chosen."
+        )
+    return exact

@@ -1,0 +1,134 @@
+"""Convex quadratic programmes: the one place that calls a library for them.
+
+    minimise 1/2 x'Hx + c'x   subject to   E x = e,   R x <= b,   low <= x <= high
+
+`solve` takes the method that is faster for the size: a dual active-set method (DAQP: Arnstrom, Bemporad, Axehill, IEEE
+TAC 67(8), 2022), whose work grows with the rows that bind, or an interior-point method (PIQP: Schwan, Jiang, Kuhn,
+Jones, CDC 2023) that makes use of the band that splines leave in the matrices. Where one fails the other is asked. Any
+other `Solver` can stand in for them: `SOLVERS` is what is asked, in turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+import piqp
+from scipy.sparse import csc_matrix
+
+from salver.geometry import Array
+
+FEW = 64  # unknowns up to which the active-set method is the faster one
+MOST_CHANGES = 2000  # of the active set; a programme of a few hundred rows takes some hundred
+MOST_ITERATIONS = 100  # of the interior-point method; it takes some twenty
+CLOSE = 1e-4  # what interior-point answers that ran out of iterations may still break rows by, relative to their size
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """hessian H (n, n), positive definite; cost c (n,); rows R (m, n), bound b (m,); equal E (k, n), target e (k,);
+    low, high (n,), infinite where there is none. Cost and rows should be of order one.
+    """
+
+    hessian: Array
+    cost: Array
+    rows: Array
+    bound: Array
+    equal: Array
+    target: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """x (n,), and the multipliers: of the rows (m,), of the equalities (k,), of the lower and upper bounds (n,).
+
+    All but those of the equalities are at least 0: H x + c + R' rows + E' equal - low + high = 0.
+    """
+
+    x: Array
+    rows: Array
+    equal: Array
+    low: Array
+    high: Array
+
+
+Solver = Callable[[Quadratic, float], Optimum | None]
+
+
+def solve(programme: Quadratic, tolerance: float) -> Optimum | None:
+    """The minimiser, with rows kept to the tolerance; None when none was found, as when the rows contradict."""
+    few = len(programme.cost) <= FEW
+    for solver in SOLVERS if few else reversed(SOLVERS):
+        found = solver(programme, tolerance)
+        if found is not None and np.all(np.isfinite(found.x)):
+            return found
+    return None
+
+
+def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
+    """By DAQP."""
+    p, n, k = programme, len(programme.cost), len(programme.target)
+    none = np.full(len(p.bound), -np.inf)
+    upper, lower = np.concatenate([p.high, p.target, p.bound]), np.concatenate([p.low, p.target, none])
+    kind = np.zeros(len(upper), dtype=np.int32)
+    kind[n : n + k] = 5  # an equality
+    matrix = np.ascontiguousarray(np.vstack([p.equal, p.rows]))
+    x, _, flag, info = daqp.solve(
+        np.ascontiguousarray(p.hessian),
+        p.cost,
+        matrix,
+        upper,
+        lower,
+        kind,
+        primal_tol=tolerance,
+        iter_limit=MOST_CHANGES,
+    )
+    if flag <= 0:
+        return None
+    price = np.asarray(info["lam"], dtype=float)
+    bounds = price[:n]
+    return Optimum(
+        np.array(x, dtype=float),
+        np.maximum(price[n + k :], 0.0),
+        price[n : n + k],
+        np.maximum(-bounds, 0.0),
+        np.maximum(bounds, 0.0),
+    )
+
+
+def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
+    """By PIQP."""
+    p, n = programme, len(programme.cost)
+    if n > FEW:
+        solver, form = piqp.SparseSolver(), csc_matrix
+        solver.settings.kkt_solver = piqp.sparse_multistage
+    else:
+        solver, form = piqp.DenseSolver(), np.asfortranarray
+    settings = solver.settings
+    settings.eps_abs = settings.eps_rel = tolerance
+    settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = tolerance
+    settings.max_iter = MOST_ITERATIONS
+    # The rows are scaled already; equilibration and the default step length only cost iterations.
+    settings.preconditioner_iter = 0
+    settings.tau = 0.95
+    rows = (form(p.rows), np.full(len(p.bound), -1e30), p.bound) if len(p.bound) else (None, None, None)
+    equal = (form(p.equal), p.target) if len(p.target) else (None, None)
+    solver.setup(form(p.hessian), p.cost, *equal, *rows, p.low, p.high)
+    status, result = solver.solve(), solver.result
+    late = status == piqp.PIQP_MAX_ITER_REACHED and result.info.primal_res < max(CLOSE, tolerance)
+    if status != piqp.PIQP_SOLVED and not late:
+        return None
+    return Optimum(
+        np.array(result.x),
+        np.maximum(result.z_u, 0.0) if len(p.bound) else np.zeros(0),
+        np.array(result.y) if len(p.target) else np.zeros(0),
+        np.maximum(result.z_bl, 0.0),
+        np.maximum(result.z_bu, 0.0),
+    )
+
+
+SOLVERS: tuple[Solver, ...] = (active_set, interior_point)
