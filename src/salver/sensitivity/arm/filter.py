@@ -1,4 +1,4 @@
-"""The error filter e'' + kd e' + kp e = D(t) on nodes of any spacing, as a matrix that acts on D at the nodes.
+"""The error filter e'' + kd e' + kp e = D(t) on nodes of any spacing, linear in D at the nodes.
 
 Between nodes D is the cubic through the four nearest; on it, each step is integrated exactly. The arm usually holds
 its load for a while before it moves, so it starts from where it has sagged to: `settle` says for how long.
@@ -20,28 +20,35 @@ _POINTS, _WEIGHTS = 0.5 + 0.5 * _POINTS, 0.5 * _WEIGHTS
 
 @dataclass(frozen=True)
 class NodeFilter:
-    """e = error @ D and e' = rate @ D, both (T, T), for D at nodes t (T,), from rest; e'' = D - kd e' - kp e.
+    """e and e' at nodes t (T,) for D at the nodes, from rest; e'' = D - kd e' - kp e.
 
-    sag: (T, 2) what e and e' keep of a unit forcing that was there before t[0].
+    Over interval k: x[k + 1] = step[k] x[k] + gain[k] D[columns[k]], with x = (e, e'). step: (T-1, 2, 2), gain:
+    (T-1, 2, 4), columns: (T-1, 4). sag: (T, 2) what e and e' keep of a unit forcing that was there before t[0].
     """
 
-    error: Array
-    rate: Array
+    step: Array
+    gain: Array
+    columns: npt.NDArray[np.intp]
     sag: Array
     kp: float
     kd: float
+
+    def _run(self, flat: Array) -> Array:
+        """(T, 2, m) e and e' for D (T, m)."""
+        push = np.einsum("tic,tcm->tim", self.gain, flat[self.columns])
+        x = np.zeros((len(flat), 2, flat.shape[1]))
+        for k in range(len(flat) - 1):
+            x[k + 1] = self.step[k] @ x[k] + push[k]
+        return x
 
     def respond(self, forcing: Array, settled: Array | float = 1.0) -> tuple[Array, Array, Array]:
         """(e, e', e''), each of the shape of the forcing (T, ...) at the nodes.
 
         settled: 1 where the forcing of t[0] was there before it, 0 where it was not; broadcast over the last axis.
         """
-        flat = forcing.reshape(len(forcing), -1)
+        x = self._run(forcing.reshape(len(forcing), -1))
         before = np.broadcast_to(forcing[0] * settled, forcing.shape[1:])
-        e, rate = (
-            (matrix @ flat).reshape(forcing.shape) + np.multiply.outer(self.sag[:, k], before)
-            for k, matrix in enumerate((self.error, self.rate))
-        )
+        e, rate = (x[:, k].reshape(forcing.shape) + np.multiply.outer(self.sag[:, k], before) for k in range(2))
         return e, rate, forcing - self.kd * rate - self.kp * e
 
 
@@ -61,17 +68,9 @@ def node_filter(t: Array, kp: float, kd: float, settle: float = 0.0) -> NodeFilt
                 own, other = t[columns[:, i], None], t[columns[:, j], None]
                 basis[:, :, i] *= (inside - other) / (own - other)
     remaining = transition(kp, kd, h[:, None] * (1 - _POINTS))[:, :, :, 1]
-    weights = h[:, None] * _WEIGHTS
-    gain = np.zeros((count - 1, 2, count))
-    local = np.einsum("tg,tgi,tgc->tic", weights, remaining, basis)
-    for c in range(_NEIGHBOURS):
-        gain[np.arange(count - 1), :, columns[:, c]] += local[:, :, c]
-    step = transition(kp, kd, h)
-    x = np.zeros((count, 2, count))
-    for k in range(count - 1):
-        x[k + 1] = step[k] @ x[k] + gain[k]
+    gain = np.einsum("tg,tgi,tgc->tic", h[:, None] * _WEIGHTS, remaining, basis)
     sag = transition(kp, kd, t - t[0]) @ sagged(kp, kd, settle)
-    return NodeFilter(x[:, 0], x[:, 1], sag, kp, kd)
+    return NodeFilter(transition(kp, kd, h), gain, columns, sag, kp, kd)
 
 
 def sagged(kp: float, kd: float, settle: float) -> Array:
