@@ -217,16 +217,16 @@ def test_a_log_of_the_arm_is_shown_like_a_simulation(plan_only: Path, tmp_path: 
     import shutil
 
     from salver.driver.execute import dry_run
-    from salver.files import load_npz, save_npz
+    from salver.files import read_result
+    from salver.run_directory import save_record
 
     shutil.copytree(plan_only, tmp_path / "run")
     dry_run(tmp_path / "run", realtime=False)
-    log = tmp_path / "run" / "execution" / "plan.npz"
-    arrays = load_npz(log)
+    arrays, summary = read_result(tmp_path / "run" / "execution" / "plan")
     gap = (arrays["t"] > 1.0) & (arrays["t"] < 1.5)
     for name in ("p_SB", "quat_SB_wxyz", "e_p", "e_o"):
         arrays[name][gap] = np.nan
-    save_npz(log, **arrays)
+    save_record(tmp_path / "run", "execution", "plan", arrays, summary)
     page = write_report(tmp_path / "run")
     data = _data(page)
     text = page.read_text()
