@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from shutil import copyfile
 from xml.etree import ElementTree
@@ -17,8 +18,17 @@ from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.arm_limits import LIMITS
 from salver.models.known_arms import KNOWN_ARMS, robot_file
 from salver.models.link_shapes import link_shapes
+from salver.models.obstacle_shapes import obstacle_shapes
+from salver.models.surfaces import surface
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import verdict
+from salver.planning.make import make_plan
+from salver.report import charts, tables, words
+from salver.report.meshes import link_meshes, obstacle_meshes
+from salver.report.replay import replay_scene
+from salver.report.run import read_run
+from salver.simulation.loads import true_world
+from salver.simulation.scene import build
 from salver.trajectory import JointMotion
 
 UR5 = robot_file(KNOWN_ARMS["ur5"])
@@ -139,8 +149,8 @@ def test_a_link_of_unknown_shape_is_refused_or_told(tmp_path: Path, link: str, h
     with pytest.raises(ScenarioError) as refused:
         arm_geometry(make(path))
     message = str(refused.value)
-    for words in (link, "arm.package_dirs", 'arm.collisions = "capsules"', '"unchecked"', "AMENT_PREFIX_PATH"):
-        assert words in message, message
+    for word in (link, "arm.package_dirs", 'arm.collisions = "capsules"', '"unchecked"', "AMENT_PREFIX_PATH"):
+        assert word in message, message
     assert "\n" not in message
 
     left_out = make(path, collisions="unchecked")
@@ -309,3 +319,150 @@ def test_travel_bounds_what_joints_do_and_is_near_it() -> None:
     assert (bound >= true - 1e-3).all()
     monotone = turn(np.zeros(6), 2, 1.5)
     assert monotone.travel(np.array([1.0]))[0] == pytest.approx([0, 0, 1.5, 0, 0, 0], abs=1e-12)
+
+
+# ---- said first, wherever a plan speaks -----------------------------------------------------------------------
+
+
+def test_a_plan_says_first_what_was_not_checked(tmp_path: Path) -> None:
+    """In plan.json, in words and on the page; without the arm it says that arm and obstacles were not looked at."""
+    cube = scenario.load("panda-cube").with_changes(obstacles=[OVERHEAD])
+    with_arm = make_plan(cube)
+    with_arm.save(tmp_path)
+    told = "links that share a joint against one another"
+    assert json.loads((tmp_path / "plan.json").read_text())["unchecked"] == [told]
+    run = read_run(tmp_path)
+    assert words.verdict(run).detail.startswith(f"Not checked: {told}. Needs")
+    assert words.asked(run).count("clear of the lamp") == 1
+    assert ("lamp", "obstacle, sphere, radius 0.05 m, at (0.5, 0, 1.2) m") in tables.scenario_rows(run)
+    scene = replay_scene(run, load_arm(cube.arm, cube.tray))  # type: ignore[arg-type]
+    assert [mesh["name"] for mesh in scene["obstacles"]] == ["lamp"]
+    alone = make_plan(cube, arm=False)
+    assert alone.unchecked == (
+        "whether the arm can follow (planned without it)",
+        "whether anything hits an obstacle (planned without an arm)",
+    )
+    assert make_plan(cube.with_changes(arm=None)).unchecked == (
+        "whether anything hits an obstacle (planned without an arm)",
+    )
+    assert make_plan(cube.with_changes(arm=None, obstacles=None)).unchecked == ()
+
+
+OVERHEAD = {"type": "sphere", "name": "lamp", "radius": 0.05, "position": (0.5, 0.0, 1.2)}
+
+
+def test_the_curve_of_clearance_is_of_the_plan(tmp_path: Path) -> None:
+    cube = scenario.load("panda-cube").with_changes(obstacles=[OVERHEAD])
+    plan = make_plan(cube)
+    plan.save(tmp_path)
+    run = read_run(tmp_path)
+    arm = load_arm(cube.arm, cube.tray)  # type: ignore[arg-type]
+    whole, lamp = charts.clearance_charts(run, arm)
+    assert lamp["title"] == "Clearance from lamp"
+    assert plan.arm_status is not None
+    for chart, key in ((whole, "clearance"), (lamp, "obstacle_clearance")):
+        least = plan.arm_status.details[key]["distance"]
+        assert min(chart["series"][0]["y"]) == pytest.approx(1e3 * least, abs=2.0)
+        assert min(chart["series"][0]["y"]) > 0
+    assert plan.arm_status.details["obstacle_clearance"]["second"] == "lamp"
+
+
+def test_links_without_visual_meshes_are_drawn_as_they_are_checked(tmp_path: Path) -> None:
+    """The arm whose meshes are nowhere stands on the page as its capsules, where the true links are."""
+    alone = tmp_path / "my_arm.urdf"
+    alone.write_text(UR5.read_text().replace("package://example-robot-data", "package://gone"))
+    drawn = {m.name: m for m in link_meshes(make(alone, collisions="capsules"))}
+    assert set(drawn) >= {"upper_arm_link", "forearm_link", "wrist_3_link"}
+    true = [m for m in link_meshes(make("ur5")) if m.name == "forearm_link"]
+    middle = np.mean([m.vertices.mean(axis=0) for m in true], axis=0)
+    assert np.linalg.norm(drawn["forearm_link"].vertices.mean(axis=0) - middle) < 0.12
+    moved = make("ur5", base_position=(1.0, 2.0, 0.3))
+    base = next(m for m in link_meshes(moved) if m.name == "base_link")
+    assert base.joint == 0
+    assert base.vertices.mean(axis=0) == pytest.approx([1.0, 2.0, 0.34], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("shape", "lengths", "volume"),
+    [
+        ({"type": "box", "size": (0.2, 0.3, 0.4)}, (0.2, 0.3, 0.4), 0.024),
+        ({"type": "sphere", "radius": 0.1}, (0.2, 0.2, 0.2), 4 / 3 * np.pi * 1e-3),
+        ({"type": "capsule", "radius": 0.1, "length": 0.5}, (0.2, 0.2, 0.7), np.pi * 1e-2 * 0.5 + 4 / 3 * np.pi * 1e-3),
+        ({"type": "cylinder", "radius": 0.1, "length": 0.5}, (0.2, 0.2, 0.5), np.pi * 1e-2 * 0.5),
+    ],
+)
+def test_obstacles_are_drawn_as_large_as_they_are(shape: dict, lengths: tuple, volume: float) -> None:
+    """Turned by 90 degrees about x: what was along z is along -y. Round ones lose a little to their facets."""
+    obstacle = scenario.Obstacle(name="it", position=(1, 2, 3), rpy_deg=(90, 0, 0), **shape)
+    (mesh,) = obstacle_meshes([obstacle], (1, 1, 1))
+    assert mesh.vertices.max(axis=0) + mesh.vertices.min(axis=0) == pytest.approx([2, 4, 6], abs=1e-9)
+    x, y, z = lengths
+    assert np.ptp(mesh.vertices, axis=0) == pytest.approx([x, z, y], rel=0.02)
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] - [1, 2, 3] for k in range(3))
+    inside = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
+    assert 0.96 * volume < inside < 1.001 * volume  # positive: triangles are counter-clockwise from outside
+
+
+def test_a_mesh_counts_as_the_hulls_of_its_pieces(tmp_path: Path) -> None:
+    """Two boards 0.3 m apart: between them it is free, in each it is not, in the engine and for the planner."""
+    import trimesh
+
+    board = trimesh.creation.box((0.4, 0.4, 0.02))
+    upper = board.copy()
+    upper.apply_translation((0, 0, 0.3))
+    trimesh.util.concatenate([board, upper]).export(tmp_path / "shelf.stl")
+    shelf = scenario.Obstacle(
+        type="mesh", name="shelf", file=str(tmp_path / "shelf.stl"), scale=2.0, position=(1.0, 0, 0.5)
+    )
+    pieces = obstacle_shapes(shelf)
+    assert len(pieces) == 2
+    lows, highs = zip(*((s.min(axis=0), s.max(axis=0)) for s in (surface(*p)[0] for p in pieces)), strict=True)
+    assert np.sort(np.array(lows)[:, 2]) == pytest.approx([0.48, 1.08])
+    assert np.sort(np.array(highs)[:, 2]) == pytest.approx([0.52, 1.12])
+    cube = scenario.load("panda-cube")
+    model = build(
+        cube.with_changes(obstacles=[shelf.model_dump(exclude_none=True)]),
+        true_world(cube, {}),
+        load_arm(cube.arm, cube.tray),
+    ).model
+    geoms = [model.geom(i) for i in range(model.ngeom) if model.geom(i).name.startswith("salver:obstacle:0")]
+    assert len(geoms) == 2
+    assert np.sort([g.pos[2] for g in geoms]) == pytest.approx([0.5, 1.1], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("content", "words_"),
+    [
+        (None, "cannot be read as a mesh"),
+        (b"hello", "cannot be read as a mesh"),
+        (b"solid x\nendsolid x\n", "cannot be read as a mesh"),
+        (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "has 3 corners"),
+        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n", "must be finite"),
+    ],
+)
+def test_bad_meshes_of_obstacles(tmp_path: Path, content: bytes | None, words_: str) -> None:
+    path = tmp_path / ("it.obj" if content and content.startswith(b"v") else "it.stl")
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ScenarioError) as refused:
+        obstacle_shapes(scenario.Obstacle(type="mesh", name="it", file=str(path), position=(0, 0, 0)))
+    message = str(refused.value)
+    assert message.startswith("The obstacle it: its file ")
+    assert words_ in message or "corners" in message, message
+    assert "\n" not in message
+
+
+def test_a_box_with_a_normal_for_each_face_is_one_piece(tmp_path: Path) -> None:
+    """As modellers write it: every corner three times, once for each face, with its normal."""
+    import trimesh
+
+    box = trimesh.creation.box((0.2, 0.2, 0.2))
+    lines = [f"v {x} {y} {z}" for x, y, z in box.vertices] + [f"vn {x} {y} {z}" for x, y, z in box.face_normals]
+    lines += [f"f {a + 1}//{k + 1} {b + 1}//{k + 1} {c + 1}//{k + 1}" for k, (a, b, c) in enumerate(box.faces)]
+    (tmp_path / "box.obj").write_text("\n".join(lines))
+    open_box = "\n".join(lines[:-2])  # one side open: still one piece, and its hull is closed
+    (tmp_path / "open.obj").write_text(open_box)
+    for name in ("box.obj", "open.obj"):
+        pieces = obstacle_shapes(scenario.Obstacle(type="mesh", file=str(tmp_path / name), position=(0, 0, 0)))
+        assert len(pieces) == 1, name
+        assert np.ptp(surface(*pieces[0])[0], axis=0) == pytest.approx([0.2, 0.2, 0.2])

@@ -98,11 +98,15 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
             f"{1e3 * min(m.tip_over_worst.min() for m in p.margins.interfaces):.1f} mm"
         ),
         "contact condition kept everywhere": lambda p: "yes" if p.verification.violation == 0 else "NO",
-        "arm can follow": lambda p: "-" if p.arm_status is None else "yes" if p.arm_status.ok else "NO",
+        "arm can follow, as far as checked": lambda p: (
+            "-" if p.arm_status is None else "yes" if p.arm_status.ok else "NO"
+        ),
     }
     for label, value in lines.items():
         table.add_row(label, value(plan), value(other))
     console.print(table)
+    if plan.arm_status is None and plan.unchecked:
+        console.print(f"Not checked: {'; '.join(plan.unchecked)}.")
     for name, item in zip(names, (plan, other), strict=True):
         console.print(headed(name, item.status))
         if item.arm_status is not None:

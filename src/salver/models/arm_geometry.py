@@ -21,6 +21,7 @@ from salver.models.arm import ArmModel
 from salver.models.bodies import Body
 from salver.models.link_shapes import link_shapes
 from salver.models.obstacle_shapes import obstacle_shapes
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver import scenario
@@ -277,12 +278,6 @@ def _unchecked(
     if "neighbours" in left_out:
         told.append("links that share a joint against one another")
     return tuple(told)
-
-
-def listed(names: Iterable[str]) -> str:
-    """Names in a row: "a, b and c"."""
-    found = list(names)
-    return found[0] if len(found) == 1 else ", ".join(found[:-1]) + " and " + found[-1]
 
 
 def _with_pairs(parts: ArmGeometry, pairs: tuple[Pair, ...]) -> ArmGeometry:

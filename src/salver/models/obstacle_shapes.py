@@ -45,20 +45,27 @@ def mesh_pieces(obstacle: Obstacle) -> list[Array]:
 @lru_cache(maxsize=64)
 def _pieces(file: str) -> tuple[Array, ...]:
     import trimesh
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
 
     try:
         mesh = trimesh.load(file, force="mesh")
     except Exception:  # each reader raises whatever it meets
         raise ValueError("cannot be read as a mesh; give a .stl, .obj, .ply or .off file") from None
+    if hasattr(mesh, "merge_vertices"):
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
     points = np.asarray(getattr(mesh, "vertices", np.empty((0, 3))), dtype=float)
     if len(points) < 4 or not np.isfinite(points).all():
         raise ValueError(f"has {len(points)} corners, all of which must be finite and at least 4")
-    pieces = [np.asarray(piece.vertices, dtype=float) for piece in mesh.split(only_watertight=False)]
+    edges = np.asarray(mesh.edges)
+    graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(points), len(points)))
+    labels = connected_components(graph, directed=False)[1]
+    pieces = [points[labels == label] for label in np.unique(labels[edges])]
     if len(pieces) > MOST_PIECES:
         raise ValueError(
             f"has {len(pieces)} separate pieces; at most {MOST_PIECES} are taken: give it in several files"
         )
-    return tuple(trimesh.convex.hull_points(piece) if len(piece) > 3 else piece for piece in pieces or [points])
+    return tuple(pieces)
 
 
 def _convex(points: Array) -> Any:

@@ -138,6 +138,16 @@ class Plan(Shown):
         return self.status.ok and self.verification.ok and (self.arm_status is None or self.arm_status.ok)
 
     @property
+    def unchecked(self) -> tuple[str, ...]:
+        """What the verdict does not cover, in words; to be said before anything that is said to be safe."""
+        if self.arm_status is not None:
+            return tuple(self.arm_status.details.get("unchecked", ()))
+        out = [] if self.scenario.arm is None else ["whether the arm can follow (planned without it)"]
+        if self.scenario.obstacles:
+            out.append("whether anything hits an obstacle (planned without an arm)")
+        return tuple(out)
+
+    @property
     def no_arm_motion(self) -> str:
         """Why `joint` is None, in one sentence."""
         if self.arm_status is not None:
@@ -203,6 +213,7 @@ class Plan(Shown):
         out: dict[str, Any] = {
             "method": self.method,
             "ok": self.ok,
+            "unchecked": list(self.unchecked),
             "status": _status_record(self.status),
             "duration": self.duration,
             "condition": self.scenario.contact.condition,

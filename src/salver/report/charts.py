@@ -6,19 +6,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.parameters import Parameter
 from salver.report.parameters import pretty
 from salver.report.style import CYCLE, ROLE_COLOURS, VERMILION
 from salver.sensitivity import tubes
+from salver.wording import listed
 
 if TYPE_CHECKING:
+    from salver.models.arm import ArmModel
     from salver.models.arm_limits import JointLimits
     from salver.report.run import Motion, Record, Run
 
 Spec = dict[str, Any]
 TIP_WORTH_SHOWING = 1e-3  # rad; less is the softness of the contact
 WORTH_A_CURVE = 0.02  # of the largest effect of a parameter
+CLEARANCE_SAMPLES = 121
 POINTS = 240  # per curve: more than the pixels of a chart
 DASH = {"plan": "", "baseline": "6 3", "nominal": "6 3"}
 
@@ -221,7 +225,7 @@ def reference_charts(run: Run) -> list[Spec]:
 
 
 def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
-    """Joint velocity and torque as a share of what the maker allows, one curve a joint."""
+    """Joint velocity and torque as a share of their limits, one curve a joint."""
     charts = []
     for m in run.motions:
         curves = {what: m.arrays[key] for what, key in (("velocity", "dq"), ("torque", "tau")) if key in m.arrays}
@@ -237,6 +241,31 @@ def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
                 for s in (1, -1)
             ]
             charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", joints, lines=lines))
+    return charts
+
+
+def clearance_charts(run: Run, arm: ArmModel) -> list[Spec]:
+    """How near arm, tray and load come to one another and to what stands around, over time."""
+    from salver.models.arm_geometry import arm_geometry
+
+    try:
+        parts = arm_geometry(arm, run.bodies, run.scenario.obstacles)
+    except ScenarioError:  # a mesh that was there when it was planned
+        return []
+    if not parts.pairs:
+        return []
+    around = [k for k, (_, j) in enumerate(parts.pairs) if j >= len(parts.names) - parts.obstacles]
+    whole, near = [], []
+    for m in run.motions:
+        keep = np.unique(np.linspace(0, len(m.t) - 1, CLEARANCE_SAMPLES).astype(int))
+        distance = 1e3 * parts.clearance(m.arrays["q"][keep])
+        whole.append(series(m, m.label, m.t[keep], distance.min(axis=1)))
+        if around:
+            near.append(series(m, m.label, m.t[keep], distance[:, around].min(axis=1)))
+    charts = [time_chart("Clearance of arm, tray and load", "least distance, mm", whole, unit="mm", zero=True)]
+    if near:
+        names = listed(dict.fromkeys(obstacle.name for obstacle in run.scenario.obstacles))
+        charts.append(time_chart(f"Clearance from {names}", "least distance, mm", near, unit="mm", zero=True))
     return charts
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,15 +15,18 @@ from salver.report import perturbed
 from salver.report.run import Motion, Run, read_run
 from salver.report.style import BLACK, COLUMN, CYCLE, GREY, PAGE, ROLE_COLOURS, ROLE_DASHES, paper_style
 from salver.report.tables import numbers_table, table_one, write_table
+from salver.simulation.drawing import draw_obstacles, within
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from salver.scenario import Obstacle
     from salver.simulation.record import SimulationRecord
 
 FORMATS = ("pdf", "svg", "png")
 AXES = ("x", "y", "z")
+NEARBY = 0.15  # m around the paths, in which obstacles are drawn
 
 
 def write_figures(
@@ -46,7 +49,10 @@ def write_figures(
     rollouts = {m.stem: perturbed.perturbed_rollouts(run, m.stem, n, seed) for m in run.motions}
     made: list[Path] = []
     with paper_style():
-        figures = {"fig3-trajectories": trajectories(run.motions), "fig4-coefficients": coefficients(run.motions)}
+        figures = {
+            "fig3-trajectories": trajectories(run.motions, run.scenario.obstacles),
+            "fig4-coefficients": coefficients(run.motions),
+        }
         for number, m in zip((5, 6), run.motions, strict=False):
             figures[f"fig{number}-perturbed-{m.stem}"] = perturbed_figure(m, rollouts[m.stem])
         if run.scenario.arm is None:
@@ -83,8 +89,8 @@ def _style(m: Motion) -> dict[str, Any]:
     return {"color": ROLE_COLOURS[m.stem], "linestyle": ROLE_DASHES[m.stem]}
 
 
-def trajectories(motions: Iterable[Motion]) -> Figure:
-    """Fig. 3: position over time, and in space."""
+def trajectories(motions: Iterable[Motion], obstacles: Sequence[Obstacle] = ()) -> Figure:
+    """Fig. 3: position over time, and in space, where obstacles stand."""
     from matplotlib.figure import Figure
 
     motions = list(motions)
@@ -103,13 +109,15 @@ def trajectories(motions: Iterable[Motion]) -> Figure:
     axes[-1].set_xlabel("time [s]")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.07, 1.02), ncols=2)
     space = figure.add_axes((0.515, 0.02, 0.47, 0.98), projection="3d")
-    _in_space(space, motions)
+    _in_space(space, motions, obstacles)
     return figure
 
 
-def _in_space(ax: Any, motions: list[Motion]) -> None:
+def _in_space(ax: Any, motions: list[Motion], obstacles: Sequence[Obstacle]) -> None:
     """Paths of the object to one scale in all three directions, with start, goal and, dotted, the paths from above."""
     points = np.vstack([m.arrays["p_SB"] for m in motions])
+    around = within(obstacles, points.min(axis=0) - NEARBY, points.max(axis=0) + NEARBY)
+    points = np.vstack([points, *(vertices for vertices, _ in around)])
     middle, half = 0.5 * (points.max(axis=0) + points.min(axis=0)), 0.55 * np.ptp(points, axis=0).max()
     spans = np.maximum(np.ptp(points, axis=0) * 0.6, 0.35 * half)
     floor = middle[2] - spans[2]
@@ -127,6 +135,7 @@ def _in_space(ax: Any, motions: list[Motion]) -> None:
         getattr(ax, f"set_{name}label")(f"${name}$ [m]", labelpad={"x": -4, "y": 3, "z": 1}[name])
         getattr(ax, f"{name}axis").set_major_locator(_few_ticks())
         getattr(ax, f"{name}axis").pane.set_facecolor("white")
+    draw_obstacles(ax, obstacles)
     ax.set_box_aspect(spans, zoom=1.15)
     ax.tick_params(pad=-1)
     ax.view_init(elev=20, azim=-35)

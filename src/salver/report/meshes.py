@@ -1,20 +1,24 @@
-"""Arm link meshes small enough to embed: loaded from the URDF, decimated, quantised to 16 bits."""
+"""Meshes of links and obstacles small enough to embed: decimated, quantised to 16 bits."""
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from salver.geometry import Array
+from salver.models.obstacle_shapes import obstacle_shapes
+from salver.models.surfaces import Surface, surface
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
+    from salver.scenario import Obstacle
 
 # Below this many triangles a link of the Panda visibly loses its shape; above it only the file grows.
-TRIANGLES_PER_LINK = 1800
+TRIANGLES_PER_LINK = 2200
 CAREFUL = 3  # of the simplifier's 0 to 10: 7, its default, leaves spikes of a millimetre on these links
 
 
@@ -34,36 +38,47 @@ class LinkMesh:
 
 
 def link_meshes(arm: ArmModel, target: int = TRIANGLES_PER_LINK) -> list[LinkMesh]:
-    """Visual meshes of the links from base to flange, about `target` triangles each.
+    """What the links from base to flange look like, about `target` triangles each."""
+    from scipy.spatial import cKDTree
 
-    A URDF whose mesh files are not at hand gives an empty list: the replay then shows tray and objects alone.
-    """
-    import pinocchio as pin
+    from salver.simulation.meshes import arm_meshes
 
-    try:
-        geometry = pin.buildGeomFromUrdfString(arm.pin_model, arm.urdf, pin.GeometryType.VISUAL)
-    except (ValueError, RuntimeError):
-        return []
-    base = pin.SE3(pin.utils.rotate("z", arm.base_yaw), arm.base_position)
     meshes = []
-    for item in geometry.geometryObjects:
-        if not hasattr(item.geometry, "num_tris"):
-            continue
-        vertices, triangles = decimate(*_triangles_of(item), target)
-        placement = item.placement if item.parentJoint else base * item.placement
-        vertices = vertices @ placement.rotation.T + placement.translation
-        colour = tuple(float(c) for c in item.meshColor[:3])
-        meshes.append(LinkMesh(item.name, int(item.parentJoint), vertices, triangles, colour))  # type: ignore[arg-type]
+    for link, parts in arm_meshes(arm).items():
+        frame = arm.pin_model.frames[arm.pin_model.getFrameId(link)]
+        fine = merge_vertices(*joined((part.vertices, part.faces) for part in parts))
+        vertices, triangles = decimate(*fine, target)  # all colours together, so that no seam opens
+        colours = [part.colour for part in parts]
+        which = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
+        middles = np.vstack([part.vertices[part.faces].mean(axis=1) for part in parts])
+        nearest = which[cKDTree(middles).query(vertices[triangles].mean(axis=1))[1]]
+        placed = vertices @ frame.placement.rotation.T + frame.placement.translation
+        for colour in dict.fromkeys(colours):
+            own = triangles[np.isin(nearest, [k for k, other in enumerate(colours) if other == colour])]
+            used, renumbered = np.unique(own, return_inverse=True)
+            if len(own):
+                meshes.append(LinkMesh(link, int(frame.parentJoint), placed[used], renumbered.reshape(-1, 3), colour))
     return meshes
 
 
-def _triangles_of(item: Any) -> tuple[Array, np.ndarray]:
-    """Vertices (n, 3) and triangles (k, 3) of a loaded mesh, equal vertices merged."""
-    shape = item.geometry
-    vertices = np.array(shape.vertices()) * np.asarray(item.meshScale)
-    indices = (shape.tri_indices(i) for i in range(shape.num_tris))
-    triangles = np.array([(t[0], t[1], t[2]) for t in indices])
-    return merge_vertices(vertices, triangles)
+def obstacle_meshes(obstacles: Iterable[Obstacle], colour: tuple[float, float, float]) -> list[LinkMesh]:
+    """Obstacles as they are compared with the arm, in the world."""
+    meshes = []
+    for obstacle in obstacles:
+        pieces = [surface(shape, placement) for shape, placement in obstacle_shapes(obstacle)]
+        vertices, triangles = decimate(*joined(pieces), TRIANGLES_PER_LINK)
+        meshes.append(LinkMesh(obstacle.name, 0, vertices, triangles, colour))
+    return meshes
+
+
+def joined(surfaces: Iterable[Surface]) -> Surface:
+    """Several surfaces as one."""
+    vertices, triangles, count = [], [], 0
+    for points, faces in surfaces:
+        vertices.append(points)
+        triangles.append(np.asarray(faces) + count)
+        count += len(points)
+    return np.vstack(vertices), np.vstack(triangles)
 
 
 def merge_vertices(vertices: Array, triangles: np.ndarray) -> tuple[Array, np.ndarray]:

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from salver.geometry import GRAVITY_S, Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.models.bodies import Body
 from salver.models.parameters import Parameter
-from salver.report.meshes import decimate, link_meshes, pack
+from salver.report.meshes import LinkMesh, decimate, link_meshes, obstacle_meshes, pack
 from salver.report.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
+from salver.simulation.drawing import OBSTACLE_COLOUR
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 FRAME_RATE = 60.0  # Hz; the viewer interpolates between frames
 CONE_HEIGHT = 0.03  # m, of a drawn friction cone
+NEARBY = 0.3  # m around the motion, in which obstacles are kept in the picture
 OBLIQUE = 0.45  # rad, of the camera off the direction across the motion
 TRIANGLES_PER_OBJECT = 3000  # of a carried mesh, at most
 REST_FORCE_LENGTH = 0.024  # m, of the arrow of a contact force at rest
@@ -32,6 +34,7 @@ def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
     variants = [_variant(motion, run, arm) for motion in run.motions]
     return {
         "meshes": [pack(mesh) for mesh in link_meshes(arm)] if arm else [],
+        "obstacles": [pack(mesh) for mesh in _obstacles(run)],
         "joints": arm.n + 1 if arm else 1,
         "tray": {
             "size": list(run.scenario.tray.size),
@@ -56,6 +59,11 @@ def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
         "start": min(float(v["t"][0]) for v in variants),
         "duration": max(float(v["t"][-1]) for v in variants),
     }
+
+
+def _obstacles(run: Run) -> list[LinkMesh]:
+    red, green, blue = rgb(OBSTACLE_COLOUR)
+    return obstacle_meshes(run.scenario.obstacles, (red, green, blue))
 
 
 def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
@@ -189,6 +197,11 @@ def _bounds(run: Run, arm: ArmModel | None) -> list[list[float]]:
             [_joint_poses(m.arrays["q"][:: max(1, len(m.t) // 8)], arm)[..., :3].reshape(-1, 3) for m in run.motions]
         )
         low, high = np.minimum(low, joints.min(axis=0)), np.maximum(high, joints.max(axis=0))
+    around = [mesh.vertices for mesh in _obstacles(run)]
+    if around:  # as much of them as is near
+        corners = np.vstack(around)
+        low = np.minimum(low, np.maximum(corners.min(axis=0), low - NEARBY))
+        high = np.maximum(high, np.minimum(corners.max(axis=0), high + NEARBY))
     return [low.tolist(), high.tolist()]
 
 

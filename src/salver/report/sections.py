@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
+from salver.models.arm_limits import LIMITS
 from salver.report import charts, perturbed_runs
 from salver.report.cells import NOTHING, joined, motion_cell, number, outcome_cell, table
 from salver.report.tables import arm_usage, scenario_rows, solver_rows
 from salver.report.words import length, true_parameters
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -103,8 +105,8 @@ def build(run: Run, arm: ArmModel | None) -> Sections:
         page.add(
             "arm",
             "Joint motion against limits",
-            f"Peak use of what the maker of the {arm.name} allows.",
-            charts.joint_charts(run, arm.limits),
+            _limits_in_words(arm),
+            charts.joint_charts(run, arm.limits) + charts.clearance_charts(run, arm),
             _usage_table(run, arm),
         )
     page.add("provenance", "What was asked, and what made this", "", extra=_provenance(run))
@@ -264,10 +266,23 @@ def _usage_table(run: Run, arm: ArmModel) -> Markup:
 
 
 def _bar(share: float, stem: str) -> Markup:
+    if not np.isfinite(share):
+        return Markup('<div class="bar {}"><span>–</span></div>').format(stem)
     near = " near" if share > 0.95 else ""
     return Markup('<div class="bar {}{}"><i><b style="width:{:.1f}%"></b></i><span>{:.0f}</span></div>').format(
         stem, near, 100 * min(share, 1.0), 100 * share
     )
+
+
+def _limits_in_words(arm: ArmModel) -> str:
+    """Whose limits these are, and which nobody gave."""
+    given: dict[str, list[str]] = {}
+    for kind in LIMITS:
+        for source in dict.fromkeys(arm.limit_sources[kind.key]):
+            given.setdefault(source or "", []).append(kind.name)
+    nobody = given.pop("", [])
+    text = f"Peak use of the limits: {'; '.join(f'{listed(kinds)} from {source}' for source, kinds in given.items())}."
+    return text + (f" Nobody gave limits for {listed(nobody)}: not checked." if nobody else "")
 
 
 def _provenance(run: Run) -> Markup:

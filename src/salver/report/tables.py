@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from salver.models.arm import ArmModel
     from salver.report.perturbed import Perturbed
     from salver.report.run import Motion, Run
+    from salver.scenario import Obstacle
 
 Rows = list[tuple[str, str]]
 
@@ -72,7 +73,18 @@ def scenario_rows(run: Run) -> Rows:
         ),
         ("arm", s.arm.model if s.arm else "none"),
     ]
-    return rows
+    return rows + [(obstacle.name, _obstacle(obstacle)) for obstacle in s.obstacles]
+
+
+def _obstacle(obstacle: Obstacle) -> str:
+    """An obstacle in words: what it is, how large, where."""
+    sizes = {
+        "box": lambda: f"{_vector(obstacle.size, 'm')}",
+        "sphere": lambda: f"radius {obstacle.radius:g} m",
+        "mesh": lambda: Path(obstacle.file or "").name,
+    }
+    size = sizes.get(obstacle.type, lambda: f"radius {obstacle.radius:g} m, length {obstacle.length:g} m")()
+    return f"obstacle, {obstacle.type}, {size}, at {_vector(obstacle.position, 'm')}"
 
 
 def solver_rows(run: Run) -> Rows:
@@ -124,13 +136,20 @@ def _vector(values: Any, unit: str) -> str:
 
 
 def arm_usage(m: Motion, arm: ArmModel) -> dict[str, np.ndarray]:
-    """Largest share (n,) of each of the maker's limits over the motion. Jerk by differences of the acceleration."""
+    """Largest share (n,) of each of the arm's limits over the motion, NaN for a joint that has none.
+
+    Jerk by differences of the acceleration. Kinds that no joint has are left out.
+    """
     t, q, dq, ddq, torque = (m.arrays[key] for key in ("t", "q", "dq", "ddq", "tau"))
     jerk = np.gradient(ddq, t, axis=0)
     curves = {"position": q, "velocity": dq, "acceleration": ddq, "jerk": jerk, "torque": torque}
     shares = arm.limits.shares(curves)
-    known = [kind.key for kind in LIMITS if np.all(np.isfinite(arm.limits.range(kind)[1]))]
-    return {key: np.abs(shares[key]).max(axis=0) for key in known if key in shares}
+    known = {kind.key: np.isfinite(arm.limits.range(kind)[1]) for kind in LIMITS}
+    return {
+        key: np.where(known[key], np.abs(share).max(axis=0), np.nan)
+        for key, share in shares.items()
+        if known[key].any()
+    }
 
 
 def table_one(run: Run) -> Table:

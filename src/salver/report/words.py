@@ -11,6 +11,7 @@ import numpy as np
 
 from salver.report.charts import record_curve
 from salver.report.parameters import pretty, quantity
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.report.run import Run
@@ -31,7 +32,8 @@ def verdict(run: Run) -> Verdict:
     several = len(run.bodies) > 1
     if not plan.summary.get("ok", True):
         return Verdict("bad", "No safe plan was found", _why_not(run))
-    promise = _promise(run)
+    blind = plan.summary.get("unchecked", [])
+    promise = (f"Not checked: {'; '.join(blind)}. " if blind else "") + _promise(run)
     outcomes = campaign_outcomes(run, plan.stem)
     if outcomes:
         total, held = sum(outcomes.values()), outcomes.get("holds", 0)
@@ -109,6 +111,8 @@ def asked(run: Run) -> str:
     )
     if turned > 0.05:
         text += f", turning it by {turned:.0f}°"
+    if s.obstacles and s.arm:
+        text += f", clear of {listed([f'the {obstacle.name}' for obstacle in s.obstacles])}"
     return text + ". " + _unknown(run)
 
 

@@ -1,4 +1,5 @@
-"""Visual meshes of an arm's links as the URDF names them, COLLADA included, which MuJoCo does not read."""
+"""What an arm's links look like: their visual meshes, COLLADA included, which MuJoCo does not read, or what stands for
+them where the arm is checked."""
 
 from __future__ import annotations
 
@@ -8,11 +9,15 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.geometry import Array, matrix_from_rpy
 from salver.models.arm import ArmModel
+from salver.models.link_shapes import link_shapes
+from salver.models.surfaces import surface
 
 WHITE = (0.93, 0.93, 0.95)
+GREY = (0.72, 0.76, 0.80)
 
 
 @dataclass(frozen=True)
@@ -20,12 +25,13 @@ class MeshPart:
     """Triangles of one colour. vertices (n, 3) m, in the link's frame; faces (k, 3); colour (3,) 0 to 1."""
 
     vertices: Array
-    faces: Array
+    faces: npt.NDArray[np.intp]
     colour: tuple[float, float, float]
 
 
 def arm_meshes(arm: ArmModel) -> dict[str, list[MeshPart]]:
-    """Parts of each link with meshes that can be read (.dae, .stl, .obj); others are left out."""
+    """Parts of each link: its visual meshes (.dae, .stl, .obj), or, where none can be read, the shapes that are
+    compared when collisions are looked for; a link of unknown shape is left out."""
     meshes: dict[str, list[MeshPart]] = {}
     for link in ElementTree.fromstring(arm.urdf).iter("link"):
         for visual in link.findall("visual"):
@@ -41,6 +47,10 @@ def arm_meshes(arm: ArmModel) -> dict[str, list[MeshPart]]:
             for part in read_mesh(mesh.get("filename", "")):
                 vertices = (part.vertices * scale) @ rotation.T + position
                 meshes.setdefault(link.get("name", ""), []).append(MeshPart(vertices, part.faces, part.colour))
+    seen = set(meshes)
+    for item in link_shapes(arm.urdf, capsules=arm.collisions == "capsules").shapes:
+        if item.link not in seen:
+            meshes.setdefault(item.link, []).append(MeshPart(*surface(item.shape, item.placement), GREY))
     return meshes
 
 
@@ -89,9 +99,9 @@ def _collada(root: ElementTree.Element) -> list[MeshPart]:
 
 def _triangles(
     geometry: ElementTree.Element, by_id: dict[str | None, ElementTree.Element]
-) -> list[tuple[Array, Array, str | None]]:
+) -> list[tuple[Array, npt.NDArray[np.intp], str | None]]:
     """(vertices, faces, material symbol) of each set of triangles or polygons; polygons are fanned."""
-    found: list[tuple[Array, Array, str | None]] = []
+    found: list[tuple[Array, npt.NDArray[np.intp], str | None]] = []
     for group in [*geometry.iter("triangles"), *geometry.iter("polylist")]:
         inputs = {i.get("semantic"): i for i in group.findall("input")}
         positions = by_id[inputs["VERTEX"].get("source", "")[1:]].find("input[@semantic='POSITION']")

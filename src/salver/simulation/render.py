@@ -14,6 +14,7 @@ import numpy as np
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.arm import ArmModel, load_arm
 from salver.scenario import Scenario
+from salver.simulation.drawing import draw_obstacles
 from salver.simulation.engine import mujoco
 from salver.simulation.loads import true_world
 from salver.simulation.record import SimulationRecord
@@ -235,6 +236,7 @@ def _drawings(
         if len(path):
             axes.plot(*path.T, color="0.6", linewidth=1)
         if arm is not None:
+            draw_obstacles(axes, scenario.obstacles)
             chain = np.array([arm.link_pose(record.q[k], link)[0] for link in arm.link_names])
             axes.plot(*np.vstack([chain, record.p_SE[k]]).T, color="0.25", linewidth=5, solid_joinstyle="round")
         _polygon(axes, record.p_SE[k] + tray @ matrix_from_quat_wxyz(record.quat_SE_wxyz[k]).T, "0.35")

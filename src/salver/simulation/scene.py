@@ -23,6 +23,7 @@ import numpy as np
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel
 from salver.models.bodies import TRAY
+from salver.models.obstacle_shapes import mesh_pieces
 from salver.scenario import Cylinder, Obstacle, Scenario
 from salver.simulation.engine import mujoco
 from salver.simulation.loads import Load, TrueWorld
@@ -119,11 +120,11 @@ def specify(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *
     )
     for k, load in enumerate(world.loads):
         _add_load(spec, load, k)
+    obstacles: list[str] = []
     if arm is not None:
         for k, obstacle in enumerate(scenario.obstacles):
-            _add_obstacle(root, obstacle, k)
-    contact_time = 2 * scenario.physics.timestep
-    _add_pairs(spec, world.loads, len(scenario.obstacles) if arm is not None else 0, contact_time)
+            obstacles += _add_obstacle(spec, obstacle, k)
+    _add_pairs(spec, world.loads, obstacles, 2 * scenario.physics.timestep)
     return spec
 
 
@@ -296,25 +297,38 @@ def _add_load(spec: Any, load: Load, k: int) -> None:
         )
 
 
-def _add_obstacle(root: Any, obstacle: Obstacle, k: int) -> None:
-    shapes = {
+def _add_obstacle(spec: Any, obstacle: Obstacle, k: int) -> list[str]:
+    """Add an obstacle; returns the names of its geoms, several for a mesh of several pieces."""
+    kinds = {
         "box": (mujoco.mjtGeom.mjGEOM_BOX, [0.5 * x for x in obstacle.size or ()]),
         "sphere": (mujoco.mjtGeom.mjGEOM_SPHERE, [obstacle.radius or 0.0, 0, 0]),
         "capsule": (mujoco.mjtGeom.mjGEOM_CAPSULE, [obstacle.radius or 0.0, 0.5 * (obstacle.length or 0.0), 0]),
+        "cylinder": (mujoco.mjtGeom.mjGEOM_CYLINDER, [obstacle.radius or 0.0, 0.5 * (obstacle.length or 0.0), 0]),
     }
-    kind, size = shapes[obstacle.type]
-    root.add_geom(
-        name=_obstacle(k),
-        type=kind,
-        size=size,
-        pos=obstacle.position,
-        quat=quat_wxyz_from_matrix(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg))),
-        rgba=[0.55, 0.57, 0.62, 0.6],
-        **_INERT,
-    )
+    pieces: list[dict[str, Any]] = []
+    if obstacle.type == "mesh":
+        for j, points in enumerate(mesh_pieces(obstacle)):
+            mesh = spec.add_mesh(name=f"{_obstacle(k)}:{j}", uservert=points.ravel().tolist())
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+            pieces.append({"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name})
+    else:
+        kind, size = kinds[obstacle.type]
+        pieces.append({"type": kind, "size": size})
+    names = [f"{_obstacle(k)}:{j}" for j in range(len(pieces))]
+    rotation = matrix_from_rpy(np.deg2rad(obstacle.rpy_deg))
+    for name, piece in zip(names, pieces, strict=True):
+        spec.worldbody.add_geom(
+            name=name,
+            pos=obstacle.position,
+            quat=quat_wxyz_from_matrix(rotation),
+            rgba=[0.55, 0.57, 0.62, 0.6],
+            **piece,
+            **_INERT,
+        )
+    return names
 
 
-def _add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: int, contact_time: float) -> None:
+def _add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: list[str], contact_time: float) -> None:
     def pair(first: str, second: str, friction: float) -> None:
         spec.add_pair(
             geomname1=first,
@@ -332,10 +346,10 @@ def _add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: int, contact_time:
         pair(_tray_geom(), _hull(k), load.friction)
         for j in range(k):
             pair(_hull(j), _hull(k), min(load.friction, loads[j].friction))
-        for j in range(obstacles):
-            pair(_obstacle(j), _hull(k), load.friction)
-    for j in range(obstacles):
-        pair(_obstacle(j), _tray_geom(), 0.5)
+        for obstacle in obstacles:
+            pair(obstacle, _hull(k), load.friction)
+    for obstacle in obstacles:
+        pair(obstacle, _tray_geom(), 0.5)
 
 
 def _foot_supports(load: Load) -> Iterable[tuple[int, str]]:

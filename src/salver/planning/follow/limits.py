@@ -11,11 +11,12 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
-from salver.models.arm_geometry import ArmGeometry, arm_geometry, listed
+from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.arm_limits import LIMITS
 from salver.models.bodies import Body
 from salver.planning.follow.clearance import sweep
 from salver.trajectory import JointMotion
+from salver.wording import listed
 
 WITHIN_LIMITS, LIMIT_EXCEEDED, COLLISION = "within_limits", "limit_exceeded", "collision"
 _TOLERANCE = 1e-9  # relative; a motion planned up to a limit touches it

@@ -256,6 +256,7 @@ function createViewer(canvas, scene) {
     rim: upload(revolve([[1, 1], [0.985, 0.985]], 40)),
   };
   const links = scene.meshes.map((mesh) => ({ shape: upload(unpackMesh(mesh)), joint: mesh.joint, colour: mesh.colour }));
+  const obstacles = scene.obstacles.map((mesh) => ({ shape: upload(unpackMesh(mesh)), colour: mesh.colour }));
   const objects = scene.objects.map((o) => ({
     shape: upload(o.polygon ? prism(o.polygon, o.low, o.high) : shade(o.points.flat(), o.triangles.flat())),
     edges: o.polygon ? o.polygon.flatMap((p, i) => {
@@ -416,6 +417,9 @@ function createViewer(canvas, scene) {
         gl.depthMask(true);
       }
     }
+    gl.enable(gl.CULL_FACE);  // last, and seen through: nothing hides behind an obstacle
+    for (const o of obstacles) draw(o.shape, identity, [...o.colour, 0.55]);
+    gl.disable(gl.CULL_FACE);
   }
 
   function panes() {

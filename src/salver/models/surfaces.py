@@ -1,0 +1,38 @@
+"""Triangles of Coal's convex shapes, for pictures: what is drawn is what is compared."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.geometry import Array
+
+Surface = tuple[Array, npt.NDArray[np.intp]]
+_SIDES = 24  # of what is round
+
+
+def surface(shape: Any, placement: Any) -> Surface:
+    """Vertices (n, 3), m, and triangles (k, 3), counter-clockwise from outside, of a shape placed by a pin.SE3."""
+    vertices, faces = _own(shape)
+    return vertices @ placement.rotation.T + placement.translation, faces
+
+
+def _own(shape: Any) -> Surface:
+    from trimesh import creation
+    from trimesh.convex import convex_hull
+
+    kind = type(shape).__name__
+    if kind == "Box":
+        mesh = creation.box(2 * np.asarray(shape.halfSide))
+    elif kind == "Sphere":
+        mesh = creation.icosphere(subdivisions=2, radius=shape.radius)
+    elif kind == "Capsule":
+        mesh = creation.capsule(height=2 * shape.halfLength, radius=shape.radius, count=(_SIDES // 2, _SIDES))
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    elif kind == "Cylinder":
+        mesh = creation.cylinder(radius=shape.radius, height=2 * shape.halfLength, sections=_SIDES)
+    else:
+        mesh = convex_hull(np.asarray(shape.points()))
+    return np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
