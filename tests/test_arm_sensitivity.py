@@ -16,11 +16,11 @@ from salver.models.contact_rows import contact_rows
 from salver.models.parameters import INERTIAL, inertial_vector, phi_jacobian, phi_of
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.tray_motion import frame_map, motion_vector, wrench_map
+from salver.models.worst_case import Drift
 from salver.models.wrench_cone import cone_facets
 from salver.planning.make import plan_baseline, with_arm
 from salver.planning.plan import Plan
 from salver.sensitivity.arm import arm_chain, chain_model, tracking_wrench_motion
-from salver.sensitivity.arm.contact import worst_contact
 from salver.sensitivity.arm.filter import node_filter, sagged, transition
 from salver.sensitivity.arm.load import load_change
 from salver.sensitivity.arm.terms import motion_terms
@@ -359,8 +359,9 @@ def _weightless(model):
 def test_worst_contact_without_tracking_is_that_of_the_rows(case):
     w = arm_chain(case.model, case.joint, space="joint").nominal.w
     for rows in contact_rows(case.scenario.payload):
-        still = np.zeros((*w.shape, len(case.model.load.half_range)))
-        assert worst_contact(rows, w, still, case.model.load) == pytest.approx(rows.worst(w), abs=1e-12)
+        terms = case.model.load.terms
+        still = Drift(terms, np.zeros((*w.shape, len(terms))), np.zeros_like(w))
+        assert rows.worst(w, still) == pytest.approx(rows.worst(w), abs=1e-12)
 
 
 def test_least_slack_bounds_perturbed_runs(panda):

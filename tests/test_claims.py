@@ -173,9 +173,12 @@ def all_rows_at_once(problem: Problem, elastic: bool) -> float:
             ball = 0 if rows.box else te.shape[2]
         else:
             assert isinstance(rows, MotionRows)
-            v, vs = rows.w @ rows.value.T, np.einsum("ci,tiz->tcz", rows.value, rows.w_jacobian)
-            te = np.einsum("kci,ti->tck", rows.spread, rows.w)
-            ts, ball = np.einsum("kci,tiz->tckz", rows.spread, rows.w_jacobian), rows.ball
+            own = rows.rows
+            v, vs = -rows.w @ own.nominal.T, -np.einsum("ci,tiz->tcz", own.nominal, rows.w_jacobian)
+            ball = 0 if own.spread is None else len(own.acting)
+            first = own.parameter if own.spread is None else np.tensordot(own.spread.T, own.parameter, axes=1)
+            both = np.concatenate([first, own.remainder])
+            te, ts = np.einsum("kci,ti->tck", both, rows.w), np.einsum("kci,tiz->tckz", both, rows.w_jacobian)
         for t, c in np.ndindex(v.shape):
             value.append(v[t, c])
             slope.append(vs[t, c])

@@ -12,10 +12,10 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.margins import margins
 from salver.models.arm import with_load
-from salver.models.parameters import inertial_vector
+from salver.models.parameters import Parameter, inertial_vector
+from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import FastestOptions, fastest, object_motion, plan_fastest
 from salver.planning.fastest.constraints import evaluate, worst_of
-from salver.planning.fastest.contact import worst_case
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
@@ -125,18 +125,22 @@ def test_object_motion_is_the_derivative_of_its_own_positions():
     assert np.allclose(np.gradient(motion.omega_B, t, axis=0)[2:-2], motion.alpha_B[2:-2], atol=1e-4)
 
 
+@pytest.mark.parametrize("strays", [False, True])
 @pytest.mark.parametrize("kind", ["box", "ellipsoid"])
-def test_worst_case_is_that_of_the_contact_rows_and_is_attained(kind):
+def test_derivative_of_the_worst_case(kind, strays):
     scenario = bottle(**UNCERTAIN).with_changes(uncertainty__set=kind)
-    rows = transport_problem(scenario).contacts[0]
-    w = np.random.default_rng(3).normal(size=(5, 12)) + np.array([0, 0, 9.81, *[0] * 9])
-    worst = worst_case(rows, w)
-    assert np.allclose(worst.values, rows.worst(w), atol=1e-12)
+    rows, rng = transport_problem(scenario).contacts[0], np.random.default_rng(3)
+    w = rng.normal(size=(5, 12)) + np.array([0, 0, 9.81, *[0] * 9])
+    drift = None
+    if strays:
+        terms = tuple((p,) for p in scenario.payload.uncertain.parameters if p.entry is not None)
+        terms = (*terms, (*terms[0], *terms[1]), (Parameter("other", "mass"),))
+        drift = Drift(terms, 0.1 * rng.normal(size=(5, 12, len(terms))), 0.05 * rng.normal(size=(5, 12)))
     node, row = np.array([0, 1, 2, 3, 4]), np.array([0, 7, 19, 40, len(rows.nominal) - 1])
-    slope, h = worst.attained(node, row), 1e-6
+    slope, h = WorstCase.of(rows, w, drift).attained(node, row), 1e-6
     for k in range(12):
         step = h * np.eye(12)[k]
-        difference = (rows.worst(w + step) - rows.worst(w - step))[node, row] / (2 * h)
+        difference = (rows.worst(w + step, drift) - rows.worst(w - step, drift))[node, row] / (2 * h)
         assert np.allclose(difference, slope[:, k], atol=1e-7)
 
 

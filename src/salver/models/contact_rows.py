@@ -2,23 +2,16 @@
 
 With w of `salver.models.tray_motion` at the tray frame E, each facet of each interface's contact wrench cone is
     c(p) . w <= 0,
-with c a polynomial of the uncertain parameters p. Its worst case over the uncertain set is
-
-    c_0 . w + sum_k |c_k . w| + sum_l |d_l . w|      (box)
-    c_0 . w + |(c_k . w)_k| + sum_l |d_l . w|        (ellipsoid)
-
-with c_k the linear terms times half-ranges and d_l all products of two parameters. Terms are bounded one by
-one, so it is never too optimistic. It is exact for mass, centre of mass and inertia of a single object on a
-tray that does not turn. It is convex in w: at fixed orientation, convex in the acceleration. Friction enters
-through its least value (a smaller cone lies inside the larger), position through the area that every placement
-keeps, mass through its two extreme values: a cone has no scale, and bounding mass and centre of mass one by
-one would count both.
+with c a polynomial of the uncertain parameters p; `salver.models.worst_case` takes its worst case. That is exact for
+mass, centre of mass and inertia of a single object on a tray that does not turn. Friction enters through its least
+value (a smaller cone lies inside the larger), position through the area that every placement keeps, mass through its
+two extreme values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any
 
@@ -32,83 +25,29 @@ from salver.models.interfaces import ContactNetwork, shift_ranges, sure_contacts
 from salver.models.parameters import Parameter, UncertainSet, tilt_at
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, at_rest, frame_map, wrench_map
+from salver.models.worst_case import UncertainRows
 from salver.models.wrench_cone import cone_facets
 
 MOST_GENERATORS = 256  # points times edges of one contact: at most some 12 000 facets
 _MOST_MASSES = 3  # so many uncertain masses in one network are taken at all their extreme values
-_CHUNK = 20_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
 
 
 @dataclass(frozen=True)
-class ContactRows:
-    """Rows of one network of touching bodies. Worst case of row i at w: see `worst`.
+class ContactRows(UncertainRows):
+    """Rows of one network of touching bodies.
 
     Rows are divided by the normal force that the interface carries at rest on a level tray: a value of -0.2 means
     that a disturbance of a fifth of that weight leads out of the cone.
     network: the bodies and interfaces. interface: (n,) index of each row's interface. label: (n,) what kind of
     row it is; of the cone's facets, whether friction limits them.
-    nominal: (n, 12) c_0. acting: the n_p parameters in `parameter` (n_p, n, 12), c_k, per half-range.
-    remainder: (n_r, n, 12) d_l. internal: (n, n_w) effect of the network's internal wrenches on the rows; zero
+    internal: (n, n_w) effect of the network's internal wrenches on the rows, which are at zero in `worst`; zero
     when positions are uncertain, because where those wrenches act is then unknown too.
-    spread: (n_p, n_p), with A A^T the correlation of an ellipsoid; None for a box.
-    masses, mass_signs: masses that are taken at their extremes, and at which of them (n, n_m) each row is.
     """
 
     network: ContactNetwork
     interface: npt.NDArray[np.intp]
     label: npt.NDArray[Any]
-    nominal: Array
-    acting: tuple[Parameter, ...]
-    parameter: Array
-    remainder: Array
     internal: Array
-    spread: Array | None
-    masses: tuple[Parameter, ...]
-    mass_signs: Array
-
-    def worst(self, w: Array) -> Array:
-        """(T, n) worst case over the uncertain set of every row at w (T, 12); internal wrenches at zero."""
-        n, n_p = len(self.nominal), len(self.parameter)
-        felt = np.any(w != 0, axis=0)  # a tray that does not turn feels three of the twelve
-        columns = np.concatenate([self.parameter, self.remainder])[:, :, felt]
-        columns = columns[np.any(columns, axis=(1, 2)) | (np.arange(len(columns)) < n_p)]
-        flat = np.ascontiguousarray(columns.reshape(-1, columns.shape[2]).T)
-        nominal = np.ascontiguousarray(self.nominal[:, felt].T)
-        value = np.empty((len(w), n))
-        chunk = max(1, _CHUNK // max(n, flat.shape[1]))
-        for start in range(0, len(w), chunk):
-            part = np.ascontiguousarray(w[start : start + chunk, felt])
-            np.matmul(part, nominal, out=value[start : start + chunk])
-            if len(columns) == 0:
-                continue
-            terms = (part @ flat).reshape(-1, len(columns), n)
-            if self.spread is not None and n_p:
-                factored = np.tensordot(terms[:, :n_p], self.spread, axes=(1, 0))
-                terms[:, 0] = np.sqrt(np.square(factored).sum(axis=-1))
-                terms[:, 1:n_p] = 0.0
-            value[start : start + chunk] += np.abs(terms, out=terms).sum(axis=1)
-        return value
-
-    def worst_point(self, w: Array, row: int) -> dict[Parameter, float]:
-        """The point of the unit box or ball (by parameter, in half-ranges) that is worst for a row at w (12,).
-
-        To first order around the centre; products of parameters do not count.
-        """
-        slope = self.parameter[:, row] @ w
-        if self.spread is None:
-            s = np.where(slope >= 0, 1.0, -1.0)
-        else:
-            factored = self.spread.T @ slope
-            s = self.spread @ factored / max(float(np.linalg.norm(factored)), 1e-300)
-        point = dict(zip(self.acting, s.tolist(), strict=True))
-        return point | dict(zip(self.masses, self.mass_signs[row].tolist(), strict=True))
-
-    def seen_from(self, p_EX: Array, R_EX: Array) -> ContactRows:
-        """The same rows for w of another frame X that is fixed to the tray, for example an object's B."""
-        back = frame_map(-R_EX.T @ p_EX, R_EX.T)
-        return replace(
-            self, nominal=self.nominal @ back, parameter=self.parameter @ back, remainder=self.remainder @ back
-        )
 
 
 def contact_rows(payload: Payload) -> tuple[ContactRows, ...]:
@@ -175,17 +114,17 @@ def network_rows(
         internal = internal[:, :0]
     kept = np.abs(remainder).max(axis=(1, 2), initial=0.0) > 1e-12
     return ContactRows(
-        network,
-        np.tile(model.interface, copies),
-        np.tile(model.label, copies),
         nominal,
         others,
         parameter,
         remainder[kept],
-        internal,
         uncertain.restricted(others).spread,
         tuple(masses),
         np.repeat(np.array(list(product((-1.0, 1.0), repeat=len(masses)))), len(model.label), axis=0),
+        network,
+        np.tile(model.interface, copies),
+        np.tile(model.label, copies),
+        internal,
     )
 
 

@@ -31,7 +31,7 @@ from salver.models.parameters import Parameter
 from salver.models.tray_motion import frame_map
 
 Indices = npt.NDArray[np.intp]
-_CHUNK = 20_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
+_CHUNK = 80_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,9 @@ class UncertainRows:
         terms = np.concatenate([self.parameter[:, row], self.remainder[:, row]])
         return self.nominal[row] + np.einsum("rp,prk->rk", dual, terms)
 
-    def worst(self, w: Array, drift: Drift | None = None, floor: float = -np.inf) -> Array:
-        """(T, n) worst case of every row at w (T, 12).
-
-        floor: rows that are surely below it may be given as any bound below it; far facets then cost little.
-        """
-        return WorstCase.of(self, w, drift, floor).values
+    def worst(self, w: Array, drift: Drift | None = None) -> Array:
+        """(T, n) worst case of every row at w (T, 12)."""
+        return WorstCase.of(self, w, drift).values
 
     def worst_point(self, w: Array, row: int) -> dict[Parameter, float]:
         """The point of the unit box or ball (by parameter, in half-ranges) that is worst for a row at w (12,).
@@ -127,9 +124,9 @@ class WorstCase:
     values: Array
 
     @classmethod
-    def of(cls, rows: UncertainRows, w: Array, drift: Drift | None = None, floor: float = -np.inf) -> WorstCase:
+    def of(cls, rows: UncertainRows, w: Array, drift: Drift | None = None) -> WorstCase:
         """See `UncertainRows.worst`."""
-        values = [_values(rows, side, drift, floor) for side in _sides(w, drift)]
+        values = [_values(rows, side, drift) for side in _sides(w, drift)]
         return cls(rows, w, drift, values[0] if len(values) == 1 else np.maximum(*values))
 
     def attained(self, node: Indices, row: Indices) -> Array:
@@ -177,49 +174,32 @@ def _roles(rows: UncertainRows, drift: Drift) -> tuple[list[int], list[int], lis
     return own, column, mass, other
 
 
-def _values(rows: UncertainRows, w: Array, drift: Drift | None, floor: float) -> Array:
-    """(T, n) worst case, in pieces of time; of rows below the floor all through a piece, a bound."""
+def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
+    """(T, n) worst case, in pieces of time."""
     n_p, n_k = len(rows.acting), 0 if drift is None else len(drift.terms)
     felt = np.any(w != 0, axis=0)  # a tray that does not turn feels three of the twelve
     columns = np.concatenate([rows.parameter, rows.remainder])[:, :, felt]
     nominal, w = rows.nominal[:, felt], np.ascontiguousarray(w[:, felt])
-    values = w @ nominal.T
+    values, flat = w @ nominal.T, np.ascontiguousarray(columns.reshape(-1, columns.shape[2]).T)
     if drift is not None:
         roles = _roles(rows, drift)
         moved = np.ascontiguousarray(np.swapaxes(drift.dw, 1, 2))
-    bounded = np.isfinite(floor) and len(columns) + n_k > 0
-    if bounded:
-        widest = columns if rows.spread is None else np.concatenate([_factored(rows, columns), columns[n_p:]])
-        bound = values + np.abs(w) @ np.abs(widest).sum(axis=0).T
-        if drift is not None:
-            bound += np.abs(moved).sum(axis=1) @ np.abs(rows.nominal).T
     every = max(1, _CHUNK // max(1, len(rows.nominal) * (len(columns) + n_k)))
     for start in range(0, len(w), every):
         part = slice(start, start + every)
-        kept: slice | Indices = slice(None)
-        if bounded:
-            kept = np.flatnonzero((bound[part] >= floor).any(axis=0))
-        flat = columns[:, kept].reshape(-1, columns.shape[2])
-        shape = (len(w[part]), len(columns), len(rows.nominal[kept]))
-        terms = (w[part] @ flat.T).reshape(shape)
+        shape = (len(w[part]), len(columns), len(nominal))
+        terms = (w[part] @ flat).reshape(shape)
         radius = _support(rows, terms[:, :n_p])
         if drift is not None:
             own, column, mass, other = roles
-            change = (moved[part].reshape(-1, moved.shape[2]) @ rows.nominal[kept].T).reshape(shape[0], n_k, shape[2])
+            change = (moved[part].reshape(-1, moved.shape[2]) @ rows.nominal.T).reshape(shape[0], n_k, shape[2])
             terms[:, column] += change[:, own]
             extra = np.abs(change[:, other]).sum(axis=1)
             for k, j in mass:
-                extra += rows.mass_signs[kept, j] * change[:, k]
+                extra += rows.mass_signs[:, j] * change[:, k]
             radius = np.maximum(radius, _support(rows, terms[:, :n_p]) + extra)
-        found = values[part][:, kept] + np.abs(terms[:, n_p:]).sum(axis=1) + radius
-        if bounded:
-            values[part] = bound[part]
-        values[part, kept] = found
+        values[part] += np.abs(terms[:, n_p:]).sum(axis=1) + radius
     return values
-
-
-def _factored(rows: UncertainRows, columns: Array) -> Array:
-    return np.tensordot(rows.spread, columns[: len(rows.acting)], axes=(0, 0))  # type: ignore[arg-type]
 
 
 def _support(rows: UncertainRows, terms: Array) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.arm_limits import LIMITS, JointLimits
 from salver.models.contact_rows import ContactRows
-from salver.planning.fastest.contact import worst_case
+from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import KeepOut
 
@@ -225,9 +225,8 @@ class Contact(Constraint):
     margin: float = 0.0
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
-        loop = motion.response
-        change, acting = (None, ()) if loop is None else (loop.motion_change(), loop.tracking.parameters)
-        worst = worst_case(self.rows, motion.terms.w, change, acting)
+        drift = None if motion.response is None else motion.response.drift()
+        worst = WorstCase.of(self.rows, motion.terms.w, drift)
 
         def gradient(i: Indices, f: Indices) -> Array:
             return padded(np.einsum("rk,rkz->rz", worst.attained(i, f), motion.terms.w_z[i]), motion.n)

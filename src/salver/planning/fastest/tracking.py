@@ -20,6 +20,7 @@ from scipy.linalg import solve_banded
 from salver.geometry import Array
 from salver.models.parameters import Parameter
 from salver.models.payload import Payload
+from salver.models.worst_case import Drift
 from salver.scenario import Scenario
 from salver.sensitivity.arm.load import load_change
 from salver.sensitivity.arm.terms import MotionTerms
@@ -73,10 +74,10 @@ class Response:
     acceleration: Array
     terms: MotionTerms
 
-    def motion_change(self) -> Array:
-        """dw (N, 12, n_k)."""
+    def drift(self) -> Drift:
+        """What the tray feels beyond w."""
         state = np.concatenate([self.error, self.rate, self.acceleration], axis=1)
-        return -self.terms.w_z @ state
+        return Drift(self.tracking.terms, -self.terms.w_z @ state)
 
     def torque_radius(self) -> Array:
         """(N, n) most by which the commanded torque can differ from nominal, N m."""

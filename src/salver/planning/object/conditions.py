@@ -14,7 +14,7 @@ Both are a linear value minus a norm of linear terms, concave: at fixed orientat
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -28,6 +28,7 @@ from salver.models.interfaces import networks, sure_contacts
 from salver.models.parameters import Parameter, phi_jacobian
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, PRODUCTS, frame_map, wrench_map
+from salver.models.worst_case import UncertainRows
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
@@ -35,7 +36,6 @@ from salver.sensitivity.tray import BodyMotion, TraySensitivity
 Indices = npt.NDArray[np.intp]
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
-_CHUNK = 2_000_000  # terms of a spread in memory at once
 _PLACE_STEP = 1e-4  # m or rad, of a central difference of what is nearly linear
 
 
@@ -189,46 +189,32 @@ def _place_map(body: Body, parameters: tuple[Parameter, ...], first: Body) -> Ar
 
 @dataclass(frozen=True)
 class MotionRows:
-    """value . w minus the spread's terms, of what B feels: w (T, 12) of `salver.models.tray_motion`.
-
-    value (n, 12), spread (k, n, 12); the first `ball` terms are bounded by their norm, the others one by one.
-    """
+    """The worst case of contact rows (with the sign of a slack) at what B feels, w (T, 12)."""
 
     owner: tuple[str, ...]
-    value: Array
-    spread: Array
-    ball: int
+    rows: UncertainRows
     w: Array
     w_jacobian: Array
 
     def slack(self, step: Array | None = None) -> tuple[Array, Array]:
         w = self.w if step is None else self.w + self.w_jacobian @ step
-        terms = np.moveaxis(np.tensordot(w, self.spread, axes=(1, 2)), 1, 2)
-        radius = np.abs(terms[..., self.ball :]).sum(axis=-1) + np.linalg.norm(terms[..., : self.ball], axis=-1)
-        return w @ self.value.T - radius, terms
+        terms = self.rows.terms(w)
+        return -(w @ self.rows.nominal.T) - self.rows.radius(terms), terms
 
     def least(self) -> Array:
-        chunk = max(1, _CHUNK // max(1, self.spread[..., 0].size))
-        starts = range(0, len(self.w), chunk)
-        return np.concatenate([replace(self, w=self.w[k : k + chunk]).slack()[0] for k in starts])
+        return -self.rows.worst(self.w)
 
     def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
-        dual = np.sign(terms)
-        dual[:, : self.ball] = _unit(terms[:, : self.ball])
-        rows = self.value[row] - np.einsum("mk,kmi->mi", dual, self.spread[:, row])
+        rows = -self.rows.tangent(row, self.rows.dual(terms))
         return np.einsum("mi,mi->m", rows, self.w[instant]), np.einsum("mi,miz->mz", rows, self.w_jacobian[instant])
 
 
 def _exact(rows: ContactRows) -> Condition:
     owner = tuple(rows.network.interfaces[int(e)].name for e in rows.interface)
-    ball, parameter = 0, rows.parameter
-    if rows.spread is not None and len(parameter):
-        ball, parameter = len(parameter), np.tensordot(rows.spread.T, parameter, axes=1)
-    spread = np.concatenate([parameter, rows.remainder])
 
     def along(motion: BodyMotion, loop: TraySensitivity, n_z: int) -> MotionRows:
         del loop  # a body that follows its tray needs the same wrench whatever the controller does
-        return MotionRows(owner, -rows.nominal, spread, ball, *motion_vector(motion, n_z))
+        return MotionRows(owner, rows, *motion_vector(motion, n_z))
 
     return along
 

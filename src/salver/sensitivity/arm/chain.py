@@ -29,8 +29,9 @@ from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import UncertainSet
+from salver.models.worst_case import Drift
 from salver.sensitivity import tubes
-from salver.sensitivity.arm.contact import ContactChange, contact_change, worst_contact
+from salver.sensitivity.arm.contact import ContactChange, contact_change
 from salver.sensitivity.arm.filter import node_filter
 from salver.sensitivity.arm.load import LoadChange, load_change
 from salver.sensitivity.arm.task import TrayDeviation, joints_of_task, tray_of_joints, tray_of_task
@@ -183,13 +184,11 @@ class ArmChain:
         without, it is what the fastest plan allows for.
         """
         load, rows = self.model.load, self.model.worst_rows
-        motions = [(self.nominal.w, np.zeros_like(self.w))]
-        if tracking and held:
-            motions = [(self.nominal.w + self.held.w + sign * self.held.swing, self.w) for sign in (-1, 1)]
-        elif tracking:
-            motions = [(self.nominal.w, self.w)]
-        worst = [worst_contact(part, w, dw, load) for part in rows for w, dw in motions]
-        return -np.max(np.concatenate(worst, axis=1), axis=1)
+        w, drift = self.nominal.w, None
+        if tracking:
+            drift = Drift(load.terms, self.w * load.half_range, self.held.swing if held else None)
+            w = w + self.held.w if held else w
+        return -np.max([part.worst(w, drift).max(axis=1) for part in rows], axis=0)
 
     def summary(self) -> dict[str, Any]:
         """Figures for a report: largest tube radii along the motion, least contact slack with and without tracking."""

@@ -2,8 +2,7 @@
 
 `salver.models.contact_rows` bounds rows over the whole uncertain set, for objects that follow the planned motion.
 Here each row is a function c(p) of the parameters, divided by the normal force that its interface carries at rest, and
-its first derivative is wanted, the direct term of the tube of a contact margin; and the bound over the set is
-widened by what the tracking error changes.
+its first derivative is wanted, the direct term of the tube of a contact margin.
 """
 
 from __future__ import annotations
@@ -17,10 +16,8 @@ from salver.models.contact_rows import ContactRows, network_rows
 from salver.models.interfaces import ContactNetwork
 from salver.models.parameters import NOTHING, Parameter, UncertainSet
 from salver.models.payload import Payload
-from salver.sensitivity.arm.load import LoadChange
 
 _STEP = 1e-4  # of a parameter's half-range
-_CHUNK = 1_000_000  # numbers worked on at once
 
 
 @dataclass(frozen=True)
@@ -70,32 +67,3 @@ def _slope(network: ContactNetwork, parameter: Parameter, h: float, tray_half: A
     if not part.acting:
         return np.zeros_like(part.nominal)
     return part.parameter[0] / h
-
-
-def worst_contact(rows: ContactRows, w: Array, dw: Array, load: LoadChange) -> Array:
-    """(T, n) worst case of every row over the uncertain set, the arm's tracking error included; safe below 0.
-
-    w: (T, 12) what the tray feels, at E. dw: (T, 12, n_c) its change per unit of each of the load's terms. Exact in
-    the parameters where the motion is as planned, first order in the tracking error.
-    """
-    step = max(1, _CHUNK // (len(rows.nominal) * (len(load.half_range) + len(rows.remainder) + 1)))
-    parts = [slice(k, k + step) for k in range(0, len(w), step)]
-    return np.concatenate([_worst_part(rows, w[part], dw[part] * load.half_range, load) for part in parts])
-
-
-def _worst_part(rows: ContactRows, w: Array, scaled: Array, load: LoadChange) -> Array:
-    change = rows.nominal @ scaled  # (T, n, n_c)
-    column = {parameter: k for k, parameter in enumerate(load.uncertain.parameters)}
-    value = w @ rows.nominal.T
-    for parameter, sign in zip(rows.masses, rows.mass_signs.T, strict=True):
-        value += sign * change[:, :, column[parameter]]
-    linear = np.tensordot(w, rows.parameter, axes=(1, 2))  # (T, n_p, n)
-    linear += np.swapaxes(change[:, :, [column[p] for p in rows.acting]], 1, 2)
-    if rows.spread is None:
-        value += np.abs(linear).sum(axis=1)
-    else:
-        value += np.linalg.norm(np.tensordot(rows.spread, linear, axes=(0, 1)), axis=0)
-    value += np.abs(np.tensordot(w, rows.remainder, axes=(1, 2))).sum(axis=1)
-    here = [column[p] for p in (*rows.acting, *rows.masses)]
-    other = [k for k in range(change.shape[2]) if k not in here]
-    return np.asarray(value + np.abs(change[:, :, other]).sum(axis=2))
