@@ -15,10 +15,9 @@ from numpy.testing import assert_allclose
 import nasty
 from salver.geometry import Array
 from salver.models.arm import load_arm
-from salver.planning.fastest import transport_problem
+from salver.planning.fastest import obstacles, transport_problem
 from salver.planning.fastest.constraints import Block, evaluate
-from salver.planning.fastest.obstacles import NEAR
-from salver.scenario import Obstacle, Scenario, load
+from salver.scenario import Scenario, load
 from salver.sensitivity.arm import ArmChain, arm_chain, chain_model
 from salver.trajectory import JointMotion
 
@@ -191,7 +190,9 @@ def test_fastest_plans_leave_room_for_the_torque_of_any_load(name: str, kind: st
 
 
 @pytest.mark.parametrize("kind", ["box", "ellipsoid"])
-def test_fastest_plans_keep_clear_by_the_safety_distance_and_by_what_the_arm_strays(kind: str) -> None:
+def test_fastest_plans_keep_clear_by_the_safety_distance_and_by_what_the_arm_strays(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A ball behind the tray: distance by hand from the tray's pose, less 5 mm and what the load makes it stray."""
     made = nasty.single(kind)
     arm = load_arm(made.arm, made.tray)
@@ -201,6 +202,7 @@ def test_fastest_plans_keep_clear_by_the_safety_distance_and_by_what_the_arm_str
     centre = p + R @ np.array([0.02, behind * (0.1 + radius + 0.03), 0.01])
     ball = {"type": "sphere", "name": "ball", "radius": radius, "position": centre.tolist()}
     made = made.with_changes(obstacles=[ball])
+    monkeypatch.setattr(obstacles, "EXACT", np.inf)  # otherwise a large distance is only no larger than the true one
     seen = rows_along(made)
     (block,) = (f for f in seen if f.name == "clearance")
     chain = arm_chain(chain_model(made), JOINT, space="joint", t=T)
@@ -220,8 +222,4 @@ def test_fastest_plans_keep_clear_by_the_safety_distance_and_by_what_the_arm_str
     names = transport_problem(made, level=False).keep_out.parts
     column = names.pairs.index((names.names.index("tray"), names.names.index("ball")))
     found = -0.1 * block.values[::FINER, column]
-    near = np.array(free) < NEAR  # further away a distance need not be exact, only no larger than the true one
-    assert near.sum() > 10
-    assert_allclose(found[near], (np.array(free) - 5e-3 - stray)[near], atol=1e-4)
-    assert np.all(found <= np.array(free) - 5e-3 - stray + 1e-4)
-    assert isinstance(made.obstacles[0], Obstacle)
+    assert_allclose(found, np.array(free) - 5e-3 - stray, atol=1e-4)

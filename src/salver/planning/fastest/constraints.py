@@ -10,11 +10,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.arm_limits import LIMITS, JointLimits
+from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
@@ -139,12 +140,16 @@ class JointLimit(Constraint):
 
     limits: JointLimits
 
+    @cached_property
+    def _ranges(self) -> list[tuple[LimitKind, Array, Array, Indices]]:
+        """Kind, middle, half-width and the joints that have one."""
+        ranges = [(kind, *self.limits.range(kind)) for kind in LIMITS if kind.of == "position"]
+        return [(kind, middle, half, np.flatnonzero(np.isfinite(half))) for kind, middle, half in ranges]
+
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         n, points = motion.n, np.arange(len(motion.s))
-        for kind in LIMITS:
-            middle, half = self.limits.range(kind)
-            finite = np.flatnonzero(np.isfinite(half))
-            if kind.of != "position" or not len(finite):
+        for kind, middle, half, finite in self._ranges:
+            if not len(finite):
                 continue
             order = kind.order
 

@@ -23,6 +23,7 @@ from salver.planning.fastest.sqp import Options, Programme, Solution, minimise
 from salver.planning.fastest.trust import Trust
 
 ROUGH_GAIN = 5e-3  # relative shortening below which a rough optimum is good enough
+GAIN = 5e-4  # and one at which an optimum is
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
 HOPELESS_AT_NODES = 1e-2  # and nor will one that is broken at the nodes already
@@ -89,7 +90,7 @@ def optimise(
         begin = programme.begin(at.coefficients, at.duration)
         return minimise(programme, begin, replace(options, time_limit=left), trust)
 
-    solution = solve(start, Options(gain=1e-3), Trust(damping))
+    solution = solve(start, Options(gain=GAIN), Trust(damping))
     iterations = solution.iterations
     for exchange in range(EXCHANGES + 1):
         coefficients, duration = solution.iterate.coefficients, solution.iterate.duration
@@ -105,7 +106,7 @@ def optimise(
             break
         nodes = np.union1d(nodes, fine.grid.s[peaks])
         repair = REPAIR * 4.0**exchange
-        options = Options(iterations=15, gain=1e-3, least_damping=repair)
+        options = Options(iterations=15, gain=GAIN, least_damping=repair, mending=True)
         solution = solve(SplineMotion(spline, coefficients, duration), options, Trust(repair, REPAIR_DEPTH))
         iterations += solution.iterations
     return Checked(coefficients, duration, _status(solution, worst, duration), worst, iterations)

@@ -16,7 +16,8 @@ from salver.geometry import Array
 from salver.models.arm_geometry import ArmGeometry
 
 SAFETY = 5e-3  # m that are kept free
-NEAR = 0.1  # m; pairs that are nowhere nearer along a path are left out until they are
+EXACT = 0.03  # m up to which distances are exact
+NEAR = 0.05  # m; pairs that are nowhere nearer along a path are left out until they are
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,8 @@ class KeepOut:
         return KeepOut(parts, np.array([required[pair] for pair in parts.pairs]))
 
     def distances(self, q: Array) -> Array:
-        """(N, pairs) free distance beyond what is required, m; exact where it is less than `NEAR`."""
-        return np.asarray(self.parts.clearance(q, NEAR + SAFETY) - self.required)
+        """(N, pairs) free distance beyond what is required, m; where it is more than `EXACT`, no more than it is."""
+        return np.asarray(self.parts.clearance(q, EXACT + SAFETY) - self.required)
 
     def gradient(self, q: Array, node: npt.NDArray[np.intp], pair: npt.NDArray[np.intp]) -> Array:
         """(r, n) derivatives of the distances at postures q[node] for pairs (r,)."""

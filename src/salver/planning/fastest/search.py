@@ -48,7 +48,7 @@ class FastestOptions:
     """
 
     spans: int = 20
-    nodes_per_span: int = 3
+    nodes_per_span: int = 2
     starts: int = 1
     time_limit: float = 30.0
     seed: int = 0
@@ -231,11 +231,16 @@ def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]
     given = problem.start_posture
     found: list[tuple[float, _Guess]] = []
 
+    def apart(difference: Array) -> float:
+        """Largest difference of a joint; whole turns are none, as the arm stands and moves the same."""
+        turns = np.where(problem.arm.linear, 0.0, np.round(difference / (2 * np.pi)))
+        return float(np.abs(difference - 2 * np.pi * turns).max())
+
     def add(q_start: Array, near: Array) -> None:
         q_goal = problem.goal.nearest(problem.arm, limits, near)
         if q_goal is None:
             return
-        others = (np.abs(q_goal - g.q_goal).max() + np.abs(q_start - g.q_start).max() for _, g in found)
+        others = (apart(q_goal - g.q_goal) + apart(q_start - g.q_start) for _, g in found)
         if min(others, default=np.inf) > 0.3:
             ends = np.stack([q_start, q_goal])
             cost = float(np.max(np.abs(q_goal - q_start) / limits.velocity))

@@ -48,7 +48,8 @@ LEAST_RATIO = 0.01  # of what was hoped for that a step must bring
 class Options:
     """iterations, time_limit (s): when to stop. gain: relative improvement below which an iteration counts as idle.
     violation: largest violation of a margin-tightened row that counts as converged. penalty: first price of a unit of
-    violation, in the unit of the objective. least_damping: of the proximal term.
+    violation, in the unit of the objective. least_damping: of the proximal term. mending: to end with the first step
+    that keeps all rows.
     """
 
     iterations: int = 60
@@ -57,6 +58,7 @@ class Options:
     violation: float = 5e-4
     penalty: float = 20.0
     least_damping: float = 1e-5
+    mending: bool = False
 
 
 @dataclass(frozen=True)
@@ -324,7 +326,7 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
             forced = tuple(mask & (b.values > KEPT) for mask, b in zip(forced, path.blocks, strict=True))
             trust.accepted(attempt.ratio, attempt.share, _change(before, path))
             idle = idle + 1 if attempt.gained < enough else 0
-            if attempt.hoped < 3 * enough and path.violation <= options.violation:
+            if path.violation <= options.violation and (options.mending or attempt.hoped < 3 * enough):
                 idle = 2
         else:
             trust.rejected()
@@ -403,7 +405,7 @@ def _along_arc(
 def _change(before: Iterate, after: Iterate) -> float:
     """Largest change of a row that was not far from its edge."""
     pairs = zip(before.blocks, after.blocks, strict=True)
-    return max(float(np.abs(b.values - a.values)[a.values > -1].max(initial=0.0)) for a, b in pairs)
+    return max(float(np.abs(b.values - a.values)[a.values > -min(1.0, a.reach)].max(initial=0.0)) for a, b in pairs)
 
 
 def _status(code: str, path: Iterate, options: Options) -> Status:
