@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from shutil import copyfile
 from xml.etree import ElementTree
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from salver import scenario
-from salver.errors import ScenarioError
+from salver.errors import ScenarioError, UnreachableError
 from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
@@ -466,3 +467,38 @@ def test_a_box_with_a_normal_for_each_face_is_one_piece(tmp_path: Path) -> None:
         pieces = obstacle_shapes(scenario.Obstacle(type="mesh", file=str(tmp_path / name), position=(0, 0, 0)))
         assert len(pieces) == 1, name
         assert np.ptp(surface(*pieces[0])[0], axis=0) == pytest.approx([0.2, 0.2, 0.2])
+
+
+# ---- ends that cannot be ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("end", ["start", "goal"])
+@pytest.mark.parametrize(("height", "part"), [(-0.02, "tray"), (0.0, "cube")])
+def test_an_obstacle_inside_the_tray_or_its_load_at_an_end(end: str, height: float, part: str) -> None:
+    """A ball of 10 mm about the cube's centre, or 20 mm below it, in the tray: told by both planners, at once."""
+    cube = scenario.load("panda-cube").with_changes(motion__goal_yaw="fixed", arm__start_posture=None)
+    x, y, z = getattr(cube.motion, end).position
+    ball = {"type": "sphere", "name": "ball", "radius": 0.01, "position": (x, y, z + height)}
+    if part == "tray":
+        ball["position"] = (x + 0.08, y, z + height)  # beside the cube
+    blocked = cube.with_changes(obstacles=[ball])
+    told = f"At the {end} the {part} is inside the obstacle ball; move one of them."
+    plan = make_plan(blocked)
+    assert plan.arm_status is not None
+    assert not plan.ok
+    assert plan.arm_status.sentence == told
+    with pytest.raises(UnreachableError, match=re.escape(told)):
+        make_plan(blocked, "fastest")
+
+
+def test_a_tray_beside_an_obstacle_is_not_inside_it() -> None:
+    """By hand: a wall a millimetre beyond the tray's edge at the start, and one a millimetre within."""
+    cube = scenario.load("panda-cube")
+    arm = load_arm(cube.arm, cube.tray)  # type: ignore[arg-type]
+    x, y, z = cube.motion.start.position
+    for gap, found in ((1e-3, None), (-1e-3, ("tray", "wall"))):
+        place = (x, y - 0.5 * cube.tray.size[1] - gap - 0.05, z - 0.02)
+        wall = scenario.Obstacle(type="box", name="wall", size=(0.5, 0.1, 0.5), position=place)
+        parts = arm_geometry(arm, cube.payload.bodies, [wall])
+        body = cube.payload.first
+        assert parts.in_the_way(np.array((x, y, z)) - body.p_EB, np.eye(3)) == found

@@ -47,7 +47,8 @@ class ArmGeometry:
 
     names: of the parts: links of the URDF, "tray", carried objects, obstacles.
     pairs: (index, index) into names; those that are compared.
-    obstacles: how many of the parts, the last ones, stand around in the world.
+    tray: index of the tray; what it carries follows. obstacles: how many of the parts, the last ones, stand around in
+    the world.
     unchecked: what is not looked at, in words: links without geometry, pairs that are left out.
     left_out: pairs of names that could touch and are not compared, by reason.
     """
@@ -57,6 +58,7 @@ class ArmGeometry:
     data: Any
     names: tuple[str, ...]
     pairs: tuple[Pair, ...]
+    tray: int
     obstacles: int
     unchecked: tuple[str, ...]
     left_out: dict[str, list[tuple[str, str]]]
@@ -156,6 +158,21 @@ class ArmGeometry:
         """The same parts with some of the pairs, by their indices."""
         return _with_pairs(self, tuple(self.pairs[k] for k in pairs))
 
+    def in_the_way(self, p_SE: Array, R_SE: Array) -> tuple[str, str] | None:
+        """What of the tray and its load is inside which obstacle when the tray is at a pose, whatever the arm does."""
+        frame, placed = self.arm.pin_model.frames[self.arm.tray_id], self.model.geometryObjects
+        joint = pin.SE3(R_SE, p_SE) * frame.placement.inverse()
+        around = len(self.names) - self.obstacles
+        for i in range(self.tray, around):
+            here = joint * placed[i].placement
+            for j in range(around, len(self.names)):
+                there, request = placed[j].placement, coal.CollisionRequest()
+                poses = [coal.Transform3s(place.rotation, place.translation) for place in (here, there)]
+                result = coal.CollisionResult()
+                if coal.collide(placed[i].geometry, poses[0], placed[j].geometry, poses[1], request, result):
+                    return self.names[i], self.names[j]
+        return None
+
     def lowest(self, q: Array) -> float:
         """Height over the base (m, the URDF's root) of the lowest point of links beyond the second joint."""
         low = np.inf
@@ -222,7 +239,7 @@ def arm_geometry(
                 left_out["srdf"].append((i, j))
             else:
                 pairs.append((i, j))
-    compared = ArmGeometry(arm, parts, None, tuple(names), (), len(names) - fixed, (), {})
+    compared = ArmGeometry(arm, parts, None, tuple(names), (), links, len(names) - fixed, (), {})
     left_out["always"] = _always(_with_pairs(compared, tuple(pair for pair in pairs if pair[1] < fixed)))
     pairs = [pair for pair in pairs if pair not in left_out["always"]]
     named = {

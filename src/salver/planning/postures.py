@@ -51,6 +51,12 @@ class PoseTarget:
         """(6, 6): twists of E to those of B."""
         return tray_to_object(self.p_EB, self.R_EB)
 
+    @property
+    def tray_pose(self) -> tuple[Array, Array]:
+        """(p_SE, R_SE) of the tray when B is there."""
+        R_SE = self.R_SB @ self.R_EB.T
+        return self.p_SB - R_SE @ self.p_EB, R_SE
+
     def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
         """Pose error (6 or 5,) at q, position in S and turn in B, and the Jacobian that a step dq should satisfy
         J dq = error."""

@@ -237,7 +237,7 @@ class Contact(Constraint):
             return padded(np.einsum("rk,rkz->rz", worst.attained(i, f), motion.terms.w_z[i]), motion.n)
 
         carried = " and ".join(body.name for body in self.rows.network.bodies)
-        margins = (self.margin + 1e-3, self.margin)
+        margins = (self.margin + 1e-3, max(self.margin, FINEST))
         yield Block(f"contact of {carried}", worst.values, gradient, motion.nodes, margins, most=CONTACT_ROWS)
 
 

@@ -24,6 +24,7 @@ from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Iterate, Solution
 from salver.planning.follow.forward import tray_motion
+from salver.planning.follow.limits import blocked_end
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
@@ -159,7 +160,7 @@ def fastest(
         found = _optimum(problem, options, begin, options.time_limit, NEAR)
         if found.status.ok:
             return found
-    blocked = _blocked_start(problem)
+    blocked = _blocked(problem)
     guesses = [] if blocked is not None else _guesses(problem, options)
 
     def left() -> float:
@@ -194,10 +195,15 @@ def fastest(
     return replace(best, wall_time=wall, iterations=iterations)
 
 
-def _blocked_start(problem: TransportProblem) -> Status | None:
-    """Why no motion can begin at the given start posture, or None."""
-    if problem.start_posture is None or problem.keep_out is None:
+def _blocked(problem: TransportProblem) -> Status | None:
+    """Why no motion can begin or end as it should, or None."""
+    if problem.keep_out is None:
         return None
+    ends = {"start": problem.start, "goal": problem.goal}
+    poses = {name: end.target for name, end in ends.items() if isinstance(end, AtPose) and not end.target.yaw_free}
+    stuck = blocked_end(problem.keep_out.parts, {name: target.tray_pose for name, target in poses.items()})
+    if stuck is not None or problem.start_posture is None:
+        return stuck
     touch = problem.keep_out.parts.first_touch(problem.start_posture[None])
     if touch is None:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,6 +66,16 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
         unit = kind.unit_of(arm.linear[i])
         found.append(Peak(kind.name, float(abs(share[k, i])), arm.joint_names[i], time, value, bound, unit))
     return found
+
+
+def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]]) -> Status | None:
+    """Why nothing can stand at an end of a motion, or None; ends: name -> (p_SE, R_SE) of the tray."""
+    for name, (p_SE, R_SE) in ends.items():
+        found = parts.in_the_way(p_SE, R_SE)
+        if found is not None:
+            sentence = f"At the {name} the {found[0]} is inside the obstacle {found[1]}; move one of them."
+            return Status(COLLISION, sentence, False, {COLLISION: {"first": found[0], "second": found[1]}})
+    return None
 
 
 def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:

@@ -16,7 +16,7 @@ from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
-from salver.planning.follow.limits import COLLISION, verdict
+from salver.planning.follow.limits import COLLISION, blocked_end, verdict
 from salver.planning.follow.redundancy import Choice, TrayPath, first_choice, improved, solve_path, tray_path
 from salver.planning.postures import PoseTarget, candidate_postures, postures_along, start_posture
 from salver.scenario import Obstacle, Scenario
@@ -51,6 +51,9 @@ def follow(
     """
     path = tray_path(reference, p_EB, R_EB, np.linspace(0.0, reference.duration, COARSE_NODES))
     parts = arm_geometry(arm, bodies, obstacles)
+    stuck = blocked_end(parts, {name: (path.p_SE[k], path.R_SE[k]) for name, k in (("start", 0), ("goal", -1))})
+    if stuck is not None:
+        return None, stuck
     begin = PoseTarget(path.p_SE[0], path.R_SE[0])
     starts = candidate_postures(arm, begin, seed) if q_start is None else [start_posture(arm, q_start, begin)]
     followed = [postures_along(arm, path.p_SE, path.R_SE, q) for q in starts]

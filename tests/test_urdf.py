@@ -1,0 +1,235 @@
+"""What arms may be made of: joints that slide or turn for ever, packages, xacro; what is not an arm gets a sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from salver import scenario
+from salver.errors import ScenarioError
+from salver.models.arm import ArmModel, load_arm
+from salver.models.arm_geometry import arm_geometry
+from salver.models.urdf import find_mesh
+from salver.planning.follow.limits import peaks, verdict
+from salver.planning.make import make_plan
+from salver.simulation.physics import simulate
+from salver.trajectory import JointMotion
+
+LINK = """<link name="{name}"><inertial><mass value="{mass}"/><origin xyz="{com}"/>
+  <inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+  <collision><origin xyz="{com}"/><geometry><box size="{size}"/></geometry></collision></link>"""
+JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="{at}"/>
+  <axis xyz="{axis}"/><limit lower="{low}" upper="{high}" effort="{effort}" velocity="{speed}"/>{more}</joint>"""
+
+
+def joint(name: str, kind: str, parent: str, child: str, at: str, axis: str, **more: object) -> str:
+    values = {"low": -2.0, "high": 2.0, "effort": 200.0, "speed": 2.0, "more": "", **more}
+    return JOINT.format(name=name, kind=kind, parent=parent, child=child, at=at, axis=axis, **values)
+
+
+def gantry(*, turn: str = "continuous", more: str = "") -> str:
+    """Three slides along x, y, z that carry a wrist of three joints that turn about z, y, x."""
+    links = [
+        LINK.format(name="rail", mass=5, com="0 0 0", size="2 0.05 0.05"),
+        LINK.format(name="beam", mass=4, com="0 0 0.2", size="0.05 2 0.05"),
+        LINK.format(name="post", mass=3, com="0 0 0.4", size="0.05 0.05 0.05"),
+        LINK.format(name="head", mass=1, com="0 0 0.5", size="0.05 0.05 0.05"),
+        LINK.format(name="yaw", mass=0.5, com="0 0 0.02", size="0.04 0.04 0.04"),
+        LINK.format(name="pitch", mass=0.5, com="0 0 0.02", size="0.04 0.04 0.02"),
+        LINK.format(name="roll", mass=0.5, com="0 0 0.02", size="0.04 0.04 0.02"),
+    ]
+    joints = [
+        joint("x", "prismatic", "rail", "beam", "0 0 0", "1 0 0", low=-0.8, high=0.8),
+        joint("y", "prismatic", "beam", "post", "0 0 0", "0 1 0", low=-0.8, high=0.8),
+        joint("z", "prismatic", "post", "head", "0 0 0", "0 0 1", low=-0.3, high=0.5),
+        joint("turn", turn, "head", "yaw", "0 0 0.55", "0 0 1", more=more),
+        joint("lean", "revolute", "yaw", "pitch", "0 0 0.06", "0 1 0"),
+        joint("tip", "revolute", "pitch", "roll", "0 0 0.05", "1 0 0"),
+    ]
+    return f'<robot name="gantry">{"".join(links)}{"".join(joints)}</robot>'
+
+
+CELL = {
+    "name": "gantry",
+    "motion": {"duration": 1.2, "start": {"position": [-0.2, -0.1, 0.9]}, "goal": {"position": [0.2, 0.2, 0.95]}},
+    "objects": [{"name": "box", "shape": {"type": "box", "size": [0.06, 0.06, 0.08]}, "mass": 0.3, "friction": 0.4}],
+    "contact": {"condition": "exact"},
+    "tray": {"height": 0.08},
+}
+
+
+def cell(tmp_path: Path, text: str, **arm: object) -> scenario.Scenario:
+    path = tmp_path / "gantry.urdf"
+    path.write_text(text)
+    return scenario.parse({**CELL, "arm": {"model": str(path), "flange": "roll", **arm}}, "the test")
+
+
+def loaded(tmp_path: Path, text: str, **arm: object) -> ArmModel:
+    case = cell(tmp_path, text, **arm)
+    assert case.arm is not None
+    return load_arm(case.arm, case.tray)
+
+
+# ---- joints that slide, joints that turn for ever --------------------------------------------------------------
+
+
+def test_a_gantry_is_planned_checked_and_run(tmp_path: Path) -> None:
+    case = cell(tmp_path, gantry(), limits={"acceleration": 10.0, "jerk": 500.0})
+    for method in ("robust", "fastest"):
+        plan = make_plan(case, method)
+        assert plan.ok, (plan.status, plan.arm_status)
+        assert plan.arm_status is not None
+        assert plan.arm_status.details["velocity"]["unit"] in ("m/s", "rad/s")
+        assert simulate(plan).summary["outcome"] == "holds"
+
+
+def test_units_of_a_joint_that_slides(tmp_path: Path) -> None:
+    """A slide of 0.3 m in 1 s by min-jerk: 15/8 0.3 = 0.5625 m/s; gravity on z alone: all that hangs on it, 2.5 kg."""
+    arm = loaded(tmp_path, gantry())
+    assert arm.linear == (True, True, True, False, False, False)
+    ends = np.zeros((2, 6))
+    ends[1, 1] = 0.3
+    motion = JointMotion(np.array([0.0, 1.0]), ends, np.zeros((2, 6)), np.zeros((2, 6)))
+    fine = JointMotion(np.linspace(0, 1, 201), *motion.sample(np.linspace(0, 1, 201)))
+    found = {peak.kind: peak for peak in peaks(arm, fine)}
+    assert (found["velocity"].unit, found["acceleration"].unit) == ("m/s", "m/s^2")
+    assert found["velocity"].value == pytest.approx(15 / 8 * 0.3)
+    hanging = 1 + 3 * 0.5 + scenario.Tray().mass
+    assert arm.gravity(np.zeros(6))[2] == pytest.approx(9.81 * hanging)
+    down = loaded(tmp_path, gantry(), limits={"torque": [200, 200, 10, 200, 200, 200]})
+    told = verdict(down, fine).sentence
+    assert f"the torque of z reaches {9.81 * hanging:.4g} N at" in told
+
+
+def test_a_continuous_joint_keeps_within_a_turn(tmp_path: Path) -> None:
+    arm = loaded(tmp_path, gantry())
+    assert (arm.limits.q_min[3], arm.limits.q_max[3]) == pytest.approx((-2 * np.pi, 2 * np.pi))
+
+
+# ---- what is no arm --------------------------------------------------------------------------------------------
+
+MIMIC = '<mimic joint="lean" multiplier="1"/>'
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: gantry(turn="revolute", more=MIMIC), ["joint turn", "mimics lean", "move on their own"]),
+        (
+            lambda t: t.replace("</robot>", joint("loop", "fixed", "rail", "roll", "0 0 0", "0 0 1") + "</robot>"),
+            ["closes a chain", "link roll", "tip and loop"],
+        ),
+        (
+            lambda t: t.replace("</robot>", joint("loop", "fixed", "roll", "rail", "0 0 0", "0 0 1") + "</robot>"),
+            ["closes a chain"],
+        ),
+        (lambda t: t.replace("<link", '<xacro:include filename="x"/><link', 1), ["xacro", "pip install xacrodoc"]),
+        (lambda t: t.replace('type="prismatic"', 'type="planar"', 1), ["degrees of freedom"]),
+    ],
+    ids=["mimic", "two parents", "ring", "xacro", "planar"],
+)
+def test_what_is_no_arm_gets_one_sentence(tmp_path: Path, change, words: list[str]) -> None:
+    with pytest.raises(ScenarioError) as refused:
+        loaded(tmp_path, change(gantry()))
+    message = str(refused.value)
+    assert all(word in message for word in words), message
+    assert "\n" not in message
+    assert message.endswith(".")
+
+
+def test_a_mimic_joint_beside_the_chain_is_none_of_our_business(tmp_path: Path) -> None:
+    finger = LINK.format(name="finger", mass=0.1, com="0 0 0", size="0.01 0.01 0.01")
+    beside = finger + joint("grip", "prismatic", "yaw", "finger", "0.05 0 0", "1 0 0", more=MIMIC)
+    assert loaded(tmp_path, gantry().replace("</robot>", beside + "</robot>")).n == 6
+
+
+LIMITS = [
+    ("joint_limits: {elbow: {max_velocity: 1}}", ["limits elbow, which the URDF does not have", "lean, tip, turn, x"]),
+    ("joint_limits: {x: {max_velocity: -1}}", ["max_velocity of x is -1", "greater than 0"]),
+    ("joint_limits: {x: {max_velocity: fast}}", ["max_velocity of x is 'fast'"]),
+    ("joint_limits: {x: {max_acceleration: .nan}}", ["max_acceleration of x is nan"]),
+    ("joint_limits: {x: {min_position: 1, max_position: -1}}", ["min_position of x is not below"]),
+    ("joint_limits: [1, 2]", ["has no table joint_limits"]),
+    ("velocity: 3", ["has no table joint_limits"]),
+    ("joint_limits: {x: [", ["cannot be read"]),
+    ("joint_limits: {x: {max_velocity: !python/object:os.system 1}}", ["cannot be read"]),
+    (None, ["cannot be read", "No such file"]),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), LIMITS)
+def test_joint_limits_that_cannot_be(tmp_path: Path, text: str | None, words: list[str]) -> None:
+    path = tmp_path / "joint_limits.yaml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ScenarioError) as refused:
+        loaded(tmp_path, gantry(), joint_limits=str(path))
+    message = str(refused.value)
+    assert str(path) in message
+    assert all(word in message for word in words), message
+    assert "\n" not in message
+
+
+def test_limits_for_another_number_of_joints(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"arm.limits.jerk has 7 values; gantry has 6 joints"):
+        loaded(tmp_path, gantry(), limits={"jerk": [1.0] * 7})
+
+
+@pytest.mark.parametrize("content", [None, "<robot", "<robot><disable_collisions link1='a' link2='b'/></robot>"])
+def test_bad_srdf(tmp_path: Path, content: str | None) -> None:
+    path = tmp_path / "arm.srdf"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(ScenarioError, match=r"^arm.srdf: .*(cannot be read|names no links of this arm)"):
+        loaded(tmp_path, gantry(), srdf=str(path))
+
+
+def test_package_folders_that_are_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r'arm.package_dirs\[1\] = ".*nowhere": there is no such folder'):
+        loaded(tmp_path, gantry(), package_dirs=[str(tmp_path), str(tmp_path / "nowhere")])
+
+
+# ---- packages --------------------------------------------------------------------------------------------------
+
+
+def test_where_meshes_are_looked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the order of the documentation: package_dirs, AMENT_PREFIX_PATH, ROS_PACKAGE_PATH, above the URDF."""
+    urdf = tmp_path / "mine" / "urdf" / "arm.urdf"
+    places = {
+        "given": tmp_path / "given" / "arm_description" / "meshes" / "link.stl",
+        "itself": tmp_path / "other" / "arm_description" / "meshes" / "link.stl",
+        "stack": tmp_path / "ws" / "stack" / "arm_description" / "meshes" / "link.stl",
+        "ament": tmp_path / "ament" / "share" / "arm_description" / "meshes" / "link.stl",
+        "above": tmp_path / "mine" / "meshes" / "link.stl",
+    }
+    for place in (*places.values(), urdf):
+        place.parent.mkdir(parents=True)
+        place.write_text("")
+    name = "package://arm_description/meshes/link.stl"
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    assert find_mesh(name, urdf) == str(places["above"])
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path / 'nowhere'}:{tmp_path / 'ws'}")
+    assert find_mesh(name, urdf) == str(places["stack"])
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ament"))
+    assert find_mesh(name, urdf) == str(places["ament"])
+    assert find_mesh(name, urdf, [tmp_path / "given"]) == str(places["given"])
+    assert find_mesh(name, urdf, [tmp_path / "other" / "arm_description"]) == str(places["itself"])
+    assert find_mesh("../meshes/link.stl", urdf) == str(urdf.parent / "../meshes/link.stl")
+    assert find_mesh(f"file://{places['given']}", urdf) == str(places["given"])
+    assert find_mesh("package://arm_description/gone.stl", urdf) == "package://arm_description/gone.stl"
+
+
+def test_a_urdf_made_from_xacro_is_an_arm(tmp_path: Path) -> None:
+    """As the documentation says to do it; the comment and the declaration that are left do not matter."""
+    xacrodoc = pytest.importorskip("xacrodoc")
+    source = tmp_path / "gantry.urdf.xacro"
+    text = gantry().replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    source.write_text(text.replace('velocity="2.0"', 'velocity="${1 + 0.5}"'))
+    made = tmp_path / "gantry.urdf"
+    xacrodoc.XacroDoc.from_file(source).to_urdf_file(made)
+    arm = load_arm(scenario.Arm(model=str(made), flange="roll"), scenario.Tray())
+    assert arm.limits.velocity == pytest.approx([1.5] * 6)
+    assert arm_geometry(arm).unchecked == ("links that share a joint against one another",)
