@@ -80,41 +80,43 @@ def second_order(kp, kd, e, de, t):
 # ---- term by term ---------------------------------------------------------------------------------------------
 
 
+def torque_of_the_paper(panda, joint, reference, state, t, inverse):
+    """tau = J_c^T F_c + C dq + N + M u, every term from the module that owns it; inverse: of the object's Jacobian."""
+    cube, q, dq = CUBE.payload.first, state.q, state.dq
+    q_star, dq_star, ddq_star = (x[0] for x in joint.sample(t))
+    now = reference.sample(t)
+    seen = state.p_SB[None], state.R_SB[None], state.v_S[None], state.omega_B[None]
+    a_cmd, alpha_cmd = command(GAINS, now, errors(now, *seen))
+    rate = np.concatenate([state.R_SB.T @ a_cmd[0] - np.cross(state.omega_B, state.R_SB.T @ state.v_S), alpha_cmd[0]])
+    jacobian, h = panda.object_jacobian(q, cube.p_EB, cube.R_EB), 1e-6
+    ahead, behind = (panda.object_jacobian(q + sign * h * dq, cube.p_EB, cube.R_EB) for sign in (1, -1))
+    drift = (ahead - behind) @ dq / (2 * h)
+    kp, kd = POSTURE_GAINS
+    posture = ddq_star + kp * (q_star - q) + kd * (dq_star - dq)
+    u = inverse(jacobian) @ (rate - drift) + (np.eye(7) - inverse(jacobian) @ jacobian) @ posture
+    wrench_B = wrench_command(GAINS, cube.inertial.phi, now, *seen)[0]
+    forces = cube.contacts.cone_edges @ distribute(cube.contacts.grasp_map, wrench_B)
+    return (
+        panda.contact_jacobian(q, cube.contacts, cube.p_EB, cube.R_EB).T @ forces
+        + panda.coriolis(q, dq) @ dq
+        + panda.gravity(q)
+        + panda.mass_matrix(q) @ u
+    )
+
+
 @pytest.mark.parametrize("feedback", ["joints", "object"])
 def test_torque_is_equation_22_with_25(panda, reference, joint, feedback):
-    """tau = J_c^T F_c + C dq + N + M u, every term from the module that owns it."""
     cube = CUBE.payload.first
     controller = ArmController(panda, [cube], joint, reference, GAINS, feedback=feedback, limit_torque=False)
     rng = np.random.default_rng(0)
     # Between multiples of the period the reference is a Taylor series, short of the snap by 1e-5 of the acceleration.
     for t, tolerance in ((0.3, 1e-7), (0.7504, 1e-5), (1.1, 1e-7)):
-        q_star, dq_star, ddq_star = (x[0] for x in joint.sample(t))
-        q, dq = q_star + 0.02 * rng.normal(size=7), dq_star + 0.1 * rng.normal(size=7)
-        state = state_at(panda, q, dq, cube)
+        q_star, dq_star, _ = (x[0] for x in joint.sample(t))
+        state = state_at(panda, q_star + 0.02 * rng.normal(size=7), dq_star + 0.1 * rng.normal(size=7), cube)
         if feedback == "object":
             state.p_SB += np.array([0.003, -0.002, 0.001])
             state.omega_B += np.array([0.1, 0.0, -0.2])
-        now = reference.sample(t)
-        seen = state.p_SB[None], state.R_SB[None], state.v_S[None], state.omega_B[None]
-        a_cmd, alpha_cmd = command(GAINS, now, errors(now, *seen))
-        rate = np.concatenate(
-            [state.R_SB.T @ a_cmd[0] - np.cross(state.omega_B, state.R_SB.T @ state.v_S), alpha_cmd[0]]
-        )
-        jacobian, h = panda.object_jacobian(q, cube.p_EB, cube.R_EB), 1e-6
-        ahead, behind = (panda.object_jacobian(q + sign * h * dq, cube.p_EB, cube.R_EB) for sign in (1, -1))
-        drift = (ahead - behind) @ dq / (2 * h)
-        inverse = np.linalg.pinv(jacobian)
-        kp, kd = POSTURE_GAINS
-        posture = ddq_star + kp * (q_star - q) + kd * (dq_star - dq)
-        u = inverse @ (rate - drift) + (np.eye(7) - inverse @ jacobian) @ posture
-        wrench_B = wrench_command(GAINS, cube.inertial.phi, now, *seen)[0]
-        forces = cube.contacts.cone_edges @ distribute(cube.contacts.grasp_map, wrench_B)
-        expected = (
-            panda.contact_jacobian(q, cube.contacts, cube.p_EB, cube.R_EB).T @ forces
-            + panda.coriolis(q, dq) @ dq
-            + panda.gravity(q)
-            + panda.mass_matrix(q) @ u
-        )
+        expected = torque_of_the_paper(panda, joint, reference, state, t, np.linalg.pinv)
         assert controller.step(state, t) == pytest.approx(expected, abs=tolerance)
 
 
@@ -222,11 +224,20 @@ def test_torques_and_their_rates_are_cut_and_counted(panda, reference, joint):
     assert controller.step(calm, 0.0) == pytest.approx(first, abs=0)
 
 
-def test_singular_posture_gives_finite_torques(panda, reference, joint):
-    controller = ArmController(panda, CUBE.payload.bodies, joint, reference, GAINS, limit_torque=False)
-    torque = controller.step(ArmState(np.zeros(7), np.zeros(7)), 0.0)
-    assert np.all(np.isfinite(torque))
-    assert np.abs(torque).max() < 1e6
+def test_singular_posture_is_left_by_damped_least_squares(panda, reference, joint):
+    """Stretched out, J has a pivot of zero: then u is least in |J u - wanted|^2 + (1e-3 |u|)^2 (Wampler 1986)."""
+    cube = CUBE.payload.first
+    controller = ArmController(panda, [cube], joint, reference, GAINS, limit_torque=False)
+    stretched, slow = np.zeros(7), np.full(7, 0.01)
+    state = state_at(panda, stretched, slow, cube)
+    assert np.linalg.svd(panda.object_jacobian(stretched, cube.p_EB, cube.R_EB))[1][-1] < 1e-3
+
+    def damped(jacobian):
+        stacked = np.vstack([jacobian, 1e-3 * np.eye(7)])
+        return np.linalg.lstsq(stacked, np.vstack([np.eye(6), np.zeros((7, 6))]))[0]
+
+    expected = torque_of_the_paper(panda, joint, reference, state, 0.3, damped)
+    assert controller.step(state, 0.3) == pytest.approx(expected, rel=1e-4)
 
 
 def test_mistakes(panda, reference, joint):

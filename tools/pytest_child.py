@@ -63,9 +63,10 @@ class _Plugin:
         items.sort(key=lambda item: self.rank(item.nodeid, item.nodeid in self.slow))
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
-        self.note(nodeid)  # should the process die
-        self.save()
-        self.note(None)
+        if self.outcome.failed is None:
+            self.note(nodeid)  # should the process die
+            self.save()
+            self.note(None)
         faulthandler.dump_traceback_later(self.slowest, exit=True, file=sys.__stderr__)
         if self.measure is not None:
             self.measure.switch_context(nodeid)

@@ -71,11 +71,13 @@ class TestMap:
             def measure(name: str) -> None:
                 tree = trees.get()
                 try:
-                    self.files[name] = {"digest": present[name], **_measure(tree, name)}
+                    found = _measure(tree, name)
                 finally:
                     trees.put(tree)
-                self.save()
-                print(f"{name}: {sum(self.files[name]['tests'].values()):.1f} s", file=sys.stderr)
+                if found is not None:
+                    self.files[name] = {"digest": present[name], **found}
+                    self.save()
+                    print(f"{name}: {sum(found['tests'].values()):.1f} s", file=sys.stderr)
 
             list(pool.map(measure, due))
 
@@ -86,7 +88,7 @@ class TestMap:
     def of_files(self, names: list[str]) -> "TestMap":
         """A part of the map, not saved."""
         part = TestMap(self.path)
-        part.files = {name: self.files[name] for name in names}
+        part.files = {name: self.files[name] for name in names if name in self.files}
         return part
 
     def tests_of(self, source: str, function: str) -> tuple[list[str], set[str]]:
@@ -115,7 +117,8 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
-def _measure(tree: Path, name: str) -> dict[str, Any]:
+def _measure(tree: Path, name: str) -> dict[str, Any] | None:
+    """What the tests of a file take and run; None, said on standard error, when they fail as they are."""
     import coverage
 
     (tree / "output.txt").unlink(missing_ok=True)
@@ -124,7 +127,8 @@ def _measure(tree: Path, name: str) -> dict[str, Any]:
     outcome = run_tests(tree, [name], _as_written, limit=3600, slowest=900, coverage=str(settings))
     if outcome.code != 0:
         output = (tree / "output.txt").read_text()[-3000:]
-        raise SystemExit(f"{output}\n{name} fails as it is, at {outcome.failed}: no mutant can be judged by it")
+        print(f"{output}\n{name} fails at {outcome.failed}: no mutant is judged by it", file=sys.stderr)
+        return None
     combined = coverage.CoverageData(str(tree / ".coverage"))
     for part in tree.glob(".coverage.*"):
         data = coverage.CoverageData(str(part))
