@@ -14,8 +14,11 @@ GONE = object()
 CUBE = (scenario.SCENARIO_DIR / "panda-cube.toml").read_text(encoding="utf-8")
 
 NUMBER = "must be a finite number"
-VECTOR = "must be three finite numbers"
-RANGE = 'must be a percentage below 100 % such as "10%", or a half-range in SI units, at least 0'
+VECTOR = "must be three finite numbers, each at least -10 and at most 10"
+NAME = "must be letters, digits, points, - and _, a letter or digit first, at most 64"
+GAINS = "must be two finite numbers, each at least 0.001 and at most 100000"
+SIX = "must be three or six finite numbers, each at least -1000 and at most 1000"
+RANGE = 'must be a percentage below 100 % such as "10%", or a half-range in SI units, at least 0 and at most 100'
 SHAPES = 'must be a table whose type is "box", "cylinder", "prism", "mesh" or "composite"'
 POSE = "must be a table with the keys position, rpy_deg, quat_wxyz"
 
@@ -31,18 +34,68 @@ BAD = [
     ("motion.degree", 4, "motion.degree = 4: must be a whole number at least 5 and at most 30."),
     ("motion.degree", 9.5, "motion.degree = 9.5: must be a whole number at least 5 and at most 30."),
     ("contact.edges", 2, "contact.edges = 2: must be a whole number at least 3 and at most 32."),
-    ("seed", -1, "seed = -1: must be a whole number at least 0."),
+    ("seed", -1, "seed = -1: must be a whole number at least 0 and at most 9223372036854775807."),
     ("arm.velocity_scale", 1.5, f"arm.velocity_scale = 1.5: {NUMBER} greater than 0 and at most 1."),
-    ("physics.timestep", 0.01, f"physics.timestep = 0.01: {NUMBER} greater than 0 and at most 0.005."),
+    ("physics.timestep", 0.01, f"physics.timestep = 0.01: {NUMBER} at least 1e-05 and at most 0.005."),
+    # what would take more than a machine has, or is lost in the engine
+    ("control.kp", [1e6, 300], f"control.kp = [1000000.0, 300]: {GAINS}."),
+    ("control.kd", [1e6, 15], f"control.kd = [1000000.0, 15]: {GAINS.removesuffix('00')}."),
+    (
+        "control.kp",
+        [9e4, 300],
+        "control.kp = 90000 1/s^2 with control.kd = 25 1/s is unstable when commands are held for "
+        "physics.command_period "
+        "= 0.001 s; give smaller gains, or kd nearer to 2 sqrt(kp).",
+    ),
+    ("physics.settle_after", 1e6, f"physics.settle_after = 1000000.0: {NUMBER} at least 0 and at most 60."),
+    ("physics.timestep", 1e-9, f"physics.timestep = 1e-09: {NUMBER} at least 1e-05 and at most 0.005."),
+    (
+        "tray.inertia",
+        [1e9, 1e9, 1e9],
+        "tray.inertia = [1000000000.0, 1000000000.0, 1000000000.0]: must be three finite numbers, each at least "
+        "-1000 and at "
+        "most 1000.",
+    ),
+    (
+        "tray.inertia",
+        [1.0, 1.0, 1.0],
+        "tray: inertia = [1.0, 1.0, 1.0] kg m^2 is too large: 0.15 kg between the flange and the tray's surface, no "
+        "wider "
+        "than the tray, have at most 0.00338.",
+    ),
+    (
+        "tray.inertia",
+        [1e-4, 1e-4, 3e-4],
+        "tray: inertia = [0.0001, 0.0001, 0.0003] kg m^2 is that of no body: none may be negative, none larger than "
+        "the sum "
+        "of the other two.",
+    ),
+    (
+        "objects.0.inertia",
+        [100, 100, 100],
+        "objects[0]: inertia of cube = 100 kg m^2 (nominal or half-range) is too large for 0.256 kg of this shape: "
+        "at most "
+        "0.000614, twice that of all of it in the furthest corner.",
+    ),
+    (
+        "objects.0.uncertainty.inertia",
+        [0, 0, 1],
+        "objects[0]: inertia of cube = 1 kg m^2 (nominal or half-range) is too large for 0.256 kg of this shape: at "
+        "most "
+        "0.000614, twice that of all of it in the furthest corner.",
+    ),
+    ("arm.model", "a\x00.urdf", 'arm.model = "a\\u0000.urdf": must be a known arm, or the path of a URDF.'),
+    ("summary", "x" * 20_000, f'summary = "{"x" * 76}...: must be text of at most 10000 letters.'),
+    ("obstacles", [{}] * 101, f"obstacles = [{'{}, ' * 19}...: must be a list of tables, at most 100."),
     # names and choices
     ("motion.orientation", "loose", 'motion.orientation = "loose": must be "fixed" or "free".'),
     ("contact.condition", "none", 'contact.condition = "none": must be "paper" or "exact".'),
     ("uncertainty.set", "ball", 'uncertainty.set = "ball": must be "box" or "ellipsoid".'),
-    ("name", "a b", 'name = "a b": must be letters, digits, points, - and _, a letter or digit first.'),
+    ("name", "a b", 'name = "a b": must be letters, digits, points, - and _, a letter or digit first, at most 64.'),
     (
         "objects.0.name",
         "my cube",
-        'objects[0].name = "my cube": must be letters a to z, digits, - and _, a letter first.',
+        'objects[0].name = "my cube": must be letters a to z, digits, - and _, a letter first, at most 64.',
     ),
     # vectors
     ("motion.start.position", [0, 1], f"motion.start.position = [0, 1]: {VECTOR}."),
@@ -51,18 +104,26 @@ BAD = [
     (
         "motion.start.position",
         [0, 1, 370],
-        "motion.start: position (0.0, 1.0, 370.0) is over 10 m away; positions are in metres.",
+        f"motion.start.position = [0, 1, 370]: {VECTOR}.",
     ),
     ("motion.start.quat_wxyz", [1, 1, 0, 0], "motion.start: quat_wxyz has norm 1.414; a rotation has norm 1."),
     ("motion.start", [0, 0, 0], f"motion.start = [0, 0, 0]: {POSE}."),
-    ("control.kp", [500], "control.kp = [500]: must be two finite numbers, each greater than 0."),
-    ("control.kp", [500, -3], "control.kp = [500, -3]: must be two finite numbers, each greater than 0."),
-    ("tray.size", [0.2], "tray.size = [0.2]: must be two finite numbers, each greater than 0 and at most 5."),
-    ("arm.start_posture", [1, "a"], 'arm.start_posture = [1, "a"]: must be a list of finite numbers.'),
+    ("control.kp", [500], f"control.kp = [500]: {GAINS}."),
+    (
+        "control.kp",
+        [500, -3],
+        "control.kp = [500, -3]: must be two finite numbers, each at least 0.001 and at most 100000.",
+    ),
+    ("tray.size", [0.2], "tray.size = [0.2]: must be two finite numbers, each at least 0.0001 and at most 5."),
+    ("arm.start_posture", [1, "a"], 'arm.start_posture = [1, "a"]: must be a list of finite numbers, at most 20.'),
     # missing and unknown keys
-    ("name", GONE, "name is missing; it must be letters, digits, points, - and _, a letter or digit first."),
+    (
+        "name",
+        GONE,
+        f"name is missing; it {NAME}.",
+    ),
     ("motion.goal", GONE, f"motion.goal is missing; it {POSE}."),
-    ("objects.0.mass", GONE, f"objects[0].mass is missing; it {NUMBER} greater than 0 and at most 100."),
+    ("objects.0.mass", GONE, f"objects[0].mass is missing; it {NUMBER} at least 1e-06 and at most 100."),
     ("motions", {}, "unknown key motions; did you mean motion."),
     ("motion.star", {}, "unknown key motion.star; did you mean start."),
     ("motion.start.positon", [0, 0, 0], "unknown key motion.start.positon; did you mean position."),
@@ -75,13 +136,13 @@ BAD = [
     ),
     ("control.gains", 1, "unknown key control.gains; accepted are kp, kd."),
     # objects
-    ("objects", [], "objects = []: must be a list of tables, at least one."),
-    ("objects", {}, "objects: must be a list of tables, at least one."),
-    ("objects.0.mass", -1, f"objects[0].mass = -1: {NUMBER} greater than 0 and at most 100."),
-    ("objects.0.mass", math.nan, f"objects[0].mass = nan: {NUMBER} greater than 0 and at most 100."),
-    ("objects.0.mass", "10", f'objects[0].mass = "10": {NUMBER} greater than 0 and at most 100.'),
-    ("objects.0.friction", 0, f"objects[0].friction = 0: {NUMBER} greater than 0 and at most 5."),
-    ("objects.0.friction", -0.1, f"objects[0].friction = -0.1: {NUMBER} greater than 0 and at most 5."),
+    ("objects", [], "objects = []: must be a list of tables, at least one and at most 20."),
+    ("objects", {}, "objects: must be a list of tables, at least one and at most 20."),
+    ("objects.0.mass", -1, f"objects[0].mass = -1: {NUMBER} at least 1e-06 and at most 100."),
+    ("objects.0.mass", math.nan, f"objects[0].mass = nan: {NUMBER} at least 1e-06 and at most 100."),
+    ("objects.0.mass", "10", f'objects[0].mass = "10": {NUMBER} at least 1e-06 and at most 100.'),
+    ("objects.0.friction", 0, f"objects[0].friction = 0: {NUMBER} at least 0.001 and at most 5."),
+    ("objects.0.friction", -0.1, f"objects[0].friction = -0.1: {NUMBER} at least 0.001 and at most 5."),
     (
         "objects.0.inertia",
         [1e-4, 1e-4, 3e-4],
@@ -93,8 +154,16 @@ BAD = [
         [1e-4, 1e-4, -1e-4],
         "objects[0]: inertia of cube has the principal moment -0.0001 kg m^2; all must be positive.",
     ),
-    ("objects.0.inertia", [1e-4, 1e-4], "objects[0].inertia = [0.0001, 0.0001]: must be three or six finite numbers."),
-    ("objects.0.inertia", 3e-4, "objects[0].inertia = 0.0003: must be three or six finite numbers."),
+    (
+        "objects.0.inertia",
+        [1e-4, 1e-4],
+        f"objects[0].inertia = [0.0001, 0.0001]: {SIX}.",
+    ),
+    (
+        "objects.0.inertia",
+        3e-4,
+        f"objects[0].inertia = 0.0003: {SIX}.",
+    ),
     (
         "objects.0.com",
         [0.1, 0, 0],
@@ -120,18 +189,18 @@ BAD = [
     (
         "objects.0.shape",
         {"type": "box"},
-        f"objects[0].shape.size is missing; it {VECTOR}, each greater than 0 and at most 5.",
+        f"objects[0].shape.size is missing; it must be three finite numbers, each at least 0.0001 and at most 5.",
     ),
     (
         "objects.0.shape.size",
         [40, 40, 40],
-        f"objects[0].shape.size = [40, 40, 40]: {VECTOR}, each greater than 0 and at most 5.",
+        f"objects[0].shape.size = [40, 40, 40]: must be three finite numbers, each at least 0.0001 and at most 5.",
     ),
     (
         "objects.0.shape",
         {"type": "prism", "polygon": [[0, 0], [0.1, 0]], "height": 0.1},
         "objects[0].shape.polygon = [[0, 0], [0.1, 0]]: must be a list of points of two finite numbers, at least "
-        "three.",
+        "three and at most 64.",
     ),
     *(
         (
@@ -175,13 +244,13 @@ BAD = [
     (
         "objects.0.uncertainty.com",
         "10%",
-        f'objects[0].uncertainty.com = "10%": {VECTOR}, each at least 0.',
+        f'objects[0].uncertainty.com = "10%": must be three finite numbers, each at least 0 and at most 100.',
     ),
     (
         "objects.0.uncertainty.inertia",
         [1e-5, 1e-5],
         "objects[0].uncertainty.inertia = [1e-05, 1e-05]: must be a percentage below 100 % such as "
-        '"10%", or three or six half-ranges in SI units, at least 0.',
+        '"10%", or three or six half-ranges in SI units, at least 0 and at most 100.',
     ),
     (
         "uncertainty.correlation",
@@ -205,7 +274,7 @@ BAD = [
     (
         "obstacles",
         [{"type": "sphere", "position": [0, 0, 0], "radius": "big"}],
-        f'obstacles[0].radius = "big": {NUMBER} greater than 0 and at most 5.',
+        f'obstacles[0].radius = "big": {NUMBER} at least 0.0001 and at most 5.',
     ),
 ]
 

@@ -150,13 +150,20 @@ def _bounds(metadata: list[Any]) -> str:
             (annotated_types.Le, "le", "at most"),
         ):
             if isinstance(limit, kind):
-                said.append(f"{words} {getattr(limit, attribute)}")
+                said.append(f"{words} {_figure(getattr(limit, attribute))}")
     return " " + " and ".join(said) if said else ""
+
+
+def _figure(value: float) -> str:
+    return str(int(value)) if value == int(value) and (isinstance(value, int) or abs(value) < 1e6) else f"{value:g}"
 
 
 def _length(metadata: list[Any]) -> str:
     least = [m.min_length for m in _flat(metadata) if isinstance(m, annotated_types.MinLen)]
-    return f", at least {_COUNTS[least[0]]}" if least else ""
+    most = [m.max_length for m in _flat(metadata) if isinstance(m, annotated_types.MaxLen)]
+    said = [f"at least {_COUNTS[least[0]]}"] if least else []
+    said += [f"at most {most[0]}"] if most else []
+    return f", {' and '.join(said)}" if said else ""
 
 
 def _flat(metadata: Iterable[Any]) -> list[Any]:

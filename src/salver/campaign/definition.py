@@ -19,6 +19,7 @@ Engine = Literal["physics", "closed-loop"]
 ENGINES: tuple[str, ...] = get_args(Engine)
 SUMMARY = "campaign.json"
 DEFAULT_FOLDER = "campaign"
+MOST_RUNS = 200_000  # of all plans together: records of some 5 kB each
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,12 @@ def define(
     """Definition of a campaign in a run directory. Raises SalverError, one sentence for each mistake."""
     if n < 1:
         raise SalverError(f"A campaign of {n} runs was asked for; it needs at least 1.")
+    if n * len(stems) > MOST_RUNS:
+        raise SalverError(
+            f"{n} runs of {len(stems)} plans were asked for; a campaign has at most {MOST_RUNS} in all, whose "
+            f"records fit "
+            "into the memory: use several folders with other seeds."
+        )
     if seed < 0:
         raise SalverError(f"The seed is {seed}; it must be 0 or more.")
     if method not in sampling.METHODS:

@@ -41,8 +41,10 @@ def tradeoff(
         wanted = [float(word) for word in scales.split(",")]
     except ValueError:
         wanted = [-1.0]
-    if not all(0 <= scale < float("inf") for scale in wanted):
-        raise ScenarioError(f'--scales = "{scales}" must be numbers of at least 0, separated by commas.')
+    if not all(0 <= scale <= 100 for scale in wanted) or len(wanted) > 100:
+        raise ScenarioError(
+            f'--scales = "{scales[:80]}" must be at most 100 numbers from 0 to 100, separated by commas.'
+        )
     if file_format not in ("pdf", "svg", "png"):
         raise ScenarioError(f'--format = "{file_format}" must be pdf, svg or png.')
     chosen = scenarios.load(scenario)

@@ -13,6 +13,7 @@ from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.plan import Plan, load_plan
 
 WORLD_FRAME = "world"
+MOST_SAMPLES = 1e6
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,11 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
             f"A rate of {rate:g} samples per second was asked for; it must be above 0 and at most 100000."
         )
     plan = load_plan(directory, stem)
+    if rate is not None and rate * plan.duration > MOST_SAMPLES:
+        raise SalverError(
+            f"{rate:g} samples per second make {rate * plan.duration:.2g} samples of this motion; at most "
+            f"{MOST_SAMPLES:.2g} are written."
+        )
     ns = _instants(load_npz(Path(directory) / f"{stem}.npz")["t"], plan.duration, rate)
     t = ns * 1e-9
     samples = plan.reference.sample(t)

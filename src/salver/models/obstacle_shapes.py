@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, matrix_from_rpy
+from salver.models.mesh_files import read_mesh_file
 
 if TYPE_CHECKING:
     from salver.scenario import Obstacle
@@ -44,17 +45,12 @@ def mesh_pieces(obstacle: Obstacle) -> list[Array]:
 
 @lru_cache(maxsize=64)
 def _pieces(file: str) -> tuple[Array, ...]:
-    import trimesh
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
-    try:
-        mesh = trimesh.load(file, force="mesh")
-    except Exception:  # each reader raises whatever it meets
-        raise ValueError("cannot be read as a mesh; give a .stl, .obj, .ply or .off file") from None
-    if hasattr(mesh, "merge_vertices"):
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-    points = np.asarray(getattr(mesh, "vertices", np.empty((0, 3))), dtype=float)
+    mesh = read_mesh_file(file)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    points = np.asarray(mesh.vertices, dtype=float)
     if len(points) < 4 or not np.isfinite(points).all():
         raise ValueError(f"has {len(points)} corners, all of which must be finite and at least 4")
     edges = np.asarray(mesh.edges)

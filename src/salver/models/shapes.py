@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from salver.geometry import Array
+from salver.models.mesh_files import read_mesh_file
 from salver.models.polygons import convex_hull, simplified
 from salver.models.rigid_body import parallel_axis
 
@@ -127,15 +128,14 @@ def mesh(file: str, scale: float = 1.0) -> Solid:
 @lru_cache(maxsize=32)
 def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
     """`mesh`, read once until the file changes: a scenario asks for its shapes several times."""
-    import trimesh
     from scipy.spatial import ConvexHull
 
     try:
-        surface = trimesh.load(path, force="mesh")
-    except Exception as error:  # trimesh raises what its many readers raise
-        raise ValueError(f'the mesh file "{file}" cannot be read ({error}); give an STL, OBJ or PLY file') from None
-    if not isinstance(surface, trimesh.Trimesh) or len(surface.faces) == 0:
-        raise ValueError(f'the mesh file "{file}" holds no triangles; give an STL, OBJ or PLY file of a closed surface')
+        surface = read_mesh_file(path)
+    except ValueError as error:
+        raise ValueError(f'the mesh file "{file}" {error}; give an STL, OBJ or PLY file of a closed surface') from None
+    if not np.isfinite(surface.vertices).all():
+        raise ValueError(f'the mesh file "{file}" has corners that are not finite')
     if not surface.is_watertight or surface.volume <= 0:
         raise ValueError(
             f'the mesh in "{file}" is not a closed surface with outward normals, so it has no volume and no inertia; '

@@ -20,6 +20,8 @@ import numpy as np
 from salver.errors import ScenarioError
 
 SUFFIXES = (".urdf", ".xml")
+LARGEST = 20_000_000  # bytes
+MOST_JOINTS = 20  # that move, between root and flange
 TURNS = 1.0  # of a continuous joint, either way: the rest of salver counts joint angles as numbers
 _NESTED = 2  # folders between one that is searched and a package in it
 
@@ -67,6 +69,13 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
                 _on_the_chain(element, path)
         elif element.tag in ("gazebo", "transmission"):
             root.remove(element)
+    moving = [j for j in root.findall("joint") if _end(j, "child") in links and j.get("type") != "fixed"]
+    if len(moving) > MOST_JOINTS:
+        raise ScenarioError(
+            f"The URDF {path} has {len(moving)} joints that move between its root and {flange}; an arm may have at "
+            f"most "
+            f"{MOST_JOINTS}."
+        )
     for mesh in root.iter("mesh"):
         mesh.set("filename", find_mesh(mesh.get("filename", ""), path, package_dirs))
     all_joints = frozenset(joint.get("name", "") for joint in joints)
@@ -153,6 +162,10 @@ def _parse(path: Path) -> ElementTree.Element:
 
 def _tree(path: Path) -> ElementTree.Element:
     """The file's elements, names as they are written: URDFs use prefixes of other tools without declaring them."""
+    if path.stat().st_size > LARGEST:
+        raise ScenarioError(
+            f"The URDF {path} is larger than {LARGEST // 1_000_000} MB; it must be an XML file of a robot."
+        )
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate()
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end

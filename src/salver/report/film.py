@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 FILMS = (".mp4", ".mkv", ".webm")  # by ffmpeg
+MOST_PICTURES = 10_000  # a few minutes of film
 STILLS = (".gif", ".webp")  # by pillow
 LABELS = {"plan": "planned", "baseline": "straight line", "nominal": "planned for nominal values"}
 _GAP = 4  # pixels between two pictures
@@ -67,6 +68,11 @@ def write_film(
     save = _ffmpeg(path) if path.suffix in FILMS else _pillow(path)
     scenario, records = _records(Path(directory), stem)
     end = max(float(r.t[-1]) for r in records.values())
+    if end * rate / speed > MOST_PICTURES:
+        raise SalverError(
+            f"{rate:g} pictures a second at {speed:g} times the speed make {end * rate / speed:.2g} pictures; at most "
+            f"{MOST_PICTURES} are drawn."
+        )
     times = np.arange(0.0, end + 1e-9, speed / rate)
     pictures, renderer, note = _pictures(records, scenario, times, width, height)
     save(pictures, rate, len(times))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from salver import sampling
 from salver.control.object import Gains
+from salver.errors import SalverError
 from salver.geometry import Array
 from salver.models.parameters import Parameter
 from salver.simulation.closed_loop import Coverage, Rollout, coverage, rollout
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from salver.report.run import Run
     from salver.simulation.record import SimulationRecord
 
+MOST_GIGABYTES = 2.0
 EXTRA_MASS = 0.05  # kg, of the paper's Fig. 8 (b)
 
 
@@ -32,6 +34,12 @@ def perturbed_rollouts(run: Run, stem: str, n: int, seed: int) -> Perturbed:
     from salver.planning.plan import load_plan
 
     plan = load_plan(run.directory, stem)
+    gigabytes = 3 * 8e-9 * n * len(plan.t) * (12 + plan.cone_coefficients.shape[1])
+    if gigabytes > MOST_GIGABYTES:
+        raise SalverError(
+            f"{n} perturbed bodies at {len(plan.t)} instants take {gigabytes:.0f} GB; at most "
+            f"{int(n * MOST_GIGABYTES / gigabytes)} of them fit into {MOST_GIGABYTES:g} GB."
+        )
     payload = run.scenario.payload
     body = payload.first
     phi = payload.phi(body, sampling.draw(payload.uncertain, n, seed, "corners", payload.bodies))

@@ -20,7 +20,22 @@ from pydantic import Field, ValidationError, model_validator
 from salver.display import Shown
 from salver.errors import ScenarioError
 from salver.models.arm_limits import PLANNING_SHARES
-from salver.scenario.fields import Metres, Model, NonNegative, Number, Positive, Share, Vector3, Whole
+from salver.models.urdf import MOST_JOINTS
+from salver.scenario.fields import (
+    Degrees,
+    File,
+    Inertia,
+    Metres,
+    Model,
+    Name,
+    Number,
+    Point,
+    Scale,
+    Share,
+    Text,
+    Turns,
+    Whole,
+)  # fmt: skip
 from salver.scenario.objects import (
     Box,
     CarriedObject,
@@ -44,13 +59,19 @@ __all__ = [
 ]  # fmt: skip
 
 SCENARIO_DIR = Path(__file__).parent.parent / "scenarios"
+MOST_COEFFICIENTS = 256  # of the friction cones of one object
+MOST_VALUES = 5e7  # numbers in the largest array of a plan: 0.4 GB
+CHECKED = 10  # instants of the check for each node
+MOST_STEPS = 1e6  # of the engine in one run: minutes
+LONGEST = 5.0  # s that a motion is taken to last where its duration is left open
+LONGEST_TEXT = 1_000_000  # bytes of a scenario file
 
 
 class Pose(Model):
     """Pose of the object frame B in the world S; orientation by roll, pitch, yaw or by a quaternion."""
 
-    position: Vector3
-    rpy_deg: Vector3 | None = None
+    position: Point
+    rpy_deg: Turns | None = None
     quat_wxyz: tuple[Number, Number, Number, Number] | None = None
 
     @model_validator(mode="after")
@@ -59,8 +80,6 @@ class Pose(Model):
             raise ValueError("give the orientation by rpy_deg or by quat_wxyz, not by both")
         if self.quat_wxyz is not None and abs(np.linalg.norm(self.quat_wxyz) - 1) > 1e-3:
             raise ValueError(f"quat_wxyz has norm {np.linalg.norm(self.quat_wxyz):.4g}; a rotation has norm 1")
-        if max(abs(x) for x in self.position) > 10:
-            raise ValueError(f"position {self.position} is over 10 m away; positions are in metres")
         return self
 
     @cached_property
@@ -99,15 +118,32 @@ class Contact(Model):
 
     condition: Literal["paper", "exact"] = "paper"
     edges: Annotated[Whole, Field(ge=3, le=32)] = 4
-    edge_phase_deg: Number = 0.0
-    margin: NonNegative = 1e-3
+    edge_phase_deg: Degrees = 0.0
+    margin: Annotated[Number, Field(ge=0, le=1000)] = 1e-3
+
+
+Stiffness = Annotated[Number, Field(ge=1e-3, le=1e5)]  # 1/s^2
+Damping = Annotated[Number, Field(ge=1e-3, le=1e3)]  # 1/s
 
 
 class Control(Model):
     """Gains of the object controller, eq (19): (translation 1/s^2, rotation 1/s^2) and (1/s, 1/s)."""
 
-    kp: tuple[Positive, Positive] = (500.0, 300.0)
-    kd: tuple[Positive, Positive] = (25.0, 15.0)
+    kp: tuple[Stiffness, Stiffness] = (500.0, 300.0)
+    kd: tuple[Damping, Damping] = (25.0, 15.0)
+
+    def check_held(self, period: float) -> None:
+        """Raise ValueError when the error dynamics grow because each command is held for a period (s)."""
+        for kp, kd in zip(self.kp, self.kd, strict=True):
+            # Over one period e'' is what the gains made of e and e' at its beginning.
+            step = np.array(
+                [[1 - 0.5 * kp * period**2, period - 0.5 * kd * period**2], [-kp * period, 1 - kd * period]]
+            )
+            if np.abs(np.linalg.eigvals(step)).max() >= 1:
+                raise ValueError(
+                    f"control.kp = {kp:g} 1/s^2 with control.kd = {kd:g} 1/s is unstable when commands are held for "
+                    f"physics.command_period = {period:g} s; give smaller gains, or kd nearer to 2 sqrt(kp)"
+                )
 
 
 class Objective(Model):
@@ -121,15 +157,34 @@ class Tray(Model):
 
     size: tuple[Metres, Metres] = (0.2, 0.2)
     thickness: Metres = 0.01
-    height: NonNegative = 0.05
-    mass: NonNegative = 0.150
-    inertia: Vector3 = (1.25e-4, 1.25e-4, 1.25e-4)
+    height: Annotated[Number, Field(ge=0, le=5)] = 0.05
+    mass: Annotated[Number, Field(ge=0, le=100)] = 0.150
+    inertia: tuple[Inertia, Inertia, Inertia] = (1.25e-4, 1.25e-4, 1.25e-4)
+
+    @model_validator(mode="after")
+    def _physical(self) -> Tray:
+        """The inertia of a body between the flange and the tray's surface, no wider than the tray."""
+        low, middle, high = sorted(self.inertia)
+        if low < 0 or high > (low + middle) * (1 + 1e-6):
+            raise ValueError(
+                f"inertia = {list(self.inertia)} kg m^2 is that of no body: none may be negative, none larger than the "
+                "sum of the other two"
+            )
+        most = self.mass * (0.25 * (self.size[0] ** 2 + self.size[1] ** 2) + max(self.height, self.thickness) ** 2)
+        if high > most * (1 + 1e-6):
+            raise ValueError(
+                f"inertia = {list(self.inertia)} kg m^2 is too large: {self.mass:g} kg between the flange and the "
+                f"tray's surface, no wider than the tray, have at most {most:.3g}"
+            )
+        return self
 
 
+Limit = Annotated[Number, Field(ge=1e-6, le=1e9)]
 EachJoint = Annotated[
-    Positive | list[Positive],
-    Field(description="a finite number greater than 0, or a list of such numbers, one for each joint"),
+    Limit | Annotated[list[Limit], Field(max_length=MOST_JOINTS)],
+    Field(description="a number at least 1e-06 and at most 1e+09, or a list of such numbers, one for each joint"),
 ]
+Angle = Annotated[Number, Field(ge=-100, le=100)]  # rad, or m for a joint that slides
 
 
 class ArmLimits(Model):
@@ -150,16 +205,16 @@ class Arm(Model):
     cannot be read: refuse, fit capsules to them, or leave them unchecked.
     """
 
-    model: str = "panda"
-    flange: str | None = None
-    package_dirs: list[str] = Field(default=[], description="a list of folders")
-    srdf: str | None = None
+    model: File = Field(default="panda", description="a known arm, or the path of a URDF")
+    flange: Name | None = None
+    package_dirs: list[File] = Field(default=[], max_length=50, description="a list of folders, at most 50")
+    srdf: File | None = None
     collisions: Literal["meshes", "capsules", "unchecked"] = "meshes"
     limits: ArmLimits = ArmLimits()
-    joint_limits: str | None = None
-    base_position: Vector3 = (0.0, 0.0, 0.0)
-    base_yaw_deg: Number = 0.0
-    start_posture: list[Number] | None = None
+    joint_limits: File | None = None
+    base_position: Point = (0.0, 0.0, 0.0)
+    base_yaw_deg: Degrees = 0.0
+    start_posture: Annotated[list[Angle], Field(max_length=MOST_JOINTS)] | None = None
     velocity_scale: Share = PLANNING_SHARES["velocity"]
     acceleration_scale: Share = PLANNING_SHARES["acceleration"]
     jerk_scale: Share = PLANNING_SHARES["jerk"]
@@ -175,14 +230,14 @@ class Obstacle(Model):
     """A keep-out region in the world. A mesh counts as the convex hulls of its separate pieces."""
 
     type: Literal["box", "sphere", "capsule", "cylinder", "mesh"]
-    name: str = "obstacle"
-    position: Vector3
-    rpy_deg: Vector3 = (0.0, 0.0, 0.0)
+    name: Name = "obstacle"
+    position: Point
+    rpy_deg: Turns = (0.0, 0.0, 0.0)
     size: tuple[Metres, Metres, Metres] | None = None
     radius: Metres | None = None
     length: Metres | None = None
-    file: str | None = None
-    scale: Positive = 1.0
+    file: File | None = None
+    scale: Scale = 1.0
 
     @model_validator(mode="after")
     def _sized(self) -> Obstacle:
@@ -199,18 +254,25 @@ class Obstacle(Model):
         return self
 
 
+Settling = Annotated[Number, Field(ge=0, le=60)]  # s
+
+
 class Physics(Model):
     """Physics engine and what lies between controller and arm."""
 
-    timestep: Annotated[Number, Field(gt=0, le=5e-3)] = 5e-4
-    command_period: Annotated[Number, Field(gt=0, le=0.02)] = 1e-3
-    settle_before: NonNegative = 0.2
-    settle_after: NonNegative = 0.5
-    position_noise: NonNegative = 0.0
-    velocity_noise: NonNegative = 0.0
+    timestep: Annotated[Number, Field(ge=1e-5, le=5e-3)] = 5e-4
+    command_period: Annotated[Number, Field(ge=1e-4, le=0.02)] = 1e-3
+    settle_before: Settling = 0.2
+    settle_after: Settling = 0.5
+    position_noise: Annotated[Number, Field(ge=0, le=1)] = 0.0
+    velocity_noise: Annotated[Number, Field(ge=0, le=10)] = 0.0
     delay_steps: Annotated[Whole, Field(ge=0, le=20)] = 0
-    joint_friction: NonNegative = 0.0
+    joint_friction: Annotated[Number, Field(ge=0, le=1000)] = 0.0
     feedback: Literal["joints", "object"] = "joints"
+
+    def steps(self, duration: float) -> float:
+        """How many steps of the engine, or of the controller, a run of a motion takes."""
+        return (duration + self.settle_before + self.settle_after) / min(self.timestep, self.command_period)
 
 
 class Scenario(Shown, Model):
@@ -220,21 +282,22 @@ class Scenario(Shown, Model):
         str,
         Field(
             pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$",
-            description="letters, digits, points, - and _, a letter or digit first",
+            max_length=64,
+            description="letters, digits, points, - and _, a letter or digit first, at most 64",
         ),
     ]
-    summary: str = ""
-    source: str = ""
-    seed: Annotated[Whole, Field(ge=0)] = 0
+    summary: Text = ""
+    source: Text = ""
+    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 0
     motion: Motion
-    objects: Annotated[list[CarriedObject], Field(min_length=1)]
+    objects: Annotated[list[CarriedObject], Field(min_length=1, max_length=20)]
     uncertainty: UncertaintySet = UncertaintySet()
     contact: Contact = Contact()
     control: Control = Control()
     objective: Objective = Objective()
     tray: Tray = Tray()
     arm: Arm | None = None
-    obstacles: list[Obstacle] = Field(default=[])
+    obstacles: list[Obstacle] = Field(default=[], max_length=100)
     physics: Physics = Physics()
 
     def facts(self) -> dict[str, str]:
@@ -256,6 +319,7 @@ class Scenario(Shown, Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
+        self._bounded()
         self.payload.check()
         for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
             tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
@@ -268,6 +332,31 @@ class Scenario(Shown, Model):
                         f"with its least friction of {least:.4g} at most {holds:.4g} deg hold"
                     )
         return self
+
+    def _bounded(self) -> None:
+        """Raise ValueError when plans of this would take more memory or time than a machine has."""
+        for item, body in zip(self.objects, self.payload.bodies, strict=True):
+            count = body.contacts.count * self.contact.edges
+            if count > MOST_COEFFICIENTS:
+                raise ValueError(
+                    f"{item.name} has {body.contacts.count} contact points with contact.edges = {self.contact.edges} "
+                    f"each, which makes {count} cone coefficients; at most {MOST_COEFFICIENTS} are accepted"
+                )
+            values = CHECKED * self.motion.nodes * count * (2 + self.payload.uncertain.size)
+            if values > MOST_VALUES:
+                raise ValueError(
+                    f"motion.nodes = {self.motion.nodes} with {count} cone coefficients and "
+                    f"{self.payload.uncertain.size} uncertain parameters makes {values:.2g} numbers; at most "
+                    f"{MOST_VALUES:.2g} are accepted: give fewer nodes or contact.edges"
+                )
+        if self.arm is not None:
+            self.control.check_held(self.physics.command_period)
+        steps = self.physics.steps(self.motion.duration or LONGEST)
+        if steps > MOST_STEPS:
+            raise ValueError(
+                f"physics.timestep = {self.physics.timestep:g} s makes {steps:.2g} steps of a run; at most "
+                f"{MOST_STEPS:.2g} are accepted: give a longer one, or a shorter motion"
+            )
 
     @cached_property
     def payload(self) -> Payload:
@@ -326,14 +415,17 @@ def load(name_or_path: str | Path) -> Scenario:
             )
         path = ready_made
     try:
+        if path.stat().st_size > LONGEST_TEXT:
+            raise ScenarioError(f"{path} is larger than {LONGEST_TEXT // 1000} kB; a scenario is a .toml file.")
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ScenarioError(f"{path} cannot be read ({error.strerror}); a scenario is a .toml file.") from None
     except UnicodeDecodeError:
         raise ScenarioError(f"{path} is not a text file in UTF-8; a scenario is a .toml file.") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ScenarioError(f"{path} cannot be read ({reason}); a scenario is a .toml file.") from None
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and numbers and nesting beyond Python's
         raise ScenarioError(f"{path} is not valid TOML: {error}.") from None
     _find_files(data, path.parent)
     return parse(data, str(path))
@@ -346,7 +438,10 @@ def _find_files(data: dict[str, Any], folder: Path) -> None:
         return [item for item in (value if isinstance(value, list) else [value]) if isinstance(item, dict)]
 
     def resolved(value: Any) -> Any:
-        return str((folder / value).resolve()) if isinstance(value, str) else value
+        try:
+            return str((folder / value).resolve()) if isinstance(value, str) else value
+        except (OSError, RuntimeError, ValueError):  # a circle of links, a letter that no path has
+            return value
 
     for arm in tables(data.get("arm")):
         if str(arm.get("model")).endswith((".urdf", ".xml", ".xacro")):

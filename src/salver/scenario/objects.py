@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from salver.scenario.fields import Metres, Model, NonNegative, Number, Positive, Vector3, Whole
+from salver.scenario.fields import (
+    Degrees,
+    File,
+    HalfRange,
+    Inertia,
+    Mass,
+    Metres,
+    Model,
+    Number,
+    Place,
+    Point,
+    Scale,
+    Whole,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from salver.models.bodies import LooseObject
@@ -40,7 +53,7 @@ class Cylinder(Model):
 
 class Prism(Model):
     type: Literal["prism"]
-    polygon: Annotated[list[tuple[Number, Number]], Field(min_length=3)]
+    polygon: Annotated[list[tuple[Place, Place]], Field(min_length=3, max_length=64)]
     height: Metres
 
     @model_validator(mode="after")
@@ -64,8 +77,8 @@ class Prism(Model):
 
 class Mesh(Model):
     type: Literal["mesh"]
-    file: str
-    scale: Positive = 1.0
+    file: File
+    scale: Scale = 1.0
 
     def solid(self) -> Solid:
         from salver.models import shapes
@@ -77,13 +90,13 @@ class Part(Model):
     """A piece of a composite: its shape, where its centre is, its share of the mass (kg)."""
 
     shape: Annotated[Box | Cylinder | Prism, Field(discriminator="type")]
-    position: Vector3 = (0.0, 0.0, 0.0)
-    mass: Positive
+    position: Point = (0.0, 0.0, 0.0)
+    mass: Mass
 
 
 class Composite(Model):
     type: Literal["composite"]
-    parts: Annotated[list[Part], Field(min_length=1)]
+    parts: Annotated[list[Part], Field(min_length=1, max_length=50)]
 
     def solid(self) -> Solid:
         from salver.models import shapes
@@ -111,18 +124,18 @@ class Relative(Model):
     relative: Annotated[Number, Field(ge=0, lt=1)]
 
 
-_EITHER = 'a percentage below 100 % such as "10%", or {} in SI units, at least 0'
+_EITHER = 'a percentage below 100 % such as "10%", or {} in SI units, at least 0 and at most 100'
 _Percentage = Annotated[str, Field(pattern=r"^[0-9.eE+-]+ *%$")]  # as it is written; for the schema that editors use
 Range = Annotated[
-    Relative | NonNegative,
-    BeforeValidator(_relative, json_schema_input_type=_Percentage | Relative | NonNegative),
+    Relative | HalfRange,
+    BeforeValidator(_relative, json_schema_input_type=_Percentage | Relative | HalfRange),
     Field(description=_EITHER.format("a half-range")),
 ]
-AbsoluteRange3 = tuple[NonNegative, NonNegative, NonNegative]
+AbsoluteRange3 = tuple[HalfRange, HalfRange, HalfRange]
 _Inertia = (
     Relative
-    | tuple[NonNegative, NonNegative, NonNegative]
-    | tuple[NonNegative, NonNegative, NonNegative, NonNegative, NonNegative, NonNegative]
+    | tuple[HalfRange, HalfRange, HalfRange]
+    | tuple[HalfRange, HalfRange, HalfRange, HalfRange, HalfRange, HalfRange]
 )
 Range6 = Annotated[
     _Inertia,
@@ -142,7 +155,7 @@ class Uncertainty(Model):
     com: AbsoluteRange3 | None = None
     inertia: Range6 | None = None
     friction: Range | None = None
-    position: tuple[NonNegative, NonNegative] | None = None
+    position: tuple[HalfRange, HalfRange] | None = None
 
     def ranges(self, item: LooseObject, lone: bool) -> Iterator[tuple[Parameter, float, float]]:
         """What is uncertain about an object, with its nominal value and half-range, each above 0."""
@@ -169,26 +182,43 @@ class CarriedObject(Model):
     """One loose object. `at` is where its shape's centre stands, from the tray's centre whatever it stands `on`, m."""
 
     name: Annotated[
-        str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", description="letters a to z, digits, - and _, a letter first")
+        str,
+        Field(
+            pattern=r"^[A-Za-z][A-Za-z0-9_-]*$",
+            max_length=64,
+            description="letters a to z, digits, - and _, a letter first, at most 64",
+        ),
     ] = "object"
     shape: Shape
-    mass: Annotated[Number, Field(gt=0, le=100)]
-    com: Vector3 = (0.0, 0.0, 0.0)
-    inertia: Vector3 | tuple[Number, Number, Number, Number, Number, Number] | None = None
-    friction: Annotated[Number, Field(gt=0, le=5)]
-    on: str | list[str] = Field(
+    mass: Mass
+    com: Point = (0.0, 0.0, 0.0)
+    inertia: tuple[Inertia, Inertia, Inertia] | tuple[Inertia, Inertia, Inertia, Inertia, Inertia, Inertia] | None = (
+        None
+    )
+    friction: Annotated[Number, Field(ge=1e-3, le=5)]
+    on: str | Annotated[list[str], Field(min_length=1, max_length=20)] = Field(
         default="tray", description='"tray", the name of an object listed before, or a list of these'
     )
-    at: tuple[Number, Number] = (0.0, 0.0)
-    yaw_deg: Number = 0.0
-    support_inset: NonNegative = 0.0
+    at: tuple[Place, Place] = (0.0, 0.0)
+    yaw_deg: Degrees = 0.0
+    support_inset: Annotated[Number, Field(ge=0, le=5)] = 0.0
     uncertainty: Uncertainty = Uncertainty()
 
     @model_validator(mode="after")
     def _physical(self) -> CarriedObject:
         from salver.models import bodies
 
-        bodies.check(self.loose())
+        loose = self.loose()
+        bodies.check(loose)
+        away = loose.solid.bounding_points_G - loose.solid.centroid_G - self.com
+        # All of it in the furthest corner, and as much again: the paper's own value is 1.1 times that.
+        most = 2 * self.mass * float(np.sum(away**2, axis=1).max())
+        stated = [x for key in (self.inertia, self.uncertainty.inertia) if isinstance(key, tuple) for x in key]
+        if max(map(abs, stated), default=0.0) > most * (1 + 1e-6):
+            raise ValueError(
+                f"inertia of {self.name} = {max(map(abs, stated)):g} kg m^2 (nominal or half-range) is too large for "
+                f"{self.mass:g} kg of this shape: at most {most:.3g}, twice that of all of it in the furthest corner"
+            )
         for key in ("mass", "friction"):
             nominal, half = getattr(self, key), getattr(self.uncertainty, key)
             if isinstance(half, float) and half >= nominal:
@@ -234,13 +264,16 @@ class CarriedObject(Model):
         return self.friction - half if isinstance(half, float) else self.friction * (1 - half.relative)
 
 
+Tilt = Annotated[Number, Field(ge=0, le=45)]  # degrees
+
+
 class UncertaintySet(Model):
     """Shape of the uncertain set, and what is uncertain beyond the objects themselves."""
 
     set: Literal["box", "ellipsoid"] = "box"
-    tilt_deg: tuple[NonNegative, NonNegative] | None = None
+    tilt_deg: tuple[Tilt, Tilt] | None = None
     correlation: dict[str, Annotated[Number, Field(gt=-1, lt=1)]] = Field(
-        default={}, description='numbers between -1 and 1 under keys such as "mass,com_x"'
+        default={}, max_length=1000, description='numbers between -1 and 1 under keys such as "mass,com_x"'
     )
 
     def around(self, objects: list[CarriedObject], loose: list[LooseObject]) -> UncertainSet:
@@ -265,8 +298,20 @@ class UncertaintySet(Model):
         if not self.correlation:
             return None
         matrix = np.eye(len(names))
+        said: dict[frozenset[str], str] = {}
         for key, value in self.correlation.items():
             parts = [part.strip() for part in key.split(",")]
+            pair = frozenset(parts)
+            if len(parts) == 2 and len(pair) == 1:
+                raise ValueError(
+                    f'uncertainty.correlation has the key "{key}"; it must name two different parameters: a parameter '
+                    "is fully correlated with itself"
+                )
+            if pair in said:
+                raise ValueError(
+                    f'uncertainty.correlation has "{said[pair]}" and "{key}", which is the same pair; give it once'
+                )
+            said[pair] = key
             if len(parts) != 2 or any(part not in names for part in parts):
                 raise ValueError(
                     f'uncertainty.correlation has the key "{key}"; it must name two uncertain parameters, as in '

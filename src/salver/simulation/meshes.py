@@ -14,6 +14,7 @@ import numpy.typing as npt
 from salver.geometry import Array, matrix_from_rpy
 from salver.models.arm import ArmModel
 from salver.models.link_shapes import link_shapes
+from salver.models.mesh_files import LARGEST, read_mesh_file
 from salver.models.surfaces import surface
 
 WHITE = (0.93, 0.93, 0.95)
@@ -59,10 +60,10 @@ def read_mesh(filename: str) -> tuple[MeshPart, ...]:
     """Parts of a mesh file; none when it cannot be read."""
     try:
         if filename.lower().endswith(".dae"):
+            if Path(filename).stat().st_size > LARGEST:
+                return ()
             return tuple(_collada(ElementTree.parse(filename).getroot()))
-        import trimesh
-
-        loaded = trimesh.load(filename, force="mesh")
+        loaded = read_mesh_file(filename)
         return (MeshPart(np.asarray(loaded.vertices, dtype=float), np.asarray(loaded.faces), WHITE),)
     except (OSError, ValueError, KeyError, AttributeError, IndexError, ElementTree.ParseError):
         return ()

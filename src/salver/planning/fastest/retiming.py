@@ -133,6 +133,10 @@ def retime(
     )
 
 
+LARGEST = 1_000_000  # bytes of a file of waypoints
+MOST_WAYPOINTS = 1000
+
+
 def read_waypoints(path: Path) -> Array:
     """(K, n) joint waypoints of a CSV file (rows of numbers, a first row of names is skipped), or the joint path of a
     run directory. Raises FileFormatError.
@@ -145,9 +149,13 @@ def read_waypoints(path: Path) -> Array:
             raise FileFormatError(f"{path} holds a plan without a joint motion; it must be one made with an arm.")
         return joint.sample(np.linspace(0.0, joint.duration, 2001))[0]
     try:
+        if path.stat().st_size > LARGEST:
+            raise ValueError(f"it is larger than {LARGEST // 1_000_000} MB")
         rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
         if rows and not _is_number(rows[0][0]):
             rows = rows[1:]
+        if len(rows) > MOST_WAYPOINTS:
+            raise ValueError(f"it has {len(rows)} rows; at most {MOST_WAYPOINTS} are accepted")
         return np.array([[float(word) for word in row] for row in rows])
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise FileFormatError(
