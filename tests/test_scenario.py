@@ -189,12 +189,12 @@ BAD = [
     (
         "objects.0.shape",
         {"type": "box"},
-        f"objects[0].shape.size is missing; it must be three finite numbers, each at least 0.0001 and at most 5.",
+        "objects[0].shape.size is missing; it must be three finite numbers, each at least 0.0001 and at most 5.",
     ),
     (
         "objects.0.shape.size",
         [40, 40, 40],
-        f"objects[0].shape.size = [40, 40, 40]: must be three finite numbers, each at least 0.0001 and at most 5.",
+        "objects[0].shape.size = [40, 40, 40]: must be three finite numbers, each at least 0.0001 and at most 5.",
     ),
     (
         "objects.0.shape",
@@ -244,7 +244,7 @@ BAD = [
     (
         "objects.0.uncertainty.com",
         "10%",
-        f'objects[0].uncertainty.com = "10%": must be three finite numbers, each at least 0 and at most 100.',
+        'objects[0].uncertainty.com = "10%": must be three finite numbers, each at least 0 and at most 100.',
     ),
     (
         "objects.0.uncertainty.inertia",
