@@ -187,7 +187,7 @@ def test_an_arm_of_sixty_joints_is_refused(tmp_path):
     path = tmp_path / "long.urdf"
     path.write_text(urdf(60))
     arm = CUBE.arm.model_copy(update={"model": str(path), "flange": "l60"})
-    with pytest.raises(ScenarioError, match="has 60 joints that move .* an arm may have at most 20"):
+    with pytest.raises(ScenarioError, match=r"has 60 joints that move .* an arm may have at most 20"):
         load_arm(arm, CUBE.tray)
 
 

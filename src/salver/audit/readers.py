@@ -32,6 +32,7 @@ _NUMBERED = re.compile(r"q_?\[?(\d+)\]?")
 _POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 JointNames = Callable[[], tuple[str, ...]]
 
+LARGEST = 500_000_000  # bytes of a text file
 _BAGS = (".bag", ".mcap", ".db3")
 
 
@@ -49,9 +50,11 @@ def read(path: str | Path, joint_names: JointNames = no_joints, topic: str | Non
     Raises FileFormatError, one sentence for each mistake.
     """
     path = Path(path)
-    if not path.exists():
+    if not _exists(path):
         raise FileFormatError(f"{path} does not exist; give a .csv, .yaml or .json file or a ROS bag.")
     ending = path.suffix.lower()
+    if path.is_file() and path.stat().st_size > LARGEST and ending not in _BAGS:
+        raise FileFormatError(f"{path} is larger than {LARGEST // 1_000_000} MB; cut it.")
     if path.is_dir() or ending in _BAGS:
         from salver.audit.ros import read_bag
 
@@ -68,6 +71,13 @@ def read(path: str | Path, joint_names: JointNames = no_joints, topic: str | Non
         f'{path} ends in "{path.suffix}"; accepted are .csv, .txt, .tsv, .yaml, .yml, .json, .bag, .mcap, .db3 and '
         "directories of ROS 2 bags."
     )
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name that no file has
+        return False
 
 
 def read_csv(path: Path, joint_names: JointNames = no_joints) -> Samples:
