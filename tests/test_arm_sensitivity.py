@@ -247,7 +247,6 @@ def test_chain_is_the_derivative_of_the_nonlinear_loop(case, space):
 
 
 @pytest.mark.parametrize("space", ["joint", "object"])
-@pytest.mark.slow
 def test_what_first_order_leaves_out_is_of_second_order(panda, space):
     """Central differences approach the derivative with the square of their step: slope 2."""
     chain = arm_chain(panda.model, panda.joint, space=space, t=T)
@@ -366,13 +365,17 @@ def test_worst_contact_without_tracking_is_that_of_the_rows(case):
 
 
 def test_least_slack_bounds_perturbed_runs(panda):
-    """Contact slack of nonlinear runs at corners of the set stays above the bound, and the bound is not idle."""
+    """Nonlinear runs at the corners that the derivatives call worst, for the row that is nearest to failing there.
+
+    Contact slack stays above the bound everywhere and comes near to it where it was aimed.
+    """
     chain = arm_chain(panda.model, panda.joint, space="joint", t=T)
     bound, body, uncertain = chain.least_slack(), panda.body, chain.uncertain
-    rng = np.random.default_rng(3)
-    nearest = np.inf
-    for _ in range(6):
-        change = dict(zip(uncertain.names, uncertain.half_range * rng.choice([-1, 1], uncertain.size), strict=True))
+    tube = np.abs(chain.slack_p) @ uncertain.half_range
+    for k in (60, int(np.argmin(bound)), 330):
+        row = int(np.argmin(chain.slack[k] - tube[k]))
+        corner = -np.where(chain.slack_p[k, row] >= 0, 1.0, -1.0) * uncertain.half_range
+        change = dict(zip(uncertain.names, corner, strict=True))
         (moved,) = panda.carried(change)
         need = wrench_map(moved.inertial.phi) @ frame_map(moved.p_EB, moved.R_EB)
         friction = np.full(body.contacts.count, body.friction + change["friction"])
@@ -380,8 +383,8 @@ def test_least_slack_bounds_perturbed_runs(panda):
         wrench = panda.felt(panda.rollout("joint", change)) @ need.T
         slack = (-wrench @ facets.T / (9.81 * moved.inertial.mass)).min(axis=1)
         assert (slack - bound).min() > -1e-3
-        nearest = min(nearest, float((slack - bound).min()))
-    assert nearest < 0.15
+        # The rest of the tube is products of two parameters, bounded one by one, and held commands.
+        assert slack[k] - bound[k] < 0.1 * (chain.slack[k].min() - bound[k]), (slack[k], bound[k])
     assert np.all(chain.least_slack(tracking=False) >= bound - 1e-12)
 
 

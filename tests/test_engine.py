@@ -213,7 +213,6 @@ def test_tray_state_is_nominally_zero_and_its_input_is_eq_19(tray):
     np.testing.assert_allclose(tray.u, nominal.cone_coefficients[0], atol=1e-9)
 
 
-@pytest.mark.slow
 def test_tray_loop_moves_as_the_rollouts_do_far_from_nominal():
     """Two ways of writing plant, controller and error coordinates; turned by more than half a radian."""
     names = ("mass", "com_x", "com_y", "com_z", "inertia_xx", "inertia_yz")
@@ -242,7 +241,6 @@ def test_body_with_a_displaced_nominal_centre_of_mass():
     assert largest_relative(Pi, result.state_sensitivity) < 1e-5
 
 
-@pytest.mark.slow
 def test_sampled_trajectory_is_followed_through_its_corners():
     """A reference given by samples only: its jerk jumps at each, and steps end there."""
     smooth = tumbling()
@@ -252,5 +250,5 @@ def test_sampled_trajectory_is_followed_through_its_corners():
         loop, [0.256, 0.0], TIMES, np.zeros(12), reference=sampled(rough), corners=tuple(np.linspace(0, 1, 11))
     )
     assert result.status.ok
-    exact = tray_sensitivity(CUBE.inertial, GRASP_MAP, GAINS, ("mass", "com_x"), smooth, TIMES)
-    assert largest_relative(result.state_sensitivity, exact.state_sensitivity) < 1e-3
+    exact = tray_sensitivity(CUBE.inertial, GRASP_MAP, GAINS, ("mass", "com_x"), rough, TIMES)
+    assert largest_relative(result.state_sensitivity, exact.state_sensitivity) < 1e-8

@@ -20,7 +20,6 @@ from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.search import DEGREE
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
 from salver.planning.fastest.sqp import Programme
 from salver.planning.fastest.tracking import tracking_of
@@ -291,7 +290,6 @@ def test_tracking_matches_a_rollout_of_the_arm_with_a_wrong_load(name):
     assert np.abs(difference - case.response(name)).max() < 2e-3 * np.abs(difference).max()
 
 
-@pytest.mark.slow
 def test_tracking_knows_that_mass_multiplies_its_distance():
     """What a heavier bottle and a higher centre of mass do together, beyond what each does alone.
 
@@ -384,15 +382,27 @@ def test_obstacle_on_the_way_is_avoided():
     found = fastest(transport_problem(scenario))
     assert found.status.ok, found.status
     free = fastest(transport_problem(cube(objects__0__uncertainty={}, motion__orientation="free")))
-    assert found.problem.keep_out is not None
-    s = np.linspace(0, 1, 201)
-    assert found.problem.keep_out.distances(found.sample(s * found.duration)[0]).min() > 0
-    assert found.problem.keep_out.distances(free.sample(s * free.duration)[0]).min() < 0
     assert found.duration > free.duration
+    s = np.linspace(0, 1, 201)
+    apart, through = (
+        min(tray_to_pillar(found.problem, q) for q in motion.sample(s * motion.duration)[0]) for motion in (found, free)
+    )
+    assert through < -0.02
+    assert 0.0049 < apart < 0.008  # 5 mm are kept, and it is worth going as near
+
+
+def tray_to_pillar(problem: TransportProblem, q: Array) -> float:
+    """Distance of the tray's box from the pillar's axis less its radius, by looking at points of the axis, m."""
+    p, R = problem.arm.tray_pose(q)
+    size = np.array([*problem.scenario.tray.size, problem.scenario.tray.thickness])
+    axis = np.array([0.60, -0.12, 0.35]) + np.linspace(-0.25, 0.25, 2001)[:, None] * np.array([0, 0, 1.0])
+    local = (axis - p) @ R + np.array([0, 0, 0.5 * size[2]])
+    beyond = np.abs(local) - 0.5 * size
+    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+    return float((outside + np.minimum(beyond.max(axis=1), 0.0)).min()) - 0.03
 
 
 @pytest.mark.parametrize("level", [True, False])
-@pytest.mark.slow
 def test_random_start_postures_converge(level):
     """All of these; `benchmarks/fastest_solve.py` counts a hundred."""
     template = transport_problem(cube(objects__0__uncertainty={}), robust=False, level=level)
@@ -456,10 +466,11 @@ def test_unreachable_goal_has_a_status():
 
 
 def test_time_limit_is_kept():
-    options = FastestOptions(spans=14, time_limit=0.05)
-    found = fastest(transport_problem(cube()), options)
-    assert found.wall_time < 5.0
-    assert DEGREE == 5
+    """The search ends early; how early depends on the machine."""
+    problem = transport_problem(cube())
+    limited, free = (fastest(problem, FastestOptions(time_limit=limit)) for limit in (1e-3, 60.0))
+    assert free.status.ok
+    assert 0 < limited.iterations < free.iterations
 
 
 def test_start_posture_inside_an_obstacle_has_a_status():

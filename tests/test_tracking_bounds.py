@@ -60,10 +60,11 @@ def test_least_slack_of_a_small_set_is_attained(name: str, kind: str) -> None:
     chain, at = chain_of(name, kind), slice(None, None, 5)
     rows = nasty.TrueRows(small(name, kind))
     nominal = -rows.worst({}, chain.nominal.w[at])
-    for tracking in (True, False):
-        bound = chain.least_slack(tracking=tracking, held=False)[at]
-        reached = -nasty.sampled(rows, felt_with(chain, at) if tracking else chain.nominal.w[at], 2)
-        share = (nominal - reached) / (nominal - bound)
+    planned = -nasty.sampled(rows, chain.nominal.w[at], 2)
+    # A controller that is better than assumed may follow exactly: the bound is of both.
+    strayed = np.minimum(planned, -nasty.sampled(rows, felt_with(chain, at), 2))
+    for reached, tracking in ((planned, False), (strayed, True)):
+        share = (nominal - reached) / (nominal - chain.least_slack(tracking=tracking, held=False)[at])
         if tracking and name == "pair" and kind == "ellipsoid":
             # What the other object does to the arm is added as if it were not of the same ellipsoid: a tenth at most.
             assert np.all((share > 0.9) & (share < 1.003))
