@@ -232,18 +232,28 @@ def test_load_terms_are_the_torque_of_the_true_load(case):
 
 @pytest.mark.parametrize("space", ["joint", "object"])
 def test_chain_is_the_derivative_of_the_nonlinear_loop(case, space):
-    """Each uncertain parameter, joints and torque, to 1e-4; arms with and without a redundant joint."""
+    """Each uncertain parameter, joints and torque, to 1e-4; arms with and without a redundant joint.
+
+    The largest differences are printed; docs/arm-chain.md quotes them.
+    """
     chain = arm_chain(case.model, case.joint, space=space, t=T)
     uncertain = chain.uncertain
+    largest = dict.fromkeys(("q", "dq", "ddq", "torque"), 0.0)
     for name in ("mass", "com_x", "com_z", "inertia_xx", "inertia_xz", "position_x", "tilt_y"):
         if name not in uncertain.names:
             continue
         j = uncertain.names.index(name)
         h = 0.05 * float(uncertain.half_range[j])
         slope = case.slope(space, {name: h})
-        for key, found in (("q", chain.joints.q), ("dq", chain.joints.dq), ("ddq", chain.joints.ddq)):
-            assert relative(found[:, :, j] * h, slope[key]) < 2e-4, (name, key)
-        assert relative(chain.torque[:, :, j] * h, slope["torque"]) < 1e-4, name
+        found = {"q": chain.joints.q, "dq": chain.joints.dq, "ddq": chain.joints.ddq, "torque": chain.torque}
+        for key, derivative in found.items():
+            error = relative(derivative[:, :, j] * h, slope[key])
+            assert error < (1e-4 if key == "torque" else 2e-4), (name, key)
+            largest[key] = max(largest[key], error)
+    shown = ", ".join(f"{key} {error:.1e}" for key, error in largest.items())
+    print(
+        f"{case.scenario.arm.model}, loop on the {space}: largest difference as a share of the largest value: {shown}"
+    )
 
 
 @pytest.mark.parametrize("space", ["joint", "object"])

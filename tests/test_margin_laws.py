@@ -268,3 +268,58 @@ def test_tube_of_the_tracking_error_is_attained(kind: str) -> None:
     share = (nominal - reached) / (nominal - bound)
     assert np.all(share < 1.0 + 1e-3)
     assert share.min() > 0.97  # the load's own change is added, not combined
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_worst_parameters_are_where_the_worst_case_is(name: str, kind: str) -> None:
+    """The load with those parameters, and the least friction, has the margin that the whole set has."""
+    made = nasty.small(LOADS[name](kind), 1e-3)
+    place = {f"objects__{k}__uncertainty__position": [3e-6, 2e-6] for k in range(len(made.objects))}
+    made = made.with_changes(**place)
+    tray, uncertain, rows = nasty.tray_motion(5, 13), made.payload.uncertain, nasty.TrueRows(made)
+    whole = along(made, tray)
+    worst, k = whole.worst_parameters(), int(np.argmin(whole.exact_worst))
+    assert list(worst) == list(uncertain.names)
+    w = nasty.felt(tray)[k : k + 1]
+    change = {n: worst[n] - x for n, x in zip(uncertain.names, uncertain.nominal, strict=True)}
+    for n, half in zip(uncertain.names, uncertain.half_range, strict=True):
+        assert abs(change[n]) <= half * (1 + 1e-9)
+        if n.endswith("friction"):
+            assert change[n] == pytest.approx(-half)
+    nominal, reached = -rows.worst({}, w)[0], -rows.worst(change, w, {} if kind == "ellipsoid" else None)[0]
+    assert (nominal - reached) / (nominal - whole.exact_worst[k]) == pytest.approx(1.0, abs=4e-3)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("single", "box"), ("stack", "ellipsoid"), ("pair", "ellipsoid")])
+def test_friction_needed_in_the_worst_case_is_that_of_no_less_a_load(name: str, kind: str) -> None:
+    """With that much friction no load of the set slides, with a little less one of them does."""
+    made = nasty.small(LOADS[name](kind), 1e-3)
+    place = {f"objects__{k}__uncertainty__position": [3e-6, 2e-6] for k in range(len(made.objects))}
+    made = made.with_changes(**place)
+    tray, uncertain = nasty.tray_motion(4, 14, push=0.7), made.payload.uncertain
+    w, whole = nasty.felt(tray), along(made, tray)
+    for k, m in enumerate(whole.interfaces):
+        needed = m.friction_needed_worst
+        assert 0.05 < needed < 5.0
+        for friction, slides in ((needed + 2e-4, False), (needed - 1e-3, True)):
+            other = made.with_changes(
+                **{f"objects__{k}__friction": friction, f"objects__{k}__uncertainty__friction": None}
+            )
+            rows = nasty.TrueRows(other)
+            own = [
+                rows.at(change, w)[k].max() for change in [*nasty.samples(uncertain, 20), *aimed(rows, uncertain, w, k)]
+            ]
+            assert (max(own) > 0) == slides, (m.name, friction, max(own))
+
+
+def aimed(rows: nasty.TrueRows, uncertain: nasty.UncertainSet, w: Array, k: int) -> list[dict[str, float]]:
+    """Deviations to where the largest row of object k rises most, at each instant."""
+    names, half = uncertain.names, uncertain.half_range
+    ends = [[rows.at({n: s * h}, w)[k] for s in (1, -1)] for n, h in zip(names, half, strict=True)]
+    slope = np.array([(up - down) / (2 * h) for (up, down), h in zip(ends, half, strict=True)])
+    found = []
+    for t in range(len(w)):
+        for f in np.argsort(rows.at({}, w)[k][t])[-3:]:
+            point = nasty.steepest(slope[:, t, f], uncertain)
+            found.append(dict(zip(names, point, strict=True)))
+    return found

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import simpson
 
 import nasty
 from salver.errors import Status
@@ -262,6 +263,31 @@ def test_papers_condition_of_each_object_counts_its_own_load_and_place(kind: str
         mine = found.slack[:, [owner == item.name for owner in found.slack_owner]]
         assert mine.shape[1] == nominal.shape[1]
         assert_allclose(mine.min(axis=1), (nominal - tube).min(axis=1), atol=2e-6)
+
+
+@pytest.mark.parametrize("kind", ["box", "ellipsoid"])
+def test_tube_and_cost_of_a_correlated_set(kind: str) -> None:
+    """The tube of Lambda is as wide as the farthest point of the set makes it; the cost is that of any square root."""
+    made = nasty.single(kind, contact__condition="paper", motion__orientation="free", motion__duration=1.0)
+    made = made.with_changes(
+        objects__0__uncertainty__position=None, uncertainty__tilt_deg=None, uncertainty__correlation={}
+    )
+    pairs = {"mass,com_x": 0.5, "com_x,com_z": -0.6, "com_y,inertia_yy": 0.4} if kind == "ellipsoid" else {}
+    made = made.with_changes(uncertainty__correlation=pairs)
+    plan = planned(tumbling(made), made)
+    uncertain, theta = plan.uncertain, plan.input_sensitivity[::60]
+    farthest = nasty.steepest(theta, uncertain)
+    assert_allclose(plan.cone_radius[::60], np.einsum("...p,...p->...", theta, farthest), rtol=1e-9, atol=1e-12)
+    radius = np.linalg.norm(nasty.sure_points_B(made, "box"), axis=1).max()
+    (kp, kp_R) = made.control.kp
+    scale = np.repeat([1.0, radius, kp**-0.5, radius * kp_R**-0.5], 3)[:, None]
+    square = np.square(scale * (plan.state_sensitivity @ nasty.directions(uncertain))).sum(axis=(1, 2))
+    assert plan.cost == pytest.approx(simpson(square, x=plan.t), rel=1e-6)
+    # And the planner's own: its residuals, on its own grid.
+    problem = Problem(made, 61)
+    residual = problem.linearise(np.zeros(problem.size)).residual
+    at_start = planned(problem.reference(np.zeros(problem.size)), made)
+    assert float(residual @ residual) == pytest.approx(at_start.cost, rel=1e-4)
 
 
 @pytest.mark.parametrize(

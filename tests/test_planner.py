@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+import nasty
 from salver.errors import ScenarioError
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.conditions import conditions_for
@@ -14,6 +15,7 @@ from salver.scenario import load
 
 PAPER = load("panda-cube")
 GOAL = [0.444272, 0.100574, 0.4]
+CORRELATED = {"set": "ellipsoid", "correlation": {"mass,com_x": 0.5, "com_x,com_z": -0.6, "com_y,inertia_yy": 0.4}}
 TEN = {"mass": "10%", "com": [0.002] * 3, "inertia": [3.4e-5, 5e-6, 3.4e-5, 5e-6, 5e-6, 3.4e-5]}
 
 
@@ -31,9 +33,12 @@ def turning(**changes):
         PAPER,
         turning(objects__0__uncertainty=TEN),
         turning(objects__0__uncertainty=TEN, contact__condition="exact"),
-        turning(objects__0__uncertainty=TEN, contact__condition="exact", uncertainty={"set": "ellipsoid"}),
+        turning(objects__0__uncertainty=TEN, contact__condition="exact", uncertainty=CORRELATED),
+        turning(objects__0__uncertainty=TEN, uncertainty=CORRELATED),
+        nasty.pair("ellipsoid", contact__condition="paper", motion__duration=1.0, motion__orientation="free"),
+        nasty.stack("ellipsoid", contact__condition="exact", motion__duration=1.0, motion__orientation="free"),
     ],
-    ids=["paper", "ten parameters, turning", "exact", "exact ellipsoid"],
+    ids=["paper", "ten parameters, turning", "exact", "exact ellipsoid", "ellipsoid", "pair", "stack"],
 )
 def test_derivatives_are_those_of_the_values(scenario):
     problem = Problem(scenario, 41)
