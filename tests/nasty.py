@@ -158,9 +158,10 @@ def true_body(made: Scenario, body: Body, change: dict[str, float]) -> TrueBody:
     tilt = rotation([change.get("tilt_x", 0.0), change.get("tilt_y", 0.0), 0.0])
     yaw = rotation([0.0, 0.0, np.deg2rad(item.yaw_deg)])
     # On its support: half the height above it, and the stated centre of mass beside the middle of the shape.
-    height, floor = item.shape.size[2], 0.0
-    if item.on != "tray":
-        floor = next(o for o in made.objects if o.name == item.on).shape.size[2]
+    height, floor, below = item.shape.size[2], 0.0, item.on
+    while below != "tray":
+        support = next(o for o in made.objects if o.name == below)
+        floor, below = floor + support.shape.size[2], support.on
     middle = np.array([*item.at, floor + 0.5 * height])
     p = middle + yaw @ np.array(item.com) + np.array([by("position_x"), by("position_y"), 0.0])
     turn = tilt @ yaw

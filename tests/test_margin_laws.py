@@ -323,3 +323,53 @@ def aimed(rows: nasty.TrueRows, uncertain: nasty.UncertainSet, w: Array, k: int)
             point = nasty.steepest(slope[:, t, f], uncertain)
             found.append(dict(zip(names, point, strict=True)))
     return found
+
+
+# The verdict -----------------------------------------------------------------------------------------------------
+
+
+def pushed(*accelerations: float) -> MotionSamples:
+    """A level tray that accelerates along x, in shares of g, a tenth of a second apart."""
+    count = len(accelerations)
+    zero = np.zeros((count, 3))
+    a = np.column_stack([nasty.G * np.array(accelerations), zero[:, 1:]])
+    return MotionSamples(0.1 * np.arange(count), zero, zero, a, np.tile(np.eye(3), (count, 1, 1)), zero, zero)
+
+
+def tall(name: str, x: float, width: float, friction: float) -> dict:
+    shape = {"type": "box", "size": [width, 0.1, 0.2]}
+    return {"name": name, "shape": shape, "mass": 0.5, "friction": friction, "at": [x, 0.0]}
+
+
+def test_verdict_is_of_the_first_that_fails_and_of_the_worst_that_it_does() -> None:
+    """At 0.3 g a box of 6 cm with its centre of mass 10 cm up tips; friction 0.2 slides at 0.2 g."""
+    made = nasty.scenario([tall("tips", -0.06, 0.06, 0.8), tall("slides", 0.05, 0.09, 0.2)])
+    made = made.with_changes(uncertainty__tilt_deg=None)
+    cases = [
+        ((0.1, 0.25, 0.5), "slides", "slides on tray", 0.1),
+        ((0.1, 0.5, 0.25), "tips", "tips on tray", 0.1),
+        ((0.1, 0.15, -0.31), "tips", "tips on tray", 0.2),  # both at once: the one listed first
+        ((0.1, 0.19, -0.15), "holds", "slides on tray", 0.1),
+    ]
+    for accelerations, code, interface, time in cases:
+        for worst in (False, True):
+            verdict = along(made, pushed(*accelerations), edges=32).verdict(worst=worst)
+            assert verdict.code == code, accelerations
+            assert verdict.details["interface"] == interface
+            assert verdict.details["time"] == pytest.approx(time)
+    # One that tips and slides at the same instant tips; one that nothing presses lifts.
+    alone = nasty.scenario([tall("tips", 0.0, 0.06, 0.4)]).with_changes(uncertainty__tilt_deg=None)
+    assert along(alone, pushed(0.0, 0.5)).verdict().code == "tips"
+    falling = pushed(0.0, 0.0)
+    falling.a_S[1, 2] = -1.01 * nasty.G
+    assert along(alone, falling).verdict().code == "lifts"
+    assert along(alone, falling).verdict(worst=True).code == "lifts"
+
+
+@pytest.mark.parametrize(("edges", "used"), [(3, 9), (4, 8), (5, 10), (8, 8), (12, 12)])
+def test_margins_take_pyramids_that_hold_the_plans(edges: int, used: int) -> None:
+    made = nasty.single(contact__edges=edges)
+    first = made.payload.first
+    whole = margins(made, nasty.tray_motion(2).of_frame(first.p_EB, first.R_EB))
+    assert whole.model.edges == used
+    assert {m.interface.contacts.edges for m in whole.interfaces} == {used}

@@ -140,6 +140,38 @@ def test_missing_acceleration_is_that_of_the_true_load(name: str) -> None:
     assert np.abs(nasty.torques(bare, q, dq, ddq)).max() > 1
 
 
+@pytest.mark.parametrize("name", ["single", "stack"])
+def test_products_are_what_two_wrong_parameters_do_together(name: str) -> None:
+    """M^-1 J^T of the load's second differences, and of what each parameter's load makes of the other's deviation."""
+    made, chain = LOADS[name]("box"), chain_of(name, "box", 0)
+    at, n_p = slice(None, None, 10), chain.uncertain.size
+    half = dict(zip(chain.uncertain.names, chain.uncertain.half_range, strict=True))
+    model, q = nasty.with_bodies(chain.model.arm, nasty.nominal_bodies(made)), JOINT.sample(T)[0][at]
+    mass_matrix, w = nasty.mass_matrices(model, q), chain.nominal.w[at]
+    jacobian = np.array([chain.model.arm.body_jacobian(posture) for posture in q])
+
+    def needed(change: dict[str, float], w: Array) -> Array:
+        return sum(nasty.needed_at_E(body, w) for body in nasty.true_bodies(made, change))
+
+    def first(parameter: str, w: Array) -> Array:
+        h = 1e-3 * half[parameter]
+        return (needed({parameter: h}, w) - needed({parameter: -h}, w)) / (2 * h)
+
+    products = [tuple(p.name for p in factors) for factors in chain.model.load.terms[n_p:]]
+    assert {("mass", "com_x"), ("com_z", "com_z")} <= {tuple(x.rpartition(".")[2] for x in pair) for pair in products}
+    for k, (a, b) in enumerate(products):
+        ha, hb = half[a], half[b]
+        strayed = {p: chain.w[at, :, chain.uncertain.names.index(p)] for p in (a, b)}
+        if a == b:
+            wrench = (needed({a: ha}, w) + needed({a: -ha}, w) - 2 * needed({}, w)) / (2 * ha**2) + first(a, strayed[a])
+        else:
+            corners = [s * t * needed({a: s * ha, b: t * hb}, w) for s in (1, -1) for t in (1, -1)]
+            wrench = sum(corners) / (4 * ha * hb) + first(a, strayed[b]) + first(b, strayed[a])
+        expected = np.linalg.solve(mass_matrix, np.einsum("tij,ti->tj", jacobian, wrench)[:, :, None])[:, :, 0]
+        found = chain.joints.missing[at, :, n_p + k]
+        assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max(), (a, b)
+
+
 @pytest.mark.parametrize("name", ["stack", "pair"])
 def test_terms_of_the_load_add_up_to_the_true_load(name: str) -> None:
     """Load, first object's wrench: at corners of the set, products of two parameters included."""

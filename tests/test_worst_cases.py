@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import nasty
+from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.contact_rows import contact_rows
 from salver.scenario import Scenario
@@ -131,3 +132,45 @@ def test_two_correlated_parameters(names: tuple[str, str]) -> None:
     bound = claimed(made, w)
     assert np.all(reached <= bound + 3e-4)
     assert np.all(bound <= nasty.documented(rows, w) + 1e-9)
+
+
+def test_a_tower_of_more_masses_than_are_taken_at_their_extremes() -> None:
+    """Four uncertain masses: bounded as slopes and products; every corner of them stays below."""
+    box = {"shape": {"type": "box", "size": [0.06, 0.08, 0.04]}, "friction": 0.5}
+    inertia = [1e-4, 2e-5, 8e-5, 1e-5, -1e-5, 1.2e-4]
+    names = ["a", "b", "c", "d"]
+    objects = [
+        box
+        | {
+            "name": name,
+            "on": names[k - 1] if k else "tray",
+            "mass": 0.3 - 0.05 * k,
+            "inertia": inertia,
+            "at": [0.004 * k, -0.003 * k],
+            "yaw_deg": 10.0 * k,
+            "uncertainty": {"mass": "25%", "com": [0.003, 0.0, 0.002]},
+        }
+        for k, name in enumerate(names)
+    ]
+    made = nasty.scenario(objects).with_changes(uncertainty__tilt_deg=None)
+    rows, w = nasty.TrueRows(made), nasty.felt(nasty.tray_motion(6, 5))
+    assert sum(name.endswith("mass") for name in made.payload.uncertain.names) == 4
+    corners = nasty.samples(made.payload.uncertain, 200, 6)
+    reached = np.max([rows.worst(change, w, {}) for change in corners], axis=0)
+    bound, nominal = claimed(made, w), rows.worst({}, w)
+    assert np.all(reached <= bound + 1e-9)
+    assert np.median((reached - nominal) / (bound - nominal)) > 0.4
+
+
+def test_contacts_that_cannot_be_worked_with_are_refused() -> None:
+    """More points times edges than facets can be made of; a place that may be beside the support."""
+    can = {"name": "can", "shape": {"type": "cylinder", "radius": 0.04, "height": 0.1, "support_points": 64}}
+    can |= {"mass": 0.3, "friction": 0.4}
+    with pytest.raises(ScenarioError, match=r"64 contact points .* 5 .* 256"):
+        contact_rows(nasty.scenario([can], contact__edges=5).payload)
+    with pytest.raises(ScenarioError, match=r"edges = 5 with the 64 contact points .* 256"):
+        contact_rows(nasty.scenario([can], contact__edges=4).payload.with_edges(5))
+    beside = nasty.stack(objects__1__uncertainty__position=[0.08, 0.0])
+    with pytest.raises(ScenarioError, match="upper on lower"):
+        contact_rows(beside.payload)
+    assert contact_rows(beside.payload.nominal)
