@@ -15,7 +15,7 @@ from salver.models.arm import with_load
 from salver.models.parameters import Parameter, inertial_vector
 from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import FastestOptions, fastest, object_motion, plan_fastest
-from salver.planning.fastest.constraints import evaluate, worst_of
+from salver.planning.fastest.constraints import FINEST, evaluate, worst_of
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
@@ -446,6 +446,16 @@ def test_more_robustness_takes_longer():
 
 
 # What a user can get wrong -------------------------------------------------------------------------------------
+
+
+def test_with_no_margin_the_plan_and_its_own_check_agree():
+    """What the check on another grid finds between the points of the search's own is less than what is kept there."""
+    task = {"objects__0__friction": 0.33753377991514605, "motion__goal__position": (0.52008546, 0.19969177, 0.58228742)}
+    cube = load("panda-cube").with_changes(**task, objects__0__uncertainty={}, arm__start_posture=None)
+    plan = plan_fastest(cube.with_changes(contact__margin=0.0, contact__condition="exact", motion__orientation="free"))
+    assert plan.status.ok
+    assert plan.verification.ok
+    assert plan.verification.slack > 0.5 * FINEST
 
 
 def test_scenario_without_arm_is_refused():
