@@ -45,9 +45,8 @@ def _other(value: np.ndarray) -> np.ndarray:
 
 
 def test_a_plan_that_nobody_touched_is_read(run: Path) -> None:
-    plan = load_plan(run)
-    assert plan.digest
-    assert plan.digest == load_plan(run).digest != load_plan(run, "baseline").digest
+    assert load_plan(run).ok
+    assert load_plan(run, "baseline").method == "baseline"
     assert read_run(run).plan.arrays.keys() == load_npz(run / "plan.npz").keys()
 
 

@@ -10,6 +10,8 @@ import typer
 from salver.cli.common import NOT_ACHIEVED, Json, print_json, result_console, say
 from salver.errors import SalverError
 
+CANNOT_TELL = 3  # as of an audit
+
 if TYPE_CHECKING:
     from salver.driver.execute import Execution
     from salver.driver.preflight import Check
@@ -43,7 +45,10 @@ def execute(
     """Run a plan on a real arm by torque, with checks before, a watchdog during, and a log after.
 
     First `--dry-run`: the same loop on the simulated arm, which tells how well this machine keeps 1 kHz. The log goes
-    to DIR/execution; `salver report DIR` shows it. Stop with Ctrl-C: the arm brakes smoothly.
+    to DIR/execution; `salver report DIR` shows it. Stop with Ctrl-C: the arm brakes smoothly, what it carries may fall.
+
+    Ends with 0 when the motion ran to its end (with --mocap: and the load held as far as it was seen), with 1 when it
+    did not, with 3 when motion capture cannot tell.
 
     Example: `salver execute runs/panda-cube --dry-run`
     """
@@ -76,7 +81,7 @@ def execute(
     else:
         _tell(result)
     if not result.achieved:
-        raise typer.Exit(NOT_ACHIEVED)
+        raise typer.Exit(CANNOT_TELL if result.summary["outcome"] == "cannot_tell" else NOT_ACHIEVED)
 
 
 def _assent(yes: bool, json: bool) -> Any:
@@ -121,7 +126,14 @@ def _tell(result: Execution) -> None:
             f"{1e6 * clock['jitter_p999']:.0f} us at 99.9 %, "
             f"{1e3 * clock['jitter_max']:.2f} ms at most; controller {1e6 * clock['step_median']:.0f} us at the median."
         )
-    if "e_p_peak" in summary:
+    if summary.get("e_p_peak") is not None and summary.get("e_o_peak") is not None:
         tell(f"Largest e_p {1e3 * summary['e_p_peak']:.3f} mm, e_o {1e3 * summary['e_o_peak']:.3f} mrad.")
     tell(f"Stopped: {summary['stopped']}" if summary["stopped"] else f"Ran to its end; outcome: {summary['outcome']}.")
+    if summary["bridged"]:
+        tell(f"States that could not be believed and were bridged by the model: {summary['bridged']}.")
+    if summary["load_kept_in_stop"] is False:
+        tell("The arm was brought to rest by the cool stop, which does not keep the load: it may have moved or fallen.")
+    for key in ("load", "log_elsewhere"):
+        if key in summary:
+            tell(str(summary[key]))
     tell(f"Log: {result.path}")

@@ -11,22 +11,22 @@ from typing import Any
 import numpy as np
 
 from salver.control.arm import ArmController, ArmState, controller_for
-from salver.driver import mocap
-from salver.driver.execution import CoolStop, Log, Watchdog, drive, timing
+from salver.driver import mocap, seen
+from salver.driver.execution import Log, Watchdog, drive, named
+from salver.driver.logs import FOLDER, arrays_of, check_place, keep, summary_of
 from salver.driver.preflight import Check, check_approach, check_franka, check_plan, check_posture, demand
 from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
+from salver.driver.signals import noted_signals
+from salver.driver.stops import cool_stops
 from salver.errors import FileFormatError, SalverError, UnreachableError
-from salver.files import provenance, read_result
-from salver.geometry import Array, log, quat_wxyz_from_matrix
+from salver.files import read_result
+from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm
 from salver.models.bodies import Body
 from salver.planning.plan import Plan, load_plan
-from salver.run_directory import save_record
 from salver.trajectory import JointMotion
 
-FOLDER = "execution"
 ROBOTS = ("franka",)
-RECORD_RATE = 200.0  # samples per second kept in the log
 APPROACH_SHARE = 0.1  # of the velocity limits on the way to the start posture
 STOP_ROOM = 3.0  # s that a cool stop may take in a dry run
 
@@ -54,22 +54,28 @@ def dry_run(
     Raises SalverError when a check before the run fails, UnreachableError when the plan has no joint motion.
     """
     plan, arm, carried = _prepared(directory, stem)
-    checks = check_plan(plan, arm, carried)
+    checks = [*check_plan(plan, arm, carried), check_place(Path(directory))]
     demand(checks)
+    watchdog = watchdog or Watchdog()
     robot = SimulatedRobot(plan, arm, STOP_ROOM, realtime)
     checks += check_posture(_motion(plan), arm, robot.look())
     demand(checks)
     began = time.perf_counter()
-    log_ = _run(plan, arm, carried, robot, watchdog or Watchdog(), robot.start_time)
-    summary = _summary(plan, robot, log_, checks, watchdog or Watchdog())
-    record = robot.record({"with_arm": True}, began)
-    arrays = {name: np.asarray(getattr(record, name)) for name in _RECORDED}
-    judged = {
-        key: record.summary[key] for key in ("outcome", "objects", "e_p_peak", "e_o_peak") if key in record.summary
-    }
-    return _saved(directory, stem, arrays, {**summary, **judged, "realtime": realtime}, checks)
+    with noted_signals():  # nothing may come between the run and its log
+        log_ = _run(plan, arm, carried, robot, watchdog, robot.start_time)
+        summary = {**summary_of(plan, robot.source, log_, checks, watchdog), "realtime": realtime}
+        try:
+            record = robot.record({"with_arm": True}, began)
+        except BaseException as error:  # too short a run, an engine that diverged: the log comes first
+            summary["load"] = f"What became of the load was not measured ({named(error)})."
+            arrays = arrays_of(plan, arm, carried[0], log_)
+        else:
+            arrays = {name: np.asarray(getattr(record, name)) for name in _RECORDED}
+            summary |= {key: record.summary[key] for key in _JUDGED if key in record.summary}
+        return _kept(directory, stem, arrays, summary, checks)
 
 
+_JUDGED = ("outcome", "objects", "e_p_peak", "e_o_peak")
 _RECORDED = (
     "t", "q", "dq", "tau", "p_SE", "quat_SE_wxyz", "p_SB", "quat_SB_wxyz", "slip_E", "slip", "lift", "tip_angle",
     "contact_points_B", "contact_forces_B", "cone_coefficients", "e_p", "e_o", "tray_e_p", "tray_e_o",
@@ -92,27 +98,30 @@ def run_on_franka(
     Raises SalverError when a check fails or the arm refuses, MissingDependencyError without pylibfranka.
     """
     plan, arm, carried = _prepared(directory, stem)
-    checks = check_plan(plan, arm, carried) + check_franka(plan, arm)
+    checks = [*check_plan(plan, arm, carried), check_place(Path(directory))]
     demand(checks)
+    checks += check_franka(plan, arm)
+    demand(checks)  # before the arm is even connected
     tray = plan.scenario.tray
     robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
     watchdog = watchdog or Watchdog()
     posture = check_posture(_motion(plan), arm, robot.look())
     if move_to_start:
-        if not confirm([*checks, *posture]):
-            raise SalverError("Not moved: it was not confirmed.")
         start = _motion(plan).q[0]
         checks += check_approach(approach(robot.look().q, start, arm), plan, arm)
         demand(checks)
+        if not confirm([*checks, *posture]):
+            raise SalverError("Not moved: it was not confirmed.")
         robot.move(lambda q: approach(q, start, arm))
         posture = check_posture(_motion(plan), arm, robot.look())
     checks += posture
     demand(checks)
     if not confirm(checks):
         raise SalverError("Not moved: it was not confirmed.")
-    log_ = _run(plan, arm, carried, robot, watchdog, -plan.scenario.physics.settle_before)
-    summary = {**_summary(plan, robot, log_, checks, watchdog), "outcome": "stopped" if log_.stopped else "done"}
-    return _saved(directory, stem, _robot_arrays(plan, arm, carried[0], log_), summary, checks)
+    with noted_signals():  # nothing may come between the run and its log
+        log_ = _run(plan, arm, carried, robot, watchdog, -plan.scenario.physics.settle_before)
+        summary = summary_of(plan, robot.source, log_, checks, watchdog)
+        return _kept(directory, stem, arrays_of(plan, arm, carried[0], log_), summary, checks)
 
 
 def merge_mocap(
@@ -133,29 +142,38 @@ def merge_mocap(
     if not (folder / f"{stem}.npz").is_file():
         raise FileFormatError(f"{folder} holds no log of {stem}; run `salver execute {directory}` first.")
     arrays, summary = read_result(folder / stem, ("t", "p_SE", "quat_SE_wxyz"))
+    name = object_name or carried[0].name
+    tracks = mocap.read_tracks(path)
     merged = mocap.merge(
         arrays,
-        mocap.read_tracks(path),
+        tracks,
         plan.reference,
         carried[0],
-        object_name=object_name or carried[0].name,
+        object_name=name,
         tray_name=tray_name,
         offset=offset,
         p_SV=world[0] if world else None,
         R_SV=world[1] if world else None,
     )
-    slip = float(np.nanmax(merged["slip"][merged["t"] >= 0]))
-    summary |= {
-        "e_p_peak": float(np.nanmax(merged["e_p"])),
-        "e_o_peak": float(np.nanmax(merged["e_o"])),
-        "slip_peak": slip,
-        "mocap": {"file": Path(path).name, "offset": float(merged["mocap_offset"]), "tray": tray_name},
-    }
-    if not summary["stopped"]:
-        summary["outcome"] = (
-            "slides" if tray_name and slip > mocap.SLIP else "holds" if tray_name else summary["outcome"]
-        )
-    return _saved(directory, stem, merged, summary, [])
+    during = merged["t"] >= 0
+    summary |= {key: _peak(merged[array][during]) for key, array in _PEAKS.items()}
+    summary["mocap"] = {"file": Path(path).name, "offset": float(merged["mocap_offset"]), "tray": tray_name}
+    summary["outcome"] = "stopped" if summary["stopped"] else "done"
+    summary["load"] = "Whether the load held is told only with the tray in the recording (--mocap-tray)."
+    if tray_name is not None:
+        told = seen.judge(merged, tracks, plan.reference, carried, name, tray_name)
+        summary["load"] = told.sentence
+        summary["outcome"] = summary["outcome"] if summary["stopped"] else told.code
+    return _kept(directory, stem, merged, summary, [])
+
+
+_PEAKS = {"e_p_peak": "e_p", "e_o_peak": "e_o", "slip_peak": "slip"}
+
+
+def _peak(values: Array) -> float | None:
+    """The largest where it was seen; None when it never was."""
+    known = values[np.isfinite(values)]
+    return float(known.max()) if known.size else None
 
 
 def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, Sequence[Body]]:
@@ -187,8 +205,8 @@ def _warm_up(controller: ArmController, arm: ArmModel, carried: Sequence[Body], 
     q, dq, _ = joint.sample(0.0)
     state = ArmState(q[0], dq[0])
     for _ in range(50):
-        torque = controller.step(state, 0.0)
-    CoolStop(arm, carried, state, torque, controller.period).step(state, 0.0)
+        controller.step(state, 0.0)
+    cool_stops(arm, carried)(state, 0.0).step(state, 0.0)
     controller.reset()
 
 
@@ -206,45 +224,8 @@ def approach(q_from: Array, q_to: Array, arm: ArmModel, share: float = APPROACH_
     return JointMotion(duration * x[:, 0], q_from + step * change, rate * change, curvature * change)
 
 
-def _robot_arrays(plan: Plan, arm: ArmModel, first: Body, log_: Log) -> dict[str, np.ndarray]:
-    """What the joints tell of a run: where the tray was, and how far off its reference."""
-    period = plan.scenario.physics.command_period
-    keep = np.arange(0, len(log_.t), max(1, round(1 / (RECORD_RATE * period))))
-    t, q = log_.t[keep], log_.q[keep]
-    poses = [arm.tray_pose(joints) for joints in q]
-    p_SE, R_SE = np.array([p for p, _ in poses]), np.array([R for _, R in poses])
-    wanted = plan.reference.sample(t)
-    R_wanted = wanted.R_SB @ first.R_EB.T
-    p_wanted = wanted.p_SB - np.einsum("tij,j->ti", R_wanted, first.p_EB)
-    return {
-        "t": t,
-        "q": q,
-        "dq": log_.dq[keep],
-        "tau": log_.tau[keep],
-        "p_SE": p_SE,
-        "quat_SE_wxyz": quat_wxyz_from_matrix(R_SE),
-        "tray_e_p": np.linalg.norm(p_wanted - p_SE, axis=1),
-        "tray_e_o": np.linalg.norm(log(np.swapaxes(R_SE, 1, 2) @ R_wanted), axis=1),
-    }
-
-
-def _summary(plan: Plan, robot: Robot, log_: Log, checks: list[Check], watchdog: Watchdog) -> dict[str, Any]:
-    error = np.abs(log_.q - log_.q_wanted)
-    return {
-        "source": robot.source,
-        "method": plan.method,
-        "stopped": log_.stopped,
-        "timing": timing(log_, plan.scenario.physics.command_period),
-        "joint_error_peak": float(error.max()) if len(error) else 0.0,
-        "saturation": dict(log_.saturation),
-        "watchdog": vars(watchdog),
-        "checks": [vars(check) for check in checks],
-        "provenance": provenance(plan.scenario),
-    }
-
-
-def _saved(
+def _kept(
     directory: str | Path, stem: str, arrays: dict[str, np.ndarray], summary: dict[str, Any], checks: list[Check]
 ) -> Execution:
-    path = save_record(Path(directory), FOLDER, stem, arrays, summary)
+    path = keep(Path(directory), stem, arrays, summary)
     return Execution(arrays, summary, checks, path)

@@ -1,4 +1,8 @@
-"""Driving an arm along a plan: the control loop, its watchdog, the cool stop, and what is logged."""
+"""Driving an arm along a plan: the control loop, its watchdog, and what is logged.
+
+Sample by sample: `sensing` says what is believed, the watchdog whether to go on, the controller or a stop what torque
+is wanted, and `gate` what of it may leave.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 
 from salver.control.arm import ArmController, ArmState
+from salver.driver.gate import TorqueGate
+from salver.driver.sensing import Sensed, Senses
+from salver.driver.signals import Signals, noted_signals
+from salver.driver.stops import Stop, StopFrom, cool_stops
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
@@ -22,37 +29,40 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
     from salver.trajectory import JointMotion
 
-STOP_GAINS = (200.0, 28.0)  # 1/s^2, 1/s of the cool stop, in every joint
-STOP_SHARE = 0.8  # of the maker's acceleration: what is on the tray may go, the arm must not go far
-LEAST_STOP_TIME = 0.15  # s
-HOLD_AFTER_STOP = 0.25  # s
+STOP_ROOM = 60.0  # s that the log has for a stop
+AT_REST = 0.02  # rad/s; torque control is not left at more, unless it takes longer than
+LONGEST_WAIT = 1.0  # s after a stop should have been over
+ELSEWHERE = 0.02  # rad from where the model had taken the arm
+MOST_RENEWALS = 3  # of a stop, because the arm was elsewhere
+ATTEMPTS = 3  # to leave torque control
+MOST_INTERRUPTIONS = 100  # that are taken as one wish to stop
 
 
 @dataclass(frozen=True)
 class Watchdog:
     """When to stop. joint_error: rad off the reference. velocity_share: of the maker's limit.
 
-    late_periods: control periods in a row that were missed.
+    late_periods: control periods in a row that were missed. bridged_periods: periods in a row for which the model may
+    stand in for a state that cannot be believed.
     """
 
     joint_error: float = 0.05
     velocity_share: float = 1.0
     late_periods: int = 20
+    bridged_periods: int = 10
 
     def complaint(self, arm: ArmModel, state: ArmState, q_wanted: Array, missed: int, t: float) -> str | None:
         """One sentence when something is wrong, else None."""
         error = np.abs(state.q - q_wanted)
-        if not np.all(np.isfinite(error)):
-            return f"The arm reported a position that is no number at t = {t:.3f} s."
         j = int(np.argmax(error))
-        if error[j] > self.joint_error:
+        if not error[j] <= self.joint_error:
             return (
                 f"{arm.joint_names[j]} is {error[j]:.3f} rad off its reference at t = {t:.3f} s; "
                 f"{self.joint_error:g} rad are allowed."
             )
         share = np.abs(state.dq) / arm.limits.velocity
         j = int(np.argmax(share))
-        if share[j] > self.velocity_share:
+        if not share[j] <= self.velocity_share:
             return (
                 f"{arm.joint_names[j]} turns at {state.dq[j]:.3f} rad/s at t = {t:.3f} s, "
                 f"{100 * share[j]:.0f} % of its limit."
@@ -62,49 +72,14 @@ class Watchdog:
         return None
 
 
-class CoolStop:
-    """Brings the arm to rest from any state, smoothly and within a share of its acceleration, and holds it there.
-
-    The velocity of every joint goes to zero along a quintic step, so neither acceleration nor torque jumps.
-    """
-
-    def __init__(self, arm: ArmModel, bodies: Sequence[Body], state: ArmState, torque: Array, period: float) -> None:
-        loaded = with_load(arm, bodies)
-        self._model, self._data = loaded.pin_model, loaded.data
-        self._q, self._dq = state.q.copy(), state.dq.copy()
-        needed = 1.875 * np.abs(self._dq) / (STOP_SHARE * arm.limits.acceleration)  # 1.875: steepest slope of the step
-        self.braking = max(LEAST_STOP_TIME, float(np.max(np.where(np.isfinite(needed), needed, 0.0))))
-        self._torque, self._step = torque, arm.limits.torque_rate * period
-        self._limit = arm.limits.torque
-
-    @property
-    def duration(self) -> float:
-        return self.braking + HOLD_AFTER_STOP
-
-    def reference(self, s: float) -> tuple[Array, Array, Array]:
-        """(q, dq, ddq) a time s after the stop began."""
-        x = min(max(s / self.braking, 0.0), 1.0)
-        left = 1 - x**3 * (10 - 15 * x + 6 * x**2)
-        slope = -30 * x**2 * (1 - x) ** 2 / self.braking
-        area = self.braking * (x - x**4 * (2.5 - 3 * x + x**2))
-        return self._q + area * self._dq, left * self._dq, slope * self._dq
-
-    def step(self, state: ArmState, s: float) -> Array:
-        """Torque (n,) a time s after the stop began."""
-        q, dq, ddq = self.reference(s)
-        kp, kd = STOP_GAINS
-        wanted = pin.rnea(self._model, self._data, state.q, state.dq, ddq + kp * (q - state.q) + kd * (dq - state.dq))
-        wanted = np.clip(wanted, -self._limit, self._limit)
-        self._torque = self._torque + np.clip(wanted - self._torque, -self._step, self._step)
-        return self._torque
-
-
 @dataclass(frozen=True)
 class Log:
     """What the loop saw, K periods. t (K,): s, 0 when the motion starts. q, dq, tau (K, n). q_wanted (K, n).
 
     woken (K,): s on the clock when the state came. spent (K,): s until the torque was sent. elapsed (K,): s that the
-    robot says passed since the last state. stopped: why it was stopped early, empty when it was not.
+    robot says passed since the last state. bridged (K,): whether the state is the model's, because what the robot
+    reported could not be believed. stopped: why it was stopped early, empty when it was not. keeps_load: whether the
+    way it was stopped surely keeps the load; None when it was not stopped by torque.
     """
 
     t: Array
@@ -115,8 +90,10 @@ class Log:
     woken: Array
     spent: Array
     elapsed: Array
+    bridged: Array
     stopped: str = ""
     saturation: dict[str, float] = field(default_factory=dict)
+    keeps_load: bool | None = None
 
 
 def drive(
@@ -129,61 +106,195 @@ def drive(
     start: float,
     end: float,
     watchdog: Watchdog,
+    stop_from: StopFrom | None = None,
 ) -> Log:
     """Run the loop from t = start to t = end, s; the arm is at rest before 0 and after the motion.
 
-    Whatever goes wrong in here, the robot leaves torque control; what the watchdog sees ends in a cool stop.
-    Interrupting (Ctrl-C) does too.
+    stop_from: the stop to fall back on when something is wrong (`salver.driver.stops`); cool stops unless given.
+
+    Never raises: whatever goes wrong in here, the arm is stopped as well as it then can be, the robot leaves torque
+    control, and the log says why. What the watchdog sees, a state that cannot be believed, a failure of the controller,
+    Ctrl-C and the other signals that ask a process to end lead to a stop by torque; a robot that does not answer is
+    left to its own brakes.
     """
-    period = controller.period
-    room = int((end - start) / period) + int(60 / period)
-    log = _Book(room, arm.n)
-    grid = np.arange(int(np.ceil(joint.duration / period)) + 1) * period
-    wanted = joint.sample(np.minimum(grid, joint.duration))[0]
-    stop: CoolStop | None = None
-    stopped, since, t = "", 0.0, start
-    torque = np.zeros(arm.n)
-    state = robot.look()
+    loop = _Loop(robot, controller, joint, arm, bodies, start, end, watchdog, stop_from or cool_stops(arm, bodies))
     collecting = gc.isenabled()
-    gc.collect()
-    gc.disable()  # a collection takes longer than a period
-    robot.start()
-    try:
+    with noted_signals() as signals:
+        gc.collect()
+        gc.disable()  # a collection takes longer than a period
+        try:
+            return loop.run(signals)
+        finally:
+            if collecting:
+                gc.enable()
+
+
+class _Loop:
+    """One run of the loop. t: s of the motion. torque: the last that was sent."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        controller: ArmController,
+        joint: JointMotion,
+        arm: ArmModel,
+        bodies: Sequence[Body],
+        start: float,
+        end: float,
+        watchdog: Watchdog,
+        stop_from: StopFrom,
+    ) -> None:
+        self.robot, self.controller, self.watchdog, self.arm = robot, controller, watchdog, arm
+        self.loaded, self.bodies, self.period = with_load(arm, bodies), bodies, controller.period
+        self.t, self.end = start, end
+        grid = np.arange(int(np.ceil(joint.duration / self.period)) + 1) * self.period
+        self.wanted = joint.sample(np.minimum(grid, joint.duration))[0]
+        self.stops = [stop_from, cool_stops(arm, bodies)]  # tried in this order, each when the one before it fails
+        self.stop: Stop | None = None
+        self.gate: TorqueGate | None = None
+        self.stopped, self.since, self.interruptions, self.unsure = "", 0.0, 0, False
+        self.renewals = 0
+        # Time never advances by less than half a period, so this is enough.
+        self.book = _Book(2 * int((end - start + STOP_ROOM) / self.period), arm.n)
+
+    def run(self, signals: Signals) -> Log:
+        try:
+            gate = self.begin()
+            while not self.one_period(gate, signals):
+                pass
+        except BaseException as error:  # torque control cannot go on; nothing may keep the robot from being stopped
+            self.stopped = " ".join([*filter(None, [self.stopped]), self.failure(error)])
+        self.leave()
+        report = self.controller.saturation
+        cut = {"torque": report.torque, "torque_rate": report.torque_rate, "peak_share": report.peak_share}
+        cut |= {"gate_closed": self.gate.closed, "gate_cut": self.gate.cut} if self.gate is not None else {}
+        return self.book.closed(self.stopped, cut, None if self.stop is None else self.stop.keeps_load)
+
+    def begin(self) -> TorqueGate:
+        state = self.robot.look()
+        self.senses = Senses(self.arm, self.bodies, self.period, state)
+        holding = self.loaded.gravity(np.array(state.q, dtype=float))
+        limits = self.arm.limits
+        self.state = state
+        self.gate = gate = TorqueGate(limits.torque, limits.torque_rate, self.period, holding)
+        self.torque = holding
+        self.robot.start()
+        return gate
+
+    def one_period(self, gate: TorqueGate, signals: Signals) -> bool:
+        """Whether it was the last one."""
+        try:
+            answer = self.robot.read()
+            woken = time.perf_counter()
+            blind = self.senses.blind
+            sensed = self.senses.take(answer, self.torque)
+            self.t += sensed.elapsed
+            if blind and not sensed.wrong:
+                self.seen_again(sensed.state)
+            self.state = sensed.state
+            q_wanted = self.wanted[min(max(round(self.t / self.period), 0), len(self.wanted) - 1)]
+            wish = signals.wish(self.t) or self.complaint(sensed, q_wanted)
+            demanded = self.demand(sensed.state, wish)
+            # After a write of which nobody knows whether it was done, the same torque again: no rate is overstepped.
+            self.torque = gate(self.torque if self.unsure else demanded)
+            last = self.over(sensed.state)
+            self.unsure = True
+            self.robot.write(self.torque, sensed, last=last)
+            self.unsure = False
+            self.book.add(self.t, sensed, self.torque, q_wanted, woken)
+            if self.book.full and not last:
+                raise SalverError("The run took longer than any run may.")
+            return last
+        except KeyboardInterrupt:  # where no handler could be set
+            self.interruptions += 1
+            if self.interruptions > MOST_INTERRUPTIONS:
+                raise
+            signals.note("Interrupted")
+            self.t += self.period
+            return False
+
+    def complaint(self, sensed: Sensed, q_wanted: Array) -> str:
+        """Why to stop; empty for going on."""
+        if self.stop is not None:
+            return ""
+        blind, allowed = self.senses.blind, self.watchdog.bridged_periods
+        if blind > allowed:
+            return (
+                f"The arm's state could not be believed for {blind} periods up to t = {self.t:.3f} s, {allowed} are "
+                f"bridged: {sensed.wrong}."
+            )
+        missed = round(sensed.elapsed / self.period) - 1
+        return self.watchdog.complaint(self.arm, sensed.state, q_wanted, missed, self.t) or ""
+
+    def demand(self, state: ArmState, wish: str) -> Array:
+        """What the controller or the stop asks for; when that fails, what the next stop does."""
+        if wish and self.stop is None:
+            self.brake(state, wish)
         while True:
             try:
-                state, elapsed = robot.read()
-                woken = time.perf_counter()
-                t += elapsed
-                q_wanted = wanted[min(max(round(t / period), 0), len(wanted) - 1)]
-                if stop is None:
-                    missed = round(elapsed / period) - 1
-                    complaint = watchdog.complaint(arm, state, q_wanted, missed, t)
-                    if complaint is None:
-                        torque = controller.step(state, t)
-                    else:
-                        stopped, since = complaint, t
-                        stop = CoolStop(arm, bodies, state, torque, period)
-                if stop is not None:
-                    torque = stop.step(state, t - since)
-                last = t >= end - 0.5 * period if stop is None else t - since >= stop.duration
-                robot.write(torque, last=last)
-                log.add(t, state, torque, q_wanted, woken, elapsed)
-                if last or log.full:
-                    break
-            except KeyboardInterrupt:
-                if stop is not None:
+                step = self.controller.step(state, self.t) if self.stop is None else self.stop.step(state, self.s)
+                if np.shape(step) != self.torque.shape or not np.all(np.isfinite(step)):
+                    raise ArithmeticError("a torque that is no number for each joint")
+                return step
+            except Exception as error:
+                if not self.stops:
                     raise
-                stopped, since = f"Interrupted at t = {t:.3f} s.", t
-                stop = CoolStop(arm, bodies, state, torque, period)
-    except SalverError as error:  # the robot itself stopped: its reflexes brake it
-        stopped = str(error)
-    finally:
-        robot.stop()
-        if collecting:
-            gc.enable()
-    report = controller.saturation
-    cut = {"torque": report.torque, "torque_rate": report.torque_rate, "peak_share": report.peak_share}
-    return log.closed(stopped, cut)
+                who = "The controller" if self.stop is None else "The stop"
+                self.brake(state, f"{who} failed at t = {self.t:.3f} s ({named(error)}).")
+
+    @property
+    def s(self) -> float:
+        """Time since the stop began, s."""
+        return self.t - self.since
+
+    def brake(self, state: ArmState, why: str) -> None:
+        self.stopped = " ".join([*filter(None, [self.stopped]), why])
+        self.since = self.t
+        while self.stops:
+            self.stop_from = self.stops.pop(0)
+            try:
+                self.stop = self.stop_from(state, self.t)
+                return
+            except Exception as error:
+                self.stopped += f" A stop could not begin ({named(error)})."
+        raise SalverError("No stop could begin.")
+
+    def seen_again(self, state: ArmState) -> None:
+        """A stop that began on what the model said begins anew where the arm really is, when that is elsewhere."""
+        elsewhere = np.abs(state.q - self.state.q).max() > ELSEWHERE
+        if self.stop is not None and elsewhere and self.renewals < MOST_RENEWALS:
+            self.renewals += 1
+            self.stops.insert(0, self.stop_from)
+            self.brake(state, f"The arm was elsewhere when it was seen again at t = {self.t:.3f} s.")
+
+    def over(self, state: ArmState) -> bool:
+        if self.stop is None:
+            return self.t >= self.end - 0.5 * self.period
+        rests = np.abs(state.dq).max() < AT_REST or self.s >= self.stop.duration + LONGEST_WAIT
+        return self.s >= self.stop.duration and bool(rests)
+
+    def leave(self) -> None:
+        """Out of torque control, in more than one attempt if need be."""
+        for _ in range(ATTEMPTS):
+            try:
+                self.robot.stop()
+                return
+            except BaseException as error:
+                failure = named(error)
+        self.stopped = " ".join(
+            [*filter(None, [self.stopped]), f"{self.robot.source} could not be told to stop ({failure})."]
+        )
+
+    def failure(self, error: BaseException) -> str:
+        """In one sentence. A robot that says of itself why it stopped is quoted."""
+        if isinstance(error, SalverError):
+            return str(error)
+        return f"Torque control ended at t = {self.t:.3f} s: {named(error)}."
+
+
+def named(error: BaseException) -> str:
+    """An exception for a person."""
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
 class _Book:
@@ -195,6 +306,7 @@ class _Book:
             "woken": np.empty(room),
             "spent": np.empty(room),
             "elapsed": np.empty(room),
+            "bridged": np.empty(room, dtype=bool),
         }
         self._columns |= {name: np.empty((room, n)) for name in ("q", "dq", "tau", "q_wanted")}
         self._count, self._room = 0, room
@@ -203,15 +315,16 @@ class _Book:
     def full(self) -> bool:
         return self._count == self._room
 
-    def add(self, t: float, state: ArmState, tau: Array, q_wanted: Array, woken: float, elapsed: float) -> None:
+    def add(self, t: float, sensed: Sensed, tau: Array, q_wanted: Array, woken: float) -> None:
         k, c = self._count, self._columns
-        c["t"][k], c["woken"][k], c["elapsed"][k] = t, woken, elapsed
-        c["q"][k], c["dq"][k], c["tau"][k], c["q_wanted"][k] = state.q, state.dq, tau, q_wanted
+        c["t"][k], c["woken"][k], c["elapsed"][k], c["bridged"][k] = t, woken, sensed.elapsed, bool(sensed.wrong)
+        c["q"][k], c["dq"][k], c["tau"][k], c["q_wanted"][k] = sensed.state.q, sensed.state.dq, tau, q_wanted
         c["spent"][k] = time.perf_counter() - woken
         self._count = k + 1
 
-    def closed(self, stopped: str, saturation: dict[str, float]) -> Log:
-        return Log(**{k: v[: self._count] for k, v in self._columns.items()}, stopped=stopped, saturation=saturation)
+    def closed(self, stopped: str, saturation: dict[str, float], keeps_load: bool | None) -> Log:
+        columns = {name: values[: self._count] for name, values in self._columns.items()}
+        return Log(**columns, stopped=stopped, saturation=saturation, keeps_load=keeps_load)
 
 
 def timing(log: Log, period: float) -> dict[str, Any]:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 REST = 0.1  # s before the motion, over which what is at rest is averaged
 SLIP = 2e-3  # m of displacement on the tray that motion capture can tell from its own noise
+GAP = 0.1  # s between samples that are bridged
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,10 @@ def _seen(t: Array, p: Array, R: Array) -> Track:
     return Track(t[good], p[good], R[good])
 
 
-def find_offset(track: Track, reference: Reference) -> float:
-    """Time of the track's own clock at which the motion starts, by the best fit of its speed to the reference's."""
+def find_offset(track: Track, reference: Reference, p_BX: Array | None = None) -> float:
+    """Time of the track's own clock at which the motion starts, by the best fit of its speed to the reference's, of a
+    point p_BX (3,) fixed to B.
+    """
     step = 2e-3
     t = np.arange(track.t[0], track.t[-1], step)
     if len(t) * step < 0.5 * reference.duration:
@@ -125,7 +128,8 @@ def find_offset(track: Track, reference: Reference) -> float:
     width = max(1, round(0.05 / step))  # smooths what differentiating makes of noise
     window = np.ones(width) / width
     speed = np.convolve(np.linalg.norm(np.gradient(travelled, step, axis=0), axis=1), window, mode="same")
-    wanted = np.linalg.norm(reference.sample(np.arange(0.0, reference.duration, step)).v_S, axis=1)
+    asked = reference.sample(np.arange(0.0, reference.duration, step)).of_frame(np.zeros(3) if p_BX is None else p_BX)
+    wanted = np.linalg.norm(asked.v_S, axis=1)
     wanted = np.convolve(wanted, window, mode="same")
     room = len(speed) - len(wanted)
     if room < 0:
@@ -148,17 +152,23 @@ def merge(
     R_SV: Array | None = None,
 ) -> dict[str, np.ndarray]:
     """Arrays of a log (t, p_SE, quat_SE_wxyz, ...) with the object as motion capture saw it: p_SB, quat_SB_wxyz, e_p,
-    e_o, slip, slip_E.
+    e_o, slip, slip_E, lift, mocap_offset.
 
     p_SV, R_SV: pose of the capture's world in S; the same by default. The marker frame on a body may sit anywhere:
     where it sits is taken from the rest before the motion, when the body is where the plan puts it. offset: the
     capture's time at the start of the motion; found from the speed by default. Without a track of the tray, slip
-    is against where the joints put it.
+    is against where the joints put it; with one, `tray_seen` (T, 3) is where it was seen in S. slip, lift (T, 1):
+    largest displacement of a corner of the base along the tray and off it. What it means `salver.driver.seen` tells.
     """
     for name in (object_name, *([tray_name] if tray_name else [])):
         if name not in tracks:
             raise SalverError(f'The motion capture has no object "{name}"; it has {", ".join(tracks)}.')
-    shift = find_offset(tracks[object_name], reference) if offset is None else offset
+    if offset is not None:
+        shift = offset
+    elif tray_name:  # which does not slide
+        shift = find_offset(tracks[tray_name], reference, -body.R_EB.T @ body.p_EB)
+    else:
+        shift = find_offset(tracks[object_name], reference)
     world = (np.zeros(3) if p_SV is None else p_SV), (np.eye(3) if R_SV is None else R_SV)
     t = arrays["t"]
     start = reference.sample(0.0)
@@ -168,8 +178,9 @@ def merge(
         R_start = start.R_SB[0] @ body.R_EB.T
         p_SE, R_SE = _in_world(tracks[tray_name], shift, world, t, start.p_SB[0] - R_start @ body.p_EB, R_start)
     wanted = reference.sample(t)
-    on_tray = compose(*invert(p_SE, R_SE), p_SB, R_SB)[0]
-    slip_E = on_tray - np.nanmean(on_tray[_resting(t)], axis=0)
+    on_tray = compose(*invert(p_SE, R_SE), p_SB, R_SB)
+    place = (body.p_EB, body.R_EB) if tray_name else _mean_pose(*on_tray, _resting(t))
+    away = _displaced(on_tray, place, body.base_polygon_B)
     turn = np.full(len(t), np.nan)
     seen = np.isfinite(R_SB).all(axis=(1, 2))
     turn[seen] = np.linalg.norm(log(np.swapaxes(R_SB[seen], 1, 2) @ wanted.R_SB[seen]), axis=1)
@@ -181,10 +192,27 @@ def merge(
         "quat_SB_wxyz": quat[:, None],
         "e_p": np.linalg.norm(wanted.p_SB - p_SB, axis=1),
         "e_o": turn,
-        "slip_E": slip_E[:, None],
-        "slip": np.linalg.norm(slip_E[:, None, :2], axis=2),
+        "slip_E": (on_tray[0] - place[0])[:, None],
+        "slip": np.linalg.norm(away[..., :2], axis=2).max(axis=1)[:, None],
+        "lift": np.abs(away[..., 2]).max(axis=1)[:, None],
         "mocap_offset": np.array(shift),
+        **({"tray_seen": p_SE} if tray_name else {}),
     }
+
+
+def _displaced(pose: tuple[Array, Array], place: tuple[Array, Array], points_B: Array) -> Array:
+    """How far the corners of a base (m, 3) are from where they would be at another place, (T, m, 3) m, on the tray."""
+    p_EB, R_EB = pose
+    return p_EB[:, None] + np.einsum("tij,mj->tmi", R_EB, points_B) - (place[0] + points_B @ place[1].T)
+
+
+def _mean_pose(p: Array, R: Array, which: np.ndarray) -> tuple[Array, Array]:
+    """Mean of poses (T, 3), (T, 3, 3) at the instants `which` at which it was seen; NaN when there are none."""
+    seen = which & np.isfinite(p).all(axis=1)
+    if not seen.any():
+        return np.full(3, np.nan), np.full((3, 3), np.nan)
+    middle = R[seen][0]
+    return p[seen].mean(axis=0), middle @ exp(log(middle.T @ R[seen]).mean(axis=0))
 
 
 def _resting(t: Array) -> np.ndarray:
@@ -202,14 +230,11 @@ def _in_world(
     if not resting.any():
         resting = own == own[np.argmin(np.abs(own))]
     p_V, R_V = compose(*world, track.p, track.R)
-    middle = R_V[resting][0]
-    R_rest = middle @ exp(log(middle.T @ R_V[resting]).mean(axis=0))
-    p_rest = p_V[resting].mean(axis=0)
-    p_MB, R_MB = compose(*invert(p_rest, R_rest), p, R)  # marker frame to the body's own
+    p_MB, R_MB = compose(*invert(*_mean_pose(p_V, R_V, resting)), p, R)  # marker frame to the body's own
     i = np.clip(np.searchsorted(own, t) - 1, 0, len(own) - 2)
     u = (t - own[i]) / (own[i + 1] - own[i])
     between = R_V[i] @ exp(u[:, None] * log(np.swapaxes(R_V[i], 1, 2) @ R_V[i + 1]))
     p_t = p_V[i] + u[:, None] * (p_V[i + 1] - p_V[i])
     p_out, R_out = compose(p_t, between, p_MB, R_MB)
-    seen = (t >= own[0]) & (t <= own[-1]) & (own[i + 1] - own[i] < 0.1)
+    seen = (t >= own[0]) & (t <= own[-1]) & (own[i + 1] - own[i] <= GAP)
     return np.where(seen[:, None], p_out, np.nan), np.where(seen[:, None, None], R_out, np.nan)

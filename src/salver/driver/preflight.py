@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.driver.franka_limits import FR3, velocity_range
+from salver.driver.robots import PERIOD
 from salver.errors import SalverError
 from salver.geometry import log
 from salver.margins import margins
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 START_TOLERANCE = 0.01  # rad of each joint
 REST_TOLERANCE = 0.01  # rad/s
 STILL = 1e-6  # rad/s, rad/s^2 at the ends of the motion
-FRANKA_PERIOD = 1e-3  # s
 LOOK = 1e-3  # s between the instants at which a motion is judged, at most, and
 LONGEST = 600.0  # s, and as many milliseconds of samples
 LOOKS = 4  # pieces of each interval between its samples, at least
@@ -205,9 +205,8 @@ def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
         Check("arm", right_arm, f"The plan is for the arm {arm.name}; --robot franka drives a panda."),
         Check(
             "period",
-            physics.command_period == FRANKA_PERIOD,
-            f"physics.command_period is {physics.command_period:g} s; the arm wants a torque every "
-            f"{FRANKA_PERIOD:g} s.",
+            physics.command_period == PERIOD,
+            f"physics.command_period is {physics.command_period:g} s; the arm wants a torque every {PERIOD:g} s.",
         ),
     ]
     return checks + (_within(FR3, arm, looked_at(plan.joint)) if right_arm else [])

@@ -12,17 +12,22 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from salver.control.arm import ArmState
+from salver.driver.gate import TorqueGate
 from salver.errors import MissingDependencyError, SalverError
 from salver.geometry import Array
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from salver.driver.sensing import Sensed
     from salver.models.arm import ArmModel
     from salver.planning.plan import Plan
     from salver.simulation.record import SimulationRecord
     from salver.trajectory import JointMotion
 
+PERIOD = 1e-3  # s, of the Franka
+COMMAND_RATE_SHARE = 0.999  # of the limit: the arm refuses what touches it
+LONGEST_STEP = 0.02  # s between two states on the way to the start; then the arm has given up by itself
 SPIN = 2e-4  # s before a deadline from where on the clock is watched: the operating system wakes no more exactly
 
 
@@ -46,8 +51,8 @@ class Robot(Protocol):
         """Wait for the next period. The state, and the time since the last read, s (0 at first)."""
         ...
 
-    def write(self, torque: Array, *, last: bool = False) -> None:
-        """Torque for this period. last: the motion ends with it."""
+    def write(self, torque: Array, sensed: Sensed, *, last: bool = False) -> None:
+        """Torque for this period. sensed: the state that is believed. last: the motion ends with it."""
         ...
 
     def stop(self) -> None:
@@ -78,7 +83,7 @@ class FrankaRobot:
             raise _said(address, error) from None
         except RuntimeError as error:  # pylibfranka's exceptions are RuntimeErrors, not all of them FrankaExceptions
             raise _said(address, error) from None
-        self._address = address
+        self._address, self._arm = address, arm
         self._control: Any = None
         self._state: Any = None
 
@@ -87,9 +92,15 @@ class FrankaRobot:
         return f"franka at {self._address}"
 
     def look(self) -> ArmState:
-        return _arm_state(self._robot.read_once())
+        self._state = self._robot.read_once()
+        return _arm_state(self._state)
 
     def start(self) -> None:
+        # The arm bears itself and the tray; what is commanded beyond that begins at nothing.
+        rate = COMMAND_RATE_SHARE * self._arm.limits.torque_rate
+        self._gate = TorqueGate(self._arm.limits.torque, rate, PERIOD, np.zeros(self._arm.n))
+        self._differs = np.zeros(self._arm.n)
+        self._compare(_arm_state(self._state).q)
         self._control = self._robot.start_torque_control()
 
     def read(self) -> tuple[ArmState, float]:
@@ -97,28 +108,43 @@ class FrankaRobot:
             self._state, elapsed = self._control.readOnce()
         except RuntimeError as error:
             raise _said(self._address, error) from None
-        return _arm_state(self._state), float(elapsed.to_sec())
+        return _arm_state(self._state), elapsed.to_sec()
 
-    def write(self, torque: Array, *, last: bool = False) -> None:
-        command = self._library.Torques((torque - np.asarray(self._model.gravity(self._state))).tolist())
+    def write(self, torque: Array, sensed: Sensed, *, last: bool = False) -> None:
+        if not sensed.wrong:
+            self._compare(sensed.state.q)
+        adds = self._arm.gravity(sensed.state.q) + self._differs
+        command = self._library.Torques(self._gate(torque - adds).tolist())
         command.motion_finished = last
         try:
             self._control.writeOnce(command)
         except RuntimeError as error:
             raise _said(self._address, error) from None
 
+    def _compare(self, q: Array) -> None:
+        """How the torque that the arm adds by itself differs from our model of it: of its own state, when that can be
+        believed. Where it cannot, our model alone tells how it goes on."""
+        adds = np.array(self._model.gravity(self._state), dtype=float)
+        if np.all(np.isfinite(adds)):
+            self._differs = adds - self._arm.gravity(q)
+
     def stop(self) -> None:
-        self._control = None
-        self._robot.stop()
+        try:
+            self._robot.stop()
+        finally:
+            self._control = None
 
     def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
         """Follow a joint motion by the arm's own position control, from where it holds itself. Raises SalverError."""
         try:
-            motion = motion_from(np.array(self._robot.read_once().q_d))
+            motion = motion_from(self._finite(self._robot.read_once().q_d))
             control = self._robot.start_joint_position_control(self._library.ControllerMode.JointImpedance)
             t = 0.0
             while t < motion.duration:
-                t += float(control.readOnce()[1].to_sec())
+                elapsed = float(control.readOnce()[1].to_sec())
+                if not 0 <= elapsed <= LONGEST_STEP:
+                    raise SalverError(f"The arm at {self._address} says that {elapsed:g} s passed between two states.")
+                t += elapsed
                 command = self._library.JointPositions(motion.sample(t)[0][0].tolist())
                 command.motion_finished = t >= motion.duration
                 control.writeOnce(command)
@@ -126,6 +152,12 @@ class FrankaRobot:
             raise _said(self._address, error) from None
         finally:
             self._robot.stop()
+
+    def _finite(self, values: Any) -> Array:
+        found = np.array(values, dtype=float)
+        if found.shape != (self._arm.n,) or not np.all(np.isfinite(found)):
+            raise SalverError(f"The arm at {self._address} reports no numbers for its joints.")
+        return found
 
 
 def library() -> Any:
@@ -199,7 +231,7 @@ class SimulatedRobot:
                 periods += 1
         return self.look(), periods * self._period
 
-    def write(self, torque: Array, *, last: bool = False) -> None:
+    def write(self, torque: Array, sensed: Sensed, *, last: bool = False) -> None:
         self._torque = torque
         self._advance()
         self._next += self._period

@@ -36,15 +36,10 @@ def certificate(scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Ma
     }
 
 
-def digest(certified: Mapping[str, Any]) -> str:
-    """One word for a whole certificate, by which results say of which plan they are."""
-    return _of_json(certified)[:16]
-
-
 def check(
     directory: Path, stem: str, scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]
-) -> str:
-    """The digest of a plan's certificate. Raises FileFormatError, one sentence with what differs, when it does."""
+) -> None:
+    """Raise FileFormatError, one sentence with what differs, unless a plan's files are what its certificate says."""
     certified = record.get(KEY)
     fastest = " --fastest" if record.get("method") == "fastest" else ""
     again = f"plan again with `salver plan {directory}/scenario.toml{fastest} -o ANOTHER_DIRECTORY`"
@@ -71,7 +66,6 @@ def check(
             f"{place} was edited since {directory / stem} was planned: {kind} {names} is not what was judged; put "
             f"back what was there, or {again}."
         )
-    return digest(certified)
 
 
 def _of_json(value: Any) -> str:

@@ -82,7 +82,6 @@ class Plan(Shown):
     reference: the motion of B. joint: the arm's motion, or None. status: how planning ended; arm_status: whether
     the arm can follow, None without an arm. solver: method, cost, duality gap, iterations, times.
     tau: (T, n) feed-forward torque at `t`, or None. Arrays have the time axis first (docs/conventions.md).
-    digest: of the files it was read from (`salver.planning.certificate`); empty when it was read from none.
     """
 
     scenario: Scenario
@@ -93,7 +92,6 @@ class Plan(Shown):
     arm_status: Status | None = None
     tau: Array | None = None
     solver: Mapping[str, Any] = field(default_factory=dict)
-    digest: str = ""
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -326,12 +324,11 @@ def write_scenario(scenario: Scenario, directory: Path) -> None:
 
 @dataclass(frozen=True)
 class PlanFiles:
-    """What the files of a plan hold, checked against their certificate. record: plan.json. digest: of all of them."""
+    """What the files of a plan hold, checked against their certificate. record: plan.json."""
 
     scenario: Scenario
     arrays: dict[str, Array]
     record: dict[str, Any]
-    digest: str
 
 
 _NEEDED = ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B")
@@ -352,7 +349,8 @@ def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ..
     record = read_json(directory / f"{stem}.json")
     if not isinstance(record, dict):
         raise FileFormatError(f"{directory / stem}.json is no record of a plan; write it again with `salver plan`.")
-    return PlanFiles(scenario, arrays, record, certificate.check(directory, stem, scenario, arrays, record))
+    certificate.check(directory, stem, scenario, arrays, record)
+    return PlanFiles(scenario, arrays, record)
 
 
 def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
@@ -369,7 +367,6 @@ def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
             _status_from(record["arm"]) if "arm" in record else None,
             arrays.get("tau"),
             record["solver"],
-            files.digest,
         )
     except (KeyError, TypeError, ValueError, IndexError):
         raise FileFormatError(f"{Path(directory) / stem}.npz and .json are not those of a plan; plan again.") from None

@@ -155,6 +155,8 @@ def _with_records(directory: Path, motion: Motion, notes: list[str]) -> Motion:
         record = Record(*read_result(path, ("t",)))
         try:
             check_digest(record.summary, path, directory, motion.stem)
+            if len(record.t) < 2:
+                raise FileFormatError(f"{path} ends before it begins. {record.summary.get('stopped', '')}".strip())
             found[folder] = record
         except FileFormatError as error:
             notes.append(f"Not shown: {error}")

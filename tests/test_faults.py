@@ -1,0 +1,391 @@
+"""The driver survives its inputs: faults in samples, calls and torques, one by one and drawn at random."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from faults import CASE, Fault, Outcome, Rig, draw
+from pylibfranka_stand_in import Library
+from salver.control.arm import ArmState, controller_for
+from salver.driver import execute, logs
+from salver.driver.execution import Watchdog, drive
+from salver.driver.gate import TorqueGate
+from salver.driver.logs import arrays_of, check_place, keep
+from salver.driver.preflight import Check
+from salver.driver.robots import SimulatedRobot
+from salver.driver.sensing import Senses
+from salver.driver.signals import noted_signals
+from salver.errors import SalverError
+from salver.files import load_npz, read_json
+from salver.geometry import Array
+from salver.models.arm import load_arm, with_load
+from salver.planning.make import make_plan
+from salver.planning.plan import Plan
+
+NAN = float("nan")
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Rig:
+    return Rig(tmp_path_factory.mktemp("faults") / "run")
+
+
+def spoilt(name: str, value: float) -> Any:
+    def change(answer: Any) -> Any:
+        state, elapsed = answer
+        values = {"q": state.q.copy(), "dq": state.dq.copy()}
+        values[name][3] = value
+        return ArmState(**values), elapsed
+
+    return change
+
+
+def one(rig: Rig, *faults: Fault, franka: bool = False) -> Outcome:
+    outcome = rig.throw(list(faults), franka)
+    assert outcome.wrong() == []
+    return outcome
+
+
+# One by one ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "franka"),
+    [
+        ("q", NAN, False),
+        ("q", NAN, True),
+        ("dq", NAN, False),
+        ("dq", -np.inf, True),
+        ("q", 1e300, True),
+        ("dq", 2.5, 0),
+    ],
+)
+def test_one_bad_sample_is_bridged_and_the_motion_goes_on(rig: Rig, name: str, value: float, franka: bool) -> None:
+    outcome = one(rig, Fault("read", 500, 1, "", spoilt(name, value)), franka=franka)
+    summary = outcome.result.summary
+    assert summary["stopped"] == ""
+    assert summary["bridged"] == 1
+    assert outcome.result.arrays["tray_e_p"].max() < 5e-4
+
+
+@pytest.mark.parametrize("franka", [False, True])
+@pytest.mark.parametrize("lasts", [10, 11, 10**6])
+def test_the_model_bridges_ten_periods_and_not_eleven(rig: Rig, lasts: int, franka: bool) -> None:
+    """At 500 the arm moves fast; without any believable state it is braked by the model alone, and rests."""
+    outcome = one(rig, Fault("read", 500, lasts, "", spoilt("dq", NAN)), franka=franka)
+    summary = outcome.result.summary
+    if lasts == 10:
+        assert summary["stopped"] == ""
+        assert summary["bridged"] == 10
+        return
+    assert summary["stopped"].startswith("The arm's state could not be believed for 11 periods up to t = 0.46")
+    assert "10 are bridged: the speed of panda_joint4 is nan" in summary["stopped"]
+    assert summary["load_kept_in_stop"] is False
+    assert not outcome.result.achieved
+    assert np.abs(outcome.robot.true().dq).max() < 0.05
+
+
+@pytest.mark.parametrize("elapsed", [NAN, np.inf, -1e-3, 1e308, None])
+def test_a_clock_that_is_wrong_once_is_bridged(rig: Rig, elapsed: Any) -> None:
+    outcome = one(rig, Fault("read", 500, 1, "", lambda answer: (answer[0], elapsed)))
+    assert outcome.result.summary["stopped"] == ""
+    assert outcome.result.summary["bridged"] == 1
+
+
+def test_a_clock_that_stands_still_is_a_reason_to_stop(rig: Rig) -> None:
+    outcome = one(rig, Fault("read", 500, 10**6, "", lambda answer: (answer[0], 0.0)))
+    assert "its clock says that 0 s passed" in outcome.result.summary["stopped"]
+
+
+def test_late_periods_are_seen_and_stop_the_arm(rig: Rig) -> None:
+    for periods, stops in ((21, False), (22, True)):
+        late = Fault("read", 500, 1, "", lambda answer, n=periods: (answer[0], n * 1e-3))
+        stopped = one(rig, late).result.summary["stopped"]
+        assert ("21 control periods in a row were missed" in stopped) == stops, stopped
+
+
+def test_a_sensor_that_is_stuck_while_the_arm_moves_is_seen(rig: Rig) -> None:
+    kept: list[Any] = []
+
+    def stuck(answer: Any) -> Any:
+        kept.append(answer)
+        return kept[0]
+
+    outcome = one(rig, Fault("read", 500, 10**6, "", stuck))
+    assert "it reports the same state again though it moves" in outcome.result.summary["stopped"]
+
+
+@pytest.mark.parametrize(
+    ("site", "error"),
+    [
+        ("read", OSError(5, "Input/output error")),
+        ("write", RuntimeError("reflex")),
+        ("start", MemoryError()),
+        ("look", OSError("gone")),
+    ],
+)
+def test_a_robot_that_fails_is_left_and_the_log_says_why(rig: Rig, site: str, error: BaseException) -> None:
+    outcome = one(rig, Fault(site, 500 if site in ("read", "write") else 0, 1, site, error=lambda: error))
+    stopped = outcome.result.summary["stopped"]
+    assert type(error).__name__ in stopped
+    assert outcome.robot.said[-1] == "stop"
+    if site in ("read", "write"):
+        assert "Torque control ended at t = 0.4" in stopped
+        assert outcome.result.arrays["t"][-1] == pytest.approx(0.445)  # kept to a fifth of the rate
+    assert not outcome.result.achieved
+
+
+def test_what_the_robot_says_of_itself_is_quoted(rig: Rig) -> None:
+    fault = Fault("read", 500, 1, "", error=lambda: RuntimeError("libfranka: joint_velocity_violation"))
+    stopped = one(rig, fault, franka=True).result.summary["stopped"]
+    assert stopped == "The arm at arm says: joint_velocity_violation"
+
+
+@pytest.mark.parametrize("signals", [(signal.SIGINT,), (signal.SIGINT,) * 3, (signal.SIGTERM, signal.SIGHUP)])
+def test_ctrl_c_brakes_however_often_it_is_pressed(rig: Rig, signals: tuple[int, ...]) -> None:
+    """Once, three times at once, and again and again while the arm brakes and the log is written."""
+    for lasts in (1, 300)[: len(signals)]:
+        outcome = one(rig, Fault("read", 500, lasts, "", signals=signals))
+        word = {signal.SIGINT: "Interrupted", signal.SIGTERM: "Terminated"}[signal.Signals(signals[0])]
+        assert outcome.result.summary["stopped"] == f"{word} at t = 0.450 s."
+        assert outcome.robot.said[-2:] == ["last", "stop"]
+        assert np.abs(outcome.robot.true().dq).max() < 0.02
+        moving = np.abs(outcome.result.arrays["dq"]).max(axis=1)
+        t = outcome.result.arrays["t"]
+        assert moving[t < 0.45].max() > 0.3
+        assert t[-1] < 1.3
+
+
+def test_an_interruption_anywhere_in_the_loop_or_while_the_log_is_written(rig: Rig) -> None:
+    for site in ("read", "write", "row", "controller"):
+        outcome = one(rig, Fault(site, 500, 1, site, error=KeyboardInterrupt))
+        assert outcome.result.summary["stopped"].startswith("Interrupted at t = 0.45")
+    assert one(rig, Fault("save", 0, 1, "save", error=KeyboardInterrupt)).result.achieved
+
+
+def test_signals_are_as_before_afterwards() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    with noted_signals() as signals:
+        assert not signals.wish(0.0)
+        os.kill(os.getpid(), signal.SIGINT)
+        assert signals.wish(0.1) == "Interrupted at t = 0.100 s."
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("torque", [np.full(7, NAN), np.full(7, 1e300), np.zeros(6), None, "no"])
+def test_a_controller_that_fails_ends_in_a_stop(rig: Rig, torque: Any) -> None:
+    outcome = one(rig, Fault("controller", 500, 1, "", lambda _: torque))
+    huge = isinstance(torque, np.ndarray) and np.isfinite(torque).all() and torque.shape == (7,)
+    if huge:  # a number, only cut: one period of full torque rate, then the controller goes on
+        assert outcome.result.summary["saturation"]["gate_cut"] > 0
+    else:
+        assert outcome.result.summary["stopped"].startswith("The controller failed at t = 0.450 s")
+        assert outcome.robot.said[-2:] == ["last", "stop"]
+
+
+def test_a_disk_that_is_full_does_not_cost_the_log(rig: Rig) -> None:
+    outcome = one(rig, Fault("save", 0, 10**6, "save", error=lambda: OSError(28, "No space left on device")))
+    assert "salver-log-" in str(outcome.result.path)
+    assert "No space left on device" in outcome.result.summary["log_elsewhere"]
+    assert len(load_npz(outcome.result.path)["t"]) > 200
+
+
+def test_a_robot_that_cannot_be_told_to_stop_is_said_so(rig: Rig) -> None:
+    assert rig.throw([Fault("stop", 0, 2, "stop", error=lambda: OSError("gone"))]).result.achieved  # the third time
+    outcome = rig.throw([Fault("stop", 0, 9, "stop", error=lambda: OSError("gone"))])
+    assert outcome.result.summary["stopped"] == "simulated arm could not be told to stop (OSError: gone)."
+
+
+# Drawn at random -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_nothing_unsafe_leaves_and_no_log_is_lost(rig: Rig, seed: int) -> None:
+    """`python tests/faults.py -n 1000` throws a thousand."""
+    faults = draw(seed)
+    franka = seed % 3 == 0 and not any(fault.odd for fault in faults)
+    assert rig.throw(faults, franka).wrong() == [], [fault.words for fault in faults]
+
+
+# The parts -----------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(st.lists(st.lists(st.floats() | st.just(NAN), min_size=1, max_size=4), max_size=12), st.floats())
+def test_only_numbers_within_the_limits_pass_the_gate(wanted: list[list[float]], start: float) -> None:
+    limit, rate, period = np.array([87.0, 12.0, np.inf]), np.array([1000.0, np.inf, 10.0]), 1e-3
+    gate = TorqueGate(limit, rate, period, np.full(3, start))
+    last = gate(np.full(3, NAN))
+    for torque in wanted:
+        sent = gate(np.array(torque))
+        assert np.all(np.isfinite(sent))
+        assert np.all(np.abs(sent) <= limit)
+        assert np.all(np.abs(sent - last) <= rate * period + 1e-12 * np.abs(last))
+        last = sent
+
+
+def test_the_gate_lets_through_what_is_within_the_limits() -> None:
+    gate = TorqueGate(np.full(2, 10.0), np.full(2, 1000.0), 1e-3, np.array([1.0, -1.0]))
+    assert gate(np.array([1.5, -1.9])).tolist() == [1.5, -1.9]
+    assert gate(np.array([4.0, NAN])).tolist() == [2.5, -1.9]  # a step of 1 N m; what it had
+    assert (gate.cut, gate.closed) == (1, 1)
+
+
+def test_the_model_goes_on_where_the_arm_goes(rig: Rig) -> None:
+    """Ten periods bridged at full speed, beside the engine's own arm: off by what its load's contact makes, no more."""
+    arm, carried, plan = rig.arm, rig.carried, rig.plan
+    robot = SimulatedRobot(plan, arm, 1.0, realtime=False)
+    controller = controller_for(plan.scenario, plan.joint, plan.reference, arm=arm)  # type: ignore[arg-type]
+    robot.start()
+    senses, t, torque = Senses(arm, carried, 1e-3, robot.look()), robot.start_time, np.zeros(7)
+    for k in range(510):
+        state, elapsed = robot.read()
+        t += elapsed
+        sensed = senses.take((state, elapsed) if k < 500 else None, torque)
+        torque = controller.step(sensed.state, t)
+        robot.write(torque, sensed)
+        if k == 499:
+            assert sensed.wrong == ""
+            assert np.abs(state.dq).max() > 0.3
+    assert np.abs(sensed.state.q - state.q).max() < 2e-5
+    assert np.abs(sensed.state.dq - state.dq).max() < 5e-3
+
+
+def test_senses_name_what_is_wrong(rig: Rig) -> None:
+    q = rig.plan.joint.q[0]  # type: ignore[union-attr]
+    good = ArmState(q.copy(), np.zeros(7))
+
+    def said(state: Any, elapsed: Any = 1e-3) -> str:
+        senses = Senses(rig.arm, rig.carried, 1e-3, good)
+        return senses.take((state, elapsed), with_load(rig.arm, rig.carried).gravity(q)).wrong
+
+    turn = np.eye(7)[2]
+    assert said(good) == ""
+    # 0.1 of 2.175 rad/s and 100 rad/s^2 for 1 ms are 0.3175 rad/s; 2 * 2.175 rad/s for 1 ms are 0.00435 rad.
+    assert said(ArmState(q + 3.1e-4 * turn, np.zeros(7))) == ""
+    assert "panda_joint3 is said to turn at 0 rad/s and goes elsewhere" in said(
+        ArmState(q + 3.3e-4 * turn, np.zeros(7))
+    )
+    assert "panda_joint3 is said to have jumped by 0.0048 rad" in said(ArmState(q + 4.8e-3 * turn, np.zeros(7)))
+    assert said(ArmState(q, 0.31 * turn)) == ""
+    assert "the speed of panda_joint3 is said to have jumped by 0.33" in said(ArmState(q, 0.33 * turn))
+    assert "panda_joint3 is said to be at 4 rad" in said(ArmState(np.where(turn > 0, 4.0, q), np.zeros(7)))
+    assert "turn at 5 rad/s, which it cannot" in said(ArmState(q, 5.0 * turn))
+    assert "no state of its joints" in said(ArmState(q[:6], np.zeros(7)))
+    assert "no state of its joints" in said(ArmState(np.array(["x"] * 7), np.zeros(7)))
+    assert "its clock says that 2 s passed" in said(good, 2.0)
+    with pytest.raises(SalverError, match="cannot be believed: the speed of panda_joint1 is nan"):
+        Senses(rig.arm, rig.carried, 1e-3, ArmState(q, np.full(7, NAN)))
+
+
+class _Careful:
+    """A stop that claims to keep the load; it begins as told and may fail later."""
+
+    keeps_load = True
+
+    def __init__(self, plan: Plan, state: ArmState, t: float, fails: bool) -> None:
+        arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+        self.inner, self.t, self.fails = execute.cool_stops(arm, plan.scenario.payload.bodies)(state, t), t, fails
+        self.duration = self.inner.duration
+
+    def step(self, state: ArmState, s: float) -> Array:
+        if self.fails and s > 0.1:
+            raise ArithmeticError("out of its table")
+        return self.inner.step(state, s)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_another_stop_can_be_given_and_the_cool_one_stands_behind_it(rig: Rig, fails: bool) -> None:
+    plan, arm, carried = rig.plan, rig.arm, rig.carried
+    begun: list[_Careful] = []
+
+    def careful(state: ArmState, t: float) -> _Careful:
+        begun.append(_Careful(plan, state, t, fails))
+        return begun[-1]
+
+    robot = SimulatedRobot(plan, arm, 3.0, realtime=False)
+    controller = controller_for(plan.scenario, plan.joint, plan.reference, arm=arm)  # type: ignore[arg-type]
+    dog = Watchdog(joint_error=1e-5)  # the very first errors are larger
+    log_ = drive(robot, controller, plan.joint, arm, carried, start=-0.05, end=1.3, watchdog=dog, stop_from=careful)  # type: ignore[arg-type]
+    assert len(begun) == 1
+    assert f"t = {begun[0].t:.3f} s" in log_.stopped
+    assert log_.keeps_load is not fails
+    assert ("The stop failed" in log_.stopped) == fails
+    assert np.abs(robot.look().dq).max() < 0.02
+
+
+# Before and after ----------------------------------------------------------------------------------------------------
+
+
+def test_checks_are_demanded_before_the_arm_is_connected(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the plan, and of what a Franka asks for: neither may be found out with the arm already in hand."""
+    library = Library(rig.plan)
+    monkeypatch.setitem(sys.modules, "pylibfranka", library)
+    for name in ("check_plan", "check_franka"):
+        with monkeypatch.context() as patched:
+            patched.setattr(execute, name, lambda *args: [Check("x", False, "It is not fit.")])
+            with pytest.raises(SalverError, match=r"Not moved\. It is not fit\."):
+                execute.run_on_franka(rig.folder, "arm")
+    assert library.calls == []
+
+
+def test_where_no_log_can_be_written_nothing_moves(rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "execution").write_text("in the way")
+    assert "cannot be written" in check_place(tmp_path).sentence
+    assert check_place(rig.folder).ok
+    monkeypatch.setattr(logs, "ROOM", 1e30)
+    with pytest.raises(SalverError, match=r"Not moved\. .* MB left for the log"):
+        execute.dry_run(rig.folder, realtime=False)
+
+
+def test_a_second_run_keeps_the_first_ones_log(rig: Rig, tmp_path: Path) -> None:
+    make_plan(CASE).save(tmp_path)
+    first = execute.dry_run(tmp_path, realtime=False)
+    kept = load_npz(first.path)
+    second = execute.dry_run(tmp_path, watchdog=Watchdog(joint_error=1e-5), realtime=False)
+    assert second.path == tmp_path / "execution" / "plan.npz"
+    assert second.summary["stopped"]
+    again = load_npz(tmp_path / "execution" / "plan-1.npz")
+    assert all(np.array_equal(kept[name], again[name], equal_nan=True) for name in kept)
+    assert read_json(tmp_path / "execution" / "plan-1.json")["stopped"] == ""
+    for _ in range(3):
+        assert keep(tmp_path, "plan", {"t": np.zeros(2)}, {"n": 1}).name == "plan.npz"
+
+
+def test_errors_of_the_tray_are_those_of_a_turned_frame(tmp_path: Path) -> None:
+    """Joint 7 of a level tray turns it about the vertical: its error is that very angle, wherever the tray looks."""
+    from salver import scenario
+
+    case = scenario.load("panda-cube-yaw").with_changes(motion__nodes=21)
+    plan = make_plan(case)
+    arm, first = load_arm(case.arm, case.tray), case.payload.first  # type: ignore[arg-type]
+    joint = plan.joint
+    assert joint is not None
+    t = np.linspace(0, joint.duration, 301)
+    q, dq, _ = joint.sample(t)
+    turned = np.array([arm.tray_pose(posture)[1] for posture in q])
+    assert np.abs(np.arctan2(turned[:, 1, 0], turned[:, 0, 0])).max() > 0.3
+    log_ = _log_of(t, q, dq)
+    faithful = arrays_of(plan, arm, first, log_)
+    assert faithful["tray_e_o"].max() < 1e-6
+    assert faithful["tray_e_p"].max() < 1e-6
+    away = q.copy()
+    away[:, 6] += 0.02
+    assert arrays_of(plan, arm, first, replace(log_, q=away))["tray_e_o"] == pytest.approx(0.02, abs=1e-6)
+
+
+def _log_of(t: Array, q: Array, dq: Array) -> Any:
+    from salver.driver.execution import Log
+
+    none = np.zeros(len(t))
+    return Log(t, q, dq, 0 * q, q, none, none, none, none.astype(bool))
