@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
 from pathlib import Path
@@ -229,6 +231,28 @@ def test_franka_moves_to_the_start_first_when_told(
     assert result.achieved
 
 
+def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(
+    directory: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    posture = plan.joint.sample(0.0)[0][0] + 0.05  # type: ignore[union-attr]
+    fake = Library(plan, posture)
+    monkeypatch.setitem(sys.modules, "pylibfranka", fake)
+    positions: list[Any] = []
+
+    class Pressed(fake.JointPositions):  # type: ignore[name-defined, misc]
+        def __init__(self, q: list[float]) -> None:
+            super().__init__(q)
+            positions.append(q)
+            if len(positions) > 200:
+                os.kill(os.getpid(), signal.SIGINT)
+
+    fake.JointPositions = Pressed
+    with pytest.raises(SalverError, match=r"Interrupted at t = 0\.2\d\d s\. The arm was stopped on its way"):
+        execute.run_on_franka(directory, "arm", move_to_start=True)
+    assert len(positions) == 201
+    assert fake.calls[-1] == ("stopped",)
+
+
 def test_franka_that_does_not_answer(directory: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pylibfranka", Library(plan))
     with pytest.raises(SalverError, match=r"The arm at nowhere says: Connection timed out\."):
@@ -280,6 +304,7 @@ def test_commands_that_cannot_be(directory: Path, tmp_path: Path) -> None:
         return result.output + (result.stderr or "")
 
     assert 'no robot "ur"' in said("--robot", "ur")
+    assert 'has no motion "../plan"; it has plan' in said("--stem", "../plan", "--dry-run")
     assert "Give the arm's --address" in said()
     assert "--watchdog is 3 rad" in said("--watchdog", "3", "--dry-run")
     assert "six numbers" in said("--mocap", "x.csv", "--mocap-world", "1 2")
@@ -289,3 +314,25 @@ def test_commands_that_cannot_be(directory: Path, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["execute", str(bare), "--dry-run"])
     assert result.exit_code == 2
     assert "has no arm" in result.output + (result.stderr or "")
+
+
+def test_an_edited_plan_is_refused_by_name(directory: Path, tmp_path: Path) -> None:
+    """On the command line, with exit code 2; and an edit that its certificate was made to fit, by what it does."""
+    import shutil
+
+    from typer.testing import CliRunner
+
+    from run_files import rewrite
+    from salver.cli import app
+
+    run = Path(shutil.copytree(directory, tmp_path / "run"))
+    shutil.rmtree(run / "execution", ignore_errors=True)
+    for certified, words in (
+        (False, "array joint_ddq is not what was judged"),
+        (True, "holds nan where a number must"),
+    ):
+        rewrite(run, arrays=lambda held: held["joint_ddq"].__setitem__((40, 2), np.nan), certified=certified)
+        result = CliRunner().invoke(app, ["execute", str(run), "--dry-run", "--no-realtime"])
+        assert result.exit_code == 2
+        assert words in result.output + (result.stderr or "")
+        assert not (run / "execution").exists()

@@ -150,6 +150,15 @@ def test_a_plan_whose_arm_cannot_follow_is_not_ok(plan: Plan, arm: ArmModel) -> 
     assert "tray and pole touch at t = 0.88 s" in failed(replace(plan, arm_status=told), arm)["plan"]
 
 
+@pytest.mark.parametrize("end", ["start", "goal"])
+def test_a_plan_that_misses_its_ends_by_ten_nanometres_is_not_ok(plan: Plan, arm: ArmModel, end: str) -> None:
+    position = [*getattr(CASE.motion, end).position]
+    position[1] += 1e-8
+    moved = replace(plan, scenario=plan.scenario.with_changes(**{f"motion__{end}__position": position}))
+    assert not moved.ok
+    assert "misses its start or goal by 1e-08" in failed(moved, arm)["plan"]
+
+
 def test_a_motion_that_loses_the_load_is_refused_by_its_contact(plan: Plan, arm: ArmModel) -> None:
     """The same path in half the time: four times the acceleration, beyond friction's 0.5 g."""
     assert plan.joint is not None

@@ -24,6 +24,7 @@ from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm
 from salver.models.bodies import Body
 from salver.planning.plan import Plan, load_plan
+from salver.run_directory import known_stems
 from salver.trajectory import JointMotion
 
 ROBOTS = ("franka",)
@@ -54,8 +55,9 @@ def dry_run(
     Raises SalverError when a check before the run fails, UnreachableError when the plan has no joint motion.
     """
     plan, arm, carried = _prepared(directory, stem)
-    checks = [*check_plan(plan, arm, carried), check_place(Path(directory))]
+    checks = check_plan(plan, arm, carried)
     demand(checks)
+    checks.append(check_place(Path(directory)))
     watchdog = watchdog or Watchdog()
     robot = SimulatedRobot(plan, arm, STOP_ROOM, realtime)
     checks += check_posture(_motion(plan), arm, robot.look())
@@ -98,8 +100,9 @@ def run_on_franka(
     Raises SalverError when a check fails or the arm refuses, MissingDependencyError without pylibfranka.
     """
     plan, arm, carried = _prepared(directory, stem)
-    checks = [*check_plan(plan, arm, carried), check_place(Path(directory))]
+    checks = check_plan(plan, arm, carried)
     demand(checks)
+    checks.append(check_place(Path(directory)))
     checks += check_franka(plan, arm)
     demand(checks)  # before the arm is even connected
     tray = plan.scenario.tray
@@ -107,6 +110,7 @@ def run_on_franka(
     watchdog = watchdog or Watchdog()
     posture = check_posture(_motion(plan), arm, robot.look())
     if move_to_start:
+        demand([check for check in posture if check.name == "state"])
         start = _motion(plan).q[0]
         checks += check_approach(approach(robot.look().q, start, arm), plan, arm)
         demand(checks)
@@ -177,6 +181,9 @@ def _peak(values: Array) -> float | None:
 
 
 def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, Sequence[Body]]:
+    known = known_stems(Path(directory))
+    if known and stem not in known:
+        raise SalverError(f'{directory} has no motion "{stem}"; it has {", ".join(known)}.')
     plan = load_plan(directory, stem)
     if plan.scenario.arm is None:
         raise SalverError(f"{plan.scenario.name} has no arm; give the scenario a table [arm] to execute it.")

@@ -147,8 +147,9 @@ def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan)
     elif touch is not None:
         sentence = f"{touch.first} and {touch.second} touch at t = {touch.time:.2f} s."
     else:
+        blind = f"Not looked at: {'; '.join(parts.unchecked)}. " if parts.unchecked else ""
         sentence = (
-            f"Arm, tray, load and {around} keep apart all along; nearest are {near.first} and {near.second}, "
+            f"{blind}Arm, tray, load and {around} keep apart all along; nearest are {near.first} and {near.second}, "
             f"{1e3 * near.distance:.1f} mm at t = {near.time:.2f} s."
         )
     return [

@@ -13,6 +13,7 @@ import numpy as np
 
 from salver.control.arm import ArmState
 from salver.driver.gate import TorqueGate
+from salver.driver.signals import Signals, noted_signals
 from salver.errors import MissingDependencyError, SalverError
 from salver.geometry import Array
 
@@ -92,7 +93,10 @@ class FrankaRobot:
         return f"franka at {self._address}"
 
     def look(self) -> ArmState:
-        self._state = self._robot.read_once()
+        try:
+            self._state = self._robot.read_once()
+        except RuntimeError as error:
+            raise _said(self._address, error) from None
         return _arm_state(self._state)
 
     def start(self) -> None:
@@ -135,23 +139,30 @@ class FrankaRobot:
             self._control = None
 
     def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
-        """Follow a joint motion by the arm's own position control, from where it holds itself. Raises SalverError."""
-        try:
-            motion = motion_from(self._finite(self._robot.read_once().q_d))
-            control = self._robot.start_joint_position_control(self._library.ControllerMode.JointImpedance)
-            t = 0.0
-            while t < motion.duration:
-                elapsed = float(control.readOnce()[1].to_sec())
-                if not 0 <= elapsed <= LONGEST_STEP:
-                    raise SalverError(f"The arm at {self._address} says that {elapsed:g} s passed between two states.")
-                t += elapsed
-                command = self._library.JointPositions(motion.sample(t)[0][0].tolist())
-                command.motion_finished = t >= motion.duration
-                control.writeOnce(command)
-        except RuntimeError as error:
-            raise _said(self._address, error) from None
-        finally:
-            self._robot.stop()
+        """Follow a joint motion by the arm's own position control, from where it holds itself. Raises SalverError, when
+        it is interrupted too; the arm has been told to stop then.
+        """
+        with noted_signals() as signals:
+            try:
+                self._move(motion_from(self._finite(self._robot.read_once().q_d)), signals)
+            except RuntimeError as error:
+                raise _said(self._address, error) from None
+            finally:
+                self._robot.stop()
+
+    def _move(self, motion: JointMotion, signals: Signals) -> None:
+        control = self._robot.start_joint_position_control(self._library.ControllerMode.JointImpedance)
+        t = 0.0
+        while t < motion.duration:
+            elapsed = float(control.readOnce()[1].to_sec())
+            if not 0 <= elapsed <= LONGEST_STEP:
+                raise SalverError(f"The arm at {self._address} says that {elapsed:g} s passed between two states.")
+            if signals.seen:
+                raise SalverError(f"{signals.wish(t)} The arm was stopped on its way to the start.")
+            t += elapsed
+            command = self._library.JointPositions(motion.sample(t)[0][0].tolist())
+            command.motion_finished = t >= motion.duration
+            control.writeOnce(command)
 
     def _finite(self, values: Any) -> Array:
         found = np.array(values, dtype=float)
