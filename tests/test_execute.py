@@ -308,6 +308,7 @@ def test_commands_that_cannot_be(directory: Path, tmp_path: Path) -> None:
     assert "Give the arm's --address" in said()
     assert "--watchdog is 3 rad" in said("--watchdog", "3", "--dry-run")
     assert "six numbers" in said("--mocap", "x.csv", "--mocap-world", "1 2")
+    execute.dry_run(directory, realtime=False)
     assert "cannot be read as a text file" in said("--mocap", str(tmp_path / "none.csv"))
     bare = tmp_path / "no-arm"
     make_plan(scenario.load("panda-cube").with_changes(arm=None), "baseline").save(bare, "plan")

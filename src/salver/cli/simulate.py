@@ -9,7 +9,6 @@ import typer
 
 from salver.cli.common import Json, headed, print_json, result_console, say
 from salver.errors import ScenarioError
-from salver.run_directory import STEMS
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
@@ -41,6 +40,7 @@ def simulate(
     Ends with 0 when the run was made, whatever became of the object.
     """
     from salver.planning.plan import load_plan
+    from salver.run_directory import STEMS
     from salver.simulation.physics import simulate as run_physics
 
     if stem not in (*STEMS, "both"):
