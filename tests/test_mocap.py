@@ -237,6 +237,15 @@ def test_a_clock_or_a_world_that_does_not_fit_is_found(plan: Plan, tmp_path: Pat
     assert "from where the joints put it" in told.sentence or "it strays" in told.sentence
 
 
+@pytest.mark.parametrize("times", ["nan,nan,nan", "0,inf,0.1", "5,4,3", "0,1e12,2e12"])
+def test_times_that_are_none_get_a_sentence(plan: Plan, tmp_path: Path, times: str) -> None:
+    path = tmp_path / "plain.csv"
+    rows = "".join(f"{t},1,2,{3 + k / 100},1,0,0,0\n" for k, t in enumerate(times.split(",")))
+    path.write_text("t,p_x,p_y,p_z,q_w,q_x,q_y,q_z\n" + rows)
+    with pytest.raises(SalverError, match=r"must be in s and go forwards|must cover the motion|no motion capture that"):
+        mocap.find_offset(mocap.read_tracks(path)["object"], plan.reference)
+
+
 def test_of_several_objects_one_track_tells_nothing_of_the_others(plan: Plan, tmp_path: Path) -> None:
     _capture(plan, tmp_path / "vicon.csv")
     tracks = mocap.read_tracks(tmp_path / "vicon.csv")

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 REST = 0.1  # s before the motion, over which what is at rest is averaged
 SLIP = 2e-3  # m of displacement on the tray that motion capture can tell from its own noise
+LONGEST = 3600.0  # s of a recording in which the motion is looked for
 GAP = 0.1  # s between samples that are bridged
 
 
@@ -109,7 +110,8 @@ def _rotations(quat_wxyz: Array) -> Array:
 
 def _seen(t: Array, p: Array, R: Array) -> Track:
     """Vicon writes zeros, or nothing, for what it does not see."""
-    good = np.all(np.isfinite(p), axis=1) & np.all(np.isfinite(R), axis=(1, 2)) & np.any(p != 0, axis=1)
+    numbers = np.isfinite(t) & np.all(np.isfinite(p), axis=1) & np.all(np.isfinite(R), axis=(1, 2))
+    good = numbers & np.any(p != 0, axis=1)
     return Track(t[good], p[good], R[good])
 
 
@@ -118,6 +120,11 @@ def find_offset(track: Track, reference: Reference, p_BX: Array | None = None) -
     point p_BX (3,) fixed to B.
     """
     step = 2e-3
+    if not 0 < track.t[-1] - track.t[0] < LONGEST:
+        raise SalverError(
+            f"The motion capture goes from {track.t[0]:g} to {track.t[-1]:g} s; its times must be in s and go forwards "
+            f"for at most {LONGEST:g} s."
+        )
     t = np.arange(track.t[0], track.t[-1], step)
     if len(t) * step < 0.5 * reference.duration:
         raise SalverError(
