@@ -150,6 +150,18 @@ def test_a_plan_whose_arm_cannot_follow_is_not_ok(plan: Plan, arm: ArmModel) -> 
     assert "tray and pole touch at t = 0.88 s" in failed(replace(plan, arm_status=told), arm)["plan"]
 
 
+def test_contact_is_judged_for_the_whole_uncertain_set(plan: Plan, arm: ArmModel) -> None:
+    """Four tenths of g sideways: within a friction of 0.5, beyond the least of 0.5 +- 40 %."""
+    assert plan.joint is not None
+    lateral = float(np.linalg.norm(plan.reference.sample(plan.joint.t).a_S[:, :2], axis=1).max())
+    quick = np.sqrt(lateral / (0.4 * 9.81))
+    j = plan.joint
+    faster = carried_by(plan, arm, JointMotion(quick * j.t, j.q, j.dq / quick, j.ddq / quick**2))
+    assert "contact" not in failed(faster, arm)
+    unsure = faster.scenario.with_changes(objects__0__uncertainty={"friction": "40%"})
+    assert "in the worst case" in failed(replace(faster, scenario=unsure), arm)["contact"]
+
+
 @pytest.mark.parametrize("end", ["start", "goal"])
 def test_a_plan_that_misses_its_ends_by_ten_nanometres_is_not_ok(plan: Plan, arm: ArmModel, end: str) -> None:
     position = [*getattr(CASE.motion, end).position]
