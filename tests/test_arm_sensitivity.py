@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.interpolate import interp1d
 
 from salver import scenario
 from salver.control.arm import ArmController, ArmState
@@ -20,11 +21,10 @@ from salver.models.worst_case import Drift
 from salver.models.wrench_cone import cone_facets
 from salver.planning.make import plan_baseline, with_arm
 from salver.planning.plan import Plan
-from salver.sensitivity.arm import arm_chain, chain_model, tracking_wrench_motion
-from salver.sensitivity.arm.filter import node_filter, sagged, transition
+from salver.sensitivity.arm import arm_chain, chain_model
 from salver.sensitivity.arm.load import load_change
 from salver.sensitivity.arm.terms import motion_terms
-from salver.sensitivity.filter import ErrorFilter, QuadratureGrid
+from salver.sensitivity.filter import LinearFilter, QuadratureGrid
 from salver.sensitivity.tray import TrayLoop
 from salver.simulation.physics import Options, simulate
 from salver.trajectory import JointMotion, MotionSamples, SampledReference
@@ -57,7 +57,8 @@ class Case:
         }[name]
         ends = np.stack([start, start + swing])
         self.joint = JointMotion(np.array([0.0, DURATION]), ends, np.zeros_like(ends), np.zeros_like(ends))
-        self.model = replace(chain_model(self.scenario), delay=0.0)
+        model = chain_model(self.scenario)
+        self.model = replace(model, loop=replace(model.loop, delay=0.0))
         self.body = self.model.items[0]
         fine = np.linspace(0.0, DURATION, 401)
         self.terms = motion_terms(self.model.loaded.pin_model, self.model.loaded.tray_id, *self.joint.sample(fine))
@@ -104,7 +105,7 @@ class Case:
 
         x = np.stack([self.joint.q[0], np.zeros(len(self.joint.q[0]))])
         out: dict[str, list] = {key: [] for key in ("q", "dq", "ddq", "torque")}
-        for k in range(-round(self.model.settle / STEP), len(T)):
+        for k in range(-round(self.model.loop.settle / STEP), len(T)):
             t = k * STEP
             if hold and k % hold == 0:
                 held = controller.step(ArmState(*x), t)
@@ -155,30 +156,15 @@ def test_filter_on_uneven_nodes(gains):
     def forcing(t):
         return np.cos(5 * t) + t**2
 
-    exact = ErrorFilter(grid, kp, kd).respond(forcing(grid.times))
+    exact = LinearFilter.on_grid(grid, kp, kd).respond(forcing(grid.times))
     s = np.linspace(0.0, 1.0, 81)
     nodes = np.round((s - 0.6 * np.sin(2 * np.pi * s) / (2 * np.pi)) * 1000) / 1000
-    e, rate, acceleration = node_filter(nodes, kp, kd).respond(forcing(nodes))
+    e, rate = LinearFilter.on_nodes(nodes, kp, kd, 3).respond(forcing(nodes))
     index = np.round(nodes * 1000).astype(int)
     # Cubics miss the forcing by at most 9/384 h^4 times its fourth derivative, 625.
     cubic = 9 / 384 * np.diff(nodes).max() ** 4 * 625
     assert relative(e, exact[0][index]) < cubic
     assert relative(rate, exact[1][index]) < 2 * cubic
-    assert acceleration + kd * rate + kp * e == pytest.approx(forcing(nodes))
-
-
-def test_filter_after_settling_for_ever_stays_at_rest():
-    """Under a constant forcing the arm has sagged to 1 / kp and moves no more."""
-    response = node_filter(np.linspace(0.0, 1.0, 21), 500.0, 25.0, settle=60.0)
-    e, rate, acceleration = response.respond(np.ones(21))
-    assert e == pytest.approx(np.full(21, 1 / 500), rel=1e-9)
-    assert rate == pytest.approx(np.zeros(21), abs=1e-10)
-    assert acceleration == pytest.approx(np.zeros(21), abs=1e-8)
-
-
-def test_settling_twice_is_settling_longer():
-    first, longer = sagged(500.0, 25.0, 0.1), sagged(500.0, 25.0, 0.25)
-    assert longer == pytest.approx(sagged(500.0, 25.0, 0.15) + transition(500.0, 25.0, 0.15) @ first, rel=1e-12)
 
 
 def test_terms_against_differences(case):
@@ -338,7 +324,7 @@ def test_products_carry_the_chain_to_the_corners(case):
 def test_without_the_arms_own_inertia_it_is_the_papers_loop():
     """A massless arm leaves a free object under its controller: section III of the paper, state and input alike."""
     case = Case("ur10")
-    case.model = replace(case.model, settle=0.0, loaded=_weightless(case.model))
+    case.model = replace(case.model, loop=replace(case.model.loop, settle=0.0), loaded=_weightless(case.model))
     chain = arm_chain(case.model, case.joint, space="object", t=T)
     names = chain.uncertain.names
     gains, own = case.model.gains, chain.uncertain.parameters
@@ -398,16 +384,17 @@ def test_least_slack_bounds_perturbed_runs(panda):
     assert np.all(chain.least_slack(tracking=False) >= bound - 1e-12)
 
 
-def test_tracking_wrench_motion_is_the_chains(panda):
-    """The planner's shortcut on uneven nodes gives the chain's dw by the parameters."""
+def test_the_loop_on_uneven_nodes_is_the_chains(panda):
+    """Fastest plans evaluate it on nodes of their own: the same dw by every term, products included."""
     chain = arm_chain(panda.model, panda.joint, space="joint", t=T)
     s = np.linspace(0.0, 1.0, 101)
     nodes = DURATION * (s - 0.5 * np.sin(2 * np.pi * s) / (2 * np.pi))
-    terms = motion_terms(panda.model.loaded.pin_model, panda.model.loaded.tray_id, *panda.joint.sample(nodes))
-    response = node_filter(nodes, *(g[0] for g in (panda.model.gains.kp, panda.model.gains.kd)), panda.model.settle)
-    dw = tracking_wrench_motion(terms.w, terms.w_z, terms.jacobian, terms.mass_matrix, panda.model.load, response)
-    expected = np.stack([np.interp(nodes, T, chain.w[:, 4, j]) for j in range(chain.uncertain.size)], axis=1)
-    assert relative(dw[:, 4, : chain.uncertain.size], expected) < 1e-3
+    q, *rates = (*panda.joint.sample(nodes), panda.joint.jerk(nodes))
+    terms = motion_terms(panda.model.loaded.pin_model, panda.model.loaded.tray_id, q, *rates[:2])
+    found = panda.model.loop.along(nodes, terms, np.stack(rates))
+    expected = interp1d(T, chain.w[:, 4], axis=0)(nodes)
+    scale = chain.model.load.half_range
+    assert relative(found.tray.w[:, 4] * scale, expected * scale) < 1e-3
 
 
 @pytest.mark.parametrize("space", ["joint", "object"])
@@ -416,7 +403,7 @@ def test_held_commands_act_half_a_period_late(panda, space):
     free = panda.rollout(space, {})
     misses = []
     for hold in (2, 1):
-        model = replace(panda.model, delay=0.5 * hold * STEP)
+        model = replace(panda.model, loop=replace(panda.model.loop, delay=0.5 * hold * STEP))
         held = arm_chain(model, panda.joint, space=space, t=T).held
         run = panda.rollout(space, {}, hold)
         every = slice(None, None, hold)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from salver.sensitivity.filter import ErrorFilter, QuadratureGrid
+from salver.sensitivity.filter import LinearFilter, QuadratureGrid, fastest_rate, settled, transition
 
 
 def forcing(t):
@@ -15,7 +15,7 @@ def forcing(t):
 @pytest.mark.parametrize("instants", [41, 301])
 def test_response_agrees_with_an_adaptive_integrator(kp, kd, instants):
     grid = QuadratureGrid.for_gains(np.linspace(0, 2, instants), [(kp, kd)])
-    e, rate = ErrorFilter(grid, kp, kd).respond(forcing(grid.times)[:, None])
+    e, rate = LinearFilter.on_grid(grid, kp, kd).respond(forcing(grid.times)[:, None])
     answer = solve_ivp(
         lambda t, x: [x[1], forcing(t) - kd * x[1] - kp * x[0]],
         (0, 2),
@@ -31,7 +31,7 @@ def test_response_agrees_with_an_adaptive_integrator(kp, kd, instants):
 
 def test_constant_forcing_settles_at_its_static_error():
     grid = QuadratureGrid.for_gains(np.linspace(0, 5, 201), [(500.0, 25.0)])
-    e, rate = ErrorFilter(grid, 500.0, 25.0).respond(np.ones(len(grid.times)))
+    e, rate = LinearFilter.on_grid(grid, 500.0, 25.0).respond(np.ones(len(grid.times)))
     assert e[-1] == pytest.approx(1 / 500)
     assert np.abs(rate[-1]).max() < 1e-9 * np.abs(rate).max()
 
@@ -49,5 +49,70 @@ def test_running_integrals_are_exact_for_quadratics_and_accurate_for_waves():
 
 def test_nothing_in_nothing_out():
     grid = QuadratureGrid.for_gains(np.linspace(0, 1, 11), [(500.0, 25.0)])
-    e, rate = ErrorFilter(grid, 500.0, 25.0).respond(np.zeros((len(grid.times), 3, 0)))
+    e, rate = LinearFilter.on_grid(grid, 500.0, 25.0).respond(np.zeros((len(grid.times), 3, 0)))
     assert e.shape == rate.shape == (11, 3, 0)
+
+
+NODES = np.array([0.0, 0.002, 0.05, 0.3, 0.31, 0.9, 3.0, 3.4])
+GAINS = [(500.0, 25.0), (156.25, 25.0), (40.0, 30.0), (448.0, 0.2)]
+
+
+@pytest.mark.parametrize("order", [1, 3])
+@pytest.mark.parametrize(("kp", "kd"), GAINS)
+def test_polynomials_between_nodes_of_any_spacing_are_exact(kp, kd, order):
+    """A particular solution that is a polynomial, and what of the start dies away."""
+    solution = np.polynomial.Polynomial([0.3, -0.2, 0.1, 0.05][: order + 1])
+    rate = solution.deriv()
+    drive = solution.deriv(2)(NODES) + kd * rate(NODES) + kp * solution(NODES)
+    offset = np.array([0.01, -0.5])
+    start = np.array([solution(0.0), rate(0.0)]) + offset
+    x, v = LinearFilter.on_nodes(NODES, kp, kd, order).respond(drive, start)
+    left = transition(kp, kd, NODES) @ offset
+    scale = np.array([1.0, fastest_rate(kp, kd)])
+    assert np.abs(np.array([x - solution(NODES), v - rate(NODES)]) - left.T).max(axis=1) == pytest.approx(
+        np.zeros(2), abs=1e-11 * scale.max()
+    )
+
+
+@pytest.mark.parametrize("order", [1, 3])
+@pytest.mark.parametrize(("kp", "kd"), GAINS)
+def test_gradient_is_the_transpose(kp, kd, order):
+    rng = np.random.default_rng(0)
+    response = LinearFilter.on_nodes(NODES, kp, kd, order)
+    drive, by_x, by_rate = rng.normal(size=(3, len(NODES), 4))
+    x, rate = response.respond(drive)
+    assert (response.gradient(by_x, by_rate) * drive).sum() == pytest.approx((by_x * x + by_rate * rate).sum())
+
+
+def test_gradient_by_a_drive_at_gauss_points():
+    rng = np.random.default_rng(1)
+    grid = QuadratureGrid.for_gains(np.linspace(0, 1, 11), [(500.0, 25.0)])
+    response = LinearFilter.on_grid(grid, 500.0, 25.0)
+    drive, (by_x, by_rate) = rng.normal(size=(len(grid.times), 3)), rng.normal(size=(2, 11, 3))
+    x, rate = response.respond(drive)
+    assert (response.gradient(by_x, by_rate) * drive).sum() == pytest.approx((by_x * x + by_rate * rate).sum())
+
+
+def test_a_motion_that_begins_moving_goes_on_from_its_state():
+    """The first half and, from the state at its end, the second are the whole."""
+    t = np.linspace(0, 1, 41)
+    drive = forcing(t)
+    x, rate = LinearFilter.on_nodes(t, 500.0, 25.0).respond(drive)
+    second = LinearFilter.on_nodes(t[20:], 500.0, 25.0).respond(drive[20:], np.array([x[20], rate[20]]))
+    assert second[0] == pytest.approx(x[20:], abs=1e-12)
+    assert second[1] == pytest.approx(rate[20:], abs=1e-10)
+
+
+def test_settled_for_ever_stays_at_rest():
+    """Under a constant drive the state has gone to 1 / kp and moves no more."""
+    response = LinearFilter.on_nodes(np.linspace(0.0, 1.0, 21), 500.0, 25.0, 3)
+    e, rate = response.respond(np.ones(21), settled(500.0, 25.0, 60.0, np.ones(())))
+    assert e == pytest.approx(np.full(21, 1 / 500), rel=1e-9)
+    assert rate == pytest.approx(np.zeros(21), abs=1e-10)
+    assert response.acceleration(np.ones(21), e, rate) == pytest.approx(np.zeros(21), abs=1e-8)
+
+
+def test_settling_twice_is_settling_longer():
+    one = np.ones(())
+    first, longer = settled(500.0, 25.0, 0.1, one), settled(500.0, 25.0, 0.25, one)
+    assert longer == pytest.approx(settled(500.0, 25.0, 0.15, one) + transition(500.0, 25.0, 0.15) @ first, rel=1e-12)

@@ -31,16 +31,21 @@ ENDS = np.stack([POSTURE, POSTURE + SWING])
 JOINT = JointMotion(np.array([0.0, 1.0]), ENDS, np.zeros((2, 7)), np.zeros((2, 7)))
 
 
+AT_ONCE = 1e-9  # s; a command period that is nothing, so that what small sets do is not lost beside held commands
+HELD = 2e-3
+
+
 @lru_cache(maxsize=16)
-def small(name: str, kind: str, share: float = 1e-3) -> Scenario:
+def small(name: str, kind: str, share: float = 1e-3, period: float = AT_ONCE) -> Scenario:
     made = nasty.small(LOADS[name](kind), share)
     place = [3 * share * 1e-3, 2 * share * 1e-3]
-    return made.with_changes(**{f"objects__{k}__uncertainty__position": place for k in range(len(made.objects))})
+    changes = {f"objects__{k}__uncertainty__position": place for k in range(len(made.objects))}
+    return made.with_changes(**changes, physics__command_period=period)
 
 
 @lru_cache(maxsize=16)
-def chain_of(name: str, kind: str, share: float = 1e-3) -> ArmChain:
-    made = small(name, kind, share) if share else LOADS[name](kind)
+def chain_of(name: str, kind: str, share: float = 1e-3, period: float = AT_ONCE) -> ArmChain:
+    made = small(name, kind, share, period) if share else LOADS[name](kind)
     return arm_chain(chain_model(made), JOINT, space="joint", t=T)
 
 
@@ -82,30 +87,27 @@ def test_no_load_of_the_set_has_less_than_the_least_slack(name: str, kind: str) 
     assert np.all(reached >= bound - 2e-3)
 
 
+@pytest.mark.parametrize("period", [AT_ONCE, HELD])
 @pytest.mark.parametrize(("name", "kind"), CASES)
-def test_fastest_plans_and_the_chain_agree_on_the_contact(name: str, kind: str) -> None:
-    """The planner's rows along a motion, from its own filter and its own terms, against the chain's least slack."""
-    made = small(name, kind)
-    chain, seen = chain_of(name, kind), evaluated(name, kind)
+def test_fastest_plans_and_the_chain_agree_on_the_contact(name: str, kind: str, period: float) -> None:
+    """The planner's rows along a motion, on nodes of its own, against the chain's least slack."""
+    made = small(name, kind, period=period)
+    chain, seen = chain_of(name, kind, period=period), evaluated(name, kind, period)
     worst = np.max([f.values.max(axis=1) for f in seen if f.name.startswith("contact")], axis=0)[::FINER]
     nominal = nasty.TrueRows(made).worst({}, chain.nominal.w)
-    # A plan also holds under a controller that follows exactly.
-    expected = -np.minimum(chain.least_slack(held=False), chain.least_slack(tracking=False))
-    assert_allclose((worst - nominal) / (expected - nominal), 1.0, atol=5e-3)
+    assert_allclose((worst - nominal) / (-chain.least_slack() - nominal), 1.0, atol=5e-3)
 
 
 @pytest.mark.parametrize(("name", "kind"), [("single", "box"), ("stack", "ellipsoid")])
 def test_fastest_plans_count_the_products_of_a_large_set(name: str, kind: str) -> None:
     chain, seen = chain_of(name, kind, 0), rows_along(LOADS[name](kind))
     worst = np.max([f.values.max(axis=1) for f in seen if f.name.startswith("contact")], axis=0)[::FINER]
-    expected = -np.minimum(chain.least_slack(held=False), chain.least_slack(tracking=False))
-    # What the load makes of the deviation that it causes is in the chain alone, some thousandths of the weight.
-    assert_allclose(worst, expected, atol=2e-3)
+    assert_allclose(worst, -chain.least_slack(), atol=1e-4)  # what a cubic between nodes of other spacing leaves
 
 
 @lru_cache(maxsize=16)
-def evaluated(name: str, kind: str) -> tuple[Block, ...]:
-    return rows_along(small(name, kind))
+def evaluated(name: str, kind: str, period: float = AT_ONCE) -> tuple[Block, ...]:
+    return rows_along(small(name, kind, period=period))
 
 
 def rows_along(made: Scenario) -> tuple[Block, ...]:
@@ -215,7 +217,7 @@ def test_fastest_plans_leave_room_for_the_torque_of_any_load(name: str, kind: st
     limit = chain.model.arm.planning_limits.torque
     nominal = nasty.torques(nasty.with_bodies(chain.model.arm, nasty.nominal_bodies(made)), *JOINT.sample(T))
     room = (block.values[::FINER] + 1) * np.tile(limit, 2) - np.hstack([nominal, -nominal])
-    expected = np.tile(chain.radius(chain.torque), 2)
+    expected = np.tile(chain.deviation.torque_radius(), 2)
     assert_allclose(room, expected, atol=5e-3 * expected.max())
 
 

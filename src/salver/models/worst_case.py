@@ -126,8 +126,7 @@ class WorstCase:
     @classmethod
     def of(cls, rows: UncertainRows, w: Array, drift: Drift | None = None) -> WorstCase:
         """See `UncertainRows.worst`."""
-        values = [_values(rows, side, drift) for side in _sides(w, drift)]
-        return cls(rows, w, drift, values[0] if len(values) == 1 else np.maximum(*values))
+        return cls(rows, w, drift, _values(rows, w, drift))
 
     def attained(self, node: Indices, row: Indices) -> Array:
         """(r, 12) derivative of the worst case by w, at nodes and rows (r,); that of the drift is left out."""
@@ -176,29 +175,32 @@ def _roles(rows: UncertainRows, drift: Drift) -> tuple[list[int], list[int], lis
 
 def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
     """(T, n) worst case, in pieces of time."""
-    n_p, n_k = len(rows.acting), 0 if drift is None else len(drift.terms)
-    felt = np.any(w != 0, axis=0)  # a tray that does not turn feels three of the twelve
+    n_p, n_k, n = len(rows.acting), 0 if drift is None else len(drift.terms), len(rows.nominal)
+    felt = np.any(w != 0, axis=0) | (drift is not None)  # a tray that does not turn feels three of the twelve
     columns = np.concatenate([rows.parameter, rows.remainder])[:, :, felt]
-    nominal, w = rows.nominal[:, felt], np.ascontiguousarray(w[:, felt])
-    values, flat = w @ nominal.T, np.ascontiguousarray(columns.reshape(-1, columns.shape[2]).T)
+    nominal, flat = rows.nominal[:, felt].T, np.ascontiguousarray(columns.reshape(-1, columns.shape[2]).T)
+    sides = [np.ascontiguousarray(side[:, felt]) for side in _sides(w, drift)]
     if drift is not None:
-        roles = _roles(rows, drift)
+        own, column, mass, other = _roles(rows, drift)
         moved = np.ascontiguousarray(np.swapaxes(drift.dw, 1, 2))
-    every = max(1, _CHUNK // max(1, len(rows.nominal) * (len(columns) + n_k)))
+    values = np.full((len(w), n), -np.inf)
+    every = max(1, _CHUNK // max(1, n * (len(columns) + n_k)))
     for start in range(0, len(w), every):
         part = slice(start, start + every)
-        shape = (len(w[part]), len(columns), len(nominal))
-        terms = (w[part] @ flat).reshape(shape)
-        radius = _support(rows, terms[:, :n_p])
+        count = len(w[part])
         if drift is not None:
-            own, column, mass, other = roles
-            change = (moved[part].reshape(-1, moved.shape[2]) @ rows.nominal.T).reshape(shape[0], n_k, shape[2])
-            terms[:, column] += change[:, own]
+            change = (moved[part].reshape(-1, moved.shape[2]) @ nominal).reshape(count, n_k, n)
             extra = np.abs(change[:, other]).sum(axis=1)
             for k, j in mass:
                 extra += rows.mass_signs[:, j] * change[:, k]
-            radius = np.maximum(radius, _support(rows, terms[:, :n_p]) + extra)
-        values[part] += np.abs(terms[:, n_p:]).sum(axis=1) + radius
+        for side in sides:
+            terms = (side[part] @ flat).reshape(count, len(columns), n)
+            radius = _support(rows, terms[:, :n_p])
+            if drift is not None:
+                terms[:, column] += change[:, own]
+                radius = np.maximum(radius, _support(rows, terms[:, :n_p]) + extra)
+            value = side[part] @ nominal + np.abs(terms[:, n_p:]).sum(axis=1) + radius
+            np.maximum(values[part], value, out=values[part])
     return values
 
 

@@ -1,19 +1,21 @@
-"""The closed loop's error dynamics as an exact linear filter: e'' + kd e' + kp e = D(t), at rest at t = 0.
+"""States that carry history: what a motion drives through a linear filter, and rows then read.
 
-With the transported errors of docs/conventions.md the loop of object and controller is linear and
-time-invariant, so the state sensitivity is this filter's answer to the inertial regressor along the
-reference: no variational differential equation is integrated. D is known at any instant, so each step
-of the grid is the exact matrix exponential with Gauss quadrature of the input: sixth order.
+    x'' + kd x' + kp x = d(t)
+
+is the error dynamics of the object's loop and of the arm's joints, driven by what a wrong load changes. Each step of a
+grid is exact for a drive that is a polynomial there: linear between nodes, the cubic through the four nearest nodes
+(both of any spacing), or, where it can be had at any instant, given at Gauss points of each interval (sixth order).
+All steps together are one banded triangular system; its transpose gives gradients by the drive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.linalg import expm
+import numpy.typing as npt
 from scipy.linalg.lapack import dtbtrs
 
 from salver.geometry import Array
@@ -21,11 +23,111 @@ from salver.geometry import Array
 _GAUSS_POINTS = 0.5 + 0.5 * np.polynomial.legendre.leggauss(3)[0]
 _GAUSS_WEIGHTS = 0.5 * np.polynomial.legendre.leggauss(3)[1]
 _LARGEST_STEP = 0.35  # of the fastest rate times h: the quadrature's relative error is then below 1e-8
+_FINE_POINTS, _FINE_WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(6))
+_MOST_PIECES = 64  # of an interval, each as long as the filter's fastest time constant
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFilter:
+    """Steps of the filter between T nodes, for drives with Q samples.
+
+    step: (T - 1, 2, 2) takes (x, x') from one node to the next. gain: (T - 1, 2, J) of the J samples of the drive
+    that matter between them, whose indices are `samples` (T - 1, J); None when the samples of each step are its own.
+    """
+
+    kp: float
+    kd: float
+    step: Array
+    gain: Array
+    samples: npt.NDArray[np.intp] | None
+
+    @classmethod
+    def on_nodes(cls, t: Array, kp: float, kd: float, order: int = 1) -> LinearFilter:
+        """For a drive known at increasing nodes t (T,), linear (order 1) or cubic (order 3; T >= 4) between them."""
+        count, h = len(t), np.diff(t)
+        if count <= order:
+            raise ValueError(f"a filter of order {order} needs at least {order + 1} nodes, not {count}")
+        samples = np.clip(np.arange(count - 1) - order // 2, 0, count - order - 1)[:, None] + np.arange(order + 1)
+        pieces = int(np.clip(np.ceil(fastest_rate(kp, kd) * h.max()), 1, _MOST_PIECES))
+        inside = ((np.arange(pieces)[:, None] + 0.5 + _FINE_POINTS) / pieces).ravel()
+        weights = np.tile(_FINE_WEIGHTS, pieces) / pieces * h[:, None]
+        # Lagrange's polynomials of the samples at the quadrature points of each interval: (T - 1, G, J).
+        known, at = t[samples], (t[:-1, None] + h[:, None] * inside)[:, :, None, None]
+        own = np.eye(order + 1, dtype=bool)
+        apart = np.where(own, 1.0, known[:, :, None] - known[:, None, :])
+        basis = np.where(own, 1.0, (at - known[:, None, None, :]) / apart[:, None]).prod(axis=3)
+        after = transition(kp, kd, h[:, None] * (1 - inside))[..., 1]
+        return cls(kp, kd, transition(kp, kd, h), np.einsum("tg,tgi,tgj->tij", weights, after, basis), samples)
+
+    @classmethod
+    def on_grid(cls, grid: QuadratureGrid, kp: float, kd: float) -> LinearFilter:
+        """For a drive known at `grid.times`, with the answer at `grid.t`."""
+        return _on_grid(kp, kd, float(grid.t[1] - grid.t[0]), len(grid.t) - 1, grid.substeps)
+
+    def respond(self, drive: Array, start: Array | None = None) -> tuple[Array, Array]:
+        """x and x' at the nodes, each (T, ...), for a drive (Q, ...). start: (2, ...) at the first, 0 unless given."""
+        steps, _, width = self.gain.shape
+        shape = (steps + 1, *drive.shape[1:])
+        if drive.size == 0:  # no parameter or no variable: LAPACK writes out of bounds for no columns
+            return np.zeros(shape), np.zeros(shape)
+        flat = drive.reshape(len(drive), -1)
+        state = np.zeros((steps + 1, 2, flat.shape[1]))
+        if start is not None:
+            state[0] = start.reshape(2, -1)
+        np.matmul(self.gain, flat.reshape(steps, width, -1) if self.samples is None else flat[self.samples], state[1:])
+        state = self._solved(state, "N")
+        return state[:, 0].reshape(shape), state[:, 1].reshape(shape)
+
+    def acceleration(self, drive: Array, x: Array, rate: Array) -> Array:
+        """x'' (T, ...) at nodes at which the drive is known."""
+        return drive - self.kd * rate - self.kp * x
+
+    def gradient(self, by_x: Array, by_rate: Array) -> Array:
+        """Derivative (Q, ...) by the drive of a function with these derivatives (T, ...) by x and x' at the nodes."""
+        steps, _, width = self.gain.shape
+        flat = np.stack([by_x.reshape(steps + 1, -1), by_rate.reshape(steps + 1, -1)], axis=1)
+        pushed = np.swapaxes(self.gain, 1, 2) @ self._solved(flat, "T")[1:]
+        if self.samples is None:
+            return pushed.reshape(steps * width, *by_x.shape[1:])
+        out = np.zeros((int(self.samples.max()) + 1, flat.shape[2]))
+        np.add.at(out, self.samples, pushed)
+        return out.reshape(-1, *by_x.shape[1:])
+
+    @cached_property
+    def _bands(self) -> Array:
+        """X_(k+1) - step_k X_k for all k, as a lower triangular band: (4, 2 T)."""
+        bands = np.zeros((4, 2 * len(self.step) + 2))
+        bands[0] = 1.0
+        bands[2, :-2:2], bands[3, :-2:2] = -self.step[:, 0, 0], -self.step[:, 1, 0]
+        bands[1, 1:-2:2], bands[2, 1:-2:2] = -self.step[:, 0, 1], -self.step[:, 1, 1]
+        return np.asfortranarray(bands)
+
+    def _solved(self, state: Array, trans: str) -> Array:
+        right = np.asfortranarray(state.reshape(2 * len(state), -1))
+        return dtbtrs(self._bands, right, uplo="L", trans=trans, overwrite_b=True)[0].reshape(state.shape)
 
 
 def fastest_rate(kp: float, kd: float) -> float:
-    """Largest modulus of the poles of e'' + kd e' + kp e, 1/s."""
+    """Largest modulus of the poles of x'' + kd x' + kp x, 1/s."""
     return float(np.abs(np.roots([1.0, kd, kp])).max())
+
+
+def transition(kp: float, kd: float, t: npt.ArrayLike) -> Array:
+    """(..., 2, 2): (x, x') at t = 0 to those t seconds later, without a drive."""
+    t = np.asarray(t, dtype=float)
+    sigma = 0.5 * kd
+    omega = np.sqrt(complex(kp - sigma**2))
+    forward, backward = np.exp((1j * omega - sigma) * t), np.exp((-1j * omega - sigma) * t)
+    cosine = np.real(forward + backward) / 2
+    sine = t * np.exp(-sigma * t) if abs(omega) < 1e-9 else np.real((forward - backward) / (2j * omega))
+    shifted = np.array([[sigma, 1.0], [-kp, -sigma]])
+    return cosine[..., None, None] * np.eye(2) + sine[..., None, None] * shifted
+
+
+def settled(kp: float, kd: float, seconds: float, drive: Array) -> Array:
+    """(2, ...) state after a constant drive (...) has been there for so long, from rest."""
+    end = np.array([1.0 / kp, 0.0])
+    return np.multiply.outer(end - transition(kp, kd, seconds) @ end, drive)
 
 
 @dataclass(frozen=True)
@@ -87,39 +189,10 @@ def _partial_weights() -> Array:
 _PARTIAL = _partial_weights()
 
 
-@dataclass(frozen=True)
-class ErrorFilter:
-    """e'' + kd e' + kp e = D on a quadrature grid, from rest."""
-
-    grid: QuadratureGrid
-    kp: float
-    kd: float
-
-    def respond(self, forcing: Array) -> tuple[Array, Array]:
-        """(e, e') at the grid, each (T, ...), for forcing (Q, ...) at the grid's `times`."""
-        shape = (len(self.grid.t), *forcing.shape[1:])
-        if forcing.size == 0:  # no parameter or no variable: LAPACK writes out of bounds for no columns
-            return np.zeros(shape), np.zeros(shape)
-        h = float(self.grid.t[1] - self.grid.t[0])
-        step, gain = _exact_step(self.kp, self.kd, h, self.grid.substeps)
-        b = gain @ forcing.reshape(len(self.grid.t) - 1, self.grid.per_interval, -1)
-        # (z - A)^-1 = (z - tr A + A) / (z^2 - tr A z + det A): a recursion along time, a banded triangular system.
-        trace, determinant = np.trace(step), np.linalg.det(step)
-        ahead = np.concatenate([b, np.zeros((1, *b.shape[1:]))])
-        behind = (step - trace * np.eye(2)) @ ahead
-        ahead[1:] += behind[:-1]
-        x = np.zeros_like(ahead)
-        bands = np.array([[1.0], [-trace], [determinant]]) * np.ones(len(b))
-        right = np.asfortranarray(ahead[:-1].reshape(len(b), -1))
-        x[1:] = dtbtrs(bands, right, uplo="L", overwrite_b=True)[0].reshape(b.shape)
-        return x[:, 0].reshape(shape), x[:, 1].reshape(shape)
-
-
 @lru_cache(maxsize=64)
-def _exact_step(kp: float, kd: float, h: float, substeps: int) -> tuple[Array, Array]:
-    """A (2, 2) of one grid interval of length h, and B (2, per_interval) from the input inside it."""
+def _on_grid(kp: float, kd: float, h: float, intervals: int, substeps: int) -> LinearFilter:
     grid = QuadratureGrid(np.array([0.0, h]), substeps)
-    dynamics = np.array([[0.0, 1.0], [-kp, -kd]])
-    remaining = h * (1 - np.append(0.0, grid.fractions))
-    transition = expm(dynamics * remaining[:, None, None])
-    return transition[0], transition[1:, :, 1].T * grid.interval_weights
+    after = transition(kp, kd, h * (1 - grid.fractions))[..., 1]
+    gain = after.T * grid.interval_weights
+    step, gain = (np.broadcast_to(x, (intervals, *x.shape)) for x in (transition(kp, kd, h), gain))
+    return LinearFilter(kp, kd, step, gain, None)

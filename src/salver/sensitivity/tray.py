@@ -17,7 +17,7 @@ from salver.control.object import Gains
 from salver.geometry import GRAVITY_S, Array
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.sensitivity.dual import Dual, DualRotation, joined
-from salver.sensitivity.filter import ErrorFilter, QuadratureGrid
+from salver.sensitivity.filter import LinearFilter, QuadratureGrid
 from salver.trajectory import MotionSamples, Reference
 
 
@@ -143,8 +143,8 @@ class TrayLoop:
         """Pi and the wrench sensitivity on `grid.t`, of a motion given there and at `grid.times`."""
         (kp, kp_R), (kd, kd_R) = self.gains.kp, self.gains.kd
         forcing_S, forcing_B = self.forcing(at_times)
-        e_p, e_v = _respond(ErrorFilter(grid, kp, kd), forcing_S)
-        e_R, e_w = _respond(ErrorFilter(grid, kp_R, kd_R), forcing_B)
+        e_p, e_v = _respond(LinearFilter.on_grid(grid, kp, kd), forcing_S)
+        e_R, e_w = _respond(LinearFilter.on_grid(grid, kp_R, kd_R), forcing_B)
         force, omega, alpha, inertia = at_grid.force, at_grid.omega, at_grid.alpha, self.body.inertia_com
         dtheta = -e_R
         domega = -e_w - dtheta.cross(omega)
@@ -167,7 +167,7 @@ class TrayLoop:
         return self.sensitivity(grid, at_grid, at_times)
 
 
-def _respond(error_filter: ErrorFilter, forcing: Dual) -> tuple[Dual, Dual]:
+def _respond(error_filter: LinearFilter, forcing: Dual) -> tuple[Dual, Dual]:
     e, rate = error_filter.respond(forcing.value)
     if forcing.tangent is None:
         return Dual(e), Dual(rate)

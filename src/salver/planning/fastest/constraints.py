@@ -230,8 +230,8 @@ class Contact(Constraint):
     margin: float = 0.0
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
-        drift = None if motion.response is None else motion.response.drift()
-        worst = WorstCase.of(self.rows, motion.terms.w, drift)
+        w, drift = (motion.terms.w, None) if motion.response is None else motion.response.felt()
+        worst = WorstCase.of(self.rows, w, drift)
 
         def gradient(i: Indices, f: Indices) -> Array:
             return padded(np.einsum("rk,rkz->rz", worst.attained(i, f), motion.terms.w_z[i]), motion.n)

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
-from salver.planning.fastest.tracking import Response, Tracking
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
+from salver.sensitivity.arm.tracking import Deviation, JointLoop
 
 Indices = npt.NDArray[np.intp]
 
@@ -32,7 +32,7 @@ class Evaluation:
 
     model: Any
     frame_id: int
-    tracking: Tracking | None
+    tracking: JointLoop | None
     s: Array
     duration: float
     z: Array
@@ -56,11 +56,11 @@ class Evaluation:
         return motion_terms(self.model, self.frame_id, *self.at_nodes[:3])
 
     @cached_property
-    def response(self) -> Response | None:
-        """What a wrong load does to the arm at the nodes."""
+    def response(self) -> Deviation | None:
+        """What a wrong load and held commands do to the arm at the nodes."""
         if self.tracking is None:
             return None
-        return self.tracking.response(self.s[self.nodes], self.duration, self.terms)
+        return self.tracking.along(self.s[self.nodes] * self.duration, self.terms, self.at_nodes[1:])
 
     @cached_property
     def steps(self) -> Array:

@@ -17,6 +17,7 @@ from salver.models.arm_limits import JointLimits
 from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import UncertainSet
+from salver.models.payload import Payload
 from salver.planning.fastest.constraints import (
     LEVEL_TOLERANCE,
     Clearance,
@@ -31,10 +32,10 @@ from salver.planning.fastest.constraints import (
 from salver.planning.fastest.ends import AtPose, AtPosture, End
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import KeepOut
-from salver.planning.fastest.tracking import Tracking, tracking_of
 from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
 from salver.scenario import Scenario
+from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,7 @@ class TransportProblem:
     start, goal: how the motion begins and ends (`salver.planning.fastest.ends`).
     limits: the share of the arm's limits that may be used. max_tilt: rad from vertical; 0 means level.
     contacts: rows for each network of touching objects. uncertain: what is not known (empty for a nominal plan).
-    tracking: what a wrong load does to the arm's tracking; None when no load is uncertain.
+    tracking: what a wrong load and held commands do to the arm; None when nothing is uncertain.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     extra: constraints beside those that follow from all this.
     """
@@ -60,7 +61,7 @@ class TransportProblem:
     max_tilt: float
     contacts: tuple[ContactRows, ...]
     uncertain: UncertainSet
-    tracking: Tracking | None
+    tracking: JointLoop | None
     keep_out: KeepOut | None
     extra: tuple[Constraint, ...] = ()
 
@@ -99,6 +100,13 @@ class TransportProblem:
         nodes = np.arange(len(s)) if nodes is None else nodes
         frame_id = self.arm.tray_id
         return Evaluation(self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving)
+
+
+def _tracking(scenario: Scenario, payload: Payload) -> JointLoop | None:
+    """The closed loop that a robust plan allows for; friction does not act through it."""
+    if not payload.uncertain.size:
+        return None
+    return joint_loop(scenario, payload.with_only([p for p in payload.uncertain.parameters if p.kind != "friction"]))
 
 
 def transport_problem(
@@ -156,7 +164,7 @@ def transport_problem(
         max_tilt=max_tilt,
         contacts=contact_rows(payload),
         uncertain=payload.uncertain,
-        tracking=tracking_of(scenario, payload),
+        tracking=_tracking(scenario, payload),
         keep_out=KeepOut.of(parts, start.q if isinstance(start, AtPosture) else None) if parts.pairs else None,
         extra=tuple(extra),
     )

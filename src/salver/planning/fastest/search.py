@@ -139,10 +139,10 @@ def tracking_record(found: FastestMotion) -> dict[str, float]:
     problem = found.problem
     if problem.tracking is None:
         return {}
-    s = np.linspace(0, 1, 201)
-    q, dq, ddq, _ = found.sample(s * found.duration)
-    terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
-    position, turn = problem.tracking.response(s, found.duration, terms).tray_radius()
+    t = np.linspace(0, 1, 201) * found.duration
+    q, *rates = found.sample(t)
+    terms = motion_terms(problem.model, problem.arm.tray_id, q, rates[0], rates[1])
+    position, turn = problem.tracking.along(t, terms, np.stack(rates)).tray_radius()
     return {"tray_position_radius": float(position.max()), "tray_orientation_radius": float(turn.max())}
 
 

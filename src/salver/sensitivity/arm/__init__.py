@@ -1,5 +1,5 @@
 """What wrong parameters do to the chain of arm, tray and objects that stick to it."""
 
-from salver.sensitivity.arm.chain import ArmChain, arm_chain, chain_model, tracking_wrench_motion
+from salver.sensitivity.arm.chain import ArmChain, arm_chain, chain_model
 
-__all__ = ["ArmChain", "arm_chain", "chain_model", "tracking_wrench_motion"]
+__all__ = ["ArmChain", "arm_chain", "chain_model"]

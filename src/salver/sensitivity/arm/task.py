@@ -11,49 +11,25 @@ deviation of q, P (x'' + kd x' + kp x) = -P m. The tray does not feel the second
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from salver.control.object import Gains
 from salver.geometry import Array, hat
 from salver.models.bodies import Body
 from salver.models.tray_motion import PRODUCTS, frame_map
-from salver.sensitivity.arm.filter import node_filter, sagged
 from salver.sensitivity.arm.terms import MotionTerms
-from salver.sensitivity.arm.tracking import JointDeviation
+from salver.sensitivity.arm.tracking import JointDeviation, TrayDeviation
+from salver.sensitivity.filter import LinearFilter, settled
 
 _FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
 
 
-@dataclass(frozen=True)
-class TrayDeviation:
-    """d/dp of the tray's motion at T instants, n_c parameters.
-
-    state: (T, 12, n_c) rows dp in S, dtheta in E, dv in S, domega in E. w: (T, 12, n_c) of what it feels, in E.
-    """
-
-    state: Array
-    w: Array
-
-
-def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:
-    """The tray's deviation that the joints' deviation brings."""
-    shift = terms.jacobian @ joints.q
-    rate = terms.twist_q @ joints.q + terms.jacobian @ joints.dq
-    R, theta = terms.R_SE, shift[:, 3:]
-    state = np.concatenate(
-        [R @ shift[:, :3], theta, R @ (rate[:, :3] - hat(terms.twist[:, :3]) @ theta), rate[:, 3:]], 1
-    )
-    return TrayDeviation(state, terms.w_z @ joints.state)
-
-
 def tray_of_task(
-    t: Array, terms: MotionTerms, missing: Array, first: Body, gains: Gains, settle: float, settled: Array
+    t: Array, terms: MotionTerms, missing: Array, first: Body, gains: Gains, settle: float, before: Array
 ) -> TrayDeviation:
     """The tray's deviation under the loop on the pose of the first object, B. missing: m (T, n, n_c).
 
-    settle: s before the start, in which what is `settled` (n_c,) (`NodeFilter.respond`) was missing already.
+    settle: s at rest before the start; before: (n_c,) 1 where it was missing already then, 0 where it was not.
     """
     p, turn = first.p_EB, first.R_EB
     R_SB = terms.R_SE @ turn
@@ -62,8 +38,8 @@ def tray_of_task(
     linear = R_SB @ (turn.T @ (lost[:, :3] - hat(p) @ lost[:, 3:]))
     angular = turn.T @ lost[:, 3:]
     (kp, kp_R), (kd, kd_R) = gains.kp, gains.kd
-    e_p, e_v, e_a = node_filter(t, kp, kd, settle).respond(linear, settled)
-    e_R, e_w, e_alpha = node_filter(t, kp_R, kd_R, settle).respond(angular, settled)
+    e_p, e_v, e_a = _answer(t, kp, kd, linear, settle, before)
+    e_R, e_w, e_alpha = _answer(t, kp_R, kd_R, angular, settle, before)
     omega, alpha, force = omega_E @ turn, alpha_E @ turn, _force_at(force_E, omega_E, alpha_E, p) @ turn
     theta = -e_R
     d_omega = -e_w + hat(omega) @ theta
@@ -79,6 +55,13 @@ def tray_of_task(
     return TrayDeviation(np.concatenate([dp, theta_E, dv, d_omega_E], axis=1), w)
 
 
+def _answer(t: Array, kp: float, kd: float, drive: Array, settle: float, before: Array) -> tuple[Array, Array, Array]:
+    """Error, rate and acceleration (T, 3, n_c) of the loop's error dynamics, cubic drive between the instants."""
+    response = LinearFilter.on_nodes(t, kp, kd, 3)
+    e, rate = response.respond(drive, settled(kp, kd, settle, drive[0] * before))
+    return e, rate, response.acceleration(drive, e, rate)
+
+
 def _force_at(force: Array, omega: Array, alpha: Array, p: Array) -> Array:
     """Specific force (T, 3) at a point p (3,) fixed to the frame."""
     return np.asarray(force + np.cross(alpha, p) + np.cross(omega, np.cross(omega, p)))
@@ -91,11 +74,11 @@ def joints_of_task(
     missing: Array,
     posture: tuple[float, float],
     settle: float,
-    settled: Array,
+    before: Array,
 ) -> JointDeviation:
     """The joints' deviation that belongs to the tray's, with the posture's in the null space; t evenly spaced.
 
-    posture: (kp, kd) of the task in the null space. settle, settled: as in `tray_of_task`.
+    posture: (kp, kd) of the task in the null space. settle, before: as in `tray_of_task`.
     """
     kp, kd = posture
     jacobian = terms.jacobian
@@ -116,7 +99,7 @@ def joints_of_task(
         ]
     )
     forcing = np.concatenate([null_rate @ least, null_rate @ speed - lost], axis=1)
-    at_start = -sagged(kp, kd, settle)[:, None, None] * (lost[0] * settled)
+    at_start = -settled(kp, kd, settle, lost[0] * before)
     inner = _integrate(t, dynamics, forcing, at_start.reshape(2 * n, -1))
     q = least + null @ inner[:, :n]
     dq = inverse @ (rate - terms.twist_q @ q) + null @ inner[:, n:]

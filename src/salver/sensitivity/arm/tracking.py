@@ -1,23 +1,37 @@
-"""How far a joint trajectory is missed because the load is not what the controller thinks, to first order.
+"""How far a joint motion is missed because the load is not what the controller thinks, and because commands are held.
 
-With computed torque for the nominal load the joints' errors e = q* - q obey, to first order in the parameters,
+With computed torque for the nominal load, M the mass matrix of the arm with it, J_E the tray's body Jacobian and dF the
+wrench that the unknown part of the load needs along the motion (`salver.sensitivity.arm.load`), the acceleration
 
-    e'' + kd e' + kp e = M(q)^-1 J_E(q)^T dF(t),        dF = (d load / dp) w(t),
+    m(t) = M(q)^-1 J_E(q)^T dF(t),        dF = (d load / dp) w(t)
 
-M the mass matrix of the arm with its nominal load, J_E the tray's body Jacobian and dF the wrench that the unknown
-part of the load needs along the motion: the same linear filter as the paper's object has, with another forcing.
-Everything here is a smooth function of the trajectory, for planners that bound its effect on the contact.
+is asked for and not got, whatever the law for the commanded acceleration. A law in the joints answers with
+
+    e'' + kd e' + kp e = m(t),            e = q* - q,
+
+the same linear filter as the paper's object has (`salver.sensitivity.filter`). The wrong load also feels the deviation
+that it makes: of second order, answered by the same filter, with the products of two parameters.
+
+A command is held for a period, so it acts late: M^-1 dtau/dt times the delay is missing too, the same in every run.
+Before the motion the arm has already sagged for some time under its load.
+
+This is the tracking of fastest plans and of the chain alike.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from salver.geometry import Array
-from salver.sensitivity.arm.filter import NodeFilter
-from salver.sensitivity.arm.load import LoadChange
+from salver.geometry import Array, hat
+from salver.models.payload import Payload
+from salver.models.worst_case import Drift
+from salver.scenario import Scenario
+from salver.sensitivity.arm.load import LoadChange, load_change
+from salver.sensitivity.arm.terms import MotionTerms
+from salver.sensitivity.filter import LinearFilter, settled
 
 
 @dataclass(frozen=True)
@@ -38,30 +52,144 @@ class JointDeviation:
         return np.concatenate([self.q, self.dq, self.ddq], axis=1)
 
 
-def missing_acceleration(w: Array, jacobian_E: Array, mass_matrix: Array, load: LoadChange) -> Array:
-    """M^-1 J_E^T dF (T, n, n_c), of w (T, 12) at E, J_E (T, 6, n) and M (T, n, n) with the nominal load."""
-    wrench = np.tensordot(w, load.load_p, axes=(1, 2))  # (T, n_c, 6)
-    return np.asarray(np.linalg.solve(mass_matrix, np.swapaxes(wrench @ jacobian_E, 1, 2)))
+@dataclass(frozen=True)
+class TrayDeviation:
+    """d/dp of the tray's motion at T instants, n_c parameters.
 
-
-def tracking_error(missing: Array, response: NodeFilter, settled: Array | float = 1.0) -> JointDeviation:
-    """Deviation of the joints under joint-space computed torque, for a `missing` acceleration (T, n, n_c).
-
-    response: `node_filter(t, kp, kd, settle)` of the nodes' times and the joints' gains; settled: as in its `respond`.
+    state: (T, 12, n_c) rows dp in S, dtheta in E, dv in S, domega in E. w: (T, 12, n_c) of what it feels, in E.
     """
-    e, rate, acceleration = response.respond(missing, settled)
-    return JointDeviation(-e, -rate, -acceleration, missing)
+
+    state: Array
+    w: Array
 
 
-def tracking_wrench_motion(
-    w: Array, w_z: Array, jacobian_E: Array, mass_matrix: Array, load: LoadChange, response: NodeFilter
-) -> Array:
-    """dw (T, 12, n_c): how what the tray feels at E changes per unit of each term of the load, through tracking.
+Law = Callable[[Array, Array], tuple[JointDeviation, TrayDeviation]]
+"""What a loop makes of a missing acceleration (T, n, n_c); (n_c,) 1 where it was missing before the motion too."""
 
-    w: (T, 12) what the tray feels, at E; w_z: (T, 12, 3 n) its derivative by (q, dq, ddq). jacobian_E: (T, 6, n).
-    mass_matrix: (T, n, n), nominal load included. A contact row c (at E) then changes by c . dw, on top of what the
-    parameter changes in c itself. Multiply by `load.half_range` for the change over the whole range. Of second order,
-    only the load's own products are in it, not what the load makes of its tracking error.
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """How far commands that are held put the nominal motion off: q, torque (T, n), tray, w (T, 12) as in `Deviation`.
+
+    These are means over a period. swing: (T, 12) by which w is ahead of its mean when a command begins, and behind when
+    it ends.
     """
-    missing = missing_acceleration(w, jacobian_E, mass_matrix, load)
-    return np.asarray(w_z @ tracking_error(missing, response).state)
+
+    q: Array
+    torque: Array
+    tray: Array
+    w: Array
+    swing: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Deviation:
+    """What a wrong load makes of a motion at T instants, per unit of each of its n_c terms; and held commands.
+
+    terms: the motion as planned. joints, tray: deviations. torque: (T, n, n_c) commanded, N m.
+    """
+
+    load: LoadChange
+    terms: MotionTerms
+    joints: JointDeviation
+    tray: TrayDeviation
+    torque: Array
+    held: Held
+
+    def felt(self, held: bool = True) -> tuple[Array, Drift]:
+        """w (T, 12) at nominal parameters, and how the others change it."""
+        drift = Drift(self.load.terms, self.tray.w * self.load.half_range, self.held.swing if held else None)
+        return self.terms.w + self.held.w if held else self.terms.w, drift
+
+    def torque_radius(self) -> Array:
+        """(T, n) most by which the commanded torque can differ from the plan's, N m."""
+        return self.load.radius(self.torque) + np.abs(self.held.torque)
+
+    def tray_radius(self) -> tuple[Array, Array]:
+        """Largest error of the tray's position (T, 3) in S, m, and of its orientation (T, 3) in E, rad."""
+        moved = self.load.radius(self.tray.state[:, :6]) + np.abs(self.held.tray[:, :6])
+        return moved[:, :3], moved[:, 3:]
+
+
+@dataclass(frozen=True, eq=False)
+class JointLoop:
+    """Computed torque in the joints with the nominal load.
+
+    load: what is uncertain about the true one. kp, kd: gains, 1/s^2 and 1/s. settle: s at rest under the load before
+    the motion. delay: s by which a command acts late, half the period for which it is held.
+    """
+
+    load: LoadChange
+    kp: float
+    kd: float
+    settle: float
+    delay: float
+
+    def along(self, t: Array, terms: MotionTerms, rates: Array, order: int = 3) -> Deviation:
+        """The deviation along a motion at nodes t (T,) of any spacing; rates: (3, T, n) dq, ddq, dddq.
+
+        order: of the polynomial that stands for what is missing between the nodes, 1 or 3.
+        """
+        response = LinearFilter.on_nodes(t, self.kp, self.kd, order)
+
+        def law(missing: Array, before: Array) -> tuple[JointDeviation, TrayDeviation]:
+            start = settled(self.kp, self.kd, self.settle, missing[0] * before)
+            e, rate = response.respond(missing, start)
+            joints = JointDeviation(-e, -rate, -response.acceleration(missing, e, rate), missing)
+            return joints, tray_of_joints(terms, joints)
+
+        return deviation(self.load, terms, late(terms, rates, self.delay), law)
+
+
+def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
+    """The loop of a scenario's controller, for the uncertain set of a payload."""
+    control, physics = scenario.control, scenario.physics
+    delay = 0.5 * physics.command_period
+    return JointLoop(load_change(payload), control.kp[0], control.kd[0], physics.settle_before, delay)
+
+
+def missing_acceleration(load: LoadChange, terms: MotionTerms) -> Array:
+    """M^-1 J_E^T dF (T, n, n_c)."""
+    wrench = np.tensordot(terms.w, load.load_p, axes=(1, 2))  # (T, n_c, 6)
+    return np.asarray(np.linalg.solve(terms.mass_matrix, np.swapaxes(wrench @ terms.jacobian, 1, 2)))
+
+
+def late(terms: MotionTerms, rates: Array, delay: float) -> Array:
+    """(T, n) M^-1 dtau/dt times the delay: what a late command is short of. rates: (3, T, n) dq, ddq, dddq."""
+    torque_rate = terms.torque_z @ np.concatenate(list(rates), axis=1)[:, :, None]
+    return np.asarray(delay * np.linalg.solve(terms.mass_matrix, torque_rate)[:, :, 0])
+
+
+def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law) -> Deviation:
+    """What a law makes of a wrong load and of commands that act late, second order in the load included."""
+    n_p, n_c = load.uncertain.size, len(load.half_range)
+    missing = np.concatenate([missing_acceleration(load, terms), late[:, :, None]], axis=2)
+    # A wrong load is there before the motion, a late command not.
+    joints, tray = law(missing, np.append(np.ones(n_c), 0.0))
+    wrench = np.swapaxes(terms.jacobian, 1, 2) @ load.products(load.load_p, tray.w)
+    extra = np.asarray(np.linalg.solve(terms.mass_matrix, wrench), dtype=float)
+    more = law(extra, np.ones(n_c - n_p)) if n_c > n_p else ()
+    for first, second in zip((joints, tray), more, strict=False):
+        for name, value in vars(second).items():
+            getattr(first, name)[:, :, n_p:-1] += value
+    torque = terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing
+    swing = (terms.w_z[:, :, -terms.torque.shape[1] :] @ late[:, :, None])[:, :, 0]
+    return Deviation(
+        load,
+        terms,
+        JointDeviation(*(x[:, :, :-1] for x in vars(joints).values())),
+        TrayDeviation(*(x[:, :, :-1] for x in vars(tray).values())),
+        torque[:, :, :-1],
+        Held(joints.q[:, :, -1], torque[:, :, -1], tray.state[:, :, -1], tray.w[:, :, -1], swing),
+    )
+
+
+def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:
+    """The tray's deviation that the joints' deviation brings."""
+    shift = terms.jacobian @ joints.q
+    rate = terms.twist_q @ joints.q + terms.jacobian @ joints.dq
+    R, theta = terms.R_SE, shift[:, 3:]
+    state = np.concatenate(
+        [R @ shift[:, :3], theta, R @ (rate[:, :3] - hat(terms.twist[:, :3]) @ theta), rate[:, 3:]], 1
+    )
+    return TrayDeviation(state, terms.w_z @ joints.state)
