@@ -17,9 +17,8 @@ from salver.scenario import Scenario
 from salver.trajectory import MotionSamples
 
 LOADS = {"single": nasty.single, "stack": nasty.stack, "pair": nasty.pair}
-CASES = [(load, kind) for load in LOADS for kind in ("box", "ellipsoid")]
 SOME = [("single", "box"), ("stack", "ellipsoid"), ("pair", "ellipsoid")]
-FEW = settings(max_examples=4, derandomize=True, deadline=None)
+FEW = settings(max_examples=3, derandomize=True, deadline=None)
 seeds = st.integers(0, 2**31)
 
 
@@ -107,7 +106,7 @@ def turned_tray(made: Scenario, degrees: float) -> Scenario:
     return made.with_changes(**changes, uncertainty__tilt_deg=None, uncertainty__correlation={})
 
 
-@pytest.mark.parametrize("name", ["single", "stack", "pair"])
+@pytest.mark.parametrize("name", ["single", "pair"])
 def test_a_turned_arrangement_on_a_turned_tray_is_the_same(name: str) -> None:
     """Objects turned on the tray by some angle, and the tray turned back by it: contacts turn with their object."""
     made, tray = LOADS[name]("box", tray__size=[0.4, 0.4]), nasty.tray_motion(4, 8)
@@ -203,7 +202,7 @@ def test_the_order_of_objects_does_not_matter(kind: str) -> None:
     assert_same(along(made, tray), along(swapped, tray))
 
 
-@pytest.mark.parametrize(("name", "kind"), CASES)
+@pytest.mark.parametrize(("name", "kind"), SOME)
 def test_names_of_objects_do_not_matter(name: str, kind: str) -> None:
     made, tray = LOADS[name](kind), nasty.tray_motion(4, 10)
     new = {item.name: f"z{k}-{item.name[::-1]}" for k, item in enumerate(made.objects)}
@@ -224,7 +223,7 @@ def test_names_of_objects_do_not_matter(name: str, kind: str) -> None:
 # Bounds over nasty sets -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "kind"), CASES)
+@pytest.mark.parametrize(("name", "kind"), SOME)
 def test_zero_moment_point_of_every_sample_is_within_the_worst_tip_over(name: str, kind: str) -> None:
     """The point where the pressure acts, by hand from the true wrench, against the edges of the base that is sure."""
     made, tray = LOADS[name](kind), nasty.tray_motion(8, 11)
@@ -270,7 +269,7 @@ def test_tube_of_the_tracking_error_is_attained(kind: str) -> None:
     assert share.min() > 0.97  # the load's own change is added, not combined
 
 
-@pytest.mark.parametrize(("name", "kind"), CASES)
+@pytest.mark.parametrize(("name", "kind"), SOME)
 def test_worst_parameters_are_where_the_worst_case_is(name: str, kind: str) -> None:
     """The load with those parameters, and the least friction, has the margin that the whole set has."""
     made = nasty.small(LOADS[name](kind), 1e-3)
