@@ -372,3 +372,12 @@ def test_margins_take_pyramids_that_hold_the_plans(edges: int, used: int) -> Non
     whole = margins(made, nasty.tray_motion(2).of_frame(first.p_EB, first.R_EB))
     assert whole.model.edges == used
     assert {m.interface.contacts.edges for m in whole.interfaces} == {used}
+
+
+def test_phase_of_the_edges_by_hand() -> None:
+    """Along an edge of the pyramid friction counts in full, between two of four only by cos 45 degrees."""
+    slab = {"name": "slab", "shape": {"type": "box", "size": [0.1, 0.1, 0.02]}, "mass": 0.5, "friction": 0.5}
+    for phase, needed in ((0.0, 0.2), (45.0, 0.2 * np.sqrt(2)), (90.0, 0.2), (30.0, 0.2 * (np.cos(0.5236) + 0.5))):
+        made = nasty.scenario([slab], contact__edge_phase_deg=phase).with_changes(uncertainty__tilt_deg=None)
+        (m,) = along(made, pushed(0.2)).interfaces
+        assert m.friction_needed[0] == pytest.approx(needed, rel=1e-5)
