@@ -9,6 +9,7 @@ from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 
 from salver import scenario as scenarios
+from salver.errors import SalverError
 from salver.geometry import exp
 from salver.models.arm import load_arm
 from salver.scenario import parse
@@ -130,6 +131,16 @@ def test_a_tray_that_drops_faster_than_gravity_loses_the_object():
     assert not record.in_contact.all()
     slow = min_jerk_line(0.56, np.zeros(3), np.array([0, 0, -0.5]), UPRIGHT, UPRIGHT)  # 0.94 g
     assert simulate_tray(slow, cube()).outcome == "holds"
+
+
+def test_an_engine_that_diverged_gives_an_error_and_no_verdict(tmp_path, monkeypatch):
+    """A tray thrown a million kilometres up in a tenth of a second: beyond what the engine can count."""
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its own log of it
+    reference = min_jerk_line(0.1, np.zeros(3), np.array([0, 0, 1e9]), UPRIGHT, UPRIGHT)
+    with pytest.raises(
+        SalverError, match=r"diverged .* s into the run; give physics.timestep a smaller value than 0.0005"
+    ):
+        simulate_tray(reference, cube())
 
 
 def test_contact_forces_of_a_moving_tray_are_the_bodys_inverse_dynamics():
