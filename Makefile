@@ -8,12 +8,13 @@ DOCS   := $(VENV)/.docs-ready
 OUT    ?= out/demo
 SOURCES = src tests $(wildcard benchmarks examples docs tools)
 
-.PHONY: help setup demo test mutate lint format types layers check bench scenario-table pages docs lock clean
+.PHONY: help setup demo test quick mutate lint format types layers check bench scenario-table pages docs lock clean
 
 help:
 	@echo "make demo    the paper's experiment and a tall bottle, planned, checked and simulated; pages and figures in $(OUT)"
 	@echo "make test    run the tests"
-	@echo "make mutate  are wrong changes noticed? N=300 SEED=0 MODULE=salver.models; prints those that no test sees"
+	@echo "make quick   the tests for every day, under a minute"
+	@echo "make mutate  do the tests notice wrong changes? N=300 SEED=0 MODULE=salver.models TESTS=tests/test_x.py"
 	@echo "make check   lint, types and import layers"
 	@echo "make bench   run the speed benchmarks and write docs/performance.md"
 	@echo "make scenario-table   docs/scenarios.md: the shortest safe durations, checked in the engine"
@@ -40,10 +41,13 @@ demo: $(READY)
 
 # One worker for each core, so one thread of linear algebra for each worker.
 test: $(READY)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
+
+quick: $(READY)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
 mutate: $(READY)
-	$(BIN)/python tools/mutate.py -n $(or $(N),300) --seed $(or $(SEED),0) $(addprefix --module ,$(MODULE))
+	$(BIN)/python tools/mutate.py -n $(or $(N),300) --seed $(or $(SEED),0) $(addprefix --module ,$(MODULE)) $(addprefix --tests ,$(TESTS))
 
 lint: $(READY)
 	$(BIN)/ruff check $(SOURCES)

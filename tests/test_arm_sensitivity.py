@@ -243,6 +243,7 @@ def test_chain_is_the_derivative_of_the_nonlinear_loop(case, space):
 
 
 @pytest.mark.parametrize("space", ["joint", "object"])
+@pytest.mark.slow
 def test_what_first_order_leaves_out_is_of_second_order(panda, space):
     """Central differences approach the derivative with the square of their step: slope 2."""
     chain = arm_chain(panda.model, panda.joint, space=space, t=T)

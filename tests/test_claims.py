@@ -3,6 +3,8 @@
 Scenarios are drawn at random near the limit of what can be done, as in a search for counterexamples.
 """
 
+from itertools import pairwise
+
 import clarabel
 import numpy as np
 import pytest
@@ -116,6 +118,7 @@ def possible_scenarios(condition: str, first: int, count: int, **changes: object
 # A plan that is said to hold, in the engine ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_planned_as_safe_holds_in_the_engine_at_the_worst_and_at_corners() -> None:
     held = 0
     for k, scenario in enumerate(possible_scenarios("exact", 0, 12)):
@@ -196,13 +199,14 @@ def all_rows_at_once(problem: Problem, elastic: bool) -> float:
         blocks.append(sparse.csr_matrix(([-1.0], ([0], [n])), shape=(1, n + 1 + k)))
         right.append(np.zeros(1))
     cones: list = [clarabel.NonnegativeConeT(m + extra)]
-    for j in range(k):
-        size = balls[j]
-        head = sparse.csr_matrix(([-1.0], ([0], [n + extra + j])), shape=(1, n + extra + k))
-        body = sparse.hstack([sparse.csr_matrix(-term_slope[j]), sparse.csr_matrix((size, extra + k))])
-        blocks += [head, body]
-        right.append(np.concatenate([[0.0], terms[j]]))
-        cones.append(clarabel.SecondOrderConeT(size + 1))
+    heads = np.concatenate([[0], np.cumsum(np.array(balls) + 1)])  # each cone: its head, then its terms
+    dense, constants = np.zeros((heads[-1], n)), np.zeros(heads[-1])
+    for j, (first, last) in enumerate(pairwise(heads)):
+        dense[first + 1 : last], constants[first + 1 : last] = -term_slope[j], terms[j]
+        cones.append(clarabel.SecondOrderConeT(last - first))
+    bounds = sparse.csr_matrix((-np.ones(k), (heads[:-1], range(extra, extra + k))), shape=(heads[-1], extra + k))
+    blocks.append(sparse.hstack([sparse.csr_matrix(dense), bounds]))
+    right.append(constants)
     residual, jacobian = model.residual, model.residual_jacobian
     constant = float(residual @ residual)
     linear, hessian = np.zeros(n + extra + k), np.zeros((n, n))
@@ -222,6 +226,7 @@ def all_rows_at_once(problem: Problem, elastic: bool) -> float:
 @pytest.mark.parametrize("condition", ["exact", "paper"])
 @pytest.mark.parametrize("kind", ["box", "ellipsoid"])
 @pytest.mark.parametrize("duration", [1.1, 0.5])
+@pytest.mark.slow
 def test_optimum_and_proof_of_infeasibility_agree_with_another_solver(
     condition: str, kind: str, duration: float
 ) -> None:
@@ -345,6 +350,7 @@ def test_ends_of_what_may_be_asked_give_a_plan_or_a_sentence(condition: str, cha
 
 
 @pytest.mark.parametrize("kind", ["fixed", "free"])
+@pytest.mark.slow
 def test_full_rollouts_leave_the_tube_by_no_more_than_second_order(kind: str) -> None:
     """Both ends of the range of mass: with half the range, what leaves the tube falls to a quarter."""
     excess = []

@@ -33,6 +33,7 @@ def test_help_names_every_command():
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.slow
 def test_help_of_every_command_has_an_example(name):
     done = salver(name, "--help")
     assert done.returncode == 0
@@ -40,6 +41,7 @@ def test_help_of_every_command_has_an_example(name):
     assert "--json" in done.stdout
 
 
+@pytest.mark.slow
 def test_help_answers_at_once():
     """Half a second on a free machine: the fastest of five, in processor time, which other processes do not stretch."""
     used = []
@@ -74,6 +76,7 @@ def test_unknown_scenario_is_one_sentence():
     assert "panda-cube" in line
 
 
+@pytest.mark.slow
 def test_scenarios_for_people():
     done = salver("scenarios")
     assert done.returncode == 0
@@ -83,6 +86,7 @@ def test_scenarios_for_people():
     assert "2.5 s" in done.stdout
 
 
+@pytest.mark.slow
 def test_scenarios_for_machines():
     done = salver("scenarios", "--json")
     assert done.returncode == 0
@@ -97,6 +101,7 @@ def test_scenarios_for_machines():
     assert cube["source"]
 
 
+@pytest.mark.slow
 def test_output_cut_short_by_its_reader_is_no_error():
     done = subprocess.run(
         f"{SALVER} scenarios --json | head -c 1", shell=True, capture_output=True, text=True, executable="/bin/bash"
@@ -177,6 +182,7 @@ def test_what_the_machine_refuses_is_no_defect(error, words, capfd):
     assert text.startswith(words)
 
 
+@pytest.mark.slow
 def test_a_full_disk_behind_the_output_is_one_sentence():
     for arguments in (["scenarios"], ["scenarios", "--json"]):
         with open("/dev/full", "w") as full:
@@ -185,6 +191,7 @@ def test_a_full_disk_behind_the_output_is_one_sentence():
         assert done.stderr == "salver: the output: no space left on device.\n"
 
 
+@pytest.mark.slow
 def test_interrupting_a_running_command(tmp_path):
     """A real SIGINT at a running process, once it has said what it is doing."""
     process = subprocess.Popen(

@@ -147,6 +147,7 @@ def test_initial_deviation_decays_as_the_nominal_error_dynamics():
         np.testing.assert_allclose(result.deviation[0][:, [axis, 6 + axis]], expected, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_default_step_errs_by_less_than_a_millionth_and_the_order_is_eight():
     """Relative to the largest deviation, which is half a radian here."""
     reference, phi = tumbling(), perturbed(10, com=0.002)
@@ -233,6 +234,7 @@ def test_a_tube_of_no_width_is_left_by_more_than_rounding():
     assert coverage(t, np.full((1, 1, 1), 1e-6), nominal, radius, ("x",)).left == 1
 
 
+@pytest.mark.slow
 def test_first_order_tubes_miss_by_second_order():
     """Paper's move, mass alone: the excess at the ends of the range is small and falls fourfold when that halves."""
     loop = TrayLoop(CUBE.inertial, GAINS, phi_jacobian(CUBE.inertial, "cube", own(("mass",))))

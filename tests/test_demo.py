@@ -10,6 +10,8 @@ from salver.errors import ScenarioError
 from salver.planning.make import plan_pair
 from salver.planning.plan import load_plan
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory):

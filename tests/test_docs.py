@@ -22,6 +22,7 @@ from pathlib import Path
 
 import pytest
 
+import warm
 from salver.cli import COMMANDS
 
 ROOT = Path(__file__).parents[1]
@@ -67,12 +68,7 @@ def run(block, namespace):
             Path(name[1]).write_text(block.code, encoding="utf-8")
         return ""
     lines = [line for line in block.code.splitlines() if not line.startswith(SET_UP)]
-    environment = {
-        **os.environ,
-        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
-        "COLUMNS": "100",
-        "NO_COLOR": "1",
-    }
+    environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1"}
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", "\n".join(lines)], capture_output=True, text=True, env=environment
     )
@@ -98,8 +94,16 @@ def assert_output(output, expected):
         assert math.isclose(promised, float(given), rel_tol=0.05, abs_tol=1e-12), f"{promised} became {given}\n{output}"
 
 
-@pytest.fixture(scope="session")
-def planned(tmp_path_factory):
+@pytest.fixture(scope="module", autouse=True)
+def on_the_path(tmp_path_factory):
+    """`salver`, loaded once for all pages (that it starts by itself is tested in test_cli.py), and `python`."""
+    with warm.command(tmp_path_factory.mktemp("bin")) as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", f"{folder}:{Path(sys.executable).parent}:{os.environ['PATH']}")
+        yield
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory, on_the_path):
     """The run directory that the how-to pages start from."""
     directory = tmp_path_factory.mktemp("docs") / "cube"
     run(Block("sh", f"salver plan panda-cube -o {directory}", 0, None), {})
@@ -107,6 +111,7 @@ def planned(tmp_path_factory):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(p.relative_to(ROOT)) for p in PAGES])
+@pytest.mark.slow
 def test_blocks_of_the_page_run(page, planned, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     if page.parent.name == "howto":
@@ -129,6 +134,7 @@ def test_every_command_is_shown():
         assert f"<!-- help: {name} -->" in pages or name in ("demo", "scenarios"), name
 
 
+@pytest.mark.slow
 def test_what_pages_take_from_the_program_is_what_it_says_now():
     done = subprocess.run(
         [sys.executable, ROOT / "docs" / "make_pages.py", "--check"], capture_output=True, text=True, check=False

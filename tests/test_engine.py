@@ -223,6 +223,7 @@ def test_tray_state_is_nominally_zero_and_its_input_is_eq_19(tray):
     np.testing.assert_allclose(tray.u, nominal.cone_coefficients[0], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_tray_loop_moves_as_the_rollouts_do_far_from_nominal():
     """Two ways of writing plant, controller and error coordinates; turned by more than half a radian."""
     names = ("mass", "com_x", "com_y", "com_z", "inertia_xx", "inertia_yz")
@@ -251,6 +252,7 @@ def test_body_with_a_displaced_nominal_centre_of_mass():
     assert largest_relative(Pi, result.state_sensitivity) < 1e-5
 
 
+@pytest.mark.slow
 def test_sampled_trajectory_is_followed_through_its_corners():
     """A reference given by samples only: its jerk jumps at each, and steps end there."""
     smooth = tumbling()

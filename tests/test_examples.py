@@ -1,19 +1,17 @@
 """Every script in examples/ runs as it is told to in its own docstring, with small numbers."""
 
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SMALL = {
     "plan_in_ten_lines": [],
     "audit": [],
     "campaign": ["-n", "2"],
-    "unicycle": ["--samples", "20"],
-    "quadrotor": ["--samples", "20"],
 }
 
 
@@ -30,18 +28,8 @@ def run(name, directory):
 
 def test_every_example_is_run_here():
     scripts = {path.stem for path in EXAMPLES.glob("*.py") if "__main__" in path.read_text() or path.stem in SMALL}
-    assert scripts == set(SMALL)
-
-
-@pytest.mark.parametrize(("name", "quantities"), [("unicycle", 5), ("quadrotor", 8)])
-def test_sensitivity_examples_print_a_small_error_and_a_line_for_each_tube(name, quantities, tmp_path):
-    """What the lines hold is tested in test_sensitivity_examples.py."""
-    output = run(name, tmp_path)
-    error = re.search(r"differ from Pi and Theta by (\S+) of a tube", output)
-    assert float(error[1]) < 1e-6
-    excess = [float(x) for x in re.findall(r"\d+/20\s+([-\d.]+)%", output)]
-    assert len(excess) == quantities
-    assert all(0 < x < 20 for x in excess)  # of second order
+    elsewhere = {"unicycle", "quadrotor"}  # test_sensitivity_examples.py
+    assert scripts == set(SMALL) | elsewhere
 
 
 def test_plan_in_ten_lines(tmp_path):

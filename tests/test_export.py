@@ -110,6 +110,7 @@ def test_ros_bag_round_trip(directory: Path, tmp_path: Path) -> None:
         assert np.array_equal(stamps, motion.ns)
 
 
+@pytest.mark.slow
 def test_yaml_messages_round_trip_in_both_versions_of_yaml(directory: Path, tmp_path: Path) -> None:
     """ROS 2 reads YAML 1.1, where 1e-05 would be a word."""
     from ruamel.yaml import YAML
@@ -132,6 +133,7 @@ def test_yaml_messages_round_trip_in_both_versions_of_yaml(directory: Path, tmp_
     assert np.abs(np.array([[q["w"], q["x"], q["y"], q["z"]] for q in turn]) - motion.quat_SE_wxyz).max() <= TOLERANCE
 
 
+@pytest.mark.slow
 def test_mujoco_scene_opens_elsewhere_and_holds_still(directory: Path, tmp_path: Path) -> None:
     """Loaded by MuJoCo alone from a directory that was moved: masses, start pose, and nothing falls or slides."""
     import mujoco

@@ -290,6 +290,7 @@ def test_tracking_matches_a_rollout_of_the_arm_with_a_wrong_load(name):
     assert np.abs(difference - case.response(name)).max() < 2e-3 * np.abs(difference).max()
 
 
+@pytest.mark.slow
 def test_tracking_knows_that_mass_multiplies_its_distance():
     """What a heavier bottle and a higher centre of mass do together, beyond what each does alone.
 
@@ -403,6 +404,7 @@ def tray_to_pillar(problem: TransportProblem, q: Array) -> float:
 
 
 @pytest.mark.parametrize("level", [True, False])
+@pytest.mark.slow
 def test_random_start_postures_converge(level):
     """All of these; `benchmarks/fastest_solve.py` counts a hundred."""
     template = transport_problem(cube(objects__0__uncertainty={}), robust=False, level=level)

@@ -23,6 +23,8 @@ from salver.report.page import page, write_report
 from salver.report.run import read_run
 from salver.simulation.physics import simulate
 
+pytestmark = pytest.mark.slow
+
 HOSTILE = "[/] [bold]b[/bold] :smile: \x1b[31mred \x9b31m \u202ereversed <script>window.broken=1</script><!--<script>"
 CASE = scenario.load("slippery-cube").with_changes(
     arm=None, motion__degree=7, motion__nodes=21, summary=HOSTILE, source=HOSTILE

@@ -42,6 +42,7 @@ def test_importing_loads_nothing_heavy(module):
     assert not set(HEAVY) & set(loaded)
 
 
+@pytest.mark.slow
 def test_planning_needs_no_physics_engine_and_no_plotting():
     code = "import json, sys; import salver.planning.plan; print(json.dumps(sorted(sys.modules)))"
     loaded = _run(code)
@@ -60,6 +61,7 @@ print(json.dumps(before == after))
     assert _run(code) is True
 
 
+@pytest.mark.slow
 def test_everything_imported_is_a_declared_dependency():
     """Direct imports of other packages' dependencies would break when those packages drop them."""
 

@@ -357,6 +357,7 @@ def test_what_cannot_be_simulated_says_so(baseline):
         simulate(replace(baseline, scenario=scenario))
 
 
+@pytest.mark.slow
 def test_missing_engine_is_one_sentence():
     code = (
         "import sys; sys.modules['mujoco'] = None\n"
@@ -370,6 +371,7 @@ def test_missing_engine_is_one_sentence():
     assert issubclass(MissingDependencyError, Exception)
 
 
+@pytest.mark.slow
 def test_physics_loads_whatever_opengl_is_asked_for():
     code = "import salver.simulation.physics, os; print(os.environ['MUJOCO_GL'])"
     environment = os.environ | {"MUJOCO_GL": "osmesa"}

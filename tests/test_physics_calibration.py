@@ -227,3 +227,44 @@ def test_creep_law_on_a_turntable(tmp_path, timestep):
     np.testing.assert_allclose(predicted, [gain * speed**2 * 0.5 * seconds, 0, 0], atol=1e-9)
     assert measured[0] == pytest.approx(predicted[0], rel=0.03)
     assert abs(measured[1]) < 0.03 * predicted[0]
+
+
+def test_creep_of_a_stack_on_a_turntable(tmp_path):
+    """The upper creeps outwards on the lower one, at gain w^2 times the distance of their origins: law and engine.
+
+    The slab is at the tray's middle and the cube 1.5 cm beyond its centre.
+    """
+    path = tmp_path / "turntable.urdf"
+    path.write_text(TURNTABLE)
+    data = cube(physics__timestep=1e-3).model_dump(mode="json", exclude_none=True)
+    data["arm"] = {"model": str(path), "flange": "rim", "start_posture": [0.0, 0.0]}
+    slab = {"name": "slab", "shape": {"type": "box", "size": [0.08, 0.08, 0.03]}, "mass": 0.4, "friction": 0.9}
+    small = {"name": "cube", "shape": {"type": "box", "size": [0.03, 0.03, 0.03]}, "mass": 0.1, "friction": 0.9}
+    data["objects"] = [slab, small | {"on": "slab", "at": [0.015, 0.0]}]
+    scenario = parse(data, "stack")
+    arm = load_arm(scenario.arm, scenario.tray)
+    scene = build(scenario, true_world(scenario), arm)
+    data = mujoco.MjData(scene.model)
+    scene.place(data, np.zeros(2))
+    speed, seconds = 2.0, 2.0
+    data.qvel[0] = speed
+    for load, i, j in zip(scene.loads, scene.qpos_ids, scene.qvel_ids, strict=True):
+        data.qvel[j : j + 6] = [*np.cross([0, 0, speed], data.qpos[i : i + 3]), 0, 0, speed]
+        np.testing.assert_allclose(load.R_EB, np.eye(3), atol=1e-12)
+    mujoco.mj_step(scene.model, data, nstep=200)
+
+    def upper_on_lower():
+        lower, upper = scene.object_ids
+        return data.xmat[lower].reshape(3, 3).T @ (data.xpos[upper] - data.xpos[lower])
+
+    before = upper_on_lower()
+    mujoco.mj_step(scene.model, data, nstep=round(seconds / 1e-3))
+    measured = upper_on_lower() - before
+
+    gain = creep.gain(scene.contact_time, 1e-3, DAMPING_WIDTH)
+    t = np.linspace(0, seconds, 101)
+    q, dq = np.outer(t, [speed, 0.0]), np.tile([speed, 0.0], (101, 1))
+    bias = creep.tray_bias(arm, q, dq, np.eye(3))
+    predicted = creep.on_object(t, bias, scene.loads[1].p_EB, scene.loads[0].p_EB, gain)[-1]
+    np.testing.assert_allclose(predicted, [gain * speed**2 * 0.015 * seconds, 0, 0], atol=1e-9)
+    assert measured[0] == pytest.approx(predicted[0], rel=0.05)

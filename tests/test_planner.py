@@ -141,6 +141,7 @@ def test_free_orientation_and_uncertain_centre_of_mass_end_in_verified_plans(nam
     assert plan.cost <= plan_baseline(load(name)).cost
 
 
+@pytest.mark.slow
 def test_sequential_answer_is_a_local_optimum():
     scenario = turning(motion__duration=1.0, objects__0__uncertainty={"mass": "10%", "inertia": "10%"})
     problem = Problem(scenario, 41)

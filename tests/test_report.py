@@ -27,6 +27,8 @@ from salver.report.replay import replay_scene
 from salver.report.run import Run, read_run
 from salver.report.words import asked, verdict
 
+pytestmark = pytest.mark.slow
+
 NO_BROWSER = missing()
 
 

@@ -1,6 +1,7 @@
 """The examples that are not about trays: sensitivities by differences, tubes by Monte Carlo."""
 
 import importlib
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).parent.parent / "examples"
 MAKERS = {"unicycle": "unicycle", "quadrotor": "quadrotor"}
 
@@ -24,7 +26,7 @@ def case(request):
     sys.path.remove(str(EXAMPLES))
     example = getattr(module, MAKERS[request.param])()
     narrow = replace(example.uncertain, half_range=example.uncertain.half_range / 2)
-    return [checker.check(e, 24, seed=1) for e in (example, replace(example, uncertain=narrow))]
+    return [checker.check(e, 12, seed=1) for e in (example, replace(example, uncertain=narrow))]
 
 
 def test_sensitivities_agree_with_central_differences_of_nonlinear_motions(case):
@@ -82,4 +84,5 @@ def test_script_prints_its_table_and_writes_its_figure(name, monkeypatch, capsys
     printed = capsys.readouterr().out
     assert "worst excess" in printed
     assert printed.count("/4 ") == len(module.STATES) + len(module.INPUTS)
+    assert float(re.search(r"differ from Pi and Theta by (\S+) of a tube", printed)[1]) < 1e-6
     assert figure.stat().st_size > 10_000

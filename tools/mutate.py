@@ -63,7 +63,7 @@ def judge(mutant: Mutant, tree: Path, tests: TestMap) -> dict[str, Any]:
     _write(target, mutant.source)
     try:
         rank = Rank(tuple(files), frozenset(direct))
-        outcome = run_tests(tree, files, rank, limit=120 + 8 * tests.seconds(files), slowest=180)
+        outcome = run_tests(tree, files, rank, limit=300 + 10 * tests.seconds(files), slowest=300)
     finally:
         _write(target, original)
     if outcome.code in (0, 5):  # all pass, or none is left
@@ -113,7 +113,7 @@ def main() -> int:
     parser.add_argument("--module", action="append", help="salver.models, salver.models.arm ...; default: all folders")
     parser.add_argument("-n", type=int, default=300, help="number of mutants, drawn at random (0: all)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--tests", nargs="+", metavar="FILE", help="judge by these test files alone, not by all")
+    parser.add_argument("--tests", action="append", metavar="FILE", help="judge by these test files alone, not by all")
     parser.add_argument("-j", type=int, default=os.cpu_count(), help="mutants at a time")
     parser.add_argument("--again", action="store_true", help="only those that survived when last run")
     parser.add_argument("--map", action="store_true", help="measure anew which tests run which function")

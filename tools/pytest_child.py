@@ -24,7 +24,7 @@ class Outcome:
     code: int
     failed: str | None = None  # the first test that failed
     slow: bool = False  # whether that one is left out of `make quick`
-    seconds: dict[str, float] = field(default_factory=dict)  # of each test, with what it set up
+    seconds: dict[str, float] = field(default_factory=dict)  # of processor, by each test and what it set up
 
 
 def run_tests(
@@ -56,7 +56,7 @@ class _Plugin:
 
     def __init__(self, tree: str, rank: Callable[[str, bool], Any], slowest: float, measure: Any) -> None:
         self.result, self.rank, self.slowest, self.measure = Path(tree, "outcome.json"), rank, slowest, measure
-        self.outcome, self.slow = Outcome(0), set[str]()
+        self.outcome, self.slow, self.begun = Outcome(0), set[str](), 0.0
 
     def pytest_collection_modifyitems(self, items: list[Any]) -> None:
         self.slow = {item.nodeid for item in items if item.get_closest_marker("slow")}
@@ -70,10 +70,12 @@ class _Plugin:
         faulthandler.dump_traceback_later(self.slowest, exit=True, file=sys.__stderr__)
         if self.measure is not None:
             self.measure.switch_context(nodeid)
+        self.begun = sum(os.times()[:4])  # with the processes that it has waited for
+
+    def pytest_runtest_logfinish(self, nodeid: str) -> None:
+        self.outcome.seconds[nodeid] = sum(os.times()[:4]) - self.begun
 
     def pytest_runtest_logreport(self, report: Any) -> None:
-        seconds = self.outcome.seconds
-        seconds[report.nodeid] = seconds.get(report.nodeid, 0.0) + report.duration
         if report.failed and self.outcome.failed is None:
             self.note(report.nodeid)
 
