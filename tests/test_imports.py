@@ -95,3 +95,17 @@ def test_there_is_no_circle_of_imports():
         graph[name] = (found & modules.keys()) - parents
     assert len(graph) > 100
     tuple(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the circle
+
+
+def test_without_casadi_one_sentence_says_how_to_get_it_and_the_rest_works():
+    code = """
+import json, sys
+sys.modules["casadi"] = None  # as if it were not installed
+from salver.errors import MissingDependencyError
+import salver.sensitivity.tray, salver.planning.plan
+try:
+    import salver.sensitivity.tray_casadi
+except MissingDependencyError as error:
+    print(json.dumps(str(error)))
+"""
+    assert "pip install 'salver[engine]'" in _run(code)

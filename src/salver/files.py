@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 # Packages whose version can change the numbers of a plan or of a simulation.
-_RECORDED = ("numpy", "scipy", "casadi", "piqp", "pin", "mujoco")
+_RECORDED = ("numpy", "scipy", "piqp", "pin", "mujoco")
 
 
 def write_atomic(path: str | Path, data: bytes | str, *, keep: bool = False) -> Path:

@@ -19,13 +19,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array
 from salver.integration import Rate, integrate
+from salver.sensitivity.symbolic import ca
 
 SampledReference = Callable[[Array], npt.ArrayLike]  # times (K,) to y_d (K, n_y)
 _CONTRACTION = 16  # half the step errs by less than this share of the change; eighth order promises 255

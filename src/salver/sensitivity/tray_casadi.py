@@ -8,7 +8,6 @@ Nominally it stays zero. The plant is Newton's and Euler's law at the true centr
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -17,6 +16,7 @@ from salver.geometry import GRAVITY_S, Array
 from salver.models.parameters import INERTIAL, inertial_vector
 from salver.models.rigid_body import RigidBody
 from salver.sensitivity.engine import ClosedLoop, SampledReference, Sensitivity, sensitivity
+from salver.sensitivity.symbolic import ca
 from salver.trajectory import Reference
 
 
