@@ -7,6 +7,7 @@ Each place is `<!-- KIND: NAME -->`, what this command wrote, `<!-- end -->`:
 
 help: plan                 the text of `salver plan --help`
 keys: Motion               the keys of a table of the scenario file, from the model that checks it
+example: cost              a file of examples/extending
 api: salver.margins        the public names of a module, each with the first sentence of its docstring (on the site, all
                            of it with signatures: `docs/hooks.py`)
 """
@@ -29,7 +30,7 @@ from salver import scenario
 from salver.validation import in_words
 
 DOCS = Path(__file__).parent
-PLACE = re.compile(r"<!-- (help|keys|api): ([\w.-]+) -->(?:\n(?:(?!<!-- ).)*<!-- end -->)?", re.S)
+PLACE = re.compile(r"<!-- (help|keys|api|example): ([\w.-]+) -->(?:\n(?:(?!<!-- ).)*<!-- end -->)?", re.S)
 
 
 def written(markdown: str) -> str:
@@ -46,6 +47,11 @@ def help_of(command: str) -> str:
     done = subprocess.run(salver, capture_output=True, text=True, env=environment, check=True)
     lines = [line.rstrip() for line in done.stdout.replace("Usage: -c ", "Usage: salver ").strip("\n").splitlines()]
     return "```text\n" + "\n".join(line.removeprefix(" ") for line in lines).strip("\n") + "\n```"
+
+
+def example_of(name: str) -> str:
+    """A file of `examples/extending`; `tests/test_examples.py` runs it."""
+    return f"```py\n{(DOCS.parent / 'examples' / 'extending' / name).with_suffix('.py').read_text(encoding='utf-8')}```"
 
 
 def keys_of(model: str) -> str:
@@ -96,7 +102,12 @@ def _default(value: Any) -> str:
     return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"
 
 
-WRITERS: dict[str, Callable[[str], str]] = {"help": help_of, "keys": keys_of, "api": names_of}
+WRITERS: dict[str, Callable[[str], str]] = {
+    "help": help_of,
+    "keys": keys_of,
+    "api": names_of,
+    "example": example_of,
+}
 
 
 def main() -> int:

@@ -1,10 +1,15 @@
 """Every script in examples/ runs as it is told to in its own docstring, with small numbers."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from salver.planning.fastest import fastest, transport_problem
+from salver.scenario import load
 
 pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -51,3 +56,60 @@ def test_campaign_where_only_the_robust_plan_keeps_the_cube(tmp_path):
     assert lines[0] == "1.5 s, robust: planned safe; in the engine: holds 2"
     assert "1.3 s, robust: planned safe; in the engine: holds 2" in lines
     assert "1.3 s, baseline: planned not safe; in the engine: holds 1, slides 1" in lines
+
+
+def extended(name):
+    """What a file of examples/extending prints; none may have grown too long to be read at once."""
+    path = EXAMPLES / "extending" / f"{name}.py"
+    assert len(path.read_text().splitlines()) < 40
+    done = subprocess.run([sys.executable, path], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def durations(output):
+    return [float(seconds) for seconds in re.findall(r"safe motion takes ([\d.]+) s", output)]
+
+
+def test_every_extension_is_run_here_and_shown_in_the_documentation():
+    page = (EXAMPLES.parent / "docs" / "extending.md").read_text(encoding="utf-8")
+    names = {path.stem for path in (EXAMPLES / "extending").glob("*.py")}
+    assert names == {"constraint", "cost", "uncertainty", "inner_dynamics", "urdf_arm"}
+    assert all(f"<!-- example: {name} -->" in page for name in names)
+
+
+def test_a_limit_on_the_trays_speed_is_kept_and_costs_time():
+    output = extended("constraint")
+    free, limited = durations(output)
+    assert limited > 1.05 * free
+    speeds = [float(speed) for speed in re.findall(r"top speed is ([\d.]+) m/s", output)]
+    assert speeds[0] > 1.0
+    assert speeds[1] == pytest.approx(0.8, abs=0.005)
+
+
+def test_the_calmest_motion_is_calmer_than_the_quickest_one_slowed_down():
+    output = extended("cost")
+    mean = [float(value) for value in re.findall(r"acceleration is ([\d.]+) rad/s", output)]
+    quickest = fastest(transport_problem(load("panda-cube")))
+    ddq = quickest.sample(np.linspace(0, quickest.duration, 401))[2]
+    for took, calm in zip(durations(output), mean, strict=True):
+        slowed = np.sqrt(np.mean(np.sum(ddq**2, axis=1))) * (quickest.duration / took) ** 2
+        assert calm < 0.8 * slowed
+
+
+def test_a_draught_costs_time():
+    still, windy = durations(extended("uncertainty"))
+    assert 1.02 * still < windy < 1.2 * still
+
+
+def test_a_mass_on_a_stiff_spring_is_a_rigid_load_and_a_soft_one_is_not():
+    stiff, *_, resonant, soft = durations(extended("inner_dynamics"))
+    assert resonant > 1.04 * stiff
+    assert soft < resonant  # so slow that it hardly moves
+
+
+def test_an_arm_from_a_urdf_carries_the_cube():
+    followed, planned = extended("urdf_arm").splitlines()
+    assert "follows within its limits" in followed
+    assert "follows within its limits" in planned
+    assert len(durations(planned)) == 1

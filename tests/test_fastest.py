@@ -14,14 +14,15 @@ from salver.margins import margins
 from salver.models.arm import with_load
 from salver.models.parameters import Parameter, inertial_vector
 from salver.models.worst_case import Drift, WorstCase
-from salver.planning.fastest import FastestOptions, fastest, object_motion, plan_fastest
-from salver.planning.fastest.constraints import FINEST, evaluate, worst_of
+from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
+from salver.planning.fastest.constraints import FINEST, Contact, evaluate, worst_of
 from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.ends import AtPosture
-from salver.planning.fastest.objectives import Duration, Point
+from salver.planning.fastest.ends import Anywhere, AtPosture
+from salver.planning.fastest.exchange import programme_of
+from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.spline import RestSpline, min_jerk_blend
-from salver.planning.fastest.sqp import Programme
+from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.fastest.sqp import Options, Programme, minimise
 from salver.planning.fastest.tradeoff import scaled, tradeoff
 from salver.planning.make import make_plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
@@ -423,6 +424,102 @@ def test_random_start_postures_converge(level):
         found = fastest(replace(template, start=AtPosture(q)))
         assert found.status.ok, found.status
         assert max(found.worst.values()) <= 0
+
+
+# Ends that move, and ends anywhere ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def on_the_way() -> FastestMotion:
+    """The tall bottle's plan for nominal values."""
+    return fastest(transport_problem(load("panda-tall-bottle"), robust=False))
+
+
+def at(plan: FastestMotion, t: float) -> AtPosture:
+    q, dq, ddq, _ = (x[0] for x in plan.sample(np.array([t])))
+    return AtPosture(q, dq, ddq)
+
+
+@pytest.mark.parametrize("t", [0.1, 0.4, 0.6])
+def test_a_stop_from_the_middle_of_a_motion_keeps_every_condition(on_the_way, t):
+    """It begins in the plan's state, ends at rest, and is checked at 601 points, torque rate by its own differences."""
+    state = at(on_the_way, t)
+    problem = replace(on_the_way.problem, start=state, goal=Anywhere())
+    found = fastest(problem)
+    assert found.status.ok, found.status
+    assert found.duration < on_the_way.duration
+    s = np.linspace(0, 1, 601)
+    z = np.stack(found.sample(s * found.duration))
+    assert np.abs(z[0, 0] - state.q).max() < 1e-12
+    assert np.abs(z[1, 0] - state.dq).max() < 1e-9
+    assert np.abs(z[2, 0] - state.ddq).max() < 1e-6
+    assert np.abs(z[1:3, -1]).max() < 1e-6
+    value, name = worst_of(evaluate(problem.constraints, problem.at(s, z, found.duration), margins=False))
+    assert value < 2e-3, name  # of the size of the quantity; 5e-5 at the points of the plan's own check
+    steps = np.diff(s * found.duration)[:, None]
+    assert np.abs(np.diff(z[0], axis=0) / steps - 0.5 * (z[1, 1:] + z[1, :-1])).max() < 1e-3
+
+
+def test_what_is_left_of_a_fastest_motion_is_fastest(on_the_way):
+    """Bellman: planned anew from the middle, a motion to the same goal takes as long as the rest of the first one."""
+    t = 0.35
+    rest = fastest(replace(on_the_way.problem, start=at(on_the_way, t)))
+    assert rest.status.ok, rest.status
+    assert rest.duration == pytest.approx(on_the_way.duration - t, rel=0.03)
+
+
+# What is made small --------------------------------------------------------------------------------------------
+
+
+def test_the_margin_at_a_longer_duration_is_kept_between_the_nodes_and_beats_slowing_down():
+    """On 400 points of another grid; the same path, only slower, is what anybody would do instead."""
+    problem = transport_problem(cube(0.2, objects__0__uncertainty={}, motion__orientation="fixed"))
+    quickest = fastest(problem)
+    s, before = np.linspace(0, 1, 400), 0.0
+    for factor in (1.05, 1.2, 1.5):
+        duration = factor * quickest.duration
+        careful = nearby(quickest, LeastMargin(), duration)
+        assert careful.status.ok, careful.status
+        assert careful.duration == duration
+
+        def least(z: Array, duration: float = duration) -> float:
+            rows = evaluate([Contact(rows) for rows in problem.contacts], problem.at(s, z, duration), margins=False)
+            return -worst_of(rows)[0]
+
+        slowed = np.stack(quickest.sample(s * quickest.duration)) / factor ** np.arange(4.0)[:, None, None]
+        margin = least(np.stack(careful.sample(s * duration)))
+        assert margin > least(slowed) + 1e-3
+        assert margin > before
+        before = margin
+
+
+def test_distance_to_a_motion_is_least_at_that_motion_and_its_model_is_exact():
+    problem = transport_problem(cube(), robust=False)
+    spline, duration = RestSpline(5, 8), 1.5
+    curve = FreeCurve(problem, Grid.of(spline, spline.nodes(2)))
+    rng, here = np.random.default_rng(5), line(problem, spline)
+    other = here + 0.05 * rng.normal(size=here.shape)
+    wanted = curve.motion(other, duration)
+    objective = Distance(wanted, (1.0, 0.1, 0.01, 0.0))
+    assert objective.value(curve, Point(other, duration)) == pytest.approx(0.0, abs=1e-20)
+    step = np.append(rng.normal(size=here.size), 0.0)
+    start, value = Point(here, duration), objective.value(curve, Point(here, duration))
+    moved = Point(here + step[:-1].reshape(here.shape), duration)
+    assert objective.expected(curve, start, value, step) == pytest.approx(objective.value(curve, moved), rel=1e-10)
+    # A motion that is safe and among those of the spline is found again, but for where its goal must be.
+    quickest = fastest(problem)
+    longer = SplineMotion(quickest.spline, quickest.coefficients, 2 * quickest.duration)
+    nodes = quickest.spline.nodes(FastestOptions().nodes_per_span)
+    grid = programme_of(problem, FreeCurve, longer, nodes).curve.grid
+    bumps = min_jerk_blend(np.linspace(0, 1, len(longer.coefficients)))[:, None]
+    elsewhere = longer.coefficients + 0.02 * bumps * (1 - bumps)
+    there = FreeCurve(problem, grid).motion(elsewhere, longer.duration)
+    programme = programme_of(problem, FreeCurve, longer, nodes, Distance(there))
+    begin = programme.begin(longer.coefficients, longer.duration)
+    found = minimise(programme, begin, Options(gain=1e-9))
+    assert found.status.ok
+    assert begin.cost > 1e-6
+    assert found.iterate.cost < 1e-2 * begin.cost
 
 
 # The trade-off -------------------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ other `Solver` can stand in for them: `SOLVERS` is what is asked, in turn.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import daqp
 import numpy as np
@@ -65,7 +65,7 @@ def solve(programme: Quadratic, tolerance: float) -> Optimum | None:
     for solver in SOLVERS if few else reversed(SOLVERS):
         found = solver(programme, tolerance)
         if found is not None and np.all(np.isfinite(found.x)):
-            return found
+            return replace(found, x=np.clip(found.x, programme.low, programme.high))
     return None
 
 

@@ -1,22 +1,47 @@
-"""The fastest motion that stays safe: shortest duration within the arm's limits, contact kept for all parameters."""
+"""The fastest motion that stays safe: shortest duration within the arm's limits, contact kept for all parameters.
 
+Constraints, objectives and ends of one's own: docs/extending.md.
+"""
+
+from salver.planning.fastest.constraints import Block, Constraint, evaluate, padded, worst_of
+from salver.planning.fastest.ends import Anywhere, AtPose, AtPosture, End
+from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Model, Objective, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.search import (
     FastestMotion,
     FastestOptions,
     fastest,
     joint_plan,
+    nearby,
     object_motion,
     plan_fastest,
 )
 
 __all__ = [
+    "Anywhere",
+    "AtPose",
+    "AtPosture",
+    "Block",
+    "Constraint",
+    "Distance",
+    "Duration",
+    "End",
+    "Evaluation",
     "FastestMotion",
     "FastestOptions",
+    "LeastMargin",
+    "Model",
+    "Objective",
+    "Point",
     "TransportProblem",
+    "evaluate",
     "fastest",
     "joint_plan",
+    "nearby",
     "object_motion",
+    "padded",
     "plan_fastest",
     "transport_problem",
+    "worst_of",
 ]

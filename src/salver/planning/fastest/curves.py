@@ -32,6 +32,12 @@ class Grid:
         s = np.interp(np.arange(last + 1) / finer, np.arange(len(nodes)), nodes)
         return cls(s, spline.matrices(s), finer * np.arange(len(nodes)))
 
+    @property
+    def weights(self) -> Array:
+        """(P,) of a mean over time by the trapezoidal rule; their sum is 1."""
+        steps = np.diff(self.s)
+        return 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
+
     def motion(self, coefficients: Array, duration: float) -> Array:
         """(4, P, m): the spline's value and its first three time derivatives."""
         z = self.basis @ coefficients

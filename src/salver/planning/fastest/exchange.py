@@ -16,7 +16,7 @@ from salver.geometry import Array
 from salver.planning.fastest.constraints import evaluate
 from salver.planning.fastest.curves import Curve, Grid
 from salver.planning.fastest.evaluation import Indices
-from salver.planning.fastest.objectives import Duration, Objective, Scalar
+from salver.planning.fastest.objectives import Duration, Objective, Point, Scalar
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.sqp import Options, Programme, Solution, minimise
@@ -34,18 +34,21 @@ POINTS = 2  # from node to node, where joint limits are imposed
 CHECK_FACTOR = 6  # the check between nodes uses a grid this much finer
 POINTS_CHECKED = 5  # and where the joints' limits are, from one point of that grid to the next
 
+SHORTEST = Duration()
+
 CurveOf = Callable[[TransportProblem, Grid], Curve]
 
 
 @dataclass(frozen=True)
 class Checked:
-    """Coefficients (size, m) and duration of a motion whose rows were checked on the fine grid.
+    """Coefficients (size, m), duration and margin (as in `Point`) of a motion whose rows were checked on the fine grid.
 
     worst: largest row of each block there, <= 0 when kept. iterations: of all rounds.
     """
 
     coefficients: Array
     duration: float
+    margin: float
     status: Status
     worst: dict[str, float]
     iterations: int
@@ -56,7 +59,7 @@ def programme_of(
     curve_of: CurveOf,
     start: SplineMotion,
     nodes: Array,
-    objective: Objective | None = None,
+    objective: Objective = SHORTEST,
     points: int = POINTS,
 ) -> Programme:
     """The programme at nodes (N,) in [0, 1], watching only what comes near along the start.
@@ -66,7 +69,7 @@ def programme_of(
     curve = curve_of(problem, Grid.of(start.spline, nodes, points))
     postures = curve.motion(start.coefficients, start.duration)[0, curve.grid.nodes]
     constraints = [constraint.near(postures) for constraint in problem.constraints]
-    return Programme(curve, constraints, objective or Duration())
+    return Programme(curve, constraints, objective)
 
 
 def optimise(
@@ -76,9 +79,9 @@ def optimise(
     nodes_per_span: int,
     time_limit: float,
     damping: float = 1.0,
-    objective: Objective | None = None,
+    objective: Objective = SHORTEST,
 ) -> Checked:
-    """The optimum from a start, kept between the nodes too; the shortest duration unless there is an objective."""
+    """The optimum from a start, kept between the nodes too; of the duration, unless another objective is given."""
     begun = time.perf_counter()
     spline = start.spline
     nodes = spline.nodes(nodes_per_span)
@@ -93,13 +96,14 @@ def optimise(
     solution = solve(start, Options(gain=GAIN), Trust(damping))
     iterations = solution.iterations
     for exchange in range(EXCHANGES + 1):
-        coefficients, duration = solution.iterate.coefficients, solution.iterate.duration
-        worst, slower, peaks = _between(fine, coefficients, duration)
+        point = solution.iterate.point
+        worst, slower, peaks = _between(fine, objective, point)
         excess = max(worst.values())
-        if 0.0 < excess < SMALL_EXCESS and (objective is None or objective.scalar is Scalar.DURATION):
-            stretched, _, _ = _between(fine, coefficients, duration * (1.0 + slower))
+        if 0.0 < excess < SMALL_EXCESS and objective.scalar is Scalar.DURATION:
+            longer = replace(point, duration=point.duration * (1.0 + slower))
+            stretched, _, _ = _between(fine, objective, longer)
             if max(stretched.values()) <= 0.0:
-                worst, excess, duration = stretched, 0.0, duration * (1.0 + slower)
+                worst, excess, point = stretched, 0.0, longer
         late = time.perf_counter() - begun > time_limit
         hopeless = excess > HOPELESS or solution.iterate.violation > HOPELESS_AT_NODES
         if excess <= 0.0 or hopeless or exchange == EXCHANGES or late:
@@ -107,9 +111,10 @@ def optimise(
         nodes = np.union1d(nodes, fine.grid.s[peaks])
         repair = REPAIR * 4.0**exchange
         options = Options(iterations=15, gain=GAIN, least_damping=repair, mending=True)
-        solution = solve(SplineMotion(spline, coefficients, duration), options, Trust(repair, REPAIR_DEPTH))
+        solution = solve(SplineMotion(spline, point.coefficients, point.duration), options, Trust(repair, REPAIR_DEPTH))
         iterations += solution.iterations
-    return Checked(coefficients, duration, _status(solution, worst, duration), worst, iterations)
+    status = _status(solution, worst, objective.sought, point.duration)
+    return Checked(point.coefficients, point.duration, point.margin, status, worst, iterations)
 
 
 def rough(
@@ -126,10 +131,10 @@ def rough(
     return minimise(programme, programme.begin(start.coefficients, start.duration), options, Trust(damping))
 
 
-def _status(solution: Solution, worst: dict[str, float], duration: float) -> Status:
+def _status(solution: Solution, worst: dict[str, float], sought: str, duration: float) -> Status:
     excess = max(worst.values())
     if excess <= 0.0:
-        return Status("optimal", f"The shortest safe motion takes {duration:.4f} s.", True)
+        return Status("optimal", f"The {sought} safe motion takes {duration:.4f} s.", True)
     if excess > HOPELESS and not solution.status.ok:
         return solution.status
     name = max(worst, key=lambda key: worst[key])
@@ -137,12 +142,13 @@ def _status(solution: Solution, worst: dict[str, float], duration: float) -> Sta
     return Status("infeasible", sentence, False, worst)
 
 
-def _between(fine: Curve, coefficients: Array, duration: float) -> tuple[dict[str, float], float, Indices]:
+def _between(fine: Curve, objective: Objective, point: Point) -> tuple[dict[str, float], float, Indices]:
     """Largest row of each block on the fine grid, by how much slower, relatively, the motion would keep them all, and
     the points where some row is broken at its peak."""
     grid, problem = fine.grid, fine.problem
-    z = fine.motion(coefficients, duration)
-    blocks = evaluate(problem.constraints, problem.at(grid.s, z, duration, grid.nodes, imposed=False))
+    z = fine.motion(point.coefficients, point.duration)
+    motion = problem.at(grid.s, z, point.duration, grid.nodes, imposed=False)
+    blocks = objective.demanded(evaluate(problem.constraints, motion), point.margin)
     marked = np.zeros(len(grid.s), dtype=bool)
     for block in blocks:
         index = np.flatnonzero((block.peaks & (block.values > 0)).any(axis=1))

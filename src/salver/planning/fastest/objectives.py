@@ -8,7 +8,8 @@ duration where it is free, the margin where that is sought, or nothing. One of y
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -45,9 +46,11 @@ class Model:
 
 
 class Objective(ABC):
-    """scalar: what is free beside the coefficients. counts(block): whether the margin is demanded of its rows."""
+    """scalar: what is free beside the coefficients. sought: what it is, in words. counts(block): whether the margin is
+    demanded of its rows."""
 
     scalar: Scalar = Scalar.NONE
+    sought: str = "best"
 
     @abstractmethod
     def value(self, curve: Curve, at: Point) -> float:
@@ -70,12 +73,19 @@ class Objective(ABC):
     def counts(self, block: Block) -> bool:
         return False
 
+    def demanded(self, blocks: Sequence[Block], margin: float) -> tuple[Block, ...]:
+        """The blocks, with the margin demanded of those that count."""
+        if not margin:
+            return tuple(blocks)
+        return tuple(replace(b, values=b.values + margin) if self.counts(b) else b for b in blocks)
+
 
 @dataclass(frozen=True)
 class Duration(Objective):
     """T, s."""
 
     scalar = Scalar.DURATION
+    sought = "shortest"
 
     def value(self, curve: Curve, at: Point) -> float:
         return at.duration
@@ -99,6 +109,9 @@ class LeastMargin(Objective):
     def value(self, curve: Curve, at: Point) -> float:
         return -at.margin
 
+    def scale(self, at: Point) -> float:
+        return 0.1  # of the weight
+
     def model(self, curve: Curve, at: Point) -> Model:
         return Model(np.zeros(at.coefficients.size), -1.0)
 
@@ -108,7 +121,7 @@ class LeastMargin(Objective):
 
 @dataclass(frozen=True, eq=False)
 class Distance(Objective):
-    """Mean square of the distance to a wanted motion, half of it; T is given.
+    """Mean square over time of the distance to a wanted motion, half of it; T is given.
 
     wanted: (4, P, n) q and its time derivatives at the points of the grid. weights: (4,) of the squares of their
     differences.
@@ -119,7 +132,7 @@ class Distance(Objective):
 
     def value(self, curve: Curve, at: Point) -> float:
         away = self._away(curve, at)
-        return 0.5 * float(np.sum(np.array(self.weights) * np.mean(np.square(away).sum(axis=2), axis=1)))
+        return 0.5 * float(self.weights @ np.square(away).sum(axis=2) @ curve.grid.weights)
 
     def model(self, curve: Curve, at: Point) -> Model:
         away, (_, count, n) = self._away(curve, at), self.wanted.shape
@@ -131,8 +144,9 @@ class Distance(Objective):
                 parts = np.zeros((count, 4, n))
                 parts[:, order, joint] = 1.0
                 rows = curve.columns(at.coefficients, at.duration, parts, point)
-                slope += weight / count * rows.T @ away[order, :, joint]
-                curvature += weight / count * rows.T @ rows
+                weighted = weight * rows * curve.grid.weights[:, None]
+                slope += weighted.T @ away[order, :, joint]
+                curvature += weighted.T @ rows
         return Model(slope, 0.0, curvature)
 
     def _away(self, curve: Curve, at: Point) -> Array:

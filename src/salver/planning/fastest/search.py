@@ -18,8 +18,9 @@ from salver.errors import Status, UnreachableError
 from salver.geometry import Array
 from salver.models.arm_limits import POSITION
 from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.ends import AtPose
-from salver.planning.fastest.exchange import optimise, rough
+from salver.planning.fastest.ends import AtPose, AtPosture
+from salver.planning.fastest.exchange import SHORTEST, optimise, rough
+from salver.planning.fastest.objectives import Objective
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Iterate, Solution
@@ -195,6 +196,15 @@ def fastest(
     return replace(best, wall_time=wall, iterations=iterations)
 
 
+def nearby(
+    found: FastestMotion, objective: Objective, duration: float, options: FastestOptions | None = None
+) -> FastestMotion:
+    """The motion with the least objective at a duration (s), near one that was found; under the same constraints."""
+    options = options or FastestOptions()
+    start = SplineMotion(found.spline, found.coefficients, duration)
+    return _optimum(found.problem, options, start, options.time_limit, NEAR, objective)
+
+
 def _blocked(problem: TransportProblem) -> Status | None:
     """Why no motion can begin or end as it should, or None."""
     if problem.keep_out is None:
@@ -235,6 +245,9 @@ def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]
     centre, half = limits.range(POSITION)
     half = np.where(np.isfinite(half), half, np.pi)
     given = problem.start_posture
+    coasting = np.zeros(n)  # a moving start goes on for a while
+    if isinstance(problem.start, AtPosture) and problem.start.moving:
+        coasting = 0.5 * problem.start.rates[0] * _braking_time(problem)
     found: list[tuple[float, _Guess]] = []
 
     def apart(difference: Array) -> float:
@@ -263,7 +276,7 @@ def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]
                 add(q_start, q_start)
         elif attempt < OTHERS:
             spread = attempt / OTHERS
-            add(given, (1 - spread) * given + spread * guess)
+            add(given, (1 - spread) * (given + coasting) + spread * guess)
     if given is None:
         found.sort(key=lambda item: item[0])
     straight = [guess for _, guess in found]
@@ -285,7 +298,10 @@ def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotio
 def _begun(problem: TransportProblem, guess: _Guess, spline: RestSpline) -> SplineMotion:
     s = np.linspace(0, 1, 201)
     q = guess.path(s)
-    duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
+    if problem.moving:
+        duration = _braking_time(problem) + float(np.max(np.abs(q[-1] - q[0]) / problem.limits.velocity))
+    else:
+        duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
     return SplineMotion(spline, spline.fit(s, q), duration)
 
 
@@ -322,15 +338,30 @@ def _with_all_pieces(options: FastestOptions, found: Iterate) -> SplineMotion:
 
 
 def _optimum(
-    problem: TransportProblem, options: FastestOptions, start: SplineMotion, time_limit: float, damping: float
+    problem: TransportProblem,
+    options: FastestOptions,
+    start: SplineMotion,
+    time_limit: float,
+    damping: float,
+    objective: Objective = SHORTEST,
 ) -> FastestMotion:
     """The optimum from a start that is near it, checked between the nodes."""
     begun = time.perf_counter()
-    found = optimise(problem, FreeCurve, start, options.nodes_per_span, time_limit, damping)
+    found = optimise(problem, FreeCurve, start, options.nodes_per_span, time_limit, damping, objective)
     wall = time.perf_counter() - begun
     return FastestMotion(
         problem, start.spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
     )
+
+
+def _braking_time(problem: TransportProblem) -> float:
+    """Twice the time in which the start's velocity could be braked if nothing slid, s."""
+    start = problem.start
+    assert isinstance(start, AtPosture)
+    speed = np.abs(start.rates[0])
+    limits = problem.limits
+    by_limits = np.where(np.isfinite(limits.acceleration), limits.acceleration, 10.0)
+    return float(np.clip(4.0 * np.max(speed / by_limits), 0.1, 10.0))
 
 
 def _comfortable_duration(problem: TransportProblem, speed: Array) -> float:

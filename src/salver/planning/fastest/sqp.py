@@ -128,10 +128,7 @@ class Programme:
         grid = self.curve.grid
         z = self.curve.motion(point.coefficients, point.duration)
         motion = self.curve.problem.at(grid.s, z, point.duration, grid.nodes)
-        blocks = evaluate(self.constraints, motion)
-        if point.margin:
-            counted = [point.margin if self.objective.counts(block) else 0.0 for block in blocks]
-            blocks = tuple(replace(b, values=b.values + more) for b, more in zip(blocks, counted, strict=True))
+        blocks = self.objective.demanded(evaluate(self.constraints, motion), point.margin)
         return Iterate(point, motion, blocks, self.objective.value(self.curve, point))
 
     def begin(self, coefficients: Array, duration: float) -> Iterate:
@@ -340,7 +337,8 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
         if time.perf_counter() - begun > options.time_limit:
             code = "time_limit"
             break
-    return Solution(path, _status(code, path, options), done, programmes, time.perf_counter() - begun)
+    sought = programme.objective.sought
+    return Solution(path, _status(code, path, options, sought), done, programmes, time.perf_counter() - begun)
 
 
 def _attempt(programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust) -> Attempt | None:
@@ -408,10 +406,10 @@ def _change(before: Iterate, after: Iterate) -> float:
     return max(float(np.abs(b.values - a.values)[a.values > -min(1.0, a.reach)].max(initial=0.0)) for a, b in pairs)
 
 
-def _status(code: str, path: Iterate, options: Options) -> Status:
+def _status(code: str, path: Iterate, options: Options, sought: str) -> Status:
     value, name = path.worst
     if value <= options.violation:
-        return Status(code, f"The shortest duration at the nodes is {path.duration:.4f} s.", True)
+        return Status(code, f"At the nodes the {sought} motion takes {path.duration:.4f} s.", True)
     return Status(
         "infeasible",
         f"No motion was found that keeps all conditions: {name} is exceeded by {100 * value:.2g} % of its scale.",
