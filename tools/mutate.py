@@ -38,9 +38,41 @@ class Rank:
 
     files: tuple[str, ...]
     direct: frozenset[str]
+    broken: frozenset[str]
 
-    def __call__(self, node: str, slow: bool) -> tuple[bool, bool, int]:
+    def __call__(self, node: str, slow: bool) -> tuple[bool, bool, int] | None:
+        if node in self.broken:
+            return None
         return slow, node not in self.direct, self.files.index(node.partition("::")[0])
+
+
+@dataclass(frozen=True)
+class Alone:
+    """Of all tests this one."""
+
+    test: str
+
+    def __call__(self, node: str, _slow: bool) -> int | None:
+        return 0 if node == self.test else None
+
+
+class Baseline:
+    """Whether tests pass on the code as it is: one that does not kills nothing. Each is asked once, when it kills."""
+
+    def __init__(self) -> None:
+        self.passes: dict[str, bool] = {}
+
+    @property
+    def broken(self) -> frozenset[str]:
+        return frozenset(test for test, passes in self.passes.items() if not passes)
+
+    def trusts(self, test: str, tree: Path) -> bool:
+        if test not in self.passes:
+            outcome = run_tests(tree, [test.partition("::")[0]], Alone(test), limit=900, slowest=600)
+            self.passes[test] = outcome.code == 0
+            if outcome.code != 0:
+                print(f"{test} fails as it is and judges nothing", file=sys.stderr)
+        return self.passes[test]
 
 
 def all_mutants(modules: list[str]) -> list[Mutant]:
@@ -55,17 +87,20 @@ def all_mutants(modules: list[str]) -> list[Mutant]:
     return found
 
 
-def judge(mutant: Mutant, tree: Path, tests: TestMap) -> dict[str, Any]:
+def judge(mutant: Mutant, tree: Path, tests: TestMap, baseline: Baseline) -> dict[str, Any]:
     """Run the tests on one mutant in its tree, which is left as it was."""
     files, direct = tests.tests_of(mutant.path.as_posix(), mutant.function)
     target = tree / mutant.path
     original, begun = target.read_text(encoding="utf-8"), time.monotonic()
-    _write(target, mutant.source)
-    try:
-        rank = Rank(tuple(files), frozenset(direct))
-        outcome = run_tests(tree, files, rank, limit=300 + 10 * tests.seconds(files), slowest=300)
-    finally:
-        _write(target, original)
+    while True:
+        _write(target, mutant.source)
+        try:
+            rank = Rank(tuple(files), frozenset(direct), baseline.broken)
+            outcome = run_tests(tree, files, rank, limit=300 + 10 * tests.seconds(files), slowest=300)
+        finally:
+            _write(target, original)
+        if outcome.failed is None or baseline.trusts(outcome.failed, tree):
+            break
     if outcome.code in (0, 5):  # all pass, or none is left
         verdict = "survived"
     else:
@@ -148,6 +183,7 @@ def main() -> int:
     tests.update(options.j, options.map, options.tests)
     if options.tests:
         tests = tests.of_files(options.tests)
+    baseline = Baseline()
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(options.j) as pool, JOURNAL.open("a") as journal:
         trees: Queue[Path] = Queue()
         for k in range(min(options.j, len(due))):
@@ -156,7 +192,7 @@ def main() -> int:
         def work(mutant: Mutant) -> None:
             tree = trees.get()
             try:
-                entry = {"key": mutant.key, "state": state, **judge(mutant, tree, tests)}
+                entry = {"key": mutant.key, "state": state, **judge(mutant, tree, tests, baseline)}
             finally:
                 trees.put(tree)
             verdicts[mutant.key] = entry

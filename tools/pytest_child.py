@@ -32,7 +32,7 @@ def run_tests(
 ) -> Outcome:
     """Run the tests of some files of a copy of the repository, up to the first that fails.
 
-    `rank(node id, whether it is marked slow)` orders the tests.
+    `rank(node id, whether it is marked slow)` orders the tests; those where it is None are left out.
     `slowest`: seconds after which a single test counts as hanging; `limit`: for all together. With `coverage`, a
     configuration file of coverage.py, the run is measured with the test as context, and goes on after a failure.
     """
@@ -60,7 +60,10 @@ class _Plugin:
 
     def pytest_collection_modifyitems(self, items: list[Any]) -> None:
         self.slow = {item.nodeid for item in items if item.get_closest_marker("slow")}
-        items.sort(key=lambda item: self.rank(item.nodeid, item.nodeid in self.slow))
+        ranked = [(self.rank(item.nodeid, item.nodeid in self.slow), item) for item in items]
+        items[:] = [
+            item for _, item in sorted((pair for pair in ranked if pair[0] is not None), key=lambda pair: pair[0])
+        ]
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         if self.outcome.failed is None:
