@@ -12,7 +12,7 @@ from salver import scenario
 from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
-from salver.models.arm_limits import JointLimits
+from salver.models.arm_limits import LIMITS, JointLimits
 from salver.planning.fastest import FastestOptions, TransportProblem, fastest, transport_problem
 from salver.planning.fastest.retiming import SplinePath, retime
 from salver.planning.follow.limits import peaks, verdict
@@ -30,6 +30,18 @@ def limits(**tight: float) -> JointLimits:
     for key, value in tight.items():
         values[key][0] = value
     return JointLimits(np.full(7, -10.0), np.full(7, 10.0), **values)
+
+
+def test_the_limit_that_is_named_is_the_one_on_the_side_of_the_value() -> None:
+    """For all but positions its magnitude, whichever the sign."""
+    kinds = {kind.key: kind for kind in LIMITS}
+    one_sided = replace(limits(velocity=2.0, torque_rate=7.0), q_min=np.full(7, -3.0), q_max=np.full(7, -1.0))
+    for value, bound in ((-2.9, -3.0), (-1.2, -1.0), (5.0, -1.0)):
+        assert one_sided.bound(kinds["position"], 2, value) == bound
+    for value in (-1.0, 1.0):
+        assert one_sided.bound(kinds["velocity"], 0, value) == 2.0
+        assert one_sided.bound(kinds["velocity"], 1, value) == 60.0
+        assert one_sided.bound(kinds["torque_rate"], 0, value) == 7.0
 
 
 @pytest.fixture(scope="module")
