@@ -23,6 +23,7 @@ from salver.planning.make import make_plan, plan_baseline, with_arm
 from salver.planning.plan import Plan
 from salver.report.style import BLACK, BLUE, VERMILION
 from salver.scenario import Scenario, load, parse
+from salver.sensitivity import tubes
 from salver.sensitivity.arm import ArmChain, arm_chain, chain_model
 from salver.simulation.physics import Options, simulate
 from salver.simulation.record import SimulationRecord
@@ -182,7 +183,7 @@ def coverage(case: Case, runs: int, forces: bool = True) -> tuple[list[dict[str,
             continue
         largest = radius.max()
         about_model, about_run = (
-            np.array([(np.abs(f[key] - centre[key]) - radius).max() / largest for f in found])
+            np.array([tubes.excess(f[key], centre[key], radius).max() / largest for f in found])
             for centre in (nominal, base)
         )
         terms = case.chain.model.load.deviations(values)
@@ -213,7 +214,7 @@ def coverage(case: Case, runs: int, forces: bool = True) -> tuple[list[dict[str,
         interp1d(case.plan.t, x, axis=0)(case.t) for x in (case.plan.cone_radius, case.plan.cone_coefficients)
     )
     key = "contact wrench as Lambda (N)"
-    excess = [(np.abs(f[key] - centre) - paper).max(axis=1) / paper.max() for f in found]
+    excess = [tubes.excess(f[key], centre, paper).max(axis=1) / paper.max() for f in found]
     beyond, later = (np.array([e[case.t >= start].max() for e in excess]) for start in (0.0, 0.1))
     ours = (np.abs(np.array([f[key] for f in found]) - nominal[key]) - radii[key] <= 0.01 * radii[key].max()).mean()
     theirs = (np.abs(np.array([f[key] for f in found]) - centre) - paper <= 0.01 * paper.max()).mean()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from salver.models.parameters import NOTHING, Parameter, UncertainSet
-from salver.sensitivity.tubes import direction_radius, ellipsoid, envelope, radius, scalar_sensitivity
+from salver.sensitivity.tubes import ellipsoid, excess, radius
 
 
 def uncertain(kind, correlation=None):
@@ -51,20 +51,14 @@ def test_shape_matrix_holds_the_image_of_the_set():
     boundary = sensitivity @ known.factor @ np.stack([np.cos(angle), np.sin(angle)])
     assert np.einsum("ik,ij,jk->k", boundary, np.linalg.inv(shape), boundary) == pytest.approx(np.ones(50))
     direction = np.array([0.6, 0.8])
-    assert direction_radius(sensitivity, known, direction) == pytest.approx(np.sqrt(direction @ shape @ direction))
-
-
-def test_scalar_sensitivity_is_the_chain_rule():
-    rng = np.random.default_rng(2)
-    by_x, pi, by_u, theta, direct = (rng.normal(size=s) for s in ((4, 12), (4, 12, 2), (4, 5), (4, 5, 2), (4, 2)))
-    got = scalar_sensitivity(by_x, pi, by_u, theta, direct)
-    for t in range(4):
-        assert got[t] == pytest.approx(by_x[t] @ pi[t] + by_u[t] @ theta[t] + direct[t])
+    assert radius(direction @ sensitivity, known) == pytest.approx(np.sqrt(direction @ shape @ direction))
 
 
 def test_nothing_uncertain_means_no_tube():
     nothing = NOTHING
     assert not radius(np.zeros((7, 3, 0)), nothing).any()
-    low, high = envelope(np.ones(3), np.full(3, 0.25))
-    assert low == pytest.approx([0.75] * 3)
-    assert high == pytest.approx([1.25] * 3)
+
+
+def test_excess_is_positive_outside_on_either_side():
+    found = excess(np.array([[0.7], [0.8], [1.25], [1.5]]), np.ones((4, 1)), np.full((4, 1), 0.25))
+    assert found[:, 0] == pytest.approx([0.05, -0.05, 0.0, 0.25])

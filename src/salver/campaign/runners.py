@@ -14,6 +14,7 @@ import numpy as np
 from salver.campaign.definition import Definition, samples, seed_of_run
 from salver.errors import SalverError
 from salver.geometry import Array
+from salver.sensitivity import tubes
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
@@ -147,7 +148,7 @@ def tube_scalars(plan: Plan, t: Array, coefficients: Array) -> Scalars:
 
     nominal = make_interp_spline(plan.t, plan.cone_coefficients, k=3)(t)
     radius = np.stack([np.interp(t, plan.t, column) for column in plan.cone_radius.T], axis=1)
-    excess = np.abs(coefficients - nominal) - radius
+    excess = tubes.excess(coefficients, nominal, radius)
     when = int(np.argmax(excess.max(axis=1)))
     largest = float(plan.cone_radius.max())
     return {

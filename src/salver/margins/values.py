@@ -11,6 +11,7 @@ from salver.geometry import Array
 from salver.margins.model import MarginModel
 from salver.models.contact_rows import ContactRows
 from salver.models.internal_wrench import internal_wrenches
+from salver.sensitivity import tubes
 
 
 @dataclass(frozen=True)
@@ -35,10 +36,8 @@ class RowValues:
         """Worst case of the rows (T, n), with the tube of the tracking error added."""
         value = rows.worst(self.w)
         if self.tracking is not None:
-            scaled = self.tracking @ self.model.uncertain.factor
-            terms = np.einsum("fk,tkp->tfp", rows.nominal, scaled, optimize=True)
-            box = self.model.uncertain.kind == "box"
-            value += np.abs(terms).sum(axis=2) if box else np.linalg.norm(terms, axis=2)
+            change = np.einsum("fk,tkp->tfp", rows.nominal, self.tracking, optimize=True)
+            value += tubes.radius(change, self.model.uncertain)
         return value
 
 

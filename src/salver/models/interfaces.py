@@ -48,11 +48,6 @@ class ContactNetwork:
     def determinate(self) -> bool:
         return self.internal.shape[2] == 0
 
-    def with_contacts(self, contacts: list[ContactSet]) -> ContactNetwork:
-        """The same network (and the same share) with other contact sets, in the order of the interfaces."""
-        pairs = zip(self.interfaces, contacts, strict=True)
-        return replace(self, interfaces=tuple(replace(interface, contacts=c) for interface, c in pairs))
-
 
 def networks(items: Sequence[Body]) -> tuple[ContactNetwork, ...]:
     """The networks of bodies (in the scenario's order); a body alone on the tray is one of its own."""

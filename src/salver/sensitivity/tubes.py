@@ -25,35 +25,12 @@ def radius(sensitivity: Array, uncertain: UncertainSet) -> Array:
     return np.linalg.norm(sensitivity @ uncertain.factor, axis=-1)
 
 
-def envelope(nominal: Array, tube_radius: Array) -> tuple[Array, Array]:
-    """Lower and upper bound of eq (12)."""
-    return nominal - tube_radius, nominal + tube_radius
+def excess(values: Array, nominal: Array, tube_radius: Array) -> Array:
+    """How far values (..., T, c) are outside the tubes nominal +- radius of eq (12), each (T, c); negative inside."""
+    return np.asarray(np.abs(values - nominal) - tube_radius)
 
 
 def ellipsoid(sensitivity: Array, uncertain: UncertainSet) -> Array:
     """Shape matrix S W S^T (..., n, n) of eqs (9), (10): deviations d with d^T (S W S^T)^-1 d <= 1."""
     spread = sensitivity @ uncertain.factor
     return spread @ np.swapaxes(spread, -1, -2)
-
-
-def direction_radius(sensitivity: Array, uncertain: UncertainSet, direction: Array) -> Array:
-    """Half-width (...) of the tube along a direction (n,) of a quantity with sensitivity (..., n, n_p): eq (11)."""
-    return radius(np.einsum("i,...ij->...j", direction, sensitivity), uncertain)
-
-
-def scalar_sensitivity(
-    by_state: Array,
-    state_sensitivity: Array,
-    by_input: Array | None = None,
-    input_sensitivity: Array | None = None,
-    by_parameter: Array | None = None,
-) -> Array:
-    """dc/dp (T, n_p) = c_x Pi + c_u Theta + c_p of any scalar c(x, u, p) along a motion.
-
-    by_state (T, 12), by_input (T, n_u), by_parameter (T, n_p): its partial derivatives. Friction enters
-    contact margins only through the last, the direct term.
-    """
-    total = np.einsum("ti,tij->tj", by_state, state_sensitivity)
-    if by_input is not None and input_sensitivity is not None:
-        total = total + np.einsum("ti,tij->tj", by_input, input_sensitivity)
-    return total if by_parameter is None else total + by_parameter

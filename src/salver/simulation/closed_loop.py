@@ -19,6 +19,7 @@ from salver.control.object import Errors, Gains, acceleration, apply, command
 from salver.geometry import Array, exp, right_jacobian_inverse
 from salver.integration import Rate, integrate
 from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
+from salver.sensitivity import tubes
 from salver.trajectory import MotionSamples, Reference
 
 # Longest step times the fastest rate of the error dynamics: the error is then below 1e-6 of the deviation, usually
@@ -203,7 +204,7 @@ def coverage(
     For states pass `Rollout.deviation`, nominal zero and `STATE_NAMES`; for inputs `Rollout.cone_coefficients`.
     The default tolerance is the rollouts' own accuracy.
     """
-    beyond = np.abs(values - nominal) - radius
+    beyond = tubes.excess(values, nominal, radius)
     at = beyond.argmax(axis=1)
     excess = np.take_along_axis(beyond, at[:, None], axis=1)[:, 0]
     peak = radius.max(axis=0)

@@ -172,10 +172,6 @@ class ArmChain:
             return tubes.radius(sensitivity, self.uncertain)
         return self.model.load.radius(sensitivity)
 
-    def cone_sensitivity(self, grasp_map: Array) -> Array:
-        """(T, n_lambda, n_c) of the first object's Lambda = pinv(grasp_map) wrench: what the paper calls Theta."""
-        return np.asarray(np.linalg.pinv(grasp_map) @ self.wrench)
-
     def least_slack(self, tracking: bool = True, held: bool = True) -> Array:
         """(T,) least contact slack over all rows and the whole uncertain set; safe above 0.
 
