@@ -223,6 +223,30 @@ def test_names_of_objects_do_not_matter(name: str, kind: str) -> None:
 # Bounds over nasty sets -------------------------------------------------------------------------------------------
 
 
+def to_the_edge(base: Array, wrench: Array) -> Array:
+    """(T,) distance of the point where the pressure acts from the nearest edge of a base (n, 3) in B, negative outside.
+
+    Where the moment about the horizontal axes vanishes, in the plane of the base.
+    """
+    depth = base[0, 2]
+    point = np.column_stack([-wrench[:, 4] + depth * wrench[:, 0], wrench[:, 3] + depth * wrench[:, 1]])
+    point = point / wrench[:, 2:3]
+    edge = np.roll(base, -1, axis=0) - base
+    out = np.column_stack([edge[:, 1], -edge[:, 0]]) / np.linalg.norm(edge[:, :2], axis=1)[:, None]
+    return (np.einsum("ei,ei->e", out, base[:, :2]) - point @ out.T).min(axis=1)
+
+
+def test_zero_moment_point_by_hand() -> None:
+    """The upper box stands where two turned rectangles overlap: a base without any symmetry."""
+    sure = {f"objects__{k}__uncertainty__position": None for k in range(2)}
+    made, tray = nasty.stack(**sure), nasty.tray_motion(60, 15, push=3.0)  # some far off the base
+    wrenches = nasty.interface_wrenches(made, {}, nasty.felt(tray))
+    for m, item, wrench in zip(along(made, tray).interfaces, made.objects, wrenches, strict=True):
+        assert_allclose(m.wrench_B, wrench, atol=1e-9)
+        distance = to_the_edge(nasty.sure_points_B(made, item.name), wrench)
+        assert_allclose(m.tip_over, np.where(wrench[:, 2] > 0, distance, -np.inf), atol=1e-9)
+
+
 @pytest.mark.parametrize(("name", "kind"), SOME)
 def test_zero_moment_point_of_every_sample_is_within_the_worst_tip_over(name: str, kind: str) -> None:
     """The point where the pressure acts, by hand from the true wrench, against the edges of the base that is sure."""
@@ -231,14 +255,7 @@ def test_zero_moment_point_of_every_sample_is_within_the_worst_tip_over(name: st
     nearest = {m.name: np.full(len(w), np.inf) for m in whole.interfaces}
     for change in nasty.samples(uncertain, 150, 3):
         for item, wrench in zip(made.objects, nasty.interface_wrenches(made, change, w), strict=True):
-            base = nasty.sure_points_B(made, item.name)
-            # Moment zero about the horizontal axes, in the plane of the base.
-            depth = base[0, 2]
-            point = np.column_stack([-wrench[:, 4] + depth * wrench[:, 0], wrench[:, 3] + depth * wrench[:, 1]])
-            point = point / wrench[:, 2:3]
-            edge = np.roll(base, -1, axis=0) - base
-            out = np.column_stack([edge[:, 1], -edge[:, 0]]) / np.linalg.norm(edge[:, :2], axis=1)[:, None]
-            distance = (np.einsum("ei,ei->e", out, base[:, :2]) - point @ out.T).min(axis=1)
+            distance = to_the_edge(nasty.sure_points_B(made, item.name), wrench)
             key = f"{item.name} on {item.on}"
             nearest[key] = np.minimum(nearest[key], distance)
     for m in whole.interfaces:
