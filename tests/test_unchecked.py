@@ -434,11 +434,11 @@ def test_a_mesh_counts_as_the_hulls_of_its_pieces(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "words_"),
     [
-        (None, "cannot be read as a mesh"),
-        (b"hello", "cannot be read as a mesh"),
-        (b"solid x\nendsolid x\n", "cannot be read as a mesh"),
+        (None, "cannot be read"),
+        (b"hello", "holds no triangles"),
+        (b"solid x\nendsolid x\n", "holds no triangles"),
         (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "has 3 corners"),
-        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n", "must be finite"),
+        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n", "holds no triangles"),
     ],
 )
 def test_bad_meshes_of_obstacles(tmp_path: Path, content: bytes | None, words_: str) -> None:
@@ -449,7 +449,7 @@ def test_bad_meshes_of_obstacles(tmp_path: Path, content: bytes | None, words_: 
         obstacle_shapes(scenario.Obstacle(type="mesh", name="it", file=str(path), position=(0, 0, 0)))
     message = str(refused.value)
     assert message.startswith("The obstacle it: its file ")
-    assert words_ in message or "corners" in message, message
+    assert words_ in message, message
     assert "\n" not in message
 
 

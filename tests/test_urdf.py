@@ -127,8 +127,13 @@ MIMIC = '<mimic joint="lean" multiplier="1"/>'
         ),
         (lambda t: t.replace("<link", '<xacro:include filename="x"/><link', 1), ["xacro", "pip install xacrodoc"]),
         (lambda t: t.replace('type="prismatic"', 'type="planar"', 1), ["degrees of freedom"]),
+        (lambda t: t.replace('<mass value="5"', '<mass value="heavy"'), ['value of <mass> in rail is "heavy"']),
+        (lambda t: t.replace('<mass value="4"', '<mass value="nan"'), ['value of <mass> in beam is "nan"']),
+        (lambda t: t.replace('<mass value="4"', '<mass value="-4"'), ["joint x moves weighs -4 kg"]),
+        (lambda t: t.replace('ixx="0.02"', 'ixx="0,02"', 1), ['ixx of <inertia> in rail is "0,02"']),
+        (lambda t: t.replace('xyz="0 0 0.55"', 'xyz="0 0.55"', 1), ["must be 3 finite numbers"]),
     ],
-    ids=["mimic", "two parents", "ring", "xacro", "planar"],
+    ids=["mimic", "two parents", "ring", "xacro", "planar", "text", "nan", "negative", "comma", "two numbers"],
 )
 def test_what_is_no_arm_gets_one_sentence(tmp_path: Path, change, words: list[str]) -> None:
     with pytest.raises(ScenarioError) as refused:
@@ -146,6 +151,7 @@ def test_a_mimic_joint_beside_the_chain_is_none_of_our_business(tmp_path: Path) 
 
 
 LIMITS = [
+    ("joint_limits: {x: {max_velocity: 1" + "0" * 400 + "}}", ["max_velocity of x is 1000", "a finite number"]),
     ("joint_limits: {elbow: {max_velocity: 1}}", ["limits elbow, which the URDF does not have", "lean, tip, turn, x"]),
     ("joint_limits: {x: {max_velocity: -1}}", ["max_velocity of x is -1", "greater than 0"]),
     ("joint_limits: {x: {max_velocity: fast}}", ["max_velocity of x is 'fast'"]),
@@ -189,6 +195,40 @@ def test_bad_srdf(tmp_path: Path, content: str | None) -> None:
 def test_package_folders_that_are_not_there(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r'arm.package_dirs\[1\] = ".*nowhere": there is no such folder'):
         loaded(tmp_path, gantry(), package_dirs=[str(tmp_path), str(tmp_path / "nowhere")])
+
+
+MESHES = {
+    "far too large": (
+        "v 0 0 0\nv 1000 0 0\nv 0 1000 0\nv 0 0 100\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n",
+        "1000 m large",
+    ),
+    "a point": ("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "cannot be read"),
+    "nothing": ("", "cannot be read"),
+}
+
+
+@pytest.mark.parametrize("which", MESHES)
+def test_meshes_of_links_that_cannot_be(tmp_path: Path, which: str) -> None:
+    """The first is what a mesh in millimetres is like: a hull of everything, which would overlap in every posture."""
+    content, words = MESHES[which]
+    (tmp_path / "link.obj").write_text(content)
+    text = gantry().replace('<box size="0.04 0.04 0.04"/>', '<mesh filename="link.obj"/>')
+    with pytest.raises(ScenarioError, match=f"shape of yaw is not known .*{words}"):
+        arm_geometry(loaded(tmp_path, text))
+
+
+def test_a_flat_mesh_is_a_slab(tmp_path: Path) -> None:
+    """A square in the plane x + y + z = 0, along which no axis lies: a millimetre thick, as large as it is."""
+    u, v = np.array([1, -1, 0]) / np.sqrt(2), np.array([1, 1, -2]) / np.sqrt(6)
+    corners = [0.1 * (a * u + b * v) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f 1 2 3", "f 1 3 4"]
+    (tmp_path / "flat.obj").write_text("\n".join(lines))
+    parts = arm_geometry(
+        loaded(tmp_path, gantry().replace('<box size="0.04 0.04 0.04"/>', '<mesh filename="flat.obj"/>'))
+    )
+    points = np.asarray(parts.model.geometryObjects[parts.names.index("yaw")].geometry.points())
+    assert np.ptp(points @ np.ones(3) / np.sqrt(3)) == pytest.approx(1e-3, rel=1e-4)  # read as 32-bit numbers
+    assert (np.ptp(points @ u), np.ptp(points @ v)) == pytest.approx((0.2, 0.2), rel=1e-6)
 
 
 # ---- packages --------------------------------------------------------------------------------------------------

@@ -240,6 +240,12 @@ def _build(text: str, path: Path) -> Any:
             f"The URDF {path} has {model.nv} degrees of freedom between root and flange and {model.nq} coordinates; "
             "an arm has at least one joint, all of them revolute or prismatic."
         )
+    for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
+        if not (inertia.mass >= 0 and np.isfinite(inertia.toDynamicParameters()).all()):
+            raise ScenarioError(
+                f"The URDF {path} has a mass or an inertia that none can be (what the joint {name} moves weighs "
+                f"{inertia.mass:g} kg); masses are at least 0, and all numbers finite."
+            )
     model.gravity.linear = GRAVITY_S.copy()
     return model
 

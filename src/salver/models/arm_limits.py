@@ -183,7 +183,7 @@ def _read_yaml(path: Path) -> Any:
 def _number(path: Path, joint: str, key: str, entry: Mapping[str, Any], positive: bool = False) -> float:
     value = entry[key]
     wanted = "a finite number greater than 0" if positive else "a finite number"
-    fits = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+    fits = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e12
     if not fits or (positive and value <= 0):
         raise ScenarioError(f"{path}: {key} of {joint} is {value!r}; it must be {wanted}.")
     return float(value)

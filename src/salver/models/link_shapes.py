@@ -19,6 +19,8 @@ import pinocchio as pin
 from salver.geometry import Array, matrix_from_rpy
 
 DENSITIES = (2700.0, 700.0)  # kg/m^3: solid aluminium; light shells with little inside
+LARGEST_LINK = 10.0  # m
+SLAB = 1e-3  # m: Coal wants shapes with a volume
 FRAME_MASS = 0.02  # kg: a lighter link without geometry is a frame that somebody gave a mass, not a body
 _SAME_DIRECTION = 1e-9
 
@@ -96,7 +98,10 @@ def _shape(geometry: ElementTree.Element | None) -> Any:
         file = kind.get("filename", "")
         if not Path(file).is_file():
             raise ValueError(f"there is no file {file}")
-        return _hull(file, tuple(_numbers(kind, "scale", "1 1 1")))
+        scale = _numbers(kind, "scale", "1 1 1")
+        if len(scale) != 3 or not all(np.isfinite(x) and x != 0 for x in scale):
+            raise ValueError(f'the scale "{kind.get("scale")}" of its mesh is not three numbers other than 0')
+        return _hull(file, tuple(scale))
     sizes = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
     if kind.tag not in sizes:
         raise ValueError(f"its geometry is a <{kind.tag}>")
@@ -109,12 +114,31 @@ def _shape(geometry: ElementTree.Element | None) -> Any:
 @lru_cache(maxsize=256)
 def _hull(file: str, scale: tuple[float, ...]) -> Any:
     try:
-        mesh = _loader().load(file, np.array(scale))
-        mesh.buildConvexHull(True, "Qt")
+        points = np.asarray(_loader().load(file, np.array(scale)).vertices(), dtype=float)
     except (ValueError, RuntimeError):
         raise ValueError(f"the mesh {file} cannot be read") from None
-    if not np.isfinite(mesh.convex.points()).all():
-        raise ValueError(f"the mesh {file} has points that are not finite")
+    size = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    if not 0 < size < LARGEST_LINK:
+        raise ValueError(f'the mesh {file} is {size:.4g} m large; one in millimetres needs scale="0.001 0.001 0.001"')
+    return convex(points)
+
+
+def convex(points: Array) -> Any:
+    """Coal's convex hull of points (n, 3), m; what is thinner than `SLAB` becomes that thick."""
+    from scipy.spatial import ConvexHull
+
+    axes = np.linalg.eigh(np.cov(points.T))[1]
+    for axis in axes.T:
+        if np.ptp(points @ axis) < SLAB:
+            points = np.vstack([points - 0.5 * SLAB * axis, points + 0.5 * SLAB * axis])
+    corners = points[ConvexHull(points).vertices]
+    triangles = ConvexHull(corners).simplices
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(triangles), len(corners))
+    for row in triangles:
+        mesh.addTriangle(*(corners[k] for k in row))
+    mesh.endModel()
+    mesh.buildConvexHull(True, "Qt")
     return mesh.convex
 
 

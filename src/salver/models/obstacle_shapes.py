@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, matrix_from_rpy
+from salver.models.link_shapes import convex
 from salver.models.mesh_files import read_mesh_file
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ def obstacle_shapes(obstacle: Obstacle) -> list[tuple[Any, Any]]:
     """
     placement = pin.SE3(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg)), np.array(obstacle.position))
     if obstacle.type == "mesh":
-        return [(_convex(points), placement) for points in mesh_pieces(obstacle)]
+        return [(convex(points), placement) for points in mesh_pieces(obstacle)]
     if obstacle.type == "box":
         return [(coal.Box(*(obstacle.size or ())), placement)]
     if obstacle.type == "sphere":
@@ -62,23 +63,3 @@ def _pieces(file: str) -> tuple[Array, ...]:
             f"has {len(pieces)} separate pieces; at most {MOST_PIECES} are taken: give it in several files"
         )
     return tuple(pieces)
-
-
-def _convex(points: Array) -> Any:
-    """Coal's convex hull of points; a flat piece becomes a slab of a millimetre."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        hull = ConvexHull(points)
-    except QhullError:
-        points = np.vstack([points - 5e-4, points + 5e-4])
-        hull = ConvexHull(points)
-    corners = points[hull.vertices]
-    mesh = coal.BVHModelOBBRSS()
-    triangles = ConvexHull(corners).simplices
-    mesh.beginModel(len(triangles), len(corners))
-    for row in triangles:
-        mesh.addTriangle(*(corners[k] for k in row))
-    mesh.endModel()
-    mesh.buildConvexHull(True, "Qt")
-    return mesh.convex

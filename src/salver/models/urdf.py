@@ -52,6 +52,7 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
     if flange not in names:
         shown = ", ".join(sorted(names))
         raise ScenarioError(f'arm.flange = "{flange}" is no link of {path}; its links are {shown}.')
+    _demand_numbers(root, path)
     joints = root.findall("joint")
     links = _links_to(flange, joints, path)
     beyond = _beyond(flange, joints)
@@ -173,6 +174,37 @@ def _tree(path: Path) -> ElementTree.Element:
     with path.open("rb") as file:
         parser.ParseFile(file)
     return builder.close()
+
+
+# Attributes that must be so many finite numbers: what the URDF parser cannot read it leaves out without a word.
+_NUMBERS = {
+    "mass": (("value", 1),),
+    "inertia": tuple((key, 1) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")),
+    "origin": (("xyz", 3), ("rpy", 3)),
+    "axis": (("xyz", 3),),
+    "limit": tuple((key, 1) for key in ("lower", "upper", "effort", "velocity")),
+}
+
+
+def _demand_numbers(root: ElementTree.Element, path: Path) -> None:
+    for part in [*root.findall("link"), *root.findall("joint")]:
+        for element in part.iter():
+            for key, count in _NUMBERS.get(element.tag, ()):
+                text = element.get(key)
+                if text is not None and not _are_numbers(text, count):
+                    wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+                    raise ScenarioError(
+                        f'The URDF {path}: {key} of <{element.tag}> in {part.get("name")} is "{text}"; it must be '
+                        f"{wanted}."
+                    )
+
+
+def _are_numbers(text: str, count: int) -> bool:
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        return False
+    return len(numbers) == count and bool(np.isfinite(numbers).all())
 
 
 def _links_to(flange: str, joints: Sequence[ElementTree.Element], path: Path) -> list[str]:

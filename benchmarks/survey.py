@@ -1,0 +1,196 @@
+"""Random tasks on many arms, half among obstacles: how many are solved, how near to the best known, how quickly?
+
+    python benchmarks/survey.py -n 40 -o out/survey.jsonl     plan those that the file does not hold yet
+    python benchmarks/survey.py --table -o out/survey.jsonl   print the table of what it holds
+
+Each task follows from its number. It is planned at the default effort and, to know what is possible, at a thorough one:
+more starts, from several seeds. A task counts as solvable when any of them solves it; the best known is the shortest.
+One line of JSON for each task: a run that was interrupted goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver import scenario
+from salver.errors import SalverError
+from salver.models.arm import load_arm
+from salver.models.arm_geometry import arm_geometry
+from salver.models.urdf import shared_folder
+from salver.planning.fastest import FastestOptions, plan_fastest
+
+SEED = 20261121
+THOROUGH = (FastestOptions(starts=3, seed=1, time_limit=120.0), FastestOptions(starts=3, seed=2, time_limit=120.0))
+TRIES = 50  # to place obstacles that leave both ends free
+
+# Name, reach (m) from the base, and, for those by URDF, file and flange.
+ARMS: list[tuple[str, float, dict[str, str]]] = [
+    ("panda", 0.80, {"model": "panda"}),
+    ("ur3", 0.48, {"model": "ur3"}),
+    ("ur5", 0.82, {"model": "ur5"}),
+    ("ur10", 1.20, {"model": "ur10"}),
+    ("xarm7", 0.65, {"model": "xarm7"}),
+    ("gen3", 0.80, {"model": "gen3"}),
+    ("jaco (URDF)", 0.75, {"model": "kinova_description/robots/kinova.urdf", "flange": "j2s6s200_end_effector"}),
+    ("ur10 (URDF)", 1.20, {"model": "ur_description/urdf/ur10_robot.urdf", "flange": "tool0"}),
+]
+
+
+def task(number: int) -> tuple[str, scenario.Scenario]:
+    """The arm's name and the scenario of a number; odd numbers have one to three obstacles."""
+    rng = np.random.default_rng([SEED, number])
+    name, reach, keys = ARMS[int(rng.integers(len(ARMS)))]
+    arm: dict[str, Any] = dict(keys)
+    if "flange" in arm:
+        folder = shared_folder()
+        assert folder is not None
+        arm["model"] = str(folder / "example-robot-data" / "robots" / arm["model"])
+        arm["limits"] = {"acceleration": 5.0}
+    size = 0.5 * min(reach, 0.8)
+    tall, wide = float(rng.uniform(0.15, 0.4) * size), float(rng.uniform(0.12, 0.25) * size)
+    shape = {"type": "cylinder", "radius": wide / 2, "height": tall}
+    if rng.random() < 0.5:
+        shape = {"type": "box", "size": [wide, wide, tall]}
+    ends = []
+    while len(ends) < 2 or np.linalg.norm(ends[1] - ends[0]) < 0.35 * reach:
+        angle = rng.uniform(-1.2, 1.2, 2)
+        radius, height = rng.uniform(0.45, 0.75, 2) * reach, rng.uniform(0.25, 0.6, 2) * reach
+        ends = list(np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1))
+    data: dict[str, Any] = {
+        "name": f"survey-{number}",
+        "motion": {
+            "start": {"position": ends[0].tolist()},
+            "goal": {"position": ends[1].tolist()},
+            "goal_yaw": "free" if rng.random() < 0.5 else "fixed",
+        },
+        "objects": [
+            {
+                "shape": shape,
+                "mass": float(rng.uniform(0.1, 0.5)),
+                "friction": float(rng.uniform(0.15, 0.6)),
+                "support_inset": 0.002,
+                "uncertainty": {"mass": "10%", "friction": "10%"} if rng.random() < 0.5 else {},
+            }
+        ],
+        "contact": {"condition": "exact"},
+        "tray": {"size": [0.45 * size, 0.45 * size], "mass": 0.2, "height": 0.05},
+        "arm": arm,
+    }
+    made = scenario.parse(data, data["name"])
+    count = int(rng.integers(1, 4)) if number % 2 else 0
+    return name, _among(made, ends, count, reach, rng) if count else made
+
+
+def _among(
+    free: scenario.Scenario, ends: list[np.ndarray], count: int, reach: float, rng: np.random.Generator
+) -> scenario.Scenario:
+    """Posts, boxes and balls near the way, none of them in the tray or its load at an end."""
+    assert free.arm is not None
+    arm, payload = load_arm(free.arm, free.tray), free.payload
+    found: list[dict[str, Any]] = []
+    for _ in range(TRIES):
+        if len(found) == count:
+            break
+        x, y, z = ends[0] + rng.uniform(0.25, 0.75) * (ends[1] - ends[0]) + rng.normal(0, 0.06, 3) * reach
+        place = (float(x), float(y), float(max(z, 0.1)))
+        kind = int(rng.integers(3))
+        it: dict[str, Any] = {"type": "sphere", "radius": 0.05 * reach, "position": place}
+        if kind == 0:
+            height = place[2]
+            it = {"type": "cylinder", "radius": 0.04 * reach, "length": height, "position": (*place[:2], height / 2)}
+        elif kind == 1:
+            it = {"type": "box", "size": (0.15 * reach, 0.15 * reach, 0.1 * reach), "position": place}
+        it["name"] = f"obstacle-{len(found)}"
+        tried = free.with_changes(obstacles=[*found, it])
+        parts = arm_geometry(arm, payload.bodies, tried.obstacles)
+        first = payload.first
+        clear = np.hypot(*place[:2]) > 0.25 * reach
+        if clear and all(parts.in_the_way(end - first.p_EB, np.eye(3)) is None for end in ends):
+            found.append(it)
+    return free.with_changes(obstacles=found) if found else free
+
+
+def attempt(case: scenario.Scenario, options: FastestOptions | None) -> dict[str, Any]:
+    """How one effort ends: duration in s (None when nothing was found that holds), CPU time in s, why not."""
+    cpu = time.process_time()
+    try:
+        plan = plan_fastest(case, options=options)
+        duration = plan.duration if plan.ok else None
+        complaints = [s for s in (plan.status, plan.arm_status, plan.verification) if s is not None and not s.ok]
+        says = complaints[0].sentence if complaints else ""
+    except SalverError as error:
+        duration, says = None, str(error)
+    return {"duration": duration, "cpu": time.process_time() - cpu, "says": says}
+
+
+def survey(numbers: range, path: Path, thorough: bool) -> None:
+    """Plan the tasks that the file does not hold yet, one line each."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    done = {record["number"] for record in read(path)}
+    for number in numbers:
+        if number in done:
+            continue
+        name, case = task(number)
+        record: dict[str, Any] = {"number": number, "arm": name, "obstacles": len(case.obstacles)}
+        record["default"] = attempt(case, None)
+        record["thorough"] = [attempt(case, options) for options in THOROUGH] if thorough else []
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(record) + "\n")
+        print(number, name, record["obstacles"], record["default"], flush=True)
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    """The records of a file; a last line that was cut off is left out."""
+    if not path.is_file():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    return [json.loads(line) for line in lines if line.endswith("\n")]
+
+
+def best_known(record: dict[str, Any]) -> float | None:
+    """The shortest duration that any effort found, s; None when none found any."""
+    found = [tried["duration"] for tried in (record["default"], *record["thorough"])]
+    return min((duration for duration in found if duration is not None), default=None)
+
+
+def table(records: list[dict[str, Any]]) -> str:
+    """Markdown: one row for each arm, for tasks with and without obstacles, and for all."""
+    rows = ["| tasks | number | solvable | solved | within 3 % | within 10 % | CPU time, median, s | below 3 s |"]
+    rows.append("|---|---|---|---|---|---|---|---|")
+    groups = {name: [r for r in records if r["arm"] == name] for name, _, _ in ARMS}
+    groups["without obstacles"] = [r for r in records if not r["obstacles"]]
+    groups["with obstacles"] = [r for r in records if r["obstacles"]]
+    groups["all"] = records
+    for name, group in groups.items():
+        if not group:
+            continue
+        best = [best_known(record) for record in group]
+        solvable = [(r["default"], known) for r, known in zip(group, best, strict=True) if known is not None]
+        ratios = np.array([default["duration"] / known for default, known in solvable if default["duration"]])
+        cpu = np.array([r["default"]["cpu"] for r in group])
+        near = [f"{int((ratios <= limit).sum())}" for limit in (1.03, 1.10)]
+        row = [name, len(group), len(solvable), len(ratios), *near, f"{np.median(cpu):.1f}", f"{int((cpu < 3).sum())}"]
+        rows.append(f"| {' | '.join(map(str, row))} |")
+    return "\n".join(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-n", type=int, default=200, help="tasks 0 to n - 1")
+    parser.add_argument("-o", "--out", type=Path, default=Path("out/survey.jsonl"))
+    parser.add_argument("--table", action="store_true", help="only print the table")
+    parser.add_argument("--quick", action="store_true", help="without the thorough effort")
+    given = parser.parse_args()
+    if not given.table:
+        survey(range(given.n), given.out, thorough=not given.quick)
+    print(table(read(given.out)))
+
+
+if __name__ == "__main__":
+    main()
