@@ -11,12 +11,12 @@ from typer.testing import CliRunner
 
 from salver.cli.common import handled
 from salver.cli.retime import retime as retime_command
-from salver.errors import ScenarioError
+from salver.errors import FileFormatError, ScenarioError
 from salver.models.contact_rows import contact_rows
 from salver.planning.fastest import FastestOptions, fastest, object_motion
 from salver.planning.fastest.curves import Grid, PathCurve
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.retiming import SplinePath, plan_retimed, reachable_law, retime
+from salver.planning.fastest.retiming import SplinePath, plan_retimed, reachable_law, read_waypoints, retime
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.follow.limits import peaks
 from salver.planning.plan import load_plan
@@ -182,6 +182,18 @@ def test_command_reads_waypoints_and_writes_a_run(problem, tmp_path):
     again = load_plan(tmp_path / "run")
     assert again.joint is not None
     assert np.allclose(again.joint.q[-1], q[-1], atol=1e-9)
+
+
+def test_a_first_posture_with_a_mistake_is_no_heading(tmp_path):
+    file = tmp_path / "waypoints.csv"
+    file.write_text("0.3,O.2,0.1\n0,0,0\n0.1,0.1,0.1\n")
+    with pytest.raises(FileFormatError, match=r'line 1: "O.2" is not a number; every row must be 3 joint angles'):
+        read_waypoints(file)
+    file.write_text("joint1,joint2,joint3\n0.3,0.2,0.1\n0,0,0\n")
+    assert read_waypoints(file).tolist() == [[0.3, 0.2, 0.1], [0, 0, 0]]
+    file.write_text("0.3,0.2,0.1\n0,0\n")
+    with pytest.raises(FileFormatError, match="line 2: 2 values"):
+        read_waypoints(file)
 
 
 @pytest.mark.parametrize("text", ["1,2\n3", "", "a,b\nc,d"])

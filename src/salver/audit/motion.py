@@ -1,42 +1,61 @@
-"""From samples as they were read to a motion of the tray with accelerations, and what had to be assumed for it."""
+"""From samples as they were read to a motion of the tray, and what of the motion they cannot say."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import BPoly
 
+from salver.audit.commanded import commanded_motion, open_questions
+from salver.audit.noise import Cells, Level, resolution
+from salver.audit.recorded import LEVER, Sensor, sensor_of, stretches, without_spikes
 from salver.audit.samples import JointSamples, Samples, TraySamples, reordered
-from salver.audit.smoothing import Smooth, gaps, smooth
 from salver.errors import FileFormatError, SalverError
-from salver.geometry import Array, hat, matrix_from_quat_wxyz
+from salver.geometry import Array, hat, quat_wxyz_from_matrix
 from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
 
-PER_BANDWIDTH = 20  # instants per period of the highest frequency that is let through: peaks are met to 1.2 %
-MOST_INSTANTS = 20_000
-COARSE = 0.02  # s: waypoints further apart than this are a controller's, not a recording's
+HIGHEST = 50.0  # Hz, unless stated: above it no arm shakes its tray so that a load would notice
+BRIDGED = 0.02  # s, or so many steps: without samples, and still a curve
+BRIDGED_STEPS = 3.5
+FEWEST = 32  # samples, below which noise is not told from motion
+STILL = 0.02  # m/s: so slow that stopping dead moves a load by less than 0.1 mm where friction is 0.2
+SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
+JUMP = 5e-4  # m
+
+
+@dataclass(frozen=True)
+class Recording:
+    """How a recorded motion was seen. sensor: its noise. rate: Hz. highest: Hz, up to which anything unseen is reckoned
+    with. bandwidth: (least, most) of the curve, Hz. unseen, mirrored: see `salver.audit.recorded.Stretch`; in s."""
+
+    sensor: Sensor
+    rate: float
+    highest: float
+    bandwidth: tuple[float, float]
+    unseen: tuple[Cells, ...]
+    mirrored: tuple[Cells, ...]
 
 
 @dataclass(frozen=True)
 class TrayMotion:
-    """The tray's motion as it will be audited.
+    """The tray's motion E in S as it will be audited.
 
-    samples: of frame E in S. noise: standard deviations found in the samples, m and rad (or rad of the joints), by
-    name. bandwidth: Hz, of the narrowest smoothing used; None where nothing was smoothed.
-    acceleration_noise: what the noise leaves in the acceleration of the tray, m/s^2 (estimate, mid-motion).
-    notes: sentences on what was repaired or assumed.
+    acceleration_error: (T,) m/s^2, or one number: by which the acceleration may be wrong through noise. missed: the
+    same, by which it may be too small because the samples are too few. recording: None for a motion that is known
+    exactly. doubts: (code, clause) of what forbids to say that everything holds. notes: sentences on what was
+    repaired, assumed or left out.
     """
 
     samples: MotionSamples
-    noise: dict[str, float]
-    bandwidth: float | None
-    acceleration_noise: float
-    notes: tuple[str, ...]
+    acceleration_error: Array | float = 0.0
+    missed: Array | float = 0.0
+    recording: Recording | None = None
+    doubts: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def tray_motion(
@@ -44,114 +63,193 @@ def tray_motion(
     arm: ArmModel | None,
     p_BE: Array,
     R_BE: Array,
-    bandwidth: float | None = None,
+    highest: float = HIGHEST,
+    noise: float | None = None,
     longest_gap: float | None = None,
 ) -> TrayMotion:
     """Motion of the tray E. p_BE, R_BE: pose of E in the object frame B, for files that tell B's motion.
 
-    bandwidth: Hz of the smoothing, found from the data if None. longest_gap: s without samples that is bridged
-    (default: 0.1 s and three steps). Raises FileFormatError or SalverError with a sentence.
+    highest: Hz, above which nothing shakes the tray. noise: standard deviation of the samples, m or rad; found in them
+    if None. longest_gap: s without samples that is bridged (default: `BRIDGED`). Raises FileFormatError or SalverError
+    with a sentence.
     """
-    notes = list(samples.notes)
-    _check_gaps(samples, longest_gap, notes)
+    if not highest > 0 or (noise is not None and not noise >= 0):
+        name, value, least = ("highest", highest, "above 0 Hz") if not highest > 0 else ("noise", noise, "0 or more")
+        raise SalverError(f"--{name} {value:g} was asked for; it must be {least}.")
     if isinstance(samples, TraySamples):
-        motion, noise, fits = _from_poses(samples, bandwidth)
-        if samples.frame == "B":
-            motion = motion.of_frame(p_BE, R_BE)
-        acceleration_noise = fits[0].acceleration_noise
-    else:
-        if arm is None:
-            raise SalverError(
-                f"{samples.source} is a joint motion, but the scenario has no arm; give it one, or a tray motion."
-            )
-        samples = reordered(samples, arm.joint_names)
-        if samples.q.shape[1] != arm.n:
-            raise FileFormatError(f"{samples.source} has {samples.q.shape[1]} joints; the arm {arm.name} has {arm.n}.")
-        t, q, dq, ddq, fits = _joints(samples, bandwidth, notes)
-        motion = forward(arm, t, q, dq, ddq)
-        noise = {"joints": fits[0].noise} if fits else {}
-        gain = np.linalg.norm(arm.body_jacobian(q[len(q) // 2])[:3])
-        acceleration_noise = fits[0].acceleration_noise * float(gain) if fits else 0.0
-    for fit in fits:
-        moving = [end for end, still in zip(("start", "end"), fit.rest, strict=True) if not still]
-        if moving:
-            where = " and ".join(moving)
-            notes.append(f"The motion is not at rest at its {where}; accelerations there are less certain.")
-            break
-    narrowest = min((fit.bandwidth for fit in fits), default=None)
-    return TrayMotion(motion, noise, narrowest, float(acceleration_noise), tuple(notes))
-
-
-def _check_gaps(samples: Samples, longest_gap: float | None, notes: list[str]) -> None:
-    step = float(np.median(np.diff(samples.t)))
-    if isinstance(samples, JointSamples) and samples.dq is not None and step > COARSE:
-        return  # waypoints with velocities: what happens between them is defined
-    allowed = longest_gap if longest_gap is not None else 0.1 + 3 * step
-    gap, when = gaps(samples.t)
-    if gap > allowed:
+        motion = _recorded(samples, highest, noise, None, longest_gap)
+        return replace(motion, samples=motion.samples.of_frame(p_BE, R_BE)) if samples.frame == "B" else motion
+    if arm is None:
         raise SalverError(
-            f"{samples.source} has no samples for {gap:.3g} s after t = {when:.3f} s, when they otherwise come every "
-            f"{step:.3g} s; what happened then is unknown; bridge it with --gap {1.01 * gap:.2g} if it may be guessed."
+            f"{samples.source} is a joint motion, but the scenario has no arm; give it one, or a tray motion."
         )
-    if gap > 5 * step:
-        notes.append(f"No samples for {gap:.3g} s after t = {when:.3f} s; the motion there is a smooth guess.")
+    samples = reordered(samples, arm.joint_names)
+    if samples.q.shape[1] != arm.n:
+        raise FileFormatError(f"{samples.source} has {samples.q.shape[1]} joints; the arm {arm.name} has {arm.n}.")
+    if samples.dq is not None:
+        kind = "quintics" if samples.ddq is not None else "cubics"
+        note = f"{len(samples.t)} waypoints with velocities, joined by {kind} as ros2_control's controller joins them."
+        return TrayMotion(
+            forward(arm, *commanded_motion(samples)),
+            doubts=tuple(open_questions(samples)),
+            notes=(*samples.notes, note),
+        )
+    poses = [arm.tray_pose(q) for q in samples.q]
+    quat = continuous(quat_wxyz_from_matrix(np.array([R for _, R in poses])))
+    seen = TraySamples(samples.t, np.array([p for p, _ in poses]), quat, "E", samples.source, samples.notes)
+    return _recorded(seen, highest, noise, _of_joints(arm, samples, noise), longest_gap)
 
 
-def _grid(t: Array, fits: tuple[Smooth, ...]) -> Array:
-    """Instants to judge: dense enough for what the smoothing lets through, both ends included."""
-    fastest = max(fit.bandwidth for fit in fits)
-    count = int(np.clip(np.ceil(PER_BANDWIDTH * fastest * (t[-1] - t[0])), 200, MOST_INSTANTS))
-    return np.linspace(t[0], t[-1], count + 1)
+def continuous(quat_wxyz: Array) -> Array:
+    """The same rotations (N, 4), each with the sign that is nearer to the one before."""
+    turned = np.einsum("ij,ij->i", quat_wxyz[1:], quat_wxyz[:-1]) < 0
+    return quat_wxyz * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
 
 
-def _from_poses(
-    samples: TraySamples, bandwidth: float | None
-) -> tuple[MotionSamples, dict[str, float], tuple[Smooth, ...]]:
-    """Position and quaternion smoothed as seven numbers; the quaternion need not stay normalised.
-
-    With Q = |Q| q: Q^-1 Q' has the vector part omega/2, and Q^-1 Q'' - (Q^-1 Q')^2 has alpha/2.
-    """
-    position = smooth(samples.t, samples.p, bandwidth)
-    rotation = smooth(samples.t, samples.quat_wxyz, bandwidth)
-    t = _grid(samples.t, (position, rotation))
-    p, v, a = position(t)
-    quat, rate, bend = rotation(t)
-    inverse = quat * np.array([1, -1, -1, -1]) / np.sum(quat**2, axis=1, keepdims=True)
-    spin = _product(inverse, rate)
-    turn = _product(inverse, bend) - _product(spin, spin)
-    motion = MotionSamples(t, p, v, a, matrix_from_quat_wxyz(quat), 2 * spin[:, 1:], 2 * turn[:, 1:])
-    return motion, {"position": position.noise, "orientation": 2 * rotation.noise}, (position, rotation)
+def _of_joints(arm: ArmModel, samples: JointSamples, noise: float | None) -> Sensor:
+    """What a joint sensor's resolution, and its stated noise, are at the tray: through the Jacobian, at its largest."""
+    step, some = resolution(samples.q), samples.q[:: max(1, len(samples.q) // 50)]
+    gains = np.array([np.linalg.norm(arm.body_jacobian(q).reshape(2, -1), axis=1) for q in some]).max(axis=0)
+    gains /= np.sqrt(3)  # of one component
+    size = 0.0 if noise is None else noise
+    return Sensor(
+        Level.even(size * gains[0], step * gains[0]), Level.even(0.5 * size * gains[1], 0.5 * step * gains[1], 4)
+    )
 
 
-def _product(a: Array, b: Array) -> Array:
-    """Products (N, 4) of quaternions (w, x, y, z)."""
-    w = a[:, 0] * b[:, 0] - np.einsum("ij,ij->i", a[:, 1:], b[:, 1:])
-    xyz = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
-    return np.concatenate([w[:, None], xyz], axis=1)
+def _recorded(
+    samples: TraySamples, highest: float, noise: float | None, joints: Sensor | None, longest_gap: float | None
+) -> TrayMotion:
+    t, p, quat = samples.t, samples.p, samples.quat_wxyz
+    notes, doubts = list(samples.notes), []
+    step = float(np.median(np.diff(t)))
+    sensor = sensor_of(t, p, quat)
+    if joints is not None:
+        sensor = Sensor(*(replace(a, step=b.step) for a, b in zip(_levels(sensor), _levels(joints), strict=True)))
+        if noise is not None:
+            sensor = joints
+    elif noise is not None:
+        sensor = replace(sensor, position=Level.even(noise, sensor.position.step))
+    off = without_spikes(t, p, quat, sensor)
+    if len(off):
+        keep = np.setdiff1d(np.arange(len(t)), off)
+        doubts.append(("spike", _spike(t, p, off)))
+        t, p, quat = t[keep], p[keep], quat[keep]
+    doubts += _clock(t, step, highest) + _jumps(t, p, sensor) + _gaps(t, step, longest_gap, notes)
+    parts = stretches(t, p, quat, sensor, highest)
+    motion = _joined([part.motion for part in parts])
+    error = np.concatenate([part.acceleration_error for part in parts])
+    for begin, end in _holes(t, step, longest_gap):
+        error[(motion.t > begin) & (motion.t < end)] = np.inf  # what happens there is a guess
+    missed = np.concatenate([part.missed for part in parts])
+    bandwidth = np.concatenate([part.bandwidth for part in parts])
+    doubts += _ends(motion, notes)
+    recording = Recording(
+        sensor,
+        1 / step,
+        highest,
+        (float(bandwidth.min()), float(bandwidth.max())),
+        tuple(cells for part in parts for cells in part.unseen if len(cells.first)),
+        tuple(cells for part in parts for cells in part.mirrored if len(cells.first)),
+    )
+    return TrayMotion(motion, error, missed, recording, tuple(doubts), tuple(notes))
 
 
-def _joints(
-    samples: JointSamples, bandwidth: float | None, notes: list[str]
-) -> tuple[Array, Array, Array, Array, tuple[Smooth, ...]]:
-    """(t, q, dq, ddq, fits). Far-apart waypoints with velocities are joined as ros2_control's joint trajectory
-    controller does, by cubics, or quintics with accelerations; everything else is smoothed."""
-    step = float(np.median(np.diff(samples.t)))
-    if samples.dq is not None and step > COARSE and bandwidth is None:
-        given = [samples.q, samples.dq, *([samples.ddq] if samples.ddq is not None else [])]
-        curve = BPoly.from_derivatives(samples.t, np.stack(given, axis=1))
-        # Both sides of each waypoint: the acceleration of cubics jumps there.
-        inner = np.linspace(0, 1, max(3, int(np.ceil(np.diff(samples.t).max() / 2e-3))))[None, :-1]
-        inner = np.clip(inner, 1e-9, None)
-        t = np.append((samples.t[:-1, None] + np.diff(samples.t)[:, None] * inner).ravel(), samples.t[-1])
-        notes.append(f"{len(samples.t)} waypoints, joined by {'quintics' if samples.ddq is not None else 'cubics'}.")
-        q, dq, ddq = (curve.derivative(k)(t) if k else curve(t) for k in range(3))
-        return t, q, dq, ddq, ()
-    if step > COARSE:
-        notes.append("The waypoints have no velocities; judged is a smooth curve through them.")
-    fit = smooth(samples.t, samples.q, bandwidth)
-    t = _grid(samples.t, (fit,))
-    q, dq, ddq = fit(t)
-    return t, q, dq, ddq, (fit,)
+def _levels(sensor: Sensor) -> tuple[Level, Level]:
+    return sensor.position, sensor.orientation
+
+
+def _spike(t: Array, p: Array, off: Array) -> str:
+    k = int(off[0])
+    size = float(np.linalg.norm(p[k] - 0.5 * (p[max(k - 1, 0)] + p[min(k + 1, len(p) - 1)])))
+    more = f" ({len(off)} such samples)" if len(off) > 1 else ""
+    return (
+        f"the sample at {t[k]:.3f} s lies {1e3 * size:.3g} mm off its neighbours on both sides{more}; the rest is "
+        "judged without it: take it out of the file if the sensor erred"
+    )
+
+
+def _clock(t: Array, step: float, highest: float) -> list[tuple[str, str]]:
+    found = []
+    if step >= SUSPECT_STEP:
+        found.append(
+            (
+                "clock",
+                f"samples come every {step:g} s, as if the times were in ms: name the column t_ms if they are",
+            )
+        )
+    if len(t) < FEWEST:
+        found.append(("short", f"{len(t)} samples are too few to tell noise from motion; {FEWEST} are needed"))
+    if 1 / step <= 1.05 * highest:
+        found.append(
+            (
+                "sampling",
+                f"{1 / step:.3g} samples a second do not show a shake of up to {highest:g} Hz: {2.5 * highest:.0f} a "
+                f"second would, or the knowledge that nothing is faster than {0.4 / step:.2g} Hz (--highest)",
+            )
+        )
+    return found
+
+
+def _jumps(t: Array, p: Array, sensor: Sensor) -> list[tuple[str, str]]:
+    """Steps between two samples that stand out from those before and after."""
+    size = np.linalg.norm(np.diff(p, axis=0), axis=1)
+    if len(size) < 12:
+        return []
+    others = np.max([np.roll(size, s) for s in (-4, -3, -2, 2, 3, 4)], axis=0)
+    even = np.diff(t) < 1.5 * np.median(np.diff(t))
+    k = np.flatnonzero(even & (size > JUMP) & (size > 8 * others) & (size > 10 * sensor.position.whole))
+    if not len(k):
+        return []
+    worst = int(k[np.argmax(size[k])])
+    clause = f"the position jumps by {1e3 * size[worst]:.3g} mm from {t[worst]:.3f} s to {t[worst + 1]:.3f} s"
+    return [("jump", clause + (f" ({len(k)} such jumps)" if len(k) > 1 else ""))]
+
+
+def _holes(t: Array, step: float, longest_gap: float | None) -> list[tuple[float, float]]:
+    """Beginnings and ends of times without samples, longer than is bridged."""
+    allowed = longest_gap if longest_gap is not None else max(BRIDGED, BRIDGED_STEPS * step)
+    k = np.flatnonzero(np.diff(t) > allowed * (1 + 1e-9))
+    return [(float(t[i]), float(t[i + 1])) for i in k]
+
+
+def _gaps(t: Array, step: float, longest_gap: float | None, notes: list[str]) -> list[tuple[str, str]]:
+    holes = _holes(t, step, longest_gap)
+    if holes:
+        begin, end = max(holes, key=lambda hole: hole[1] - hole[0])
+        more = f" ({len(holes)} such gaps)" if len(holes) > 1 else ""
+        return [
+            (
+                "gap",
+                f"there are no samples for {end - begin:.3g} s after t = {begin:.3f} s{more}, when they otherwise come "
+                f"every {step:.3g} s: bridge it with --gap {1.01 * (end - begin):.2g} if it may be guessed",
+            )
+        ]
+    k = int(np.argmax(np.diff(t)))
+    if np.diff(t)[k] > 2.5 * step:
+        notes.append(
+            f"No samples for {np.diff(t)[k]:.3g} s after t = {t[k]:.3f} s; the motion there is a smooth guess."
+        )
+    return []
+
+
+def _ends(motion: MotionSamples, notes: list[str]) -> list[tuple[str, str]]:
+    """What a recording that begins or ends at speed does not show. Where the tray stands still for a moment within it,
+    it can have come there as it moves in it; where it never does, how it came to its speed is unknown."""
+    speed = np.linalg.norm(motion.v_S, axis=1) + LEVER * np.linalg.norm(motion.omega_B, axis=1)
+    fast = [f"{word} at {speed[k]:.2g} m/s" for word, k in (("begins", 0), ("ends", -1)) if speed[k] > STILL]
+    if not fast:
+        return []
+    sentence = f"the recording {' and '.join(fast)}: what came before or after is not in it"
+    if speed.min() > STILL:
+        return [("speed", sentence + ", nor any moment at rest")]
+    notes.append(f"Not judged: {sentence}.")
+    return []
+
+
+def _joined(parts: list[MotionSamples]) -> MotionSamples:
+    names = ("t", "p_SB", "v_S", "a_S", "R_SB", "omega_B", "alpha_B")
+    return MotionSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def forward(arm: ArmModel, t: Array, q: Array, dq: Array, ddq: Array) -> MotionSamples:

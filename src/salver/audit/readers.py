@@ -2,7 +2,7 @@
 
 CSV, one header line, separated by commas, semicolons, tabs or blanks:
 
-- time: `t`, `time`, `time_s`, `timestamp`, `time_from_start` (s) or `t_ns`, `time_ns`, `stamp_ns` (ns);
+- time: `t`, `time`, `time_s`, `timestamp`, `time_from_start` (s), or `t_`, `time_`, `stamp_` with ms, us or ns;
 - a tray motion: `x, y, z` (m) and `qw, qx, qy, qz`: the names say which component is which, so wxyz and xyzw
   are both read rightly. Also `p_SE_x, ..., quat_SE_w, ...`, `pose.position.x, ..., pose.orientation.w, ...`.
   `p_SB_x, ..., quat_SB_w, ...` is the motion of the object's frame B instead;
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,8 +25,9 @@ from salver.audit.samples import FEWEST, Samples, joint_samples, tray_samples
 from salver.errors import FileFormatError
 from salver.geometry import Array
 
+_PARTS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME = {"t": 1.0, "time": 1.0, "time_s": 1.0, "timestamp": 1.0, "time_from_start": 1.0}
-_TIME |= {"t_ns": 1e-9, "time_ns": 1e-9, "stamp_ns": 1e-9}
+_TIME |= {f"{name}_{unit}": size for name in ("t", "time", "stamp") for unit, size in _PARTS.items()}
 _POSITION = re.compile(r"(?:pose[._])?(?:p|pos|position)?(?:[._]?(s[eb]))?[._]?([xyz])")
 _QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]?(s[eb]))?[._]?([wxyz])")
 _NUMBERED = re.compile(r"q_?\[?(\d+)\]?")
@@ -136,45 +138,47 @@ def _joint_columns(header: list[str], joint_names: tuple[str, ...]) -> dict[str,
 def _table(path: Path) -> tuple[list[str], Array]:
     """Header and numbers (N, columns)."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with open(path, encoding="utf-8-sig") as file:
+            start = next(((k, line) for k, line in enumerate(file) if line.strip() and not line.startswith("#")), None)
     except OSError as error:
         raise FileFormatError(f"{path} cannot be read ({error.strerror}).") from None
     except UnicodeDecodeError:
         raise FileFormatError(f"{path} is not a text file in UTF-8.") from None
-    lines = text.splitlines()
-    start = next((k for k, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
     if start is None:
         raise FileFormatError(f"{path} is empty; the first line must name the columns.")
-    separator = next((s for s in (",", ";", "\t") if s in lines[start]), None)
-    header = [name.strip().strip('"') for name in (lines[start].split(separator))]
+    skipped, first = start
+    separator = next((s for s in (",", ";", "\t") if s in first), None)
+    header = [name.strip().strip('"') for name in first.split(separator)]
     if all(_is_number(name) for name in header):
         raise FileFormatError(
             f"{path} has no header: its first line must name the columns, such as t, x, y, z, qw, qx, qy, qz."
         )
-    body = [line for line in lines[start + 1 :] if line.strip() and not line.startswith("#")]
     try:
-        values = np.loadtxt(body, delimiter=separator, ndmin=2) if body else np.zeros((0, len(header)))
-        if values.shape[1] != len(header):
-            raise ValueError
-    except ValueError:
-        _point_at_fault(path, lines, start, separator, len(header))
-        raise FileFormatError(f"{path} is not a table of numbers.") from None
-    if not body:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of a file without rows, which is told below
+            values = np.loadtxt(path, delimiter=separator, ndmin=2, skiprows=skipped + 1, encoding="utf-8-sig")
+    except (ValueError, UnicodeDecodeError):
+        values = np.zeros((1, 0))
+    if values.size == 0 and values.shape[0] == 0:
         raise FileFormatError(f"{path} has no samples below its header; an audit needs at least {FEWEST}.")
+    if values.shape[1] != len(header):
+        _point_at_fault(path, skipped, separator, len(header))
+        raise FileFormatError(f"{path} is not a table of numbers.")
     return header, values
 
 
-def _point_at_fault(path: Path, lines: list[str], start: int, separator: str | None, columns: int) -> None:
+def _point_at_fault(path: Path, skipped: int, separator: str | None, columns: int) -> None:
     """Raise FileFormatError that names the first line that is no row of numbers."""
-    for k, line in enumerate(lines[start + 1 :], start + 2):
-        if not line.strip() or line.startswith("#"):
-            continue
-        cells = next(csv.reader([line], delimiter=separator)) if separator else line.split()
-        if len(cells) != columns:
-            raise FileFormatError(f"{path}, line {k}: {len(cells)} values, but the header names {columns} columns.")
-        for cell in cells:
-            if not _is_number(cell):
-                raise FileFormatError(f'{path}, line {k}: "{cell.strip()}" is not a number.')
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        for k, line in enumerate(file, 1):
+            if k <= skipped + 1 or not line.strip() or line.startswith("#"):
+                continue
+            cells = next(csv.reader([line], delimiter=separator)) if separator else line.split()
+            if len(cells) != columns:
+                raise FileFormatError(f"{path}, line {k}: {len(cells)} values, but the header names {columns} columns.")
+            for cell in cells:
+                if not _is_number(cell):
+                    raise FileFormatError(f'{path}, line {k}: "{cell.strip()}" is not a number.')
 
 
 def _is_number(text: str) -> bool:

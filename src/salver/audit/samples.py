@@ -9,7 +9,8 @@ import numpy as np
 from salver.errors import FileFormatError
 from salver.geometry import Array
 
-FEWEST = 8  # samples: below that no acceleration can be told from noise
+FEWEST = 8  # samples of a recording: below that no acceleration can be told from noise
+SHORTEST_STEP = 1e-5  # s
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def joint_samples(
     """Check and repair joint positions. Raises FileFormatError, one sentence with the row."""
     arrays = {"time": t, "positions": q, "velocities": dq, "accelerations": ddq}
     _finite({name: array for name, array in arrays.items() if array is not None}, source)
-    keep, notes = _clock(t, source)
+    keep, notes = _clock(t, source, FEWEST if dq is None else 2)
     dq, ddq = (None if x is None else x[keep] for x in (dq, ddq))
     return JointSamples(t[keep] - t[0], names, q[keep], dq, ddq, source, notes)
 
@@ -110,7 +111,7 @@ def _finite(arrays: dict[str, Array], source: str) -> None:
             raise FileFormatError(f"{source}: the {name} of sample {bad[0] + 1} is not a finite number.")
 
 
-def _clock(t: Array, source: str) -> tuple[Array, tuple[str, ...]]:
+def _clock(t: Array, source: str, fewest: int = FEWEST) -> tuple[Array, tuple[str, ...]]:
     """Indices to keep, and notes. Time may stand still (the later sample is dropped), never run backwards."""
     step = np.diff(t)
     back = np.flatnonzero(step < 0)
@@ -124,6 +125,12 @@ def _clock(t: Array, source: str) -> tuple[Array, tuple[str, ...]]:
     notes = []
     if len(keep) < len(t):
         notes.append(f"{len(t) - len(keep)} samples repeat the time of the one before and were left out.")
-    if len(keep) < FEWEST:
-        raise FileFormatError(f"{source} has {len(keep)} samples at different times; an audit needs at least {FEWEST}.")
+    if len(keep) < fewest:
+        raise FileFormatError(f"{source} has {len(keep)} samples at different times; an audit needs at least {fewest}.")
+    usual = float(np.median(np.diff(t[keep])))
+    if usual < SHORTEST_STEP:
+        raise FileFormatError(
+            f"{source}: samples come every {usual:.3g} s; an audit reads up to {1 / SHORTEST_STEP:g} a second, so the "
+            "unit of its times is another (columns t are in s, t_ms, t_us and t_ns in theirs)."
+        )
     return keep, tuple(notes)

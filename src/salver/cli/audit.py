@@ -19,18 +19,24 @@ def audit(
     ],
     scenario: Annotated[str, typer.Option("--scenario", "-s", help="What is on the tray: a name or a .toml file.")],
     topic: Annotated[str | None, typer.Option(help="Topic of the motion, when a bag has several.")] = None,
-    bandwidth: Annotated[
-        float | None, typer.Option(help="Smooth away what is faster than this, Hz. Default: found from the data.")
+    highest: Annotated[
+        float, typer.Option(help="Nothing on the arm shakes the tray faster than this, Hz: what a recording must show.")
+    ] = 50.0,
+    noise: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of the sensor's noise, m (rad of joints). Default: found in the samples."
+        ),
     ] = None,
     gap: Annotated[
-        float | None, typer.Option(help="Bridge up to so many seconds without samples. Default: 0.1 s and three steps.")
+        float | None, typer.Option(help="Bridge up to so many seconds without samples. Default: 0.02 s or three steps.")
     ] = None,
     json: Json = False,
 ) -> None:
     """Say whether what is on the tray holds, slides or tips along a given motion, nominally and in the worst case.
 
-    Exit code 0: everything holds in the worst case of the scenario's uncertain parameters; 3: it does not; 2: wrong
-    use.
+    Exit code 0: everything holds in the worst case of the scenario's uncertain parameters, for every motion that the
+    samples allow; 3: it does not, or the samples cannot tell; 2: wrong use.
 
     CSV columns: t (s), then x, y, z (m), qw, qx, qy, qz of the tray, or the arm's joint names or q1 ... qn (rad).
 
@@ -39,7 +45,7 @@ def audit(
     from salver import scenario as model
     from salver.audit import audit as run
 
-    result = run(trajectory, model.load(scenario), topic, bandwidth, gap)
+    result = run(trajectory, model.load(scenario), topic, highest, noise, gap)
     if json:
         print_json(result.summary())
     else:
@@ -52,8 +58,8 @@ def _show(result: Audit) -> None:
     out = result_console()
     motion, margins = result.motion, result.margins
     lines = [
-        f"{result.source}: {motion.samples.t[-1] - motion.samples.t[0]:.3f} s, {_smoothing(result)}.",
-        *(f"Note: {note}" for note in motion.notes),
+        f"{result.source}: {motion.samples.t[-1] - motion.samples.t[0]:.3f} s, {_seen(result)}.",
+        *motion.notes,
         f"Nominal: {result.nominal.sentence}",
         f"Worst case: {result.worst.sentence}",
         *(
@@ -76,18 +82,17 @@ def _show(result: Audit) -> None:
         out.print(line)
 
 
-def _smoothing(result: Audit) -> str:
-    motion = result.motion
-    if motion.bandwidth is None:
-        return "not smoothed"
-    noise = ", ".join(f"{value:.2g} {_UNITS[name]} of {name}" for name, value in motion.noise.items())
+def _seen(result: Audit) -> str:
+    """How the motion is known."""
+    recording = result.motion.recording
+    if recording is None:
+        return "known exactly"
+    noise = 1e3 * recording.sensor.displacement
+    slip, _ = result.hidden(worst=True)
     return (
-        f"smoothed to {motion.bandwidth:.3g} Hz; noise {noise}, which leaves {motion.acceleration_noise:.2g} m/s^2 in "
-        "the acceleration"
+        f"{recording.rate:.4g} samples a second with noise of {noise:.2g} mm; a shake of up to {recording.highest:g} "
+        f"Hz that this hides would slide the load by at most {1e3 * slip.distance:.2g} mm"
     )
-
-
-_UNITS = {"position": "m", "orientation": "rad", "joints": "rad"}
 
 
 def _pace_words(factor: float | None, sentence: str) -> str:

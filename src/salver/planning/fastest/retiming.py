@@ -151,24 +151,31 @@ def read_waypoints(path: Path) -> Array:
     try:
         if path.stat().st_size > LARGEST:
             raise ValueError(f"it is larger than {LARGEST // 1_000_000} MB")
-        rows = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
-        if rows and not _is_number(rows[0][0]):
-            rows = rows[1:]
-        if len(rows) > MOST_WAYPOINTS:
-            raise ValueError(f"it has {len(rows)} rows; at most {MOST_WAYPOINTS} are accepted")
-        return np.array([[float(word) for word in row] for row in rows])
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise FileFormatError(
-            f"{path} cannot be read as waypoints ({error}); it must be rows of as many numbers, separated by commas."
-        ) from None
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise FileFormatError(f"{path} cannot be read as waypoints ({error}); it must be a text file.") from None
+    rows = [
+        (k, [word.strip() for word in line.split(",")]) for k, line in enumerate(text.splitlines(), 1) if line.strip()
+    ]
+    # Names and nothing else: a posture with a mistake in it is no heading, or the motion would start elsewhere.
+    if rows and all(word.strip('"')[:1].isalpha() and _number(word) is None for word in rows[0][1]):
+        rows = rows[1:]
+    if len(rows) > MOST_WAYPOINTS:
+        raise FileFormatError(f"{path} has {len(rows)} waypoints; at most {MOST_WAYPOINTS} are accepted.")
+    count = len(rows[0][1]) if rows else 0
+    for k, words in rows:
+        wrong = next((word for word in words if _number(word) is None), None)
+        if wrong is not None or len(words) != count:
+            fault = f'"{wrong}" is not a number' if wrong is not None else f"{len(words)} values"
+            raise FileFormatError(f"{path}, line {k}: {fault}; every row must be {count} joint angles in rad.")
+    return np.array([[float(word) for word in words] for _, words in rows])
 
 
-def _is_number(word: str) -> bool:
+def _number(word: str) -> float | None:
     try:
-        float(word)
+        return float(word)
     except ValueError:
-        return False
-    return True
+        return None
 
 
 def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -> Plan:

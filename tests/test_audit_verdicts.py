@@ -1,0 +1,296 @@
+"""Audits that must not be fooled: violent, coarse, noisy and damaged recordings, with accelerations by hand; what noise
+could hide, against a block integrated by hand and the engine."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from salver import scenario as scenarios
+from salver.audit import Audit, audit
+from salver.audit.slip import per_cycle
+from salver.cli import app
+from salver.models.arm import load_arm
+from salver.simulation.physics import simulate_tray
+from salver.trajectory import MotionSamples
+
+JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))
+Q0 = np.array([0.082565, 1.039634, -0.777333, -1.678140, -2.197384, 0.842888, 1.123073])
+CUBE = scenarios.load("panda-cube")  # friction 0.5: it slides at 4.905 m/s^2
+
+
+def written(path: Path, t: np.ndarray, y: np.ndarray, noise: float = 0.0, digits: int = 9) -> Path:
+    p = np.stack([0.5 + 0 * t, y, 0.4 + 0 * t], axis=1)
+    p = p + noise * np.random.default_rng(5).standard_normal(p.shape)
+    rows = np.column_stack([t, p, np.tile([1.0, 0, 0, 0], (len(t), 1))])
+    np.savetxt(
+        path, rows, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="", fmt=["%.9g", *[f"%.{digits}f"] * 7]
+    )
+    return path
+
+
+def of(folder: Path, t: np.ndarray, y: np.ndarray, noise: float = 0.0, **options: float) -> Audit:
+    return audit(written(folder / "motion.csv", t, y, noise), CUBE, **options)
+
+
+def move(t: np.ndarray, duration: float = 2.5) -> np.ndarray:
+    """Half a metre, minimum jerk: it needs 0.462 m/s^2."""
+    u = np.clip(t / duration, 0, 1)
+    return np.asarray(0.5 * (10 * u**3 - 15 * u**4 + 6 * u**5))
+
+
+def twice(t: np.ndarray, a: np.ndarray) -> np.ndarray:
+    step = t[1] - t[0]
+    return np.asarray(np.cumsum(np.cumsum(a)) * step**2)
+
+
+# Violent motions ----------------------------------------------------------------------------------------------
+
+
+def test_the_shaken_tray(tmp_path):
+    # 50 mm at 6 Hz, 71 m/s^2, coming up over 0.4 s as sin^2.
+    t, fine = np.arange(2001) / 1000, np.linspace(0, 0.1, 10_001)
+    y, before = (0.05 * np.sin(12 * np.pi * x) * np.sin(1.2 * np.pi * np.minimum(x, 5 / 12)) ** 2 for x in (t, fine))
+    when = fine[np.argmax(np.abs(np.gradient(np.gradient(before, fine), fine)) > 4.905)]
+    path = written(tmp_path / "shaken.csv", t, y)
+    said = CliRunner().invoke(app, ["audit", str(path), "--scenario", "panda-cube"])
+    assert said.exit_code == 3
+    slides = float(said.stdout.split("Nominal: Cube on tray slides at ")[1].split(" s")[0])
+    assert slides == pytest.approx(when, abs=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_shake_above_the_friction_limit_holds(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    frequency, rate = np.exp(rng.uniform(0, np.log(25))), np.exp(rng.uniform(np.log(100), np.log(1000)))
+    t = np.arange(int(2 * rate) + 1) / rate
+    size = rng.uniform(1.5, 3) * 4.905 / (2 * np.pi * frequency) ** 2
+    y = size * np.sin(2 * np.pi * frequency * t + rng.uniform(0, 6.28))
+    assert of(tmp_path, t, y).outcome == "does_not_hold"
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_bump_of_50_ms(tmp_path, noise):
+    t = np.arange(2501) / 1000
+    bump = np.where((t > 1) & (t < 1.05), 10.0, 0) - np.where((t > 1.05) & (t < 1.1), 10.0, 0)
+    found = of(tmp_path, t, move(t) + twice(t, bump), noise)
+    assert found.outcome == "does_not_hold"
+    assert found.nominal.details["time"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_jolt_in_a_long_recording(tmp_path):
+    # 0.12 s of 8 m/s^2 in 60 s, across the border of two of the stretches that are fitted (at 30 s of 15 000 samples).
+    t = np.arange(15_001) / 250
+    jolt = 8.0 * (((t > 29.94) & (t < 30)).astype(float) - ((t > 30) & (t < 30.06)))
+    found = of(tmp_path, t, 0.2 * np.sin(0.2 * np.pi * t) + twice(t, jolt), 1e-5)
+    assert found.outcome == "does_not_hold"
+    assert found.nominal.details["time"] == pytest.approx(29.95, abs=0.03)
+
+
+def test_a_jump_between_two_samples(tmp_path):
+    for rate in (10, 100, 1000):
+        t = np.arange(2 * rate + 1) / rate
+        found = of(tmp_path, t, np.where(t > 1, 0.1, 0.0))
+        assert not found.ok
+        assert rate == 10 or found.outcome == "does_not_hold"
+
+
+def test_joints_are_judged_as_poses_are(tmp_path):
+    # The first joint, upright, swings by a sin: the tray at distance r needs r a omega^2.
+    arm = load_arm(CUBE.arm, CUBE.tray)
+    radius = float(np.hypot(*arm.tray_pose(Q0)[0][:2]))
+    t = np.arange(1001) / 500
+    for share, outcome in ((0.5, "holds"), (1.5, "does_not_hold")):
+        q = np.tile(Q0, (len(t), 1))
+        q[:, 0] += share * 4.905 / radius / (2 * np.pi * 4) ** 2 * np.sin(2 * np.pi * 4 * t)
+        np.savetxt(
+            tmp_path / "a.csv", np.column_stack([t, q]), delimiter=",", header="t," + ",".join(JOINTS), comments=""
+        )
+        found = audit(tmp_path / "a.csv", CUBE)
+        assert found.outcome == outcome
+        assert found.margins.interfaces[0].friction_needed.max() == pytest.approx(0.5 * share, rel=0.03)
+
+
+# What sampling and noise do not show --------------------------------------------------------------------------
+
+
+def test_a_gentle_motion_holds_at_any_usual_rate(tmp_path):
+    for rate in (60, 125, 500, 2000):
+        t = np.arange(int(2.5 * rate) + 1) / rate
+        found = of(tmp_path, t, move(t))
+        assert found.outcome == "holds", found.nominal
+        assert found.margins.interfaces[0].friction_needed.max() == pytest.approx(0.462 / 9.81, rel=0.02)
+
+
+@pytest.mark.parametrize(("frequency", "rate"), [(40, 50), (48, 50), (45, 60), (49, 98), (30, 62)])
+def test_what_the_sampling_cannot_resolve_never_holds(tmp_path, frequency, rate):
+    t = np.arange(3 * rate + 1) / rate
+    size = 8 * 4.905 / (2 * np.pi * frequency) ** 2
+    assert not of(tmp_path, t, size * np.sin(2 * np.pi * frequency * t + 0.7)).ok
+    t = np.arange(1500 + 1) / 500
+    assert of(tmp_path, t, size * np.sin(2 * np.pi * frequency * t + 0.7)).outcome == "does_not_hold"
+
+
+def test_too_few_samples_a_second_are_said_and_what_would_tell(tmp_path):
+    t = np.arange(51) / 10
+    found = of(tmp_path, t, move(t, 5.0))
+    assert found.outcome == "cannot_tell"
+    assert "10 samples a second do not show a shake of up to 50 Hz: 125 a second would" in found.nominal.sentence
+    assert of(tmp_path, t, move(t, 5.0), highest=3.0).outcome == "holds"
+
+
+def test_noise_that_could_hide_a_slide_is_said_and_what_would_tell(tmp_path):
+    t = np.arange(626) / 250
+    assert of(tmp_path, t, move(t), 1e-5).outcome == "holds"
+    found = of(tmp_path, t, move(t), 5e-4)
+    assert found.nominal.details["reasons"] == ["noise"]
+    assert "would slide the load by up to" in found.nominal.sentence
+    needed = float(found.nominal.sentence.split("is faster than ")[1].split(" Hz")[0])
+    assert of(tmp_path, t, move(t), 5e-4, highest=needed).outcome == "holds"
+    # A sensor that is said to be as noisy may hide as much, whatever the samples seem to say.
+    assert audit(written(tmp_path / "motion.csv", t, move(t)), CUBE, noise=5e-4).outcome == "cannot_tell"
+
+
+def test_a_coarse_resolution_hides_what_is_smaller(tmp_path):
+    t = np.arange(2501) / 1000
+    assert audit(written(tmp_path / "a.csv", t, move(t), digits=5), CUBE).outcome == "holds"
+    assert audit(written(tmp_path / "b.csv", t, move(t), digits=3), CUBE).outcome == "cannot_tell"
+
+
+# Damaged recordings -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [0.5, 0.005])
+def test_a_spike_is_found_and_said(tmp_path, size):
+    t = np.arange(2501) / 1000
+    y = move(t)
+    y[1000] += size
+    found = of(tmp_path, t, y)
+    assert found.outcome == "cannot_tell"
+    assert f"the sample at 1.000 s lies {1e3 * size:.3g} mm off its neighbours" in found.nominal.sentence
+
+
+def test_a_gap_is_found_and_said_and_bridged_when_asked(tmp_path):
+    t = np.arange(2501) / 1000
+    t = t[(t < 1.0) | (t > 1.08)]
+    found = of(tmp_path, t, move(t))
+    assert found.nominal.details["reasons"] == ["gap"]
+    assert "no samples for 0.082 s after t = 0.999 s" in found.nominal.sentence
+    assert of(tmp_path, t, move(t), longest_gap=0.09).outcome == "holds"
+
+
+def test_beginning_and_ending_at_speed_is_said(tmp_path):
+    t = np.arange(1001) / 500
+    steady = of(tmp_path, t, 0.5 * t)
+    assert steady.nominal.details["reasons"] == ["speed"]
+    assert "begins at 0.5 m/s and ends at 0.5 m/s" in steady.nominal.sentence
+    # A sway passes through rest: what it does in the recording it can have done before.
+    sway = of(tmp_path, t, 0.05 * np.sin(2 * np.pi * t))
+    assert sway.outcome == "holds"
+    assert sway.motion.notes == (
+        "Not judged: the recording begins at 0.31 m/s and ends at 0.31 m/s: what came before or after is not in it.",
+    )
+
+
+def test_odd_but_harmless_recordings_hold(tmp_path):
+    rng = np.random.default_rng(0)
+    t = np.arange(2501) / 1000
+    assert of(tmp_path, t, 0 * t).outcome == "holds"
+    uneven = t + 2e-4 * rng.uniform(-1, 1, len(t))
+    assert of(tmp_path, uneven, move(uneven)).outcome == "holds"
+    doubled = np.repeat(t, 2)
+    assert of(tmp_path, doubled, move(doubled)).outcome == "holds"
+    few = of(tmp_path, t[:20], 0 * t[:20])
+    assert few.nominal.details["reasons"] == ["short"]
+
+
+# Commands -----------------------------------------------------------------------------------------------------
+
+
+def commanded(path: Path, t: list[float], turn: list[float], speed: list[float]) -> Path:
+    points = [
+        {"positions": [Q0[0] + a, *Q0[1:]], "velocities": [v, 0, 0, 0, 0, 0, 0], "time_from_start": now}
+        for now, a, v in zip(t, turn, speed, strict=True)
+    ]
+    path.write_text(json.dumps({"joint_names": JOINTS, "points": points}))
+    return path
+
+
+def test_waypoints_with_velocities_bend_as_cubics_do(tmp_path):
+    # A cubic from rest to rest over d in T begins at 6 d / T^2, at radius r of the first joint.
+    arm = load_arm(CUBE.arm, CUBE.tray)
+    radius = float(np.hypot(*arm.tray_pose(Q0)[0][:2]))
+    found = audit(commanded(tmp_path / "a.json", [0, 1, 2], [0, 0.4, 0.4], [0, 0, 0]), CUBE)
+    assert found.outcome == "holds"
+    assert found.margins.interfaces[0].friction_needed.max() == pytest.approx(radius * 6 * 0.4 / 9.81, rel=0.02)
+    assert "3 waypoints with velocities, joined by cubics as ros2_control's" in found.motion.notes[0]
+
+
+def test_waypoints_without_velocities_are_no_command(tmp_path):
+    path = commanded(tmp_path / "a.json", np.arange(40) * 0.1, [0.0] * 40, [0.0] * 40)
+    message = json.loads(path.read_text())
+    for point in message["points"]:
+        del point["velocities"]
+    path.write_text(json.dumps(message))
+    assert audit(path, CUBE).outcome == "cannot_tell"
+
+
+def test_commands_that_leave_something_open(tmp_path):
+    t = np.linspace(0, 2, 41)
+    u = t / 2
+    turn, speed = 0.2 * (3 * u**2 - 2 * u**3), 0.1 * (6 * u - 6 * u**2)
+    assert audit(commanded(tmp_path / "a.json", t, turn, speed), CUBE).outcome == "holds"
+    milliseconds = audit(commanded(tmp_path / "b.json", 1000 * t, turn, speed), CUBE)
+    assert milliseconds.nominal.details["reasons"] == ["clock"]
+    running = audit(commanded(tmp_path / "c.json", t[:30], turn[:30], speed[:30]), CUBE)
+    assert running.nominal.details["reasons"] == ["speed"]
+
+
+# What noise could hide ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.5, 0.8, 0.95])
+def test_the_slide_of_a_cycle_is_that_of_newmarks_block(share):
+    amplitude, frequency = 1e-3, 5.0
+    size = amplitude * (2 * np.pi * frequency) ** 2
+    steps = 20_000
+    h, v, moved = 1 / frequency / steps, 0.0, [0.0]
+    for _ in range(4):
+        x = 0.0
+        for k in range(steps):
+            v = max(0.0, v + h * size * (np.sin(2 * np.pi * k / steps) - share))
+            x += h * v
+        moved.append(x)
+    bound = float(per_cycle(np.array(amplitude), np.array(frequency), np.array(share * size)))
+    assert 0.7 * bound < moved[-1] < 1.001 * bound
+
+
+def test_the_engine_slides_no_further_than_the_bound(tmp_path):
+    # Ten cycles of 50 Hz, 0.06 mm, at the peak of a sway that needs half of the friction.
+    case = CUBE.with_changes(objects__0__uncertainty={}, physics__settle_after=0.1)
+    frequency, cycles, sway = 50.0, 10, 0.5 * 4.905
+    size = 3 * 0.5 * 4.905
+    begin = 0.25 - 0.5 * cycles / frequency
+
+    class Shaken:
+        duration = 0.5
+
+        def sample(self, t):
+            t = np.atleast_1d(np.asarray(t, dtype=float))
+            inside = (t >= 0) & (t <= self.duration)
+            shake = (t > begin) & (t < begin + cycles / frequency)
+            a = np.where(inside, sway * np.sin(2 * np.pi * t), 0.0)
+            a = a + np.where(shake, size * np.sin(2 * np.pi * frequency * (t - begin)), 0.0)
+            zero, still = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
+            return MotionSamples(t, zero, zero, np.stack([0 * t, a, 0 * t], axis=1), still, zero, zero)
+
+    slip = float(simulate_tray(Shaken(), case).slip.max())
+    u = np.linspace(begin, begin + cycles / frequency, 1001)
+    amplitude = np.full(1001, size / (2 * np.pi * frequency) ** 2)
+    each = per_cycle(amplitude, np.array(frequency), 4.905 - sway * np.sin(2 * np.pi * u))
+    bound = cycles * float(each.mean())
+    assert 0.6 * bound < slip < bound
