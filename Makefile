@@ -8,13 +8,14 @@ DOCS   := $(VENV)/.docs-ready
 OUT    ?= out/demo
 SOURCES = src tests $(wildcard benchmarks examples docs tools)
 
-.PHONY: help setup demo test quick mutate lint format types layers check bench scenario-table pages docs lock clean
+.PHONY: help setup demo test quick mutate fuzz lint format types layers check bench scenario-table pages docs lock clean
 
 help:
 	@echo "make demo    the paper's experiment and a tall bottle, planned, checked and simulated; pages and figures in $(OUT)"
 	@echo "make test    run the tests"
 	@echo "make quick   the tests for every day, under a minute"
 	@echo "make mutate  do the tests notice wrong changes? N=300 SEED=0 MODULE=salver.models TESTS=tests/test_x.py"
+	@echo "make fuzz    what becomes of inputs that nobody means? N=600 SEED=0 MINUTES=60 ONLY=\"urdf journal\""
 	@echo "make check   lint, types and import layers"
 	@echo "make bench   run the speed benchmarks and write docs/performance.md"
 	@echo "make scenario-table   docs/scenarios.md: the shortest safe durations, checked in the engine"
@@ -48,6 +49,9 @@ quick: $(READY)
 
 mutate: $(READY)
 	$(BIN)/python tools/mutate.py -n $(or $(N),300) --seed $(or $(SEED),0) $(addprefix --module ,$(MODULE)) $(addprefix --tests ,$(TESTS))
+
+fuzz: $(READY)
+	$(BIN)/python tools/fuzz -n $(or $(N),600) --seed $(or $(SEED),0) $(addprefix --minutes ,$(MINUTES)) $(addprefix --only ,$(ONLY))
 
 lint: $(READY)
 	$(BIN)/ruff check $(SOURCES)

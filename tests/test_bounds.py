@@ -226,3 +226,31 @@ def test_gains_are_refused_where_the_held_loop_grows(kp, kd):
     else:
         with pytest.raises(ValueError, match="is unstable when commands are held"):
             control.check_held(period)
+
+
+def load_urdf(tmp_path, text, flange):
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    return load_arm(CUBE.arm.model_copy(update={"model": str(path), "flange": flange}), CUBE.tray)
+
+
+def test_a_link_and_a_joint_may_share_their_name(tmp_path):
+    """Found by the fuzzer: Pinocchio then knows two frames of the name."""
+    named = load_urdf(tmp_path, urdf(3).replace('name="j1"', 'name="l2"'), "l2")
+    plain = load_urdf(tmp_path, urdf(3), "l2")
+    q = np.array([0.3, -0.2])
+    assert np.array_equal(named.tray_pose(q)[0], plain.tray_pose(q)[0])
+
+
+def test_a_urdf_of_two_trees_is_refused(tmp_path):
+    """Found by the fuzzer: it fell over the links that hang on nothing."""
+    text = urdf(3).replace('<link name="l0">', '<link name="island"/><link name="l0">')
+    with pytest.raises(ScenarioError, match="is not one tree: no joint leads from its root l0 to island"):
+        load_urdf(tmp_path, text, "l3")
+
+
+def test_a_box_of_one_size_is_no_shape():
+    from salver.models.link_shapes import link_shapes
+
+    text = '<robot name="r"><link name="l"><collision><geometry><box size="0.1"/></geometry></collision></link></robot>'
+    assert "its box has 1 sizes, not 3" in link_shapes(text).missing["l"]

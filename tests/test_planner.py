@@ -246,6 +246,6 @@ def test_what_no_motion_can_keep_gets_a_sentence_about_contact(changes):
 
 
 def test_a_margin_that_nothing_reaches_is_named():
-    plan = plan_object(changed(objects__0__mass=1e-3))
+    plan = plan_object(changed(objects__0__mass=1e-3, objects__0__inertia=[1e-6, 1e-6, 1e-6]))
     assert plan.status.code == "infeasible"
     assert "of the 0.001 N of contact.margin over its tube" in plan.status.sentence

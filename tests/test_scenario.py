@@ -75,14 +75,14 @@ BAD = [
         [100, 100, 100],
         "objects[0]: inertia of cube = 100 kg m^2 (nominal or half-range) is too large for 0.256 kg of this shape: "
         "at most "
-        "0.000614, twice that of all of it in the furthest corner.",
+        "0.00123, four times that of all of it in the furthest corner.",
     ),
     (
         "objects.0.uncertainty.inertia",
         [0, 0, 1],
         "objects[0]: inertia of cube = 1 kg m^2 (nominal or half-range) is too large for 0.256 kg of this shape: at "
         "most "
-        "0.000614, twice that of all of it in the furthest corner.",
+        "0.00123, four times that of all of it in the furthest corner.",
     ),
     ("arm.model", "a\x00.urdf", 'arm.model = "a\\u0000.urdf": must be a known arm, or the path of a URDF.'),
     ("summary", "x" * 20_000, f'summary = "{"x" * 76}...: must be text of at most 10000 letters.'),
@@ -141,8 +141,8 @@ BAD = [
     ("objects.0.mass", -1, f"objects[0].mass = -1: {NUMBER} at least 1e-06 and at most 100."),
     ("objects.0.mass", math.nan, f"objects[0].mass = nan: {NUMBER} at least 1e-06 and at most 100."),
     ("objects.0.mass", "10", f'objects[0].mass = "10": {NUMBER} at least 1e-06 and at most 100.'),
-    ("objects.0.friction", 0, f"objects[0].friction = 0: {NUMBER} at least 0.001 and at most 5."),
-    ("objects.0.friction", -0.1, f"objects[0].friction = -0.1: {NUMBER} at least 0.001 and at most 5."),
+    ("objects.0.friction", 0, f"objects[0].friction = 0: {NUMBER} at least 1e-06 and at most 5."),
+    ("objects.0.friction", -0.1, f"objects[0].friction = -0.1: {NUMBER} at least 1e-06 and at most 5."),
     (
         "objects.0.inertia",
         [1e-4, 1e-4, 3e-4],

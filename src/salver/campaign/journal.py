@@ -108,12 +108,12 @@ def _check(record: Record) -> int:
 
 
 def _record(line: bytes) -> dict[str, Any] | None:
-    """The record of a line, or None when it is not what was written. Lines without a checksum are of older versions."""
+    """The record of a line, or None when it is not what was written."""
     try:
         record = json.loads(line)
-        if "check" in record and record.pop("check") != _check(record):
+        if record.pop("check") != _check(record):
             return None
-    except (ValueError, TypeError, AttributeError, RecursionError):
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
     kinds = {"stem": str, "run": int, "outcome": str, "parameters": dict, "scalars": dict}
     return record if all(type(record.get(key)) is kind for key, kind in kinds.items()) else None

@@ -88,7 +88,7 @@ class ArmModel:
     def link_pose(self, q: Array, link: str) -> tuple[Array, Array]:
         """(p_SL, R_SL) of a link of the URDF, by name."""
         pin.framesForwardKinematics(self.pin_model, self.data, q)
-        placement = self.data.oMf[self.pin_model.getFrameId(link)]
+        placement = self.data.oMf[self.pin_model.getFrameId(link, pin.FrameType.BODY)]
         return placement.translation.copy(), placement.rotation.copy()
 
     def body_jacobian(self, q: Array) -> Array:
@@ -263,7 +263,7 @@ def _move_base(model: Any, position: Array, yaw: float) -> None:
 
 def _attach_tray(model: Any, flange: str, tray: scenario.Tray, p_FE: Array, com_F: Array) -> int:
     """Add the tray's inertia, its centre of mass in the middle of the plate, and the frame E."""
-    frame_id = model.getFrameId(flange)
+    frame_id = model.getFrameId(flange, pin.FrameType.BODY)
     frame = model.frames[frame_id]
     inertia = pin.Inertia(tray.mass, com_F, np.diag(tray.inertia))
     model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement)

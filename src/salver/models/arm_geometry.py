@@ -206,7 +206,7 @@ def arm_geometry(
     parts = pin.GeometryModel()
     names: list[str] = []
     for item in known.shapes:
-        frame = model.frames[model.getFrameId(item.link)]
+        frame = model.frames[model.getFrameId(item.link, pin.FrameType.BODY)]
         _add(parts, names, item.link, frame.parentJoint, frame.placement * item.placement, item.shape)
     links = len(names)
 

@@ -106,6 +106,9 @@ def _shape(geometry: ElementTree.Element | None) -> Any:
     if kind.tag not in sizes:
         raise ValueError(f"its geometry is a <{kind.tag}>")
     numbers = [x for key in sizes[kind.tag] for x in _numbers(kind, key)]
+    count = 3 if kind.tag == "box" else len(sizes[kind.tag])
+    if len(numbers) != count:
+        raise ValueError(f"its {kind.tag} has {len(numbers)} sizes, not {count}")
     if not all(np.isfinite(x) and x > 0 for x in numbers):
         raise ValueError(f"the size of its {kind.tag} is not positive")
     return getattr(coal, kind.tag.capitalize())(*numbers)

@@ -56,6 +56,12 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
     joints = root.findall("joint")
     links = _links_to(flange, joints, path)
     beyond = _beyond(flange, joints)
+    apart = names - _beyond(links[0], joints) - {links[0]}
+    if apart:
+        raise ScenarioError(
+            f"The URDF {path} is not one tree: no joint leads from its root {links[0]} to "
+            f"{', '.join(sorted(apart)[:3])}."
+        )
 
     for element in list(root):
         if element.tag == "link" and element.get("name") in beyond:

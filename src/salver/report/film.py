@@ -58,9 +58,10 @@ def write_film(
     path = Path(path)
     if path.suffix not in (*FILMS, *STILLS):
         raise SalverError(f"{path} ends in none of {', '.join((*FILMS, *STILLS))}; a film needs one of them.")
-    if not (0 < rate <= 120 and 0 < speed <= 10):
+    if not (0.1 <= rate <= 120 and 1e-3 <= speed <= 10):
         raise SalverError(
-            f"{rate:g} pictures a second at {speed:g} times the speed: at most 120, and 10 times, above 0."
+            f"{rate:g} pictures a second at {speed:g} times the speed: it must be 0.1 to 120 pictures a second, "
+            "at 0.001 to 10 times."
         )
     if min(width, height) < 16 or max(width, height) > 4096:
         raise SalverError(f"A picture of {width} x {height} pixels was asked for; each side must be from 16 to 4096.")

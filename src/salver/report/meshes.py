@@ -39,13 +39,14 @@ class LinkMesh:
 
 def link_meshes(arm: ArmModel, target: int = TRIANGLES_PER_LINK) -> list[LinkMesh]:
     """What the links from base to flange look like, about `target` triangles each."""
+    import pinocchio as pin
     from scipy.spatial import cKDTree
 
     from salver.simulation.meshes import arm_meshes
 
     meshes = []
     for link, parts in arm_meshes(arm).items():
-        frame = arm.pin_model.frames[arm.pin_model.getFrameId(link)]
+        frame = arm.pin_model.frames[arm.pin_model.getFrameId(link, pin.FrameType.BODY)]
         fine = merge_vertices(*joined((part.vertices, part.faces) for part in parts))
         vertices, triangles = decimate(*fine, target)  # all colours together, so that no seam opens
         colours = [part.colour for part in parts]

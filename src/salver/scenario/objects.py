@@ -195,7 +195,7 @@ class CarriedObject(Model):
     inertia: tuple[Inertia, Inertia, Inertia] | tuple[Inertia, Inertia, Inertia, Inertia, Inertia, Inertia] | None = (
         None
     )
-    friction: Annotated[Number, Field(ge=1e-3, le=5)]
+    friction: Annotated[Number, Field(ge=1e-6, le=5)]
     on: str | Annotated[list[str], Field(min_length=1, max_length=20)] = Field(
         default="tray", description='"tray", the name of an object listed before, or a list of these'
     )
@@ -211,13 +211,13 @@ class CarriedObject(Model):
         loose = self.loose()
         bodies.check(loose)
         away = loose.solid.bounding_points_G - loose.solid.centroid_G - self.com
-        # All of it in the furthest corner, and as much again: the paper's own value is 1.1 times that.
-        most = 2 * self.mass * float(np.sum(away**2, axis=1).max())
+        # Four times that of all of it in the furthest corner, where the paper's own value is 1.1 times that.
+        most = 4 * self.mass * float(np.sum(away**2, axis=1).max())
         stated = [x for key in (self.inertia, self.uncertainty.inertia) if isinstance(key, tuple) for x in key]
         if max(map(abs, stated), default=0.0) > most * (1 + 1e-6):
             raise ValueError(
                 f"inertia of {self.name} = {max(map(abs, stated)):g} kg m^2 (nominal or half-range) is too large for "
-                f"{self.mass:g} kg of this shape: at most {most:.3g}, twice that of all of it in the furthest corner"
+                f"{self.mass:g} kg of this shape: at most {most:.3g}, four times that of all of it in the furthest corner"
             )
         for key in ("mass", "friction"):
             nominal, half = getattr(self, key), getattr(self.uncertainty, key)
