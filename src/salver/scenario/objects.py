@@ -217,7 +217,8 @@ class CarriedObject(Model):
         if max(map(abs, stated), default=0.0) > most * (1 + 1e-6):
             raise ValueError(
                 f"inertia of {self.name} = {max(map(abs, stated)):g} kg m^2 (nominal or half-range) is too large for "
-                f"{self.mass:g} kg of this shape: at most {most:.3g}, four times that of all of it in the furthest corner"
+                f"{self.mass:g} kg of this shape: at most {most:.3g}, four times that of all of it in the furthest "
+                "corner"
             )
         for key in ("mass", "friction"):
             nominal, half = getattr(self, key), getattr(self.uncertainty, key)
