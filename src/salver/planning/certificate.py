@@ -10,6 +10,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,7 +43,7 @@ def check(
     """Raise FileFormatError, one sentence with what differs, unless a plan's files are what its certificate says."""
     certified = record.get(KEY)
     fastest = " --fastest" if record.get("method") == "fastest" else ""
-    again = f"plan again with `salver plan {directory}/scenario.toml{fastest} -o ANOTHER_DIRECTORY`"
+    again = f"plan again with `salver plan {quote(f'{directory}/scenario.toml')}{fastest} -o ANOTHER_DIRECTORY`"
     if not isinstance(certified, dict):
         raise FileFormatError(
             f"{directory / stem}.json has no certificate: it was written before plans had one, or it was edited, and "
