@@ -343,11 +343,9 @@ class Outcome:
 
     def _cannot_brake(self) -> bool:
         """Where the faults leave nothing to brake with: no stop that can begin or be stepped, endless interruptions."""
-        endless = [f for f in self.faults if f.lasts > 40]
-        return (
-            any(f.site in ("brake", "braking") for f in self.faults)
-            or any(f.error is not None and f.site in ("read", "write", "row", "controller") for f in endless)
-            or any(f.error is not None and f.site == "row" for f in self.faults)
+        endless = [f for f in self.faults if f.lasts > 40 and f.error is not None]
+        return any(f.site in ("brake", "braking") for f in self.faults) or any(
+            f.site in ("read", "write") for f in endless
         )
 
     def _log(self) -> Iterator[str]:

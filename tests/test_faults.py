@@ -193,6 +193,14 @@ def test_a_controller_that_fails_ends_in_a_stop(rig: Rig, torque: Any) -> None:
         assert outcome.robot.said[-2:] == ["last", "stop"]
 
 
+@pytest.mark.parametrize(("site", "words"), [("controller", "The controller failed"), ("row", "The log failed")])
+def test_whatever_our_own_code_raises_the_arm_is_braked(rig: Rig, site: str, words: str) -> None:
+    outcome = one(rig, Fault(site, 500, 10**6, site, error=lambda: SystemExit(1)))
+    assert outcome.result.summary["stopped"].startswith(words)
+    assert "SystemExit: 1" in outcome.result.summary["stopped"]
+    assert outcome.robot.said[-2:] == ["last", "stop"]
+
+
 def test_a_disk_that_is_full_does_not_cost_the_log(rig: Rig) -> None:
     outcome = one(rig, Fault("save", 0, 10**6, "save", error=lambda: OSError(28, "No space left on device")))
     assert "salver-log-" in str(outcome.result.path)

@@ -201,7 +201,12 @@ class _Loop:
             self.unsure = True
             self.robot.write(self.torque, sensed, last=last)
             self.unsure = False
-            self.book.add(self.t, sensed, self.torque, q_wanted, woken)
+            try:
+                self.book.add(self.t, sensed, self.torque, q_wanted, woken)
+            except BaseException as error:  # the torque has left; a row less is no reason to leave the arm alone
+                signals.note(
+                    "Interrupted" if isinstance(error, KeyboardInterrupt) else f"The log failed ({named(error)})"
+                )
             if self.book.full and not last:
                 raise SalverError("The run took longer than any run may.")
             return last
@@ -236,7 +241,9 @@ class _Loop:
                 if np.shape(step) != self.torque.shape or not np.all(np.isfinite(step)):
                     raise ArithmeticError("a torque that is no number for each joint")
                 return step
-            except Exception as error:
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:
                 if not self.stops:
                     raise
                 who = "The controller" if self.stop is None else "The stop"
@@ -255,7 +262,9 @@ class _Loop:
             try:
                 self.stop = self.stop_from(state, self.t)
                 return
-            except Exception as error:
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:
                 self.stopped += f" A stop could not begin ({named(error)})."
         raise SalverError("No stop could begin.")
 
