@@ -1,6 +1,7 @@
 """Scenarios: what is wrong gets one sentence with key, value and what would be accepted; what is right is kept."""
 
 import copy
+import json
 import math
 import tomllib
 
@@ -414,3 +415,12 @@ def test_orientations():
     np.testing.assert_allclose(by_quat.rotation, by_rpy.rotation, atol=1e-15)
     np.testing.assert_allclose(by_rpy.rotation @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     np.testing.assert_array_equal(scenario.Pose(position=(0, 0, 0)).rotation, np.eye(3))
+
+
+def test_changes_leave_what_they_are_given_alone():
+    """One change may lead into what another one put there."""
+    item = scenario.load("panda-cube").model_dump(mode="json", exclude_none=True)["objects"][0]
+    before = json.dumps(item)
+    made = scenario.load("panda-cube").with_changes(objects=[item], objects__0__mass=0.3, objects__0__uncertainty=None)
+    assert made.objects[0].mass == 0.3
+    assert json.dumps(item) == before

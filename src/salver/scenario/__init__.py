@@ -10,6 +10,7 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Mapping
+from copy import deepcopy
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -391,7 +392,7 @@ class Scenario(Shown, Model):
             if value is None:
                 target.pop(last, None)
             else:
-                target[last] = value
+                target[last] = deepcopy(value)  # a later path may lead into it
         return parse(data, "the changed scenario")
 
 
