@@ -54,7 +54,7 @@ def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_pat
     ("changes", "sentence"),
     [
         ({"load": "box 1 2"}, "must be 3 numbers"),
-        ({"mass": "-1 10%"}, "objects[0].mass = -1.0: must be a finite number greater than 0"),
+        ({"mass": "-1 10%"}, "objects[0].mass = -1.0: must be a finite number at least 1e-06 and at most 100"),
         ({"path": "0 0 0"}, "write x y z to x y z"),
         ({"arm": "arm.urdf"}, "the link that carries the tray"),
         ({"friction": "0.4 x%"}, "is not a percentage"),

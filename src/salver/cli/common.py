@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from click import ClickException
 
 from salver.errors import SalverError, ScenarioError, UnreachableError
 
@@ -60,7 +59,7 @@ def handled(command: Command) -> Command:
         except BrokenPipeError:  # the reader of our output, `head` for one, has seen enough
             sys.stderr.close()
             raise typer.Exit(ACHIEVED) from None
-        except (typer.Exit, typer.Abort, ClickException):
+        except (typer.Exit, typer.Abort, typer.BadParameter):
             raise
         except OSError as error:  # a full disk, a directory that is not ours
             say(f"salver: {error.filename or 'the output'}: {(error.strerror or str(error)).lower()}.")
