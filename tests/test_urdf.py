@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -14,7 +16,9 @@ from salver.models.arm_geometry import arm_geometry
 from salver.models.urdf import find_mesh
 from salver.planning.follow.limits import peaks, verdict
 from salver.planning.make import make_plan
+from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate
+from salver.simulation.scene import build
 from salver.trajectory import JointMotion
 
 LINK = """<link name="{name}"><inertial><mass value="{mass}"/><origin xyz="{com}"/>
@@ -142,6 +146,58 @@ def test_what_is_no_arm_gets_one_sentence(tmp_path: Path, change, words: list[st
     assert all(word in message for word in words), message
     assert "\n" not in message
     assert message.endswith(".")
+
+
+def without_inertial(text: str, name: str) -> str:
+    return re.sub(rf'(<link name="{name}">)<inertial>.*?</inertial>', r"\1", text, flags=re.DOTALL)
+
+
+FIXED_CAMERA = '<link name="camera"/>' + joint("mount", "fixed", "head", "camera", "0.1 0 0", "0 0 1")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t: without_inertial(t, "rail"),
+        lambda t: without_inertial(t, "roll"),
+        lambda t: t.replace("</robot>", FIXED_CAMERA + "</robot>"),
+    ],
+    ids=["the root", "the flange, which carries the tray", "fixed to a link with mass"],
+)
+def test_a_link_without_mass_moves_with_what_it_is_fixed_to(tmp_path: Path, change) -> None:
+    """The engine's mass matrix is Pinocchio's, an independent code."""
+    case, arm = cell(tmp_path, change(gantry())), loaded(tmp_path, change(gantry()))
+    scene = build(case, true_world(case), arm)
+    data, q = mujoco.MjData(scene.model), np.linspace(-0.2, 0.3, arm.n)
+    data.qpos[: arm.n] = q
+    mujoco.mj_forward(scene.model, data)
+    columns = []
+    for unit in np.eye(scene.model.nv)[: arm.n]:
+        column = np.zeros(scene.model.nv)
+        mujoco.mj_mulM(scene.model, data, column, unit)
+        columns.append(column[: arm.n])
+    assert np.array(columns) == pytest.approx(arm.mass_matrix(q), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "link"),
+    [
+        (lambda t: without_inertial(t, "pitch"), "pitch"),
+        (lambda t: t.replace('<mass value="4"', '<mass value="0"'), "beam"),
+        (lambda t: t.replace('ixx="0.02"', 'ixx="0"').replace('iyy="0.02" izz="0.02"', 'iyy="0" izz="0"'), "beam"),
+        (lambda t: t.replace('ixx="0.02"', 'ixx="0.1"', 2), "rail"),
+        (lambda t: t.replace('ixx="0.02"', 'ixx="-0.1"', 2), "rail"),
+    ],
+    ids=["no inertial", "no mass", "no inertia", "triangle inequality", "negative inertia"],
+)
+def test_a_moving_link_that_the_engine_cannot_move_is_named(tmp_path: Path, change, link: str) -> None:
+    case, arm = cell(tmp_path, change(gantry())), loaded(tmp_path, change(gantry()))
+    with pytest.raises(ScenarioError, match=f"cannot move the link {link} of ") as refused:
+        build(case, true_world(case), arm)
+    message = str(refused.value)
+    assert str(arm.urdf_path) in message
+    assert "needs <inertial> with a mass above 0" in message
+    assert "\n" not in message
 
 
 def test_a_mimic_joint_beside_the_chain_is_none_of_our_business(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ impratio 300 (at 1000 sticking contacts creep a third of it, at half the speed),
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from salver.errors import ScenarioError
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel
 from salver.models.bodies import TRAY
@@ -36,6 +38,7 @@ SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
 ARM_PREFIX = "arm/"
 TRAY_BODY = "salver:tray"
 OBSTACLE = "salver:obstacle:"
+_REFUSED_LINK = re.compile(f"Element name '{ARM_PREFIX}([^']*)'")  # in the engine's sentence
 
 
 @dataclass(frozen=True)
@@ -357,7 +360,19 @@ def _foot_supports(load: Load) -> Iterable[tuple[int, str]]:
 
 
 def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: float) -> Scene:
-    model = spec.compile()
+    """Raises ScenarioError: a link of the arm has no mass or inertia that the engine could move. One that is fixed to
+    another may be without: what is fixed together moves as one.
+    """
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        reason, link = str(error).splitlines()[0].removeprefix("Error: "), _REFUSED_LINK.search(str(error))
+        if arm is None or link is None:
+            raise
+        raise ScenarioError(
+            f"The physics engine cannot move the link {link[1]} of {arm.urdf_path} ({reason}); a link that a joint "
+            "moves needs <inertial> with a mass above 0 and an inertia that a body can have."
+        ) from None
     foot = np.full((3, model.ngeom), -1)
     index = {load.name: k for k, load in enumerate(world.loads)}
     for k, load in enumerate(world.loads):
