@@ -7,6 +7,7 @@ at any degree (the monomial basis loses a digit per degree).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Protocol
@@ -66,7 +67,13 @@ class Reference(Protocol):
 
 def chebyshev_basis(s: npt.ArrayLike, degree: int, derivative: int = 0) -> Array:
     """(T, degree + 1) values of the `derivative`-th derivatives of T_0 ... T_degree at s in [-1, 1]."""
-    return chebyshev.chebvander(np.asarray(s, dtype=float), degree) @ _differentiation(degree, derivative)
+    return chebyshev_bases(s, degree, (derivative,))[0]
+
+
+def chebyshev_bases(s: npt.ArrayLike, degree: int, derivatives: Iterable[int]) -> list[Array]:
+    """`chebyshev_basis` of several derivatives, from one table of values."""
+    values = chebyshev.chebvander(np.asarray(s, dtype=float), degree)
+    return [values @ _differentiation(degree, derivative) for derivative in derivatives]
 
 
 @lru_cache(maxsize=256)
@@ -98,15 +105,22 @@ class BoundarySolution:
 
 def boundary_solution(degree: int, values: npt.ArrayLike, orders: tuple[int, ...] = (0, 1, 2)) -> BoundarySolution:
     """Solve eq (26) for one or more axes: values (2 len(orders), n_axes) with respect to normalised time."""
-    matrix, values = boundary_map(degree, orders), np.asarray(values, dtype=float)
+    matrix, scale, inverse, null_space = _boundary_inverse(degree, orders)
+    values = np.asarray(values, dtype=float)
+    particular = inverse @ (scale * values)
+    particular += inverse @ (scale * (values - matrix @ particular))
+    return BoundarySolution(particular, null_space.copy())
+
+
+@lru_cache(maxsize=64)
+def _boundary_inverse(degree: int, orders: tuple[int, ...]) -> tuple[Array, Array, Array, Array]:
+    """M of eq (26), the scale of its rows, the pseudoinverse of M so scaled, and its null space."""
+    matrix = boundary_map(degree, orders)
     # Rows of derivatives are up to degree^4 larger than those of values: scaled, all are met equally well.
     scale = 1 / np.linalg.norm(matrix, axis=1)[:, None]
     left, sizes, v = np.linalg.svd(scale * matrix)
     rank = len(sizes)
-    inverse = v[:rank].T @ (left.T / sizes[:, None])
-    particular = inverse @ (scale * values)
-    particular += inverse @ (scale * (values - matrix @ particular))
-    return BoundarySolution(particular, v[rank:].T)
+    return matrix, scale, v[:rank].T @ (left.T / sizes[:, None]), v[rank:].T
 
 
 # Gauss-Legendre points and the sixth-order Magnus step (Blanes, Casas, Oteo, Ros, 2009, section 5).
@@ -158,12 +172,14 @@ class PolynomialReference:
         s = np.clip(2 * t / self.duration - 1, -1, 1)
         moving = ((t >= 0) & (t <= self.duration))[:, None]
         rate, degree = 2 / self.duration, len(self.position) - 1
-        p, v, a = (rate**k * (chebyshev_basis(s, degree, k) @ self.position) for k in range(3))
+        bases = chebyshev_bases(s, degree, range(3))
+        p, v, a = (rate**k * (basis @ self.position) for k, basis in enumerate(bases))
         if self.angular_velocity is None:
             zero = np.zeros_like(p)
             return MotionSamples(t, p, v * moving, a * moving, np.tile(self.R_start, (len(t), 1, 1)), zero, zero)
         m = len(self.angular_velocity) - 1
-        omega, alpha = (rate**k * (chebyshev_basis(s, m, k) @ self.angular_velocity) for k in range(2))
+        bases = chebyshev_bases(s, m, range(2))
+        omega, alpha = (rate**k * (basis @ self.angular_velocity) for k, basis in enumerate(bases))
         return MotionSamples(t, p, v * moving, a * moving, self._rotation(s), omega * moving, alpha * moving)
 
     @cached_property

@@ -105,6 +105,8 @@ def _share(items: tuple[Body, ...], interfaces: list[Interface], incidence: Arra
 
 
 def _internal(incidence: Array) -> Array:
+    if incidence.shape[0] == incidence.shape[1]:  # a tree
+        return np.zeros((len(incidence), 6, 0))
     from scipy.linalg import null_space
 
     basis = null_space(incidence)

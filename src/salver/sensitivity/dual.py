@@ -33,7 +33,9 @@ class Dual:
         return Dual(-self.value, None if self.tangent is None else -self.tangent)
 
     def __sub__(self, other: Dual) -> Dual:
-        return self + (-other)
+        if self.tangent is None or other.tangent is None:
+            return self + (-other)
+        return Dual(self.value - other.value, self.tangent - other.tangent)
 
     def thinned(self, every: int) -> Dual:
         """Each `every`-th instant."""
@@ -50,12 +52,19 @@ class Dual:
         value = (matrix @ self.value[..., None])[..., 0]
         return Dual(value, None if self.tangent is None else matrix @ self.tangent)
 
+    @property
+    def vanishes(self) -> bool:
+        """Whether it is zero whatever the variables are."""
+        return self.tangent is None and not self.value.any()
+
     def cross(self, other: Dual) -> Dual:
-        left, right = hat(self.value), hat(other.value)
+        if self.vanishes or other.vanishes:  # a motion that does not turn, a body with its centre of mass at B
+            return Dual(np.zeros(np.broadcast_shapes(self.value.shape, other.value.shape)))
+        left = hat(self.value)
         value = (left @ other.value[..., None])[..., 0]
         tangent = _sum(
             None if other.tangent is None else left @ other.tangent,
-            None if self.tangent is None else -(right @ self.tangent),
+            None if self.tangent is None else hat(-other.value) @ self.tangent,
         )
         return Dual(value, tangent)
 
@@ -82,7 +91,7 @@ class DualRotation:
         turned = vector_B.mapped(self.matrix)
         if self.tangent is None:
             return turned
-        return Dual(turned.value, _sum(turned.tangent, -(self.matrix @ hat(vector_B.value) @ self.tangent)))
+        return Dual(turned.value, _sum(turned.tangent, self.matrix @ hat(-vector_B.value) @ self.tangent))
 
 
 def joined(*parts: Dual) -> Array:

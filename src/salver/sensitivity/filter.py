@@ -107,6 +107,7 @@ class LinearFilter:
         return dtbtrs(self._bands, right, uplo="L", trans=trans, overwrite_b=True)[0].reshape(state.shape)
 
 
+@lru_cache(maxsize=64)
 def fastest_rate(kp: float, kd: float) -> float:
     """Largest modulus of the poles of x'' + kd x' + kp x, 1/s."""
     return float(np.abs(np.roots([1.0, kd, kp])).max())

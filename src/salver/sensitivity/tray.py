@@ -10,6 +10,7 @@ in general form, and the tests hold both against central differences of the nonl
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -92,22 +93,55 @@ class BodyMotion:
 
 @dataclass(frozen=True)
 class TraySensitivity:
-    """First-order reaction of the closed loop, time axis first.
+    """First-order reaction of the closed loop along a motion of B, time axis first.
 
-    Duals (T, n_p, 3): dp in S, dtheta in B, dv in S, domega in B (the rows of Pi), and df, dtau of the wrench at B.
+    e_p, e_v in S, e_R, e_w in B: tracking errors (T, n_p, 3) per unit of each parameter. Of them follow, as
+    (T, n_p, 3), dp in S, dtheta in B, dv in S, domega in B (the rows of Pi), and df, dtau of the wrench at B.
     """
 
-    dp: Dual
-    dtheta: Dual
-    dv: Dual
-    domega: Dual
-    df: Dual
-    dtau: Dual
+    loop: TrayLoop
+    motion: BodyMotion
+    e_p: Dual
+    e_v: Dual
+    e_R: Dual
+    e_w: Dual
 
     def thinned(self, every: int) -> TraySensitivity:
         """Each `every`-th instant."""
-        parts = (self.dp, self.dtheta, self.dv, self.domega, self.df, self.dtau)
-        return TraySensitivity(*(part.thinned(every) for part in parts))
+        errors = (part.thinned(every) for part in (self.e_p, self.e_v, self.e_R, self.e_w))
+        return TraySensitivity(self.loop, self.motion.thinned(every), *errors)
+
+    @cached_property
+    def dp(self) -> Dual:
+        return -self.e_p
+
+    @cached_property
+    def dtheta(self) -> Dual:
+        return -self.e_R
+
+    @cached_property
+    def dv(self) -> Dual:
+        return -self.e_v
+
+    @cached_property
+    def domega(self) -> Dual:
+        return self.motion.omega.cross(self.dtheta) - self.e_w
+
+    @cached_property
+    def df(self) -> Dual:
+        kp, kd = self.loop.gains.kp[0], self.loop.gains.kd[0]
+        feedback = self.motion.rotation.to_body(self.e_v.scaled(kd) + self.e_p.scaled(kp))
+        return (self.motion.force.cross(self.dtheta) + feedback).scaled(self.loop.body.mass)
+
+    @cached_property
+    def dtau(self) -> Dual:
+        kp, kd = self.loop.gains.kp[1], self.loop.gains.kd[1]
+        omega, inertia = self.motion.omega, self.loop.body.inertia_com
+        # alpha x dtheta + omega x domega - omega x (omega x dtheta), of which e_w alone is left of the last two.
+        turned = self.motion.alpha.cross(self.dtheta) - omega.cross(self.e_w)
+        dalpha = turned + self.e_w.scaled(kd) + self.e_R.scaled(kp)
+        gyroscopic = self.domega.cross(omega.mapped(inertia)) + omega.cross(self.domega.mapped(inertia))
+        return dalpha.mapped(inertia) + gyroscopic
 
     @property
     def state(self) -> Array:
@@ -145,20 +179,7 @@ class TrayLoop:
         forcing_S, forcing_B = self.forcing(at_times)
         e_p, e_v = _respond(LinearFilter.on_grid(grid, kp, kd), forcing_S)
         e_R, e_w = _respond(LinearFilter.on_grid(grid, kp_R, kd_R), forcing_B)
-        force, omega, alpha, inertia = at_grid.force, at_grid.omega, at_grid.alpha, self.body.inertia_com
-        dtheta = -e_R
-        domega = -e_w - dtheta.cross(omega)
-        feedback = at_grid.rotation.to_body(e_v.scaled(kd) + e_p.scaled(kp))
-        df = (force.cross(dtheta) + feedback).scaled(self.body.mass)
-        dalpha = (
-            -dtheta.cross(alpha)
-            - domega.cross(omega)
-            + omega.cross(dtheta.cross(omega))
-            + e_w.scaled(kd_R)
-            + e_R.scaled(kp_R)
-        )
-        dtau = dalpha.mapped(inertia) + domega.cross(omega.mapped(inertia)) + omega.cross(domega.mapped(inertia))
-        return TraySensitivity(-e_p, dtheta, -e_v, domega, df, dtau)
+        return TraySensitivity(self, at_grid, e_p, e_v, e_R, e_w)
 
     def along(self, reference: Reference, t: Array) -> TraySensitivity:
         """Sensitivities along a reference at uniform instants t (T,), the first of which is its start."""
@@ -171,5 +192,10 @@ def _respond(error_filter: LinearFilter, forcing: Dual) -> tuple[Dual, Dual]:
     e, rate = error_filter.respond(forcing.value)
     if forcing.tangent is None:
         return Dual(e), Dual(rate)
-    de, drate = error_filter.respond(forcing.tangent)
+    # Most variables leave most components alone: one axis of a position moves one axis of the error.
+    drive = forcing.tangent.reshape(len(forcing.tangent), forcing.tangent[0].size)
+    moved = drive.any(axis=0)
+    tangents = np.zeros((2, len(e), drive.shape[1]))
+    tangents[..., moved] = error_filter.respond(drive[:, moved])
+    de, drate = tangents.reshape(2, len(e), *forcing.tangent.shape[1:])
     return Dual(e, de), Dual(rate, drate)

@@ -313,7 +313,8 @@ class _Bases:
 
 def _times_columns(block: Dual, columns: Array, n_z: int) -> tuple[Array, Array]:
     """(T, n_p, 3) and its tangent with the parameter axis multiplied by a matrix."""
-    value = np.einsum("tpi,pq->tqi", block.value, columns)
+    value = columns.T @ block.value
     if block.tangent is None:
         return value, np.zeros((*value.shape, n_z))
-    return value, np.einsum("tpiz,pq->tqiz", block.tangent, columns)
+    count, n_p = block.tangent.shape[:2]
+    return value, (columns.T @ block.tangent.reshape(count, n_p, 3 * n_z)).reshape(*value.shape, n_z)
