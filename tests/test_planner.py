@@ -195,7 +195,7 @@ def test_tilt_stays_below_its_limit_and_less_freedom_costs_more():
     plans = [plan_object(free.with_changes(motion__max_tilt_deg=limit)) for limit in (None, 15, 5)]
     tilt = [np.rad2deg(np.arccos(plan.evaluation.samples.R_SB[:, 2, 2].min())) for plan in plans]
     assert all(plan.ok for plan in plans)
-    assert tilt[0] > 20
+    assert tilt[0] > 15  # so the next limit binds
     assert 14 < tilt[1] <= 15
     assert 4 < tilt[2] <= 5
     assert plans[0].cost < plans[1].cost < plans[2].cost
@@ -249,3 +249,17 @@ def test_a_margin_that_nothing_reaches_is_named():
     plan = plan_object(changed(objects__0__mass=1e-3, objects__0__inertia=[1e-6, 1e-6, 1e-6]))
     assert plan.status.code == "infeasible"
     assert "of the 0.001 N of contact.margin over its tube" in plan.status.sentence
+
+
+@pytest.mark.parametrize("name", ["panda-cube-tilted-goal", "panda-tall-bottle", "slippery-cube"])
+def test_a_high_degree_finds_no_less_than_a_low_one(name):
+    """Polynomials of degree 9 are of degree 30 too. One of degree 30 bends far between 61 nodes; the margin that was
+    added for that, and kept when the nodes were brought closer, left nothing. Where no duration is given it is 2 s.
+    """
+    case = load(name)
+    case = case.with_changes(arm=None, motion__duration=case.motion.duration or 2.0, motion__orientation="fixed")
+    low, high = (plan_object(case.with_changes(motion__degree=degree)) for degree in (9, 30))
+    assert low.ok
+    assert high.ok, high.status
+    assert high.verification.ok
+    assert high.cost <= low.cost * (1 + 1e-6)
