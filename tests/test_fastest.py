@@ -143,6 +143,30 @@ def test_derivative_of_the_worst_case(kind, strays):
         assert np.allclose(difference, slope[:, k], atol=1e-7)
 
 
+def test_contact_rows_know_that_a_held_command_is_late_by_the_jerk():
+    """At the start nothing has a history yet: the derivative by the jerk there is exact."""
+    problem = transport_problem(bottle(**UNCERTAIN))
+    spline = RestSpline(5, 6)
+    grid = Grid.of(spline, spline.nodes(3))
+    coefficients = line(problem, spline) + 0.02 * np.random.default_rng(4).normal(size=(spline.size, problem.n))
+    z, contact = grid.motion(coefficients, 0.9), next(c for c in problem.constraints if isinstance(c, Contact))
+
+    def rows(jerk):
+        moved = z.copy()
+        moved[3, 0] = jerk
+        return next(iter(contact.blocks(problem.at(grid.s, moved, 0.9))))
+
+    jerk, h, seen = z[3, 0], 1e-3, 0
+    for joint in range(problem.n):
+        step = h * np.eye(problem.n)[joint]
+        difference = (rows(jerk + step).values - rows(jerk - step).values)[0] / (2 * h)
+        every = np.arange(len(difference))
+        slope = rows(jerk).gradient(np.zeros(len(every), dtype=int), every)[:, 3 * problem.n + joint]
+        assert np.abs(difference - slope).max() < 1e-11  # rounding of the rows, over h
+        seen = max(seen, np.abs(slope).max())
+    assert seen > 1e-6
+
+
 def test_linearised_rows_match_differences_in_coefficients_and_squared_duration():
     problem = transport_problem(cube(motion__orientation="fixed"), robust=False)
     spline, duration = RestSpline(5, 6), 0.9

@@ -31,6 +31,9 @@ def plan(
     ] = "baseline",
     duration: Annotated[float | None, typer.Option(help="Duration in s, instead of the scenario's.")] = None,
     arm: Annotated[bool, typer.Option(help="Follow the plan with the scenario's arm, when it has one.")] = True,
+    stops: Annotated[
+        bool, typer.Option("--stops", help="Plan load-safe stops along the fastest plan too; takes some seconds.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Plan a motion that keeps the object on the tray, and another one beside it to compare it with.
@@ -53,6 +56,8 @@ def plan(
     else:
         check_place(chosen, directory)
     found, other = plan_pair(chosen, "fastest" if fastest else "robust", arm, beside)
+    if stops:
+        found = _with_stops(found)
     save_plans(directory, {"plan": found, beside: other})
     if json:
         print_json({"directory": directory, "plan": found.summary(), beside: other.summary()})
@@ -63,6 +68,18 @@ def plan(
         say(f"Written to {directory}; next: {simulate}salver report {quoted}")
     if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _with_stops(plan: Plan) -> Plan:
+    """The plan with its stops, and a bar while they are found."""
+    from rich.progress import Progress
+
+    from salver.cli.common import console
+    from salver.planning.stops import with_stops
+
+    with Progress(console=console(), transient=True) as bar:
+        task = bar.add_task("stops")
+        return with_stops(plan, lambda done, of: bar.update(task, completed=done, total=of))
 
 
 def show(plan: Plan, other: Plan, beside: str) -> None:
@@ -112,6 +129,8 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
         if item.arm_status is not None:
             console.print(f"  arm: {item.arm_status}")
     console.print(plan.verification.sentence)
+    if plan.stops is not None:
+        console.print(plan.stops.sentence)
     if plan.solver:
         seconds = 1e3 * float(plan.solver["seconds"])
         console.print(f"Solved in {seconds:.1f} ms by {plan.solver['name']}.")

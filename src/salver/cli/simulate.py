@@ -27,6 +27,9 @@ def simulate(
         int | None, typer.Option(help="Repeat run number K of the directory's campaign: its parameters and its seed.")
     ] = None,
     folder: Annotated[str, typer.Option(help="Folder of that campaign in DIRECTORY.")] = "campaign",
+    stop_at: Annotated[
+        float | None, typer.Option(help="Ask for a stop at this time, s: the plan needs stops (salver plan --stops).")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Run a plan once in the physics engine: arm, tray, loose objects, contact.
@@ -57,6 +60,10 @@ def simulate(
     for name in both if stem == "both" else (stem,):
         plan = load_plan(directory, name)
         _warn(plan, name)
+        if stop_at is not None:
+            from salver.planning.stops import stopped
+
+            plan = stopped(plan, stop_at)
         results[name] = run_physics(plan, parameters=parameters, seed=seed)
         results[name].save(directory, name)
     if json:

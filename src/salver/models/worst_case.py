@@ -130,6 +130,10 @@ class WorstCase:
 
     def attained(self, node: Indices, row: Indices) -> Array:
         """(r, 12) derivative of the worst case by w, at nodes and rows (r,); that of the drift is left out."""
+        return self.attained_swinging(node, row)[0]
+
+    def attained_swinging(self, node: Indices, row: Indices) -> tuple[Array, Array]:
+        """`attained`, and (r,) the side of the drift's swing on which it is: -1 or 1, 0 without a swing."""
         rows, nominal = self.rows, self.rows.nominal[row]
         stacked = np.concatenate([rows.parameter[:, row], rows.remainder[:, row]])
         found: list[tuple[Array, Array]] = []
@@ -147,10 +151,11 @@ class WorstCase:
                 dual = np.where((straying > radius)[:, None], rows.dual(strayed), dual)
                 radius = np.maximum(radius, straying)
             found.append((np.einsum("rk,rk->r", w, nominal) + radius, dual))
-        dual = found[0][1]
+        dual, swung = found[0][1], np.full(len(row), 1.0 - len(found))
         for value, other_dual in found[1:]:
-            dual = np.where((value > found[0][0])[:, None], other_dual, dual)
-        return nominal + np.einsum("rp,prk->rk", dual, stacked)
+            above = value > found[0][0]
+            dual, swung = np.where(above[:, None], other_dual, dual), np.where(above, 1.0, swung)
+        return nominal + np.einsum("rp,prk->rk", dual, stacked), swung
 
 
 def _sides(w: Array, drift: Drift | None) -> tuple[Array, ...]:

@@ -19,6 +19,7 @@ from salver.planning import certificate
 from salver.planning.object.conditions import TILT, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
+from salver.planning.stop_library import StopLibrary
 from salver.run_directory import check_free, make_room
 from salver.scenario import Scenario
 from salver.trajectory import (
@@ -82,6 +83,7 @@ class Plan(Shown):
     reference: the motion of B. joint: the arm's motion, or None. status: how planning ended; arm_status: whether
     the arm can follow, None without an arm. solver: method, cost, duality gap, iterations, times.
     tau: (T, n) feed-forward torque at `t`, or None. Arrays have the time axis first (docs/conventions.md).
+    stops: ways to rest on the way that keep the load (`salver.planning.stops`), or None.
     """
 
     scenario: Scenario
@@ -92,6 +94,7 @@ class Plan(Shown):
     arm_status: Status | None = None
     tau: Array | None = None
     solver: Mapping[str, Any] = field(default_factory=dict)
+    stops: StopLibrary | None = None
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -197,6 +200,7 @@ class Plan(Shown):
             "status": self.status.sentence,
             "check": self.verification.sentence,
             **arm,
+            **({} if self.stops is None else {"stops": self.stops.sentence}),
             "left in the worst case": f"{100 * float(self.margins.exact_worst.min()):.3g} % of the weight",
         }
 
@@ -237,6 +241,8 @@ class Plan(Shown):
             out["arm"] = _status_record(self.arm_status)
         if self.chain is not None:
             out["arm_chain"] = self.chain.summary()
+        if self.stops is not None:
+            out["stops"] = {"count": len(self.stops.t), "longest": self.stops.longest, "sentence": self.stops.sentence}
         return out
 
     def arrays(self) -> dict[str, Array]:
@@ -276,6 +282,8 @@ class Plan(Shown):
             out["joint_dq"], out["joint_ddq"] = self.joint.dq, self.joint.ddq
         if self.tau is not None:
             out["tau"] = self.tau
+        if self.stops is not None:
+            out |= self.stops.arrays()
         return out
 
     def save(self, directory: str | Path, stem: str = "plan") -> Path:
@@ -367,6 +375,7 @@ def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
             _status_from(record["arm"]) if "arm" in record else None,
             arrays.get("tau"),
             record["solver"],
+            StopLibrary.of_arrays(arrays, float(arrays["t"][-1])),
         )
     except (KeyError, TypeError, ValueError, IndexError):
         raise FileFormatError(f"{Path(directory) / stem}.npz and .json are not those of a plan; plan again.") from None

@@ -234,7 +234,13 @@ class Contact(Constraint):
         worst = WorstCase.of(self.rows, w, drift)
 
         def gradient(i: Indices, f: Indices) -> Array:
-            return padded(np.einsum("rk,rkz->rz", worst.attained(i, f), motion.terms.w_z[i]), motion.n)
+            slope, side = worst.attained_swinging(i, f)
+            rows, n = padded(np.einsum("rk,rkz->rz", slope, motion.terms.w_z[i]), motion.n), motion.n
+            if motion.tracking is not None:
+                # A held command is right when it begins, and when it ends behind by what jerk makes of the acceleration
+                # in twice the delay. All else that the drift depends on is history.
+                rows[:, 3 * n :] = ((side - 1) * motion.tracking.delay)[:, None] * rows[:, 2 * n : 3 * n]
+            return rows
 
         carried = " and ".join(body.name for body in self.rows.network.bodies)
         margins = (self.margin + 1e-3, max(self.margin, FINEST))

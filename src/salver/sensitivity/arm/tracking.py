@@ -21,7 +21,7 @@ This is the tracking of fastest plans and of the chain alike.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,13 +69,14 @@ Law = Callable[[Array, Array], tuple[JointDeviation, TrayDeviation]]
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """How far commands that are held put the nominal motion off: q, torque (T, n), tray, w (T, 12) as in `Deviation`.
+    """How far held commands put the nominal motion off: q, dq, torque (T, n), tray, w (T, 12), see `Deviation`.
 
     These are means over a period. swing: (T, 12) by which w is ahead of its mean when a command begins, and behind when
     it ends.
     """
 
     q: Array
+    dq: Array
     torque: Array
     tray: Array
     w: Array
@@ -101,6 +102,14 @@ class Deviation:
         drift = Drift(self.load.terms, self.tray.w * self.load.half_range, self.held.swing if held else None)
         return self.terms.w + self.held.w if held else self.terms.w, drift
 
+    def state_at(self, t: Array, now: float) -> Array:
+        """(2, n, n_c + 1) e and e' at an instant, of each term and of late commands; t: (T,) of the nodes."""
+        e = np.concatenate([-self.joints.q, -self.held.q[:, :, None]], axis=2)
+        rate = np.concatenate([-self.joints.dq, -self.held.dq[:, :, None]], axis=2)
+        k = int(np.clip(np.searchsorted(t, now) - 1, 0, len(t) - 2))
+        u = (now - t[k]) / (t[k + 1] - t[k])
+        return np.stack([(1 - u) * x[k] + u * x[k + 1] for x in (e, rate)])
+
     def torque_radius(self) -> Array:
         """(T, n) most by which the commanded torque can differ from the plan's, N m."""
         return self.load.radius(self.torque) + np.abs(self.held.torque)
@@ -116,7 +125,8 @@ class JointLoop:
     """Computed torque in the joints with the nominal load.
 
     load: what is uncertain about the true one. kp, kd: gains, 1/s^2 and 1/s. settle: s at rest under the load before
-    the motion. delay: s by which a command acts late, half the period for which it is held.
+    the motion. delay: s by which a command acts late, half the period for which it is held. start: (2, n, n_c + 1) e
+    and e' of each term and of late commands where the motion begins, when it does not begin from that rest.
     """
 
     load: LoadChange
@@ -124,6 +134,11 @@ class JointLoop:
     kd: float
     settle: float
     delay: float
+    start: Array | None = None
+
+    def begun(self, start: Array) -> JointLoop:
+        """The same loop for a motion that begins in a deviation (2, n, n_c + 1), as `Deviation.state_at` gives it."""
+        return replace(self, start=start)
 
     def along(self, t: Array, terms: MotionTerms, rates: Array, order: int = 3) -> Deviation:
         """The deviation along a motion at nodes t (T,) of any spacing; rates: (3, T, n) dq, ddq, dddq.
@@ -134,6 +149,8 @@ class JointLoop:
 
         def law(missing: Array, before: Array) -> tuple[JointDeviation, TrayDeviation]:
             start = settled(self.kp, self.kd, self.settle, missing[0] * before)
+            if self.start is not None:  # it holds all there is of each term: what is of second order starts from zero
+                start = self.start if missing.shape[2] == self.start.shape[2] else np.zeros_like(start)
             e, rate = response.respond(missing, start)
             joints = JointDeviation(-e, -rate, -response.acceleration(missing, e, rate), missing)
             return joints, tray_of_joints(terms, joints)
@@ -180,7 +197,7 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law) -> De
         JointDeviation(*(x[:, :, :-1] for x in vars(joints).values())),
         TrayDeviation(*(x[:, :, :-1] for x in vars(tray).values())),
         torque[:, :, :-1],
-        Held(joints.q[:, :, -1], torque[:, :, -1], tray.state[:, :, -1], tray.w[:, :, -1], swing),
+        Held(joints.q[:, :, -1], joints.dq[:, :, -1], torque[:, :, -1], tray.state[:, :, -1], tray.w[:, :, -1], swing),
     )
 
 
