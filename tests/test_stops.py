@@ -95,6 +95,8 @@ def test_stops_come_back_from_the_files_of_a_plan(bottle, tmp_path):
     done = CliRunner().invoke(app, ["simulate", str(tmp_path), "--stop-at", "0.3"])
     assert done.exit_code == 0, done.output
     assert "bottle holds" in done.output
+    written = sorted(path.name for path in (tmp_path / "simulation").iterdir())
+    assert written == ["plan-stop.json", "plan-stop.npz"]  # not what the page takes for a run of the plan
 
 
 def test_what_has_no_stops_says_so_in_a_sentence(bottle):

@@ -95,13 +95,16 @@ def known_stems(directory: Path) -> list[str]:
     return first + sorted(found - set(first))
 
 
-def save_record(directory: Path, folder: str, stem: str, arrays: Mapping[str, Any], summary: Mapping[str, Any]) -> Path:
+def save_record(
+    directory: Path, folder: str, stem: str, arrays: Mapping[str, Any], summary: Mapping[str, Any], kind: str = ""
+) -> Path:
     """Write what became of the plan `stem`: DIRECTORY/FOLDER/STEM.npz and .json, which says which plan it was.
 
+    kind: added to the name of what is no run of the whole plan, and so is not shown as one.
     Records of other runs that stand there are kept, as STEM-1, STEM-2 ...
     """
     digest = {"plan_digest": plan_digest(directory, stem)} if (directory / f"{stem}.npz").is_file() else {}
-    return save_result(directory / folder / stem, arrays, {**summary, **digest})
+    return save_result(directory / folder / f"{stem}{kind}", arrays, {**summary, **digest})
 
 
 def check_digest(summary: Mapping[str, Any], path: Path, directory: Path, stem: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -37,6 +38,7 @@ def simulate(
     Tells whether each object held, slid, tipped or left the tray, how far the arm was from its limits, and how far the
     measured contact forces are from the plan's tube. Without an arm in the scenario, the tray is moved exactly.
     Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary); earlier runs are kept as STEM-1, STEM-2.
+    A stopped run is STEM-stop, and no run of the plan to the page.
 
     Example: `salver simulate runs/panda-cube --stem both --set mass=0.306`
 
@@ -64,8 +66,11 @@ def simulate(
             from salver.planning.stops import stopped
 
             plan = stopped(plan, stop_at)
-        results[name] = run_physics(plan, parameters=parameters, seed=seed)
-        results[name].save(directory, name)
+        record = run_physics(plan, parameters=parameters, seed=seed)
+        if stop_at is not None:
+            record = replace(record, summary={**record.summary, "stop_at": stop_at})
+        record.save(directory, name, "" if stop_at is None else "-stop")
+        results[name] = record
     if json:
         print_json({name: {"parameters": record.parameters, **record.summary} for name, record in results.items()})
     else:

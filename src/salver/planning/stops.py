@@ -31,8 +31,9 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 EVERY = 0.02  # s from one instant to the next
-DEGREE, SPANS, NODES_PER_SPAN = 5, 8, 3
-SAMPLES = 61  # of each stop that is stored
+SPLINE = RestSpline(degree=5, spans=8)  # of every stop
+NODES_PER_SPAN = 3
+STORED = np.union1d(np.linspace(0.0, 1.0, 41), SPLINE.breaks())  # with the breaks: what is stored is what was checked
 WARM = 0.3  # damping of the first step from the stop of the next instant
 STATES = 401  # instants at which the deviation along the plan is known
 SMOOTH = 0.1  # weight of acceleration, in normalised time, beside posture in the first guess
@@ -86,12 +87,10 @@ def plan_stops(
         if progress:
             progress(done + 1, len(instants))
     kept.reverse()
-    s = np.linspace(0.0, 1.0, SAMPLES)
-    sampled = [stop.sample(s * stop.duration) for _, stop in kept]
-    shape = (len(kept), SAMPLES, problem.n)
-    q, dq, ddq = (np.array([x[i] for x in sampled]).reshape(shape) for i in range(3))
+    shape = (len(kept), len(STORED), problem.n)
+    q, dq, ddq = (np.array([getattr(stop, x) for _, stop in kept]).reshape(shape) for x in ("q", "dq", "ddq"))
     duration = np.array([stop.duration for _, stop in kept])
-    return StopLibrary(np.array([now for now, _ in kept]), duration, s, q, dq, ddq, end)
+    return StopLibrary(np.array([now for now, _ in kept]), duration, STORED, q, dq, ddq, end)
 
 
 def _states(problem: TransportProblem, motion: JointMotion) -> Callable[[TransportProblem, float], TransportProblem]:
@@ -122,24 +121,22 @@ def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion)
 
 def _shortest(problem: TransportProblem, guess: JointMotion, duration: float) -> JointMotion | None:
     """The shortest motion to rest from a guess, checked between the nodes; None when none was found."""
-    spline = RestSpline(DEGREE, SPANS)
-    begin = SplineMotion(spline, _fitted(problem, spline, guess, duration), duration)
+    begin = SplineMotion(SPLINE, _fitted(problem, guess, duration), duration)
     found = optimise(problem, FreeCurve, begin, NODES_PER_SPAN, TIME_LIMIT, WARM)
     if not found.status.ok:
         return None
-    s = np.union1d(np.linspace(0.0, 1.0, SAMPLES), spline.breaks())
-    z = FreeCurve(problem, Grid.of(spline, s)).motion(found.coefficients, found.duration)
-    return JointMotion(s * found.duration, *z[:3])
+    z = FreeCurve(problem, Grid.of(SPLINE, STORED)).motion(found.coefficients, found.duration)
+    return JointMotion(STORED * found.duration, *z[:3])
 
 
-def _fitted(problem: TransportProblem, spline: RestSpline, guess: JointMotion, duration: float) -> Array:
+def _fitted(problem: TransportProblem, guess: JointMotion, duration: float) -> Array:
     """(size, n) coefficients of a motion near to a guess in posture and acceleration, with its ends."""
     assert isinstance(problem.start, AtPosture)
     s = np.linspace(0.0, 1.0, 121)
     q, _, ddq = guess.sample(s * guess.duration)
     powers = np.array([duration, duration**2])[:, None, None]
     launch = launch_basis(s)[:, :, :, None] * problem.start.rates[:, None, None, :]
-    basis = spline.matrices(s)
+    basis = SPLINE.matrices(s)
     q = q - (launch[:, 0] * powers).sum(axis=0)
     ddq = ddq * duration**2 - (launch[:, 2] * powers).sum(axis=0)
     ends = np.stack([q[0], q[-1]])

@@ -80,10 +80,11 @@ class SimulationRecord(Shown):
             "objects off their reference": f"{1e3 * float(np.nanmax(self.e_p)):.3g} mm",
         }
 
-    def save(self, directory: str | Path, stem: str = "plan") -> Path:
+    def save(self, directory: str | Path, stem: str = "plan", kind: str = "") -> Path:
         """Write DIRECTORY/simulation/STEM.npz and .json, atomically; returns the path of the first.
 
-        A different run that stands there is kept, as STEM-1.npz and .json, STEM-2.npz ...
+        A different run that stands there is kept, as STEM-1.npz and .json, STEM-2.npz ... kind: added to the name of
+        what is no run of the whole plan.
         """
         return save_record(
             Path(directory),
@@ -91,6 +92,7 @@ class SimulationRecord(Shown):
             stem,
             {name: getattr(self, name) for name in ARRAYS},
             {"object_names": list(self.object_names), "parameters": dict(self.parameters), **self.summary},
+            kind,
         )
 
 
