@@ -18,8 +18,10 @@ from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.planning.fastest import obstacles, transport_problem
 from salver.planning.fastest.constraints import Block, evaluate
+from salver.planning.make import make_plan
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm import ArmChain, arm_chain, chain_model
+from salver.simulation.physics import simulate
 from salver.trajectory import JointMotion
 
 LOADS = {"single": nasty.single, "stack": nasty.stack, "pair": nasty.pair}
@@ -224,6 +226,38 @@ def test_fastest_plans_leave_room_for_the_torque_of_any_load(name: str, kind: st
     room = (block.values[::FINER] + 1) * np.tile(limit, 2) - np.hstack([nominal, -nominal])
     expected = np.tile(chain.deviation.torque_radius(), 2)
     assert_allclose(room, expected, atol=5e-3 * expected.max())
+
+
+@pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.parametrize("delay", [AT_ONCE, HELD])
+def test_fastest_plans_leave_room_for_where_and_how_fast_the_joints_stray(delay: float, order: int) -> None:
+    """At nodes, what the chain says of them; and there is more room with held commands than without."""
+    chain, seen = chain_of("pair", "box", delay=delay), evaluated("pair", "box", delay)
+    (block,) = (f for f in seen if f.name == ("position", "velocity")[order])
+    limits, planned = chain.model.arm.planning_limits, JOINT.sample(T)[order]
+    above, below = ((limits.q_max, -limits.q_min), (limits.velocity, limits.velocity))[order]
+    half = 0.5 * (above + below)
+    room = np.tile(half, 2) * -block.values[::FINER]
+    radius = np.hstack([above - planned, below + planned]) - room
+    deviation, held = (chain.joints.q, chain.held.q) if order == 0 else (chain.joints.dq, chain.held.dq)
+    expected = np.abs(held) + chain.radius(deviation)
+    assert_allclose(radius, np.tile(expected, 2), atol=5e-3 * expected.max())
+    assert expected.max() > (1e-4 if delay else 1e-8)
+
+
+def test_no_load_of_the_set_makes_a_joint_faster_than_its_limit() -> None:
+    """By the chain; and in the engine at two corners. A joint of this plan is at its limit where a wrong load acts."""
+    plan = make_plan(load("panda-tall-bottle"), "fastest")
+    assert plan.ok
+    assert plan.joint is not None
+    assert plan.chain is not None
+    chain, limit = plan.chain, plan.chain.model.arm.planning_limits.velocity
+    reached = np.abs(plan.joint.sample(chain.t)[1] + chain.held.dq) + chain.radius(chain.joints.dq)
+    assert 0.99 < (reached / limit).max() <= 1.0
+    half = plan.uncertain.half_range
+    for corner in (half, -half):
+        parameters = dict(zip(plan.uncertain.names, (plan.uncertain.nominal + corner).tolist(), strict=True))
+        assert (np.abs(simulate(plan, parameters=parameters).dq) / limit).max() <= 1.0
 
 
 # Clearance -----------------------------------------------------------------------------------------------------

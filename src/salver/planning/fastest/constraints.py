@@ -136,7 +136,11 @@ def both_sides(scaled: Array, extra: Array | float = 0.0) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class JointLimit(Constraint):
-    """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit."""
+    """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit.
+
+    To position and velocity a wrong load and held commands add what the arm strays; acceleration and jerk are those of
+    the reference, as makers state their limits.
+    """
 
     limits: JointLimits
 
@@ -161,7 +165,10 @@ class JointLimit(Constraint):
                 rows[np.arange(len(i)), order * n + joint] = sign / half[joint]
                 return rows
 
-            values = both_sides(((motion.z[order] - middle) / half)[:, finite])
+            extra: Array | float = 0.0
+            if order < 2 and motion.response is not None:
+                extra = motion.between_nodes(motion.response.joint_radius(order)[:, finite]) / half[finite]
+            values = both_sides(((motion.z[order] - middle) / half)[:, finite], extra)
             # A derivative of order k goes with T^-k; a little more, for what else is nonlinear.
             slows = 1.5 if order == 0 else 1.0 / order + 0.02
             yield Block(kind.name, values, gradient, points, scales=order > 0, slows=slows, inherits=order < 3)

@@ -67,6 +67,11 @@ class Evaluation:
         """(N - 1,) s from node to node."""
         return np.diff(self.s[self.nodes]) * self.duration
 
+    def between_nodes(self, values: Array) -> Array:
+        """(P, m) at all points, linear between the nodes, of values (N, m) there."""
+        s, nodes = self.s, self.s[self.nodes]
+        return np.stack([np.interp(s, nodes, column) for column in values.T], axis=1)
+
     def eased(self, points: Indices) -> Array:
         """(N,) share of a margin that is asked for at points: all, but less soon after a moving start."""
         if not self.moving:

@@ -110,6 +110,12 @@ class Deviation:
         u = (now - t[k]) / (t[k + 1] - t[k])
         return np.stack([(1 - u) * x[k] + u * x[k + 1] for x in (e, rate)])
 
+    def joint_radius(self, order: int) -> Array:
+        """(T, n) most by which the joints' position (order 0), velocity (1), acceleration (2) can differ from the
+        plan's."""
+        name = ("q", "dq", "ddq")[order]
+        return self.load.radius(getattr(self.joints, name)) + np.abs(getattr(self.held, name))
+
     def torque_radius(self) -> Array:
         """(T, n) most by which the commanded torque can differ from the plan's, N m."""
         return self.load.radius(self.torque) + np.abs(self.held.torque)
