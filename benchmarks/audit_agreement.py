@@ -24,9 +24,9 @@ from pathlib import Path
 
 import numpy as np
 
-from salver.audit import audit
-from salver.audit.motion import TrayMotion
-from salver.audit.verdict import Audit
+from salver.auditing import audit
+from salver.auditing.motion import TrayMotion
+from salver.auditing.verdict import Audit
 from salver.geometry import invert, quat_wxyz_from_matrix
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate_tray

@@ -33,10 +33,10 @@ from typing import Any
 
 import numpy as np
 
-from salver.audit import audit
-from salver.audit.motion import forward
+from salver.auditing import audit
+from salver.auditing.motion import forward
+from salver.contact_margins import margin_model
 from salver.geometry import exp, quat_wxyz_from_matrix
-from salver.margins import margin_model
 from salver.models.arm import ArmModel, load_arm
 from salver.models.tray_motion import motion_vector
 from salver.scenario import Scenario, load

@@ -21,7 +21,7 @@ from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.models.wrench_cone import cone_facets
 from salver.planning.make import make_plan, plan_baseline, with_arm
 from salver.planning.plan import Plan
-from salver.report.style import BLACK, BLUE, VERMILION
+from salver.reports.style import BLACK, BLUE, VERMILION
 from salver.scenario import Scenario, load, parse
 from salver.sensitivity import tubes
 from salver.sensitivity.arm import ArmChain, arm_chain, chain_model

@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from salver.margins import Margins, margin_model, margins
+from salver.contact_margins import Margins, margin_model, margins
 from salver.models.wrench_cone import hull_facets
 from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from salver.campaign import run_campaign
+from salver.campaigns import run_campaign
 from salver.errors import SalverError, Status
 from salver.files import read_json, write_atomic, write_json
 from salver.planning.fastest import fastest, object_motion

@@ -84,7 +84,7 @@ def run(cell: Cell) -> dict[str, Any]:
 
 def worst_corner(scenario: Scenario, plan: Any) -> dict[str, float]:
     """The corner of the uncertain set with the least exact margin along the plan's own motion."""
-    from salver.margins import margins
+    from salver.contact_margins import margins
 
     uncertain = scenario.payload.uncertain
     samples = plan.reference.sample(plan.t)
@@ -119,8 +119,8 @@ def cells(which: str) -> list[Cell]:
 
 
 def draw(which: str, rows: list[dict[str, Any]]) -> None:
-    from salver.report.figures import outcome_map, render
-    from salver.report.style import paper_style
+    from salver.reports.figures import outcome_map, render
+    from salver.reports.style import paper_style
 
     kept = [row for row in rows if row["outcome"] != "no plan"]
     columns = {key: [row[key] for row in kept] for key in kept[0]}

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from salver.contact_margins import Margins, margin_model, margins, tray_motion
 from salver.files import read_json, write_atomic
-from salver.margins import Margins, margin_model, margins, tray_motion
 from salver.planning.make import plan_object
 from salver.scenario import Scenario, load, names
 from salver.simulation.physics import simulate_tray

@@ -1,6 +1,6 @@
 """On the site the reference of a module has all docstrings and signatures, where the page's own text has a table.
 
-its heading, <!-- api: salver.margins --> ... <!-- end -->    becomes    ::: salver.margins
+its heading, <!-- api: salver.contact_margins --> ... <!-- end -->    becomes    ::: salver.contact_margins
 """
 
 from __future__ import annotations

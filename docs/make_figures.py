@@ -17,7 +17,7 @@ from salver.geometry import Array, exp, matrix_from_rpy
 from salver.models.contact import cone_edges
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.models.wrench_cone import facets, margin
-from salver.report import style
+from salver.reports import style
 
 IMAGES = Path(__file__).parent / "images"
 

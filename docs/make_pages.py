@@ -8,7 +8,7 @@ Each place is `<!-- KIND: NAME -->`, what this command wrote, `<!-- end -->`:
 help: plan                 the text of `salver plan --help`
 keys: Motion               the keys of a table of the scenario file, from the model that checks it
 example: cost              a file of examples/extending
-api: salver.margins        the public names of a module, each with the first sentence of its docstring (on the site, all
+api: salver.trajectory     the public names of a module, each with the first sentence of its docstring (on the site, all
                            of it with signatures: `docs/hooks.py`)
 """
 

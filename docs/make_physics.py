@@ -14,12 +14,12 @@ import blocks
 import numpy as np
 from make_reproduction import table
 
-from salver.campaign import run_campaign
+from salver.campaigns import run_campaign
 from salver.planning.make import make_plan
-from salver.report import figures
-from salver.report.perturbed import heavier
-from salver.report.run import read_run
-from salver.report.style import paper_style
+from salver.reports import figures
+from salver.reports.perturbed import heavier
+from salver.reports.run import read_run
+from salver.reports.style import paper_style
 from salver.scenario import load
 
 PAGE = Path(__file__).parent / "physics.md"

@@ -17,10 +17,10 @@ from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.cost import tray_loop
 from salver.planning.plan import Plan
-from salver.report import figures
-from salver.report.perturbed import perturbed_rollouts
-from salver.report.run import read_run
-from salver.report.style import paper_style
+from salver.reports import figures
+from salver.reports.perturbed import perturbed_rollouts
+from salver.reports.run import read_run
+from salver.reports.style import paper_style
 from salver.sampling import draw
 from salver.scenario import Scenario, load
 from salver.simulation.closed_loop import rollout

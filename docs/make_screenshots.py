@@ -15,7 +15,7 @@ from PIL import Image
 from salver import scenario
 from salver.planning.make import plan_pair
 from salver.planning.plan import load_plan
-from salver.report.page import write_report
+from salver.reports.page import write_report
 from salver.simulation.physics import simulate
 
 HERE = Path(__file__).parent

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import salver as sv
-from salver.audit import audit
+from salver.auditing import audit
 
 
 def trapezoid(distance: float, duration: float, ramp: float, rate: float = 250.0) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ import argparse
 from pathlib import Path
 
 import salver as sv
-from salver.campaign import run_campaign
+from salver.campaigns import run_campaign
 
 
 def main() -> None:

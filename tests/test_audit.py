@@ -8,12 +8,12 @@ import pytest
 from typer.testing import CliRunner
 
 from salver import scenario as scenarios
-from salver.audit import audit, audit_motion
-from salver.audit.motion import TrayMotion, forward, tray_motion
-from salver.audit.noise import Level, found, level, resolution, spikes
-from salver.audit.readers import read
-from salver.audit.recorded import sensor_of, stretches
-from salver.audit.spline import fit
+from salver.auditing import audit, audit_motion
+from salver.auditing.motion import TrayMotion, forward, tray_motion
+from salver.auditing.noise import Level, found, level, resolution, spikes
+from salver.auditing.readers import read
+from salver.auditing.recorded import sensor_of, stretches
+from salver.auditing.spline import fit
 from salver.cli import app
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import exp, quat_wxyz_from_matrix

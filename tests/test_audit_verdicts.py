@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from salver import scenario as scenarios
-from salver.audit import Audit, audit
-from salver.audit.slip import per_cycle
+from salver.auditing import Audit, audit
+from salver.auditing.slip import per_cycle
 from salver.cli import app
 from salver.models.arm import load_arm
 from salver.simulation.physics import simulate_tray

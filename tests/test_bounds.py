@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from salver import scenario
-from salver.campaign import run_campaign
+from salver.campaigns import run_campaign
 from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.export import write_export
@@ -18,8 +18,8 @@ from salver.models.arm import load_arm
 from salver.models.mesh_files import read_mesh_file
 from salver.planning.fastest.retiming import read_waypoints
 from salver.planning.make import plan_baseline
-from salver.report.figures import write_figures
-from salver.report.film import write_film
+from salver.reports.figures import write_figures
+from salver.reports.film import write_film
 
 CUBE = scenario.load("panda-cube")
 

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from salver import scenario as scenarios
-from salver.campaign import parameters_of_run, run_campaign, seed_of_run
-from salver.campaign.journal import Journal
-from salver.campaign.runners import run_scalars, tube_scalars
-from salver.campaign.summary import read_table, summarise, table, write_table
+from salver.campaigns import parameters_of_run, run_campaign, seed_of_run
+from salver.campaigns.journal import Journal
+from salver.campaigns.runners import run_scalars, tube_scalars
+from salver.campaigns.summary import read_table, summarise, table, write_table
 from salver.errors import SalverError
 from salver.planning.make import make_plan
 
@@ -116,7 +116,7 @@ def test_more_runs_can_be_added_and_the_first_ones_stay(finished, run_dir):
 
 
 def test_a_finished_campaign_is_not_run_again(finished, monkeypatch):
-    from salver.campaign import workers
+    from salver.campaigns import workers
 
     def refuse(*_):
         raise AssertionError("a finished run was made again")
@@ -504,7 +504,7 @@ def test_the_noise_of_a_run_is_that_of_its_seed(tmp_path):
 
 @pytest.mark.slow
 def test_a_full_disk_loses_nothing_that_was_finished(finished, run_dir, monkeypatch):
-    from salver.campaign import journal as module
+    from salver.campaigns import journal as module
 
     real, room = os.write, [1500]
 

@@ -19,7 +19,7 @@ from salver.files import load_npz, read_json
 from salver.planning import certificate
 from salver.planning.make import make_plan
 from salver.planning.plan import load_plan
-from salver.report.run import read_run
+from salver.reports.run import read_run
 
 CASE = scenario.load("panda-cube").with_changes(motion__duration=1.6, motion__nodes=21)
 

@@ -11,10 +11,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import sparse
 
+from salver.contact_margins import margins
 from salver.control.object import Gains
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import GRAVITY_S, Array
-from salver.margins import margins
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.conditions import MotionRows, WrenchRows
 from salver.planning.object.problem import Problem

@@ -5,7 +5,7 @@ import re
 import pytest
 
 import salver as sv
-from salver.campaign import run_campaign
+from salver.campaigns import run_campaign
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from salver.contact_margins import margins
 from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.margins import margins
 from salver.models.arm import with_load
 from salver.models.parameters import Parameter, inertial_vector
 from salver.models.worst_case import Drift, WorstCase

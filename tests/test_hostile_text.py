@@ -12,15 +12,15 @@ from typer.testing import CliRunner
 
 from browser import chromium, missing
 from salver import files, scenario
-from salver.campaign import run_campaign
+from salver.campaigns import run_campaign
 from salver.cli import app
 from salver.cli.common import headed, printable, result_console
 from salver.errors import FileFormatError, SalverError
 from salver.export import write_export
 from salver.planning.make import plan_baseline, plan_object
-from salver.report import cells
-from salver.report.page import page, write_report
-from salver.report.run import read_run
+from salver.reports import cells
+from salver.reports.page import page, write_report
+from salver.reports.run import read_run
 from salver.simulation.physics import simulate
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from salver.audit.readers import read
+from salver.auditing.readers import read
 from salver.errors import FileFormatError
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 import nasty
+from salver.contact_margins import Margins, margins
 from salver.geometry import Array
-from salver.margins import Margins, margins
 from salver.scenario import Scenario
 from salver.trajectory import MotionSamples
 

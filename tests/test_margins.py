@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from salver.contact_margins import Margins, margin_model, margins, tracking_motion
 from salver.control.object import Gains
 from salver.geometry import Array, exp
-from salver.margins import Margins, margin_model, margins, tracking_motion
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.tray_motion import at_rest, frame_map, motion_vector, wrench_map

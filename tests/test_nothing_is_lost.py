@@ -9,13 +9,13 @@ import pytest
 from typer.testing import CliRunner
 
 from salver import files, run_directory, scenario
-from salver.campaign import run_campaign
-from salver.campaign.journal import Journal
+from salver.campaigns import run_campaign
+from salver.campaigns.journal import Journal
 from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.export import write_export
 from salver.planning.make import plan_baseline, plan_object
-from salver.report.page import write_report
+from salver.reports.page import write_report
 from salver.simulation.physics import simulate
 from salver.simulation.record import load_record
 

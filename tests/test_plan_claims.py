@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose
 from scipy.integrate import simpson
 
 import nasty
+from salver.contact_margins import margins
 from salver.errors import Status
 from salver.files import to_json
 from salver.geometry import Array, exp, invert
-from salver.margins import margins
 from salver.models.arm import load_arm
 from salver.models.contact_rows import contact_rows
 from salver.planning.fastest import FastestOptions, fastest, transport_problem

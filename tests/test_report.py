@@ -21,11 +21,11 @@ from salver.geometry import matrix_from_quat_wxyz
 from salver.models.arm import load_arm
 from salver.planning.make import make_plan
 from salver.planning.plan import load_plan
-from salver.report.meshes import decimate, link_meshes, merge_vertices, pack
-from salver.report.page import write_report
-from salver.report.replay import replay_scene
-from salver.report.run import Run, read_run
-from salver.report.words import asked, verdict
+from salver.reports.meshes import decimate, link_meshes, merge_vertices, pack
+from salver.reports.page import write_report
+from salver.reports.replay import replay_scene
+from salver.reports.run import Run, read_run
+from salver.reports.words import asked, verdict
 
 pytestmark = pytest.mark.slow
 
@@ -46,7 +46,7 @@ def full(plan_only: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run directory with a simulation of both motions and a small campaign."""
     import shutil
 
-    from salver.campaign import run_campaign
+    from salver.campaigns import run_campaign
     from salver.simulation.physics import simulate
 
     folder = tmp_path_factory.mktemp("full") / "run"

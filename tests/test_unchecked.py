@@ -24,10 +24,10 @@ from salver.models.surfaces import surface
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
-from salver.report import charts, tables, words
-from salver.report.meshes import link_meshes, obstacle_meshes
-from salver.report.replay import replay_scene
-from salver.report.run import read_run
+from salver.reports import charts, tables, words
+from salver.reports.meshes import link_meshes, obstacle_meshes
+from salver.reports.replay import replay_scene
+from salver.reports.run import read_run
 from salver.simulation.loads import true_world
 from salver.simulation.scene import build
 from salver.trajectory import JointMotion

@@ -27,7 +27,17 @@ from mutants import Mutant, mutants
 from pytest_child import run_tests
 from test_map import ROOT, TestMap, copy_of_the_tree
 
-FOLDERS = ["models", "sensitivity", "planning", "margins", "simulation", "control", "campaign", "audit", "driver"]
+FOLDERS = [
+    "models",
+    "sensitivity",
+    "planning",
+    "contact_margins",
+    "simulation",
+    "control",
+    "campaigns",
+    "auditing",
+    "driver",
+]
 JOURNAL = ROOT / "out" / "mutation" / "journal.jsonl"
 EQUIVALENT = ROOT / "tools" / "equivalent.toml"
 

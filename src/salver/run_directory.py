@@ -119,7 +119,7 @@ def campaign_folders(directory: Path) -> list[Path]:
 
 
 def _check_idle(folder: Path) -> None:
-    """The lock of `salver.campaign.journal`."""
+    """The lock of `salver.campaigns.journal`."""
     lock = folder / "lock"
     if not lock.is_file():
         return

@@ -107,7 +107,7 @@ def finished_run() -> dict[str, bytes]:
     """The files of a run directory with a simulation and a campaign, made once."""
     import tempfile
 
-    from salver.campaign import run_campaign
+    from salver.campaigns import run_campaign
     from salver.planning.make import plan_baseline
     from salver.simulation.physics import simulate
 
@@ -135,11 +135,11 @@ def run_directory(rng: Rng, folder: Path) -> None:
 
     What is accepted is what was written: damage that does not change the content (a blank in JSON) is none.
     """
-    from salver.campaign import parameters_of_run
+    from salver.campaigns import parameters_of_run
     from salver.export import write_export
     from salver.files import load_npz
     from salver.planning.plan import load_plan
-    from salver.report.page import write_report
+    from salver.reports.page import write_report
     from salver.simulation.record import load_record
 
     run = unpacked(folder)
@@ -179,7 +179,7 @@ def run_directory(rng: Rng, folder: Path) -> None:
 
 def trajectory(rng: Rng, folder: Path) -> None:
     """Motions from elsewhere in every format: what is read is finite and runs forwards."""
-    from salver.audit.readers import read
+    from salver.auditing.readers import read
     from salver.planning.fastest.retiming import read_waypoints
 
     count, n = int(rng.integers(0, 40)), int(rng.integers(1, 8))
@@ -265,7 +265,7 @@ def damaged_bag(rng: Rng, folder: Path) -> Path:
 
 def journal(rng: Rng, folder: Path) -> None:
     """A damaged journal: what is left are records that were written, and never another one."""
-    from salver.campaign.journal import Journal
+    from salver.campaigns.journal import Journal
 
     content = finished_run()["campaign/journal.jsonl"]
     written = [json.loads(line) for line in content.splitlines()]

@@ -10,7 +10,7 @@ import typer
 from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console
 
 if TYPE_CHECKING:
-    from salver.audit import Audit
+    from salver.auditing import Audit
 
 
 def audit(
@@ -43,7 +43,7 @@ def audit(
     Example: `salver audit motion.csv --scenario panda-cube`
     """
     from salver import scenario as model
-    from salver.audit import audit as run
+    from salver.auditing import audit as run
 
     result = run(trajectory, model.load(scenario), topic, highest, noise, gap)
     if json:

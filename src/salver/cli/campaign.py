@@ -13,7 +13,7 @@ import typer
 from salver.cli.common import NOT_ACHIEVED, Json, console, print_json, result_console, say
 
 if TYPE_CHECKING:
-    from salver.campaign.engine import Progress
+    from salver.campaigns.engine import Progress
 
 
 def campaign(
@@ -49,7 +49,7 @@ def campaign(
 
     Example: `salver campaign out/panda-cube -n 100 --seed 0`
     """
-    from salver.campaign import run_campaign
+    from salver.campaigns import run_campaign
 
     with progress_bar() as progress:
         try:

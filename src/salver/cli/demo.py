@@ -10,7 +10,7 @@ import typer
 from salver.cli.common import Json, print_json, result_console, say
 
 if TYPE_CHECKING:
-    from salver.campaign.engine import Campaign
+    from salver.campaigns.engine import Campaign
 
 PAPER, BOTTLE = "panda-cube", "panda-tall-bottle"
 BOTTLE_SHARE = 5  # of the runs asked for, every fifth: what they show is not a matter of a few per cent
@@ -52,8 +52,8 @@ def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
     from salver import scenario as scenarios
     from salver.planning.make import plan_pair
     from salver.planning.plan import load_plan
-    from salver.report.figures import write_figures
-    from salver.report.page import write_report
+    from salver.reports.figures import write_figures
+    from salver.reports.page import write_report
     from salver.simulation.physics import simulate
 
     _head(1, "The paper's cube, half a metre in 2.5 s: its robust trajectory, and the straight line")
@@ -78,10 +78,10 @@ def paper(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
 def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
     """The fastest motion of the tall bottle, planned for its ranges and for nominal values; the same true bottles."""
     from salver import scenario as scenarios
-    from salver.campaign import parameters_of_run
+    from salver.campaigns import parameters_of_run
     from salver.planning.make import plan_pair
     from salver.planning.plan import load_plan
-    from salver.report.page import write_report
+    from salver.reports.page import write_report
     from salver.simulation.physics import simulate
 
     _head(
@@ -112,7 +112,7 @@ def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
 
 
 def _campaign(out: Path, n: int, seed: int, quiet: bool) -> Campaign:
-    from salver.campaign import run_campaign
+    from salver.campaigns import run_campaign
     from salver.cli.campaign import progress_bar, show
 
     with progress_bar() as progress:

@@ -24,7 +24,7 @@ def figures(
 
     Example: `salver figures runs/panda-cube --format pdf`
     """
-    from salver.report.figures import write_figures
+    from salver.reports.figures import write_figures
 
     paths = write_figures(directory, file_format, n, seed, physics, say)
     if json:

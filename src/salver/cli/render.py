@@ -28,7 +28,7 @@ def render(
 
     Example: `salver render runs/panda-cube -o cube.mp4`
     """
-    from salver.report.film import write_film
+    from salver.reports.film import write_film
 
     path = output if output is not None else directory / "film.mp4"
     film = write_film(directory, path, stem, rate=rate, speed=speed, width=width, height=height)

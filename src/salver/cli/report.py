@@ -24,7 +24,7 @@ def report(
 
     Example: `salver report out/panda-cube`
     """
-    from salver.report.page import write_report
+    from salver.reports.page import write_report
 
     path = write_report(directory, output, say)
     if json:

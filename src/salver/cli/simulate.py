@@ -52,7 +52,7 @@ def simulate(
         raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both.')
     parameters = _parameters(set_ or [])
     if run is not None:
-        from salver.campaign import parameters_of_run
+        from salver.campaigns import parameters_of_run
 
         if parameters:
             raise ScenarioError("--run takes its parameters from the campaign; leave out --set.")

@@ -98,8 +98,8 @@ def draw(points: list[TradeoffPoint], file_format: str) -> bytes:
     """Duration over the size of the uncertainty, and over the friction needed."""
     from matplotlib.figure import Figure
 
-    from salver.report.figures import render
-    from salver.report.style import BLUE, COLUMN, GREY, paper_style
+    from salver.reports.figures import render
+    from salver.reports.style import BLUE, COLUMN, GREY, paper_style
 
     with paper_style():
         figure = Figure(figsize=(2 * COLUMN, 2.4), layout="constrained")

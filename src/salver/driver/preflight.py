@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from salver.contact_margins import margins
 from salver.driver.franka_limits import FR3, velocity_range
 from salver.driver.robots import PERIOD
 from salver.errors import SalverError
 from salver.geometry import log
-from salver.margins import margins
 from salver.models.arm_geometry import arm_geometry
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.forward import tray_motion

@@ -31,7 +31,7 @@ from salver.trajectory import (
 )
 
 if TYPE_CHECKING:
-    from salver.margins import InterfaceMargins, Margins
+    from salver.contact_margins import InterfaceMargins, Margins
     from salver.models.parameters import UncertainSet
     from salver.sensitivity.arm import ArmChain
 
@@ -171,8 +171,8 @@ class Plan(Shown):
 
     @cached_property
     def margins(self) -> Margins:
-        """Exact margins of everything on the tray along the reference (`salver.margins`)."""
-        from salver.margins import margins
+        """Exact margins of everything on the tray along the reference (`salver.contact_margins`)."""
+        from salver.contact_margins import margins
 
         return margins(self.scenario, self.evaluation.samples)
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from salver.contact_margins import margins
 from salver.errors import ScenarioError, Status
-from salver.margins import margins
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest
 from salver.planning.fastest.problem import transport_problem
 from salver.scenario import Scenario

@@ -1,8 +1,0 @@
-"""Will it slip? The verdict on a motion that the user already has: of the tray, or of the arm's joints.
-
-`audit(path, scenario)` reads a file, finds the accelerations in it, and says what everything on the tray does.
-"""
-
-from salver.audit.verdict import Audit, audit, audit_motion
-
-__all__ = ["Audit", "audit", "audit_motion"]

@@ -1,0 +1,272 @@
+"""From samples as they were read to a motion of the tray, and what of the motion they cannot say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.auditing.commanded import commanded_motion, open_questions
+from salver.auditing.noise import Cells, Level, resolution
+from salver.auditing.recorded import LEVER, Sensor, sensor_of, stretches, without_spikes
+from salver.auditing.samples import JointSamples, Samples, TraySamples, reordered
+from salver.errors import FileFormatError, SalverError
+from salver.geometry import Array, hat, quat_wxyz_from_matrix
+from salver.trajectory import MotionSamples
+
+if TYPE_CHECKING:
+    from salver.models.arm import ArmModel
+
+HIGHEST = 50.0  # Hz, unless stated: above it no arm shakes its tray so that a load would notice
+BRIDGED = 0.02  # s, or so many steps: without samples, and still a curve
+BRIDGED_STEPS = 3.5
+FEWEST = 32  # samples, below which noise is not told from motion
+STILL = 0.02  # m/s: so slow that stopping dead moves a load by less than 0.1 mm where friction is 0.2
+SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
+JUMP = 5e-4  # m
+
+
+@dataclass(frozen=True)
+class Recording:
+    """How a recorded motion was seen. sensor: its noise. rate: Hz. highest: Hz, up to which anything unseen is reckoned
+    with. bandwidth: (least, most) of the curve, Hz. unseen, mirrored: see `salver.auditing.recorded.Stretch`; in s."""
+
+    sensor: Sensor
+    rate: float
+    highest: float
+    bandwidth: tuple[float, float]
+    unseen: tuple[Cells, ...]
+    mirrored: tuple[Cells, ...]
+
+
+@dataclass(frozen=True)
+class TrayMotion:
+    """The tray's motion E in S as it will be audited.
+
+    acceleration_error: (T,) m/s^2, or one number: by which the acceleration may be wrong through noise. missed: the
+    same, by which it may be too small because the samples are too few. recording: None for a motion that is known
+    exactly. doubts: (code, clause) of what forbids to say that everything holds. notes: sentences on what was
+    repaired, assumed or left out.
+    """
+
+    samples: MotionSamples
+    acceleration_error: Array | float = 0.0
+    missed: Array | float = 0.0
+    recording: Recording | None = None
+    doubts: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def tray_motion(
+    samples: Samples,
+    arm: ArmModel | None,
+    p_BE: Array,
+    R_BE: Array,
+    highest: float = HIGHEST,
+    noise: float | None = None,
+    longest_gap: float | None = None,
+) -> TrayMotion:
+    """Motion of the tray E. p_BE, R_BE: pose of E in the object frame B, for files that tell B's motion.
+
+    highest: Hz, above which nothing shakes the tray. noise: standard deviation of the samples, m or rad; found in them
+    if None. longest_gap: s without samples that is bridged (default: `BRIDGED`). Raises FileFormatError or SalverError
+    with a sentence.
+    """
+    if not highest > 0 or (noise is not None and not noise >= 0):
+        name, value, least = ("highest", highest, "above 0 Hz") if not highest > 0 else ("noise", noise, "0 or more")
+        raise SalverError(f"--{name} {value:g} was asked for; it must be {least}.")
+    if isinstance(samples, TraySamples):
+        motion = _recorded(samples, highest, noise, None, longest_gap)
+        return replace(motion, samples=motion.samples.of_frame(p_BE, R_BE)) if samples.frame == "B" else motion
+    if arm is None:
+        raise SalverError(
+            f"{samples.source} is a joint motion, but the scenario has no arm; give it one, or a tray motion."
+        )
+    samples = reordered(samples, arm.joint_names)
+    if samples.q.shape[1] != arm.n:
+        raise FileFormatError(f"{samples.source} has {samples.q.shape[1]} joints; the arm {arm.name} has {arm.n}.")
+    if samples.dq is not None:
+        kind = "quintics" if samples.ddq is not None else "cubics"
+        note = f"{len(samples.t)} waypoints with velocities, joined by {kind} as ros2_control's controller joins them."
+        return TrayMotion(
+            forward(arm, *commanded_motion(samples)),
+            doubts=tuple(open_questions(samples)),
+            notes=(*samples.notes, note),
+        )
+    poses = [arm.tray_pose(q) for q in samples.q]
+    quat = continuous(quat_wxyz_from_matrix(np.array([R for _, R in poses])))
+    seen = TraySamples(samples.t, np.array([p for p, _ in poses]), quat, "E", samples.source, samples.notes)
+    return _recorded(seen, highest, noise, _of_joints(arm, samples, noise), longest_gap)
+
+
+def continuous(quat_wxyz: Array) -> Array:
+    """The same rotations (N, 4), each with the sign that is nearer to the one before."""
+    turned = np.einsum("ij,ij->i", quat_wxyz[1:], quat_wxyz[:-1]) < 0
+    return quat_wxyz * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
+
+
+def _of_joints(arm: ArmModel, samples: JointSamples, noise: float | None) -> Sensor:
+    """What a joint sensor's resolution, and its stated noise, are at the tray: through the Jacobian, at its largest."""
+    step, some = resolution(samples.q), samples.q[:: max(1, len(samples.q) // 50)]
+    gains = np.array([np.linalg.norm(arm.body_jacobian(q).reshape(2, -1), axis=1) for q in some]).max(axis=0)
+    gains /= np.sqrt(3)  # of one component
+    size = 0.0 if noise is None else noise
+    return Sensor(
+        Level.even(size * gains[0], step * gains[0]), Level.even(0.5 * size * gains[1], 0.5 * step * gains[1], 4)
+    )
+
+
+def _recorded(
+    samples: TraySamples, highest: float, noise: float | None, joints: Sensor | None, longest_gap: float | None
+) -> TrayMotion:
+    t, p, quat = samples.t, samples.p, samples.quat_wxyz
+    notes, doubts = list(samples.notes), []
+    step = float(np.median(np.diff(t)))
+    sensor = sensor_of(t, p, quat)
+    if joints is not None:
+        sensor = Sensor(*(replace(a, step=b.step) for a, b in zip(_levels(sensor), _levels(joints), strict=True)))
+        if noise is not None:
+            sensor = joints
+    elif noise is not None:
+        sensor = replace(sensor, position=Level.even(noise, sensor.position.step))
+    off = without_spikes(t, p, quat, sensor)
+    if len(off):
+        keep = np.setdiff1d(np.arange(len(t)), off)
+        doubts.append(("spike", _spike(t, p, off)))
+        t, p, quat = t[keep], p[keep], quat[keep]
+    doubts += _clock(t, step, highest) + _jumps(t, p, sensor) + _gaps(t, step, longest_gap, notes)
+    parts = stretches(t, p, quat, sensor, highest)
+    motion = _joined([part.motion for part in parts])
+    error = np.concatenate([part.acceleration_error for part in parts])
+    for begin, end in _holes(t, step, longest_gap):
+        error[(motion.t > begin) & (motion.t < end)] = np.inf  # what happens there is a guess
+    missed = np.concatenate([part.missed for part in parts])
+    bandwidth = np.concatenate([part.bandwidth for part in parts])
+    doubts += _ends(motion, notes)
+    recording = Recording(
+        sensor,
+        1 / step,
+        highest,
+        (float(bandwidth.min()), float(bandwidth.max())),
+        tuple(cells for part in parts for cells in part.unseen if len(cells.first)),
+        tuple(cells for part in parts for cells in part.mirrored if len(cells.first)),
+    )
+    return TrayMotion(motion, error, missed, recording, tuple(doubts), tuple(notes))
+
+
+def _levels(sensor: Sensor) -> tuple[Level, Level]:
+    return sensor.position, sensor.orientation
+
+
+def _spike(t: Array, p: Array, off: Array) -> str:
+    k = int(off[0])
+    size = float(np.linalg.norm(p[k] - 0.5 * (p[max(k - 1, 0)] + p[min(k + 1, len(p) - 1)])))
+    more = f" ({len(off)} such samples)" if len(off) > 1 else ""
+    return (
+        f"the sample at {t[k]:.3f} s lies {1e3 * size:.3g} mm off its neighbours on both sides{more}; the rest is "
+        "judged without it: take it out of the file if the sensor erred"
+    )
+
+
+def _clock(t: Array, step: float, highest: float) -> list[tuple[str, str]]:
+    found = []
+    if step >= SUSPECT_STEP:
+        found.append(
+            (
+                "clock",
+                f"samples come every {step:g} s, as if the times were in ms: name the column t_ms if they are",
+            )
+        )
+    if len(t) < FEWEST:
+        found.append(("short", f"{len(t)} samples are too few to tell noise from motion; {FEWEST} are needed"))
+    if 1 / step <= 1.05 * highest:
+        found.append(
+            (
+                "sampling",
+                f"{1 / step:.3g} samples a second do not show a shake of up to {highest:g} Hz: {2.5 * highest:.0f} a "
+                f"second would, or the knowledge that nothing is faster than {0.4 / step:.2g} Hz (--highest)",
+            )
+        )
+    return found
+
+
+def _jumps(t: Array, p: Array, sensor: Sensor) -> list[tuple[str, str]]:
+    """Steps between two samples that stand out from those before and after."""
+    size = np.linalg.norm(np.diff(p, axis=0), axis=1)
+    if len(size) < 12:
+        return []
+    others = np.max([np.roll(size, s) for s in (-4, -3, -2, 2, 3, 4)], axis=0)
+    even = np.diff(t) < 1.5 * np.median(np.diff(t))
+    k = np.flatnonzero(even & (size > JUMP) & (size > 8 * others) & (size > 10 * sensor.position.whole))
+    if not len(k):
+        return []
+    worst = int(k[np.argmax(size[k])])
+    clause = f"the position jumps by {1e3 * size[worst]:.3g} mm from {t[worst]:.3f} s to {t[worst + 1]:.3f} s"
+    return [("jump", clause + (f" ({len(k)} such jumps)" if len(k) > 1 else ""))]
+
+
+def _holes(t: Array, step: float, longest_gap: float | None) -> list[tuple[float, float]]:
+    """Beginnings and ends of times without samples, longer than is bridged."""
+    allowed = longest_gap if longest_gap is not None else max(BRIDGED, BRIDGED_STEPS * step)
+    k = np.flatnonzero(np.diff(t) > allowed * (1 + 1e-9))
+    return [(float(t[i]), float(t[i + 1])) for i in k]
+
+
+def _gaps(t: Array, step: float, longest_gap: float | None, notes: list[str]) -> list[tuple[str, str]]:
+    holes = _holes(t, step, longest_gap)
+    if holes:
+        begin, end = max(holes, key=lambda hole: hole[1] - hole[0])
+        more = f" ({len(holes)} such gaps)" if len(holes) > 1 else ""
+        return [
+            (
+                "gap",
+                f"there are no samples for {end - begin:.3g} s after t = {begin:.3f} s{more}, when they otherwise come "
+                f"every {step:.3g} s: bridge it with --gap {1.01 * (end - begin):.2g} if it may be guessed",
+            )
+        ]
+    k = int(np.argmax(np.diff(t)))
+    if np.diff(t)[k] > 2.5 * step:
+        notes.append(
+            f"No samples for {np.diff(t)[k]:.3g} s after t = {t[k]:.3f} s; the motion there is a smooth guess."
+        )
+    return []
+
+
+def _ends(motion: MotionSamples, notes: list[str]) -> list[tuple[str, str]]:
+    """What a recording that begins or ends at speed does not show. Where the tray stands still for a moment within it,
+    it can have come there as it moves in it; where it never does, how it came to its speed is unknown."""
+    speed = np.linalg.norm(motion.v_S, axis=1) + LEVER * np.linalg.norm(motion.omega_B, axis=1)
+    fast = [f"{word} at {speed[k]:.2g} m/s" for word, k in (("begins", 0), ("ends", -1)) if speed[k] > STILL]
+    if not fast:
+        return []
+    sentence = f"the recording {' and '.join(fast)}: what came before or after is not in it"
+    if speed.min() > STILL:
+        return [("speed", sentence + ", nor any moment at rest")]
+    notes.append(f"Not judged: {sentence}.")
+    return []
+
+
+def _joined(parts: list[MotionSamples]) -> MotionSamples:
+    names = ("t", "p_SB", "v_S", "a_S", "R_SB", "omega_B", "alpha_B")
+    return MotionSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def forward(arm: ArmModel, t: Array, q: Array, dq: Array, ddq: Array) -> MotionSamples:
+    """Motion of the tray E at joint positions, velocities and accelerations (T, n)."""
+    import pinocchio as pin
+
+    model, data, frame = arm.pin_model, arm.data, arm.tray_id
+    p, rotation = np.empty((len(t), 3)), np.empty((len(t), 3, 3))
+    twist, rate = np.empty((len(t), 6)), np.empty((len(t), 6))
+    local: Any = pin.LOCAL
+    for k in range(len(t)):
+        pin.forwardKinematics(model, data, q[k], dq[k], ddq[k])
+        placement = pin.updateFramePlacement(model, data, frame)
+        p[k], rotation[k] = placement.translation, placement.rotation
+        twist[k] = pin.getFrameVelocity(model, data, frame, local).vector
+        rate[k] = pin.getFrameAcceleration(model, data, frame, local).vector
+    v_S = np.einsum("tij,tj->ti", rotation, twist[:, :3])
+    # The rate of the body twist is not the acceleration of the point: omega x v is missing.
+    a_E = rate[:, :3] + np.einsum("tij,tj->ti", hat(twist[:, 3:]), twist[:, :3])
+    return MotionSamples(t, p, v_S, np.einsum("tij,tj->ti", rotation, a_E), rotation, twist[:, 3:], rate[:, 3:])

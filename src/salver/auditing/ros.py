@@ -1,0 +1,255 @@
+"""Motions in the formats of ROS: a JointTrajectory message as YAML or JSON, and bags through rosbags.
+
+Quaternions of ROS are x, y, z, w; they are turned round here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.auditing.samples import JointSamples, Samples, TraySamples, joint_samples, tray_samples
+from salver.errors import FileFormatError
+from salver.geometry import Array
+
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+POSE = "geometry_msgs/msg/PoseStamped"
+LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes: YAML is read at some 0.2 MB/s
+LARGEST_BAG = 2_000_000_000  # bytes
+MOST_MESSAGES = 5_000_000
+DEEPEST = 8  # that a trajectory may lie in a message
+_NESTED = ("trajectory", "joint_trajectory", "planned_trajectory", "msg", "goal")
+
+
+def read_message(path: Path) -> JointSamples:
+    """A trajectory_msgs/JointTrajectory as `ros2 topic echo` or a script writes it (the first document of a file)."""
+    json_file = path.suffix.lower() == ".json"
+    most = LARGEST_JSON if json_file else LARGEST_YAML
+    try:
+        if path.stat().st_size > most:
+            other = "" if json_file else ", or JSON, which is read faster"
+            raise FileFormatError(f"{path} is larger than {most // 1_000_000} MB; give a bag{other}.")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise FileFormatError(f"{path} cannot be read ({error.strerror}).") from None
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{path} is not a text file in UTF-8.") from None
+    message = _find_trajectory(_json(text, path) if json_file else _yaml(text, path))
+    if message is None:
+        raise FileFormatError(f"{path} holds no JointTrajectory: it needs joint_names and points.")
+    return _from_trajectory(message["joint_names"], message["points"], str(path))
+
+
+def _json(text: str, path: Path) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise FileFormatError(
+            f"{path} is not JSON: {error.msg} at line {error.lineno}, column {error.colno}."
+        ) from None
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{path} is not JSON of a trajectory ({type(error).__name__}).") from None
+
+
+def _yaml(text: str, path: Path) -> Any:
+    """The first document. Aliases are refused: a message has none, and a few lines of them unfold without end."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.composer import Composer, ComposerError
+    from ruamel.yaml.error import YAMLError
+    from ruamel.yaml.events import AliasEvent
+
+    class NoAliases(Composer):
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.parser.check_event(AliasEvent):
+                event = self.parser.peek_event()
+                raise ComposerError(None, None, f"the alias *{event.anchor} is none of a message", event.start_mark)
+            return super().compose_node(parent, index)
+
+    loader = YAML(typ="safe", pure=True)
+    loader.Composer = NoAliases
+    try:
+        return next(iter(loader.load_all(text)), None)
+    except YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" at line {mark.line + 1}" if mark else ""
+        raise FileFormatError(
+            f"{path} is not YAML: {getattr(error, 'problem', None) or 'cannot be parsed'}{where}."
+        ) from None
+    except (
+        ValueError,
+        TypeError,
+        RecursionError,
+        OverflowError,
+    ) as error:  # dates, numbers and nesting beyond Python's
+        raise FileFormatError(f"{path} is not YAML of a trajectory ({type(error).__name__}).") from None
+
+
+def _find_trajectory(data: Any, depth: int = 0) -> Mapping[str, Any] | None:
+    """The message itself, or inside a RobotTrajectory, an action goal or a list of one."""
+    if depth > DEEPEST:
+        return None
+    if isinstance(data, Mapping):
+        if "joint_names" in data and "points" in data:
+            return data
+        candidates: Sequence[Any] = [data[key] for key in _NESTED if key in data]
+    else:
+        candidates = data if isinstance(data, list) else []
+    return next((found for item in candidates if (found := _find_trajectory(item, depth + 1)) is not None), None)
+
+
+def _from_trajectory(joint_names: Any, points: Any, source: str) -> JointSamples:
+    if not _is_row(joint_names) or not _is_row(points) or not all(isinstance(name, str | int) for name in joint_names):
+        raise FileFormatError(
+            f"{source}: the JointTrajectory needs a list of joint_names, which are text, and of points."
+        )
+    names = tuple(map(str, joint_names))
+    if not names or not len(points):
+        raise FileFormatError(f"{source}: the JointTrajectory has {len(names)} joint names and {len(points)} points.")
+    if len(set(names)) < len(names):
+        raise FileFormatError(f"{source}: the JointTrajectory names a joint twice: {', '.join(names)}.")
+    try:
+        t = np.array([_seconds(_get(point, "time_from_start")) for point in points], dtype=float)
+    except (TypeError, ValueError, KeyError, OverflowError):
+        raise FileFormatError(
+            f"{source}: a point has no time_from_start in seconds, or as sec and nanosec; every point needs one."
+        ) from None
+    columns = {key: _column(points, key, len(names), source) for key in ("positions", "velocities", "accelerations")}
+    q = columns["positions"]
+    if q is None:
+        raise FileFormatError(f"{source}: point 1 has no positions; every point needs {len(names)}.")
+    return joint_samples(t, names, q, columns["velocities"], columns["accelerations"], source)
+
+
+def _column(points: Any, key: str, n: int, source: str) -> Array | None:
+    """(N, n) of one field; None when the points do not have it."""
+    rows = [() if (row := _get(point, key)) is None else row for point in points]
+    for k, row in enumerate(rows):
+        if not _is_row(row):
+            raise FileFormatError(f"{source}: point {k + 1} has {key} that are no list; there are {n} joints.")
+    if all(len(row) == 0 for row in rows):
+        return None
+    for k, row in enumerate(rows):
+        if len(row) != n:
+            raise FileFormatError(f"{source}: point {k + 1} has {len(row)} {key}; there are {n} joints.")
+    try:
+        values = np.array(rows, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        values = np.zeros(0)
+    if values.shape != (len(rows), n):
+        raise FileFormatError(f"{source}: {key} must be numbers.")
+    return values
+
+
+def _is_row(value: Any) -> bool:
+    return isinstance(value, list | tuple | np.ndarray)
+
+
+def _get(item: Any, key: str, default: Any = None) -> Any:
+    return item.get(key, default) if isinstance(item, Mapping) else getattr(item, key, default)
+
+
+def _seconds(stamp: Any) -> float:
+    """Seconds of a number, or of a ROS time or duration (1: secs, nsecs; 2: sec, nanosec)."""
+    if isinstance(stamp, int | float):
+        return float(stamp)
+    for whole, rest in (("sec", "nanosec"), ("secs", "nsecs")):
+        if _get(stamp, whole) is not None:
+            return float(_get(stamp, whole)) + 1e-9 * float(_get(stamp, rest, 0))
+    raise KeyError("sec")
+
+
+def read_bag(path: Path, topic: str | None = None) -> Samples:
+    """The only motion of a bag, or that of `topic`: JointTrajectory, JointState or PoseStamped (a tray motion)."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        raise FileFormatError(f"{path} is a directory without metadata.yaml, so it is no ROS 2 bag.")
+    files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
+    if sum(file.stat().st_size for file in files) > LARGEST_BAG:
+        raise FileFormatError(
+            f"{path} is larger than {LARGEST_BAG // 1_000_000} MB; cut it, or give one topic of it as CSV."
+        )
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            connections = _choose(reader.connections, topic, path)
+            kind, source = connections[0].msgtype, f"{path}, topic {connections[0].topic}"
+            messages = [
+                (stamp, reader.deserialize(raw, connection.msgtype))
+                for connection, stamp, raw in islice(reader.messages(connections=connections), MOST_MESSAGES + 1)
+            ]
+    except FileFormatError:
+        raise
+    except Exception as error:  # a damaged bag leads its reader anywhere
+        reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+        raise FileFormatError(f"{path} cannot be read as a ROS bag ({reason}).") from None
+    if len(messages) > MOST_MESSAGES:
+        raise FileFormatError(f"{source} has more than {MOST_MESSAGES} messages; cut the bag.")
+    if not messages:
+        raise FileFormatError(f"{source} has no messages.")
+    if kind == TRAJECTORY:
+        message: Any = messages[0][1]
+        samples = _from_trajectory(message.joint_names, message.points, source)
+        if len(messages) > 1:
+            note = f"The topic has {len(messages)} trajectories; this is the first."
+            samples = JointSamples(**{**samples.__dict__, "notes": (*samples.notes, note)})
+        return samples
+    return _joint_states(messages, source) if kind == JOINT_STATE else _poses(messages, source)
+
+
+def _choose(connections: Sequence[Any], topic: str | None, path: Path) -> list[Any]:
+    usable = [c for c in connections if c.msgtype in (TRAJECTORY, JOINT_STATE, POSE)]
+    shown = ", ".join(f"{c.topic} ({c.msgtype})" for c in connections) or "none"
+    if topic is not None:
+        chosen = [c for c in usable if c.topic == topic]
+        if not chosen:
+            raise FileFormatError(
+                f"{path} has no motion on the topic {topic}; its topics are {shown}, and motions are {TRAJECTORY}, "
+                f"{JOINT_STATE} and {POSE}."
+            )
+        return chosen
+    topics = {c.topic for c in usable}
+    if len(topics) != 1:
+        problem = "holds no motion" if not topics else f"holds {len(topics)} motions; name one with --topic"
+        raise FileFormatError(
+            f"{path} {problem}: its topics are {shown}; motions are {TRAJECTORY}, {JOINT_STATE} and {POSE}."
+        )
+    return usable
+
+
+def _times(messages: Sequence[tuple[int, Any]]) -> Array:
+    """Stamps of the headers, s; of the recording where there are none."""
+    stamps = np.array([_seconds(message.header.stamp) for _, message in messages])
+    if np.all(stamps == 0):
+        stamps = np.array([stamp for stamp, _ in messages]) * 1e-9
+    return stamps - stamps[0]
+
+
+def _joint_states(messages: Sequence[tuple[int, Any]], source: str) -> JointSamples:
+    names = tuple(messages[0][1].name)
+    # Several publishers may share the topic (arm and gripper): the rows with the names of the first are kept.
+    rows = [(stamp, m) for stamp, m in messages if tuple(m.name) == names]
+    if not names or len(set(names)) < len(names):
+        raise FileFormatError(
+            f"{source}: a JointState needs names, each once; the first has {', '.join(names) or 'none'}."
+        )
+    try:
+        q = np.array([m.position for _, m in rows], dtype=float)
+    except ValueError:
+        q = np.zeros(0)
+    if q.ndim != 2 or q.shape[1] != len(names):
+        raise FileFormatError(f"{source}: a JointState has not one position for each of its {len(names)} names.")
+    return joint_samples(_times(rows), names, q, None, None, source)
+
+
+def _poses(messages: Sequence[tuple[int, Any]], source: str) -> TraySamples:
+    p = np.array([[m.pose.position.x, m.pose.position.y, m.pose.position.z] for _, m in messages])
+    q = [m.pose.orientation for _, m in messages]
+    quat = np.array([[x.w, x.x, x.y, x.z] for x in q])
+    return tray_samples(_times(messages), p, quat, "E", source)

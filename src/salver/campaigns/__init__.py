@@ -1,0 +1,10 @@
+"""Many perturbed runs of several plans on the same samples, in parallel, resumable, each reproducible alone.
+
+`run_campaign(directory, ...)` does it; `parameters_of_run(directory, k)` and `seed_of_run` say what run k was, so that
+`salver simulate DIR --run k` repeats it.
+"""
+
+from salver.campaigns.definition import Definition, parameters_of_run, read_definition, seed_of_run
+from salver.campaigns.engine import Campaign, run_campaign
+
+__all__ = ["Campaign", "Definition", "parameters_of_run", "read_definition", "run_campaign", "seed_of_run"]

@@ -1,0 +1,166 @@
+"""The campaign itself: what is left to do, done in parallel, journaled, put together into a table and a summary."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from salver.campaigns import workers
+from salver.campaigns.definition import DEFAULT_FOLDER, SUMMARY, Definition, define, definition_in, load_scenario
+from salver.campaigns.journal import Item, Journal
+from salver.campaigns.runners import BLOCK, Context
+from salver.campaigns.summary import summarise, table, write_table
+from salver.display import Shown
+from salver.errors import FileFormatError, SalverError
+from salver.files import provenance, read_json, sealed, write_json
+from salver.run_directory import known_stems
+
+TABLE = "runs.parquet"
+Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
+
+
+@dataclass(frozen=True, repr=False)
+class Campaign(Shown):
+    """A finished campaign. summary: what campaign.json holds. folder: where it and runs.parquet are.
+
+    notes: what was found damaged and made again, as sentences.
+    """
+
+    folder: Path
+    definition: Definition
+    summary: dict[str, Any]
+
+    def facts(self) -> dict[str, str]:
+        """What a notebook shows of it."""
+        outcomes = {
+            stem: ", ".join(f"{name} {rate['count']} of {rate['of']}" for name, rate in plan["outcomes"].items())
+            for stem, plan in self.summary["plans"].items()
+        }
+        return {"scenario": str(self.summary["provenance"]["scenario"]), **outcomes}
+
+    notes: tuple[str, ...] = ()
+
+
+def run_campaign(
+    directory: str | Path,
+    n: int = 100,
+    seed: int = 0,
+    method: str = "uniform",
+    stems: Sequence[str] | None = None,
+    engine: str = "physics",
+    jobs: int | None = None,
+    ray: str | None = None,
+    folder: str = DEFAULT_FOLDER,
+    progress: Progress | None = None,
+) -> Campaign:
+    """n runs of each plan of a run directory, all plans on the same samples; goes on where an earlier one stopped.
+
+    stems: plans to run (default: plan and baseline). jobs: processes (default: all cores). ray: address of a Ray
+    cluster to use instead. progress(done, total, outcomes by (stem, outcome)) is called after each run.
+    Raises SalverError when the folder holds another campaign: nothing is overwritten.
+    """
+    directory = Path(directory)
+    load_scenario(directory)
+    stems = list(dict.fromkeys(stems or known_stems(directory)[:2]))
+    if not stems:
+        raise SalverError(f"{directory} holds no plan; make one with `salver plan`.")
+    if jobs is not None and jobs < 1:
+        raise SalverError(f"{jobs} jobs were asked for; it needs at least 1.")
+    definition = define(directory, stems, n, seed, method, engine, folder)
+    place = directory / folder
+    _claim(place, definition)
+    with Journal(place) as journal:
+        previous = _claim(place, definition)  # again: another process may have come first
+        if previous is None and journal.records:
+            raise SalverError(f"{place} holds runs but no {SUMMARY} that says what they are; use another --folder.")
+        wanted = {(stem, run) for stem in stems for run in range(n)}
+        journal.records = {item: record for item, record in journal.records.items() if item in wanted}
+        counts = Counter((r["stem"], r["outcome"]) for r in journal.records.values())
+        if progress:
+            progress(len(journal.records), len(wanted), counts)
+        context = Context(directory, definition)
+        batches = _batches(wanted - journal.records.keys(), stems, engine)
+        if batches and journal.records and previous is not None:
+            _same_versions(place, previous.get("provenance"), _provenance(directory))
+        if batches:
+            head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
+            write_json(place / SUMMARY, head)
+        with closing(_results(context, batches, jobs or _cores(), ray)) as results:
+            for records in results:
+                for record in records:
+                    journal.append(record)
+                    counts[record["stem"], record["outcome"]] += 1
+                    if progress:
+                        progress(len(journal.records), len(wanted), counts)
+        rows = table(journal.records, stems)
+    summary = {
+        "complete": True,
+        "definition": asdict(definition),
+        **summarise(rows, stems, directory, folder),
+        "table_digest": write_table(place / TABLE, rows),
+        "provenance": _provenance(directory),
+    }
+    write_json(place / SUMMARY, sealed(summary))
+    return Campaign(place, definition, summary, tuple(journal.notes))
+
+
+def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:
+    """What campaign.json already holds, if this campaign may go on from it; SalverError if not."""
+    path = place / SUMMARY
+    if not path.is_file():
+        return None
+    previous = read_json(path)
+    existing = definition_in(previous, path)
+    if not definition.extends(existing):
+        raise SalverError(
+            f"{place} holds another campaign: {existing.in_words()}; asked for were {definition.in_words()}. "
+            "Use another --folder to keep both."
+        )
+    return dict(previous)
+
+
+def _same_versions(place: Path, before: Any, now: dict[str, Any]) -> None:
+    """A table must not be made half by one engine and half by another."""
+    if not isinstance(before, dict) or not isinstance(before.get("versions"), dict):
+        raise FileFormatError(f"{place / SUMMARY} does not say which versions made it; use another --folder.")
+    old, new = ({"salver": p.get("salver"), **p["versions"]} for p in (before, now))
+    changed = [f"{name} {old.get(name)} (now {new[name]})" for name in new if old.get(name) != new[name]]
+    if changed:
+        raise SalverError(
+            f"{place} was begun with {', '.join(changed)}; go on with those versions, or use another --folder."
+        )
+
+
+def _provenance(directory: Path) -> dict[str, Any]:
+    return provenance(load_scenario(directory))
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _batches(items: set[Item], stems: Sequence[str], engine: str) -> list[workers.Batch]:
+    """Work in the order of the runs, all plans of a run next to each other, so that a stopped campaign is paired."""
+    size = BLOCK if engine == "closed-loop" else 1
+    blocks: dict[tuple[int, int], list[int]] = {}
+    for stem, run in items:
+        blocks.setdefault((run // size, stems.index(stem)), []).append(run)
+    return [(stems[rank], tuple(sorted(runs))) for (_, rank), runs in sorted(blocks.items())]
+
+
+def _results(
+    context: Context, batches: list[workers.Batch], jobs: int, ray: str | None
+) -> Generator[workers.Records, None, None]:
+    if not batches:
+        return
+    if ray is not None:
+        yield from workers.ray_cluster(context, batches, ray)
+    elif min(jobs, len(batches)) == 1:
+        yield from workers.serial(context, batches)
+    else:
+        yield from workers.processes(context, batches, min(jobs, len(batches)))

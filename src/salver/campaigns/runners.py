@@ -1,0 +1,193 @@
+"""One run: a plan, true parameters, an engine; a flat record of scalars comes back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.campaigns.definition import Definition, samples, seed_of_run
+from salver.errors import SalverError
+from salver.geometry import Array
+from salver.sensitivity import tubes
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
+    from salver.simulation.physics import Experiment
+
+# Runs that the engine-free rollout integrates side by side. Always as many, at the same places: linear algebra on
+# fewer rows may round differently, and a resumed campaign must give the very same table.
+BLOCK = 16
+SPACING = 0.01  # s between the instants at which the engine-free rollout is looked at
+
+Scalars = dict[str, float | str | bool | None]
+
+# Of the machine or the plan, not of the run: the table must not depend on them.
+NOT_OF_THE_RUN = ("wall_time", "provenance", "thresholds", "method", "with_arm", "duration", "tube")
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a worker needs; it reads the rest from the run directory, once."""
+
+    directory: Path
+    definition: Definition
+
+    @cached_property
+    def _samples(self) -> tuple[tuple[str, ...], Array]:
+        return samples(self.directory, self.definition)
+
+    @cached_property
+    def _plans(self) -> dict[str, Plan]:
+        from salver.planning.plan import load_plan
+
+        return {stem: load_plan(self.directory, stem) for stem in self.definition.plans}
+
+    @cached_property
+    def _experiments(self) -> dict[str, Experiment]:
+        from salver.simulation.physics import Experiment
+
+        return {stem: Experiment(plan) for stem, plan in self._plans.items()}
+
+    def parameters(self, run: int) -> dict[str, float]:
+        names, values = self._samples
+        return dict(zip(names, map(float, values[run]), strict=True))
+
+    def execute(self, stem: str, runs: Sequence[int]) -> list[dict[str, Any]]:
+        """Records of some runs of one plan. A run that cannot be made says why, as its outcome."""
+        begin = time.perf_counter()
+        drawn = [self.parameters(run) for run in runs]
+        seeds = [seed_of_run(self.definition.seed, run) for run in runs]
+        if self.definition.engine == "physics":
+            results = _physics(self._experiments[stem], drawn, seeds)
+        else:
+            results = _closed_loop(self._plans[stem], runs, drawn)
+        seconds = (time.perf_counter() - begin) / len(runs)
+        return [
+            {"stem": stem, "run": run, "seconds": round(seconds, 4), "parameters": p, **_split(result)}
+            for run, p, result in zip(runs, drawn, results, strict=True)
+        ]
+
+
+def _split(result: Scalars) -> dict[str, Any]:
+    scalars = dict(result)
+    return {"outcome": scalars.pop("outcome"), "scalars": scalars}
+
+
+def _physics(experiment: Experiment, drawn: Sequence[Mapping[str, float]], seeds: Sequence[int]) -> list[Scalars]:
+    """Arm, tray and objects in the physics engine."""
+    results: list[Scalars] = []
+    for parameters, seed in zip(drawn, seeds, strict=True):
+        try:
+            record = experiment.run(dict(parameters), seed)
+        except SalverError as error:
+            results.append({"outcome": "error", "sentence": str(error)})
+            continue
+        scalars = run_scalars(record.summary)
+        scalars |= tube_scalars(experiment.plan, record.t, record.cone_coefficients)
+        results.append(scalars)
+    return results
+
+
+def _closed_loop(plan: Plan, runs: Sequence[int], drawn: Sequence[Mapping[str, float]]) -> list[Scalars]:
+    """The object under its controller alone (eqs 18, 19): what the tubes are tubes of, no contact, no arm."""
+    from salver.control.object import Gains
+    from salver.simulation.closed_loop import rollout
+
+    payload = plan.scenario.payload
+    body = payload.first
+    grasp_map = body.contacts.grasp_map
+    values = np.tile(payload.uncertain.nominal, (BLOCK, 1))
+    for run, parameters in zip(runs, drawn, strict=True):
+        values[run % BLOCK] = [parameters[name] for name in payload.uncertain.names]
+    gains = Gains(plan.scenario.control.kp, plan.scenario.control.kd)
+    result = rollout(
+        plan.reference, body.inertial, grasp_map, gains, payload.phi(body, values), plan.t[:: _stride(plan.t)]
+    )
+    results: list[Scalars] = []
+    for run in runs:
+        coefficients, deviation = result.cone_coefficients[run % BLOCK], result.deviation[run % BLOCK]
+        scalars = tube_scalars(plan, result.t, coefficients)
+        least = scalars["cone_least"]
+        assert isinstance(least, float)
+        scalars["outcome"] = "holds" if least >= 0 else "leaves cone"
+        scalars["e_p_peak"] = float(np.linalg.norm(deviation[:, :3], axis=1).max())
+        scalars["e_o_peak"] = float(np.linalg.norm(deviation[:, 3:6], axis=1).max())
+        results.append(scalars)
+    return results
+
+
+def _stride(t: Array) -> int:
+    """Every how many instants (a divisor of their number) the rollout is looked at: about every SPACING."""
+    count = len(t) - 1
+    wanted = max(1, int(SPACING / (t[-1] - t[0]) * count))
+    return next(k for k in range(wanted, 0, -1) if count % k == 0)
+
+
+def tube_scalars(plan: Plan, t: Array, coefficients: Array) -> Scalars:
+    """Least cone coefficient of a run, and how far the coefficients left the plan's tube (negative: stayed within).
+
+    coefficients: (T, n_lambda) at t (T,); only the time of the motion counts. tube_excess: largest of
+    |Lambda - nominal| - radius, N; tube_excess_relative: the same as a share of the largest radius;
+    tube_excess_settled: that share once the controller's start-up has died away (to 2 %, at 8 / kd). Until then the two
+    differ in kind: a tube of eq (19) starts with no width, because the controller starts with the nominal wrench, while
+    an object that rests on a real tray presses with its true weight from the first instant.
+    """
+    if coefficients is None or not len(plan.cone_radius):
+        return {}
+    within = (t >= 0) & (t <= plan.t[-1])
+    t, coefficients = t[within], coefficients[within]
+    if len(t) == 0 or not np.all(np.isfinite(coefficients)):
+        return {}
+    from scipy.interpolate import make_interp_spline
+
+    nominal = make_interp_spline(plan.t, plan.cone_coefficients, k=3)(t)
+    radius = np.stack([np.interp(t, plan.t, column) for column in plan.cone_radius.T], axis=1)
+    excess = tubes.excess(coefficients, nominal, radius)
+    when = int(np.argmax(excess.max(axis=1)))
+    largest = float(plan.cone_radius.max())
+    return {
+        "cone_least": float(coefficients.min()),
+        "tube_excess": float(excess.max()),
+        "tube_excess_relative": _largest(excess, largest),
+        "tube_excess_settled": _largest(excess[t >= 8 / min(plan.scenario.control.kd)], largest),
+        "tube_excess_time": float(t[when]),
+    }
+
+
+def _largest(excess: Array, radius: float) -> float | None:
+    return float(excess.max() / radius) if radius > 0 and excess.size else None
+
+
+def run_scalars(summary: Mapping[str, Any]) -> Scalars:
+    """The figures of a run, flat: the object's own by their names; with several objects theirs with `object.` in
+    front, and the largest of each peak_ over all without."""
+    scalars: Scalars = {}
+    for key, value in summary.items():
+        if isinstance(value, Mapping) and key not in NOT_OF_THE_RUN:
+            scalars |= {f"{key}.{name}": _plain(x) for name, x in value.items() if _is_scalar(x)}
+        elif key not in NOT_OF_THE_RUN and _is_scalar(value):
+            scalars[key] = _plain(value)
+    objects = summary.get("objects", ())
+    for item in objects:
+        prefix = f"{item['name']}." if len(objects) > 1 else ""
+        own = {key: _plain(value) for key, value in item.items() if key != "name" and _is_scalar(value)}
+        scalars |= {prefix + key: value for key, value in own.items() if prefix or key != "outcome"}
+    if len(objects) > 1:
+        for key in [key for key in objects[0] if key.startswith("peak_")]:
+            scalars[key] = max(float(item[key]) for item in objects)
+    return scalars
+
+
+def _is_scalar(value: object) -> bool:
+    return value is None or isinstance(value, float | int | str | bool | np.generic)
+
+
+def _plain(value: Any) -> float | str | bool | None:
+    plain: float | str | bool | None = value.item() if isinstance(value, np.generic) else value
+    return plain

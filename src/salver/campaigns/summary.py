@@ -1,0 +1,171 @@
+"""From finished runs to a table (Parquet) and to what can be said of them, with intervals."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from shlex import quote
+from typing import Any
+
+from salver.campaigns.definition import DEFAULT_FOLDER
+from salver.campaigns.journal import Item, Record
+from salver.files import write_atomic
+from salver.statistics import clopper_pearson, mcnemar, quantiles
+
+TUBE_TOLERANCE = 0.01  # of the largest radius: what first order may miss before a run counts as outside
+
+# From what was wanted to what must not be; an outcome that is not listed is worst.
+SEVERITY = ("holds", "leaves cone", "limit", "slides", "lifts", "tips", "lost", "crashed", "error")
+SUMMARISED = (
+    "peak_slip",
+    "final_slip",
+    "peak_lift",
+    "peak_tip_angle",
+    "e_p_peak",
+    "e_o_peak",
+    "tray_e_p_peak",
+    "tray_e_o_peak",
+    "cone_least",
+)
+
+Row = dict[str, Any]
+
+
+def table(records: Mapping[Item, Record], stems: Sequence[str]) -> list[Row]:
+    """One row per run and plan: stem, run, outcome, parameters by name, scalars; by run, then in the order of plans."""
+    order = {stem: rank for rank, stem in enumerate(stems)}
+    rows = [
+        {"stem": r["stem"], "run": r["run"], "outcome": r["outcome"], **r["parameters"], **r["scalars"]}
+        for r in records.values()
+    ]
+    return sorted(rows, key=lambda row: (row["run"], order[row["stem"]]))
+
+
+def write_table(path: Path, rows: Sequence[Row]) -> str:
+    """Parquet, columns in the order of first appearance; returns its digest. The same rows give the same bytes."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    columns = {}
+    for name in names:
+        values = [row.get(name) for row in rows]
+        kinds = {type(v) for v in values if v is not None}
+        if kinds == {int, float}:
+            values = [None if v is None else float(v) for v in values]
+        elif len(kinds) > 1:
+            values = [None if v is None else str(v) for v in values]
+        columns[name] = pa.array(values)
+    buffer = io.BytesIO()
+    pq.write_table(pa.table(columns), buffer, compression="zstd")
+    write_atomic(path, buffer.getvalue())
+    return hashlib.sha256(buffer.getvalue()).hexdigest()
+
+
+def read_table(path: str | Path) -> dict[str, list[Any]]:
+    """Columns of a runs.parquet."""
+    import pyarrow.parquet as pq
+
+    columns: dict[str, list[Any]] = pq.read_table(path).to_pydict()
+    return columns
+
+
+def summarise(
+    rows: Sequence[Row], stems: Sequence[str], directory: Path, folder: str = DEFAULT_FOLDER
+) -> dict[str, Any]:
+    """Outcome rates with 95 % Clopper-Pearson intervals, quantiles, tube coverage, worst runs, and plans in pairs."""
+    by_stem = {stem: [row for row in rows if row["stem"] == stem] for stem in stems}
+    return {
+        "plans": {stem: _plan_summary(own, stem, directory, folder) for stem, own in by_stem.items()},
+        "paired": [
+            _pair(by_stem[first], by_stem[second], first, second)
+            for i, first in enumerate(stems)
+            for second in stems[i + 1 :]
+        ],
+    }
+
+
+def _plan_summary(rows: Sequence[Row], stem: str, directory: Path, folder: str) -> dict[str, Any]:
+    counts = {outcome: sum(row["outcome"] == outcome for row in rows) for outcome in {row["outcome"] for row in rows}}
+    ordered = sorted(counts | {"holds": counts.get("holds", 0)}, key=severity)
+    worst = max(rows, key=badness)
+    return {
+        "runs": len(rows),
+        "outcomes": {name: clopper_pearson(counts.get(name, 0), len(rows)).as_dict() for name in ordered},
+        "quantiles": {name: quantiles(_numbers(rows, name)) for name in SUMMARISED if _numbers(rows, name)},
+        "tube": _tube(rows),
+        "worst_run": {
+            "run": worst["run"],
+            "outcome": worst["outcome"],
+            "peak_slip": worst.get("peak_slip"),
+            "cone_least": worst.get("cone_least"),
+            "sentence": worst.get("sentence"),
+            "replay": f"salver simulate {quote(str(directory))} --stem {stem} --run {worst['run']}"
+            + (f" --folder {folder}" if folder != DEFAULT_FOLDER else ""),
+        },
+    }
+
+
+def _tube(rows: Sequence[Row]) -> dict[str, Any] | None:
+    """How many runs had a cone coefficient outside the plan's first-order tube, and how far it went.
+
+    "left" counts excesses over TUBE_TOLERANCE of the tube's largest radius.
+    """
+    excess = [
+        (row["tube_excess_relative"], row["tube_excess"], row["run"])
+        for row in rows
+        if _is_number(row.get("tube_excess_relative"))
+    ]
+    if not excess:
+        return None
+    relative, absolute, run = max(excess)
+    return {
+        "left": clopper_pearson(sum(e > TUBE_TOLERANCE for e, _, _ in excess), len(excess)).as_dict(),
+        "tolerance_relative": TUBE_TOLERANCE,
+        "worst_excess": absolute,
+        "worst_excess_relative": relative,
+        "worst_run": run,
+        "excess_relative": quantiles([e for e, _, _ in excess]),
+        "excess_settled": quantiles(_numbers(rows, "tube_excess_settled")),
+    }
+
+
+def _pair(first: Sequence[Row], second: Sequence[Row], first_name: str, second_name: str) -> dict[str, Any]:
+    """Two plans on the runs that both have."""
+    a, b = ({row["run"]: row["outcome"] == "holds" for row in rows} for rows in (first, second))
+    runs = sorted(a.keys() & b.keys())
+    result = mcnemar([a[k] for k in runs], [b[k] for k in runs]).as_dict()
+    differences = {}
+    for name in ("peak_slip", "e_p_peak", "e_o_peak", "cone_least"):
+        one, other = ({r["run"]: r[name] for r in rows if _is_number(r.get(name))} for rows in (first, second))
+        common = [k for k in runs if k in one and k in other]
+        if common:
+            differences[name] = quantiles([one[k] - other[k] for k in common])
+    return {"first": first_name, "second": second_name, "holds": result, "difference": differences}
+
+
+def severity(outcome: str) -> int:
+    return SEVERITY.index(outcome) if outcome in SEVERITY else len(SEVERITY)
+
+
+def badness(row: Row) -> tuple[int, float, float, int]:
+    """Orders runs: worst outcome first, then largest slip, then least cone coefficient; ties by the earlier run."""
+    slip = row.get("peak_slip")
+    least = row.get("cone_least")
+    return (
+        severity(row["outcome"]),
+        float(slip) if _is_number(slip) else 0.0,  # type: ignore[arg-type]
+        -float(least) if _is_number(least) else 0.0,  # type: ignore[arg-type]
+        -row["run"],
+    )
+
+
+def _numbers(rows: Sequence[Row], name: str) -> list[float]:
+    return [row[name] for row in rows if _is_number(row.get(name))]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

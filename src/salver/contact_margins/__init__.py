@@ -1,0 +1,29 @@
+"""How safe a motion of the tray is for everything on it: all margins, over time, nominal and worst case.
+
+For every interface (object on tray, object on object):
+- cone coefficients: the least of Lambda = pinv(G F-hat) F, the paper's condition (eq 16), N;
+- exact margin: how far inside the contact wrench cone the required wrench is, as a share of the normal force
+  at rest; split into the part that friction limits (leaving it: sliding) and the rest (tipping, lifting);
+- friction needed: the least coefficient for which the wrench is in the cone;
+- tip-over margin: distance of the zero-moment point to the edge of the support polygon, m.
+
+Worst cases are over the scenario's uncertain set, for objects that follow their tray: bounds that are never
+too optimistic (see `salver.models.contact_rows`). By how much the closed loop leaves its reference can be added
+as a first-order tube (`tracking_motion`).
+"""
+
+from salver.contact_margins.interface import InterfaceMargins
+from salver.contact_margins.model import EDGES, MarginModel, margin_model
+from salver.contact_margins.motion import tracking_motion, tray_motion
+from salver.contact_margins.whole import Margins, margins
+
+__all__ = [
+    "EDGES",
+    "InterfaceMargins",
+    "MarginModel",
+    "Margins",
+    "margin_model",
+    "margins",
+    "tracking_motion",
+    "tray_motion",
+]

@@ -1,0 +1,238 @@
+"""Margins of one interface along a motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.contact_margins.model import friction_rows
+from salver.contact_margins.values import RowValues
+from salver.geometry import Array
+from salver.models.contact_rows import ContactRows
+from salver.models.interfaces import Interface, to_tray
+from salver.models.tray_motion import frame_map, wrench_map
+from salver.models.wrench_cone import coulomb_friction_needed, friction_needed, tip_over_margin
+
+_TOLERANCE = 1e-9  # of a margin, as a share of the weight
+_FINE = 32  # edges of the pyramids that settle what the model's leave open
+
+
+@dataclass(frozen=True)
+class InterfaceMargins:
+    """Margins of one object on one support. Arrays (T,), time first; `_worst` over the uncertain set."""
+
+    whole: RowValues
+    network: int
+    index: int
+
+    @property
+    def interface(self) -> Interface:
+        return self.whole.model.networks[self.network].interfaces[self.index]
+
+    @property
+    def name(self) -> str:
+        """Such as "cup1 on tray"."""
+        return self.interface.name
+
+    @property
+    def object(self) -> str:
+        return self.whole.model.networks[self.network].bodies[self.interface.upper].name
+
+    @property
+    def t(self) -> Array:
+        return self.whole.t
+
+    @property
+    def friction(self) -> float:
+        return float(self.interface.contacts.friction[0])
+
+    @cached_property
+    def wrench_B(self) -> Array:
+        """(T, 6) what the support must give, at nominal parameters, at B of the object, N and N m."""
+        network = self.whole.model.networks[self.network]
+        required = [
+            to_tray(b.p_EB, b.R_EB) @ wrench_map(b.inertial.phi) @ frame_map(b.p_EB, b.R_EB) for b in network.bodies
+        ]
+        wrench_E = self.whole.w @ np.einsum("jik,jkw->iw", network.share[self.index], np.array(required)).T
+        if not network.determinate:
+            wrench_E = wrench_E + self.whole.nominal_values[self.network][1] @ network.internal[self.index].T
+        upper = network.bodies[self.interface.upper]
+        return np.asarray(wrench_E @ np.linalg.inv(to_tray(upper.p_EB, upper.R_EB)).T)
+
+    def _margin(self, rows: ContactRows, value: Array, limited: bool | None) -> Array:
+        chosen = rows.interface == self.index
+        if limited is not None:
+            chosen = chosen & (rows.label == limited)
+        return -value[:, chosen].max(axis=1, initial=-np.inf)
+
+    @cached_property
+    def exact(self) -> Array:
+        return self._margin(self.whole.model.nominal[self.network], self.whole.nominal_values[self.network][0], None)
+
+    @cached_property
+    def exact_worst(self) -> Array:
+        return self._margin(self.whole.model.robust[self.network], self.whole.worst_values[self.network][0], None)
+
+    @cached_property
+    def sliding_worst(self) -> Array:
+        """Margin of the facets that depend on friction."""
+        return self._margin(self.whole.model.robust[self.network], self.whole.worst_values[self.network][0], True)
+
+    @cached_property
+    def tipping_worst(self) -> Array:
+        """Margin of the facets that do not depend on friction."""
+        return self._margin(self.whole.model.robust[self.network], self.whole.worst_values[self.network][0], False)
+
+    @cached_property
+    def cone_coefficient(self) -> Array:
+        """Least coefficient Lambda of the pseudo-inverse distribution, N: the paper's condition."""
+        rows = self.whole.model.paper[self.network][0]
+        return self._margin(rows, rows.worst(self.whole.w), None)
+
+    @cached_property
+    def cone_coefficient_worst(self) -> Array:
+        rows = self.whole.model.paper[self.network][1]
+        return self._margin(rows, self.whole.worst_case(rows), None)
+
+    @property
+    def _internal_worst(self) -> Array:
+        return self.whole.worst_values[self.network][1]
+
+    @cached_property
+    def friction_needed(self) -> Array:
+        """For friction pyramids, inscribed: at most 1/cos(pi / edges) above the round cone's."""
+        return friction_needed(self.interface.contacts, self.wrench_B)
+
+    @cached_property
+    def tip_over(self) -> Array:
+        """m, see `tip_over_margin`."""
+        return tip_over_margin(self.interface.contacts, self.wrench_B)
+
+    @cached_property
+    def tip_over_worst(self) -> Array:
+        """m: least distance over the uncertain set (a bound)."""
+        rows = self.whole.model.support[self.network]
+        value = self.whole.worst_case(rows) + self._internal_worst @ rows.internal.T
+        own = np.flatnonzero(rows.interface == self.index)
+        kind = rows.label[own]
+        beyond = value[:, own[kind == 0]].max(axis=1)
+        most, least = value[:, own[kind == 1]].max(axis=1), -value[:, own[kind == 2]].max(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(least > 0, -beyond / np.where(beyond > 0, least, most), -np.inf)
+
+    @cached_property
+    def friction_needed_worst(self) -> float:
+        """Least coefficient (of this interface) that keeps the whole motion from sliding in the worst case.
+
+        Infinite when no friction would do. By bisection to 1e-4, on the facets with the coefficient taken out.
+        """
+        if float(self.tipping_worst.min()) < -_TOLERANCE:
+            return float("inf")
+        model = self.whole.model
+        rows = model.rows(self.network, model.uncertain, friction_rows, False)
+        own = np.flatnonzero(rows.interface == self.index)
+        tangential, normal = (_only(rows, own[rows.label[own] == kind]) for kind in (0, 1))
+        w, tracking, w_0 = self.whole.w, self.whole.tracking, self._internal_worst
+        low, high = 0.0, 5.0
+
+        def fails(mu: float, keep: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+            at_mu = _combined(tangential, normal, mu)
+            part = replace(self.whole, w=w[keep], tracking=None if tracking is None else tracking[keep])
+            return np.asarray((part.worst_case(at_mu) + w_0[keep] @ at_mu.internal.T).max(axis=1) > 0)
+
+        candidates = np.arange(len(w))
+        if fails(high, candidates).any():
+            return float("inf")
+        while high - low > 1e-4:
+            middle = 0.5 * (low + high)
+            failing = fails(middle, candidates)
+            if failing.any():
+                low, candidates = middle, candidates[failing]
+            else:
+                high = middle
+        return high
+
+    @property
+    def least_friction(self) -> float:
+        """Of the uncertain set."""
+        network = self.whole.model.networks[self.network]
+        return self.whole.model.payload.least_friction(network.bodies[self.interface.upper])
+
+    def failure(self, worst: bool) -> tuple[float, int, str, InterfaceMargins] | None:
+        """(time, order, code, self) of the first failure, or None."""
+        if worst:
+            tips, slides = self.tipping_worst < -_TOLERANCE, self.sliding_worst < -_TOLERANCE
+            lifts = tips & np.isneginf(self.tip_over_worst)
+        else:
+            tips, slides = np.asarray(self.tip_over < 0), self._slides()
+            lifts = np.isneginf(self.tip_over)
+        for k in np.flatnonzero(tips | slides)[:1]:
+            code = "lifts" if lifts[k] else "tips" if tips[k] else "slides"
+            return float(self.t[k]), self.index, code, self
+        return None
+
+    def _slides(self) -> npt.NDArray[np.bool_]:
+        """(T,) whether the round cone is left: by pyramids inside and around it where these agree.
+
+        Between them first by finer pyramids, then by the cone itself, up to the first instant that slides.
+        """
+        contacts, mu = self.interface.contacts, self.friction * (1 + _TOLERANCE)
+        needed = self.friction_needed.copy()
+        slides = np.asarray(needed * np.cos(np.pi / contacts.edges) > mu)
+        unclear = np.flatnonzero(~slides & (needed > mu))
+        if len(unclear) == 0:
+            return slides
+        fine = replace(contacts, edges=_FINE)
+        needed[unclear] = friction_needed(fine, self.wrench_B[unclear])
+        slides[unclear] = needed[unclear] * np.cos(np.pi / _FINE) > mu
+        first = int(np.argmax(slides)) if slides.any() else len(slides)
+        for k in unclear[(unclear < first) & (needed[unclear] > mu) & ~slides[unclear]]:
+            if coulomb_friction_needed(contacts, self.wrench_B[k])[0] > mu:
+                slides[k] = True
+                break
+        return slides
+
+    def reason(self, code: str, time: float, worst: bool) -> str:
+        """Why it fails, with figures."""
+        after = int(np.searchsorted(self.t, time))
+        if code == "lifts":
+            return "nothing presses it on its support"
+        if code == "tips":
+            beyond = -(self.tip_over_worst if worst else self.tip_over)[after:]
+            distance = float(beyond[np.isfinite(beyond)].max())
+            return f"its zero-moment point comes {1e3 * distance:.1f} mm beyond the edge of its support"
+        if worst:
+            needed = self.friction_needed_worst
+            much = f"friction {needed:.3f}" if np.isfinite(needed) else "more friction than any"
+            return f"the motion needs {much} where at least {self.least_friction:.3f} is sure"
+        pyramids = self.friction_needed[after:]
+        peak = after + int(np.argmax(np.where(np.isfinite(pyramids), pyramids, 0.0)))
+        needed = float(coulomb_friction_needed(self.interface.contacts, self.wrench_B[peak])[0])
+        return f"it needs friction up to {needed:.3f} and has {self.friction:.3f}"
+
+
+def _only(rows: ContactRows, index: npt.NDArray[np.intp]) -> ContactRows:
+    return replace(
+        rows,
+        interface=rows.interface[index],
+        label=rows.label[index],
+        nominal=rows.nominal[index],
+        parameter=rows.parameter[:, index],
+        remainder=rows.remainder[:, index],
+        internal=rows.internal[index],
+        mass_signs=rows.mass_signs[index],
+    )
+
+
+def _combined(tangential: ContactRows, normal: ContactRows, mu: float) -> ContactRows:
+    """Facets at coefficient mu."""
+    return replace(
+        normal,
+        nominal=tangential.nominal / mu + normal.nominal,
+        parameter=tangential.parameter / mu + normal.parameter,
+        remainder=tangential.remainder / mu + normal.remainder,
+        internal=tangential.internal / mu + normal.internal,
+    )

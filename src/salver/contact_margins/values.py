@@ -1,0 +1,47 @@
+"""Values of all contact rows along one motion, nominal and in the worst case, before they are called margins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from salver.contact_margins.model import MarginModel
+from salver.geometry import Array
+from salver.models.contact_rows import ContactRows
+from salver.models.internal_wrench import internal_wrenches
+from salver.sensitivity import tubes
+
+
+@dataclass(frozen=True)
+class RowValues:
+    """t (T,); w (T, 12): motion of the tray frame E. tracking: (T, 12, n_p) or None, see `margins`."""
+
+    model: MarginModel
+    t: Array
+    w: Array
+    tracking: Array | None = None
+
+    @cached_property
+    def nominal_values(self) -> list[tuple[Array, Array]]:
+        """Rows (T, n) and internal wrenches (T, n_w) of each network."""
+        return [_balanced(rows.worst(self.w), rows) for rows in self.model.nominal]
+
+    @cached_property
+    def worst_values(self) -> list[tuple[Array, Array]]:
+        return [_balanced(self.worst_case(rows), rows) for rows in self.model.robust]
+
+    def worst_case(self, rows: ContactRows) -> Array:
+        """Worst case of the rows (T, n), with the tube of the tracking error added."""
+        value = rows.worst(self.w)
+        if self.tracking is not None:
+            change = np.einsum("fk,tkp->tfp", rows.nominal, self.tracking, optimize=True)
+            value += tubes.radius(change, self.model.uncertain)
+        return value
+
+
+def _balanced(value: Array, rows: ContactRows) -> tuple[Array, Array]:
+    """Rows with the best internal wrenches added, and those wrenches (T, n_w)."""
+    w_0 = internal_wrenches(value, rows.internal)
+    return value + w_0 @ rows.internal.T, w_0

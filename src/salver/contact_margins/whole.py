@@ -1,0 +1,106 @@
+"""Margins of everything on the tray along a motion, and the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salver.contact_margins.interface import InterfaceMargins
+from salver.contact_margins.model import margin_model
+from salver.contact_margins.motion import tray_motion
+from salver.contact_margins.values import RowValues
+from salver.errors import Status
+from salver.geometry import Array
+from salver.models.interfaces import regions_lost
+from salver.scenario import Scenario
+
+if TYPE_CHECKING:
+    from salver.trajectory import MotionSamples
+
+
+def margins(
+    scenario: Scenario, samples: MotionSamples, *, edges: int | None = None, tracking: Array | None = None
+) -> Margins:
+    """All margins of a motion of B, the frame of the scenario's first object (T instants).
+
+    edges: of the friction pyramids, inscribed; unless given the least multiple of the scenario's that is 8 or more.
+    tracking: (T, 12, n_p) from `tracking_motion`, when the tray does not follow the motion exactly.
+    """
+    return Margins(margin_model(scenario, edges), samples.t, tray_motion(scenario, samples), tracking)
+
+
+@dataclass(frozen=True)
+class Margins(RowValues):
+    """Margins of everything on the tray along one motion; computed when asked for."""
+
+    @cached_property
+    def interfaces(self) -> tuple[InterfaceMargins, ...]:
+        """One for every interface, network by network; within one, in the order of the objects."""
+        return tuple(
+            InterfaceMargins(self, i, e)
+            for i, net in enumerate(self.model.networks)
+            for e in range(len(net.interfaces))
+        )
+
+    def of(self, name: str) -> tuple[InterfaceMargins, ...]:
+        """The interfaces on which an object stands."""
+        return tuple(m for m in self.interfaces if m.object == name)
+
+    @cached_property
+    def exact(self) -> Array:
+        """(T,) least exact margin of all interfaces at nominal parameters, as a share of the normal force."""
+        return np.min([-self.nominal_values[i][0].max(axis=1) for i in range(len(self.model.networks))], axis=0)
+
+    @cached_property
+    def exact_worst(self) -> Array:
+        """(T,) the same in the worst case of the uncertain set."""
+        return np.min([-self.worst_values[i][0].max(axis=1) for i in range(len(self.model.networks))], axis=0)
+
+    def verdict(self, worst: bool = False) -> Status:
+        """Holds, slides, tips or lifts: the first interface that fails, and when, in one sentence.
+
+        Nominal: with round Coulomb cones. Worst case: with inscribed pyramids over the whole uncertain set, so
+        "holds" is sure, "slides" and "tips" say that it cannot be excluded.
+        """
+        failures = [f for m in self.interfaces if (f := m.failure(worst)) is not None]
+        case = "in the worst case of the uncertain parameters " if worst else ""
+        payload = self.model.payload
+        lost = [name for net in payload.networks for name in regions_lost(net, payload.tray_half, payload.uncertain)]
+        if worst and lost:
+            sentence = f"{lost[0]} may stand beside it: the uncertain position is as large as the contact region."
+            return Status("tips", sentence, False, {"interface": lost[0], "time": float(self.t[0])})
+        if failures:
+            time, _, code, m = min(failures, key=lambda f: (f[0], f[1]))
+            sentence = f"{m.name} {case}{code} at {time:.3f} s: {m.reason(code, time, worst)}."
+            return Status(code, sentence[0].upper() + sentence[1:], False, {"interface": m.name, "time": time})
+        least = min(self.interfaces, key=lambda m: float((m.exact_worst if worst else m.exact).min()))
+        margin = least.exact_worst if worst else least.exact
+        k = int(np.argmin(margin))
+        sentence = (
+            f"Everything holds{' ' + case.rstrip() if case else ''}; the least margin is "
+            f"{100 * max(0.0, float(margin[k])):.1f} % of the weight ({least.name}, at {self.t[k]:.3f} s)."
+        )
+        details = {"interface": least.name, "time": float(self.t[k]), "margin": float(margin[k])}
+        return Status("holds", sentence, True, details)
+
+    def worst_parameters(self) -> dict[str, float]:
+        """Values of the uncertain parameters at which the least worst-case margin occurs (to first order)."""
+        values = self.worst_values
+        network = int(np.argmax([v.max() for v, _ in values]))
+        instant, row = np.unravel_index(int(np.argmax(values[network][0])), values[network][0].shape)
+        point = self.model.robust[network].worst_point(self.w[instant], int(row))
+        uncertain = self.model.uncertain
+        signs = [-1.0 if p.kind == "friction" else point.get(p, 0.0) for p in uncertain.parameters]
+        worst = uncertain.nominal + uncertain.half_range * np.array(signs)
+        return dict(zip(uncertain.names, worst.tolist(), strict=True))
+
+    def costs(self) -> dict[str, float]:
+        """What each uncertain parameter, alone, takes from the least exact margin (share of the normal force)."""
+        least = float(self.exact.min())
+        return {
+            p.name: least - float(Margins(self.model.with_only(p), self.t, self.w).exact_worst.min())
+            for p in self.model.uncertain.parameters
+        }

@@ -1,0 +1,58 @@
+"""Cells and tables of the page, as HTML.
+
+HTML is `Markup`, whose `format`, `join` and `+` escape whatever is not: no value reaches the page but as text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from markupsafe import Markup
+
+from salver.reports.style import GREY, OUTCOME_COLOURS, ROLE_COLOURS
+
+NOTHING = Markup("")
+
+
+def table(head: Iterable[object], rows: Iterable[Iterable[object]], numeric: Iterable[int] = ()) -> Markup:
+    """HTML table; cells that are not `Markup` are text; columns of `numeric` are set right."""
+    right = set(numeric)
+
+    def row(kind: str, cells: Iterable[object]) -> Markup:
+        made = (
+            Markup("<{0}{1}>{2}</{0}>").format(Markup(kind), Markup(' class="n"') if i in right else "", cell)
+            for i, cell in enumerate(cells)
+        )
+        return Markup("<tr>{}</tr>").format(joined(made))
+
+    body = joined(row("td", cells) for cells in rows)
+    return Markup("<table><thead>{}</thead><tbody>{}</tbody></table>").format(row("th", head), body)
+
+
+def joined(parts: Iterable[object]) -> Markup:
+    """Parts one after the other."""
+    return NOTHING.join(parts)  # type: ignore[arg-type]
+
+
+def outcome_cell(word: object) -> Markup:
+    """How a run ended, with its colour."""
+    return _named(OUTCOME_COLOURS.get(str(word), GREY), word)
+
+
+def percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def number(value: float, digits: int, unit: str = "", otherwise: str = "–") -> str:
+    """A number with a fixed number of digits and its unit; words when it is not finite."""
+    return f"{value:.{digits}f}{unit}".replace("-", "−") if np.isfinite(value) else otherwise
+
+
+def motion_cell(stem: str, label: str) -> Markup:
+    """A motion's name with its colour."""
+    return _named(ROLE_COLOURS[stem], label)
+
+
+def _named(colour: str, text: object) -> Markup:
+    return Markup('<span class="name"><span class="dot" style="background:{}"></span>{}</span>').format(colour, text)

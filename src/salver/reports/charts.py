@@ -1,0 +1,307 @@
+"""Charts of the page: what each shows, as data for the page's own plotting script."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.errors import ScenarioError
+from salver.geometry import Array
+from salver.models.parameters import Parameter
+from salver.reports.parameters import pretty
+from salver.reports.style import CYCLE, ROLE_COLOURS, VERMILION
+from salver.sensitivity import tubes
+from salver.wording import listed
+
+if TYPE_CHECKING:
+    from salver.models.arm import ArmModel
+    from salver.models.arm_limits import JointLimits
+    from salver.reports.run import Motion, Record, Run
+
+Spec = dict[str, Any]
+TIP_WORTH_SHOWING = 1e-3  # rad; less is the softness of the contact
+WORTH_A_CURVE = 0.02  # of the largest effect of a parameter
+CLEARANCE_SAMPLES = 121
+POINTS = 240  # per curve: more than the pixels of a chart
+DASH = {"plan": "", "baseline": "6 3", "nominal": "6 3"}
+
+
+def thin(t: Array, *curves: Array) -> list[list[float | None]]:
+    """Time and curves at no more than POINTS instants, to five digits."""
+    keep = np.unique(np.round(np.linspace(0, len(t) - 1, min(len(t), POINTS))).astype(int))
+    return [_digits(x[keep]) for x in (t, *curves)]
+
+
+def _digits(values: Array) -> list[float | None]:
+    """Five digits are more than a chart shows; a gap in a measurement becomes null."""
+    return [float(f"{v:.5g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=float)]
+
+
+def series(motion: Motion, name: str, t: Array, y: Array, **style: Any) -> Spec:
+    """A curve in the colour and dash of the motion it belongs to."""
+    x, values = thin(t, y)
+    return {"name": name, "colour": ROLE_COLOURS[motion.stem], "dash": DASH[motion.stem], "x": x, "y": values, **style}
+
+
+def time_chart(title: str, y: str, curves: list[Spec], note: str = "", unit: str = "", **more: Any) -> Spec:
+    return {"title": title, "note": note, "x": "time, s", "y": y, "series": curves, "unit": unit, "time": True, **more}
+
+
+def margin_charts(run: Run) -> list[Spec]:
+    """Three ways to ask how close to sliding, tipping or lifting a motion comes, and the paper's own condition."""
+    curves = run.contact
+    one = curves[run.plan.stem].coefficient is not None
+    margin, friction, tip, floor = [], [], [], []
+    for m in run.motions:
+        c = curves[m.stem]
+        margin.append(series(m, f"{m.label}, worst case", c.t, 100 * c.worst))
+        margin.append(series(m, f"{m.label}, nominal", c.t, 100 * c.nominal, width=1.0, opacity=0.55))
+        friction.append(series(m, m.label, c.t, c.coefficient if c.coefficient is not None else 100 * c.friction))
+        tip.append(series(m, f"{m.label}, worst case", c.t, 1e3 * c.tip_worst))
+        tip.append(series(m, f"{m.label}, nominal", c.t, 1e3 * c.tip, width=1.0, opacity=0.55))
+        floor.append(series(m, m.label, m.t, m.cone_floor.min(axis=1)))
+    zero = {"y": 0, "label": ""}
+    needed = "Least friction coefficient" if one else "Largest share of its friction that any object needs"
+    return [
+        time_chart(
+            "Distance to sliding, tipping or lifting",
+            "margin, % of the weight",
+            margin,
+            "How far inside its contact wrench cone the required wrench stays: above zero it sticks. Worst case: over "
+            "all uncertain parameters, with the errors that they cause in the closed loop.",
+            "%",
+            lines=[zero],
+        ),
+        time_chart(
+            "Friction needed",
+            "coefficient" if one else "% of what there is",
+            friction,
+            f"{needed} at which the contacts can give the nominal wrench. Below the line it sticks.",
+            "" if one else "%",
+            lines=_friction_lines(run) if one else [{"y": 100, "label": "all there is", "colour": VERMILION}],
+            zero=True,
+        ),
+        time_chart(
+            "Distance to tipping over",
+            "distance to edge, mm",
+            tip,
+            "How far inside its base the centre of pressure stays. At zero a body starts to tip. Worst case: over all "
+            "uncertain parameters, on the reference itself.",
+            "mm",
+            lines=[zero],
+            range=_tip_range(tip),
+        ),
+        time_chart(
+            "Least cone coefficient, lower edge of its tube",
+            "min (Λ − r), N",
+            floor,
+            "The paper's condition asks that it stay above zero. Sufficient, not necessary: it judges one distribution "
+            "of the internal forces"
+            + (f" of {run.bodies[0].name} alone" if len(run.bodies) > 1 else "")
+            + ("." if run.scenario.contact.condition == "paper" else "; this plan is not held to it."),
+            "N",
+            lines=[zero],
+        ),
+    ]
+
+
+def _tip_range(curves: list[Spec]) -> list[float] | None:
+    """None for all of the curves; once a body is far over the edge of its base, the figures run away to no use."""
+    values = [v for c in curves for v in c["y"] if v is not None]
+    high = max(values, default=1.0)
+    return [-high, 1.06 * high] if values and min(values) < -high else None
+
+
+def _friction_lines(run: Run) -> list[Spec]:
+    """The friction there is, and the least that is assumed."""
+    mu = run.bodies[0].friction
+    lines: list[Spec] = [{"y": mu, "label": f"available: {mu:g}", "colour": VERMILION}]
+    uncertain = run.scenario.objects[0].uncertainty.friction
+    if uncertain is not None:
+        half = uncertain if isinstance(uncertain, float) else uncertain.relative * mu
+        lines.append({"y": mu - half, "label": f"least assumed: {mu - half:.3g}", "colour": VERMILION, "below": True})
+    return lines
+
+
+def cone_charts(run: Run) -> list[Spec]:
+    """All cone coefficients of each motion with their tubes, on one scale."""
+    low = min(float(m.cone_floor.min()) for m in run.motions)
+    high = max(float((m.arrays["cone_coefficients"] + m.arrays["cone_radius"]).max()) for m in run.motions)
+    pad = 0.06 * (high - low)
+    charts = []
+    for m in run.motions:
+        nominal, radius = m.arrays["cone_coefficients"], m.arrays["cone_radius"]
+        bands, curves = [], []
+        for i, (centre, r) in enumerate(zip(nominal.T, radius.T, strict=True)):
+            t, y, bottom, top = thin(m.t, centre, centre - r, centre + r)
+            colour = ROLE_COLOURS[m.stem]
+            bands.append({"x": t, "low": bottom, "high": top, "colour": colour, "opacity": 0.10})
+            curves.append({"name": f"Λ{i + 1}", "quiet": True, "colour": colour, "width": 0.9, "x": t, "y": y})
+        charts.append(
+            time_chart(
+                f"{m.label}: {nominal.shape[1]} coefficients and their tubes",
+                "Λ, N",
+                curves,
+                bands=bands,
+                range=[min(low - pad, 0.0 - pad), high + pad],
+                lines=[{"y": 0, "label": ""}],
+            )
+        )
+    return charts
+
+
+def sensitivity_charts(run: Run) -> list[Spec]:
+    """How far wrong parameters take the object off its reference, and how much they change the contact forces."""
+    wanted = [
+        (
+            "Position",
+            "tube radius, mm",
+            slice(0, 3),
+            1e3,
+            "mm",
+            "How far wrong parameters take the object off its reference.",
+        ),
+        ("Orientation", "tube radius, mrad", slice(3, 6), 1e3, "mrad", "How far they turn it."),
+    ]
+    charts = []
+    for title, label, rows, factor, unit, note in wanted:
+        curves = [
+            series(m, m.label, m.t, factor * np.linalg.norm(_state_radius(run, m)[:, rows], axis=1))
+            for m in run.motions
+            if "state_sensitivity" in m.arrays
+        ]
+        if any(max(c["y"]) > 1e-6 for c in curves):
+            charts.append(time_chart(title, label, curves, note, unit, zero=True))
+    forces = [series(m, m.label, m.t, m.arrays["cone_radius"].max(axis=1)) for m in run.motions]
+    charts.append(
+        time_chart(
+            "Contact forces",
+            "widest tube r, N",
+            forces,
+            "Half-width of the widest tube among the cone coefficients.",
+            "N",
+            zero=True,
+        )
+    )
+    parameters = [run.parameter(str(n)) for n in run.plan.arrays["parameter_names"]]
+    if len(parameters) > 1:
+        charts.append(_by_parameter(run.plan, parameters))
+    return charts
+
+
+def _by_parameter(plan: Motion, parameters: list[Parameter]) -> Spec:
+    """The parameters that move a cone coefficient; those that hardly do are named below the title."""
+    half = plan.arrays["parameter_half_range"]
+    effect = np.abs(plan.arrays["input_sensitivity"] * half).max(axis=1)
+    peak = effect.max(axis=0)
+    order = [int(i) for i in np.argsort(-peak, kind="stable") if peak[i] >= WORTH_A_CURVE * peak.max()][: len(CYCLE)]
+    curves = []
+    for colour, i in zip(CYCLE, order, strict=False):
+        t, y = thin(plan.t, effect[:, i])
+        curves.append({"name": pretty(parameters[i]), "colour": colour, "x": t, "y": y})
+    small = [pretty(p) for i, p in enumerate(parameters) if i not in order]
+    note = "Share of each parameter in the widest tube."
+    if small:
+        note += f" Less than {100 * WORTH_A_CURVE:.0f} % of the largest: {', '.join(small)}."
+    return time_chart(f"{plan.label}: which parameter matters", "largest |Θ δ|, N", curves, note, "N", zero=True)
+
+
+def _state_radius(run: Run, m: Motion) -> Array:
+    uncertain = run.scenario.payload.uncertain.restricted([run.parameter(n) for n in m.arrays["parameter_names"]])
+    return tubes.radius(m.arrays["state_sensitivity"], uncertain)
+
+
+def reference_charts(run: Run) -> list[Spec]:
+    """Where the object is taken, per axis, relative to the start."""
+    charts = []
+    for axis, name in enumerate("xyz"):
+        curves = [series(m, m.label, m.t, m.arrays["p_SB"][:, axis]) for m in run.motions]
+        charts.append(time_chart(f"Position {name}", f"{name}, m", curves, unit="m", height=170))
+    tilt = [series(m, m.label, m.t, np.rad2deg(np.arccos(np.clip(m.R_SB[:, 2, 2], -1, 1)))) for m in run.motions]
+    if max(max(c["y"]) for c in tilt) > 0.05:
+        charts.append(time_chart("Tilt of the tray", "angle from level, °", tilt, unit="°", height=170, zero=True))
+    return charts
+
+
+def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
+    """Joint velocity and torque as a share of their limits, one curve a joint."""
+    charts = []
+    for m in run.motions:
+        curves = {what: m.arrays[key] for what, key in (("velocity", "dq"), ("torque", "tau")) if key in m.arrays}
+        for what, share in limits.shares(curves).items():
+            if not np.all(np.isfinite(getattr(limits, what))):
+                continue
+            joints = []
+            for j, column in enumerate(100 * share.T):
+                t, y = thin(m.t, column)
+                joints.append({"name": f"joint {j + 1}", "colour": CYCLE[j % len(CYCLE)], "width": 1.4, "x": t, "y": y})
+            lines = [
+                {"y": s * 100, "label": "limit" if s > 0 else "", "colour": VERMILION, "optional": True}
+                for s in (1, -1)
+            ]
+            charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", joints, lines=lines))
+    return charts
+
+
+def clearance_charts(run: Run, arm: ArmModel) -> list[Spec]:
+    """How near arm, tray and load come to one another and to what stands around, over time."""
+    from salver.models.arm_geometry import arm_geometry
+
+    try:
+        parts = arm_geometry(arm, run.bodies, run.scenario.obstacles)
+    except ScenarioError:  # a mesh that was there when it was planned
+        return []
+    if not parts.pairs:
+        return []
+    around = [k for k, (_, j) in enumerate(parts.pairs) if j >= len(parts.names) - parts.obstacles]
+    whole, near = [], []
+    for m in run.motions:
+        keep = np.unique(np.linspace(0, len(m.t) - 1, CLEARANCE_SAMPLES).astype(int))
+        distance = 1e3 * parts.clearance(m.arrays["q"][keep])
+        whole.append(series(m, m.label, m.t[keep], distance.min(axis=1)))
+        if around:
+            near.append(series(m, m.label, m.t[keep], distance[:, around].min(axis=1)))
+    charts = [time_chart("Clearance of arm, tray and load", "least distance, mm", whole, unit="mm", zero=True)]
+    if near:
+        names = listed(dict.fromkeys(obstacle.name for obstacle in run.scenario.obstacles))
+        charts.append(time_chart(f"Clearance from {names}", "least distance, mm", near, unit="mm", zero=True))
+    return charts
+
+
+def run_charts(records: list[tuple[Motion, Record]]) -> list[Spec]:
+    """What the physics engine or an arm says: tracking errors as in Fig. 8, slip, tip angle; of the tray alone when
+    the object was not seen."""
+    wanted = [
+        ("e_p", "Position error of the object", "e_p", (("mm", 1e3), ("µm", 1e6))),
+        ("e_o", "Orientation error of the object", "e_o", (("mrad", 1e3), ("µrad", 1e6))),
+        ("slip", "Slip on the tray", "displacement", (("mm", 1e3), ("µm", 1e6))),
+        ("tip_angle", "Tip angle", "angle", (("°", 180 / np.pi),)),
+    ]
+    if not any("e_p" in record.arrays for _, record in records):
+        wanted += [
+            ("tray_e_p", "Position error of the tray", "e_p of the tray", (("mm", 1e3), ("µm", 1e6))),
+            ("tray_e_o", "Orientation error of the tray", "e_o of the tray", (("mrad", 1e3), ("µrad", 1e6))),
+        ]
+    charts = []
+    for key, title, label, units in wanted:
+        found = [(m, record.t, v) for m, record in records if (v := record_curve(record, key)) is not None]
+        if not found:
+            continue
+        peak = max(float(np.nanmax(v)) for _, _, v in found)
+        if key == "tip_angle" and peak < TIP_WORTH_SHOWING:
+            continue
+        unit, factor = next(((u, f) for u, f in units if f * peak >= 0.1), units[-1])
+        curves = [series(m, m.label, t, factor * v) for m, t, v in found]
+        charts.append(time_chart(title, f"{label}, {unit}", curves, unit=unit, zero=True))
+    return charts
+
+
+def record_curve(record: Record | None, key: str) -> Array | None:
+    """A quantity over time (T,) of a record, the largest over the objects; None when it has none or never saw it."""
+    if record is None or key not in record.arrays:
+        return None
+    values = record.arrays[key]
+    if not np.any(np.isfinite(values)):  # motion capture that saw nothing
+        return None
+    return values if values.ndim == 1 else values.max(axis=1)

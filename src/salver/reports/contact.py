@@ -1,0 +1,76 @@
+"""How near a motion comes to sliding, tipping or lifting: the curves that page, words and tables share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salver.contact_margins import Margins, margins, tracking_motion
+from salver.geometry import Array, matrix_from_quat_wxyz
+from salver.trajectory import MotionSamples
+
+if TYPE_CHECKING:
+    from salver.scenario import Scenario
+
+INSTANTS = 301  # enough for curves; a plan's own check is ten times finer than its nodes
+
+
+@dataclass(frozen=True)
+class ContactCurves:
+    """Over all interfaces, time first (T,).
+
+    t: s. friction: largest friction needed, as a share of what there is, at nominal parameters. coefficient: the same
+    as a coefficient when only one object stands on the tray, else None. available: its own then. nominal, worst: least
+    exact margin, a share of the weight, at nominal parameters and in the worst case with the closed loop's errors.
+    tip, tip_worst: least distance of a zero-moment point from its edge, m; worst of what follows the reference.
+    """
+
+    t: Array
+    friction: Array
+    coefficient: Array | None
+    available: float
+    nominal: Array
+    worst: Array
+    tip: Array
+    tip_worst: Array
+
+
+def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCurves:
+    """All margins of a planned motion, given by the arrays of its plan."""
+    keep = np.unique(np.round(np.linspace(0, len(a["t"]) - 1, min(len(a["t"]), INSTANTS))).astype(int))
+    samples = MotionSamples(
+        a["t"][keep],
+        a["p_SB"][keep],
+        a["v_S"][keep],
+        a["a_S"][keep],
+        matrix_from_quat_wxyz(a["quat_SB_wxyz"][keep]),
+        a["omega_B"][keep],
+        a["alpha_B"][keep],
+    )
+    tracking = None
+    if a["state_sensitivity"].shape[2]:
+        wrench = a["grasp_map"] @ a["input_sensitivity"][keep]
+        tracking = tracking_motion(scenario, samples, a["state_sensitivity"][keep], wrench)
+    found: Margins = margins(scenario, samples, tracking=tracking)
+    needed = [m.friction_needed for m in found.interfaces]
+    share = [own / m.friction for own, m in zip(needed, found.interfaces, strict=True)]
+    alone = len(found.interfaces) == 1
+    worst = found.exact_worst
+    if scenario.contact.condition == "exact" and "contact_slack" in a:
+        slack = a["contact_slack"][keep]  # the plan's own, which knows which errors go together
+        if scenario.motion.max_tilt_deg is not None:
+            slack = slack[:, :-1]  # the limit on tilt, which is no contact
+        worst = slack.min(axis=1)
+    return ContactCurves(
+        t=samples.t,
+        friction=np.max(share, axis=0),
+        coefficient=needed[0] if alone else None,
+        available=found.interfaces[0].friction,
+        nominal=found.exact,
+        worst=worst,
+        tip=np.min([m.tip_over for m in found.interfaces], axis=0),
+        tip_worst=np.min([m.tip_over_worst for m in margins(scenario, samples).interfaces], axis=0),
+    )

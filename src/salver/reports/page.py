@@ -1,0 +1,130 @@
+"""`salver report`: one self-contained page for a run directory, to be opened from disk without a network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from markupsafe import Markup, escape
+
+from salver import __version__
+from salver.files import output_file, write_atomic
+from salver.reports import sections
+from salver.reports.cells import joined
+from salver.reports.charts import thin
+from salver.reports.replay import replay_scene
+from salver.reports.run import Motion, Run, read_run
+from salver.reports.style import ROLE_COLOURS
+from salver.reports.words import asked, outcome_in_words, true_parameters, verdict
+
+if TYPE_CHECKING:
+    from salver.models.arm import ArmModel
+
+
+def write_report(
+    directory: str | Path, path: str | Path | None = None, say: Callable[[str], None] = lambda text: None
+) -> Path:
+    """Write the page of a run directory, by default DIR/report.html. Returns where it is.
+
+    Shows what the directory has: a plan alone, with a simulation, with a campaign. say: told what is left out and why.
+    Another file that stands at `path` is kept, numbered. Raises FileFormatError when it is no run directory,
+    SalverError when `path` is no place for the page.
+    """
+    target = output_file(path, (".html", ".htm")) if path is not None else Path(directory) / "report.html"
+    run = read_run(directory)
+    for note in run.notes:
+        say(note)
+    return write_atomic(target, page(run), keep=path is not None)
+
+
+def page(run: Run) -> str:
+    """The whole page as text."""
+    arm = _arm(run)
+    made = sections.build(run, arm)
+    answer = verdict(run)
+    data = {"replay": _replay(run, arm), "charts": made.specs}
+    script = _asset("viewer.js") + _asset("plots.js") + _asset("main.js")
+    return _fill(
+        _asset("page.html"),
+        title=f"{run.scenario.name}: {answer.headline}",
+        name=run.scenario.name,
+        css=Markup(_asset("page.css")),
+        policy=_policy(script),
+        level=answer.level,
+        headline=answer.headline,
+        detail=answer.detail,
+        asked=asked(run),
+        notes=joined(Markup('<p class="note">{}</p>').format(note) for note in run.notes),
+        tiles=sections.tiles(run),
+        navigation=joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in made.titles),
+        replay=Markup(_asset("replay.html")),
+        sections=made.html,
+        version=__version__,
+        directory=run.directory.name or str(run.directory),
+        # "<" could end the script element, or begin a comment in it; in JSON "\\u003c" is the same text.
+        data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
+        script=Markup(script),
+    )
+
+
+def _policy(script: str) -> Markup:
+    """What the page may do: run this very script, and none that came in with what it shows."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return Markup("default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{}'; img-src data:").format(digest)
+
+
+def _fill(template: str, **parts: str) -> str:
+    """Each {{key}} of the template replaced, in one pass: what is put in is not searched again.
+
+    What is not `Markup` is text.
+    """
+    pieces = template.split("{{")
+    out = [pieces[0]]
+    for piece in pieces[1:]:
+        key, rest = piece.split("}}", 1)
+        out += [escape(parts[key]), rest]
+    return "".join(out)
+
+
+def _asset(name: str) -> str:
+    return resources.files("salver.reports").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+def _arm(run: Run) -> ArmModel | None:
+    if run.scenario.arm is None or any("q" not in m.arrays for m in run.motions):
+        return None
+    from salver.models.arm import load_arm
+
+    return load_arm(run.scenario.arm, run.scenario.tray)
+
+
+def _replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
+    """The 3-D scene, a caption for each motion, and friction in use over time (1 at its largest) for the scrubber."""
+    scene = replay_scene(run, arm)
+    used = []
+    for motion, variant in zip(run.motions, scene["variants"], strict=True):
+        variant["caption"] = _caption(run, motion)
+        used.append(np.clip(np.nan_to_num(run.contact[motion.stem].friction, posinf=1.0), 0.0, 1.0))
+    largest = max(float(np.max(share)) for share in used) or 1.0
+    strips = []
+    for motion, share in zip(run.motions, used, strict=True):
+        t, y = thin(run.contact[motion.stem].t, share / largest)
+        strips.append({"x": t, "y": y, "colour": ROLE_COLOURS[motion.stem]})
+    scene["strips"] = strips
+    return scene
+
+
+def _caption(run: Run, motion: Motion) -> str:
+    """What the replay of a motion shows."""
+    if motion.seen is None:
+        return "as planned"
+    summary = motion.seen.summary
+    true = true_parameters(run, summary)
+    source = summary.get("source", "physics engine")
+    return f"{source}{f', {true}' if true else ''}: {outcome_in_words(str(summary.get('outcome', 'unknown')))}"

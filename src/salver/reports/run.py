@@ -1,0 +1,191 @@
+"""What a run directory holds, read once for the page and the figures."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver import scenario as scenarios
+from salver.errors import FileFormatError
+from salver.files import read_result, read_sealed
+from salver.geometry import Array, matrix_from_quat_wxyz
+from salver.models.bodies import Body
+from salver.models.parameters import Parameter
+from salver.planning.plan import read_plan
+from salver.reports.contact import ContactCurves, contact_curves
+from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest
+
+_NEEDED = (
+    "t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B", "wrench_B", "grasp_map", "cone_coefficients",
+    "cone_radius", "state_sensitivity", "input_sensitivity", "parameter_names", "parameter_half_range",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run in the physics engine, or a log of the real arm: arrays, time first, and a summary."""
+
+    arrays: dict[str, np.ndarray]
+    summary: dict[str, Any]
+
+    @property
+    def t(self) -> Array:
+        return self.arrays["t"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A plan or what it is compared with, and what is known of it.
+
+    stem: "plan", "baseline" or "nominal". arrays: those of plan.npz (docs: file formats). summary: plan.json.
+    simulation: its run in the physics engine, if there was one. execution: its run on an arm, real or simulated.
+    """
+
+    stem: str
+    arrays: dict[str, np.ndarray]
+    summary: dict[str, Any]
+    simulation: Record | None = None
+    execution: Record | None = None
+
+    @property
+    def seen(self) -> Record | None:
+        """The run that the replay shows: in the physics engine, or on an arm."""
+        return self.simulation or self.execution
+
+    @property
+    def label(self) -> str:
+        """For a legend: what kind of motion this is."""
+        if self.stem != "plan":
+            return self.stem.capitalize()
+        return "Fastest" if self.summary.get("method") == "fastest" else "Robust"
+
+    @property
+    def t(self) -> Array:
+        return self.arrays["t"]
+
+    @property
+    def duration(self) -> float:
+        return float(self.t[-1])
+
+    @cached_property
+    def R_SB(self) -> Array:
+        return matrix_from_quat_wxyz(self.arrays["quat_SB_wxyz"])
+
+    @property
+    def cone_floor(self) -> Array:
+        """(T, n_lambda) lower edge of the tube, Lambda - r, N."""
+        return self.arrays["cone_coefficients"] - self.arrays["cone_radius"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory: the scenario, one or two motions, what later commands added.
+
+    notes: what is there but belongs to other plans, and so is not part of this, as sentences.
+    """
+
+    directory: Path
+    scenario: scenarios.Scenario
+    motions: list[Motion]
+    campaign: dict[str, Any] | None = None
+    runs: dict[str, np.ndarray] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    @cached_property
+    def bodies(self) -> tuple[Body, ...]:
+        return self.scenario.payload.bodies
+
+    @property
+    def plan(self) -> Motion:
+        return self.motions[0]
+
+    @property
+    def compared(self) -> Motion | None:
+        """What the plan is compared with."""
+        return self.motions[1] if len(self.motions) > 1 else None
+
+    @cached_property
+    def contact(self) -> dict[str, ContactCurves]:
+        """Stem to how near the motion comes to sliding, tipping or lifting."""
+        return {m.stem: contact_curves(self.scenario, m.arrays) for m in self.motions}
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter that one of the files calls so. Raises FileFormatError."""
+        try:
+            return self.scenario.payload.parameter(name)
+        except ValueError as error:
+            raise FileFormatError(f"{self.directory}: {error}; the files of a run directory belong together.") from None
+
+    @property
+    def load(self) -> str:
+        """What is carried, for a sentence: "the cube", "the 3 objects"."""
+        return f"the {self.bodies[0].name}" if len(self.bodies) == 1 else f"the {len(self.bodies)} objects"
+
+    def motion(self, stem: str) -> Motion | None:
+        return next((m for m in self.motions if m.stem == stem), None)
+
+
+def read_run(directory: str | Path) -> Run:
+    """Read a run directory. Raises FileFormatError when it is none, or a file in it is damaged."""
+    directory = Path(directory)
+    if not (directory / "plan.npz").is_file():
+        raise FileFormatError(
+            f"{directory} is no run directory: it has no plan.npz; make one with `salver plan SCENARIO -o {directory}`."
+        )
+    files = {stem: read_plan(directory, stem, _NEEDED) for stem in STEMS if (directory / f"{stem}.npz").is_file()}
+    notes: list[str] = []
+    motions = [_with_records(directory, Motion(stem, plan.arrays, plan.record), notes) for stem, plan in files.items()]
+    campaign, runs = _campaign(directory, notes)
+    return Run(directory, files["plan"].scenario, motions, campaign, runs, notes)
+
+
+def _with_records(directory: Path, motion: Motion, notes: list[str]) -> Motion:
+    """The motion with its runs in the engine and on an arm; those of another plan are noted and left out."""
+    found: dict[str, Any] = {}
+    for folder in RECORDS:
+        path = directory / folder / f"{motion.stem}.npz"
+        if not path.is_file():
+            continue
+        record = Record(*read_result(path, ("t",)))
+        try:
+            check_digest(record.summary, path, directory, motion.stem)
+            if len(record.t) < 2:
+                raise FileFormatError(f"{path} ends before it begins. {record.summary.get('stopped', '')}".strip())
+            found[folder] = record
+        except FileFormatError as error:
+            notes.append(f"Not shown: {error}")
+    return replace(motion, **found)
+
+
+def _campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
+    """Summary and table of runs (column name to values) of a campaign, if there is a finished one of these plans."""
+    path = directory / "campaign" / "campaign.json"
+    if not path.is_file() or not path.with_name("runs.parquet").is_file():
+        return None, {}
+    summary = read_sealed(path)
+    if "plans" not in summary:  # begun, not finished
+        return None, {}
+    definition = summary.get("definition")
+    ran = definition.get("plans") if isinstance(definition, dict) else None
+    if not isinstance(ran, dict) or any(
+        stem not in known_stems(directory) or plan_digest(directory, stem) != digest for stem, digest in ran.items()
+    ):
+        notes.append(f"Not shown: {path} is a campaign of other plans than those of {directory}.")
+        return None, {}
+    from pyarrow import parquet
+
+    content = path.with_name("runs.parquet").read_bytes()
+    if hashlib.sha256(content).hexdigest() != summary.get("table_digest"):
+        raise FileFormatError(
+            f"{path.with_name('runs.parquet')} was damaged or edited since it was written; run `salver campaign` "
+            "again, it resumes."
+        )
+    table = parquet.read_table(io.BytesIO(content))
+    columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
+    return summary, columns
