@@ -27,6 +27,7 @@ from typing import Any
 from pydantic_core import PydanticUndefined
 
 from salver import scenario
+from salver.scenario.fields import Model
 from salver.validation import in_words
 
 DOCS = Path(__file__).parent
@@ -95,7 +96,7 @@ def _default(value: Any) -> str:
         return "required"
     if value is None or value == {} or value == []:
         return "none"
-    if isinstance(value, scenario.Model):
+    if isinstance(value, Model):
         return "see below"
     if isinstance(value, tuple):
         return f"`[{', '.join(map(str, value))}]`"

@@ -1,0 +1,147 @@
+"""The tray, the arm that holds it, what stands in the way, and how all of it is simulated."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from salver.models.arm_limits import PLANNING_SHARES
+from salver.models.urdf import MOST_JOINTS
+from salver.scenario.fields import (
+    Degrees,
+    File,
+    Inertia,
+    Metres,
+    Model,
+    Name,
+    Number,
+    Point,
+    Scale,
+    Share,
+    Turns,
+    Whole,
+)
+
+
+class Tray(Model):
+    """The tray on the flange; its top surface is `height` above the flange, parallel to it."""
+
+    size: tuple[Metres, Metres] = (0.2, 0.2)
+    thickness: Metres = 0.01
+    height: Annotated[Number, Field(ge=0, le=5)] = 0.05
+    mass: Annotated[Number, Field(ge=0, le=100)] = 0.150
+    inertia: tuple[Inertia, Inertia, Inertia] = (1.25e-4, 1.25e-4, 1.25e-4)
+
+    @model_validator(mode="after")
+    def _physical(self) -> Tray:
+        """The inertia of a body between the flange and the tray's surface, no wider than the tray."""
+        low, middle, high = sorted(self.inertia)
+        if low < 0 or high > (low + middle) * (1 + 1e-6):
+            raise ValueError(
+                f"inertia = {list(self.inertia)} kg m^2 is that of no body: none may be negative, none larger than the "
+                "sum of the other two"
+            )
+        most = self.mass * (0.25 * (self.size[0] ** 2 + self.size[1] ** 2) + max(self.height, self.thickness) ** 2)
+        if high > most * (1 + 1e-6):
+            raise ValueError(
+                f"inertia = {list(self.inertia)} kg m^2 is too large: {self.mass:g} kg between the flange and the "
+                f"tray's surface, no wider than the tray, have at most {most:.3g}"
+            )
+        return self
+
+
+Limit = Annotated[Number, Field(ge=1e-6, le=1e9)]
+EachJoint = Annotated[
+    Limit | Annotated[list[Limit], Field(max_length=MOST_JOINTS)],
+    Field(description="a number at least 1e-06 and at most 1e+09, or a list of such numbers, one for each joint"),
+]
+Angle = Annotated[Number, Field(ge=-100, le=100)]  # rad, or m for a joint that slides
+
+
+class ArmLimits(Model):
+    """Limits of the joints, one number for all or one for each: rad/s, rad/s^2, rad/s^3, N m, N m/s (m, N for a joint
+    that slides). They go before what the maker, a URDF or a `joint_limits.yaml` says."""
+
+    velocity: EachJoint | None = None
+    acceleration: EachJoint | None = None
+    jerk: EachJoint | None = None
+    torque: EachJoint | None = None
+    torque_rate: EachJoint | None = None
+
+
+class Arm(Model):
+    """The arm: a known name (see `salver.models.arm`) or a URDF file with the frame that carries the tray.
+
+    package_dirs: where the packages are whose meshes the URDF names. collisions: what to do about links whose geometry
+    cannot be read: refuse, fit capsules to them, or leave them unchecked.
+    """
+
+    model: File = Field(default="panda", description="a known arm, or the path of a URDF")
+    flange: Name | None = None
+    package_dirs: list[File] = Field(default=[], max_length=50, description="a list of folders, at most 50")
+    srdf: File | None = None
+    collisions: Literal["meshes", "capsules", "unchecked"] = "meshes"
+    limits: ArmLimits = ArmLimits()
+    joint_limits: File | None = None
+    base_position: Point = (0.0, 0.0, 0.0)
+    base_yaw_deg: Degrees = 0.0
+    start_posture: Annotated[list[Angle], Field(max_length=MOST_JOINTS)] | None = None
+    velocity_scale: Share = PLANNING_SHARES["velocity"]
+    acceleration_scale: Share = PLANNING_SHARES["acceleration"]
+    jerk_scale: Share = PLANNING_SHARES["jerk"]
+    torque_scale: Share = PLANNING_SHARES["torque"]
+
+    @property
+    def limit_shares(self) -> dict[str, float]:
+        """The share of each kind of limit (`salver.models.arm_limits.LIMITS`, by key) that a plan may use."""
+        return {key: getattr(self, f"{key}_scale", share) for key, share in PLANNING_SHARES.items()}
+
+
+class Obstacle(Model):
+    """A keep-out region in the world. A mesh counts as the convex hulls of its separate pieces."""
+
+    type: Literal["box", "sphere", "capsule", "cylinder", "mesh"]
+    name: Name = "obstacle"
+    position: Point
+    rpy_deg: Turns = (0.0, 0.0, 0.0)
+    size: tuple[Metres, Metres, Metres] | None = None
+    radius: Metres | None = None
+    length: Metres | None = None
+    file: File | None = None
+    scale: Scale = 1.0
+
+    @model_validator(mode="after")
+    def _sized(self) -> Obstacle:
+        needed = {
+            "box": ("size",),
+            "sphere": ("radius",),
+            "capsule": ("radius", "length"),
+            "cylinder": ("radius", "length"),
+            "mesh": ("file",),
+        }[self.type]
+        for key in needed:
+            if getattr(self, key) is None:
+                raise ValueError(f"a {self.type} needs {' and '.join(needed)}")
+        return self
+
+
+Settling = Annotated[Number, Field(ge=0, le=60)]  # s
+
+
+class Physics(Model):
+    """Physics engine and what lies between controller and arm."""
+
+    timestep: Annotated[Number, Field(ge=1e-5, le=5e-3)] = 5e-4
+    command_period: Annotated[Number, Field(ge=1e-4, le=0.02)] = 1e-3
+    settle_before: Settling = 0.2
+    settle_after: Settling = 0.5
+    position_noise: Annotated[Number, Field(ge=0, le=1)] = 0.0
+    velocity_noise: Annotated[Number, Field(ge=0, le=10)] = 0.0
+    delay_steps: Annotated[Whole, Field(ge=0, le=20)] = 0
+    joint_friction: Annotated[Number, Field(ge=0, le=1000)] = 0.0
+    feedback: Literal["joints", "object"] = "joints"
+
+    def steps(self, duration: float) -> float:
+        """How many steps of the engine, or of the controller, a run of a motion takes."""
+        return (duration + self.settle_before + self.settle_after) / min(self.timestep, self.command_period)

@@ -1,0 +1,75 @@
+"""Scenario files: the ready-made ones by name, others by path."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from salver.errors import ScenarioError
+from salver.scenario.model import Scenario, parse
+
+SCENARIO_DIR = Path(__file__).parent.parent / "scenarios"
+LONGEST_TEXT = 1_000_000  # bytes of a scenario file
+
+
+def load(name_or_path: str | Path) -> Scenario:
+    """A ready-made scenario by name, or a TOML file by path. Raises ScenarioError."""
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        ready_made = SCENARIO_DIR / f"{name_or_path}.toml"
+        if not ready_made.is_file():
+            known = ", ".join(names())
+            raise ScenarioError(
+                f'There is no ready-made scenario "{name_or_path}"; known are {known}, or give a .toml file.'
+            )
+        path = ready_made
+    try:
+        if path.stat().st_size > LONGEST_TEXT:
+            raise ScenarioError(f"{path} is larger than {LONGEST_TEXT // 1000} kB; a scenario is a .toml file.")
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ScenarioError(f"{path} is not a text file in UTF-8; a scenario is a .toml file.") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ScenarioError(f"{path} cannot be read ({reason}); a scenario is a .toml file.") from None
+    try:
+        data = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and numbers and nesting beyond Python's
+        raise ScenarioError(f"{path} is not valid TOML: {error}.") from None
+    _find_files(data, path.parent)
+    return parse(data, str(path))
+
+
+def _find_files(data: dict[str, Any], folder: Path) -> None:
+    """Files that a scenario names are looked for beside it; from here on their paths are absolute."""
+
+    def tables(value: Any) -> list[dict[str, Any]]:
+        return [item for item in (value if isinstance(value, list) else [value]) if isinstance(item, dict)]
+
+    def resolved(value: Any) -> Any:
+        try:
+            return str((folder / value).resolve()) if isinstance(value, str) else value
+        except (OSError, RuntimeError, ValueError):  # a circle of links, a letter that no path has
+            return value
+
+    for arm in tables(data.get("arm")):
+        if str(arm.get("model")).endswith((".urdf", ".xml", ".xacro")):
+            arm["model"] = resolved(arm["model"])
+        for key in ("srdf", "joint_limits"):
+            if key in arm:
+                arm[key] = resolved(arm[key])
+        if isinstance(arm.get("package_dirs"), list):
+            arm["package_dirs"] = [resolved(item) for item in arm["package_dirs"]]
+    for item in tables(data.get("objects")):
+        for shape in tables(item.get("shape")):
+            if "file" in shape:
+                shape["file"] = resolved(shape["file"])
+    for obstacle in tables(data.get("obstacles")):
+        if "file" in obstacle:
+            obstacle["file"] = resolved(obstacle["file"])
+
+
+def names() -> list[str]:
+    """Names of the ready-made scenarios."""
+    return sorted(p.stem for p in SCENARIO_DIR.glob("*.toml"))

@@ -1,0 +1,159 @@
+"""The scenario as a whole, and what holds only for its parts together."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from copy import deepcopy
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from salver.display import Shown
+from salver.errors import ScenarioError
+from salver.scenario.cell import Arm, Obstacle, Physics, Tray
+from salver.scenario.fields import Model, Text, Whole
+from salver.scenario.objects import CarriedObject, UncertaintySet
+from salver.scenario.task import Contact, Control, Motion, Objective
+from salver.validation import sentences
+
+if TYPE_CHECKING:
+    from salver.models.payload import Payload
+
+MOST_COEFFICIENTS = 256  # of the friction cones of one object
+MOST_VALUES = 5e7  # numbers in the largest array of a plan: 0.4 GB
+CHECKED = 10  # instants of the check for each node
+MOST_STEPS = 1e6  # of the engine in one run: minutes
+LONGEST = 5.0  # s that a motion is taken to last where its duration is left open
+
+
+class Scenario(Shown, Model):
+    """Everything that a plan depends on. Same scenario, same seed: same plan."""
+
+    name: Annotated[
+        str,
+        Field(
+            pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$",
+            max_length=64,
+            description="letters, digits, points, - and _, a letter or digit first, at most 64",
+        ),
+    ]
+    summary: Text = ""
+    source: Text = ""
+    seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 0
+    motion: Motion
+    objects: Annotated[list[CarriedObject], Field(min_length=1, max_length=20)]
+    uncertainty: UncertaintySet = UncertaintySet()
+    contact: Contact = Contact()
+    control: Control = Control()
+    objective: Objective = Objective()
+    tray: Tray = Tray()
+    arm: Arm | None = None
+    obstacles: list[Obstacle] = Field(default=[], max_length=100)
+    physics: Physics = Physics()
+
+    def facts(self) -> dict[str, str]:
+        """What a notebook shows of it."""
+        motion = self.motion
+        distance = float(np.linalg.norm(np.subtract(motion.goal.position, motion.start.position)))
+        uncertain = self.payload.uncertain
+        return {
+            "name": self.name,
+            "carried": ", ".join(f"{o.name} {o.mass:g} kg, friction {o.friction:g}" for o in self.objects),
+            "arm": Path(self.arm.model).stem if self.arm else "none",
+            "way": f"{distance:.3g} m in {f'{motion.duration:g} s' if motion.duration else 'the shortest safe time'}",
+            "uncertain": ", ".join(
+                f"{name} ±{half:.3g}" for name, half in zip(uncertain.names, uncertain.half_range, strict=True)
+            )
+            or "nothing",
+            "summary": self.summary,
+        }
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scenario:
+        self._bounded()
+        self.payload.check()
+        for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
+            tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
+            for item in self.objects:
+                least = item.least_friction
+                holds = np.rad2deg(np.arctan(least))
+                if tilt > holds + 1e-6:
+                    raise ValueError(
+                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where {item.name} slides already at rest; "
+                        f"with its least friction of {least:.4g} at most {holds:.4g} deg hold"
+                    )
+        return self
+
+    def _bounded(self) -> None:
+        """Raise ValueError when plans of this would take more memory or time than a machine has."""
+        for item, body in zip(self.objects, self.payload.bodies, strict=True):
+            count = body.contacts.count * self.contact.edges
+            if count > MOST_COEFFICIENTS:
+                raise ValueError(
+                    f"{item.name} has {body.contacts.count} contact points with contact.edges = {self.contact.edges} "
+                    f"each, which makes {count} cone coefficients; at most {MOST_COEFFICIENTS} are accepted"
+                )
+            values = CHECKED * self.motion.nodes * count * (2 + self.payload.uncertain.size)
+            if values > MOST_VALUES:
+                raise ValueError(
+                    f"motion.nodes = {self.motion.nodes} with {count} cone coefficients and "
+                    f"{self.payload.uncertain.size} uncertain parameters makes {values:.2g} numbers; at most "
+                    f"{MOST_VALUES:.2g} are accepted: give fewer nodes or contact.edges"
+                )
+        if self.arm is not None:
+            self.control.check_held(self.physics.command_period)
+        steps = self.physics.steps(self.motion.duration or LONGEST)
+        if steps > MOST_STEPS:
+            raise ValueError(
+                f"physics.timestep = {self.physics.timestep:g} s makes {steps:.2g} steps of a run; at most "
+                f"{MOST_STEPS:.2g} are accepted: give a longer one, or a shorter motion"
+            )
+
+    @cached_property
+    def payload(self) -> Payload:
+        """What is carried, as mechanics see it: bodies, who touches whom, what is uncertain."""
+        from salver.models.bodies import bodies
+        from salver.models.payload import Payload
+
+        loose = [item.loose() for item in self.objects]
+        standing = bodies(loose, self.contact.edges, float(np.deg2rad(self.contact.edge_phase_deg)))
+        return Payload(standing, self.uncertainty.around(self.objects, loose), 0.5 * np.array(self.tray.size))
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Pydantic's, without what was made of the old values. It checks nothing: prefer `with_changes`."""
+        copy = super().model_copy(update=update, deep=deep)
+        copy.__dict__.pop("payload", None)
+        return copy
+
+    @property
+    def digest(self) -> str:
+        """Content hash: 12 hexadecimal digits of the resolved scenario."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+    def with_changes(self, **changes: Any) -> Scenario:
+        """A copy with keys replaced, named by dotted paths with `__`: `motion__duration=1.5`. Checked again."""
+        data = self.model_dump(mode="json", exclude_none=True)
+        for path, value in changes.items():
+            *parents, last = path.split("__")
+            target: Any = data
+            for key in parents:
+                target = target[int(key)] if key.isdigit() else target.setdefault(key, {})
+            if value is None:
+                target.pop(last, None)
+            else:
+                target[last] = deepcopy(value)  # a later path may lead into it
+        return parse(data, "the changed scenario")
+
+
+def parse(data: dict[str, Any], where: str) -> Scenario:
+    """Check a dictionary. Raises ScenarioError, one sentence for each mistake."""
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        raise ScenarioError("\n".join(sentences(error, Scenario, data, where))) from None

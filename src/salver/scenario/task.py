@@ -1,0 +1,96 @@
+"""What the motion is and what it must keep: ends, parameterisation, contact condition, gains, cost."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from salver.scenario.fields import Degrees, Model, Number, Point, Turns, Whole
+
+
+class Pose(Model):
+    """Pose of the object frame B in the world S; orientation by roll, pitch, yaw or by a quaternion."""
+
+    position: Point
+    rpy_deg: Turns | None = None
+    quat_wxyz: tuple[Number, Number, Number, Number] | None = None
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> Pose:
+        if self.rpy_deg is not None and self.quat_wxyz is not None:
+            raise ValueError("give the orientation by rpy_deg or by quat_wxyz, not by both")
+        if self.quat_wxyz is not None and abs(np.linalg.norm(self.quat_wxyz) - 1) > 1e-3:
+            raise ValueError(f"quat_wxyz has norm {np.linalg.norm(self.quat_wxyz):.4g}; a rotation has norm 1")
+        return self
+
+    @cached_property
+    def rotation(self) -> np.ndarray:
+        from salver.geometry import matrix_from_quat_wxyz, matrix_from_rpy
+
+        if self.quat_wxyz is not None:
+            return matrix_from_quat_wxyz(self.quat_wxyz)
+        return matrix_from_rpy(np.deg2rad(self.rpy_deg if self.rpy_deg is not None else (0.0, 0.0, 0.0)))
+
+
+class Motion(Model):
+    """Rest to rest from `start` to `goal`, and how the reference trajectory is parameterised."""
+
+    start: Pose
+    goal: Pose
+    duration: Annotated[Number, Field(ge=0.01, le=120)] | None = None
+    degree: Annotated[Whole, Field(ge=5, le=30)] = 9
+    nodes: Annotated[Whole, Field(ge=11, le=2001)] = 61
+    orientation: Literal["fixed", "free"] | None = None
+    max_tilt_deg: Annotated[Number, Field(gt=0, le=90)] | None = None
+    goal_yaw: Literal["fixed", "free"] = "fixed"
+
+    @property
+    def may_turn(self) -> bool:
+        """Whether the tray may tilt and turn on the way; unless it is said, only the fastest motion may."""
+        return self.duration is None if self.orientation is None else self.orientation == "free"
+
+
+class Contact(Model):
+    """Which contact condition the plan must keep, and how friction cones are linearised.
+
+    margin: what the condition must keep over its tube, in N of a cone coefficient (paper), or as a share of the
+    normal force at rest (exact).
+    """
+
+    condition: Literal["paper", "exact"] = "paper"
+    edges: Annotated[Whole, Field(ge=3, le=32)] = 4
+    edge_phase_deg: Degrees = 0.0
+    margin: Annotated[Number, Field(ge=0, le=1000)] = 1e-3
+
+
+Stiffness = Annotated[Number, Field(ge=1e-3, le=1e5)]  # 1/s^2
+Damping = Annotated[Number, Field(ge=1e-3, le=1e3)]  # 1/s
+
+
+class Control(Model):
+    """Gains of the object controller, eq (19): (translation 1/s^2, rotation 1/s^2) and (1/s, 1/s)."""
+
+    kp: tuple[Stiffness, Stiffness] = (500.0, 300.0)
+    kd: tuple[Damping, Damping] = (25.0, 15.0)
+
+    def check_held(self, period: float) -> None:
+        """Raise ValueError when the error dynamics grow because each command is held for a period (s)."""
+        for kp, kd in zip(self.kp, self.kd, strict=True):
+            # Over one period e'' is what the gains made of e and e' at its beginning.
+            step = np.array(
+                [[1 - 0.5 * kp * period**2, period - 0.5 * kd * period**2], [-kp * period, 1 - kd * period]]
+            )
+            if np.abs(np.linalg.eigvals(step)).max() >= 1:
+                raise ValueError(
+                    f"control.kp = {kp:g} 1/s^2 with control.kd = {kd:g} 1/s is unstable when commands are held for "
+                    f"physics.command_period = {period:g} s; give smaller gains, or kd nearer to 2 sqrt(kp)"
+                )
+
+
+class Objective(Model):
+    """How the rows of the state sensitivity are weighted in the cost, eq (13)."""
+
+    weighting: Literal["scaled", "paper", "pose"] = "scaled"
