@@ -6,23 +6,41 @@
     print(plan.verify().sentence)     # contact condition and its tube, between the planner's nodes too
     run = sv.simulate(plan)           # whole arm, tray and loose object in a physics engine
     print(run.summary["outcome"])
+    sv.report(plan, run)              # the page with its replay; shown in a notebook
 
 Heavy parts (CasADi, MuJoCo, Pinocchio) are loaded when a function first needs them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from salver.auditing import Audit
+    from salver.campaigns import Campaign
+    from salver.contact_margins import Margins
+    from salver.geometry import Array
     from salver.planning.plan import Plan
+    from salver.reports.inline import Page
     from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
+    from salver.trajectory import MotionSamples
 
 __version__ = "0.1.0"
-__all__ = ["load_plan", "load_scenario", "plan", "simulate"]
+__all__ = [
+    "audit",
+    "campaign",
+    "fastest",
+    "load_plan",
+    "load_scenario",
+    "margins",
+    "plan",
+    "report",
+    "retime",
+    "simulate",
+]
 
 
 def load_scenario(name_or_path: str | Path, **changes: Any) -> Scenario:
@@ -36,6 +54,20 @@ def load_scenario(name_or_path: str | Path, **changes: Any) -> Scenario:
     return scenario.with_changes(**changes) if changes else scenario
 
 
+def _scenario(given: Scenario | str | Path) -> Scenario:
+    from salver.errors import ScenarioError
+    from salver.scenario import Scenario, load
+
+    if isinstance(given, Scenario):
+        return given
+    if not isinstance(given, str | Path):
+        raise ScenarioError(
+            f"A {type(given).__name__} was given for a scenario; it must be the name of a ready-made one, the path of "
+            "a .toml file, or a Scenario."
+        )
+    return load(given)
+
+
 def plan(scenario: Scenario | str | Path, method: str = "robust", *, arm: bool = True) -> Plan:
     """Plan a motion that keeps the objects on the tray.
 
@@ -45,9 +77,64 @@ def plan(scenario: Scenario | str | Path, method: str = "robust", *, arm: bool =
     which constraint fails, when and by how much. Raises ScenarioError for mistakes in the scenario.
     """
     from salver.planning.make import make_plan
-    from salver.scenario import Scenario, load
 
-    return make_plan(scenario if isinstance(scenario, Scenario) else load(scenario), method, arm)
+    return make_plan(_scenario(scenario), method, arm)
+
+
+def fastest(scenario: Scenario | str | Path, *, robust: bool = True, **options: Any) -> Plan:
+    """The fastest plan of a scenario with an arm: the shortest duration at which everything is kept.
+
+    robust: for the whole uncertain set, or for nominal parameters only. options: those of
+    `salver.planning.fastest.FastestOptions`, as `time_limit=10, starts=4`. Raises ScenarioError, UnreachableError.
+    """
+    from dataclasses import fields
+
+    from salver.errors import ScenarioError
+    from salver.planning.fastest import FastestOptions, plan_fastest
+
+    known = [field.name for field in fields(FastestOptions)]
+    unknown = next((name for name in options if name not in known), None)
+    if unknown is not None:
+        raise ScenarioError(f'fastest has no option "{unknown}"; it has {", ".join(known)}.')
+    given = _scenario(scenario).with_changes(motion__duration=None)
+    return plan_fastest(given, robust=robust, options=FastestOptions(**options))
+
+
+def retime(path: str | Path | Array, scenario: Scenario | str | Path | None = None, *, robust: bool = True) -> Plan:
+    """The fastest safe timing of a path that is given; see `salver.planning.fastest.retiming`.
+
+    path: postures (K, n) in rad, a file of them, or a run directory, whose scenario is then the default.
+    Raises ScenarioError, FileFormatError, UnreachableError.
+    """
+    from salver.errors import ScenarioError
+    from salver.planning.fastest.retiming import plan_retimed, read_waypoints
+
+    if isinstance(path, str | Path) and scenario is None and Path(path).is_dir():
+        scenario = Path(path) / "scenario.toml"
+    waypoints = read_waypoints(Path(path)) if isinstance(path, str | Path) else path
+    if scenario is None:
+        raise ScenarioError("A path alone does not say what is carried; name a scenario too.")
+    return plan_retimed(_scenario(scenario), waypoints, robust=robust)
+
+
+def audit(
+    motion: str | Path,
+    scenario: Scenario | str | Path,
+    *,
+    topic: str | None = None,
+    highest: float = 50.0,
+    noise: float | None = None,
+    gap: float | None = None,
+) -> Audit:
+    """Will it slip? The verdict on a motion that exists already, of the tray or of the arm's joints.
+
+    motion: a CSV, JSON or YAML file or a ROS bag (docs/howto/audit.md). topic: of a bag. highest: Hz, above which
+    nothing shakes the tray. noise: standard deviation of the samples, m or rad; found in them if None. gap: s without
+    samples that is bridged. Raises SalverError with one sentence for each mistake.
+    """
+    from salver.auditing import audit as run
+
+    return run(motion, _scenario(scenario), topic, highest, noise, gap)
 
 
 def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
@@ -60,8 +147,81 @@ def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
 def simulate(plan: Plan, *, parameters: Mapping[str, float] | None = None, seed: int = 0) -> SimulationRecord:
     """Run a plan in the physics engine; see `salver.simulation.physics.simulate`.
 
-    parameters: true values by name where they are not nominal, for example {"mass": 0.3}.
+    parameters: true values by name where they are not nominal, for example {"mass": 0.3}. Raises ScenarioError.
     """
+    from salver.planning.plan import Plan
+
+    if not isinstance(plan, Plan):
+        raise _no_plan("simulate", plan)
     from salver.simulation.physics import simulate as run
 
     return run(plan, parameters=parameters, seed=seed)
+
+
+def campaign(
+    directory: str | Path,
+    n: int = 100,
+    *,
+    seed: int = 0,
+    method: str = "uniform",
+    stems: Sequence[str] | None = None,
+    engine: str = "physics",
+    jobs: int | None = None,
+) -> Campaign:
+    """n perturbed runs of each plan of a run directory, on the same samples; goes on where an earlier one stopped.
+
+    A plan that was just made: `sv.campaign(plan.save("runs/cube"))`. method: how the uncertain set is sampled
+    ("uniform", "corners", "lhs", "sobol"). stems: plans to run (default: plan and what it is compared with). engine:
+    "physics" or "closed-loop". jobs: processes (default: all cores). Raises SalverError.
+    """
+    if not isinstance(directory, str | Path):
+        raise _no_plan("campaign", directory)
+    from salver.campaigns import run_campaign
+
+    return run_campaign(directory, n, seed, method, stems, engine, jobs)
+
+
+def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None = None) -> Margins:
+    """Every margin along a plan, or along a motion of the first object's frame B for what a scenario carries.
+
+    See `salver.contact_margins`. Raises ScenarioError.
+    """
+    from salver.errors import ScenarioError
+    from salver.planning.plan import Plan
+
+    if isinstance(motion, Plan):
+        return motion.margins
+    from salver.contact_margins import margins as of
+    from salver.trajectory import MotionSamples
+
+    if not isinstance(motion, MotionSamples) or scenario is None:
+        raise ScenarioError(
+            f"margins wants a Plan, or MotionSamples and a scenario; it was given a {type(motion).__name__}"
+            f"{' alone' if scenario is None else ''}."
+        )
+    return of(_scenario(scenario), motion)
+
+
+def report(of: Plan | str | Path, run: SimulationRecord | None = None, *, path: str | Path | None = None) -> Page:
+    """The page with its 3-D replay; shown in a notebook, written to a file.
+
+    of: a run directory (written to DIR/report.html unless `path` says where), or a plan, with a run of it (written
+    when there is a `path`). Raises SalverError.
+    """
+    from salver.reports.inline import page_of
+
+    return page_of(of, run, path)
+
+
+def _no_plan(name: str, given: object) -> Exception:
+    """What a function says that wants a plan, or where one is."""
+    from salver.errors import ScenarioError
+    from salver.planning.plan import Plan
+
+    what = f'"{given}"' if isinstance(given, str | Path) else f"a {type(given).__name__}"
+    if name == "campaign":
+        saved = f"{'plan' if isinstance(given, Plan) else 'sv.plan(...)'}.save(DIRECTORY)"
+        return ScenarioError(f"campaign wants a run directory, such as {saved} gives; it was given {what}.")
+    made = f"sv.load_plan({what})" if Path(str(given)).is_dir() else f"sv.plan({what})"
+    hint = f": sv.simulate({made})" if isinstance(given, str | Path) else ", as sv.plan makes it"
+    return ScenarioError(f"simulate wants a plan{hint}; it was given {what}.")

@@ -20,11 +20,13 @@ from salver.auditing.readers import read
 from salver.auditing.samples import JointSamples
 from salver.auditing.slip import HIDDEN, NOTICED, Slip, hidden, left_over, slide
 from salver.contact_margins import MarginModel, Margins, margin_model
+from salver.display import Shown
 from salver.errors import Status
 from salver.files import provenance
 from salver.geometry import Array, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.scenario import Scenario
+from salver.tables import Table, Tabular
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -49,8 +51,8 @@ class Pace:
     status: Status
 
 
-@dataclass(frozen=True)
-class Audit:
+@dataclass(frozen=True, repr=False)
+class Audit(Shown, Tabular):
     """A motion and everything that follows from it for the scenario's objects; computed when asked for.
 
     source: what was read. motion: the tray's, with what had to be repaired or assumed.
@@ -277,6 +279,35 @@ class Audit:
     def costs(self) -> dict[str, float]:
         """What each uncertain parameter alone takes from the least margin, largest first."""
         return dict(sorted(self.margins.costs().items(), key=lambda item: -item[1]))
+
+    def facts(self) -> dict[str, str]:
+        """What a notebook shows of it."""
+        factor = self.pace_worst.factor
+        return {
+            "scenario": self.scenario.name,
+            "verdict": self.outcome.replace("_", " "),
+            "duration": f"{float(np.ptp(self.motion.samples.t)):.4g} s",
+            "nominal": self.nominal.sentence,
+            "worst case": self.worst.sentence,
+            "just holds in the worst case at": self.pace_worst.status.sentence
+            if factor is None
+            else f"{factor:.3f} of the time",
+            **{f"note {k}": note for k, note in enumerate(self.motion.notes, 1)},
+        }
+
+    def table(self) -> Table:
+        """The tray's motion (frame E) as it was understood, and how far it is from the edge, for pandas and xarray."""
+        s, (nominal, worst) = self.motion.samples, self._exact
+        values = {"p_SE": s.p_SB, "v_S": s.v_S, "a_S": s.a_S, "omega_E": s.omega_B, "alpha_E": s.alpha_B}
+        curves = {"margin": nominal, "margin_worst_case": worst}
+        return Table(
+            {
+                "t": (("t",), s.t),
+                **{name: (("t", "xyz"), array) for name, array in values.items()},
+                **{name: (("t",), array) for name, array in curves.items()},
+            },
+            about={"source": self.source, "verdict": self.outcome},
+        )
 
     def summary(self) -> dict[str, Any]:
         """Everything, for machines."""

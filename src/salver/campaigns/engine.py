@@ -8,17 +8,21 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from salver.campaigns import workers
 from salver.campaigns.definition import DEFAULT_FOLDER, SUMMARY, Definition, define, definition_in, load_scenario
 from salver.campaigns.journal import Item, Journal
 from salver.campaigns.runners import BLOCK, Context
-from salver.campaigns.summary import summarise, table, write_table
+from salver.campaigns.summary import read_table, summarise, table, write_table
 from salver.display import Shown
 from salver.errors import FileFormatError, SalverError
 from salver.files import provenance, read_json, sealed, write_json
 from salver.run_directory import known_stems
+from salver.tables import pandas_module
+
+if TYPE_CHECKING:
+    import pandas
 
 TABLE = "runs.parquet"
 Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
@@ -44,6 +48,10 @@ class Campaign(Shown):
         return {"scenario": str(self.summary["provenance"]["scenario"]), **outcomes}
 
     notes: tuple[str, ...] = ()
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The runs, one row each: parameters, outcome, peaks. Raises MissingDependencyError without pandas."""
+        return pandas_module().DataFrame(read_table(self.folder / TABLE))
 
 
 def run_campaign(

@@ -22,6 +22,7 @@ from salver.planning.object.evaluation import Evaluation, evaluate
 from salver.planning.stop_library import StopLibrary
 from salver.run_directory import check_free, make_room
 from salver.scenario import Scenario
+from salver.tables import Table, Tabular, dimensioned
 from salver.trajectory import (
     JointMotion,
     MotionSamples,
@@ -76,7 +77,7 @@ class Verification:
 
 
 @dataclass(frozen=True, repr=False)
-class Plan(Shown):
+class Plan(Shown, Tabular):
     """A motion of the carried object (and of the arm, when there is one) with its guarantees.
 
     method: "robust" (eqs 13-17), "baseline" (straight min-jerk line) or "fastest".
@@ -285,6 +286,16 @@ class Plan(Shown):
         if self.stops is not None:
             out |= self.stops.arrays()
         return out
+
+    def table(self) -> Table:
+        """The motion, for pandas and xarray: that of the object, of the arm when there is one, and the contact."""
+        about = {"scenario": self.scenario.name, "method": self.method, "ok": self.ok}
+        labels = {}
+        if self.joint is not None and self.scenario.arm is not None:
+            from salver.models.arm import load_arm
+
+            labels["joint"] = load_arm(self.scenario.arm, self.scenario.tray).joint_names
+        return Table(dimensioned(self.arrays(), {}), labels, about)
 
     def save(self, directory: str | Path, stem: str = "plan") -> Path:
         """Write `<stem>.npz`, `<stem>.json` and `scenario.toml` into a run directory, each atomically.

@@ -15,13 +15,14 @@ from salver.errors import FileFormatError
 from salver.files import read_result
 from salver.geometry import Array
 from salver.run_directory import check_digest, save_record
+from salver.tables import Table, Tabular, dimensioned
 
 FOLDER = "simulation"
 OUTCOMES = ("holds", "slides", "tips", "lifts", "lost", "limit")
 
 
 @dataclass(frozen=True, repr=False)
-class SimulationRecord(Shown):
+class SimulationRecord(Shown, Tabular):
     """One run at T instants, with m objects, n joints (n = 0 without an arm), n_c feet of the first object.
 
     t (T,): s, 0 at the start of the motion. q, dq, tau (T, n): true joint state and applied torque.
@@ -80,6 +81,12 @@ class SimulationRecord(Shown):
             "objects off their reference": f"{1e3 * float(np.nanmax(self.e_p)):.3g} mm",
         }
 
+    def table(self) -> Table:
+        """What happened, for pandas and xarray; parameters and outcome are its attributes."""
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        about = {"outcome": self.outcome, **{f"true {name}": value for name, value in self.parameters.items()}}
+        return Table(dimensioned(arrays, _DIMENSIONS), {"object": self.object_names}, about)
+
     def save(self, directory: str | Path, stem: str = "plan", kind: str = "") -> Path:
         """Write DIRECTORY/simulation/STEM.npz and .json, atomically; returns the path of the first.
 
@@ -96,6 +103,13 @@ class SimulationRecord(Shown):
         )
 
 
+_DIMENSIONS: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(("p_SB", "slip_E", "creep_E", "contact_force_E"), ("object", "xyz")),
+    "quat_SB_wxyz": ("object", "wxyz"),
+    **dict.fromkeys(("slip", "lift", "tip_angle", "in_contact"), ("object",)),
+    "contact_forces_B": ("foot", "xyz"),
+    **dict.fromkeys(("e_p", "e_o", "tray_e_p", "tray_e_o"), ()),
+}
 _META = ("object_names", "parameters", "summary")
 ARRAYS = tuple(f.name for f in dataclasses.fields(SimulationRecord) if f.name not in _META)
 
