@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from salver import __version__
-from salver.files import output_file, write_atomic
+from salver.files import output_file, versions, write_atomic
 from salver.reports import sections
 from salver.reports.cells import joined
 from salver.reports.charts import thin
@@ -65,7 +64,7 @@ def page(run: Run) -> str:
         navigation=joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in made.titles),
         replay=Markup(_asset("replay.html")),
         sections=made.html,
-        version=__version__,
+        version=versions()["salver"],
         directory=run.directory.name or str(run.directory),
         # "<" could end the script element, or begin a comment in it; in JSON "\\u003c" is the same text.
         data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
