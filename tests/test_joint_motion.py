@@ -11,7 +11,7 @@ from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.planning.follow.limits import peaks, torques, verdict
 from salver.planning.follow.motion import follow, follow_scenario
-from salver.planning.follow.redundancy import tray_path
+from salver.planning.follow.redundancy import Usage, first_choice, solve_path, tray_path
 from salver.planning.make import make_plan, plan_pair
 from salver.planning.postures import PoseTarget, candidate_postures, postures_along, start_posture
 from salver.trajectory import JointMotion, PolynomialReference, min_jerk_line
@@ -45,6 +45,11 @@ def tumbling(duration=2.0):
     turn = np.stack([(hump**2 * Chebyshev(rng.normal(size=4) * 0.3)).coef for _ in range(3)], axis=1)
     position = wiggle + np.pad(base.position, ((0, 4), (0, 0)))
     return PolynomialReference(duration, UPRIGHT, position, turn + np.pad(base.angular_velocity, ((0, 3), (0, 0))))
+
+
+def start_posture_of(arm, path):
+    """One that puts the tray at the beginning of a path."""
+    return candidate_postures(arm, PoseTarget(path.p_SE[0], path.R_SE[0]))[0]
 
 
 PLACES = [
@@ -109,6 +114,36 @@ def test_redundancy_brings_speeds_down(cube):
     motion, _ = follow(arm, line(0.8), cube.p_EB, cube.R_EB, q_start=POSTURE)
     assert np.abs(motion.dq[:, 0]).max() < 2.175
     assert max(peak.share for peak in peaks(arm, motion)) < 1.03
+
+
+@pytest.mark.parametrize(("duration", "order"), [(0.6, 0), (0.6, 1), (0.6, 2), (2.0, 0)])
+def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order):
+    """The derivative by s, s', s'' of C q = s(t), where the tray's motion stays, against differences: of a motion near
+    the limits of speed and torque, and of a slow one below a ball."""
+    path = tray_path(tumbling(duration), *PLACES[1], np.linspace(0, duration, 31))
+    above = path.p_SE[15] + [0, 0, 0.07]
+    around = [scenario.Obstacle(type="sphere", radius=0.05, position=above.tolist())] if duration > 1 else []
+    arm, parts = panda, arm_geometry(panda, (), around)
+    postures, reached = postures_along(arm, path.p_SE, path.R_SE, start_posture_of(arm, path))
+    assert reached == 31
+    choice = first_choice(arm, parts, path, postures)
+    profile = choice.profile(path.t)
+    joints = solve_path(arm, path, choice.path.q, choice.rows, profile)
+    usage = Usage(arm, parts, joints)
+    if around:
+        assert usage.cost > 1.1 * Usage(arm, arm_geometry(panda), joints).cost
+    gradient = usage.gradient(choice.rows)[order]
+    rng = np.random.default_rng(order)
+    for _ in range(3):
+        direction = rng.normal(size=gradient.shape)
+        costs = []
+        for h in (-1e-5, 1e-5):
+            changed = tuple(x + h * direction * (k == order) for k, x in enumerate(profile))
+            joints = solve_path(arm, path, choice.path.q, choice.rows, changed)
+            costs.append(Usage(arm, parts, joints).cost)
+        scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
+        assert np.vdot(gradient, direction) == pytest.approx((costs[1] - costs[0]) / 2e-5, abs=1e-4 * scale)
+        assert scale > 1e-3
 
 
 def test_a_chosen_start_is_no_worse_than_the_given_one(panda, cube):

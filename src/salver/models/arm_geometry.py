@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import coal
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from salver.errors import ScenarioError
@@ -126,29 +127,38 @@ class ArmGeometry:
                     length += links[joint]
         return levers
 
-    def clearance_gradient(self, q: Array) -> tuple[Array, Array]:
-        """`clearance` (N, pairs) and its derivative by the joints (N, pairs, n).
+    def clearance_gradient(self, q: Array, node: npt.NDArray[np.intp], pair: npt.NDArray[np.intp]) -> Array:
+        """(r, n) derivatives of `clearance` by the joints, at postures q[node] (q: (N, n)) for pairs (r,).
 
         By the velocities of the two nearest points along the normal between them; where those jump (a face
         meets a face) it is one of the one-sided derivatives.
         """
         model, data = self.arm.pin_model, self.arm.data
-        distances = self.clearance(q)
-        gradient = np.zeros((*distances.shape, self.arm.n))
         joints = [part.parentJoint for part in self.model.geometryObjects]
-        for k, posture in enumerate(q):
-            pin.computeJointJacobians(model, data, posture)
+        normal, lever = np.empty((len(node), 3)), np.zeros((len(node), 2, 3))
+        jacobian = np.zeros((len(node), 2, 6, self.arm.n))
+        for k in np.unique(node):
+            pin.computeJointJacobians(model, data, q[k])
             pin.updateGeometryPlacements(model, data, self.model, self.data)
-            pin.computeDistances(self.model, self.data)
-            jacobians = {j: pin.getJointJacobian(model, data, j, pin.LOCAL_WORLD_ALIGNED) for j in set(joints) if j > 0}
-            for row, ((i, j), result) in enumerate(zip(self.pairs, self.data.distanceResults, strict=True)):
-                ends = (result.getNearestPoint1(), joints[i], -1.0), (result.getNearestPoint2(), joints[j], 1.0)
-                for point, joint, sign in ends:
-                    if joint > 0:
-                        arm_S = point - data.oMi[joint].translation
-                        wrench = np.concatenate([result.normal, np.cross(arm_S, result.normal)])
-                        gradient[k, row] += sign * wrench @ jacobians[joint]
-        return distances, gradient
+            moved: dict[int, Array] = {}
+            for r in np.flatnonzero(node == k):
+                pin.computeDistance(self.model, self.data, int(pair[r]))
+                result = self.data.distanceResults[int(pair[r])]
+                normal[r] = result.normal
+                points = (result.getNearestPoint1(), result.getNearestPoint2())
+                for side, (part, point) in enumerate(zip(self.pairs[pair[r]], points, strict=True)):
+                    joint = joints[part]
+                    if joint == 0:
+                        continue
+                    if joint not in moved:
+                        moved[joint] = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
+                    jacobian[r, side] = moved[joint]
+                    lever[r, side] = point - data.oMi[joint].translation
+        moment = np.cross(lever, normal[:, None])
+        along = np.einsum("ri,rsij->rsj", normal, jacobian[:, :, :3]) + np.einsum(
+            "rsi,rsij->rsj", moment, jacobian[:, :, 3:]
+        )
+        return np.asarray(along[:, 1] - along[:, 0])
 
     def near(self, q: Array, distance: float) -> ArmGeometry:
         """The same parts with only those pairs that come within a distance (m) at one of the postures (N, n)."""

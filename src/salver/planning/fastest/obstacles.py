@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
 from salver.geometry import Array
 from salver.models.arm_geometry import ArmGeometry
@@ -47,30 +46,4 @@ class KeepOut:
 
     def gradient(self, q: Array, node: npt.NDArray[np.intp], pair: npt.NDArray[np.intp]) -> Array:
         """(r, n) derivatives of the distances at postures q[node] for pairs (r,)."""
-        parts, arm = self.parts, self.parts.arm
-        model, data = parts.model, parts.data
-        joints = [part.parentJoint for part in model.geometryObjects]
-        normal, lever = np.empty((len(node), 3)), np.zeros((len(node), 2, 3))
-        jacobian = np.zeros((len(node), 2, 6, arm.n))
-        for k in np.unique(node):
-            pin.computeJointJacobians(arm.pin_model, arm.data, q[k])
-            pin.updateGeometryPlacements(arm.pin_model, arm.data, model, data)
-            moved: dict[int, Array] = {}
-            for r in np.flatnonzero(node == k):
-                pin.computeDistance(model, data, int(pair[r]))
-                result = data.distanceResults[int(pair[r])]
-                normal[r] = result.normal
-                points = (result.getNearestPoint1(), result.getNearestPoint2())
-                for side, (part, point) in enumerate(zip(parts.pairs[pair[r]], points, strict=True)):
-                    joint = joints[part]
-                    if joint == 0:
-                        continue
-                    if joint not in moved:
-                        moved[joint] = pin.getJointJacobian(arm.pin_model, arm.data, joint, pin.LOCAL_WORLD_ALIGNED)
-                    jacobian[r, side] = moved[joint]
-                    lever[r, side] = point - arm.data.oMi[joint].translation
-        moment = np.cross(lever, normal[:, None])
-        along = np.einsum("ri,rsij->rsj", normal, jacobian[:, :, :3]) + np.einsum(
-            "rsi,rsij->rsj", moment, jacobian[:, :, 3:]
-        )
-        return np.asarray(along[:, 1] - along[:, 0])
+        return self.parts.clearance_gradient(q, node, pair)

@@ -15,7 +15,7 @@ far from singular postures.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -24,6 +24,7 @@ from scipy.optimize import minimize
 from salver.geometry import Array, invert, log
 from salver.models.arm import ArmModel
 from salver.models.arm_geometry import ArmGeometry
+from salver.models.arm_limits import LIMITS
 from salver.planning.postures import REACHED
 from salver.trajectory import MotionSamples, Reference
 
@@ -31,6 +32,7 @@ BUMPS = 3  # polynomial terms of s(t) besides its step from start to end
 _SOFT_MAX = 20  # exponent of the norm that stands for "the largest of all"
 _CLEAR = 0.04  # m; parts of the arm that are further apart than this do not count, 0 is a full limit
 _NEAR = 0.2  # m; parts further apart than this along the first guess are not looked at again
+_FAINT = 1e-6  # share of the largest effect on the cost below which a distance is not differentiated
 _SEARCH = 1e-6  # m and rad; accuracy of postures while coefficients are searched for
 _SINGULAR = 0.04  # smallest singular value of the body Jacobian (m or 1 per rad) that counts as a full limit
 
@@ -161,25 +163,82 @@ def _profile(start: Array, coefficients: Array, t: Array) -> tuple[Array, ...]:
     return start + values @ coefficients, first @ coefficients / duration, second @ coefficients / duration**2
 
 
-def _usage(arm: ArmModel, parts: ArmGeometry, joints: JointPath) -> float:
-    """How near the path comes to the limits: a smooth stand-in for the largest of all shares, 1 at a limit.
+@dataclass(frozen=True, eq=False)
+class Usage:
+    """How near a path comes to the limits: a smooth stand-in for the largest of all shares, 1 at a limit.
 
-    `arm` includes what is carried.
+    `arm` includes what is carried. shares: (N, m) of each kind, unclipped.
     """
-    torque = np.array(
-        [pin.rnea(arm.pin_model, arm.data, *state) for state in zip(joints.q, joints.dq, joints.ddq, strict=True)]
-    )
-    smallest = np.linalg.svd(joints.jacobian, compute_uv=False)[:, -1:]
-    curves = {"position": joints.q, "velocity": joints.dq, "acceleration": joints.ddq, "torque": torque}
-    shares = np.hstack(
-        [
-            *arm.planning_limits.shares(curves).values(),
-            _SINGULAR / np.maximum(smallest, 1e-9),
-            np.maximum(0.0, 1 - parts.clearance(joints.q, _CLEAR) / _CLEAR),
-        ]
-    )
-    largest = np.abs(shares).max()
-    return float(largest * np.mean((np.abs(shares) / largest) ** _SOFT_MAX) ** (1 / _SOFT_MAX))
+
+    arm: ArmModel
+    parts: ArmGeometry
+    joints: JointPath
+
+    @cached_property
+    def _torque(self) -> Array:
+        model, data, joints = self.arm.pin_model, self.arm.data, self.joints
+        return np.array([pin.rnea(model, data, *state) for state in zip(joints.q, joints.dq, joints.ddq, strict=True)])
+
+    @cached_property
+    def _singular_values(self) -> tuple[Array, Array, Array]:
+        """The smallest of each body Jacobian (N,), with its left (N, 6) and right (N, n) direction."""
+        left, values, right = np.linalg.svd(self.joints.jacobian, full_matrices=False)
+        return np.maximum(values[:, -1], 1e-9), left[:, :, -1], right[:, -1]
+
+    @cached_property
+    def _shares(self) -> dict[str, Array]:
+        joints = self.joints
+        curves = {"position": joints.q, "velocity": joints.dq, "acceleration": joints.ddq, "torque": self._torque}
+        return {
+            **self.arm.planning_limits.shares(curves),
+            "singular": _SINGULAR / self._singular_values[0][:, None],
+            "clearance": np.maximum(0.0, 1 - self.parts.clearance(joints.q, _CLEAR) / _CLEAR),
+        }
+
+    @cached_property
+    def cost(self) -> float:
+        shares = np.abs(np.hstack(list(self._shares.values())))
+        largest = shares.max()
+        return float(largest * np.mean((shares / largest) ** _SOFT_MAX) ** (1 / _SOFT_MAX))
+
+    def gradient(self, rows: Array) -> tuple[Array, Array, Array]:
+        """Derivative of the cost by s, s', s'' (N, r) at each instant, where [J; C] dq = [V; s'] and so on hold: the
+        adjoint of these systems."""
+        arm, joints, cost = self.arm, self.joints, self.cost
+        count = sum(shares.size for shares in self._shares.values())
+        by = {
+            key: np.sign(shares) * (np.abs(shares) / cost) ** (_SOFT_MAX - 1) / count
+            for key, shares in self._shares.items()
+        }
+        by_value = {kind.key: by[kind.key] / arm.planning_limits.range(kind)[1] for kind in LIMITS if kind.key in by}
+        by_q, by_dq, by_ddq = (by_value[key].copy() for key in ("position", "velocity", "acceleration"))
+        model, data, frame = arm.pin_model, arm.data, arm.tray_id
+        smallest, left, right = self._singular_values
+        velocity_by_q = np.empty_like(joints.jacobian)
+        acceleration_by_q, acceleration_by_dq = np.empty_like(joints.jacobian), np.empty_like(joints.jacobian)
+        for k, (q, dq, ddq) in enumerate(zip(joints.q, joints.dq, joints.ddq, strict=True)):
+            torque_by_q, torque_by_dq, mass = pin.computeRNEADerivatives(model, data, q, dq, ddq)
+            by_q[k] += by_value["torque"][k] @ torque_by_q
+            by_dq[k] += by_value["torque"][k] @ torque_by_dq
+            by_ddq[k] += np.triu(mass) @ by_value["torque"][k] + np.triu(mass, 1).T @ by_value["torque"][k]
+            # How the Jacobian turns is how the velocity of one direction of the joints changes with the posture.
+            pin.computeForwardKinematicsDerivatives(model, data, q, right[k], ddq)
+            turned = pin.getFrameVelocityDerivatives(model, data, frame, pin.LOCAL)[0]
+            by_q[k] -= by["singular"][k, 0] * _SINGULAR / smallest[k] ** 2 * left[k] @ turned
+            pin.computeForwardKinematicsDerivatives(model, data, q, dq, ddq)
+            velocity_by_q[k], acceleration_by_q[k], acceleration_by_dq[k], _ = pin.getFrameAccelerationDerivatives(
+                model, data, frame, pin.LOCAL
+            )
+        node, pair = np.nonzero(by["clearance"] > _FAINT * max(np.abs(b).max() for b in by.values()))
+        distance_by_q = self.parts.clearance_gradient(joints.q, node, pair)
+        np.subtract.at(by_q, node, by["clearance"][node, pair, None] / _CLEAR * distance_by_q)
+        transposed = np.swapaxes(_extended(joints.jacobian, rows), 1, 2)
+        multiplier = _solved(transposed, by_ddq)
+        by_q -= np.einsum("ti,tij->tj", multiplier[:, :6], acceleration_by_q)
+        by_dq -= np.einsum("ti,tij->tj", multiplier[:, :6], acceleration_by_dq)
+        by_dds, multiplier = multiplier[:, 6:], _solved(transposed, by_dq)
+        by_q -= np.einsum("ti,tij->tj", multiplier[:, :6], velocity_by_q)
+        return _solved(transposed, by_q)[:, 6:], multiplier[:, 6:], by_dds
 
 
 def _null_rows(jacobian: Array) -> Array:
@@ -200,30 +259,34 @@ def first_choice(arm: ArmModel, parts: ArmGeometry, path: TrayPath, postures: Ar
     s = postures @ rows.T
     coefficients = np.linalg.lstsq(_basis(len(path.t))[0], s - s[0], rcond=None)[0]
     joints = solve_path(arm, path, postures, rows, _profile(s[0], coefficients, path.t))
-    return None if joints is None else Choice(rows, s[0], coefficients, joints, _usage(arm, parts, joints))
+    return None if joints is None else Choice(rows, s[0], coefficients, joints, Usage(arm, parts, joints).cost)
 
 
 def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, free_start: bool) -> Choice:
-    """Improve the coefficients of s(t), and where it starts if that is free, by BFGS on `_usage`."""
+    """Improve the coefficients of s(t), and where it starts if that is free, by BFGS on `Usage`."""
     rows = start.rows
-    if len(rows) == 0:
+    free = len(rows)
+    if free == 0:
         return start
     best = start
     parts = parts.near(start.path.q, _NEAR)
+    duration = float(path.t[-1])
+    values, first, second = _basis(len(path.t))
 
-    def at(x: Array) -> float:
+    def at(x: Array) -> tuple[float, Array]:
         nonlocal best
-        shift, coefficients = (x[: len(rows)], x[len(rows) :]) if free_start else (0.0, x)
-        s_0, coefficients = start.start + shift, coefficients.reshape(-1, len(rows))
-        joints = solve_path(arm, path, best.path.q, rows, _profile(s_0, coefficients, path.t), _SEARCH)
+        s_0, coefficients = start.start + x[:free], x[free:].reshape(-1, free)
+        profile = _profile(s_0, coefficients, path.t)
+        joints = solve_path(arm, path, best.path.q, rows, profile, _SEARCH)
         if joints is None:
-            return 10 * best.cost
-        cost = _usage(arm, parts, joints)
-        if cost < best.cost:
-            best = Choice(rows, s_0, coefficients, joints, cost)
-        return cost
+            return 10 * best.cost, np.zeros(len(x))
+        usage = Usage(arm, parts, joints)
+        if usage.cost < best.cost:
+            best = Choice(rows, s_0, coefficients, joints, usage.cost)
+        by_s, by_ds, by_dds = usage.gradient(rows)
+        by_coefficients = values.T @ by_s + first.T @ by_ds / duration + second.T @ by_dds / duration**2
+        return usage.cost, np.concatenate([by_s.sum(axis=0) * free_start, by_coefficients.ravel()])
 
-    x = start.coefficients.ravel()
-    x = np.concatenate([np.zeros(len(rows)), x]) if free_start else x
-    minimize(at, x, method="BFGS", options={"maxiter": 12, "gtol": 1e-3, "eps": 1e-4})
+    x = np.concatenate([np.zeros(free), start.coefficients.ravel()])
+    minimize(at, x, method="BFGS", jac=True, options={"maxiter": 12, "gtol": 1e-3})
     return best
