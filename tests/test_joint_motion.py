@@ -119,13 +119,13 @@ def test_redundancy_brings_speeds_down(cube):
 @pytest.mark.parametrize(("duration", "order"), [(0.6, 0), (0.6, 1), (0.6, 2), (2.0, 0)])
 def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order):
     """The derivative by s, s', s'' of C q = s(t), where the tray's motion stays, against differences: of a motion near
-    the limits of speed and torque, and of a slow one below a ball."""
-    path = tray_path(tumbling(duration), *PLACES[1], np.linspace(0, duration, 31))
-    above = path.p_SE[15] + [0, 0, 0.07]
-    around = [scenario.Obstacle(type="sphere", radius=0.05, position=above.tolist())] if duration > 1 else []
-    arm, parts = panda, arm_geometry(panda, (), around)
+    the limits of speed and torque, and of a slow one with a ball behind the elbow."""
+    arm, path = panda, tray_path(tumbling(duration), *PLACES[1], np.linspace(0, duration, 31))
     postures, reached = postures_along(arm, path.p_SE, path.R_SE, start_posture_of(arm, path))
     assert reached == 31
+    behind = arm.link_pose(postures[15], "panda_link4")[0] - [0.15, 0, 0]
+    around = [scenario.Obstacle(type="sphere", radius=0.05, position=behind.tolist())] if duration > 1 else []
+    parts = arm_geometry(arm, (), around)
     choice = first_choice(arm, parts, path, postures)
     profile = choice.profile(path.t)
     joints = solve_path(arm, path, choice.path.q, choice.rows, profile)
