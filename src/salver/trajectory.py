@@ -250,7 +250,8 @@ class SampledReference:
     @cached_property
     def _position(self) -> BPoly:
         m = self.samples
-        return BPoly.from_derivatives(m.t, np.stack([m.p_SB, m.v_S, m.a_S], axis=1))
+        first, last = (np.stack([x[part] for x in (m.p_SB, m.v_S, m.a_S)]) for part in (slice(-1), slice(1, None)))
+        return BPoly(_quintic_bernstein(first, last, np.diff(m.t)), m.t)
 
     @cached_property
     def _rotation(self) -> BPoly:
