@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -26,8 +26,6 @@ from salver.errors import FileFormatError, SalverError
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-    from salver.scenario import Scenario
 
 # Packages whose version can change the numbers of a plan or of a simulation.
 _RECORDED = ("numpy", "scipy", "piqp", "pin", "mujoco")
@@ -217,7 +215,18 @@ def _digest(obj: Any) -> str:
     return hashlib.sha256(json.dumps(obj, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def provenance(scenario: Scenario) -> dict[str, Any]:
+class Asked(Protocol):
+    """What names a task: a scenario."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def digest(self) -> str: ...
+    @property
+    def seed(self) -> int: ...
+
+
+def provenance(scenario: Asked) -> dict[str, Any]:
     """What made a result: scenario, its content hash and seed, versions. The same run gives the same record."""
     own, python, system, *packages = versions().items()
     return {

@@ -20,11 +20,11 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array, adjoint, invert
 from salver.models.arm_limits import JointLimits, joint_limits, read_joint_limits
 from salver.models.contact import ContactSet
+from salver.models.described import ArmDescription, TrayDescription
 from salver.models.known_arms import KNOWN_ARMS, robot_file
 from salver.models.urdf import SUFFIXES, read_chain, read_disabled_pairs
 
 if TYPE_CHECKING:
-    from salver import scenario
     from salver.models.bodies import Body
 
 TRAY_FRAME = "salver_tray"
@@ -147,7 +147,7 @@ def tray_to_object(p_EB: Array, R_EB: Array) -> Array:
     return adjoint(*invert(p_EB, R_EB))
 
 
-def load_arm(arm: scenario.Arm, tray: scenario.Tray) -> ArmModel:
+def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
     """The arm of a scenario with its tray. `arm.model` is a name of `KNOWN_ARMS` or a URDF file, which needs
     `arm.flange`, the link that carries the tray.
 
@@ -261,7 +261,7 @@ def _move_base(model: Any, position: Array, yaw: float) -> None:
             frame.placement = base * frame.placement
 
 
-def _attach_tray(model: Any, flange: str, tray: scenario.Tray, p_FE: Array, com_F: Array) -> int:
+def _attach_tray(model: Any, flange: str, tray: TrayDescription, p_FE: Array, com_F: Array) -> int:
     """Add the tray's inertia, its centre of mass in the middle of the plate, and the frame E."""
     frame_id = model.getFrameId(flange, pin.FrameType.BODY)
     frame = model.frames[frame_id]
@@ -281,10 +281,10 @@ def _urdf_limits(model: Any) -> dict[str, Array]:
     }
 
 
-def _scenario_limits(arm: scenario.Arm, name: str, n: int) -> dict[str, Array]:
+def _scenario_limits(arm: ArmDescription, name: str, n: int) -> dict[str, Array]:
     """The table arm.limits; one number stands for all joints."""
     found = {}
-    for key, value in arm.limits.model_dump(exclude_none=True).items():
+    for key, value in arm.given_limits.items():
         values = np.atleast_1d(np.array(value, dtype=float))
         if len(values) not in (1, n) or (isinstance(value, list) and len(values) != n):
             raise ScenarioError(

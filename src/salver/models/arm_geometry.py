@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import coal
 import numpy as np
@@ -20,12 +20,10 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.arm import ArmModel
 from salver.models.bodies import Body
+from salver.models.described import ObstacleDescription
 from salver.models.link_shapes import link_shapes
 from salver.models.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
-
-if TYPE_CHECKING:
-    from salver import scenario
 
 TRAY = "tray"
 _POSTURES = 200  # at which links that touch at every one are taken to touch always
@@ -199,7 +197,7 @@ class ArmGeometry:
 
 
 def arm_geometry(
-    arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[scenario.Obstacle] = ()
+    arm: ArmModel, bodies: Sequence[Body] = (), obstacles: Sequence[ObstacleDescription] = ()
 ) -> ArmGeometry:
     """Shapes of an arm's links, its tray, the boxes around what it carries, and what stands around it in the world.
 

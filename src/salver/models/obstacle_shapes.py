@@ -1,9 +1,9 @@
-"""Convex shapes of the obstacles of a scenario, placed in the world."""
+"""Convex shapes of the obstacles, placed in the world."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import coal
 import numpy as np
@@ -11,16 +11,14 @@ import pinocchio as pin
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, matrix_from_rpy
+from salver.models.described import ObstacleDescription
 from salver.models.link_shapes import convex
 from salver.models.mesh_files import read_mesh_file
-
-if TYPE_CHECKING:
-    from salver.scenario import Obstacle
 
 MOST_PIECES = 64  # of one mesh
 
 
-def obstacle_shapes(obstacle: Obstacle) -> list[tuple[Any, Any]]:
+def obstacle_shapes(obstacle: ObstacleDescription) -> list[tuple[Any, Any]]:
     """Coal's shapes of an obstacle with their placements in S (pin.SE3); several when it is a mesh of several pieces.
 
     Raises ScenarioError when its mesh cannot be used.
@@ -36,7 +34,7 @@ def obstacle_shapes(obstacle: Obstacle) -> list[tuple[Any, Any]]:
     return [(kind(obstacle.radius or 0.0, obstacle.length or 0.0), placement)]
 
 
-def mesh_pieces(obstacle: Obstacle) -> list[Array]:
+def mesh_pieces(obstacle: ObstacleDescription) -> list[Array]:
     """Corners (n, 3), m, in the obstacle's frame, of the convex hull of each separate piece of its mesh."""
     try:
         return [obstacle.scale * points for points in _pieces(obstacle.file or "")]

@@ -93,6 +93,11 @@ class Arm(Model):
     torque_scale: Share = PLANNING_SHARES["torque"]
 
     @property
+    def given_limits(self) -> dict[str, float | list[float]]:
+        """What the table arm.limits says."""
+        return self.limits.model_dump(exclude_none=True)
+
+    @property
     def limit_shares(self) -> dict[str, float]:
         """The share of each kind of limit (`salver.models.arm_limits.LIMITS`, by key) that a plan may use."""
         return {key: getattr(self, f"{key}_scale", share) for key, share in PLANNING_SHARES.items()}
