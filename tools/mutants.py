@@ -6,7 +6,7 @@ Left alone are texts, annotations, decorators and what only words an error: a ch
 import ast
 import copy
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 COMPARISONS = {
@@ -41,10 +41,17 @@ class Mutant:
     source: str  # of the whole file, changed
     was: str  # the lines that change, stripped of their indentation
     becomes: str
+    nth: int = 0  # of those of its function that read the same
+
+    @property
+    def place(self) -> tuple[str, str]:
+        return self.path.as_posix(), self.function
 
     @property
     def key(self) -> str:
-        return f"{self.path.as_posix()}:{self.line}:{self.was}:{self.becomes}"
+        """The same as long as the function reads the same, wherever it stands in its file."""
+        nth = f" ({self.nth})" if self.nth else ""
+        return f"{self.path.as_posix()}:{self.function}{nth}:{self.was}:{self.becomes}"
 
 
 def mutants(path: Path, text: str) -> list[Mutant]:
@@ -65,7 +72,12 @@ def mutants(path: Path, text: str) -> list[Mutant]:
         if new != ast.unparse(node):
             mutant = Mutant(path, function, operator, node.lineno, changed, _flat(was), _flat(becomes))
             found.setdefault(changed, mutant)
-    return sorted(found.values(), key=lambda mutant: mutant.line)
+    alike: dict[str, int] = {}
+    numbered = []
+    for mutant in sorted(found.values(), key=lambda mutant: mutant.line):
+        nth = alike[mutant.key] = alike.get(mutant.key, -1) + 1
+        numbered.append(replace(mutant, nth=nth))
+    return numbered
 
 
 _ATOMS = (ast.Name, ast.Constant, ast.Attribute, ast.Call, ast.Subscript, ast.Slice, ast.Tuple)
@@ -126,7 +138,8 @@ def _binary(node: ast.BinOp) -> Iterator[tuple[ast.AST, str]]:
     if isinstance(node.left, ast.JoinedStr | ast.List | ast.Tuple) or isinstance(node.right, ast.JoinedStr | ast.List):
         return
     if isinstance(node.op, ast.MatMult):
-        yield _with(node, left=node.right, right=node.left), "factors swapped"
+        if ast.unparse(node.left) != ast.unparse(node.right):
+            yield _with(node, left=node.right, right=node.left), "factors swapped"
     elif type(node.op) in ARITHMETIC:
         yield _with(node, op=ARITHMETIC[type(node.op)]()), "arithmetic"
 

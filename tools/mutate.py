@@ -3,7 +3,7 @@
 Makes a seeded sample of small wrong changes (tools/mutants.py), one at a time, each in a copy of the repository, and
 runs the tests that run the changed function (tools/test_map.py), first those of `make quick`, up to the first that
 fails. A change that no test notices is printed. What is done is kept in out/mutation/: a run that was interrupted goes
-on, --again runs those once more that nothing noticed before.
+on, and a verdict holds until the module changes, or the test that failed, or one of the tests that passed.
 
 Changes that are no wrong ones stand with their reason in tools/equivalent.toml and do not count.
 """
@@ -11,21 +11,21 @@ Changes that are no wrong ones stand with their reason in tools/equivalent.toml 
 import argparse
 import hashlib
 import json
+import math
 import os
-import random
 import sys
 import tempfile
 import time
 import tomllib
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
 from typing import Any
 
 from mutants import Mutant, mutants
-from pytest_child import run_tests
-from test_map import ROOT, TestMap, copy_of_the_tree
+from pytest_child import Outcome, run_tests
+from test_map import MAP, ROOT, TestMap, copy_of_the_tree, file_of
 
 FOLDERS = [
     "models",
@@ -38,32 +38,7 @@ FOLDERS = [
     "auditing",
     "driver",
 ]
-JOURNAL = ROOT / "out" / "mutation" / "journal.jsonl"
 EQUIVALENT = ROOT / "tools" / "equivalent.toml"
-
-
-@dataclass(frozen=True)
-class Rank:
-    """The order of the tests for one mutant: everyday ones first, then the quickest file, its fitting tests first."""
-
-    files: tuple[str, ...]
-    direct: frozenset[str]
-    broken: frozenset[str]
-
-    def __call__(self, node: str, slow: bool) -> tuple[bool, bool, int] | None:
-        if node in self.broken:
-            return None
-        return slow, node not in self.direct, self.files.index(node.partition("::")[0])
-
-
-@dataclass(frozen=True)
-class Alone:
-    """Of all tests this one."""
-
-    test: str
-
-    def __call__(self, node: str, _slow: bool) -> int | None:
-        return 0 if node == self.test else None
 
 
 class Baseline:
@@ -78,7 +53,7 @@ class Baseline:
 
     def trusts(self, test: str, tree: Path) -> bool:
         if test not in self.passes:
-            outcome = run_tests(tree, [test.partition("::")[0]], Alone(test), limit=900, slowest=600)
+            outcome = run_tests(tree, [file_of(test)], [test], limit=900, slowest=600)
             self.passes[test] = outcome.code == 0
             if outcome.code != 0:
                 print(f"{test} fails as it is and judges nothing", file=sys.stderr)
@@ -97,30 +72,60 @@ def all_mutants(modules: list[str]) -> list[Mutant]:
     return found
 
 
-def judge(mutant: Mutant, tree: Path, tests: TestMap, baseline: Baseline) -> dict[str, Any]:
-    """Run the tests on one mutant in its tree, which is left as it was."""
-    files, direct = tests.tests_of(mutant.path.as_posix(), mutant.function)
+def drawn(population: list[Mutant], count: int, seed: int) -> list[Mutant]:
+    """A random sample: those whose digests, salted with the seed, are least.
+
+    So a larger sample begins with the smaller one, and a change to the code exchanges mutants of what it changes only.
+    """
+    return sorted(population, key=lambda mutant: _digest(f"{seed} {mutant.key}"))[:count]
+
+
+def judge(mutant: Mutant, tree: Path, tests: TestMap, due: list[str], baseline: Baseline) -> dict[str, Any]:
+    """Run the tests that are due on one mutant in its tree, which is left as it was."""
     target = tree / mutant.path
     original, begun = target.read_text(encoding="utf-8"), time.monotonic()
-    while True:
+    outcome = Outcome(0)
+    while due:
+        batch = first_of(due, tests)
         _write(target, mutant.source)
         try:
-            rank = Rank(tuple(files), frozenset(direct), baseline.broken)
-            outcome = run_tests(tree, files, rank, limit=300 + 10 * tests.seconds(files), slowest=300)
+            files = list(dict.fromkeys(map(file_of, batch)))
+            outcome = run_tests(tree, files, batch, limit=300 + 10 * tests.seconds(batch), slowest=300)
         finally:
             _write(target, original)
-        if outcome.failed is None or baseline.trusts(outcome.failed, tree):
+        if outcome.code in (0, 5):  # all pass, or none is left
+            due = due[len(batch) :]
+        elif outcome.failed is None or baseline.trusts(outcome.failed, tree):
             break
-    if outcome.code in (0, 5):  # all pass, or none is left
-        verdict = "survived"
-    else:
-        verdict = "late" if outcome.code == -9 else "killed"
+        else:
+            due = [test for test in due if test not in baseline.broken]
+    verdict = "survived" if not due else "late" if outcome.code == -9 else "killed"
     return {
         "verdict": verdict,
         "by": outcome.failed,
         "quick": verdict != "survived" and not outcome.slow,
         "seconds": round(time.monotonic() - begun, 1),
     }
+
+
+def first_of(tests: list[str], known: TestMap, seconds: float = 4.0, share: float = 0.2) -> list[str]:
+    """As many tests as take some seconds, or a share of the time of all: most mutants fall early, and to collect the
+    tests of all files takes longer than that."""
+    limit, spent = max(seconds, share * known.seconds(tests)), 0.0
+    for k, test in enumerate(tests):
+        spent += known.seconds([test])
+        if spent > limit:
+            return tests[: k + 1]
+    return tests
+
+
+def within(seconds: float, known: TestMap, tests: list[str]) -> Iterator[str]:
+    """Those that take no longer together."""
+    for test in tests:
+        seconds -= known.seconds([test])
+        if seconds < 0:
+            return
+        yield test
 
 
 def _write(path: Path, text: str, clock: list[int] = [0]) -> None:  # noqa: B006
@@ -138,14 +143,14 @@ def equivalent(mutant: Mutant, known: list[dict[str, str]]) -> str | None:
     return None
 
 
-def state_of_the_tree() -> str:
-    """Digest of all that a verdict depends on."""
-    digest = hashlib.sha256()
-    for folder in ("src", "tests", "examples", "docs"):
-        for path in sorted((ROOT / folder).rglob("*")):
-            if path.suffix in (".py", ".md", ".toml") and path.is_file():
-                digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+def rests(mutant: Mutant, test_files: Iterable[str], patience: float | None = None) -> str:
+    """Digest of what a verdict rests on: the module, and the file of the test that failed, or all files that passed."""
+    files = [mutant.path.as_posix(), *sorted(test_files)]
+    return _digest(f"{patience} {' '.join(_digest((ROOT / name).read_text(encoding='utf-8')) for name in files)}")
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def describe(mutant: Mutant) -> str:
@@ -159,8 +164,10 @@ def main() -> int:
     parser.add_argument("-n", type=int, default=300, help="number of mutants, drawn at random (0: all)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tests", action="append", metavar="FILE", help="judge by these test files alone, not by all")
+    parser.add_argument("--without", action="append", metavar="FILE", help="judge by all test files but these")
+    parser.add_argument("--patience", type=float, default=math.inf, help="seconds of tests after which one survives")
     parser.add_argument("-j", type=int, default=os.cpu_count(), help="mutants at a time")
-    parser.add_argument("--again", action="store_true", help="only those that survived when last run")
+    parser.add_argument("--keep", type=Path, default=MAP.parent, metavar="FOLDER", help="where map and journal are")
     parser.add_argument("--map", action="store_true", help="measure anew which tests run which function")
     parser.add_argument("--list", action="store_true", help="print the sample, run nothing")
     options = parser.parse_args()
@@ -169,7 +176,7 @@ def main() -> int:
     modules = options.module or [f"salver.{folder}" for folder in FOLDERS]
     population = all_mutants(modules)
     count = min(options.n or len(population), len(population))
-    sample = random.Random(options.seed).sample(population, count)
+    sample = drawn(population, count, options.seed)
     known = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8")).get("mutant", []) if EQUIVALENT.is_file() else []
     reasons = {mutant.key: equivalent(mutant, known) for mutant in sample}
     sample = [mutant for mutant in sample if reasons[mutant.key] is None]
@@ -177,37 +184,49 @@ def main() -> int:
         print(*map(describe, sample), sep="\n\n")
         return 0
 
-    state, verdicts, before = f"{state_of_the_tree()} {' '.join(sorted(options.tests or []))}".strip(), {}, {}
-    JOURNAL.parent.mkdir(parents=True, exist_ok=True)
-    if JOURNAL.is_file():
-        for line in JOURNAL.read_text(encoding="utf-8").splitlines():
+    tests = TestMap(options.keep / "map.json")
+    tests = tests.update(options.j, again=options.map, only=options.tests, without=options.without)
+    judges: dict[str, list[str]] = {}
+    for mutant in sample:
+        judges[mutant.key] = list(within(options.patience, tests, tests.tests_of(*mutant.place)))
+
+    def rests_now(mutant: Mutant, by: str | None) -> str:
+        if by:
+            return rests(mutant, [file_of(by)])
+        return rests(mutant, {file_of(test) for test in judges[mutant.key]}, options.patience)
+
+    before: dict[str, dict[str, Any]] = {}
+    journal_file = options.keep / "journal.jsonl"
+    if journal_file.is_file():
+        for line in journal_file.read_text(encoding="utf-8").splitlines():
             entry = json.loads(line)
-            before[entry["key"]] = entry["verdict"]
-            if entry["state"] == state:
-                verdicts[entry["key"]] = entry
-    if options.again:
-        sample = [mutant for mutant in sample if before.get(mutant.key) == "survived"]
+            before[entry["key"]] = entry
+    verdicts = {}
+    for mutant in sample:
+        entry = before.get(mutant.key)
+        if entry and entry["rests"] == rests_now(mutant, entry["by"]):
+            verdicts[mutant.key] = entry
     due = [mutant for mutant in sample if mutant.key not in verdicts]
 
-    tests = TestMap()
-    tests.update(options.j, options.map, options.tests)
-    if options.tests:
-        tests = tests.of_files(options.tests)
     baseline = Baseline()
-    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(options.j) as pool, JOURNAL.open("a") as journal:
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(options.j) as pool, journal_file.open("a") as out:
         trees: Queue[Path] = Queue()
         for k in range(min(options.j, len(due))):
             trees.put(copy_of_the_tree(Path(scratch, str(k))))
 
         def work(mutant: Mutant) -> None:
-            tree = trees.get()
+            order, tree = judges[mutant.key], trees.get()
+            last = before.get(mutant.key, {}).get("by")  # what noticed it before is likely to notice it again
+            if last in order:
+                order = [last, *(test for test in order if test != last)]
             try:
-                entry = {"key": mutant.key, "state": state, **judge(mutant, tree, tests, baseline)}
+                entry = {"key": mutant.key, **judge(mutant, tree, tests, order, baseline)}
             finally:
                 trees.put(tree)
+            entry["rests"] = rests_now(mutant, entry["by"])
             verdicts[mutant.key] = entry
-            journal.write(json.dumps(entry) + "\n")
-            journal.flush()
+            out.write(json.dumps(entry) + "\n")
+            out.flush()
             done = sum(other.key in verdicts for other in sample)
             line = f"{done} of {len(sample)}: {entry['verdict']} in {entry['seconds']} s: {mutant.key}"
             print(line.replace("\n", " ")[:150], file=sys.stderr)

@@ -5,7 +5,7 @@ import faulthandler
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,22 +25,25 @@ class Outcome:
     failed: str | None = None  # the first test that failed
     slow: bool = False  # whether that one is left out of `make quick`
     seconds: dict[str, float] = field(default_factory=dict)  # of processor, by each test and what it set up
+    marked: list[str] = field(default_factory=list)  # tests that are left out of `make quick`
+    shares: dict[str, list[str]] = field(default_factory=dict)  # by test: fixtures that it has in common with others
 
 
 def run_tests(
-    tree: Path, files: list[str], rank: Callable[[str, bool], Any], *, limit: float, slowest: float, coverage: str = ""
+    tree: Path, files: Sequence[str], order: Sequence[str] | None, *, limit: float, slowest: float, coverage: str = ""
 ) -> Outcome:
-    """Run the tests of some files of a copy of the repository, up to the first that fails.
+    """Run tests of some files of a copy of the repository, up to the first that fails.
 
-    `rank(node id, whether it is marked slow)` orders the tests; those where it is None are left out.
+    `order`: the tests (node ids) to run, one after the other; None is for all, as they are written.
     `slowest`: seconds after which a single test counts as hanging; `limit`: for all together. With `coverage`, a
     configuration file of coverage.py, the run is measured with the test as context, and goes on after a failure.
     """
+    rank = None if order is None else {node: k for k, node in enumerate(order)}
     context = get_context("forkserver")
     context.set_forkserver_preload(LIBRARIES)
     result = tree / "outcome.json"
     result.unlink(missing_ok=True)
-    process = context.Process(target=_child, args=(str(tree), files, rank, slowest, coverage))
+    process = context.Process(target=_child, args=(str(tree), list(files), rank, slowest, coverage))
     process.start()
     process.join(limit)
     late = process.is_alive()
@@ -54,16 +57,18 @@ def run_tests(
 class _Plugin:
     """Orders the tests, stops those that hang, notes the first that fails, and tells coverage which test runs."""
 
-    def __init__(self, tree: str, rank: Callable[[str, bool], Any], slowest: float, measure: Any) -> None:
+    def __init__(self, tree: str, rank: Mapping[str, int] | None, slowest: float, measure: Any) -> None:
         self.result, self.rank, self.slowest, self.measure = Path(tree, "outcome.json"), rank, slowest, measure
-        self.outcome, self.slow, self.begun = Outcome(0), set[str](), 0.0
+        self.outcome, self.begun = Outcome(0), 0.0
 
     def pytest_collection_modifyitems(self, items: list[Any]) -> None:
-        self.slow = {item.nodeid for item in items if item.get_closest_marker("slow")}
-        ranked = [(self.rank(item.nodeid, item.nodeid in self.slow), item) for item in items]
-        items[:] = [
-            item for _, item in sorted((pair for pair in ranked if pair[0] is not None), key=lambda pair: pair[0])
-        ]
+        self.outcome.marked = [item.nodeid for item in items if item.get_closest_marker("slow")]
+        if self.rank is None:
+            self.outcome.shares = {item.nodeid: list(_shared_fixtures(item)) for item in items}
+        else:
+            items[:] = sorted(
+                (item for item in items if item.nodeid in self.rank), key=lambda item: self.rank[item.nodeid]
+            )
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         if self.outcome.failed is None:
@@ -72,7 +77,10 @@ class _Plugin:
             self.note(None)
         faulthandler.dump_traceback_later(self.slowest, exit=True, file=sys.__stderr__)
         if self.measure is not None:
+            _forget()  # what one test has cached would hide what the next one needs
             self.measure.switch_context(nodeid)
+            self.measure.set_option("run:context", nodeid)  # and of the processes that it starts
+            os.environ["COVERAGE_PROCESS_CONFIG"] = self.measure.config.serialize()
         self.begun = sum(os.times()[:4])  # with the processes that it has waited for
 
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
@@ -87,13 +95,28 @@ class _Plugin:
         self.save()
 
     def note(self, nodeid: str | None) -> None:
-        self.outcome.failed, self.outcome.slow = nodeid, nodeid in self.slow
+        self.outcome.failed, self.outcome.slow = nodeid, nodeid in self.outcome.marked
 
     def save(self) -> None:
         self.result.write_text(json.dumps(asdict(self.outcome)))
 
 
-def _child(tree: str, files: list[str], rank: Callable[[str, bool], Any], slowest: float, coverage: str) -> None:
+def _shared_fixtures(item: Any) -> Iterator[str]:
+    for name, definitions in item._fixtureinfo.name2fixturedefs.items():
+        if definitions[-1].scope != "function" and not name.startswith("_") and "tmp_path" not in name:
+            yield name
+
+
+def _forget() -> None:
+    """Empty the caches of functions of salver and of the tests."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith(("salver", "test_", "nasty")):
+            for value in list(vars(module).values()):
+                if hasattr(value, "cache_clear"):
+                    value.cache_clear()
+
+
+def _child(tree: str, files: list[str], rank: Mapping[str, int] | None, slowest: float, coverage: str) -> None:
     os.setsid()
     os.chdir(tree)
     sys.path.insert(0, f"{tree}/src")

@@ -1,7 +1,8 @@
 """Which tests run which function of salver, and how long they take: measured with coverage.py, kept in out/.
 
-Each test file is measured in a process of its own: what one file has cached hides nothing from the next. The map is
-measured again for the test files that changed; functions that it does not know yet are taken to be run by every file.
+Each test file is measured in a process of its own, and functions forget what they have cached before each test. Tests
+that share a fixture share what it holds too, so that they stand together. The map is measured again for the test files
+that changed; a function that it does not know yet is taken to be run by all tests that run its module.
 """
 
 import ast
@@ -10,6 +11,7 @@ import json
 import shutil
 import sys
 import tempfile
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import Queue
@@ -25,7 +27,7 @@ SETTINGS = """\
 source = {tree}/src/salver
 data_file = {tree}/.coverage
 parallel = true
-patch = subprocess
+patch = subprocess, fork, _exit
 sigterm = true
 """
 
@@ -41,26 +43,31 @@ def copy_of_the_tree(folder: Path) -> Path:
 
 
 class TestMap:
-    """`covers[test file][source file][function]` is the list of the tests of that file that ran the function."""
+    """What is known of each test file: processor seconds of its tests, which are left out of `make quick` (`marked`),
+    which fixtures they share (`shares`), and `covers[source file][function]`, those that ran the function."""
 
     def __init__(self, path: Path = MAP) -> None:
         self.path = path
         self.files: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.is_file() else {}
 
-    def update(self, workers: int, again: bool = False, only: list[str] | None = None) -> None:
-        """Measure the test files (or `only` some) that are new or have changed, or all of them again."""
+    def update(
+        self, workers: int, again: bool = False, only: list[str] | None = None, without: list[str] | None = None
+    ) -> "TestMap":
+        """Measure test files that are new or have changed, or all of them `again`; the map of these test files."""
         present = {path.relative_to(ROOT).as_posix(): _digest(path) for path in sorted(ROOT.glob("tests/**/test_*.py"))}
-        for name in only or []:
+        for name in [*(only or []), *(without or [])]:
             if name not in present:
                 raise SystemExit(f"There is no test file {name}; give it as in tests/test_geometry.py.")
+        wanted = [name for name in only or present if name not in (without or [])]
         self.files = {name: entry for name, entry in self.files.items() if name in present}
-        due = [
-            name
-            for name, digest in present.items()
-            if (again or self.files.get(name, {}).get("digest") != digest) and (not only or name in only)
-        ]
-        if not due:
-            return
+        due = [name for name in wanted if again or self.files.get(name, {}).get("digest") != present[name]]
+        if due:
+            self._measure_all(due, present, workers)
+        part = TestMap(self.path)
+        part.files = {name: self.files[name] for name in wanted if name in self.files}
+        return part
+
+    def _measure_all(self, due: list[str], digests: dict[str, str], workers: int) -> None:
         print(f"measuring which functions {len(due)} test files run", file=sys.stderr)
         due.sort(key=lambda name: -(ROOT / name).stat().st_size)
         with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(workers) as pool:
@@ -75,7 +82,7 @@ class TestMap:
                 finally:
                     trees.put(tree)
                 if found is not None:
-                    self.files[name] = {"digest": present[name], **found}
+                    self.files[name] = {"digest": digests[name], **found}
                     self.save()
                     print(f"{name}: {sum(found['tests'].values()):.1f} s", file=sys.stderr)
 
@@ -85,32 +92,31 @@ class TestMap:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_text(json.dumps(self.files, indent=0, sort_keys=True))
 
-    def of_files(self, names: list[str]) -> "TestMap":
-        """A part of the map, not saved."""
-        part = TestMap(self.path)
-        part.files = {name: self.files[name] for name in names if name in self.files}
-        return part
+    def tests_of(self, source: str, function: str) -> list[str]:
+        """The tests that a function may matter to, in the order in which to run them.
 
-    def tests_of(self, source: str, function: str) -> tuple[list[str], set[str]]:
-        """Test files that run a function, the quickest first, and their tests that were seen to run it."""
-        known = any(function in entry["covers"].get(source, {}) for entry in self.files.values()) and function
-        files, direct = [], set()
-        for name, entry in self.files.items():
-            functions = entry["covers"].get(source)
-            if functions is not None and (not known or function in functions):
-                files.append(name)
-                direct.update(functions.get(function, []))
-        if not files:  # a module that the map does not know
-            files = list(self.files)
+        First those of `make quick`, file by file, the quickest first; in each file first those that were seen to run
+        it, then those that share a fixture with these.
+        """
+        known = function and any(function in entry["covers"].get(source, {}) for entry in self.files.values())
+        quick, slow = [], []
+        for entry in self.files.values():
+            functions = entry["covers"].get(source, {})
+            seen = set(functions.get(function, [])) if known else {test for ran in functions.values() for test in ran}
+            touched = {fixture for test in seen for fixture in entry["shares"].get(test, [])}
+            beside = [test for test in entry["tests"] if touched.intersection(entry["shares"].get(test, []))]
+            tests = [*sorted(seen, key=entry["tests"].get), *(test for test in beside if test not in seen)]
+            quick.append([test for test in tests if test not in entry["marked"]])
+            slow.append([test for test in tests if test in entry["marked"]])
+        return [test for part in (quick, slow) for group in sorted(part, key=self.seconds) for test in group]
 
-        def cost(name: str) -> float:
-            tests = self.files[name]["tests"]
-            return sum(tests[test] for test in direct if test in tests) or sum(tests.values())
+    def seconds(self, tests: Sequence[str]) -> float:
+        """Of processor, for these tests."""
+        return sum(self.files[file_of(test)]["tests"][test] for test in tests)
 
-        return sorted(files, key=cost), direct
 
-    def seconds(self, files: list[str]) -> float:
-        return sum(sum(self.files[name]["tests"].values()) for name in files)
+def file_of(test: str) -> str:
+    return test.partition("::")[0]
 
 
 def _digest(path: Path) -> str:
@@ -124,7 +130,7 @@ def _measure(tree: Path, name: str) -> dict[str, Any] | None:
     (tree / "output.txt").unlink(missing_ok=True)
     settings = tree / "coverage.ini"
     settings.write_text(SETTINGS.format(tree=tree))
-    outcome = run_tests(tree, [name], _as_written, limit=3600, slowest=900, coverage=str(settings))
+    outcome = run_tests(tree, [name], None, limit=3600, slowest=900, coverage=str(settings))
     if outcome.code != 0:
         output = (tree / "output.txt").read_text()[-3000:]
         print(f"{output}\n{name} fails at {outcome.failed}: no mutant is judged by it", file=sys.stderr)
@@ -145,11 +151,7 @@ def _measure(tree: Path, name: str) -> dict[str, Any] | None:
             if any(line in contexts for line in lines):
                 covers[source][function] = sorted(tests - {""})
     combined.erase()
-    return {"tests": outcome.seconds, "covers": covers}
-
-
-def _as_written(_node: str, _slow: bool) -> int:
-    return 0
+    return {"tests": outcome.seconds, "marked": outcome.marked, "shares": outcome.shares, "covers": covers}
 
 
 def function_lines(text: str) -> dict[str, range]:
