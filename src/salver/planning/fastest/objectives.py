@@ -66,9 +66,9 @@ class Objective(ABC):
         bent = 0.0 if model.curvature is None else 0.5 * float(move @ model.curvature @ move)
         return value + float(model.slope @ move) + model.by_scalar * float(step[-1]) + bent
 
-    def scale(self, at: Point) -> float:
-        """The size of a change that matters, for tolerances."""
-        return 1.0
+    def scale(self, at: Point, value: float) -> float:
+        """The size of what tolerances are shares of, in the unit of the objective."""
+        return abs(value)
 
     def counts(self, block: Block) -> bool:
         return False
@@ -93,9 +93,6 @@ class Duration(Objective):
     def expected(self, curve: Curve, at: Point, value: float, step: Array) -> float:
         return at.duration * float(np.sqrt(1 + step[-1]))
 
-    def scale(self, at: Point) -> float:
-        return at.duration
-
     def model(self, curve: Curve, at: Point) -> Model:
         return Model(np.zeros(at.coefficients.size), 0.5 * at.duration)
 
@@ -109,7 +106,7 @@ class LeastMargin(Objective):
     def value(self, curve: Curve, at: Point) -> float:
         return -at.margin
 
-    def scale(self, at: Point) -> float:
+    def scale(self, at: Point, value: float) -> float:
         return 0.1  # of the weight
 
     def model(self, curve: Curve, at: Point) -> Model:

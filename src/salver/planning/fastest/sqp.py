@@ -316,7 +316,7 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
                 break
             continue
         programmes += attempt.programmes
-        enough = options.gain * programme.objective.scale(path.point)
+        enough = options.gain * programme.objective.scale(path.point, path.cost)
         forced = tuple(mask | more for mask, more in zip(forced, attempt.unseen, strict=True))
         if attempt.trial is not None and attempt.ratio > LEAST_RATIO:
             before, path = path, attempt.trial
