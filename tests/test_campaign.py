@@ -413,6 +413,19 @@ def test_summary_of_known_runs(tmp_path):
     assert read_table(tmp_path / "runs.parquet")["mass"][:3] == [1.0, 1.0, 2.0]
 
 
+def test_runs_that_leave_the_tube_by_over_a_hundredth_are_counted(tmp_path):
+    """First order misses up to that; the farthest run is named, and one of which nothing is known does not count."""
+    excess = [-0.2, 0.009, 0.011, 0.3, 0.05, None]
+    rows = [
+        {"stem": "plan", "run": k, "outcome": "holds", "tube_excess_relative": x, "tube_excess": x and 2 * x}
+        for k, x in enumerate(excess)
+    ]
+    tube = summarise(rows, ["plan"], tmp_path)["plans"]["plan"]["tube"]
+    assert (tube["left"]["count"], tube["left"]["of"]) == (3, 5)
+    assert (tube["worst_run"], tube["worst_excess_relative"], tube["worst_excess"]) == (3, 0.3, 0.6)
+    assert tube["tolerance_relative"] == 0.01
+
+
 def test_figures_of_several_objects_are_told_apart():
     objects = [
         {"name": "a", "outcome": "holds", "peak_slip": 1e-4},

@@ -189,7 +189,7 @@ def test_arch_holds_at_rest_and_slides_when_fast() -> None:
     assert whole.verdict().ok
     verdict = margins(made, level([[0, 0.3001 * G, 0]])).verdict()
     assert verdict.code == "slides"
-    assert verdict.details["interface"] in ("left on tray", "right on tray")
+    assert verdict.details["interface"] in ("left on tray", "right on tray")  # mirror images of each other
 
 
 def tumbling() -> PolynomialReference:

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from salver import scenario as scenarios
 from salver.control.arm import ArmState, controller_for
-from salver.errors import FileFormatError, MissingDependencyError, ScenarioError, UnreachableError
+from salver.errors import FileFormatError, MissingDependencyError, SalverError, ScenarioError, UnreachableError
 from salver.geometry import matrix_from_quat_wxyz
 from salver.models.arm import load_arm
 from salver.models.rigid_body import wrench
@@ -355,6 +355,16 @@ def test_what_cannot_be_simulated_says_so(baseline):
     scenario = baseline.scenario.with_changes(physics__timestep=3e-4)
     with pytest.raises(ScenarioError, match=r"command_period.*timestep"):
         simulate(replace(baseline, scenario=scenario))
+
+
+def test_an_engine_that_diverged_under_an_arm_gives_an_error_and_no_verdict(fast, tmp_path, monkeypatch):
+    """A joint without a torque limit and high gains on a state that is 20 ms old: the loop's amplitude grows by itself."""
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its own log of it
+    strong = with_limit(fast, tmp_path, 0, "effort", 1e30)
+    stiff = {"physics__delay_steps": 20, "control__kp": [1e5, 1e5], "control__kd": [600, 600]}
+    unstable = replace(strong, scenario=strong.scenario.with_changes(**stiff))
+    with pytest.raises(SalverError, match=r"diverged .* s into the run; give physics.timestep a smaller value than"):
+        simulate(unstable)
 
 
 @pytest.mark.slow

@@ -12,6 +12,8 @@ import nasty
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.contact_rows import contact_rows
+from salver.models.parameters import Parameter
+from salver.models.worst_case import Drift, UncertainRows, WorstCase
 from salver.scenario import Scenario
 
 LOADS = {"single": nasty.single, "stack": nasty.stack, "pair": nasty.pair}
@@ -160,6 +162,33 @@ def test_a_tower_of_more_masses_than_are_taken_at_their_extremes() -> None:
     bound, nominal = claimed(made, w), rows.worst({}, w)
     assert np.all(reached <= bound + 1e-9)
     assert np.median((reached - nominal) / (bound - nominal)) > 0.4
+
+
+def test_worst_case_with_a_drift_is_its_definition() -> None:
+    """Two rows, mass at its extremes; looked for at every corner of what is free, with and without the drift.
+
+    The centre of mass acts through the row and through the drift at once; a mass has the sign of its row; a product,
+    one of masses too, and a parameter of something else are free of both.
+    """
+    rng = np.random.default_rng(8)
+    mass, com, other = Parameter("box", "mass"), Parameter("box", "com", "x"), Parameter("beside", "mass")
+    signs = np.array([[1.0], [-1.0]])
+    drifts = ((com,), (mass,), (mass, com), (mass, mass), (com, com), (other,))
+    for _ in range(20):
+        nominal, parameter, remainder = rng.normal(size=(2, 12)), *rng.normal(size=(2, 1, 2, 12))
+        rows = UncertainRows(nominal, (com,), parameter, remainder, None, (mass,), signs)
+        w, dw, swing = rng.normal(size=(3, 12)), rng.normal(size=(3, 12, len(drifts))), 0.3 * rng.normal(size=(3, 12))
+        expected = np.full((3, 2), -np.inf)
+        for side, s, product_of_rows, *free in product((-1.0, 1.0), repeat=7):
+            for strays in (0.0, 1.0):
+                for row in range(2):
+                    at = np.array([s, signs[row, 0], *free])
+                    felt = w + side * swing
+                    value = (felt + strays * dw @ at) @ nominal[row]
+                    value += s * felt @ parameter[0, row] + product_of_rows * felt @ remainder[0, row]
+                    expected[:, row] = np.maximum(expected[:, row], value)
+        worst = WorstCase.of(rows, w, Drift(drifts, dw, swing))
+        assert_allclose(worst.values, expected, atol=1e-12)
 
 
 def test_contacts_that_cannot_be_worked_with_are_refused() -> None:

@@ -46,6 +46,7 @@ class Baseline:
 
     def __init__(self) -> None:
         self.passes: dict[str, bool] = {}
+        self.loaded: set[str] = set()
 
     @property
     def broken(self) -> frozenset[str]:
@@ -58,6 +59,14 @@ class Baseline:
             if outcome.code != 0:
                 print(f"{test} fails as it is and judges nothing", file=sys.stderr)
         return self.passes[test]
+
+    def loads(self, files: list[str], tree: Path) -> None:
+        """Raise SystemExit if the tests cannot even be collected from the code as it is."""
+        if not self.loaded.issuperset(files):
+            outcome = run_tests(tree, files, [], limit=900, slowest=600)
+            if outcome.code not in (0, 5):
+                raise SystemExit(f"{' '.join(files)}: pytest ends with {outcome.code} on the code as it is.")
+            self.loaded.update(files)
 
 
 def all_mutants(modules: list[str]) -> list[Mutant]:
@@ -95,7 +104,10 @@ def judge(mutant: Mutant, tree: Path, tests: TestMap, due: list[str], baseline: 
             _write(target, original)
         if outcome.code in (0, 5):  # all pass, or none is left
             due = due[len(batch) :]
-        elif outcome.failed is None or baseline.trusts(outcome.failed, tree):
+        elif outcome.failed is None:  # the module cannot be loaded any more, or it takes too long as a whole
+            baseline.loads(files, tree)
+            break
+        elif baseline.trusts(outcome.failed, tree):
             break
         else:
             due = [test for test in due if test not in baseline.broken]
