@@ -358,7 +358,7 @@ def test_what_cannot_be_simulated_says_so(baseline):
 
 
 def test_an_engine_that_diverged_under_an_arm_gives_an_error_and_no_verdict(fast, tmp_path, monkeypatch):
-    """A joint without a torque limit and high gains on a state that is 20 ms old: the loop's amplitude grows by itself."""
+    """A joint without a torque limit and high gains on a state 20 ms old: the loop swings itself up."""
     monkeypatch.chdir(tmp_path)  # where MuJoCo writes its own log of it
     strong = with_limit(fast, tmp_path, 0, "effort", 1e30)
     stiff = {"physics__delay_steps": 20, "control__kp": [1e5, 1e5], "control__kd": [600, 600]}

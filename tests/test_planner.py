@@ -50,6 +50,7 @@ def test_derivatives_are_those_of_the_values(scenario):
     assert here.goal_jacobian @ d == pytest.approx((ahead.goal - behind.goal) / (2 * h), abs=1e-8)
     for now, up, down in zip(here.rows, ahead.rows, behind.rows, strict=True):
         slack, terms = now.slack()
+        assert now.least() == pytest.approx(slack, abs=1e-12)
         change = (up.slack()[0] - down.slack()[0]) / (2 * h)
         instant, row = (index.ravel() for index in np.indices(slack.shape))
         offset, slope = now.cuts(instant, row, terms[instant, row])
