@@ -381,6 +381,19 @@ def test_bounded_tilt_lies_between_level_and_free():
     assert 0.79 < plan.duration < 1.0
 
 
+@pytest.mark.parametrize("margin", [0.0, 0.05])
+def test_contact_keeps_the_margin_that_the_scenario_asks_for(margin):
+    """And no more: it is what binds. As a share of the weight, at 601 points of another grid."""
+    scenario = cube(0.2, objects__0__uncertainty={}, motion__orientation="fixed", contact__margin=margin)
+    found = fastest(transport_problem(scenario), FastestOptions(spans=8))
+    assert found.status.ok, found.status
+    s = np.linspace(0, 1, 601)
+    z = np.stack(found.sample(s * found.duration))
+    contacts = [Contact(rows) for rows in found.problem.contacts]
+    left = -worst_of(evaluate(contacts, found.problem.at(s, z, found.duration), margins=False))[0]
+    assert margin - 1e-4 < left < margin + 5e-3
+
+
 def test_robust_plan_takes_longer_and_the_nominal_one_breaks_its_conditions():
     scenario = bottle(mass="40%", com=[0.005, 0.005, 0.005], friction="10%")
     robust, nominal = (transport_problem(scenario, robust=robust) for robust in (True, False))

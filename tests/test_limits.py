@@ -180,6 +180,16 @@ def test_what_lies_between_samples_counts(arm: ArmModel) -> None:
     assert found.value == pytest.approx(1.875 * 0.8, rel=1e-12)
 
 
+@pytest.mark.parametrize("of", ["q", "dq", "ddq"])
+def test_what_is_no_number_is_within_no_limit(arm: ArmModel, of: str) -> None:
+    motion = min_jerk(0.1, 2.0, 9)
+    assert verdict(arm, motion).ok
+    getattr(motion, of)[4, 2] = np.nan
+    status = verdict(arm, motion)
+    assert not status.ok
+    assert status.code == "limit_exceeded"
+
+
 def test_plan_is_not_ok_when_the_arm_cannot_follow() -> None:
     """The load holds, the motion is right, and joint 1 would have to turn faster than it can."""
     slab = {"type": "box", "size": [0.16, 0.16, 0.04]}
