@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from salver import scenario
-from salver.driver.franka_limits import FR3
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log, vee
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
-from salver.models.arm_limits import LIMITS, POSITION, JointLimits
 from salver.models.contact import support_contacts
 from salver.models.known_arms import KNOWN_ARMS
 
@@ -181,151 +179,8 @@ def test_tray_adds_its_weight_and_the_hand_is_gone():
     assert not any("hand" in frame.name or "finger" in frame.name for frame in bare.pin_model.frames)
 
 
-# Each number again, from another place than the one that `salver.models.known_arms` names.
-MAKERS = {
-    # The crate franka_rust 0.1.15, src/franka/franka_emika.rs; positions, speeds and torques also in panda.urdf of
-    # example-robot-data. Torque rate: libfranka 0.9, include/franka/rate_limiting.h.
-    "panda": {
-        "q_min": [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
-        "q_max": [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973],
-        "velocity": [2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61],
-        "acceleration": [15, 7.5, 10, 12.5, 15, 20, 20],
-        "jerk": [7500, 3750, 5000, 6250, 7500, 10000, 10000],
-        "torque": [87, 87, 87, 87, 12, 12, 12],
-        "torque_rate": [1000] * 7,
-    },
-    # Universal_Robots_ROS2_Description, config/ur10/joint_limits.yaml, in degrees there.
-    "ur10": {
-        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
-        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
-        "velocity": np.deg2rad([120, 120, 180, 180, 180, 180]),
-        "acceleration": [5.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [330, 330, 150, 56, 56, 56],
-        "torque_rate": [np.inf] * 6,
-    },
-    # Universal_Robots_ROS2_Description, config/ur3/joint_limits.yaml and config/ur5/joint_limits.yaml.
-    "ur3": {
-        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
-        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
-        "velocity": np.deg2rad([180, 180, 180, 360, 360, 360]),
-        "acceleration": [5.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [56, 56, 28, 12, 12, 12],
-        "torque_rate": [np.inf] * 6,
-    },
-    "ur5": {
-        "q_min": np.deg2rad([-360, -360, -180, -360, -360, -360]),
-        "q_max": np.deg2rad([360, 360, 180, 360, 360, 360]),
-        "velocity": np.deg2rad([180] * 6),
-        "acceleration": [5.0] * 6,
-        "jerk": [np.inf] * 6,
-        "torque": [150, 150, 150, 28, 28, 28],
-        "torque_rate": [np.inf] * 6,
-    },
-    # ros2_kortex: speeds from kinova_gen3_7dof_robotiq_2f_85_moveit_config/config/joint_limits.yaml; accelerations from
-    # gen3_move_it_config/config/7dof/hard_joint_limits.yaml, which has 95 % of them. Joints 1, 3, 5, 7 turn for ever.
-    "gen3": {
-        "q_min": [-2 * np.pi, -2.24, -2 * np.pi, -2.57, -2 * np.pi, -2.09, -2 * np.pi],
-        "q_max": [2 * np.pi, 2.24, 2 * np.pi, 2.57, 2 * np.pi, 2.09, 2 * np.pi],
-        "velocity": [1.3963] * 4 + [1.2218] * 3,
-        "acceleration": np.array([4.94] * 4 + [9.5] * 3) / 0.95,
-        "jerk": [np.inf] * 7,
-        "torque": [39] * 4 + [9] * 3,
-        "torque_rate": [np.inf] * 7,
-    },
-    # Positions: xarm_ros2, xarm_description/config/xarm7/joint_limits.yaml, in degrees there. Speeds: UFACTORY, xArm
-    # product page, 180 degrees/s. Torques: xarm_ros2, xarm_description/urdf/xarm7/xarm7.urdf.xacro.
-    "xarm7": {
-        "q_min": np.deg2rad([-360, -118, -360, -11, -360, -97, -360]),
-        "q_max": np.deg2rad([360, 120, 360, 225, 360, 180, 360]),
-        "velocity": [np.pi] * 7,
-        "acceleration": [20.0] * 7,
-        "jerk": [np.inf] * 7,
-        "torque": [50, 50, 30, 30, 30, 20, 20],
-        "torque_rate": [np.inf] * 7,
-    },
-}
-
-
-@pytest.mark.parametrize("name", ARMS)
-def test_limits_of_known_arms_are_the_makers(name):
-    limits = make(name).limits
-    for field, expected in MAKERS[name].items():
-        assert getattr(limits, field) == pytest.approx(np.array(expected, dtype=float), rel=1e-5, abs=2e-5), field
-    assert KNOWN_ARMS[name].source
-
-
-def test_limits_of_the_franka_research_3_are_the_makers():
-    """franka_description, robots/fr3/joint_limits.yaml, and the crate franka_rust 0.1.14, src/franka/franka_fr3.rs."""
-    expected = {
-        "q_min": [-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159],
-        "q_max": [2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159],
-        "velocity": [2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26],
-        "acceleration": [10] * 7,
-        "jerk": [5000] * 7,
-        "torque": [87, 87, 87, 87, 12, 12, 12],
-        "torque_rate": [1000] * 7,
-    }
-    for field, values in expected.items():
-        assert getattr(FR3, field) == pytest.approx(values, rel=1e-12), field
-
-
-def test_each_share_of_the_limits_is_taken_of_its_own_kind():
-    shares = {"velocity": 0.9, "acceleration": 0.8, "jerk": 0.7, "torque": 0.6}
-    assert make().planning_limits.torque_rate == pytest.approx(0.95 * make().limits.torque_rate)
-    arm = make(**{f"{key}_scale": value for key, value in shares.items()})
-    for key, share in shares.items():
-        assert getattr(arm.planning_limits, key) == pytest.approx(share * getattr(arm.limits, key), rel=1e-12)
-    for key in ("q_min", "q_max"):
-        assert np.array_equal(getattr(arm.planning_limits, key), getattr(arm.limits, key))
-
-
-def test_shares_of_limits_by_hand():
-    """A joint from -1 to 3 rad has its middle at 1; what is not published uses no share."""
-    free = np.array([np.inf])
-    limits = JointLimits(np.array([-1.0]), np.array([3.0]), np.array([2.0]), free, free, np.array([50.0]), free)
-    curves = {kind.key: np.array([[2.0], [-1.0]]) for kind in LIMITS}
-    shares = limits.shares(curves)
-    assert list(shares) == ["position", "velocity", "acceleration", "jerk", "torque", "torque_rate"]
-    assert shares["position"].ravel().tolist() == [0.5, -1.0]
-    assert shares["velocity"].ravel().tolist() == [1.0, -0.5]
-    assert shares["torque"].ravel().tolist() == [0.04, -0.02]
-    assert not any(np.any(shares[key]) for key in ("acceleration", "jerk", "torque_rate"))
-    assert [limits.bound(POSITION, 0, value) for value in (2.0, 0.0)] == [3.0, -1.0]
-    assert JointLimits(-free, free, *[free] * 5).shares(curves)["position"].ravel().tolist() == [0.0, 0.0]
-
-
-LIMITED = """<robot name="lever"><link name="base"/><link name="rod"/><link name="tip"/>
-  <joint name="swing" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="1 0 0"/>
-    <limit lower="-0.5" upper="2.5" effort="{effort}" velocity="{velocity}"/></joint>
-  <joint name="slide" type="prismatic"><parent link="rod"/><child link="tip"/><axis xyz="0 0 1"/>
-    <limit lower="0.1" upper="0.9" effort="70" velocity="0.4"/></joint>
-</robot>"""
-
-
-@pytest.mark.parametrize(("effort", "velocity", "torque", "speed"), [(0, 0, np.inf, np.inf), (35, 1.5, 35.0, 1.5)])
-def test_limits_of_a_urdf_are_its_own_and_zero_says_nothing(tmp_path, effort, velocity, torque, speed):
-    """Exporters write effort="0" and velocity="0" where they know nothing: not a motor that cannot hold its link."""
-    path = tmp_path / "lever.urdf"
-    path.write_text(LIMITED.format(effort=effort, velocity=velocity))
-    limits = make(str(path), flange="tip").limits
-    assert limits.torque.tolist() == [torque, 70.0]
-    assert limits.velocity.tolist() == [speed, 0.4]
-    assert limits.q_min.tolist() == [-0.5, 0.1]
-    assert limits.q_max.tolist() == [2.5, 0.9]
-    for unknown in (limits.acceleration, limits.jerk, limits.torque_rate):
-        assert np.isinf(unknown).all()
-
-
-def test_published_limits_are_not_those_of_another_flange():
-    """With another link as the flange the chain may have other joints: then the URDF's own limits count."""
-    shorter = make(flange="panda_link5").limits
-    assert shorter.torque.shape == (5,)
-    assert np.isinf(shorter.jerk).all()
-
-
 # ---- other URDFs ----------------------------------------------------------------------------------------------
+
 
 PENDULUM = """<robot name="pendulum">
   <link name="base"/>

@@ -1,0 +1,129 @@
+"""What is said of finished runs: tubes left, the worst run, counts and pairs, figures of several objects."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from salver import scenario as scenarios
+from salver.campaigns.runners import run_scalars, tube_scalars
+from salver.campaigns.summary import read_table, summarise, table, write_table
+
+
+class _FlatPlan:
+    """A plan whose tube is known by hand: nominal 1 N and 2 N, radius 0.1 N and 0.2 N, for a second."""
+
+    scenario = scenarios.load("panda-cube").with_changes(control__kd=[25, 20])  # start-up over at 8 / 20 s
+    t = np.linspace(0, 1, 11)
+    cone_coefficients = np.tile([1.0, 2.0], (11, 1))
+    cone_radius = np.tile([0.1, 0.2], (11, 1))
+
+
+def test_the_excess_over_the_tube_is_measured_where_the_motion_is():
+    t = np.array([-0.1, 0.0, 0.25, 0.5, 1.0, 1.2])
+    coefficients = np.tile([1.0, 2.0], (6, 1))
+    coefficients[0] = coefficients[-1] = 50.0  # before and after the motion: of no concern
+    coefficients[2, 0] = 0.75  # 0.25 below nominal, radius 0.1
+    coefficients[3, 1] = 2.15  # inside
+    found = tube_scalars(_FlatPlan(), t, coefficients)
+    assert found["tube_excess"] == pytest.approx(0.15)
+    assert found["tube_excess_relative"] == pytest.approx(0.15 / 0.2)
+    assert found["tube_excess_time"] == 0.25
+    assert found["tube_excess_settled"] == pytest.approx(-0.05 / 0.2)  # 0.15 N off, radius 0.2
+    assert found["cone_least"] == 0.75
+
+
+def record(stem, run, outcome, slip):
+    return {
+        "stem": stem,
+        "run": run,
+        "outcome": outcome,
+        "parameters": {"mass": 1.0 + run},
+        "scalars": {"peak_slip": slip},
+    }
+
+
+@pytest.mark.parametrize(
+    ("outcome", "slip", "least", "worse"),
+    [
+        ("slides", 1e-3, 0.1, True),  # the word counts first
+        ("holds", 2e-3, 0.9, False),
+        ("limit", 2e-3, 0.2, True),  # then the slip
+        ("limit", 1e-3, 0.0, False),
+        ("limit", 1.5e-3, 0.05, True),  # then the least cone coefficient
+        ("limit", 1.5e-3, 0.2, False),
+        ("limit", 1.5e-3, 0.1, False),  # then the earlier run
+        ("limit", None, None, False),  # without figures: nothing is known to be worse
+        ("exploded", None, None, True),  # a word that nobody knows is the worst
+    ],
+)
+def test_the_worst_run_by_word_then_slip_then_coefficient_then_number(outcome, slip, least, worse):
+    rows = [
+        {"stem": "plan", "run": 0, "outcome": "limit", "peak_slip": 1.5e-3, "cone_least": 0.1},
+        {"stem": "plan", "run": 1, "outcome": outcome, "peak_slip": slip, "cone_least": least},
+    ]
+    for given in (rows, rows[::-1]):
+        assert summarise(given, ["plan"], Path("x"))["plans"]["plan"]["worst_run"]["run"] == int(worse)
+
+
+def test_words_from_harmless_to_worst():
+    """Each must be worse than the one before: an arm beyond its limits, then what the load does, then no result."""
+    words = ["holds", "leaves cone", "limit", "slides", "lifts", "tips", "lost", "crashed", "error"]
+    for better, worse in pairwise(words):
+        rows = [{"stem": "p", "run": k, "outcome": word} for k, word in enumerate([worse, better])]
+        assert summarise(rows, ["p"], Path("x"))["plans"]["p"]["worst_run"]["outcome"] == worse
+    rows = [{"stem": "p", "run": k, "outcome": word} for k, word in enumerate(reversed(words))]
+    assert list(summarise(rows, ["p"], Path("x"))["plans"]["p"]["outcomes"]) == words
+
+
+def test_summary_of_known_runs(tmp_path):
+    # plan slides once, baseline slides in three others: discordant 3 to 1 of four, p = 2 (1 + 4) / 16.
+    slides = {"plan": {3}, "baseline": {0, 1, 2}}
+    records = {
+        (stem, run): record(stem, run, "slides" if run in slides[stem] else "holds", 1e-3 * run)
+        for stem in slides
+        for run in range(10)
+    }
+    rows = table(records, ["plan", "baseline"])
+    summary = summarise(rows, ["plan", "baseline"], Path("out/x"))
+    assert summary["plans"]["plan"]["outcomes"]["holds"]["count"] == 9
+    assert summary["plans"]["baseline"]["outcomes"]["slides"]["low"] == pytest.approx(0.0667, abs=1e-4)
+    assert summary["paired"][0]["holds"]["p_value"] == pytest.approx(10 / 16)
+    # Worst is the worst outcome, then the largest slip: run 3 slid, run 9 held with a larger number.
+    assert summary["plans"]["plan"]["worst_run"]["run"] == 3
+    assert summary["plans"]["baseline"]["worst_run"]["replay"] == "salver simulate out/x --stem baseline --run 2"
+    assert summary["plans"]["plan"]["quantiles"]["peak_slip"]["max"] == pytest.approx(9e-3)
+    write_table(tmp_path / "runs.parquet", rows)
+    assert read_table(tmp_path / "runs.parquet")["mass"][:3] == [1.0, 1.0, 2.0]
+
+
+def test_runs_that_leave_the_tube_by_over_a_hundredth_are_counted(tmp_path):
+    """First order misses up to that; the farthest run is named, and one of which nothing is known does not count."""
+    excess = [-0.2, 0.009, 0.011, 0.3, 0.05, None]
+    rows = [
+        {"stem": "plan", "run": k, "outcome": "holds", "tube_excess_relative": x, "tube_excess": x and 2 * x}
+        for k, x in enumerate(excess)
+    ]
+    tube = summarise(rows, ["plan"], tmp_path)["plans"]["plan"]["tube"]
+    assert (tube["left"]["count"], tube["left"]["of"]) == (3, 5)
+    assert (tube["worst_run"], tube["worst_excess_relative"], tube["worst_excess"]) == (3, 0.3, 0.6)
+    assert tube["tolerance_relative"] == 0.01
+
+
+def test_figures_of_several_objects_are_told_apart():
+    objects = [
+        {"name": "a", "outcome": "holds", "peak_slip": 1e-4},
+        {"name": "b", "outcome": "slides", "peak_slip": 2e-3},
+    ]
+    flat = run_scalars({"outcome": "slides", "objects": objects, "wall_time": 3.0, "provenance": {}})
+    assert flat == {
+        "outcome": "slides",
+        "a.outcome": "holds",
+        "a.peak_slip": 1e-4,
+        "b.outcome": "slides",
+        "b.peak_slip": 2e-3,
+        "peak_slip": 2e-3,
+    }
+    one = run_scalars({"outcome": "holds", "objects": objects[:1]})
+    assert one == {"outcome": "holds", "peak_slip": 1e-4}

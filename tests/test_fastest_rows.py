@@ -1,0 +1,316 @@
+"""What the fastest motion is made of: spline, rows and their derivatives, and what a wrong load does to the arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from salver.geometry import Array
+from salver.models.arm import with_load
+from salver.models.parameters import Parameter, inertial_vector
+from salver.models.worst_case import Drift, WorstCase
+from salver.planning.fastest import object_motion
+from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.objectives import Duration, Point
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.spline import RestSpline, min_jerk_blend
+from salver.planning.fastest.sqp import Programme
+from salver.scenario import Scenario
+from salver.sensitivity.arm.terms import motion_terms
+from transport import bottle, cube, line
+
+UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "friction": "10%"}
+
+
+# The spline ----------------------------------------------------------------------------------------------------
+
+
+def test_spline_rests_at_both_ends_whatever_its_coefficients():
+    spline = RestSpline(5, 9)
+    coefficients = np.random.default_rng(0).normal(size=(spline.size, 3))
+    q, dq, ddq, _ = spline.matrices(np.array([0.0, 1.0])) @ coefficients
+    assert np.abs(q - coefficients[[0, -1]]).max() < 1e-12
+    assert np.abs(dq).max() < 1e-9
+    assert np.abs(ddq).max() < 1e-7
+
+
+def test_spline_derivatives_are_derivatives():
+    spline, h = RestSpline(5, 7), 1e-5
+    coefficients = np.random.default_rng(1).normal(size=(spline.size, 2))
+    s = np.linspace(0.05, 0.95, 40)
+    ahead, here, behind = (spline.matrices(s + step) @ coefficients for step in (h, 0.0, -h))
+    for k in range(3):
+        assert np.allclose((ahead[k] - behind[k]) / (2 * h), here[k + 1], rtol=1e-5, atol=1e-3 * 10**k)
+
+
+def test_spline_reproduces_a_min_jerk_line():
+    spline = RestSpline(5, 14)
+    s = np.linspace(0, 1, 201)
+    coefficients = spline.fit(s, min_jerk_blend(s)[:, None])
+    assert np.abs(spline.matrices(s)[0] @ coefficients - min_jerk_blend(s)[:, None]).max() < 1e-10
+
+
+# Terms and rows ------------------------------------------------------------------------------------------------
+
+
+def test_motion_terms_match_differences_and_pinocchio():
+    problem = transport_problem(cube())
+    rng = np.random.default_rng(2)
+    z = rng.normal(size=(4, 21))
+    z[:, :7] = 0.5 * (problem.limits.q_min + problem.limits.q_max) + 0.3 * z[:, :7]
+
+    def terms(z: Array):
+        return motion_terms(problem.model, problem.arm.tray_id, z[:, :7], z[:, 7:14], z[:, 14:])
+
+    here, h = terms(z), 1e-6
+    for k in range(21):
+        step = np.zeros(21)
+        step[k] = h
+        ahead, behind = terms(z + step), terms(z - step)
+        assert np.allclose((ahead.w - behind.w) / (2 * h), here.w_z[:, :, k], atol=2e-7, rtol=1e-6)
+        assert np.allclose((ahead.torque - behind.torque) / (2 * h), here.torque_z[:, :, k], atol=2e-6, rtol=1e-6)
+    loaded = with_load(problem.arm, problem.items)
+    for i in range(4):
+        assert np.allclose(here.torque[i], loaded.inverse_dynamics(z[i, :7], z[i, 7:14], z[i, 14:]), atol=1e-10)
+        assert np.allclose(here.mass_matrix[i], loaded.mass_matrix(z[i, :7]), atol=1e-10)
+
+
+def test_object_motion_is_the_derivative_of_its_own_positions():
+    problem = transport_problem(cube())
+    spline, duration = RestSpline(5, 8), 1.3
+    coefficients = line(problem, spline)
+    t = np.linspace(0, duration, 2001)
+    z = Grid.of(spline, t / duration).motion(coefficients, duration)
+    motion = object_motion(problem, t, z[0], z[1], z[2])
+    assert np.allclose(np.gradient(motion.p_SB, t, axis=0)[2:-2], motion.v_S[2:-2], atol=1e-5)
+    assert np.allclose(np.gradient(motion.v_S, t, axis=0)[2:-2], motion.a_S[2:-2], atol=1e-4)
+    assert np.allclose(np.gradient(motion.omega_B, t, axis=0)[2:-2], motion.alpha_B[2:-2], atol=1e-4)
+
+
+@pytest.mark.parametrize("strays", [False, True])
+@pytest.mark.parametrize("kind", ["box", "ellipsoid"])
+def test_derivative_of_the_worst_case(kind, strays):
+    correlation = {"mass,com_x": 0.5, "com_x,com_z": -0.6, "com_y,inertia_yy": 0.4} if kind == "ellipsoid" else {}
+    scenario = bottle(**UNCERTAIN).with_changes(uncertainty={"set": kind, "correlation": correlation})
+    rows, rng = transport_problem(scenario).contacts[0], np.random.default_rng(3)
+    count = 12
+    w = rng.normal(size=(count, 12)) + np.array([0, 0, 9.81, *[0] * 9])
+    drift = None
+    if strays:
+        terms = tuple((p,) for p in scenario.payload.uncertain.parameters if p.entry is not None)
+        terms = (*terms, (*terms[0], *terms[1]), (Parameter("other", "mass"),))
+        swing = 0.05 * rng.normal(size=(count, 12))
+        drift = Drift(terms, 0.1 * rng.normal(size=(count, 12, len(terms))), swing)
+    node, row = (index.ravel() for index in np.indices((count, len(rows.nominal))))
+    slope, h = WorstCase.of(rows, w, drift).attained(node, row), 1e-6
+    for k in range(12):
+        step = h * np.eye(12)[k]
+        difference = (rows.worst(w + step, drift) - rows.worst(w - step, drift))[node, row] / (2 * h)
+        assert np.abs(difference - slope[:, k]).max() < 1e-6  # w is some 10, so rounding is 1e-15 over h
+
+
+def test_contact_rows_know_that_a_held_command_is_late_by_the_jerk():
+    """At the start nothing has a history yet: the derivative by the jerk there is exact."""
+    problem = transport_problem(bottle(**UNCERTAIN))
+    spline = RestSpline(5, 6)
+    grid = Grid.of(spline, spline.nodes(3))
+    coefficients = line(problem, spline) + 0.02 * np.random.default_rng(4).normal(size=(spline.size, problem.n))
+    z, contact = grid.motion(coefficients, 0.9), next(c for c in problem.constraints if isinstance(c, Contact))
+
+    def rows(jerk):
+        moved = z.copy()
+        moved[3, 0] = jerk
+        return next(iter(contact.blocks(problem.at(grid.s, moved, 0.9))))
+
+    jerk, h, seen = z[3, 0], 1e-3, 0
+    for joint in range(problem.n):
+        step = h * np.eye(problem.n)[joint]
+        difference = (rows(jerk + step).values - rows(jerk - step).values)[0] / (2 * h)
+        every = np.arange(len(difference))
+        slope = rows(jerk).gradient(np.zeros(len(every), dtype=int), every)[:, 3 * problem.n + joint]
+        assert np.abs(difference - slope).max() < 1e-11  # rounding of the rows, over h
+        seen = max(seen, np.abs(slope).max())
+    assert seen > 1e-6
+
+
+def test_linearised_rows_match_differences_in_coefficients_and_squared_duration():
+    problem = transport_problem(cube(motion__orientation="fixed"), robust=False)
+    spline, duration = RestSpline(5, 6), 0.9
+    grid = Grid.of(spline, spline.nodes(3))
+    programme = Programme(FreeCurve(problem, grid), problem.constraints, Duration())
+    rng = np.random.default_rng(4)
+    coefficients = line(problem, spline) + 0.02 * rng.normal(size=(spline.size, problem.n))
+    path = programme.at(Point(coefficients, duration))
+    rows = programme.linearised(path, [block.near(10.0) for block in path.blocks])
+    direction, tau, h = rng.normal(size=coefficients.shape), 0.3, 1e-6
+
+    def moved(sign: float) -> Array:
+        """Rows, multiplied by T^2 / T_0^2 where they scale, after a small step."""
+        factor = 1 + sign * h * tau
+        other = programme.at(Point(coefficients + sign * h * direction, duration * float(np.sqrt(factor))))
+        values = []
+        for k, node, column in rows.where:
+            block = other.blocks[k]
+            values.append(block.values[node, column] * (factor if block.scales else 1.0))
+        return np.concatenate(values)
+
+    difference = (moved(1.0) - moved(-1.0)) / (2 * h)
+    predicted = rows.matrix @ np.append(direction.ravel(), tau)
+    names = np.concatenate([np.full(len(node), path.blocks[k].name) for k, node, _ in rows.where])
+    assert {"velocity", "torque", "torque rate", "tilt", "clearance", "contact of cube"} <= set(names)
+    error = np.abs(difference - predicted) / (1 + np.abs(predicted))
+    # Where the nearest points of two hulls jump, a distance has only one-sided derivatives.
+    assert error[names != "clearance"].max() < 1e-5
+    assert np.quantile(error[names == "clearance"], 0.9) < 1e-2
+
+
+def test_putting_the_goal_right_does_not_jolt_the_arm():
+    """The correction of a goal missed by 2 mrad is itself a smooth move of that size."""
+    problem = transport_problem(cube(), robust=False)
+    spline, duration = RestSpline(5, 14), 1.0
+    curve = FreeCurve(problem, Grid.of(spline, spline.nodes(4)))
+    missed = line(problem, spline)
+    missed += np.linspace(0, 1, spline.size)[:, None] * np.array([0.0, 2e-3, 0, 0, 0, 0, 0])
+    right = curve.repaired(missed)
+    assert right is not None
+    moved = curve.motion(right, duration) - curve.motion(missed, duration)
+    size = np.abs(moved[0]).max()
+    assert 5e-4 < size < 5e-3
+    assert np.abs(moved[2]).max() < 20 * size / duration**2  # min-jerk takes 5.8; the last control point alone 1759
+
+
+def test_an_end_is_reached_with_a_joint_at_its_stop():
+    problem = transport_problem(cube(), robust=False)
+    assert problem.start_posture is not None
+    free = problem.goal.nearest(problem.arm, problem.limits, problem.start_posture)
+    assert free is not None
+    for joint, shift in ((0, -0.05), (1, -0.05), (2, 0.05)):
+        q_min, q_max = problem.limits.q_min.copy(), problem.limits.q_max.copy()
+        side = q_max if shift < 0 else q_min
+        side[joint] = free[joint] + shift
+        tight = replace(problem.limits, q_min=q_min, q_max=q_max)
+        q = problem.goal.nearest(problem.arm, tight, problem.start_posture)
+        assert q is not None, joint
+        assert np.all((q > q_min) & (q < q_max))
+        assert np.abs(problem.goal.residual(problem.arm, q)[0]).max() < 1e-10
+
+
+def test_rows_beyond_a_kink_are_exact_where_they_were_taken():
+    box = {"name": "post", "type": "box", "position": [0.55, -0.13, 0.3], "size": [0.1, 0.1, 0.6]}
+    problem = transport_problem(cube(obstacles=[box]), robust=False)
+    spline = RestSpline(5, 8)
+    programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(3))), problem.constraints, Duration())
+    first = line(problem, spline)
+    path, trial = (programme.at(Point(c, 1.0)) for c in (first, first + 0.02 * np.sin(np.arange(7))))
+    kinked = programme.beyond_kinks(path, trial)
+    (clearance,) = (block for block in trial.blocks if block.kinked)
+    moved = np.append((trial.coefficients - path.coefficients).ravel(), 0.0)
+    assert len(kinked.bound) > 3
+    assert np.allclose(kinked.matrix @ moved - kinked.bound, clearance.values[clearance.values > 0], atol=1e-12)
+
+
+# The closed loop -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class WrongLoad:
+    """A bottle on a line of 1 s: the first-order response, and rollouts with bottles that are another."""
+
+    scenario: Scenario
+    problem: TransportProblem
+    spline: RestSpline
+    coefficients: Array
+    duration: float = 1.0
+    steps: int = 400
+
+    @classmethod
+    def of(cls, **uncertainty: object) -> WrongLoad:
+        scenario = bottle(**uncertainty)
+        problem, spline = transport_problem(scenario, level=False), RestSpline(5, 8)
+        return cls(scenario, problem, spline, line(problem, spline))
+
+    def motion(self, s: Array) -> Array:
+        return Grid.of(self.spline, s).motion(self.coefficients, self.duration)
+
+    def response(self, name: str) -> Array:
+        """Joint errors (steps + 1, 7) for one half-range of a term."""
+        tracking, s = self.problem.tracking, np.linspace(0, 1, self.steps + 1)
+        assert tracking is not None
+        z = self.motion(s)
+        terms = motion_terms(self.problem.model, self.problem.arm.tray_id, z[0], z[1], z[2])
+        found = replace(tracking, settle=0.0).along(s * self.duration, terms, z[1:])
+        column = ["*".join(p.name for p in factors) for factors in tracking.load.terms].index(name)
+        return -found.joints.q[:, :, column] * tracking.load.half_range[column]
+
+    def rollout(self, **signs: float) -> Array:
+        """The same of the true arm: nominal computed torque on Pinocchio's forward dynamics, by Runge-Kutta."""
+        problem, tracking, uncertain = self.problem, self.problem.tracking, self.scenario.payload.uncertain
+        assert tracking is not None
+        half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
+        body = self.scenario.payload.first
+        values = inertial_vector(body.inertial)
+        for name, sign in signs.items():
+            values[("mass", "com_x", "com_y", "com_z").index(name)] += sign * half[name]
+        true = replace(body, inertial=replace(body.inertial, mass=values[0], com_B=values[1:4]))
+        model = with_load(problem.arm, [true]).pin_model
+        data, nominal = model.createData(), problem.model.createData()
+
+        def slope(time: float, x: Array) -> Array:
+            q, dq, ddq = self.motion(np.array([time / self.duration]))[:3, 0]
+            command = ddq + tracking.kp * (q - x[:7]) + tracking.kd * (dq - x[7:])
+            torque = pin.rnea(problem.model, nominal, x[:7], x[7:], command)
+            return np.concatenate([x[7:], pin.aba(model, data, x[:7], x[7:], torque)])
+
+        wanted, h = self.motion(np.linspace(0, 1, self.steps + 1))[0], self.duration / self.steps
+        x, path = np.concatenate([wanted[0], np.zeros(7)]), []
+        for i in range(self.steps):
+            path.append(wanted[i] - x[:7])
+            time = i * h
+            k1 = slope(time, x)
+            k2 = slope(time + 0.5 * h, x + 0.5 * h * k1)
+            k3 = slope(time + 0.5 * h, x + 0.5 * h * k2)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + slope(min(time + h, self.duration), x + h * k3))
+        return np.array([*path, wanted[-1] - x[:7]])
+
+
+@pytest.mark.parametrize("name", ["mass", "com_x", "com_z"])
+def test_tracking_matches_a_rollout_of_the_arm_with_a_wrong_load(name):
+    case = WrongLoad.of(mass="4%", com=[0.001, 0.001, 0.001])
+    difference = 0.5 * (case.rollout(**{name: 1.0}) - case.rollout(**{name: -1.0}))
+    assert np.abs(difference).max() > 1e-6
+    assert np.abs(difference - case.response(name)).max() < 2e-3 * np.abs(difference).max()
+
+
+@pytest.mark.slow
+def test_tracking_knows_that_mass_multiplies_its_distance():
+    """What a heavier bottle and a higher centre of mass do together, beyond what each does alone.
+
+    Four fifths are in the load itself; the rest is what the heavier load makes of the error that its centre of mass
+    causes.
+    """
+    case = WrongLoad.of(mass="40%", com=[0.005, 0.005, 0.005])
+    corners = {(m, c): case.rollout(mass=m, com_z=c) for m in (1.0, -1.0) for c in (1.0, -1.0)}
+    together = 0.25 * sum(m * c * error for (m, c), error in corners.items())
+    predicted = case.response("mass*com_z")
+    assert np.abs(together - predicted).max() < 0.03 * np.abs(together).max()
+
+
+def test_tracking_starts_sagged_after_long_rest():
+    """After a long rest the error is static: kp e = M^-1 J^T dF."""
+    scenario = bottle(mass="10%")
+    problem = transport_problem(scenario, level=False)
+    tracking = problem.tracking
+    assert tracking is not None
+    spline = RestSpline(5, 8)
+    z = Grid.of(spline, np.linspace(0, 1, 51)).motion(line(problem, spline), 1.0)
+    terms = motion_terms(problem.model, problem.arm.tray_id, z[0], z[1], z[2])
+    found = replace(tracking, settle=50.0).along(np.linspace(0, 1, 51), terms, z[1:]).joints
+    extra = 9.81  # of a kilogram
+    point_jacobian = terms.R_SE[0] @ terms.jacobian[0, :3]  # the load is above E, and E is level: the lever is vertical
+    expected = np.linalg.solve(terms.mass_matrix[0], extra * point_jacobian[2]) / tracking.kp
+    assert np.allclose(-found.q[0, :, 0], expected, rtol=1e-4, atol=1e-9)
+    assert np.abs(found.dq[0]).max() < 1e-9
