@@ -183,6 +183,13 @@ def test_scenario_brings_its_posture_and_its_load(panda, cube):
         follow_scenario(CUBE.with_changes(arm=None), line())
 
 
+def test_scenario_brings_the_seed_of_its_start(panda, cube):
+    free, _ = follow_scenario(CUBE.with_changes(arm__start_posture=None, seed=1), line())
+    same, other = (follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], seed=seed)[0] for seed in (1, 0))
+    assert np.array_equal(free.q, same.q)
+    assert np.abs(free.q[0] - other.q[0]).max() > 1e-3
+
+
 # ---- the verdict ----------------------------------------------------------------------------------------------
 
 

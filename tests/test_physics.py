@@ -287,6 +287,9 @@ def test_a_load_that_holds_while_the_arm_breaks_a_limit_is_not_said_to_hold(
         assert kept.summary["arm"][told] == pytest.approx(peak / (peak + step), rel=1e-3)
         assert arm[told] > 1
     assert (arm["torque_cut"] > 0) == (limit == "effort")
+    if limit == "velocity":  # that the load slides besides is the worse of the two
+        slippery = simulate(with_limit(fast, tmp_path, joint, limit, float(peak - step)), parameters={"friction": 0.1})
+        assert (slippery.outcome, slippery.summary["arm"]["limits_kept"]) == ("slides", False)
 
 
 def test_round_base_with_many_feet_does_not_chatter():
