@@ -11,12 +11,12 @@ from salver import scenario as scenarios
 from salver.auditing import audit, audit_motion
 from salver.auditing.motion import TrayMotion, forward, tray_motion
 from salver.auditing.noise import Level, found, level, resolution, spikes
-from salver.auditing.readers import read
 from salver.auditing.recorded import sensor_of, stretches
 from salver.auditing.spline import fit
 from salver.cli import app
 from salver.geometry import exp, quat_wxyz_from_matrix
 from salver.models.arm import load_arm
+from salver.motion_files.readers import read
 from salver.trajectory import MotionSamples, min_jerk_line
 
 PEAK = 10 / np.sqrt(3) * 0.5  # of the min-jerk acceleration over 0.5 m, times T^2

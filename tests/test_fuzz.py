@@ -27,7 +27,7 @@ def test_a_short_run_of_the_fuzzer_finds_nothing(tmp_path):
 def test_the_fuzzer_notices_a_defect(tmp_path):
     """With a reader that falls over, it says which case, keeps the input and exits with 1."""
     (tmp_path / "sitecustomize.py").write_text(
-        "import salver.auditing.readers as readers\n"
+        "import salver.motion_files.readers as readers\n"
         "def broken(*_):\n    raise ZeroDivisionError('planted')\n"
         "readers._table = broken\n"
     )

@@ -8,8 +8,8 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from salver.auditing.readers import read
 from salver.errors import FileFormatError
+from salver.motion_files.readers import read
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 

@@ -13,10 +13,11 @@ from salver.cli.common import handled
 from salver.cli.retime import retime as retime_command
 from salver.errors import FileFormatError, ScenarioError
 from salver.models.contact_rows import contact_rows
+from salver.motion_files import read_path
 from salver.planning.fastest import FastestOptions, fastest, object_motion
 from salver.planning.fastest.curves import Grid, PathCurve
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.retiming import SplinePath, plan_retimed, reachable_law, read_waypoints, retime
+from salver.planning.fastest.retiming import SplinePath, plan_retimed, reachable_law, retime
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.follow.limits import peaks
 from salver.planning.plan import load_plan
@@ -174,7 +175,7 @@ def test_waypoints_of_another_arm_are_refused():
 def test_command_reads_waypoints_and_writes_a_run(problem, tmp_path):
     q = swing(problem, 0.6).derivatives(np.linspace(0, 1, 4), 0)[0]
     file = tmp_path / "waypoints.csv"
-    np.savetxt(file, q, delimiter=",", header="a,b,c,d,e,f,g", comments="")
+    np.savetxt(file, q, delimiter=",", header="q1,q2,q3,q4,q5,q6,q7", comments="")
     app = typer.Typer()
     app.command()(handled(retime_command))
     result = CliRunner().invoke(app, [str(file), "--scenario", "panda-cube", "-o", str(tmp_path / "run"), "--json"])
@@ -185,15 +186,20 @@ def test_command_reads_waypoints_and_writes_a_run(problem, tmp_path):
 
 
 def test_a_first_posture_with_a_mistake_is_no_heading(tmp_path):
-    file = tmp_path / "waypoints.csv"
+    file, names = tmp_path / "waypoints.csv", ("joint1", "joint2", "joint3")
     file.write_text("0.3,O.2,0.1\n0,0,0\n0.1,0.1,0.1\n")
-    with pytest.raises(FileFormatError, match=r'line 1: "O.2" is not a number; every row must be 3 joint angles'):
-        read_waypoints(file)
+    with pytest.raises(FileFormatError, match=r'line 1: "O.2" is no number; every row must be 3 joint angles'):
+        read_path(file, names)
     file.write_text("joint1,joint2,joint3\n0.3,0.2,0.1\n0,0,0\n")
-    assert read_waypoints(file).tolist() == [[0.3, 0.2, 0.1], [0, 0, 0]]
+    assert read_path(file, names).tolist() == [[0.3, 0.2, 0.1], [0, 0, 0]]
+    file.write_text("joint2,joint3,joint1\n0.2,0.1,0.3\n0,0,0\n")
+    assert read_path(file, names).tolist() == [[0.3, 0.2, 0.1], [0, 0, 0]]
+    file.write_text("shoulder,elbow,wrist\n0.2,0.1,0.3\n0,0,0\n")
+    with pytest.raises(FileFormatError, match="must name the joints joint1, joint2, joint3 or q1"):
+        read_path(file, names)
     file.write_text("0.3,0.2,0.1\n0,0\n")
     with pytest.raises(FileFormatError, match="line 2: 2 values"):
-        read_waypoints(file)
+        read_path(file, names)
 
 
 @pytest.mark.parametrize("text", ["1,2\n3", "", "a,b\nc,d"])

@@ -103,22 +103,27 @@ def fastest(scenario: Scenario | str | Path, *, robust: bool = True, **options: 
 def retime(path: str | Path | Array, scenario: Scenario | str | Path | None = None, *, robust: bool = True) -> Plan:
     """The fastest safe timing of a path that is given; see `salver.planning.fastest.retiming`.
 
-    path: postures (K, n) in rad, a file of them, or a run directory, whose scenario is then the default.
+    path: postures (K, n) in rad, a file of them or of a motion (CSV, JSON, YAML, ROS bag), or a run directory, whose
+    scenario is then the default.
     Raises ScenarioError, FileFormatError, UnreachableError.
     """
     from salver.errors import ScenarioError
-    from salver.planning.fastest.retiming import plan_retimed, read_waypoints
+    from salver.planning.fastest.retiming import plan_retimed
 
     if isinstance(path, str | Path) and scenario is None and Path(path).is_dir():
         scenario = Path(path) / "scenario.toml"
-    waypoints = read_waypoints(Path(path)) if isinstance(path, str | Path) else path
     if scenario is None:
         raise ScenarioError("A path alone does not say what is carried; name a scenario too.")
-    return plan_retimed(_scenario(scenario), waypoints, robust=robust)
+    chosen = _scenario(scenario)
+    if isinstance(path, str | Path):
+        from salver.given import read_waypoints
+
+        path = read_waypoints(Path(path), chosen)
+    return plan_retimed(chosen, path, robust=robust)
 
 
 def audit(
-    motion: str | Path,
+    motion: str | Path | Mapping[str, Any],
     scenario: Scenario | str | Path,
     *,
     topic: str | None = None,
@@ -128,7 +133,8 @@ def audit(
 ) -> Audit:
     """Will it slip? The verdict on a motion that exists already, of the tray or of the arm's joints.
 
-    motion: a CSV, JSON or YAML file or a ROS bag (docs/howto/audit.md). topic: of a bag. highest: Hz, above which
+    motion: a CSV, JSON or YAML file or a ROS bag (docs/howto/audit.md); or columns by the same names, in a mapping of
+    arrays or a pandas DataFrame. topic: of a bag. highest: Hz, above which
     nothing shakes the tray. noise: standard deviation of the samples, m or rad; found in them if None. gap: s without
     samples that is bridged. Raises SalverError with one sentence for each mistake.
     """
@@ -144,13 +150,26 @@ def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
     return load(directory, stem)
 
 
-def simulate(plan: Plan, *, parameters: Mapping[str, float] | None = None, seed: int = 0) -> SimulationRecord:
+def simulate(
+    plan: Plan | str | Path | Mapping[str, Any],
+    scenario: Scenario | str | Path | None = None,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    seed: int = 0,
+) -> SimulationRecord:
     """Run a plan in the physics engine; see `salver.simulation.physics.simulate`.
 
+    With a scenario: a motion file, or its columns, as `audit` takes it; the tray is then moved exactly, without an arm.
     parameters: true values by name where they are not nominal, for example {"mass": 0.3}. Raises ScenarioError.
     """
     from salver.planning.plan import Plan
 
+    if scenario is not None and not isinstance(plan, Plan):
+        from salver.auditing import read_for
+        from salver.given import simulate_given
+
+        chosen = _scenario(scenario)
+        return simulate_given(read_for(chosen, plan), chosen, parameters)
     if not isinstance(plan, Plan):
         raise _no_plan("simulate", plan)
     from salver.simulation.physics import simulate as run

@@ -179,8 +179,8 @@ def run_directory(rng: Rng, folder: Path) -> None:
 
 def trajectory(rng: Rng, folder: Path) -> None:
     """Motions from elsewhere in every format: what is read is finite and runs forwards."""
-    from salver.auditing.readers import read
-    from salver.planning.fastest.retiming import read_waypoints
+    from salver.motion_files import read_path
+    from salver.motion_files.readers import read
 
     count, n = int(rng.integers(0, 40)), int(rng.integers(1, 8))
     t = np.cumsum(rng.uniform(0.001, 0.1, count))
@@ -219,7 +219,7 @@ def trajectory(rng: Rng, folder: Path) -> None:
     elif kind == 4:
         path = folder / "case.csv"
         path.write_bytes(damaged_bytes(rng, "\n".join(",".join(map(repr, row)) for row in q.tolist()).encode()))
-        points = read_waypoints(path)
+        points = read_path(path, tuple(f"j{k}" for k in range(n)))
         assert points.ndim <= 2
         return
     else:

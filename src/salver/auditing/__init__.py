@@ -3,6 +3,6 @@
 `audit(path, scenario)` reads a file, finds the accelerations in it, and says what everything on the tray does.
 """
 
-from salver.auditing.verdict import Audit, audit, audit_motion
+from salver.auditing.verdict import Audit, audit, audit_motion, audit_samples, read_for
 
-__all__ = ["Audit", "audit", "audit_motion"]
+__all__ = ["Audit", "audit", "audit_motion", "audit_samples", "read_for"]

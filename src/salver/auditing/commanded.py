@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import BPoly
 
-from salver.auditing.samples import JointSamples
 from salver.geometry import Array
+from salver.motion_files.samples import JointSamples
 
 LONGEST, SHORTEST = 64, 3  # instants judged in one piece: a polynomial of degree five is met to 0.1 %
 FINE = 2e-3  # s between instants, where that makes fewer

@@ -10,9 +10,9 @@ import numpy as np
 from salver.auditing.commanded import commanded_motion, open_questions
 from salver.auditing.noise import Cells, Level, resolution
 from salver.auditing.recorded import LEVER, Sensor, sensor_of, stretches, without_spikes
-from salver.auditing.samples import JointSamples, Samples, TraySamples, reordered
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import Array, hat, quat_wxyz_from_matrix
+from salver.motion_files.samples import JointSamples, Samples, TraySamples, reordered
 from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def tray_motion(
     samples = reordered(samples, arm.joint_names)
     if samples.q.shape[1] != arm.n:
         raise FileFormatError(f"{samples.source} has {samples.q.shape[1]} joints; the arm {arm.name} has {arm.n}.")
-    if samples.dq is not None:
+    if samples.commanded:
         kind = "quintics" if samples.ddq is not None else "cubics"
         note = f"{len(samples.t)} waypoints with velocities, joined by {kind} as ros2_control's controller joins them."
         return TrayMotion(

@@ -6,9 +6,9 @@ two it cannot be told, and the verdict says what would tell.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.auditing.motion import HIGHEST, Recording, TrayMotion, tray_motion
-from salver.auditing.readers import read
-from salver.auditing.samples import JointSamples
 from salver.auditing.slip import HIDDEN, NOTICED, Slip, hidden, left_over, slide
 from salver.contact_margins import MarginModel, Margins, margin_model
 from salver.display import Shown
@@ -25,6 +23,7 @@ from salver.errors import Status
 from salver.files import provenance
 from salver.geometry import Array, invert
 from salver.models.tray_motion import at_rest, motion_vector
+from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.scenario import Scenario
 from salver.tables import Table, Tabular
 
@@ -394,33 +393,59 @@ def _pace(pace: Pace) -> dict[str, Any]:
 
 
 def audit(
-    path: str | Path,
+    path: str | Path | Mapping[str, Any],
     scenario: Scenario,
     topic: str | None = None,
     highest: float = HIGHEST,
     noise: float | None = None,
     longest_gap: float | None = None,
 ) -> Audit:
-    """Audit a trajectory file (formats: `salver.auditing.readers`) for the objects of a scenario.
+    """Audit a trajectory file (formats: `salver.motion_files`), or columns of one, for the objects of a scenario.
 
     topic: of a bag. highest: Hz, above which nothing shakes the tray. noise: standard deviation of the samples, m or
     rad; found in them if None. longest_gap: s without samples that is bridged. Raises SalverError, one sentence for
     each mistake.
     """
+    return audit_samples(read_for(scenario, path, topic), scenario, highest, noise, longest_gap)
 
-    @cache
-    def arm() -> ArmModel | None:
-        if scenario.arm is None:
-            return None
-        from salver.models.arm import load_arm
 
-        return load_arm(scenario.arm, scenario.tray)
+def read_for(
+    scenario: Scenario, path: str | Path | Mapping[str, Any], topic: str | None = None, joints_first: bool = False
+) -> Samples:
+    """A motion file, or columns by name, where joints go by the names of the scenario's arm.
 
-    samples = read(path, lambda: found.joint_names if (found := arm()) else (), topic)
+    joints_first: a file with tray and joints is one of the joints, if there is an arm. Raises FileFormatError.
+    """
+
+    def names() -> tuple[str, ...]:
+        arm = _arm(scenario)
+        return arm.joint_names if arm else ()
+
+    if isinstance(path, str | Path):
+        return read(path, names, topic, as_path=joints_first and scenario.arm is not None)
+    return of_columns(path, names)
+
+
+def audit_samples(
+    samples: Samples,
+    scenario: Scenario,
+    highest: float = HIGHEST,
+    noise: float | None = None,
+    longest_gap: float | None = None,
+) -> Audit:
+    """`audit` of what was read."""
     first = scenario.payload.first
-    joints = arm() if isinstance(samples, JointSamples) else None
+    joints = _arm(scenario) if isinstance(samples, JointSamples) else None
     motion = tray_motion(samples, joints, *invert(first.p_EB, first.R_EB), highest, noise, longest_gap)
     return Audit(scenario, samples.source, motion)
+
+
+def _arm(scenario: Scenario) -> ArmModel | None:
+    if scenario.arm is None:
+        return None
+    from salver.models.arm import load_arm
+
+    return load_arm(scenario.arm, scenario.tray)
 
 
 def audit_motion(motion: TrayMotion, scenario: Scenario, source: str = "motion") -> Audit:

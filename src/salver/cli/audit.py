@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,25 +13,31 @@ from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console
 if TYPE_CHECKING:
     from salver.auditing import Audit
 
+Topic = Annotated[str | None, typer.Option(help="Topic of the motion, when a bag has several.")]
+Highest = Annotated[
+    float, typer.Option(help="Nothing on the arm shakes the tray faster than this, Hz: what a recording must show.")
+]
+Noise = Annotated[
+    float | None,
+    typer.Option(help="Standard deviation of the sensor's noise, m (rad of joints). Default: found in the samples."),
+]
+Gap = Annotated[
+    float | None, typer.Option(help="Bridge up to so many seconds without samples. Default: 0.02 s or three steps.")
+]
+
 
 def audit(
     trajectory: Annotated[
-        Path, typer.Argument(help="CSV of a tray or joint motion, JointTrajectory as YAML or JSON, or a ROS bag.")
+        Path,
+        typer.Argument(
+            help="CSV of a tray or joint motion, salver's JSON, JointTrajectory (MoveIt's too) as YAML or JSON, bag."
+        ),
     ],
     scenario: Annotated[str, typer.Option("--scenario", "-s", help="What is on the tray: a name or a .toml file.")],
-    topic: Annotated[str | None, typer.Option(help="Topic of the motion, when a bag has several.")] = None,
-    highest: Annotated[
-        float, typer.Option(help="Nothing on the arm shakes the tray faster than this, Hz: what a recording must show.")
-    ] = 50.0,
-    noise: Annotated[
-        float | None,
-        typer.Option(
-            help="Standard deviation of the sensor's noise, m (rad of joints). Default: found in the samples."
-        ),
-    ] = None,
-    gap: Annotated[
-        float | None, typer.Option(help="Bridge up to so many seconds without samples. Default: 0.02 s or three steps.")
-    ] = None,
+    topic: Topic = None,
+    highest: Highest = 50.0,
+    noise: Noise = None,
+    gap: Gap = None,
     json: Json = False,
 ) -> None:
     """Say whether what is on the tray holds, slides or tips along a given motion, nominally and in the worst case.
@@ -49,12 +56,14 @@ def audit(
     if json:
         print_json(result.summary())
     else:
-        _show(result)
+        given = {"topic": topic, "highest": None if highest == 50.0 else highest, "noise": noise, "gap": gap}
+        options = "".join(f" --{name} {quote(str(value))}" for name, value in given.items() if value is not None)
+        _show(result, f"salver retime {quote(str(trajectory))} -s {quote(scenario)} --pace least{options}")
     if not result.ok:
         raise typer.Exit(NO_SAFE_PLAN)
 
 
-def _show(result: Audit) -> None:
+def _show(result: Audit, command: str) -> None:
     out = result_console()
     motion, margins = result.motion, result.margins
     lines = [
@@ -78,6 +87,9 @@ def _show(result: Audit) -> None:
         )
     lines.append(f"Pace, nominal: {_pace_words(result.pace.factor, result.pace.status.sentence)}")
     lines.append(f"Pace, worst case: {_pace_words(result.pace_worst.factor, result.pace_worst.status.sentence)}")
+    factor = result.pace_worst.factor
+    if factor is not None and abs(factor - 1) > 5e-3:
+        lines.append(f"Written so that it holds, in the same format: {command}")
     for line in lines:
         out.print(line)
 

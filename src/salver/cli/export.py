@@ -12,7 +12,7 @@ from salver.cli.common import Json, print_json, say
 
 def export(
     directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it.")],
-    file_format: Annotated[str, typer.Option("--format", help="csv, json, ros2, yaml or mujoco.")],
+    file_format: Annotated[str, typer.Option("--format", help="csv, json, ros2, yaml, moveit or mujoco.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
     ] = None,
@@ -20,7 +20,8 @@ def export(
     rate: Annotated[float | None, typer.Option(help="Samples per second; the plan's own instants by default.")] = None,
     json: Json = False,
 ) -> None:
-    """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML, MuJoCo scene.
+    """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML
+    (moveit: a RobotTrajectory), MuJoCo scene.
 
     Numbers keep all their digits; times are whole nanoseconds.
 

@@ -1,49 +1,91 @@
-"""`salver retime`: the fastest safe timing of a path that is given."""
+"""`salver retime`: the fastest safe timing of a path that is given, or the same motion at another pace."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from salver.cli.audit import Gap, Highest, Noise, Topic
 from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, save_plans, say
+from salver.errors import ScenarioError
+
+if TYPE_CHECKING:
+    from salver.motion_files import Samples
+    from salver.scenario import Scenario
 
 
 def retime(
     path: Annotated[
         Path,
-        typer.Argument(help="A CSV file of joint waypoints, one posture in rad per row, or a run directory."),
+        typer.Argument(help="A motion file (CSV, JSON, YAML, ROS bag), a CSV of postures in rad, or a run directory."),
     ],
     scenario: Annotated[
         str | None,
-        typer.Option("-s", "--scenario", help="Name or .toml file; needed for a CSV file, else that of the run."),
+        typer.Option("-s", "--scenario", help="Name or .toml file; needed for a file, else that of the run."),
     ] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Run directory; default runs/NAME-retimed.")] = None,
     robust: Annotated[bool, typer.Option(help="Safe for the whole uncertain set, or only nominally.")] = True,
+    pace: Annotated[
+        str | None,
+        typer.Option(
+            help="Leave the motion as it is and run it in so many times its time; least: the least that holds. No run "
+            "directory is made."
+        ),
+    ] = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the motion to this file too, as its ending says (.csv, .json, .yaml; none: ROS bag). With "
+            "--pace by default beside PATH, in the format of that."
+        ),
+    ] = None,
+    topic: Topic = None,
+    highest: Highest = 50.0,
+    noise: Noise = None,
+    gap: Gap = None,
     json: Json = False,
 ) -> None:
-    """Run through joint waypoints, or along the path of a plan, as fast as is safe for what is carried.
+    """Run through joint waypoints, or along the path of a motion or a plan, as fast as is safe for what is carried.
+
+    With --pace the motion is left as it is but for its pace, also one of the tray, and audited as it is written
+    (--highest, --noise, --gap: see `salver audit`).
 
     Example: `salver retime waypoints.csv --scenario panda-cube -o runs/retimed`
 
     Ends with 0 when the path can be run safely, with 3 when it cannot.
     """
     from salver import scenario as scenarios
-    from salver.errors import ScenarioError
-    from salver.planning.fastest.retiming import plan_retimed, read_waypoints
-    from salver.run_directory import check_free
+    from salver.given import read_waypoints
+    from salver.motion_files import form_of
+    from salver.planning.fastest.retiming import plan_retimed
+    from salver.run_directory import SCENARIO, check_free
 
     if scenario is None:
-        if not path.is_dir():
-            raise ScenarioError(f"{path} is not a run directory; for a file of waypoints give --scenario.")
-        scenario = str(path / "scenario.toml")
+        if not (path / SCENARIO).is_file():
+            raise ScenarioError(f"{path} is not a run directory; for a file of a motion give --scenario.")
+        scenario = str(path / SCENARIO)
     chosen = scenarios.load(scenario)
+    if write is not None:
+        form_of(write)  # told before anything is computed
+    if pace is not None:
+        from salver.auditing import read_for
+
+        options = {"highest": highest, "noise": noise, "longest_gap": gap}
+        _at_pace(read_for(chosen, path, topic, joints_first=True), chosen, pace, write or _beside(path), json, options)
+        return
     directory = out if out is not None else Path("runs") / f"{chosen.name}-retimed"
     check_free(directory)
-    plan = plan_retimed(chosen, read_waypoints(path), robust=robust)
+    plan = plan_retimed(chosen, read_waypoints(path, chosen, topic), robust=robust)
     save_plans(directory, {"plan": plan})
+    if write is not None:
+        from salver.export.motion import read_motion
+        from salver.motion_files import write as write_motion
+
+        for file in write_motion(read_motion(directory), write):
+            say(f"Wrote {file}")
     if json:
         print_json({"directory": directory, "plan": plan.summary()})
     else:
@@ -55,4 +97,49 @@ def retime(
         tell(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
     if not plan.ok:
+        raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _beside(path: Path) -> Path:
+    """motion.csv: motion-paced.csv. A bag is a directory, whatever it came from."""
+    ending = "" if path.is_dir() or path.suffix.lower() in (".bag", ".mcap", ".db3") else path.suffix
+    return path.with_name(f"{path.stem}-paced{'.csv' if ending.lower() == '.tsv' else ending}")
+
+
+def _at_pace(
+    samples: Samples, scenario: Scenario, pace: str, target: Path, json: bool, options: dict[str, float | None]
+) -> None:
+    """Write the motion at another pace, and say what becomes of the load."""
+    from salver.given import at_pace
+    from salver.motion_files import Motion, write
+
+    try:
+        factor = None if pace == "least" else float(pace)
+    except ValueError:
+        raise ScenarioError(f'--pace "{pace}" must be a number, as 0.9, or the word least.') from None
+    found = at_pace(samples, scenario, factor, **options)
+    files = write(Motion.of(found.samples), target, samples.form)
+    duration = float(found.samples.t[-1])
+    if json:
+        summary = found.audit.summary()
+        print_json(
+            {
+                "files": [str(file) for file in files],
+                "factor": found.factor,
+                "duration": duration,
+                "ok": found.ok,
+                "unchecked": found.unchecked,
+                "too_fast": found.too_fast,
+                "audit": summary,
+            }
+        )
+    else:
+        tell = result_console().print
+        tell(f"Not checked: {found.unchecked}.")
+        tell(f"In {found.factor:.3f} of the time, {duration:.3f} s: {found.audit.worst.sentence}")
+        if found.too_fast is not None:
+            tell(f"The arm cannot follow: {found.too_fast}.")
+        for file in files:
+            say(f"Wrote {file}")
+    if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from salver.cli.audit import Topic
 from salver.cli.common import Json, headed, print_json, result_console, say
 from salver.errors import ScenarioError
 
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    directory: Annotated[Path, typer.Argument(help="Run directory that `salver plan` made.")],
+    directory: Annotated[
+        Path, typer.Argument(help="Run directory that `salver plan` made; or a motion file, with --scenario.")
+    ],
     stem: Annotated[str, typer.Option(help="Which plan: plan, baseline, nominal, or both that there are.")] = "plan",
     set_: Annotated[
         list[str] | None,
@@ -31,6 +34,11 @@ def simulate(
     stop_at: Annotated[
         float | None, typer.Option(help="Ask for a stop at this time, s: the plan needs stops (salver plan --stops).")
     ] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option("-s", "--scenario", help="What is on the tray, for a motion file: a name or a .toml file."),
+    ] = None,
+    topic: Topic = None,
     json: Json = False,
 ) -> None:
     """Run a plan once in the physics engine: arm, tray, loose objects, contact.
@@ -39,6 +47,9 @@ def simulate(
     measured contact forces are from the plan's tube. Without an arm in the scenario, the tray is moved exactly.
     Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary); earlier runs are kept as STEM-1, STEM-2.
     A stopped run is STEM-stop, and no run of the plan to the page.
+
+    For a motion file (CSV, JSON, YAML, ROS bag) the tray is moved exactly along the motion, as `salver audit` reads it;
+    the arm is left out, and nothing is written.
 
     Example: `salver simulate runs/panda-cube --stem both --set mass=0.306`
 
@@ -57,6 +68,11 @@ def simulate(
         if parameters:
             raise ScenarioError("--run takes its parameters from the campaign; leave out --set.")
         parameters, seed = parameters_of_run(directory, run, folder)
+    if scenario is not None:
+        if run is not None or stop_at is not None or stem != "plan":
+            raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
+        _motion(directory, scenario, parameters, topic, json)
+        return
     results: dict[str, SimulationRecord] = {}
     both = [name for name in STEMS if (directory / f"{name}.npz").is_file()]
     for name in both if stem == "both" else (stem,):
@@ -76,6 +92,20 @@ def simulate(
     else:
         show(results)
         say(f"Written to {directory / 'simulation'}.")
+
+
+def _motion(path: Path, scenario: str, parameters: dict[str, float], topic: str | None, json: bool) -> None:
+    """A motion file in the engine."""
+    from salver import scenario as scenarios
+    from salver.auditing import read_for
+    from salver.given import simulate_given
+
+    chosen = scenarios.load(scenario)
+    record = simulate_given(read_for(chosen, path, topic), chosen, parameters)
+    if json:
+        print_json({"parameters": record.parameters, **record.summary})
+    else:
+        show({path.name: record})
 
 
 def _parameters(settings: list[str]) -> dict[str, float]:
@@ -161,7 +191,7 @@ def sentences(record: SimulationRecord) -> list[str]:
         told.append(f"Tray or object hits an obstacle at t = {_time(summary['collides_at'])}.")
     arm = summary.get("arm")
     if arm is None:
-        told.append("The scenario has no arm: the tray was moved exactly along the reference.")
+        told.append("No arm was simulated: the tray was moved exactly along the reference.")
         return told
     if arm["torque_cut"] > 0:
         told.append(

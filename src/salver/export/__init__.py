@@ -7,8 +7,7 @@ from pathlib import Path
 from salver.errors import SalverError
 from salver.files import output_file
 
-FORMATS = {"csv": ".csv", "json": ".json", "ros2": "_bag", "yaml": ".yaml", "mujoco": "_mujoco"}
-_ENDINGS = {"csv": (".csv", ".txt"), "json": (".json",), "yaml": (".yaml", ".yml")}  # the others are directories
+FORMATS = {"csv": ".csv", "json": ".json", "ros2": "_bag", "yaml": ".yaml", "moveit": ".yaml", "mujoco": "_mujoco"}
 
 
 def write_export(
@@ -27,15 +26,13 @@ def write_export(
     if file_format not in FORMATS:
         raise SalverError(f'There is no export format "{file_format}"; known are {", ".join(FORMATS)}.')
     target = Path(path) if path is not None else Path(directory) / "export" / f"{stem}{FORMATS[file_format]}"
-    if file_format in _ENDINGS:
-        target = output_file(target, _ENDINGS[file_format])
     if file_format == "mujoco":
         from salver.export.mujoco import write_scene
 
         return write_scene(directory, target, stem)
-    from salver.export import ros, text
     from salver.export.motion import read_motion
+    from salver.motion_files import ENDINGS, write
 
-    motion = read_motion(directory, stem, rate)
-    writers = {"csv": text.write_csv, "json": text.write_json, "ros2": ros.write_bag, "yaml": ros.write_yaml}
-    return writers[file_format](motion, target)
+    if ENDINGS[file_format]:
+        target = output_file(target, ENDINGS[file_format])
+    return write(read_motion(directory, stem, rate), target, file_format)

@@ -1,52 +1,22 @@
-"""What every export writes: the planned motion of joints, tray and object, sampled once."""
+"""The motion of a plan as the motion files know it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
 from pathlib import Path
 
 import numpy as np
 
 from salver.errors import SalverError
-from salver.files import load_npz
+from salver.files import load_npz, provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.motion_files import Motion
 from salver.planning.plan import Plan, load_plan
 
-WORLD_FRAME = "world"
 MOST_SAMPLES = 1e6
 
 
-@dataclass(frozen=True)
-class ExportedMotion:
-    """A plan's motion at T instants; time in whole nanoseconds, so that t is exact in every format.
-
-    ns (T,): int64, nanoseconds from the start. joint_names: n names, empty without an arm; q, dq, ddq, tau (T, n).
-    p_SE, quat_SE_wxyz: the tray. p_SB, quat_SB_wxyz, v_S, a_S, omega_B, alpha_B: the first object.
-    """
-
-    plan: Plan
-    ns: Array
-    joint_names: tuple[str, ...]
-    q: Array
-    dq: Array
-    ddq: Array
-    tau: Array
-    p_SE: Array
-    quat_SE_wxyz: Array
-    p_SB: Array
-    quat_SB_wxyz: Array
-    v_S: Array
-    a_S: Array
-    omega_B: Array
-    alpha_B: Array
-
-    @property
-    def t(self) -> Array:
-        """(T,) s."""
-        return self.ns * 1e-9
-
-
-def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = None) -> ExportedMotion:
+def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = None) -> Motion:
     """The motion `stem` of a run directory, at its own instants or at `rate` samples per second.
 
     Raises FileFormatError for a directory without such a plan, SalverError for a rate that is not positive.
@@ -68,8 +38,7 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
     R_SE = samples.R_SB @ first.R_EB.T
     p_SE = samples.p_SB - np.einsum("tij,j->ti", R_SE, first.p_EB)
     names, (q, dq, ddq), tau = _joints(plan, t)
-    return ExportedMotion(
-        plan=plan,
+    return Motion(
         ns=ns,
         joint_names=names,
         q=q,
@@ -84,6 +53,11 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
         a_S=samples.a_S,
         omega_B=samples.omega_B,
         alpha_B=samples.alpha_B,
+        about={
+            "provenance": provenance(plan.scenario),
+            "method": plan.method,
+            "scenario": json.loads(plan.scenario.model_dump_json(exclude_none=True)),
+        },
     )
 
 

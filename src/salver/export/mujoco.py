@@ -12,9 +12,9 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.export.motion import read_motion
-from salver.export.text import write_csv
 from salver.files import write_atomic, writing
 from salver.geometry import GRAVITY_S, Array
+from salver.motion_files.writers import write_csv
 from salver.planning.plan import load_plan
 
 if TYPE_CHECKING:

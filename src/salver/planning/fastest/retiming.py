@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.optimize import linprog
 from scipy.sparse import coo_matrix
 
-from salver.errors import FileFormatError, ScenarioError, Status, UnreachableError
+from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest import joint_plan
 from salver.planning.fastest.curves import PathCurve
@@ -131,51 +130,6 @@ def retime(
     return RetimedMotion(
         problem, path, law, found.coefficients, found.duration, float(t[-1]), found.status, found.worst, wall
     )
-
-
-LARGEST = 1_000_000  # bytes of a file of waypoints
-MOST_WAYPOINTS = 1000
-
-
-def read_waypoints(path: Path) -> Array:
-    """(K, n) joint waypoints of a CSV file (rows of numbers, a first row of names is skipped), or the joint path of a
-    run directory. Raises FileFormatError.
-    """
-    if path.is_dir():
-        from salver.planning.plan import load_plan
-
-        joint = load_plan(path).joint
-        if joint is None:
-            raise FileFormatError(f"{path} holds a plan without a joint motion; it must be one made with an arm.")
-        return joint.sample(np.linspace(0.0, joint.duration, 2001))[0]
-    try:
-        if path.stat().st_size > LARGEST:
-            raise ValueError(f"it is larger than {LARGEST // 1_000_000} MB")
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise FileFormatError(f"{path} cannot be read as waypoints ({error}); it must be a text file.") from None
-    rows = [
-        (k, [word.strip() for word in line.split(",")]) for k, line in enumerate(text.splitlines(), 1) if line.strip()
-    ]
-    # Names and nothing else: a posture with a mistake in it is no heading, or the motion would start elsewhere.
-    if rows and all(word.strip('"')[:1].isalpha() and _number(word) is None for word in rows[0][1]):
-        rows = rows[1:]
-    if len(rows) > MOST_WAYPOINTS:
-        raise FileFormatError(f"{path} has {len(rows)} waypoints; at most {MOST_WAYPOINTS} are accepted.")
-    count = len(rows[0][1]) if rows else 0
-    for k, words in rows:
-        wrong = next((word for word in words if _number(word) is None), None)
-        if wrong is not None or len(words) != count:
-            fault = f'"{wrong}" is not a number' if wrong is not None else f"{len(words)} values"
-            raise FileFormatError(f"{path}, line {k}: {fault}; every row must be {count} joint angles in rad.")
-    return np.array([[float(word) for word in words] for _, words in rows])
-
-
-def _number(word: str) -> float | None:
-    try:
-        return float(word)
-    except ValueError:
-        return None
 
 
 def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -> Plan:

@@ -15,43 +15,46 @@ from typing import Any
 import numpy as np
 
 from salver.errors import SalverError
-from salver.export.motion import WORLD_FRAME, ExportedMotion
-from salver.files import write_atomic, writing
+from salver.files import to_json, write_atomic, writing
 from salver.geometry import Array
+from salver.motion_files.motion import Motion
 
 TOPICS = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
     "tray_path": "nav_msgs/msg/Path",
     "object_path": "nav_msgs/msg/Path",
 }
+WORLD_FRAME = "world"
 _BILLION = 1_000_000_000
 BAG_VERSION: Any = 8  # of the bag's metadata: the older of the two that are written
 
 
-def messages(motion: ExportedMotion) -> dict[str, dict[str, Any]]:
+def messages(motion: Motion) -> dict[str, dict[str, Any]]:
     """Topic to message, as plain mappings in the order of the message definitions."""
     out: dict[str, dict[str, Any]] = {}
+    none = np.zeros((len(motion.ns), 0))
+    given = {"positions": motion.q, "velocities": motion.dq, "accelerations": motion.ddq, "effort": motion.tau}
     if motion.joint_names:
+        rows = {key: none if values is None else values for key, values in given.items()}
         out["joint_trajectory"] = {
             "header": _header(0),
             "joint_names": list(motion.joint_names),
             "points": [
                 {
-                    "positions": motion.q[k],
-                    "velocities": motion.dq[k],
-                    "accelerations": motion.ddq[k],
-                    "effort": motion.tau[k],
+                    **{key: values[k] for key, values in rows.items()},
                     "time_from_start": _time(int(ns)),
                 }
                 for k, ns in enumerate(motion.ns)
             ],
         }
-    out["tray_path"] = _path(motion, motion.p_SE, motion.quat_SE_wxyz)
-    out["object_path"] = _path(motion, motion.p_SB, motion.quat_SB_wxyz)
+    if motion.p_SE is not None and motion.quat_SE_wxyz is not None:
+        out["tray_path"] = _path(motion, motion.p_SE, motion.quat_SE_wxyz)
+    if motion.p_SB is not None and motion.quat_SB_wxyz is not None:
+        out["object_path"] = _path(motion, motion.p_SB, motion.quat_SB_wxyz)
     return out
 
 
-def _path(motion: ExportedMotion, positions: Array, quat_wxyz: Array) -> dict[str, Any]:
+def _path(motion: Motion, positions: Array, quat_wxyz: Array) -> dict[str, Any]:
     poses = [
         {
             "header": _header(int(ns)),
@@ -76,7 +79,7 @@ def _time(ns: int) -> dict[str, int]:
     return {"sec": ns // _BILLION, "nanosec": ns % _BILLION}
 
 
-def write_bag(motion: ExportedMotion, path: Path) -> list[Path]:
+def write_bag(motion: Motion, path: Path) -> list[Path]:
     """A rosbag2 directory with one mcap file, one message a topic. Raises SalverError when `path` exists."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -125,7 +128,7 @@ def _typed(store: Any, kind: str, value: dict[str, Any]) -> Any:
     return store.types[kind](**members)
 
 
-def write_yaml(motion: ExportedMotion, path: Path) -> list[Path]:
+def write_yaml(motion: Motion, path: Path) -> list[Path]:
     """One file a message, as `ros2 topic pub` reads them: PATH for the joint trajectory (for the tray's path when
     there is no arm), PATH with _tray_path and _object_path before its ending for the others."""
     made = []
@@ -134,6 +137,28 @@ def write_yaml(motion: ExportedMotion, path: Path) -> list[Path]:
         own = path if topic == next(iter(found)) else path.with_name(f"{path.stem}_{topic}{path.suffix}")
         made.append(write_atomic(own, f"# {TOPICS[topic]}\n" + "\n".join(_block(message, "")) + "\n", keep=True))
     return made
+
+
+def write_robot_trajectory(motion: Motion, path: Path) -> list[Path]:
+    """A moveit_msgs/RobotTrajectory. Raises SalverError for a motion without joints."""
+    message = {"joint_trajectory": _joints(motion, path), "multi_dof_joint_trajectory": _NO_OTHER_JOINTS}
+    text = "# moveit_msgs/msg/RobotTrajectory\n" + "\n".join(_block(message, "")) + "\n"
+    return [write_atomic(path, text, keep=True)]
+
+
+_NO_OTHER_JOINTS = {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}, "joint_names": [], "points": []}
+
+
+def write_message(motion: Motion, path: Path) -> list[Path]:
+    """A trajectory_msgs/JointTrajectory as JSON. Raises SalverError for a motion without joints."""
+    return [write_atomic(path, to_json(_joints(motion, path)), keep=True)]
+
+
+def _joints(motion: Motion, path: Path) -> dict[str, Any]:
+    found = messages(motion).get("joint_trajectory")
+    if found is None:
+        raise SalverError(f"{path} cannot be a joint trajectory: the motion is one of the tray, without joints.")
+    return found
 
 
 def _block(value: dict[str, Any], indent: str) -> list[str]:

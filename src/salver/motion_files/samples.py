@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ class TraySamples:
     """Poses of the tray frame E (or of the object frame B) in S.
 
     t (N,) s from the first sample; p (N, 3) m; quat_wxyz (N, 4), continuous in sign. frame: "E" or "B".
-    notes: what was repaired on reading, as sentences.
+    notes: what was repaired on reading, as sentences. form: of the file, one of `salver.motion_files.FORMS`.
     """
 
     t: Array
@@ -27,13 +27,19 @@ class TraySamples:
     frame: str
     source: str
     notes: tuple[str, ...] = ()
+    form: str = "csv"
+
+    def paced(self, factor: float) -> TraySamples:
+        """The same path in `factor` times the time."""
+        return replace(self, t=self.t * factor)
 
 
 @dataclass(frozen=True)
 class JointSamples:
     """Joint positions q (N, n) at t (N,), with velocities and accelerations where the file has them.
 
-    names: (n,) of the joints, in the order of the columns.
+    names: (n,) of the joints, in the order of the columns. commanded: whether a controller is told to run through
+    these waypoints with these velocities; otherwise they are a recording. form: as in `TraySamples`.
     """
 
     t: Array
@@ -42,7 +48,14 @@ class JointSamples:
     dq: Array | None
     ddq: Array | None
     source: str
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    commanded: bool = False
+    form: str = "csv"
+
+    def paced(self, factor: float) -> JointSamples:
+        """The same path in `factor` times the time."""
+        dq, ddq = (None if x is None else x / factor**k for k, x in ((1, self.dq), (2, self.ddq)))
+        return replace(self, t=self.t * factor, dq=dq, ddq=ddq)
 
 
 Samples = TraySamples | JointSamples
@@ -70,14 +83,21 @@ def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) 
 
 
 def joint_samples(
-    t: Array, names: tuple[str, ...], q: Array, dq: Array | None, ddq: Array | None, source: str
+    t: Array,
+    names: tuple[str, ...],
+    q: Array,
+    dq: Array | None,
+    ddq: Array | None,
+    source: str,
+    commanded: bool = False,
+    fewest: int = FEWEST,
 ) -> JointSamples:
     """Check and repair joint positions. Raises FileFormatError, one sentence with the row."""
     arrays = {"time": t, "positions": q, "velocities": dq, "accelerations": ddq}
     _finite({name: array for name, array in arrays.items() if array is not None}, source)
-    keep, notes = _clock(t, source, FEWEST if dq is None else 2)
+    keep, notes = _clock(t, source, 2 if commanded else fewest)
     dq, ddq = (None if x is None else x[keep] for x in (dq, ddq))
-    return JointSamples(t[keep] - t[0], names, q[keep], dq, ddq, source, notes)
+    return JointSamples(t[keep] - t[0], names, q[keep], dq, ddq, source, notes, commanded)
 
 
 def reordered(samples: JointSamples, names: tuple[str, ...]) -> JointSamples:

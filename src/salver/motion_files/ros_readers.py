@@ -7,19 +7,23 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from salver.auditing.samples import JointSamples, Samples, TraySamples, joint_samples, tray_samples
 from salver.errors import FileFormatError
 from salver.geometry import Array
+from salver.motion_files.samples import FEWEST, JointSamples, Samples, TraySamples, joint_samples, tray_samples
 
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
+PATH = "nav_msgs/msg/Path"
+KINDS = (TRAJECTORY, JOINT_STATE, POSE, PATH)
+OBJECT = "object_path"  # ends the name of a path of the object's frame B
 LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes: YAML is read at some 0.2 MB/s
 LARGEST_BAG = 2_000_000_000  # bytes
 MOST_MESSAGES = 5_000_000
@@ -27,8 +31,8 @@ DEEPEST = 8  # that a trajectory may lie in a message
 _NESTED = ("trajectory", "joint_trajectory", "planned_trajectory", "msg", "goal")
 
 
-def read_message(path: Path) -> JointSamples:
-    """A trajectory_msgs/JointTrajectory as `ros2 topic echo` or a script writes it (the first document of a file)."""
+def read_document(path: Path) -> Any:
+    """The (first) document of a YAML or JSON file."""
     json_file = path.suffix.lower() == ".json"
     most = LARGEST_JSON if json_file else LARGEST_YAML
     try:
@@ -40,10 +44,23 @@ def read_message(path: Path) -> JointSamples:
         raise FileFormatError(f"{path} cannot be read ({error.strerror}).") from None
     except UnicodeDecodeError:
         raise FileFormatError(f"{path} is not a text file in UTF-8.") from None
-    message = _find_trajectory(_json(text, path) if json_file else _yaml(text, path))
-    if message is None:
-        raise FileFormatError(f"{path} holds no JointTrajectory: it needs joint_names and points.")
-    return _from_trajectory(message["joint_names"], message["points"], str(path))
+    return _json(text, path) if json_file else _yaml(text, path)
+
+
+def samples_of(document: Any, path: Path, as_path: bool = False) -> Samples:
+    """A trajectory_msgs/JointTrajectory or a nav_msgs/Path, as `ros2 topic echo` or a script writes it."""
+    form = "message" if path.suffix.lower() == ".json" else "yaml"
+    message = _find_trajectory(document)
+    if message is not None:
+        if isinstance(document, Mapping) and "joint_trajectory" in document:
+            form = "moveit"
+        samples = _from_trajectory(message["joint_names"], message["points"], str(path), as_path)
+        return replace(samples, form=form)
+    if isinstance(document, Mapping) and _is_row(document.get("poses")):
+        return replace(_from_path(document["poses"], path.stem, str(path)), form=form)
+    raise FileFormatError(
+        f"{path} holds no JointTrajectory, which needs joint_names and points, and no Path, which needs poses."
+    )
 
 
 def _json(text: str, path: Path) -> Any:
@@ -103,7 +120,7 @@ def _find_trajectory(data: Any, depth: int = 0) -> Mapping[str, Any] | None:
     return next((found for item in candidates if (found := _find_trajectory(item, depth + 1)) is not None), None)
 
 
-def _from_trajectory(joint_names: Any, points: Any, source: str) -> JointSamples:
+def _from_trajectory(joint_names: Any, points: Any, source: str, as_path: bool = False) -> JointSamples:
     if not _is_row(joint_names) or not _is_row(points) or not all(isinstance(name, str | int) for name in joint_names):
         raise FileFormatError(
             f"{source}: the JointTrajectory needs a list of joint_names, which are text, and of points."
@@ -123,7 +140,10 @@ def _from_trajectory(joint_names: Any, points: Any, source: str) -> JointSamples
     q = columns["positions"]
     if q is None:
         raise FileFormatError(f"{source}: point 1 has no positions; every point needs {len(names)}.")
-    return joint_samples(t, names, q, columns["velocities"], columns["accelerations"], source)
+    dq = columns["velocities"]
+    return joint_samples(
+        t, names, q, dq, columns["accelerations"], source, commanded=dq is not None, fewest=2 if as_path else FEWEST
+    )
 
 
 def _column(points: Any, key: str, n: int, source: str) -> Array | None:
@@ -164,8 +184,8 @@ def _seconds(stamp: Any) -> float:
     raise KeyError("sec")
 
 
-def read_bag(path: Path, topic: str | None = None) -> Samples:
-    """The only motion of a bag, or that of `topic`: JointTrajectory, JointState or PoseStamped (a tray motion)."""
+def read_bag(path: Path, topic: str | None = None, as_path: bool = False) -> Samples:
+    """The only motion of a bag, or that of `topic`: JointTrajectory, JointState, or of the tray PoseStamped or Path."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -195,31 +215,34 @@ def read_bag(path: Path, topic: str | None = None) -> Samples:
         raise FileFormatError(f"{source} has no messages.")
     if kind == TRAJECTORY:
         message: Any = messages[0][1]
-        samples = _from_trajectory(message.joint_names, message.points, source)
+        samples = _from_trajectory(message.joint_names, message.points, source, as_path)
         if len(messages) > 1:
             note = f"The topic has {len(messages)} trajectories; this is the first."
             samples = JointSamples(**{**samples.__dict__, "notes": (*samples.notes, note)})
         return samples
+    if kind == PATH:
+        path_message: Any = messages[0][1]
+        return _from_path(path_message.poses, connections[0].topic, source)
     return _joint_states(messages, source) if kind == JOINT_STATE else _poses(messages, source)
 
 
 def _choose(connections: Sequence[Any], topic: str | None, path: Path) -> list[Any]:
-    usable = [c for c in connections if c.msgtype in (TRAJECTORY, JOINT_STATE, POSE)]
+    usable = [c for c in connections if c.msgtype in KINDS]
     shown = ", ".join(f"{c.topic} ({c.msgtype})" for c in connections) or "none"
     if topic is not None:
         chosen = [c for c in usable if c.topic == topic]
         if not chosen:
             raise FileFormatError(
-                f"{path} has no motion on the topic {topic}; its topics are {shown}, and motions are {TRAJECTORY}, "
-                f"{JOINT_STATE} and {POSE}."
+                f"{path} has no motion on the topic {topic}; its topics are {shown}, and motions are "
+                f"{', '.join(KINDS)}."
             )
         return chosen
+    # Paths beside a motion of the joints are drawn from it, and that of the object from the tray's.
+    usable = [c for c in usable if c.msgtype != PATH] or [c for c in usable if not c.topic.endswith(OBJECT)] or usable
     topics = {c.topic for c in usable}
     if len(topics) != 1:
         problem = "holds no motion" if not topics else f"holds {len(topics)} motions; name one with --topic"
-        raise FileFormatError(
-            f"{path} {problem}: its topics are {shown}; motions are {TRAJECTORY}, {JOINT_STATE} and {POSE}."
-        )
+        raise FileFormatError(f"{path} {problem}: its topics are {shown}; motions are {', '.join(KINDS)}.")
     return usable
 
 
@@ -253,3 +276,22 @@ def _poses(messages: Sequence[tuple[int, Any]], source: str) -> TraySamples:
     q = [m.pose.orientation for _, m in messages]
     quat = np.array([[x.w, x.x, x.y, x.z] for x in q])
     return tray_samples(_times(messages), p, quat, "E", source)
+
+
+def _from_path(poses: Any, name: str, source: str) -> TraySamples:
+    """A nav_msgs/Path: of the tray, or of the object where its name says so. Every pose has its own stamp."""
+    rows = []
+    try:
+        for pose in poses:
+            place, stamp = _get(pose, "pose"), _get(_get(pose, "header"), "stamp")
+            p, q = _get(place, "position"), _get(place, "orientation")
+            rows.append([_seconds(stamp), *(_get(p, c) for c in "xyz"), *(_get(q, c) for c in "wxyz")])
+        table = np.array(rows, dtype=float).reshape(len(rows), 8)
+    except (TypeError, ValueError, KeyError, OverflowError, AttributeError):
+        raise FileFormatError(
+            f"{source}: pose {len(rows) + 1} of the Path is not complete; each needs a stamp, a position and an "
+            "orientation."
+        ) from None
+    if not len(table):
+        raise FileFormatError(f"{source}: the Path has no poses.")
+    return tray_samples(table[:, 0], table[:, 1:4], table[:, 4:], "B" if name.endswith(OBJECT) else "E", source)

@@ -1,0 +1,137 @@
+"""Motions that are given, in files: timed anew, or run in the engine.
+
+`read_waypoints` gives the path for `salver.planning.fastest.retiming.plan_retimed`. `at_pace` does what
+`Audit.pace_worst` says, and judges what comes of it as it will be written. `simulate_given` moves the tray.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.auditing import Audit, audit_samples
+from salver.errors import FileFormatError, SalverError, ScenarioError
+from salver.geometry import Array
+from salver.models.arm import load_arm
+from salver.motion_files import JointSamples, Samples, read_path
+from salver.planning.plan import load_plan
+from salver.run_directory import SCENARIO
+from salver.scenario import Scenario
+from salver.simulation.physics import simulate_tray
+from salver.simulation.record import SimulationRecord
+from salver.trajectory import MotionSamples, SampledReference
+
+MOST_WAYPOINTS = 1_000_000
+FASTEST, SLOWEST = 0.05, 20.0  # of the time
+_STEP = 1.02  # between paces that are tried, from the one at which the margin is 0
+_TRIES = 40
+_AT_REST = 0.02  # m/s
+_APART = 1e-6  # s
+
+
+def read_waypoints(path: Path, scenario: Scenario, topic: str | None = None) -> Array:
+    """(K, n) joint waypoints: of any motion file (`salver.motion_files`), of a table of postures without times, or the
+    joint path of a run directory. Raises FileFormatError; ScenarioError for a scenario without an arm.
+    """
+    if (path / SCENARIO).is_file():
+        joint = load_plan(path).joint
+        if joint is None:
+            raise FileFormatError(f"{path} holds a plan without a joint motion; it must be one made with an arm.")
+        return joint.sample(np.linspace(0.0, joint.duration, 2001))[0]
+    if scenario.arm is None:
+        raise ScenarioError(f"{scenario.name} has no arm; a path of the joints needs one ([arm] in the scenario).")
+    waypoints = read_path(path, load_arm(scenario.arm, scenario.tray).joint_names, topic)
+    if len(waypoints) > MOST_WAYPOINTS:
+        raise FileFormatError(f"{path} has {len(waypoints)} waypoints; at most {MOST_WAYPOINTS} are accepted.")
+    return waypoints
+
+
+@dataclass(frozen=True)
+class Paced:
+    """factor: of the time. samples: the motion then. audit: of these samples. too_fast: joints beyond their limit of
+    speed, in words, or None. unchecked: what was not judged, in words."""
+
+    factor: float
+    samples: Samples
+    audit: Audit
+    too_fast: str | None
+    unchecked: str
+
+    @property
+    def ok(self) -> bool:
+        """Whether everything holds in the worst case and no joint is too fast."""
+        return self.audit.ok and self.too_fast is None
+
+
+def at_pace(samples: Samples, scenario: Scenario, factor: float | None = None, **options: Any) -> Paced:
+    """The motion in `factor` times its time; if None, in the least time (to 2 %) in which it is found to hold, or at
+    the pace nearest to that where it is found at none.
+
+    options: as of `audit_samples`. Raises SalverError for a factor beyond `FASTEST` to `SLOWEST`, and for a path that
+    holds at no pace.
+    """
+    if factor is not None:
+        if not FASTEST <= factor <= SLOWEST:
+            raise SalverError(f"A pace of {factor:g} was asked for; it must be {FASTEST:g} to {SLOWEST:g}.")
+        return _paced(samples, scenario, factor, options)
+    pace = audit_samples(samples, scenario, **options).pace_worst
+    if pace.factor is None:
+        raise SalverError(f"{samples.source}: {pace.status.sentence}")
+    factor = max(FASTEST, np.ceil(1000 * pace.factor) / 1000, _slowest_joint(samples, scenario)[0])
+    first = found = _paced(samples, scenario, factor, options)
+    for _ in range(_TRIES):
+        if found.ok or factor * _STEP > SLOWEST:
+            break
+        factor *= _STEP
+        found = _paced(samples, scenario, factor, options)
+    return found if found.ok else first
+
+
+def _paced(samples: Samples, scenario: Scenario, factor: float, options: dict[str, Any]) -> Paced:
+    changed = samples.paced(factor)
+    share, joint = _slowest_joint(changed, scenario)
+    too_fast = f"{joint} moves at {100 * share:.0f} % of the speed that plans allow it" if share > 1 else None
+    speeds = "acceleration, torque and collisions" if joint else "any limit of an arm"
+    return Paced(factor, changed, audit_samples(changed, scenario, **options), too_fast, speeds)
+
+
+def _slowest_joint(samples: Samples, scenario: Scenario) -> tuple[float, str]:
+    """(largest share of the speed that plans allow a joint, its name); (0, "") where there are no joints."""
+    if not isinstance(samples, JointSamples) or scenario.arm is None:
+        return 0.0, ""
+    arm = load_arm(scenario.arm, scenario.tray)
+    known = [name for name in arm.joint_names if name in samples.names]
+    order = [samples.names.index(name) for name in known] or list(range(len(samples.names)))
+    if len(order) != arm.n:
+        raise ScenarioError(f"{samples.source} has {len(order)} joints of {arm.name}, which has {arm.n}.")
+    steps = np.diff(samples.q[:, order], axis=0) / np.diff(samples.t)[:, None]
+    speed = np.abs(steps if samples.dq is None else np.concatenate([samples.dq[:, order], steps])).max(axis=0)
+    share = speed / arm.planning_limits.velocity
+    return float(share.max()), arm.joint_names[int(np.argmax(share))]
+
+
+def simulate_given(
+    samples: Samples, scenario: Scenario, parameters: Mapping[str, float] | None = None, **options: Any
+) -> SimulationRecord:
+    """Move the tray exactly along a motion, as an audit understands it (`options` are those of `audit_samples`), in the
+    physics engine; the arm is left out. parameters: true values by name, where not nominal.
+
+    Raises SalverError for a motion that begins at speed: the engine begins at rest.
+    """
+    motion = audit_samples(samples, scenario, **options).motion.samples
+    # Commands have both sides of every waypoint among their instants; a curve through these needs one.
+    kept = np.diff(motion.t, prepend=-np.inf) > _APART
+    motion = MotionSamples(*(getattr(motion, field.name)[kept] for field in fields(motion)))
+    speed = float(np.linalg.norm(motion.v_S[0]))
+    if speed > _AT_REST:
+        raise SalverError(
+            f"{samples.source} begins at {speed:.2g} m/s; a run in the engine begins at rest, so the motion must."
+        )
+    first = scenario.payload.first
+    record = simulate_tray(SampledReference(motion.of_frame(first.p_EB, first.R_EB)), scenario, parameters)
+    record.summary["source"] = samples.source  # type: ignore[index]
+    return record

@@ -1,0 +1,22 @@
+"""One family of motion files: CSV, JSON, YAML and JSON of ROS messages (MoveIt's too), ROS bags; read and written.
+
+`read` gives samples of the tray or of the joints; `write` writes a `Motion`: what is known at the same instants.
+"""
+
+from salver.motion_files.motion import Motion
+from salver.motion_files.readers import of_columns, read, read_path
+from salver.motion_files.samples import JointSamples, Samples, TraySamples
+from salver.motion_files.writers import ENDINGS, form_of, write
+
+__all__ = [
+    "ENDINGS",
+    "JointSamples",
+    "Motion",
+    "Samples",
+    "TraySamples",
+    "form_of",
+    "of_columns",
+    "read",
+    "read_path",
+    "write",
+]

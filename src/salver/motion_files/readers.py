@@ -1,0 +1,307 @@
+"""Reading a motion: which format, tables (CSV, or columns that are there already), salver's JSON. Formats of ROS are in
+`salver.motion_files.ros_readers`.
+
+CSV, one header line, separated by commas, semicolons, tabs or blanks:
+
+- time: `t`, `time`, `time_s`, `timestamp`, `time_from_start` (s), or `t_`, `time_`, `stamp_` with ms, us or ns;
+- a tray motion: `x, y, z` (m) and `qw, qx, qy, qz`: the names say which component is which, so wxyz and xyzw
+  are both read rightly. Also `p_SE_x, ..., quat_SE_w, ...`, `pose.position.x, ..., pose.orientation.w, ...`.
+  `p_SB_x, ..., quat_SB_w, ...` is the motion of the object's frame B instead;
+- a joint motion: the joints' own names (with or without `_position`, or `q_` before), or `q1 ... qn`, in rad; with
+  `dq_` or `_velocity` their velocities, with `ddq_` or `_acceleration` their accelerations. It remains a recording.
+
+Other columns are left out.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.errors import FileFormatError
+from salver.geometry import Array
+from salver.motion_files.motion import QUANTITIES
+from salver.motion_files.samples import FEWEST, JointSamples, Samples, joint_samples, reordered, tray_samples
+
+_PARTS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TIME = {"t": 1.0, "time": 1.0, "time_s": 1.0, "timestamp": 1.0, "time_from_start": 1.0}
+_TIME |= {f"{name}_{unit}": size for name in ("t", "time", "stamp") for unit, size in _PARTS.items()}
+_POSITION = re.compile(r"(?:pose[._])?(?:p|pos|position)?(?:[._]?(s[eb]))?[._]?([xyz])")
+_QUATERNION = re.compile(r"(?:pose[._])?(?:q|quat|quaternion|orientation)(?:[._]?(s[eb]))?[._]?([wxyz])")
+_NUMBERED = re.compile(r"q_?\[?(\d+)\]?")
+_POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
+JointNames = Callable[[], tuple[str, ...]]
+
+LARGEST = 500_000_000  # bytes of a text file
+FORMAT = "salver motion"  # of JSON that salver wrote
+_BAGS = (".bag", ".mcap", ".db3")
+
+
+def no_joints() -> tuple[str, ...]:
+    """For files of tray motions."""
+    return ()
+
+
+def read(
+    path: str | Path, joint_names: JointNames = no_joints, topic: str | None = None, as_path: bool = False
+) -> Samples:
+    """A motion of the tray (or the object), or of the arm's joints, from a file.
+
+    By its ending: .csv or .txt; .yaml, .yml or .json with a trajectory_msgs/JointTrajectory (also in a MoveIt
+    RobotTrajectory) or a nav_msgs/Path; .json as salver writes it; a bag (.bag, .mcap, .db3, or a directory with
+    metadata.yaml). joint_names: gives the arm's names, called only when they are needed to understand a table. topic:
+    which one of a bag. as_path: only the way matters, not the time: joints go before the tray where a table has both,
+    and two samples are enough. Raises FileFormatError, one sentence for each mistake.
+    """
+    path = Path(path)
+    if not _exists(path):
+        raise FileFormatError(f"{path} does not exist; give a .csv, .yaml or .json file or a ROS bag.")
+    ending = path.suffix.lower()
+    if path.is_file() and path.stat().st_size > LARGEST and ending not in _BAGS:
+        raise FileFormatError(f"{path} is larger than {LARGEST // 1_000_000} MB; cut it.")
+    if path.is_dir() or ending in _BAGS:
+        from salver.motion_files.ros_readers import read_bag
+
+        return replace(read_bag(path, topic, as_path), form="ros2")
+    if topic is not None:
+        raise FileFormatError(f"{path} is no bag, so it has no topic {topic}; leave --topic away.")
+    if ending in (".yaml", ".yml", ".json"):
+        from salver.motion_files.ros_readers import read_document, samples_of
+
+        document = read_document(path)
+        if isinstance(document, Mapping) and document.get("format") == FORMAT:
+            return replace(_of_json(document, str(path), joint_names, as_path), form="json")
+        return samples_of(document, path, as_path)
+    if ending in (".csv", ".txt", ".tsv"):
+        return of_table(*_table(path), str(path), joint_names, as_path)
+    raise FileFormatError(
+        f'{path} ends in "{path.suffix}"; accepted are .csv, .txt, .tsv, .yaml, .yml, .json, .bag, .mcap, .db3 and '
+        "directories of ROS 2 bags."
+    )
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name that no file has
+        return False
+
+
+def _of_json(document: Mapping[str, Any], source: str, joint_names: JointNames, as_path: bool) -> Samples:
+    """Arrays by name, as `salver.motion_files.writers.write_json` writes them."""
+    names = document.get("joint_names")
+    header, parts = ["t"], []
+    try:
+        t = np.array(document["t"], dtype=float)
+        for name in QUANTITIES:
+            if document.get(name):
+                values = np.array(document[name], dtype=float)
+                if values.shape[:1] != t.shape or values.ndim != 2:
+                    raise ValueError
+                header += column_names(name, tuple(map(str, names or ())))
+                parts.append(values)
+        table = np.column_stack([t, *parts])
+        if t.ndim != 1 or table.shape[1] != len(header):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise FileFormatError(
+            f"{source} is no motion that salver wrote: t must be a list of numbers, and every array a list of as many "
+            "rows."
+        ) from None
+    return of_table(header, table, source, joint_names, as_path)
+
+
+def column_names(quantity: str, joint_names: tuple[str, ...]) -> list[str]:
+    """Headings of a quantity's columns: p_SE_x, quat_SE_w, q_panda_joint1."""
+    if quantity in ("q", "dq", "ddq", "tau"):
+        return [f"{quantity}_{name}" for name in joint_names]
+    parts = "wxyz" if quantity.startswith("quat") else "xyz"
+    return [f"{quantity.removesuffix('_wxyz')}_{part}" for part in parts]
+
+
+def of_columns(columns: Mapping[str, Any], joint_names: JointNames = no_joints) -> Samples:
+    """A motion of columns by name: a mapping of arrays, or a pandas DataFrame (whose index is the time where no column
+    is). Raises FileFormatError."""
+    source = f"the {type(columns).__name__}"
+    header = [str(name) for name in columns]
+    parts = [columns[name] for name in columns]
+    index = getattr(columns, "index", None)
+    if index is not None and not any(name.lower() in _TIME for name in header):
+        header, parts = ["t", *header], [index, *parts]
+    try:
+        table = np.column_stack([np.asarray(part, dtype=float) for part in parts])
+    except (TypeError, ValueError):
+        raise FileFormatError(f"{source} must have columns of numbers of one length; it has {header}.") from None
+    return of_table(header, table, source, joint_names)
+
+
+def of_table(
+    header: list[str], values: Array, source: str, joint_names: JointNames = no_joints, as_path: bool = False
+) -> Samples:
+    """Tray or joint motion; the header decides which. With both it is the tray's, or the joints' `as_path`."""
+    lowered = [name.lower() for name in header]
+    clocks = [(j, _TIME[name]) for j, name in enumerate(lowered) if name in _TIME]
+    if len(clocks) != 1:
+        raise FileFormatError(
+            f"{source} has {len(clocks) or 'no'} columns of time; it needs one, named {', '.join(_TIME)}; its "
+            f"header is {', '.join(header)}."
+        )
+    column, unit = clocks[0]
+    t = values[:, column] * unit
+    poses = _pose_columns(lowered)
+    whole = {frame: place for frame, place in poses.items() if len(place) == len(_POSE)}
+    names = joint_names() if as_path or not whole else ()
+    joints = _joint_columns(header, names) if as_path or not whole else {}
+    if whole and not joints:
+        frame, place = next(iter(whole.items()))
+        pose = values[:, [place[name] for name in _POSE]]
+        return tray_samples(t, pose[:, :3], pose[:, 3:], "B" if frame == "sb" else "E", source)
+    if joints:
+        dq, ddq = (_rates(header, values, tuple(joints), order) for order in (1, 2))
+        q = values[:, list(joints.values())]
+        return joint_samples(t, tuple(joints), q, dq, ddq, source, fewest=2 if as_path else FEWEST)
+    best = max(poses.values(), key=len) if poses else {}
+    missing = [name.removeprefix("p") for name in _POSE if name not in best]
+    expected = f"joints {', '.join(names)} or q1 ... q{len(names)}" if names else "joints q1 ... qn"
+    found = f" (no column for {missing[0]})" if best else ""
+    raise FileFormatError(
+        f"{source} holds neither a tray motion{found} nor a joint motion: it needs the columns x, y, z, qw, qx, qy, "
+        f"qz, or {expected}; its header is {', '.join(header)}."
+    )
+
+
+def _pose_columns(header: list[str]) -> dict[str, dict[str, int]]:
+    """frame ("", "se", "sb") -> {"px": column, ..., "qz": column}."""
+    found: dict[str, dict[str, int]] = {}
+    for j, name in enumerate(header):
+        for letter, pattern in (("q", _QUATERNION), ("p", _POSITION)):
+            match = pattern.fullmatch(name)
+            if match:
+                found.setdefault(match[1] or "", {}).setdefault(letter + match[2], j)
+                break
+    return found
+
+
+def _joint_columns(header: list[str], joint_names: tuple[str, ...]) -> dict[str, int]:
+    """Columns of joint positions by name: the arm's names, else numbers."""
+    position = {re.sub(r"^(?:position[._]|q_)|[._]pos(?:ition)?$", "", name): j for j, name in enumerate(header)}
+    named = {name: position[name] for name in joint_names if name in position}
+    if named:
+        return named
+    numbered = [(int(m[1]), name, j) for j, name in enumerate(header) if (m := _NUMBERED.fullmatch(name.lower()))]
+    return {name: j for _, name, j in sorted(numbered)}
+
+
+_RATES = {1: ("dq_{}", "velocity.{}", "{}_velocity", "{}_vel"), 2: ("ddq_{}", "acceleration.{}", "{}_acceleration")}
+
+
+def _rates(header: list[str], values: Array, joints: tuple[str, ...], order: int) -> Array | None:
+    """Velocities (order 1) or accelerations (2) of all these joints, where the table has them."""
+    for pattern in _RATES[order]:
+        names = [pattern.format(name.removeprefix("q_")) for name in joints]
+        if all(name in header for name in names):
+            return values[:, [header.index(name) for name in names]]
+    return None
+
+
+def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None) -> Array:
+    """(K, n) joint positions, rad, in the order of `joint_names`: of any motion file, or of a table without times, one
+    posture a row; its columns go by the joints' names where it has a heading. Raises FileFormatError."""
+    if path.suffix.lower() in (".csv", ".txt", ".tsv") and _exists(path):
+        header, values = _table(path, headless=True)
+        if not any(name.lower() in _TIME for name in header):
+            count = values.shape[1]
+            wrong = next((word for word in header if not _is_number(word)), None)
+            if any(_is_number(word) for word in header):  # a posture with a mistake in it is no heading
+                raise FileFormatError(
+                    f'{path}, line 1: "{wrong}" is no number; every row must be {len(joint_names)} joint angles in rad.'
+                )
+            if header:
+                columns = _joint_columns(header, joint_names)
+                if set(columns) != set(joint_names) and len(columns) != len(joint_names):
+                    raise FileFormatError(
+                        f"{path} is no table of postures: its heading must name the joints {', '.join(joint_names)} or "
+                        f"q1 ... q{len(joint_names)}; it is {', '.join(header)}."
+                    )
+                wanted = joint_names if set(columns) == set(joint_names) else tuple(columns)
+                values = values[:, [columns[name] for name in wanted]]
+            elif count != len(joint_names):
+                raise FileFormatError(
+                    f"{path} has {count} columns; a posture has {len(joint_names)} joint angles, rad."
+                )
+            bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+            if len(bad):
+                raise FileFormatError(f"{path}: posture {bad[0] + 1} has an angle that is no finite number.")
+            return values
+    samples = read(path, lambda: joint_names, topic, as_path=True)
+    if not isinstance(samples, JointSamples):
+        raise FileFormatError(f"{path} is a motion of the tray; a path of the arm needs joint positions.")
+    return reordered(samples, joint_names).q
+
+
+def _table(path: Path, headless: bool = False) -> tuple[list[str], Array]:
+    """Header and numbers (N, columns). headless: without a header is accepted; it is empty then."""
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            start = next(((k, line) for k, line in enumerate(file) if line.strip() and not line.startswith("#")), None)
+    except OSError as error:
+        raise FileFormatError(f"{path} cannot be read ({error.strerror}).") from None
+    except UnicodeDecodeError:
+        raise FileFormatError(f"{path} is not a text file in UTF-8.") from None
+    if start is None:
+        raise FileFormatError(f"{path} is empty; the first line must name the columns.")
+    skipped, first = start
+    separator = next((s for s in (",", ";", "\t") if s in first), None)
+    header = [name.strip().strip('"') for name in first.split(separator)]
+    if all(_is_number(name) for name in header):
+        if headless:
+            return [], _numbers(path, skipped - 1, separator, len(header))
+        raise FileFormatError(
+            f"{path} has no header: its first line must name the columns, such as t, x, y, z, qw, qx, qy, qz."
+        )
+    return header, _numbers(path, skipped, separator, len(header))
+
+
+def _numbers(path: Path, skipped: int, separator: str | None, columns: int) -> Array:
+    """(N, columns) below line `skipped`, which is the header's, counted from 0."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of a file without rows, which is told below
+            values = np.loadtxt(path, delimiter=separator, ndmin=2, skiprows=skipped + 1, encoding="utf-8-sig")
+    except (ValueError, UnicodeDecodeError):
+        values = np.zeros((1, 0))
+    if values.size == 0 and values.shape[0] == 0:
+        raise FileFormatError(f"{path} has no samples below its header; an audit needs at least {FEWEST}.")
+    if values.shape[1] != columns:
+        _point_at_fault(path, skipped, separator, columns)
+        raise FileFormatError(f"{path} is not a table of numbers.")
+    return values
+
+
+def _point_at_fault(path: Path, skipped: int, separator: str | None, columns: int) -> None:
+    """Raise FileFormatError that names the first line that is no row of numbers."""
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        for k, line in enumerate(file, 1):
+            if k <= skipped + 1 or not line.strip() or line.startswith("#"):
+                continue
+            cells = next(csv.reader([line], delimiter=separator)) if separator else line.split()
+            if len(cells) != columns:
+                raise FileFormatError(f"{path}, line {k}: {len(cells)} values, but the header names {columns} columns.")
+            for cell in cells:
+                if not _is_number(cell):
+                    raise FileFormatError(f'{path}, line {k}: "{cell.strip()}" is not a number.')
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

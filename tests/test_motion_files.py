@@ -1,0 +1,257 @@
+"""One family of motion files: what is written is read again, in every format, by every command that takes one."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from typer.testing import CliRunner
+
+import salver as sv
+from salver.cli import app
+from salver.errors import FileFormatError, SalverError
+from salver.given import at_pace
+from salver.motion_files import ENDINGS, JointSamples, Motion, TraySamples, form_of, of_columns, read, read_path, write
+from salver.motion_files.samples import tray_samples
+
+JOINTS = tuple(f"panda_joint{k}" for k in range(1, 8))
+FORMS = tuple(ENDINGS)
+
+
+def named(form, folder):
+    return folder / f"motion{(ENDINGS[form] or ('',))[0]}"
+
+
+def swing(duration=2.0, rate=200.0, reach=0.3):
+    """A pose from rest to rest along y by a quintic, the tray level."""
+    t = np.arange(round(duration * rate) + 1) / rate
+    s = t / duration
+    p = np.tile([0.45, 0.0, 0.4], (len(t), 1))
+    p[:, 1] = reach * s**3 * (10 - 15 * s + 6 * s**2)
+    return tray_samples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "E", "swing")
+
+
+def joint_swing(count=60, duration=2.0):
+    s = np.linspace(0, 1, count)[:, None]
+    q0, q1 = np.array([0.08, 1.04, -0.78, -1.68, -2.2, 0.84, 1.12]), np.array([0.3, 1.1, -0.85, -1.8, -2.0, 0.82, 1.2])
+    shape = [s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)]
+    q, dq, ddq = (x * (q1 - q0) / duration**k for k, x in enumerate(shape))
+    return JointSamples(duration * s[:, 0], JOINTS, q + q0, dq, ddq, "swing", commanded=True)
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), form=st.sampled_from(FORMS))
+def test_joints_come_back_to_the_last_digit(tmp_path_factory, data, form):
+    n, count = data.draw(st.integers(1, 7)), data.draw(st.integers(8, 12))
+    number = st.floats(-1e3, 1e3, allow_nan=False).filter(lambda x: x == 0 or abs(x) > 1e-300)
+    q, dq, ddq = (data.draw(arrays(float, (count, n), elements=number)) for _ in range(3))
+    steps = data.draw(arrays(np.int64, count - 1, elements=st.integers(20_000, 2_000_000_000)))
+    ns = np.concatenate([[0], np.cumsum(steps)])
+    path = named(form, tmp_path_factory.mktemp("joints"))
+    write(Motion(ns, JOINTS[:n], q, dq, ddq), path, form)
+    again = read(path, lambda: JOINTS[:n])
+    assert again.names == JOINTS[:n]
+    assert np.allclose(again.t, ns * 1e-9, rtol=0, atol=1e-12 + 1e-15 * ns[-1])
+    for mine, theirs in ((q, again.q), (dq, again.dq), (ddq, again.ddq)):
+        assert np.array_equal(mine, theirs)
+    assert again.form == form
+    assert again.commanded == (form not in ("csv", "json"))  # a table may be a recording; a trajectory is a command
+
+
+@pytest.mark.parametrize("form", [form for form in FORMS if form not in ("moveit", "message")])
+@pytest.mark.parametrize("frame", ["E", "B"])
+def test_poses_come_back_to_the_last_digit(tmp_path, form, frame):
+    rng = np.random.default_rng(5)
+    quat = rng.normal(size=4) + 0.05 * rng.normal(size=(20, 4)).cumsum(axis=0)
+    samples = tray_samples(np.arange(20) * 0.01, rng.normal(size=(20, 3)), quat / np.linalg.norm(quat, axis=1)[:, None],
+                           frame, "made")  # fmt: skip
+    path = named(form, tmp_path)
+    files = write(Motion.of(samples), path, form)
+    if form == "yaml" and frame == "B":  # a message does not say whose path it is, its name does
+        (files[0]).rename(tmp_path / "motion_object_path.yaml")
+        path = tmp_path / "motion_object_path.yaml"
+    again = read(path)
+    assert isinstance(again, TraySamples)
+    assert again.frame == frame
+    assert np.array_equal(again.p, samples.p)
+    assert np.allclose(again.quat_wxyz, samples.quat_wxyz, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("form", ["moveit", "message"])
+def test_a_tray_is_no_joint_trajectory(tmp_path, form):
+    with pytest.raises(SalverError, match="without joints"):
+        write(Motion.of(swing()), named(form, tmp_path), form)
+
+
+def test_moveit_reads_what_is_written_as_robot_trajectory(tmp_path):
+    """The members of moveit_msgs/RobotTrajectory, by their names and in their order."""
+    from ruamel.yaml import YAML
+
+    (path,) = write(Motion.of(joint_swing()), tmp_path / "a.yaml", "moveit")
+    message = YAML(typ="safe").load(path)
+    assert list(message) == ["joint_trajectory", "multi_dof_joint_trajectory"]
+    assert list(message["joint_trajectory"]) == ["header", "joint_names", "points"]
+    assert list(message["joint_trajectory"]["points"][0]) == [
+        "positions", "velocities", "accelerations", "effort", "time_from_start",
+    ]  # fmt: skip
+    assert message["multi_dof_joint_trajectory"]["points"] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "like", "form"),
+    [
+        ("a.csv", "yaml", "csv"),
+        ("a.yaml", "moveit", "moveit"),
+        ("a.yml", None, "yaml"),
+        ("a.json", "message", "message"),
+        ("a.json", "csv", "json"),
+        ("bag", "ros2", "ros2"),
+    ],
+)
+def test_the_ending_says_the_format_and_else_that_of_the_source(name, like, form):
+    assert form_of(name, like) == form
+
+
+def test_no_other_ending_is_written(tmp_path):
+    with pytest.raises(SalverError, match=r"must end in \.csv, \.json, \.yaml"):
+        write(Motion.of(swing()), tmp_path / "a.xlsx")
+
+
+def test_columns_of_a_mapping_and_of_a_frame_are_those_of_a_file(tmp_path):
+    import pandas
+
+    (path,) = write(Motion.of(swing()), tmp_path / "a.csv")
+    frame = pandas.read_csv(path)
+    for columns in (frame, frame.set_index("t"), {name: frame[name].to_numpy() for name in frame}):
+        again = of_columns(columns)
+        assert np.array_equal(again.p, swing().p)
+        assert np.allclose(again.t, swing().t, rtol=0, atol=1e-12)
+    with pytest.raises(FileFormatError, match="columns of numbers of one length"):
+        of_columns({"t": [0, 1], "x": [1, 2, 3]})
+
+
+def test_salvers_json_that_is_damaged_is_one_sentence(tmp_path):
+    (path,) = write(Motion.of(joint_swing()), tmp_path / "a.json")
+    whole = json.loads(path.read_text())
+    for damage in ({"t": 3}, {"q": [[1, 2], [3]]}, {"joint_names": ["one"]}, {"t": None}, {"q": "x"}, {"dq": {"a": 1}}):
+        path.write_text(json.dumps({**whole, **damage}))
+        with pytest.raises(FileFormatError, match=r"no motion that salver wrote"):
+            read(path, lambda: JOINTS)
+
+
+def test_a_file_of_tray_and_joints_is_the_trays_for_an_audit_and_the_joints_for_a_path(tmp_path):
+    joints, tray = joint_swing(), swing(rate=59 / 2)
+    (path,) = write(Motion(Motion.of(joints).ns, JOINTS, joints.q, p_SE=tray.p, quat_SE_wxyz=tray.quat_wxyz),
+                    tmp_path / "both.csv")  # fmt: skip
+    assert isinstance(read(path, lambda: JOINTS), TraySamples)
+    assert np.array_equal(read_path(path, JOINTS), joints.q)
+
+
+def test_paced_motion_has_the_derivatives_of_its_time():
+    """d/dt of q(t / f) is q' / f, the second q'' / f^2: against differences of the paced positions."""
+    slow = joint_swing(2001).paced(1.7)
+    assert np.allclose(np.gradient(slow.q, slow.t, axis=0)[1:-1], slow.dq[1:-1], atol=1e-6)
+    assert np.allclose(np.gradient(slow.dq, slow.t, axis=0)[1:-1], slow.ddq[1:-1], atol=1e-5)
+
+
+def test_the_least_pace_is_that_of_the_friction():
+    """A level quintic of length L in T needs a peak acceleration of 10 L / (sqrt(3) T^2); it may be mu g. In the worst
+    case mu = 0.5: the panda-cube's friction is not uncertain, its mass does not matter."""
+    scenario = sv.load_scenario("panda-cube")
+    samples = swing(2.0, 500.0)
+    expected = np.sqrt(10 * 0.3 / (np.sqrt(3) * 0.5 * 9.81)) / 2.0
+    found = at_pace(samples, scenario, highest=20.0)
+    assert found.ok
+    assert expected * 0.995 < found.factor < expected * 1.12  # cones of 16 sides, steps of 2 %
+    assert not at_pace(samples, scenario, 0.97 * expected, highest=20.0).ok
+    assert found.unchecked == "any limit of an arm"
+
+
+def test_a_joint_beyond_its_speed_limit_is_no_yes():
+    """The fastest joint of the swing, 20 times as fast, against the maker's limit of 2.175 rad/s."""
+    samples = joint_swing(201)
+    found = at_pace(samples, sv.load_scenario("panda-cube"), 0.05)
+    share = 20 * np.abs(samples.dq[:, 0]).max() / (0.98 * 2.175)  # plans keep 2 % of it
+    assert share > 1
+    assert found.too_fast == f"panda_joint1 moves at {100 * share:.0f} % of the speed that plans allow it"
+    assert not found.ok
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_could_be_faster_is_written_in_the_format_it_came_in(tmp_path, form):
+    path = named(form, tmp_path)
+    motion = Motion.of(swing(2.0, 250.0) if form in ("csv", "json") else joint_swing(60))
+    write(motion, path, form)
+    run = CliRunner()
+    told = run.invoke(app, ["audit", str(path), "-s", "panda-cube", "--highest", "20"])
+    assert told.exit_code == 0, told.output
+    line = next(line for line in told.output.splitlines() if "in the same format: " in line)
+    command = line.split("salver ", 1)[1].split()
+    done = run.invoke(app, [*command, "--json"])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert result["factor"] < 0.95
+    target = next(Path(f) for f in result["files"])
+    target = target.parent if form == "ros2" else target
+    again = read(target, lambda: JOINTS)
+    assert again.form == form
+    assert again.t[-1] == pytest.approx(2.0 * result["factor"], abs=1e-8)
+    assert run.invoke(app, ["audit", str(target), "-s", "panda-cube", "--highest", "20"]).exit_code == 0
+
+
+def test_simulate_takes_a_file_and_the_engine_agrees_with_the_audit(tmp_path):
+    """Half of what friction gives holds, one and a half times as much slides (and twice as much would tip a cube)."""
+    path = tmp_path / "motion.csv"
+    peak = 10 * 0.3 / np.sqrt(3)  # of a motion of 1 s
+    for share, outcome in ((0.5, "holds"), (1.5, "slides")):
+        samples = swing(float(np.sqrt(peak / (share * 0.5 * 9.81))), 500.0)
+        write(Motion.of(samples), path)
+        done = CliRunner().invoke(app, ["simulate", str(path), "-s", "panda-cube", "--json"])
+        assert done.exit_code == 0, done.output
+        assert json.loads(done.stdout)["outcome"] == outcome
+        assert (sv.audit(path, "panda-cube").outcome == "holds") == (outcome == "holds")
+
+
+@pytest.mark.parametrize("accelerations", [True, False])
+def test_a_command_to_the_joints_moves_the_tray_as_forward_kinematics_says(tmp_path, accelerations):
+    """Both sides of every waypoint are instants of a command: no curve may be led through both."""
+    from dataclasses import replace
+
+    from salver.models.arm import load_arm
+
+    scenario = sv.load_scenario("panda-cube")
+    samples = joint_swing(60) if accelerations else replace(joint_swing(60), ddq=None)
+    (path,) = write(Motion.of(samples), tmp_path / "motion.yaml")
+    record = sv.simulate(path, scenario)
+    arm = load_arm(scenario.arm, scenario.tray)
+    for k in (0, 20, 41, 59):
+        at = int(np.argmin(np.abs(record.t - samples.t[k])))
+        q = np.array([np.interp(record.t[at], samples.t, column) for column in samples.q.T])
+        assert np.allclose(record.p_SE[at], arm.tray_pose(q)[0], atol=2e-4)  # straight lines between waypoints
+    assert record.outcome == "holds"
+
+
+def test_a_file_that_begins_at_speed_is_not_run(tmp_path):
+    samples = swing(1.0, 500.0)
+    half = tray_samples(samples.t[250:] - samples.t[250], samples.p[250:], samples.quat_wxyz[250:], "E", "half")
+    (path,) = write(Motion.of(half), tmp_path / "half.csv")
+    with pytest.raises(SalverError, match=r"begins at 0\.56 m/s; a run in the engine begins at rest"):
+        sv.simulate(path, "panda-cube")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["moveit"])
+def test_retime_reads_a_motion_file_and_writes_one(tmp_path, form):
+    path = named(form, tmp_path)
+    write(Motion.of(joint_swing(30)), path, form)
+    target = tmp_path / "retimed.yaml"
+    args = ["retime", str(path), "-s", "panda-cube", "-o", str(tmp_path / "run"), "--write", str(target), "--json"]
+    done = CliRunner().invoke(app, args)
+    assert done.exit_code == 0, done.output
+    plan, again = sv.load_plan(tmp_path / "run"), read(target)
+    assert again.t[-1] == pytest.approx(plan.duration, abs=1e-9)
+    assert plan.duration < 2.0
+    assert np.allclose(again.q[[0, -1]], joint_swing(30).q[[0, -1]], atol=1e-9)
