@@ -9,10 +9,10 @@ from recordings import AT_B, HEADER, JOINTS, NO_TURN, joint_motion, line, write_
 from salver import scenario as scenarios
 from salver.auditing import audit
 from salver.auditing.motion import forward, tray_motion
-from salver.auditing.readers import read
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import exp, quat_wxyz_from_matrix
 from salver.models.arm import load_arm
+from salver.motion_files.readers import read
 
 
 @pytest.fixture(scope="module")
