@@ -80,8 +80,12 @@ def optimise(
     time_limit: float,
     damping: float = 1.0,
     objective: Objective = SHORTEST,
+    gain: float = GAIN,
 ) -> Checked:
-    """The optimum from a start, kept between the nodes too; of the duration, unless another objective is given."""
+    """The optimum from a start, kept between the nodes too; of the duration, unless another objective is given.
+
+    gain: relative improvement below which an iteration counts as idle.
+    """
     begun = time.perf_counter()
     spline = start.spline
     nodes = spline.nodes(nodes_per_span)
@@ -93,7 +97,7 @@ def optimise(
         begin = programme.begin(at.coefficients, at.duration)
         return minimise(programme, begin, replace(options, time_limit=left), trust)
 
-    solution = solve(start, Options(gain=GAIN), Trust(damping))
+    solution = solve(start, Options(gain=gain), Trust(damping))
     iterations = solution.iterations
     for exchange in range(EXCHANGES + 1):
         point = solution.iterate.point
@@ -110,7 +114,7 @@ def optimise(
             break
         nodes = np.union1d(nodes, fine.grid.s[peaks])
         repair = REPAIR * 4.0**exchange
-        options = Options(iterations=15, gain=GAIN, least_damping=repair, mending=True)
+        options = Options(iterations=15, gain=gain, least_damping=repair, mending=True)
         solution = solve(SplineMotion(spline, point.coefficients, point.duration), options, Trust(repair, REPAIR_DEPTH))
         iterations += solution.iterations
     status = _status(solution, worst, objective.sought, point.duration)

@@ -247,7 +247,7 @@ def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]
     given = problem.start_posture
     coasting = np.zeros(n)  # a moving start goes on for a while
     if isinstance(problem.start, AtPosture) and problem.start.moving:
-        coasting = 0.5 * problem.start.rates[0] * _braking_time(problem)
+        coasting = 0.5 * problem.start.rates[0] * braking_time(problem)
     found: list[tuple[float, _Guess]] = []
 
     def apart(difference: Array) -> float:
@@ -299,7 +299,7 @@ def _begun(problem: TransportProblem, guess: _Guess, spline: RestSpline) -> Spli
     s = np.linspace(0, 1, 201)
     q = guess.path(s)
     if problem.moving:
-        duration = _braking_time(problem) + float(np.max(np.abs(q[-1] - q[0]) / problem.limits.velocity))
+        duration = braking_time(problem) + float(np.max(np.abs(q[-1] - q[0]) / problem.limits.velocity))
     else:
         duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
     return SplineMotion(spline, spline.fit(s, q), duration)
@@ -354,7 +354,7 @@ def _optimum(
     )
 
 
-def _braking_time(problem: TransportProblem) -> float:
+def braking_time(problem: TransportProblem) -> float:
     """Twice the time in which the start's velocity could be braked if nothing slid, s."""
     start = problem.start
     assert isinstance(start, AtPosture)

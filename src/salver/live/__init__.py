@@ -1,0 +1,6 @@
+"""A motion that may be changed while it runs, and never drops what it carries: `Live`; and a worker that plans."""
+
+from salver.live.live import Live, State
+from salver.live.worker import Worker
+
+__all__ = ["Live", "State", "Worker"]

@@ -1,0 +1,337 @@
+"""A motion that may be changed at any time, and never drops what it carries.
+
+At every moment a motion is committed that was verified (`salver.live.verify`) and ends at rest. It is only ever
+replaced by another such motion that goes on from it. So nothing that planners, users or networks do, or fail to do, can
+bring the load into danger: what is not verified is not committed, and when nothing new comes the arm comes to rest.
+
+Two threads meet here, and neither waits for the other. The robot's loop calls `command`; whoever plans calls `plan`. A
+new motion is laid before the loop, which alone decides whether it still comes in time.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.display import Shown
+from salver.errors import ScenarioError, Status, UnreachableError
+from salver.geometry import Array
+from salver.live.motion import Committed, between, joined, resting
+from salver.live.reader import Pieces, Reader
+from salver.live.replan import Replanner
+from salver.live.verify import verified
+from salver.live.wishes import ACCEPTED, Goal, Halt, Pose, Wish, numbers, pose_goal, posture_goal, refused, why_not
+from salver.models.arm import with_load
+from salver.models.arm_limits import POSITION
+from salver.planning.fastest import Anywhere, AtPosture, TransportProblem, transport_problem
+from salver.scenario import Scenario, load
+from salver.trajectory import JointMotion
+
+LONGEST_GAP = 0.05  # s between two commands; what is longer is taken for a jump of the clock
+FIRST_LEAD = 0.25  # s from the beginning of planning to the hand-over, before it is known how long planning takes
+LEADS = 5  # plans from whose times the lead is taken
+SPARE = 1.3  # of the longest of them
+LEAST_LEAD = 0.02  # s
+MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
+STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
+
+
+@dataclass(frozen=True)
+class State(Shown):
+    """What is going on. doing: "resting", "following" or "stopping". rests_in: s until the arm is at rest. limit: which
+    row is nearest to its edge now, and margin, how near, as a share of what it limits. refused: the last wish that was
+    not granted, and why; clock: what was wrong with the times that were asked for. Both are empty when nothing was.
+    lead: s from now to the next hand-over.
+    """
+
+    doing: str
+    rests_in: float
+    limit: str
+    margin: float
+    refused: str
+    clock: str
+    lead: float
+
+    def facts(self) -> dict[str, str]:
+        told = {"live": self.doing, "at rest in": f"{self.rests_in:.2f} s", "limited by": self.limit}
+        return {**told, **{name: text for name in ("refused", "clock") if (text := getattr(self, name))}}
+
+    def __str__(self) -> str:
+        sentence = "The arm rests." if self.doing == "resting" else f"It is {self.doing}, limited by {self.limit}."
+        return " ".join([sentence, *filter(None, (self.refused, self.clock))])
+
+
+@dataclass(frozen=True, eq=False)
+class _Running:
+    """A committed motion with what leads to it: path, from live time `since` on. after: what it replaces from the
+    beginning of the committed motion on. wish: what it is for."""
+
+    committed: Committed
+    path: JointMotion
+    since: float
+    pieces: Pieces
+    after: _Running | None = None
+    wish: Wish | None = None
+
+    @classmethod
+    def first(cls, rest: Committed) -> _Running:
+        return cls(rest, rest.motion, rest.begins, Pieces(rest.motion, rest.begins))
+
+    def then(self, found: Committed, wish: Wish, now: float) -> _Running:
+        """This until the beginning of another committed motion, and then that one; what is over is forgotten."""
+        first = self.path.t[max(int(np.searchsorted(self.path.t, now - self.since, side="right")) - 1, 0)]
+        path = joined(between(self.path, float(first), found.begins - self.since), found.motion)
+        since = self.since + float(first)
+        return _Running(found, path, since, Pieces(path, since), self, wish)
+
+
+class Live:
+    """The live motion of a scenario's arm and load; see the module."""
+
+    def __init__(
+        self,
+        scenario: Scenario | str | Path,
+        q: npt.ArrayLike | None = None,
+        *,
+        robust: bool = True,
+        lead: float | None = None,
+    ) -> None:
+        """q: (n,) where the arm is, at rest; the scenario's start posture unless given. robust: for the whole uncertain
+        set, not only for nominal parameters. lead: s from the beginning of planning to the hand-over; learned from how
+        long planning takes unless given.
+
+        Raises ScenarioError when the load is not safe there at rest, or the scenario has no arm.
+        """
+        scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
+        problem = transport_problem(scenario, robust=robust)
+        if q is None and not isinstance(problem.start, AtPosture):
+            found = problem.start.nearest(problem.arm, problem.limits, problem.limits.range(POSITION)[0])
+            if found is None:
+                raise UnreachableError(f"{scenario.name}: no posture reaches motion.start.")
+            q = found
+        begin = problem.start.q if q is None and isinstance(problem.start, AtPosture) else q
+        posture = numbers(begin, (problem.n,), "q")
+        if isinstance(posture, Status):
+            raise ScenarioError(f"{scenario.name}: {posture.sentence}")
+        rest = verified(problem, resting(posture), 0.0, None)
+        if rest.committed is None:
+            raise ScenarioError(f"{scenario.name}: the load is not safe at rest at q: {rest.sentence}.")
+        self._problem = problem
+        self._replanner = Replanner.of(problem)
+        self._lead = lead
+        self._spent: deque[float] = deque(maxlen=LEADS)
+        self._planning = threading.Lock()
+        # Written by the loop alone.
+        self._running = _Running.first(rest.committed)
+        self._reader = Reader(with_load(problem.arm, problem.items).pin_model, self._running.pieces)
+        self._now = 0.0  # live time of the last command
+        self._last: float | None = None  # the clock then
+        self._clock = ""
+        # Written by whoever plans, taken by the loop.
+        self._offer: _Running | None = None
+        self._offered: _Running | None = None
+        # Written by whoever wishes.
+        self._wish: Wish | None = None
+        self._queue: deque[Goal] = deque()
+        self._done: Wish | None = None
+        self._attempts = 0
+        self._refused = ""
+        self._reader.read(0.0)
+
+    # --- the robot's loop
+
+    def command(self, t: float) -> tuple[Array, Array, Array, Array]:
+        """q, dq, ddq (n,) in rad, and the torque (n,) in N m that they take with the nominal load, at time t, s, of any
+        clock that goes forward.
+
+        Never waits and never raises. The arrays are the same ones each time and are filled anew by the next call. Times
+        that go back, stand still, jump by more than `LONGEST_GAP` or are no numbers do not move the arm: the motion
+        goes on from where it was when the clock does.
+        """
+        reader = self._reader
+        try:
+            last = self._last
+            if last is None:
+                if t - t == 0.0:
+                    self._last = t
+            else:
+                step = t - last
+                if 0.0 <= step <= LONGEST_GAP:
+                    self._last = t
+                    now = self._now + step
+                    offer = self._offer
+                    if offer is not None:
+                        if offer.after is self._running and self._now <= offer.committed.begins:
+                            reader.take(offer.pieces)
+                            self._running = offer
+                        self._offer = None
+                    reader.read(now)
+                    self._now = now
+                elif t - t == 0.0:
+                    self._last = t
+                    self._clock = "The clock jumped; the motion went on from where it was."
+                else:
+                    self._clock = "A time was no number; the arm kept what it was told last."
+        except Exception as error:  # what was commanded last stays commanded
+            self._clock = f"A command failed ({type(error).__name__}); the arm kept what it was told last."
+        return reader.q, reader.dq, reader.ddq, reader.tau
+
+    # --- whoever wishes
+
+    def goto(self, pose: Pose | None = None, *, q: npt.ArrayLike | None = None, queued: bool = False) -> Status:
+        """To come to rest with the first object's frame B at p_SB (3,), m, any heading, or at a pose (p_SB, R_SB); or
+        in a posture q (n,), rad. queued: when the goals before are reached; otherwise at once, in place of them.
+
+        The status says whether it is tried; `state` what became of it.
+        """
+        if (pose is None) == (q is None):
+            return self._refuse("a goal is a pose or a posture q, one of them", "The goal")
+        goal = pose_goal(self._problem, pose) if pose is not None else posture_goal(self._problem, q)  # type: ignore[arg-type]
+        if isinstance(goal, Status):
+            return self._refuse(goal.sentence, "The goal")
+        self._refused = ""
+        if queued:
+            self._queue.append(goal)
+        else:
+            self._queue.clear()
+            self._wish = goal
+        return ACCEPTED
+
+    def stop(self) -> Status:
+        """To come to rest as soon as the load allows."""
+        self._refused = ""
+        self._queue.clear()
+        self._wish = Halt()
+        return ACCEPTED
+
+    def measured(self, q: npt.ArrayLike) -> Status:
+        """Where the arm is, (n,) rad, as its loop sees it: when that is too far from where it was told to be, it is
+        stopped."""
+        seen = numbers(q, (self._problem.n,), "the measured posture")
+        if isinstance(seen, Status):
+            return self._refuse(seen.sentence, "A measurement")
+        away = np.abs(seen - self._reader.q)
+        if away.max() <= STRAYED:
+            return ACCEPTED
+        joint = self._problem.arm.joint_names[int(np.argmax(away))]
+        if not isinstance(self._wish, Halt):
+            self.stop()
+        return self._refuse(f"{joint} is {away.max():.3f} rad from where it was told to be", "Stopping")
+
+    # --- whoever plans
+
+    def plan(self, budget: float = 2.0) -> State:
+        """One step of planning towards what is wished, which may take up to about `budget`, s. From any thread, one at
+        a time; never raises."""
+        if self._planning.acquire(blocking=False):
+            try:
+                self._step(budget)
+            except Exception as error:  # the committed motion does not depend on it
+                self._refused = f"The planner failed ({type(error).__name__}: {error}); what was committed goes on."
+                self._done = self._wish
+            finally:
+                self._planning.release()
+        return self.state
+
+    @property
+    def idle(self) -> bool:
+        """Whether there is nothing to plan."""
+        return self._offer is None and self._due() is None
+
+    @property
+    def state(self) -> State:
+        """What is going on."""
+        committed, now = self.committed, self._now
+        rests_in = max(0.0, committed.ends - now)
+        margin, limit = committed.margins.at(now)
+        doing = "resting" if not rests_in else "stopping" if isinstance(self._wish, Halt) else "following"
+        return State(doing, rests_in, limit, margin, self._refused, self._clock, self.lead)
+
+    @property
+    def now(self) -> float:
+        """Live time of the last command, s: that of the loop's clock that was commanded, from its first command on."""
+        return self._now
+
+    @property
+    def committed(self) -> Committed:
+        """What is committed."""
+        return self._running.committed
+
+    @property
+    def problem(self) -> TransportProblem:
+        """By which motions are judged."""
+        return self._problem
+
+    @property
+    def lead(self) -> float:
+        """s from the beginning of planning to the hand-over."""
+        if self._lead is not None:
+            return self._lead
+        return max(LEAST_LEAD, SPARE * max(self._spent, default=FIRST_LEAD / SPARE))
+
+    def _due(self) -> Wish | None:
+        """What is to be planned for now."""
+        wish, offered = self._wish, self._offered
+        if offered is not None and self._offer is None:
+            self._offered = None
+            if self._running is offered:
+                self._done, self._attempts = offered.wish, 0
+        if wish is not self._done:
+            return wish
+        if self._queue and self._now >= self.committed.ends:
+            self._wish = self._queue.popleft()
+            return self._wish
+        return None
+
+    def _step(self, budget: float) -> None:
+        wish = self._due()
+        if wish is None or self._offer is not None:
+            return
+        running, began = self._running, time.perf_counter()
+        base = running.committed
+        begins = self._hand_over(base)
+        if isinstance(wish, Halt):
+            if begins >= base.ends:
+                self._done = wish
+                return
+            found, status = self._replanner.to(Anywhere(), base, begins, budget)
+            if found is not None and found.ends >= base.ends:
+                found = None
+                self._done = wish  # it is at rest no later as it is
+        else:
+            blocked = why_not(self._problem, wish)
+            if blocked:
+                found, status = None, Status("unreachable", blocked, False)
+            else:
+                found, status = self._replanner.to(wish.end, base, begins, budget)
+        self._spent.append(time.perf_counter() - began)
+        if found is not None and found.begins < self._now and base.ends <= found.begins:
+            # It came late, but the arm was at rest and is: the same motion, from a little later on.
+            found = verified(self._problem, found.motion, self._hand_over(base), base).committed
+        if found is not None:
+            self._refused = ""
+            self._offered = running.then(found, wish, self._now)
+            self._offer = self._offered
+        elif wish is not self._done:
+            self._attempts += 1
+            last = status.code == "unreachable" or begins >= base.ends or self._attempts >= MOST_ATTEMPTS
+            if last:
+                self._done, self._attempts = wish, 0
+                what = f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop"
+                self._refuse(status.sentence, what)
+
+    def _hand_over(self, base: Committed) -> float:
+        """Live time of the next hand-over: an instant at which the base's deviation is known exactly, if it moves."""
+        begins = max(self._now + self.lead, base.begins)
+        k = int(np.searchsorted(base.nodes, begins))
+        return float(base.nodes[k]) if k < len(base.nodes) else begins
+
+    def _refuse(self, reason: str, what: str) -> Status:
+        self._refused = f"{what} is refused: {reason}."
+        return refused(self._refused)

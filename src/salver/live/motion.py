@@ -1,0 +1,113 @@
+"""What is committed: a verified motion that ends at rest, in the clock of the live motion.
+
+A motion is quintic from knot to knot (`JointMotion`), so one that leaves another at an instant is exact again. What a
+wrong load and held commands have brought the arm into goes on from one motion to the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.planning.fastest import TransportProblem
+from salver.planning.fastest.evaluation import Indices
+from salver.trajectory import JointMotion
+
+SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last
+HOLD_STEP = 1e-2  # s between nodes at which the deviation at rest is known
+SAME = 1e-9  # s; instants nearer than this are one
+SETTLED = 1.0  # s at rest after which the load's sag is that of any rest
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """How near a verified motion came to its edges. t: (N,) live time, s. row: (N,) the largest row there, as a share
+    of what it limits, 0 at the edge; what: (N,) which row, an index into names."""
+
+    t: Array
+    row: Array
+    what: Indices
+    names: tuple[str, ...]
+
+    def at(self, t: float) -> tuple[float, str]:
+        """Distance from the nearest edge at t, and whose it is."""
+        k = min(int(np.searchsorted(self.t, t)), len(self.t) - 1)
+        return -float(self.row[k]), self.names[int(self.what[k])]
+
+
+@dataclass(frozen=True, eq=False)
+class Committed:
+    """A motion that ends at rest and whose rows were all looked at.
+
+    begins: live time of the motion's own time 0, s. motion: knots from 0 on; at rest after the last one, and before the
+    first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
+    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. fresh: whether the arm
+    has been at rest for long when it begins.
+    """
+
+    begins: float
+    motion: JointMotion
+    nodes: Array
+    deviation: Array | None
+    margins: Margins
+    fresh: bool = False
+
+    @property
+    def ends(self) -> float:
+        """Live time at which the arm is at rest, s."""
+        return self.begins + self.motion.duration
+
+    def state(self, t: float) -> tuple[Array, Array, Array]:
+        """q, dq, ddq (n,) at live time t."""
+        q, dq, ddq = self.motion.sample(t - self.begins)
+        return q[0], dq[0], ddq[0]
+
+    def settled(self, t: float) -> bool:
+        """Whether at live time t the arm has been at rest for so long that it is any rest."""
+        return t >= self.ends + SETTLED or (self.fresh and self.at_rest)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it does not move at all."""
+        return bool(np.all(self.motion.q == self.motion.q[0]))
+
+    def deviation_at(self, t: float, problem: TransportProblem) -> Array | None:
+        """(2, n, k) the deviation at live time t; None for what a long rest leaves."""
+        if self.deviation is None or problem.tracking is None or self.settled(t):
+            return None
+        if t <= self.nodes[-1]:
+            k = int(np.clip(np.searchsorted(self.nodes, t) - 1, 0, len(self.nodes) - 2))
+            u = (t - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
+            return np.asarray((1 - u) * self.deviation[k] + u * self.deviation[k + 1])
+        held = t - self.nodes[-1]
+        count = max(5, int(np.ceil(held / HOLD_STEP)) + 1)
+        z = np.zeros((4, count, problem.n))
+        z[0] = self.motion.q[-1]
+        sagging = replace(problem, tracking=problem.tracking.begun(self.deviation[-1]))
+        response = sagging.at(np.linspace(0.0, 1.0, count), z, held).response
+        assert response is not None
+        return response.state_at(np.linspace(0.0, held, count), held)
+
+
+def between(motion: JointMotion, first: float, last: float) -> JointMotion:
+    """A motion from one instant to a later one, from time 0; at rest where it has ended before."""
+    inside = motion.t[(motion.t > first + SAME) & (motion.t < last - SAME)]
+    t = np.concatenate([[first], inside, [last]])
+    return JointMotion(t - first, *motion.sample(t))
+
+
+def joined(first: JointMotion, second: JointMotion) -> JointMotion:
+    """A motion and then another that begins, at its own time 0, where the first one ends."""
+    if first.duration <= SAME:
+        return second
+    t = np.concatenate([first.t, first.duration + second.t[1:]])
+    states = zip((first.q, first.dq, first.ddq), (second.q, second.dq, second.ddq), strict=True)
+    return JointMotion(t, *(np.vstack([a, b[1:]]) for a, b in states))
+
+
+def resting(q: Array) -> JointMotion:
+    """The motion of an arm that does not move."""
+    still = np.zeros((2, len(q)))
+    return JointMotion(np.array([0.0, SHORTEST]), np.tile(q, (2, 1)), still, still.copy())

@@ -1,0 +1,150 @@
+"""The verdict on which all rests: no motion is committed that did not pass it, whoever proposed it.
+
+All rows of the problem are looked at, as the check of a fastest motion does, but at every millisecond for the joints
+and every two for dynamics and contact, whatever the planner's nodes were; from the state that a wrong load has brought
+the arm into. No row may be broken because the state that is inherited breaks it. What comes near to something is looked
+at between the instants too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.live.motion import Committed, Margins
+from salver.models.arm_limits import LIMITS, JointLimits
+from salver.planning.fastest import Block, TransportProblem, evaluate
+from salver.planning.fastest.evaluation import Indices
+from salver.planning.fastest.obstacles import NEAR
+from salver.planning.follow.clearance import sweep
+from salver.trajectory import JointMotion
+
+STEP = 2e-3  # s between instants at which dynamics, contact and distances are looked at
+FINER = 2  # times as many at which the joints' own motion is
+FORGIVEN = 0.5  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
+BEGINNING = 0.02  # s
+AT_REST = 1e-7  # rad/s, rad/s^2: what is left of a motion's end
+CONTINUOUS = (1e-8, 1e-7, 1e-5)  # rad, rad/s, rad/s^2: by which a motion may begin elsewhere than where the arm is
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What became of a motion that was looked at: committed, or why not. excess: of the worst row, beyond its edge."""
+
+    committed: Committed | None
+    excess: float
+    sentence: str
+
+
+def verified(
+    problem: TransportProblem, motion: JointMotion, begins: float, before: Committed | None, touch: bool = True
+) -> Finding:
+    """The verdict on a motion from live time `begins` on, which goes on from the one before (None: from a long rest).
+
+    touch: to look for collisions between the instants too.
+    """
+    broken = _jolt(motion, begins, before)
+    if broken:
+        return Finding(None, np.inf, broken)
+    start = None if before is None else before.deviation_at(begins, problem)
+    if problem.tracking is not None and start is not None:
+        problem = replace(problem, tracking=problem.tracking.begun(start))
+    s, nodes = instants(motion)
+    t = s * motion.duration
+    z = np.stack([*motion.sample(t), motion.jerk(t)])
+    postures = z[0][nodes]
+    constraints = [constraint.near(postures) for constraint in problem.constraints]
+    evaluation = problem.at(s, z, motion.duration, nodes, imposed=False)
+    blocks = [_begun(block, t) for block in evaluate(constraints, replace(evaluation, moving=False))]
+    margins = _margins(blocks, begins + t, problem)
+    worst = int(np.argmax(margins.row))
+    excess = float(margins.row[worst])
+    if excess > 0.0:
+        name = margins.names[int(margins.what[worst])]
+        sentence = f"{name} would be exceeded by {100 * excess:.2g} % {t[worst]:.2f} s after it begins"
+        return Finding(None, excess if np.isfinite(excess) else np.inf, sentence)
+    if touch and problem.keep_out is not None:
+        near = problem.keep_out.parts.near(postures, NEAR)
+        met = sweep(near, motion).touch
+        if met is not None:
+            return Finding(None, np.inf, f"{met.first} and {met.second} would touch")
+    response = evaluation.response
+    deviation = None
+    if response is not None:
+        e = np.concatenate([-response.joints.q, -response.held.q[:, :, None]], axis=2)
+        rate = np.concatenate([-response.joints.dq, -response.held.dq[:, :, None]], axis=2)
+        deviation = np.stack([e, rate], axis=1)
+    committed = Committed(begins, motion, begins + t[nodes], deviation, margins, before is None)
+    return Finding(committed, excess, "")
+
+
+def instants(motion: JointMotion) -> tuple[Array, Indices]:
+    """Points s (P,) of a motion's duration at which it is looked at, and indices of the nodes among them; its knots are
+    nodes."""
+    lengths = np.diff(motion.t)
+    counts = np.maximum(1, np.ceil(lengths / STEP - 1e-9)).astype(int)
+    missing = 4 - int(counts.sum())  # what a filter needs at least
+    counts[0] += max(0, missing)
+    first = np.repeat(motion.t[:-1], FINER * counts)
+    step = np.repeat(lengths / (FINER * counts), FINER * counts)
+    index = np.concatenate([np.arange(FINER * c) for c in counts])
+    t = np.append(first + index * step, motion.t[-1])
+    return t / motion.duration, np.arange(0, len(t), FINER)
+
+
+def _begun(block: Block, t: Array) -> Block:
+    """The block, with what the state that is inherited lacks of its margin forgiven."""
+    if block.inherits:
+        first = block.values[: np.searchsorted(t[block.points], BEGINNING)]
+        first[:] = np.where(first < FORGIVEN * block.margins[1], np.minimum(first, 0.0), first)
+    return block
+
+
+def _jolt(motion: JointMotion, begins: float, before: Committed | None) -> str:
+    """Why a motion cannot follow what is committed, or does not end at rest; nothing when it can."""
+    states = motion.q, motion.dq, motion.ddq
+    if not all(np.all(np.isfinite(x)) for x in (motion.t, *states)) or not np.all(np.diff(motion.t) > 0):
+        return "it is no motion: its knots are not numbers in order"
+    if max(np.abs(motion.dq[-1]).max(), np.abs(motion.ddq[-1]).max()) > AT_REST:
+        return "it does not end at rest"
+    now = (motion.q[0], 0.0, 0.0) if before is None else before.state(begins)
+    for mine, other, close in zip((x[0] for x in states), now, CONTINUOUS, strict=True):
+        if np.abs(mine - other).max() > close:
+            return "it does not begin where the arm is then"
+    return ""
+
+
+def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> Margins:
+    """The largest row at each of the points t, and its name."""
+    names: list[str] = []
+    largest, what = np.full(len(t), -np.inf), np.zeros(len(t), dtype=np.intp)
+    for block in blocks:
+        if not block.values.size:
+            continue
+        values = np.where(np.isnan(block.values), np.inf, block.values)
+        column = np.argmax(values, axis=1)
+        value = values[np.arange(len(column)), column]
+        label = _labels(block, problem)
+        offset = len(names)
+        names += label
+        at = block.points[: len(value)]
+        above = value > largest[at]
+        largest[at[above]] = value[above]
+        what[at[above]] = offset + (column[above] if len(label) > 1 else 0)
+    known = np.flatnonzero(np.isfinite(largest))
+    if not len(known):
+        return Margins(t, np.full(len(t), -1.0), what, ("nothing",))
+    return Margins(t, largest, what, tuple(names))
+
+
+def _labels(block: Block, problem: TransportProblem) -> list[str]:
+    """What rows of a block are called: by joint, where there is one for each."""
+    limits = getattr(block.of, "limits", None)
+    kind = next((kind for kind in LIMITS if kind.name == block.name), None)
+    if kind is None or not isinstance(limits, JointLimits):
+        return [block.name]
+    finite = np.flatnonzero(np.isfinite(limits.range(kind)[1]))
+    return [f"{block.name} of {problem.arm.joint_names[j]}" for j in (*finite, *finite)]
