@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from salver.campaigns import Campaign
     from salver.contact_margins import Margins
     from salver.geometry import Array
+    from salver.live import Live
     from salver.planning.plan import Plan
     from salver.reports.inline import Page
     from salver.scenario import Scenario
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
+    "Live",
     "audit",
     "campaign",
     "fastest",
@@ -244,3 +246,11 @@ def _no_plan(name: str, given: object) -> Exception:
     made = f"sv.load_plan({what})" if Path(str(given)).is_dir() else f"sv.plan({what})"
     hint = f": sv.simulate({made})" if isinstance(given, str | Path) else ", as sv.plan makes it"
     return ScenarioError(f"simulate wants a plan{hint}; it was given {what}.")
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Live":  # a class, with all that it needs
+        from salver.live import Live
+
+        return Live
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

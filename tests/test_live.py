@@ -1,0 +1,351 @@
+"""Live motions: at every moment one is committed that ends at rest with the load in place, whatever happens."""
+
+import re
+import time
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import salver as sv
+from live_runs import drive, executed, in_turn, jolts, rows_of
+from salver.errors import ScenarioError
+from salver.live import Live, Worker
+from salver.live.motion import between, joined, resting
+from salver.live.verify import verified
+from salver.planning.fastest import fastest, joint_plan
+from salver.planning.fastest.exchange import optimise
+from salver.trajectory import JointMotion
+
+LEAD = 0.1  # s: in simulated time planning takes none, and hand-overs are where they would be
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return sv.load_scenario("panda-cube")
+
+
+@pytest.fixture(scope="module")
+def bottle():
+    return sv.load_scenario("panda-tall-bottle")
+
+
+def place(x, y, z):
+    return lambda live: live.goto((x, y, z))
+
+
+def check(live, states):
+    """What must be true of anything that was executed, and then left alone until it rests."""
+    motion = executed(states)
+    worst = rows_of(live.problem, motion)
+    assert max(worst.values()) <= 0.0, worst
+    position, velocity = jolts(states)
+    assert position < 1e-5  # rad: no jump; a jerk of 7500 rad/s^3, the most of this arm, makes 6e-7 in a period
+    assert velocity < 5e-3  # rad/s: no jump of acceleration by more than that jerk in a period
+    assert not np.any(states[1][-1])
+    assert not np.any(states[2][-1])
+
+
+def test_a_goal_is_reached_and_changed_while_moving(cube):
+    live = Live(cube, lead=LEAD)
+    wishes = [(0.0, place(0.45, 0.1, 0.45)), (0.35, place(0.5, -0.3, 0.4)), (0.6, place(0.5, 0.0, 0.5))]
+    states = drive(live, 2.5, wishes)
+    check(live, states)
+    first = live.problem.items[0]
+    p, _ = live.problem.arm.object_pose(states[0][-1], first.p_EB, first.R_EB)
+    assert np.abs(p - (0.5, 0.0, 0.5)).max() < 1e-6
+    assert live.state.refused == ""
+    assert live.state.doing == "resting"
+
+
+@pytest.mark.slow
+def test_the_bottle_stays_in_the_engine_at_the_corners_of_its_ranges(bottle):
+    """Goals that change while it moves, and a stop; executed by the controller, with another bottle than it thinks."""
+    live = Live(bottle, lead=LEAD)
+    wishes = [(0.0, place(0.45, 0.1, 0.5)), (0.4, place(0.5, -0.35, 0.55)), (0.9, place(0.45, 0.1, 0.45))]
+    states = drive(live, 2.6, [*wishes, (1.3, Live.stop)])
+    check(live, states)
+    motion = executed(states)
+    plan = sv.plan(bottle)
+    run = joint_plan(plan.scenario, live.problem, motion, plan.status, {})
+    uncertain = run.uncertain
+    for signs in (1, -1):
+        values = uncertain.nominal + signs * uncertain.half_range * np.array(
+            [-signs if name == "friction" else 1 for name in uncertain.names]
+        )
+        record = sv.simulate(run, parameters=dict(zip(map(str, uncertain.names), values.tolist(), strict=True)))
+        assert record.outcome == "holds"
+
+
+garbage = st.sampled_from(
+    [
+        lambda live: live.goto((np.nan, 0.0, 0.5)),
+        lambda live: live.goto("there"),
+        lambda live: live.goto((9.0, 0.0, 0.5)),
+        lambda live: live.goto(q=np.full(7, 9.0)),
+        lambda live: live.goto(),
+        lambda live: live.command(np.nan),
+        lambda live: live.command("now"),
+        lambda live: live.plan(budget=np.nan),
+        lambda live: live.measured(np.full(7, np.inf)),
+    ]
+)
+goals = st.tuples(st.floats(0.35, 0.6), st.floats(-0.4, 0.2), st.floats(0.3, 0.6)).map(lambda p: place(*p))
+wish = st.one_of(goals, st.just(Live.stop), garbage)
+
+
+@pytest.mark.slow
+@settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(st.lists(st.tuples(st.floats(0.0, 1.2), wish), min_size=2, max_size=6), st.integers(1, 90))
+def test_whatever_is_wished_no_row_is_broken_and_it_ends_at_rest(cube, wishes, every):
+    live = Live(cube, lead=LEAD)
+    states = drive(live, 1.3, sorted(wishes, key=lambda pair: pair[0]), every)
+    silence = drive(live, 1.7, every=None, begins=1.3)
+    check(live, in_turn(states, silence))
+
+
+def test_a_planner_that_fails_or_dies_leaves_what_is_committed(cube, monkeypatch):
+    live = Live(cube, lead=LEAD)
+    states = drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
+    assert live.state.doing == "following"
+    goal = live.committed
+
+    def broken(*_, **__):
+        raise ArithmeticError("lost")
+
+    monkeypatch.setattr(type(live._replanner), "to", broken)
+    live.goto((0.5, -0.3, 0.4))
+    assert "The planner failed (ArithmeticError: lost)" in live.plan().refused
+    more = drive(live, 1.5, every=None, begins=0.4)
+    assert live.committed is goal
+    check(live, in_turn(states, more))
+
+
+def test_a_motion_that_comes_too_late_is_not_taken(cube, monkeypatch):
+    """The loop goes on while a motion is sought, beyond where it would begin: the old one goes on, a later one comes."""
+    live = Live(cube, lead=0.02)
+    states = drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
+    goal, seek, between_times = live.committed, live._replanner.to, []
+
+    def slowly(self, *args):
+        found = seek(*args)
+        between_times.append(drive(live, 0.05, every=None, begins=0.4))
+        return found
+
+    with monkeypatch.context() as patched:
+        patched.setattr(type(live._replanner), "to", slowly)
+        live.goto((0.5, -0.3, 0.4))
+        live.plan()
+    assert len(between_times) == 1
+    late = drive(live, 0.01, every=None, begins=0.45)
+    assert live.committed is goal
+    more = drive(live, 2.2, begins=0.46)
+    assert live.committed is not goal
+    check(live, in_turn(states, between_times[0], late, more))
+
+
+@pytest.fixture(scope="module")
+def moving(cube):
+    """On the way to a goal; only to be looked at."""
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
+    return live
+
+
+class TestVerdict:
+    """What is proposed by anyone is only believed after it was looked at."""
+
+    def test_a_jolt_is_refused(self, moving):
+        base, now = moving.committed, moving.committed.begins + 0.2
+        goes_on = between(base.motion, 0.2, base.motion.duration)
+        assert verified(moving.problem, goes_on, now, base).committed is not None
+        for name, by in (("q", 1e-4), ("dq", 1e-3), ("ddq", 1e-2)):
+            states = {key: getattr(goes_on, key).copy() for key in ("q", "dq", "ddq")}
+            states[name][0, 2] += by
+            found = verified(moving.problem, JointMotion(goes_on.t, **states), now, base)
+            assert found.committed is None
+            assert found.sentence == "it does not begin where the arm is then"
+
+    def test_what_does_not_end_at_rest_is_refused(self, moving):
+        base, now = moving.committed, moving.committed.begins + 0.1
+        cut = between(base.motion, 0.1, 0.6 * base.motion.duration)
+        found = verified(moving.problem, cut, now, base)
+        assert found.committed is None
+        assert found.sentence == "it does not end at rest"
+
+    def test_what_goes_too_fast_or_is_no_number_is_refused(self, moving):
+        base = moving.committed
+        quick = JointMotion(
+            0.8 * base.motion.t, base.motion.q, base.motion.dq / 0.8, base.motion.ddq / 0.64
+        )  # a time-optimal motion in 80 % of its time
+        found = verified(moving.problem, quick, 0.0, None)
+        assert found.committed is None
+        assert "exceeded" in found.sentence
+        lost = replace(quick, q=np.where(np.arange(len(quick.q))[:, None] == 3, np.nan, quick.q))
+        assert "not numbers" in verified(moving.problem, lost, 0.0, None).sentence
+
+    def test_it_knows_what_a_wrong_load_has_brought_the_arm_into(self, bottle):
+        """The deviation that goes on from motion to motion is that of all of them as one."""
+        live = Live(bottle, lead=LEAD)
+        states = drive(live, 1.4, [(0.0, place(0.45, 0.1, 0.5)), (0.35, place(0.5, -0.3, 0.55))])
+        motion = executed(states)
+        t = motion.t
+        z = np.stack([*motion.sample(t), motion.jerk(t)])
+        response = live.problem.at(t / motion.duration, z, motion.duration).response
+        now = live.committed.begins + 0.2
+        whole = response.state_at(t, now)
+        carried = live.committed.deviation_at(now, live.problem)
+        scale = np.abs(np.stack([response.joints.q, response.joints.dq])).max(axis=(1, 2))[:, None, :]
+        assert (np.abs(whole - carried)[..., :-1] / scale).max() < 0.01  # nodes every 2 ms, against every 1 ms
+
+    def test_the_executed_is_the_same_in_pieces(self, moving):
+        motion = moving.committed.motion
+        parts = joined(between(motion, 0.0, 0.123), between(motion, 0.123, motion.duration))
+        t = np.linspace(0, motion.duration, 200)
+        for mine, other in zip(parts.sample(t), motion.sample(t), strict=True):
+            assert np.abs(mine - other).max() < 1e-9
+
+    def test_what_a_search_calls_safe_is_looked_at_all_the_same(self, cube, monkeypatch):
+        """A search that answers with twice the speed, and says that it is safe."""
+
+        def careless(problem, curve_of, start, *args, **kwargs):
+            found = optimise(problem, curve_of, start, *args, **kwargs)
+            return replace(found, duration=0.5 * found.duration)
+
+        def also_careless(problem, options):
+            found = fastest(problem, options)
+            return replace(found, duration=0.5 * found.duration)
+
+        monkeypatch.setattr("salver.live.replan.optimise", careless)
+        monkeypatch.setattr("salver.live.replan.fastest", also_careless)
+        live = Live(cube, lead=LEAD)
+        states = drive(live, 0.2, [(0.0, place(0.45, 0.1, 0.45))])
+        assert not np.any(states[1])
+        assert "is refused" in live.state.refused
+
+
+class TestCommand:
+    def test_it_never_raises_and_keeps_what_was_told(self, cube):
+        live = Live(cube, lead=LEAD)
+        drive(live, 0.5, [(0.0, place(0.45, 0.1, 0.45))])
+        before = live.command(0.5)[0].copy()
+        for nonsense in (np.nan, np.inf, None, "now", -1e9, 1e9, [], object()):
+            assert np.array_equal(live.command(nonsense)[0], before)
+        assert live.state.clock
+
+    def test_when_the_clock_jumps_the_motion_goes_on_where_it_was(self, cube):
+        live, other = Live(cube, lead=LEAD), Live(cube, lead=LEAD)
+        wishes = [(0.0, place(0.45, 0.1, 0.45))]
+        drive(live, 0.4, wishes)
+        drive(other, 0.4, wishes)
+        live.command(100.0)
+        for k in range(1, 200):
+            ahead, whole = live.command(100.0 + 1e-3 * k)[0].copy(), other.command(0.399 + 1e-3 * k)[0]
+            assert np.abs(ahead - whole).max() < 1e-9
+
+    def test_torque_is_that_of_the_nominal_load(self, cube):
+        from salver.models.arm import with_load
+
+        live = Live(cube, lead=LEAD)
+        drive(live, 0.45, [(0.0, place(0.45, 0.1, 0.45))])
+        q, dq, ddq, tau = live.command(0.45)
+        loaded = with_load(live.problem.arm, live.problem.items)
+        assert np.abs(dq).max() > 0.1
+        assert np.abs(tau - loaded.inverse_dynamics(q, dq, ddq)).max() < 1e-9
+
+    def test_it_makes_nothing_new(self, cube):
+        """In a thousand periods the memory that is held does not grow, and no call holds more than a few views."""
+        live = Live(cube, lead=LEAD)
+        drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
+        times = (0.4 + 1e-3 * np.arange(1000)).tolist()
+        first = [id(x) for x in live.command(times[0])]
+        tracemalloc.start()
+        try:
+            live.command(times[1])
+            begun, _ = tracemalloc.get_traced_memory()
+            tracemalloc.reset_peak()
+            for t in times[2:]:
+                live.command(t)
+            held, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert [id(x) for x in live.command(1.4)] == first
+        assert held - begun < 500  # bytes: some numbers
+        assert peak - begun < 1500  # and Pinocchio's views of three arrays
+
+
+class TestWishes:
+    def test_what_cannot_be_is_refused_in_a_sentence(self, cube):
+        live = Live(cube, lead=LEAD)
+        for wish, sentence in (
+            (lambda: live.goto((np.nan, 0, 0.5)), "the position has values that are not finite"),
+            (lambda: live.goto((1.0, 2.0)), r"the position has shape \(2,\); it must be \(3,\)"),
+            (lambda: live.goto(q=np.full(7, 9.0)), "panda_joint1 would be at 9; it must be within"),
+            (lambda: live.goto(q=np.zeros(6)), r"the posture has shape \(6,\)"),
+            (lambda: live.goto((0.5, 0, 0.5), q=np.zeros(7)), "a goal is a pose or a posture q, one of them"),
+            (lambda: live.goto(((0.5, 0, 0.5), np.ones((3, 3)))), "the rotation is none"),
+            (lambda: live.goto(((0.5, 0, 0.5), np.diag([1.0, -1, -1]))), "leans the tray by 180 deg"),
+        ):
+            status = wish()
+            assert not status.ok
+            assert re.search(sentence, status.sentence)
+        assert live.idle
+        live.goto((3.0, 0.0, 0.5))
+        assert "no posture of the arm within its limits reaches it" in live.plan().refused
+        assert live.idle
+
+    def test_an_obstacle_at_the_goal_is_named(self, cube):
+        post = {"type": "box", "name": "post", "position": [0.45, 0.1, 0.45], "size": [0.05, 0.05, 0.4]}
+        live = Live(cube.with_changes(obstacles=[post]), lead=LEAD)
+        live.goto(((0.45, 0.1, 0.45), np.eye(3)))
+        assert "would be inside post" in live.plan().refused
+
+    def test_queued_goals_are_reached_one_after_the_other(self, cube):
+        live = Live(cube, lead=LEAD)
+        first = live.problem.items[0]
+        live.goto((0.5, -0.25, 0.42))
+        live.goto((0.48, -0.3, 0.45), queued=True)
+        states = drive(live, 2.0)
+        check(live, states)
+        along = np.array([live.problem.arm.object_pose(q, first.p_EB, first.R_EB)[0] for q in states[0][::10]])
+        for goal in ((0.5, -0.25, 0.42), (0.48, -0.3, 0.45)):
+            assert np.abs(along - goal).max(axis=1).min() < 1e-4
+        assert np.abs(along[-1] - (0.48, -0.3, 0.45)).max() < 1e-6
+
+    def test_an_arm_that_is_elsewhere_is_stopped(self, cube):
+        live = Live(cube, lead=LEAD)
+        drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
+        told = live.command(0.4)[0].copy()
+        assert live.measured(told + 0.01).ok
+        assert (
+            "panda_joint1 is 0.100 rad from where it was told to be"
+            in live.measured(told + np.eye(7)[0] * 0.1).sentence
+        )
+        assert live.plan().doing == "stopping"
+
+    def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(self, cube):
+        with pytest.raises(ScenarioError, match="the load is not safe at rest at q"):
+            Live(cube, q=np.array([0.0, 0.5, 0.0, -1.5, 0.0, 2.6, 0.0]))  # the tray leans
+
+
+@pytest.mark.slow
+def test_a_worker_plans_while_the_loop_runs(cube):
+    live = Live(cube)
+    live.goto((0.5, -0.25, 0.45))
+    with Worker(live) as worker:
+        begun = time.perf_counter()
+        while live.committed.at_rest and time.perf_counter() < begun + 20:
+            live.command(time.perf_counter())
+            time.sleep(1e-3)
+        assert worker.alive
+    assert not live.committed.at_rest
+    assert not worker.alive
+
+
+def test_resting_is_a_motion_too(cube):
+    live = Live(cube)
+    motion = resting(live.problem.start.q)
+    assert verified(live.problem, motion, 3.0, live.committed).committed is not None
