@@ -125,7 +125,7 @@ def test_a_planner_that_fails_or_dies_leaves_what_is_committed(cube, monkeypatch
 
 
 def test_a_motion_that_comes_too_late_is_not_taken(cube, monkeypatch):
-    """The loop goes on while a motion is sought, beyond where it would begin: the old one goes on, a later one comes."""
+    """The loop goes on while one is sought, beyond where it would begin: the old one goes on, a later one comes."""
     live = Live(cube, lead=0.02)
     states = drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
     goal, seek, between_times = live.committed, live._replanner.to, []
@@ -261,13 +261,13 @@ class TestCommand:
         live = Live(cube, lead=LEAD)
         drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
         times = (0.4 + 1e-3 * np.arange(1000)).tolist()
-        first = [id(x) for x in live.command(times[0])]
+        first, later = [id(x) for x in live.command(times[0])], times[2:]
         tracemalloc.start()
         try:
             live.command(times[1])
             begun, _ = tracemalloc.get_traced_memory()
             tracemalloc.reset_peak()
-            for t in times[2:]:
+            for t in later:
                 live.command(t)
             held, peak = tracemalloc.get_traced_memory()
         finally:

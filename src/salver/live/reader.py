@@ -48,7 +48,7 @@ class Reader:
         """Fill q, dq, ddq and tau with what is to be done at live time `now`, s."""
         knots, powers = self.pieces.knots, self._powers
         if now >= knots[-1] or now < knots[0]:
-            np.copyto(self._out, 0.0)
+            self._out.fill(0.0)
             np.copyto(self.q, self.pieces.rest[5] if now >= knots[0] else self.pieces.still[5])
         else:
             k = self._piece
