@@ -282,7 +282,7 @@ class TestWishes:
         live = Live(cube, lead=LEAD)
         for wish, sentence in (
             (lambda: live.goto((np.nan, 0, 0.5)), "the position has values that are not finite"),
-            (lambda: live.goto((1.0, 2.0)), r"the position has shape \(2,\); it must be \(3,\)"),
+            (lambda: live.goto([1.0, 2.0]), r"the position has shape \(2,\); it must be \(3,\)"),
             (lambda: live.goto(q=np.full(7, 9.0)), "panda_joint1 would be at 9; it must be within"),
             (lambda: live.goto(q=np.zeros(6)), r"the posture has shape \(6,\)"),
             (lambda: live.goto((0.5, 0, 0.5), q=np.zeros(7)), "a goal is a pose or a posture q, one of them"),

@@ -118,7 +118,7 @@ class Live:
         begin = problem.start.q if q is None and isinstance(problem.start, AtPosture) else q
         posture = numbers(begin, (problem.n,), "q")
         if isinstance(posture, Status):
-            raise ScenarioError(f"{scenario.name}: {posture.sentence}")
+            raise ScenarioError(f"{scenario.name}: {posture.sentence}.")
         rest = verified(problem, resting(posture), 0.0, None)
         if rest.committed is None:
             raise ScenarioError(f"{scenario.name}: the load is not safe at rest at q: {rest.sentence}.")
@@ -222,7 +222,8 @@ class Live:
         joint = self._problem.arm.joint_names[int(np.argmax(away))]
         if not isinstance(self._wish, Halt):
             self.stop()
-        return self._refuse(f"{joint} is {away.max():.3f} rad from where it was told to be", "Stopping")
+        self._refused = f"{joint} is {away.max():.3f} rad from where it was told to be; the arm is stopped."
+        return refused(self._refused)
 
     # --- whoever plans
 
@@ -333,5 +334,5 @@ class Live:
         return float(base.nodes[k]) if k < len(base.nodes) else begins
 
     def _refuse(self, reason: str, what: str) -> Status:
-        self._refused = f"{what} is refused: {reason}."
+        self._refused = f"{what} is refused: {reason.rstrip('.')}."
         return refused(self._refused)

@@ -44,11 +44,11 @@ def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array | Status:
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
-        return refused(f"{what} is no array of numbers; it must be {shape} finite numbers.")
+        return refused(f"{what} is no array of numbers; it must be {shape} finite numbers")
     if array.shape != shape:
-        return refused(f"{what} has shape {array.shape}; it must be {shape}.")
+        return refused(f"{what} has shape {array.shape}; it must be {shape}")
     if not np.all(np.isfinite(array)):
-        return refused(f"{what} has values that are not finite.")
+        return refused(f"{what} has values that are not finite")
     return array
 
 
@@ -60,7 +60,7 @@ def posture_goal(problem: TransportProblem, q: npt.ArrayLike) -> Goal | Status:
     limits, names = problem.limits, problem.arm.joint_names
     for value, low, high, name in zip(posture, limits.q_min, limits.q_max, names, strict=True):
         if not low <= value <= high:
-            return refused(f"{name} would be at {value:.4g}; it must be within [{low:.4g}, {high:.4g}].")
+            return refused(f"{name} would be at {value:.4g}; it must be within [{low:.4g}, {high:.4g}]")
     return Goal(AtPosture(posture), "a posture")
 
 
@@ -75,7 +75,7 @@ def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
     assert not isinstance(p, Status)
     assert not isinstance(rotation, Status)
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(rotation) < 0:
-        return refused("the rotation is none: its rows must be orthonormal and right-handed.")
+        return refused("the rotation is none: its rows must be orthonormal and right-handed")
     first = problem.items[0]
     if not whole:
         rotation = first.R_EB  # the tray level
@@ -83,7 +83,7 @@ def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
     most = max(problem.max_tilt, LEVEL_TOLERANCE)
     if leans > most:
         return refused(
-            f"the goal leans the tray by {np.rad2deg(leans):.3g} deg; it may lean by {np.rad2deg(most):.3g} deg."
+            f"the goal leans the tray by {np.rad2deg(leans):.3g} deg; it may lean by {np.rad2deg(most):.3g} deg"
         )
     target = PoseTarget(p, rotation, first.p_EB, first.R_EB, yaw_free=not whole)
     return Goal(AtPose(target), f"({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f}) m")
