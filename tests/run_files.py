@@ -12,6 +12,7 @@ import numpy as np
 from salver import scenario
 from salver.files import load_npz, read_json, save_npz
 from salver.planning import certificate
+from salver.run_directory import CERTIFICATE
 
 
 def rewrite(
@@ -27,5 +28,5 @@ def rewrite(
     record(told)
     save_npz(directory / f"{stem}.npz", **held)
     if certified:
-        told[certificate.KEY] = certificate.certificate(scenario.load(directory / "scenario.toml"), held, told)
+        told[CERTIFICATE] = certificate.certificate(scenario.load(directory / "scenario.toml"), held, told)
     (directory / f"{stem}.json").write_text(json.dumps(told))

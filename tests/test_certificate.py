@@ -16,10 +16,10 @@ from salver import scenario
 from salver.errors import FileFormatError
 from salver.export.motion import read_motion
 from salver.files import load_npz, read_json
-from salver.planning import certificate
 from salver.planning.make import make_plan
 from salver.planning.plan import load_plan
 from salver.reports.run import read_run
+from salver.run_directory import CERTIFICATE
 
 CASE = scenario.load("panda-cube").with_changes(motion__duration=1.6, motion__nodes=21)
 
@@ -64,7 +64,7 @@ def test_the_last_bit_of_any_array_is_seen_and_the_array_named(run: Path) -> Non
 
 def test_any_field_of_the_record_is_seen_and_named(run: Path) -> None:
     record = read_json(run / "plan.json")
-    for key in [key for key in record if key != certificate.KEY]:
+    for key in [key for key in record if key != CERTIFICATE]:
         (run / "plan.json").write_text(json.dumps({**record, key: "edited"}))
         with pytest.raises(FileFormatError, match=rf"plan\.json was edited since .* key {key} "):
             load_plan(run)
@@ -114,7 +114,7 @@ def test_files_of_another_plan_do_not_fit(run: Path) -> None:
 
 
 def test_a_plan_without_a_certificate_says_what_it_is_and_how_to_plan_again(run: Path) -> None:
-    rewrite(run, record=lambda record: record.pop(certificate.KEY), certified=False)
+    rewrite(run, record=lambda record: record.pop(CERTIFICATE), certified=False)
     again = rf"plan again with `salver plan {run}/scenario\.toml -o ANOTHER_DIRECTORY`"
     with pytest.raises(FileFormatError, match=rf"plan\.json has no certificate: .*; {again}\."):
         load_plan(run)

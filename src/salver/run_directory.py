@@ -5,15 +5,17 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import itertools
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from salver.errors import FileFormatError, SalverError
-from salver.files import save_result
+from salver.files import read_json, save_result
 
 EARLIER = "earlier"  # folder with the plans that were replaced, numbered, each with its results
 SCENARIO = "scenario.toml"
+CERTIFICATE = "certificate"  # key of a plan's record
 STEMS = ("plan", "baseline", "nominal")  # the motions that it may hold: a plan, and what it is compared with
 RECORDS = ("simulation", "execution")  # folders with one record a stem
 _OF_ALL = ("report.html", "figures", "export", "film.mp4", "film.gif")
@@ -79,13 +81,27 @@ def _belongings(directory: Path, stem: str) -> list[Path]:
 
 
 def plan_digest(directory: Path, stem: str) -> str:
-    """Content hash of the plan `stem` of a run directory. Raises SalverError when there is none."""
-    path = directory / f"{stem}.npz"
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-    except OSError:
+    """Digest of the plan `stem` of a run directory, by which its results know it: that of its certificate
+    (`salver.planning.certificate`), apart from what only tells how it was planned. Raises SalverError when there is
+    no such plan, FileFormatError when its record holds no certificate."""
+    path = directory / f"{stem}.json"
+    if not _holds(directory, stem):
         known = ", ".join(known_stems(directory)) or "none"
-        raise SalverError(f'{directory} has no plan "{stem}" ({path.name}); it has {known}.') from None
+        raise SalverError(f'{directory} has no plan "{stem}" ({stem}.npz and .json); it has {known}.')
+    record = read_json(path)
+    certified = record.get(CERTIFICATE) if isinstance(record, dict) else None
+    if not isinstance(certified, dict):
+        raise FileFormatError(f"{path} has no certificate, which tells one plan from another; plan again.")
+    return digest_of({key: value for key, value in certified.items() if key != "record"})[:12]
+
+
+def digest_of(value: Any) -> str:
+    """SHA-256 of what JSON can hold, whatever the order of its keys."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def _holds(directory: Path, stem: str) -> bool:
+    return all((directory / f"{stem}{ending}").is_file() for ending in (".npz", ".json"))
 
 
 def known_stems(directory: Path) -> list[str]:
@@ -103,13 +119,13 @@ def save_record(
     kind: added to the name of what is no run of the whole plan, and so is not shown as one.
     Records of other runs that stand there are kept, as STEM-1, STEM-2 ...
     """
-    digest = {"plan_digest": plan_digest(directory, stem)} if (directory / f"{stem}.npz").is_file() else {}
+    digest = {"plan_digest": plan_digest(directory, stem)} if _holds(directory, stem) else {}
     return save_result(directory / folder / f"{stem}{kind}", arrays, {**summary, **digest})
 
 
 def check_digest(summary: Mapping[str, Any], path: Path, directory: Path, stem: str) -> None:
     """Raise FileFormatError when the summary at `path` is not of the plan `stem` that the directory has now."""
-    if (directory / f"{stem}.npz").is_file() and summary.get("plan_digest") != plan_digest(directory, stem):
+    if _holds(directory, stem) and summary.get("plan_digest") != plan_digest(directory, stem):
         raise FileFormatError(f"{path} is of another plan than {directory / stem}.npz; make it again.")
 
 

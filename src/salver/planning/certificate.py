@@ -1,13 +1,13 @@
 """What ties a plan's files together: digests of the scenario, of every array and of every field of the record.
 
 A verdict is worth what it was given on. `certificate` is written with a plan and says what that was, piece by piece, so
-that `check` can name the piece that was edited since. It guards against editing, mixing and damage; it is no signature.
+that `check` can name the piece that was edited since; results of a plan know it by the digest of this certificate
+(`salver.run_directory.plan_digest`). It guards against editing, mixing and damage; it is no signature.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from shlex import quote
@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import FileFormatError
+from salver.run_directory import CERTIFICATE, digest_of
 
 if TYPE_CHECKING:
     from salver.scenario import Scenario
-
-KEY = "certificate"  # of the record: where it stands
 
 
 def certificate(scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]) -> dict[str, Any]:
@@ -30,10 +29,10 @@ def certificate(scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Ma
     """
     resolved = scenario.model_dump(mode="json")
     return {
-        "scenario": {key: _of_json(value) for key, value in resolved.items()},
+        "scenario": {key: digest_of(value) for key, value in resolved.items()},
         "files": {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in _files(resolved)},
         "arrays": {name: _of_array(array) for name, array in arrays.items()},
-        "record": {key: _of_json(value) for key, value in record.items() if key != KEY},
+        "record": {key: digest_of(value) for key, value in record.items() if key != CERTIFICATE},
     }
 
 
@@ -41,7 +40,7 @@ def check(
     directory: Path, stem: str, scenario: Scenario, arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]
 ) -> None:
     """Raise FileFormatError, one sentence with what differs, unless a plan's files are what its certificate says."""
-    certified = record.get(KEY)
+    certified = record.get(CERTIFICATE)
     fastest = " --fastest" if record.get("method") == "fastest" else ""
     again = f"plan again with `salver plan {quote(f'{directory}/scenario.toml')}{fastest} -o ANOTHER_DIRECTORY`"
     if not isinstance(certified, dict):
@@ -67,10 +66,6 @@ def check(
             f"{place} was edited since {directory / stem} was planned: {kind} {names} is not what was judged; put "
             f"back what was there, or {again}."
         )
-
-
-def _of_json(value: Any) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
 def _of_array(array: np.ndarray) -> str:

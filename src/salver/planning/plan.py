@@ -20,7 +20,7 @@ from salver.planning.object.conditions import TILT, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
 from salver.planning.stop_library import StopLibrary
-from salver.run_directory import check_free, make_room
+from salver.run_directory import CERTIFICATE, check_free, make_room
 from salver.scenario import Scenario
 from salver.tables import Table, Tabular, dimensioned
 from salver.trajectory import (
@@ -312,7 +312,7 @@ class Plan(Shown, Tabular):
             make_room(directory, stem)
         write_atomic(path, content)
         certified = certificate.certificate(self.scenario, arrays, record)
-        write_json(directory / f"{stem}.json", {**record, certificate.KEY: certified})
+        write_json(directory / f"{stem}.json", {**record, CERTIFICATE: certified})
         return directory
 
 
