@@ -188,11 +188,23 @@ def test_beginning_and_ending_at_speed_is_said(tmp_path):
     steady = of(tmp_path, t, 0.5 * t)
     assert steady.nominal.details["reasons"] == ["speed"]
     assert "begins at 0.5 m/s and ends at 0.5 m/s" in steady.nominal.sentence
-    # A sway passes through rest: what it does in the recording it can have done before.
+    # A sway passes through rest: what it does in the recording it can have done before. But that is not judged, and
+    # said before the verdict.
     sway = of(tmp_path, t, 0.05 * np.sin(2 * np.pi * t))
     assert sway.outcome == "holds"
-    assert sway.motion.notes == (
-        "Not judged: the recording begins at 0.31 m/s and ends at 0.31 m/s: what came before or after is not in it.",
+    assert sway.nominal.sentence.startswith(
+        "Not judged: the recording begins at 0.31 m/s and ends at 0.31 m/s, and what came before or after is not in "
+        "it. Everything holds;"
+    )
+    # A speed that a load bears to be brought to at once is none: v^2 / (2 x 4.905 m/s^2) is 0.9 mm.
+    slow = of(tmp_path, t, 0.015 * np.sin(2 * np.pi * t))
+    assert slow.nominal.sentence.startswith("Everything holds;")
+
+
+def test_what_is_taken_for_granted_is_said_first(tmp_path):
+    t = np.arange(626) / 250
+    assert of(tmp_path, t, move(t), highest=20.0).worst.sentence.startswith(
+        "Taken for granted: nothing shakes the tray faster than 20 Hz. Everything holds"
     )
 
 

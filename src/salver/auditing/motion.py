@@ -22,7 +22,6 @@ HIGHEST = 50.0  # Hz, unless stated: above it no arm shakes its tray so that a l
 BRIDGED = 0.02  # s, or so many steps: without samples, and still a curve
 BRIDGED_STEPS = 3.5
 FEWEST = 32  # samples, below which noise is not told from motion
-STILL = 0.02  # m/s: so slow that stopping dead moves a load by less than 0.1 mm where friction is 0.2
 SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
 JUMP = 5e-4  # m
 
@@ -30,12 +29,15 @@ JUMP = 5e-4  # m
 @dataclass(frozen=True)
 class Recording:
     """How a recorded motion was seen. sensor: its noise. rate: Hz. highest: Hz, up to which anything unseen is reckoned
-    with. bandwidth: (least, most) of the curve, Hz. unseen, mirrored: see `salver.auditing.recorded.Stretch`; in s."""
+    with. bandwidth: (least, most) of the curve, Hz. ends, slowest: m/s at which it begins and ends, and of its slowest
+    instant. unseen, mirrored: see `salver.auditing.recorded.Stretch`; in s."""
 
     sensor: Sensor
     rate: float
     highest: float
     bandwidth: tuple[float, float]
+    ends: tuple[float, float]
+    slowest: float
     unseen: tuple[Cells, ...]
     mirrored: tuple[Cells, ...]
 
@@ -73,9 +75,10 @@ def tray_motion(
     if None. longest_gap: s without samples that is bridged (default: `BRIDGED`). Raises FileFormatError or SalverError
     with a sentence.
     """
-    if not highest > 0 or (noise is not None and not noise >= 0):
-        name, value, least = ("highest", highest, "above 0 Hz") if not highest > 0 else ("noise", noise, "0 or more")
-        raise SalverError(f"--{name} {value:g} was asked for; it must be {least}.")
+    for name, value, zero in (("highest", highest, False), ("noise", noise, True)):
+        if value is not None and not (0 < value < np.inf or (zero and value == 0)):
+            least = "0 or more" if zero else "above 0"
+            raise SalverError(f"--{name} {value:g} was asked for; it must be a number, {least}.")
     if isinstance(samples, TraySamples):
         motion = _recorded(samples, highest, noise, None, longest_gap)
         return replace(motion, samples=motion.samples.of_frame(p_BE, R_BE)) if samples.frame == "B" else motion
@@ -113,12 +116,16 @@ def _of_joints(arm: ArmModel, samples: JointSamples, noise: float | None) -> Sen
     gains /= np.sqrt(3)  # of one component
     size = 0.0 if noise is None else noise
     return Sensor(
-        Level.even(size * gains[0], step * gains[0]), Level.even(0.5 * size * gains[1], 0.5 * step * gains[1], 4)
+        Level.even(size * gains[0], step * gains[0]), Level.even(0.5 * size * gains[1], 0.5 * step * gains[1])
     )
 
 
 def _recorded(
-    samples: TraySamples, highest: float, noise: float | None, joints: Sensor | None, longest_gap: float | None
+    samples: TraySamples,
+    highest: float,
+    noise: float | None,
+    joints: Sensor | None,
+    longest_gap: float | None,
 ) -> TrayMotion:
     t, p, quat = samples.t, samples.p, samples.quat_wxyz
     notes, doubts = list(samples.notes), []
@@ -143,12 +150,14 @@ def _recorded(
         error[(motion.t > begin) & (motion.t < end)] = np.inf  # what happens there is a guess
     missed = np.concatenate([part.missed for part in parts])
     bandwidth = np.concatenate([part.bandwidth for part in parts])
-    doubts += _ends(motion, notes)
+    speed = np.linalg.norm(motion.v_S, axis=1) + LEVER * np.linalg.norm(motion.omega_B, axis=1)
     recording = Recording(
         sensor,
         1 / step,
         highest,
         (float(bandwidth.min()), float(bandwidth.max())),
+        (float(speed[0]), float(speed[-1])),
+        float(speed.min()),
         tuple(cells for part in parts for cells in part.unseen if len(cells.first)),
         tuple(cells for part in parts for cells in part.mirrored if len(cells.first)),
     )
@@ -230,20 +239,6 @@ def _gaps(t: Array, step: float, longest_gap: float | None, notes: list[str]) ->
         notes.append(
             f"No samples for {np.diff(t)[k]:.3g} s after t = {t[k]:.3f} s; the motion there is a smooth guess."
         )
-    return []
-
-
-def _ends(motion: MotionSamples, notes: list[str]) -> list[tuple[str, str]]:
-    """What a recording that begins or ends at speed does not show. Where the tray stands still for a moment within it,
-    it can have come there as it moves in it; where it never does, how it came to its speed is unknown."""
-    speed = np.linalg.norm(motion.v_S, axis=1) + LEVER * np.linalg.norm(motion.omega_B, axis=1)
-    fast = [f"{word} at {speed[k]:.2g} m/s" for word, k in (("begins", 0), ("ends", -1)) if speed[k] > STILL]
-    if not fast:
-        return []
-    sentence = f"the recording {' and '.join(fast)}: what came before or after is not in it"
-    if speed.min() > STILL:
-        return [("speed", sentence + ", nor any moment at rest")]
-    notes.append(f"Not judged: {sentence}.")
     return []
 
 

@@ -20,6 +20,7 @@ FALSE_ALARM = 0.005  # probability, for one stretch of samples, that noise is ta
 SMALLEST = 8  # samples of the shortest window that has frequencies
 _RISE = 1.5  # of the power in a whole octave, above which it is not white
 _CORRELATION = 1.94  # neighbouring frequencies of a Hann window are not independent: 1 + 2 (4/9 + 1/36)
+_OVERLAPPING = 1.4  # segments that overlap by half are not independent either
 _FEWEST_LEVELS = 6  # different values before they are taken for steps of a resolution
 _FEWEST_BINS = 12  # for a median that is right to a fifth
 _SEGMENT = 256  # samples over which the power of noise is told
@@ -100,10 +101,10 @@ def principal(residual: Array) -> Array:
     return np.asarray(np.linalg.eigh(usual.T @ usual)[1])
 
 
-def level(residual: Array, cut: float, top: float = 0.5) -> Array:
-    """(d,) standard deviations of noise in residuals (N, d) of a fit that lets through what is slower than `cut`
-    (cycles a sample): from the power between that and `top`, at the median of frequencies and of times. Infinite where
-    the samples are too few."""
+def level(residual: Array, cut: float, top: float = 0.5) -> tuple[Array, float]:
+    """Standard deviations (d,) of noise in residuals (N, d) of a fit that lets through what is slower than `cut`
+    (cycles a sample), and by how much of themselves they may err (standard deviation): from the power between that and
+    `top`, at the median of frequencies and of times. Both infinite where the samples are too few."""
     n = len(residual)
     length = min(n, _SEGMENT)
     starts = np.linspace(0, n - length, max(1, min(64, 2 * (n // length) - 1))).astype(int)
@@ -113,9 +114,23 @@ def level(residual: Array, cut: float, top: float = 0.5) -> Array:
     ) / np.sum(window**2)
     frequency = np.fft.rfftfreq(length)
     chosen = (frequency > 1.2 * cut) & (frequency < top - 1 / length)
-    if chosen.sum() * len(starts) < _FEWEST_BINS:
-        return np.full(residual.shape[1], np.inf)
-    return np.asarray(np.sqrt(np.median(np.median(power[:, chosen], axis=1), axis=0) / np.log(2)))
+    count = chosen.sum() * len(starts)
+    if count < _FEWEST_BINS:
+        return np.full(residual.shape[1], np.inf), np.inf
+    sizes = np.sqrt(np.median(np.median(power[:, chosen], axis=1), axis=0) / np.log(2))
+    # The median of n powers of noise errs by 1 / (ln 2 sqrt(n)), their root by half of that.
+    return np.asarray(sizes), 0.72 * np.sqrt(_CORRELATION * _OVERLAPPING / count)
+
+
+def least(sizes: Array, errors: Array) -> Array:
+    """(d,) of estimates (m, d) of noise, each uncertain by a share (m,), the least that is surely less than the others,
+    with those that differ from it by chance only: the least of many that err is less than any is in truth."""
+    sure = np.argmin(sizes * (1 + 2 * errors[:, None]), axis=0)
+    chosen = np.take_along_axis(sizes, sure[None], axis=0)
+    alike = np.abs(sizes - chosen) <= 3 * np.hypot(errors[:, None], errors[sure]) * chosen
+    weight = np.where(alike & np.isfinite(sizes), 1 / errors[:, None] ** 2, 0.0)
+    finite = np.where(np.isfinite(sizes), sizes, 0.0)
+    return np.asarray(np.sqrt(np.sum(weight * finite**2, axis=0) / weight.sum(axis=0)))
 
 
 def found(residual: Array, rate: float, level: Level, negligible: Array | float) -> list[Cells]:

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from salver.auditing.noise import Cells, Level, found, level, principal, resolution, spikes
+from salver.auditing.noise import Cells, Level, found, least, level, principal, resolution, spikes
 from salver.auditing.spline import Fit, fit
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.trajectory import MotionSamples
@@ -28,15 +28,15 @@ _FASTER = 2.0  # bandwidth over the frequency that was found: its acceleration i
 _STEP = 1.7  # by which the bandwidth grows at most between two looks at the residuals
 _ROUNDS = 30
 _MISSED = 0.25
-_ALIKE = 1.35
 _OUTER = 2  # samples
 _PROBES = (0.03, 0.06, 0.12, 0.25)  # of the rate: bandwidths behind which noise is looked for
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 _SPREAD = 4.5  # standard deviations in `acceleration_error`: exceeded once in some 10^5 instants
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """What is known of the noise: of position (m) and orientation (quaternion, half the angle in rad)."""
+    """What is known of the noise: of position (m) and orientation (rad, half the angle, in the frame that turns)."""
 
     position: Level
     orientation: Level
@@ -77,7 +77,7 @@ def _level(parts: list[tuple[Array, Array]], step: float) -> Level:
     """The least of what is found behind any of the probes, in the middle of the parts."""
     probed = [_probed(t, y) for t, y in parts]
     if not all(probed):
-        return Level.even(0.0, step, parts[0][1].shape[1])
+        return Level.even(0.0, step)
     axes = principal(np.concatenate([residuals[-1][1] for residuals in probed]))
     sizes = np.median([_sizes(residuals, axes) for residuals in probed], axis=0)
     # What is rounded is off any smooth curve; what is smooth may still be whole multiples of something.
@@ -88,21 +88,29 @@ def _level(parts: list[tuple[Array, Array]], step: float) -> Level:
 def _probed(t: Array, y: Array) -> list[tuple[float, Array]]:
     """(cut, residuals) of fits with each of the bandwidths `_PROBES` that the samples allow."""
     rate, n = (len(t) - 1) / (t[-1] - t[0]), len(t)
-    return [(cut, y - fit(t, y, np.full(n, cut * rate)).spline(t)) for cut in _PROBES if cut >= 3 / n]
+    return [(cut, _residual(fit(t, y, np.full(n, cut * rate)), t, y)) for cut in _PROBES if cut >= 3 / n]
+
+
+def _residual(curve: Fit, t: Array, y: Array) -> Array:
+    """(N, 3) by which samples are off a curve. Quaternions: as half the rotation vector from curve to sample, in the
+    frame that turns, where noise is the same whichever way it is turned (along the quaternion itself there is none)."""
+    on = np.asarray(curve.spline(t))
+    if y.shape[1] == 3:
+        return y - on
+    return _product(on * _CONJUGATE, y - on)[:, 1:]
 
 
 def _sizes(residuals: list[tuple[float, Array]], axes: Array) -> Array:
-    found = []
+    sizes, errors = [], []
     for cut, residual in residuals:
         own = residual @ axes
         top = next((probe for probe in _PROBES if probe > cut), 0.5)
-        found.append(level(own, cut, max(2.0 * cut, top)))
-        # A few samples far off are no noise: their median is not moved by them.
-        found.append(np.median(np.abs(own), axis=0) / (0.6745 * np.sqrt(1 - 2 * cut)))
-    # The least is noise; those that are hardly larger are noise as well, and together they are more certain.
-    every = np.array(found)
-    alike = every <= _ALIKE * every.min(axis=0)
-    return np.asarray(np.sqrt(np.sum(np.where(alike, every, 0.0) ** 2, axis=0) / alike.sum(axis=0)))
+        size, error = level(own, cut, max(2.0 * cut, top))
+        # A few samples far off are no noise: their median is not moved by them. It errs by 1.17 / sqrt(n).
+        sizes += [size, np.median(np.abs(own), axis=0) / (0.6745 * np.sqrt(1 - 2 * cut))]
+        errors += [error, 1.17 / np.sqrt(len(own) * (1 - 2 * cut))]
+    known = np.isfinite(errors)
+    return least(np.array(sizes)[known], np.array(errors)[known])
 
 
 def stretches(t: Array, p: Array, quat_wxyz: Array, sensor: Sensor, highest: float) -> list[Stretch]:
@@ -178,7 +186,7 @@ def _follow(
     bandwidth = np.full(n, np.clip(min(_harmless(level.whole, rate), USUAL), 1.5 / (t[-1] - t[0]), most))
     for _ in range(_ROUNDS):
         curve = fit(t, y, bandwidth)
-        kinds = found(y - curve.spline(t), rate, level, negligible)
+        kinds = found(_residual(curve, t, y), rate, level, negligible)
         wanted = _wanted(kinds[1:], n)
         raised = np.maximum(bandwidth, np.minimum(_FASTER * wanted, _STEP * bandwidth))
         raised = np.minimum(most, np.where(wanted > 0, np.maximum(raised, 1.2 * bandwidth), bandwidth))
@@ -191,7 +199,7 @@ def _follow(
         asked = (at_rest[0] or end == 0, end == 1)
         if ends[end]:
             resting = fit(t, y, bandwidth, asked)
-            kinds = found(y - resting.spline(t), rate, level, negligible)
+            kinds = found(_residual(resting, t, y), rate, level, negligible)
             if sum(len(cells.first) for cells in kinds) <= noticed:
                 curve, at_rest[end] = resting, True
     return curve, bandwidth
@@ -219,8 +227,8 @@ def _left(
     t: Array, p: Array, quat: Array, position: Fit, turning: Fit, sensor: Sensor, rate: float
 ) -> tuple[Cells, ...]:
     """What stands out in the residuals, as displacements in m; of turning, at `LEVER` and by the tilt of gravity."""
-    cells = found(p - position.spline(t), rate, sensor.position, NEGLIGIBLE)
-    for turned in found(quat - turning.spline(t), rate, sensor.orientation, NEGLIGIBLE / (2 * LEVER)):
+    cells = found(_residual(position, t, p), rate, sensor.position, NEGLIGIBLE)
+    for turned in found(_residual(turning, t, quat), rate, sensor.orientation, NEGLIGIBLE / (2 * LEVER)):
         metres = LEVER + 9.81 / (2 * np.pi * turned.frequency) ** 2
         cells.append(replace(turned, amplitude=2 * metres * turned.amplitude))
     return tuple(cells)
@@ -253,7 +261,7 @@ def _motion(t: Array, position: Fit, turning: Fit) -> MotionSamples:
     """
     p, v, a = position(t)
     quat, rate, bend = turning(t)
-    inverse = quat * np.array([1, -1, -1, -1]) / np.sum(quat**2, axis=1, keepdims=True)
+    inverse = quat * _CONJUGATE / np.sum(quat**2, axis=1, keepdims=True)
     spin = _product(inverse, rate)
     turn = _product(inverse, bend) - _product(spin, spin)
     unit = quat / np.linalg.norm(quat, axis=1, keepdims=True)

@@ -7,7 +7,7 @@ two it cannot be told, and the verdict says what would tell.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,8 +78,11 @@ class Audit(Shown, Tabular):
     @cached_property
     def _exact(self) -> tuple[Array, Array]:
         """(T,) exact margins at all instants, nominal and in the worst case; some at a time."""
-        parts = [Margins(self._model, self._w[k : k + AT_ONCE, 0], self._w[k : k + AT_ONCE]) for k in self._starts]
-        return np.concatenate([m.exact for m in parts]), np.concatenate([m.exact_worst for m in parts])
+        parts = []
+        for k in self._starts:  # whose rows are let go before the next are made: a long recording has gigabytes of them
+            some = Margins(self._model, self._w[k : k + AT_ONCE, 0], self._w[k : k + AT_ONCE])
+            parts.append((some.exact, some.exact_worst))
+        return np.concatenate([exact for exact, _ in parts]), np.concatenate([worst for _, worst in parts])
 
     @property
     def _starts(self) -> range:
@@ -129,7 +132,17 @@ class Audit(Shown, Tabular):
         if not status.ok:
             return status
         doubts = [*([("edge", clause)] if clause else []), *self.motion.doubts, *self._unseen(worst)]
-        return _cannot_tell(doubts, worst) if doubts else status
+        return _cannot_tell(doubts, worst) if doubts else self._limited(status, worst)
+
+    def _limited(self, status: Status, worst: bool) -> Status:
+        """The verdict, and before it what it leaves out or takes for granted."""
+        seen = self.motion.recording
+        if seen is None:
+            return status
+        first = [f"Not judged: {clause}. " for _, clause in _ends(seen, self._resting(worst))]
+        if seen.highest < HIGHEST:
+            first.append(f"Taken for granted: nothing shakes the tray faster than {seen.highest:g} Hz. ")
+        return replace(status, sentence="".join([*first, status.sentence]))
 
     def _edge(self, reserve: Array, error: Array) -> str:
         """Where the motion passes what is borne by less than its acceleration is uncertain."""
@@ -147,7 +160,8 @@ class Audit(Shown, Tabular):
         rest = self._resting(worst)
         if recording is None:
             return []
-        doubts = []
+        # Where the tray rests for a moment, it can have come to its speed as it does in the recording.
+        doubts = [] if _jerked(recording.slowest, rest) <= HIDDEN else _ends(recording, rest)
         by_noise, harmless = self.hidden(worst)
         if by_noise.distance > HIDDEN:
             doubts.append(("noise", _noise_clause(by_noise, harmless, recording)))
@@ -362,6 +376,22 @@ def _cannot_tell(doubts: list[tuple[str, str]], worst: bool) -> Status:
 
 def _shake(slip: Slip) -> str:
     return f"{1e3 * slip.amplitude:.2g} mm at {slip.frequency:.2g} Hz around {slip.time:.3f} s"
+
+
+def _jerked(speed: float, rest: float) -> float:
+    """How far a load slides whose tray comes to a speed (m/s) at once, m. rest: reserve at rest, m/s^2."""
+    return speed**2 / (2 * rest)
+
+
+def _ends(seen: Recording, rest: float) -> list[tuple[str, str]]:
+    """Of a recording that begins or ends at speed, that it does not show how the tray comes to it: (code, clause)."""
+    fast = [
+        f"{word} at {v:.2g} m/s"
+        for word, v in zip(("begins", "ends"), seen.ends, strict=True)
+        if _jerked(v, rest) > HIDDEN
+    ]
+    clause = f"the recording {' and '.join(fast)}, and what came before or after is not in it"
+    return [("speed", clause)] if fast else []
 
 
 def _noise_clause(slip: Slip, harmless: float, seen: Recording) -> str:
