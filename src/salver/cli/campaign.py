@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from salver.cli.common import NOT_ACHIEVED, Json, console, print_json, result_console, say
-
-if TYPE_CHECKING:
-    from salver.campaigns.engine import Progress
+from salver.cli.common import NOT_ACHIEVED, Json, print_json, result_console, say
+from salver.cli.progress import step
 
 
 def campaign(
@@ -51,12 +47,11 @@ def campaign(
     """
     from salver.campaigns import run_campaign
 
-    with progress_bar() as progress:
-        try:
-            result = run_campaign(directory, n, seed, method, stem, engine, jobs, ray, folder, progress)
-        except KeyboardInterrupt:
-            say("salver: stopped; the runs that were finished are kept, and the same command goes on from there.")
-            raise typer.Exit(130) from None
+    try:
+        result = run_campaign(directory, n, seed, method, stem, engine, jobs, ray, folder, told)
+    except KeyboardInterrupt:
+        say("salver: stopped; the runs that were finished are kept, and the same command goes on from there.")
+        raise typer.Exit(130) from None
     for note in result.notes:
         say(f"salver: {note}")
     if json:
@@ -68,28 +63,9 @@ def campaign(
         raise typer.Exit(NOT_ACHIEVED)
 
 
-@contextmanager
-def progress_bar() -> Iterator[Progress]:
-    """A bar on standard error with the count of each outcome; plain lines where there is no terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    bar = Progress(
-        TextColumn("runs"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.description}", markup=False),
-        console=console(),
-        transient=True,
-    )
-    with bar:
-        task = bar.add_task("", total=None)
-
-        def update(done: int, total: int, counts: Counter[tuple[str, str]]) -> None:
-            words = ", ".join(f"{stem} {outcome} {count}" for (stem, outcome), count in sorted(counts.items()))
-            bar.update(task, completed=done, total=total, description=words)
-
-        yield update
+def told(done: int, total: int, counts: Counter[tuple[str, str]]) -> None:
+    """To the bar: how many runs are done, and the count of each outcome."""
+    step(done, total, ", ".join(f"{stem} {outcome} {count}" for (stem, outcome), count in sorted(counts.items())))
 
 
 def show(summary: dict[str, Any]) -> None:

@@ -9,11 +9,13 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from salver.cli.progress import hide, working
 from salver.errors import SalverError, ScenarioError, UnreachableError
 
 if TYPE_CHECKING:
@@ -41,10 +43,14 @@ def handled(command: Command) -> Command:
     a file.
     """
 
+    # Those that ask somebody, and the loop of 1 kHz, go without a bar.
+    alone = command.__name__ in ("new", "execute")
+
     @functools.wraps(command)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         try:
-            result = command(*args, **kwargs)
+            with nullcontext() if alone else working(command.__name__):
+                result = command(*args, **kwargs)
             sys.stdout.flush()
             return result
         except UnreachableError as error:
@@ -110,6 +116,7 @@ def printable(text: str) -> str:
 
 def say(text: str) -> None:
     """A line for a person, on standard error, never wrapped or coloured: safe to grep."""
+    hide()
     sys.stderr.write(printable(text).rstrip("\n") + "\n")
     sys.stderr.flush()
 
@@ -144,11 +151,6 @@ def save_plans(directory: Path, plans: Mapping[str, Plan]) -> None:
         say(f"salver: {directory} held another plan; it is kept with its results in {path}.")
 
 
-def console() -> Console:
-    """Console on standard error, for progress and logs."""
-    return _console(stderr=True)
-
-
 def result_console() -> Console:
     """Console on standard output, for the result a person asked for (without --json)."""
     return _console(soft_wrap=not sys.stdout.isatty())
@@ -159,6 +161,10 @@ def _console(**options: Any) -> Console:
     from rich.console import Console
 
     class PlainConsole(Console):
+        def print(self, *things: Any, **how: Any) -> None:
+            hide()
+            super().print(*things, **how)
+
         def render_str(self, text: str, **more: Any) -> Text:
             return super().render_str(printable(text), **{**more, "markup": False, "emoji": False})
 
@@ -169,6 +175,7 @@ def print_json(obj: Any) -> None:
     """The result for a machine: one JSON document on standard output (`salver.files.to_json`)."""
     from salver.files import to_json
 
+    hide()
     # Control characters can only be within strings, where JSON has a word for them.
     sys.stdout.write(re.sub("[\x7f-\x9f]", lambda found: f"\\u{ord(found[0]):04x}", to_json(obj)))
     sys.stdout.flush()

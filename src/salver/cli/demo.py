@@ -113,10 +113,9 @@ def bottle(out: Path, n: int, seed: int, quiet: bool) -> dict[str, Any]:
 
 def _campaign(out: Path, n: int, seed: int, quiet: bool) -> Campaign:
     from salver.campaigns import run_campaign
-    from salver.cli.campaign import progress_bar, show
+    from salver.cli.campaign import show, told
 
-    with progress_bar() as progress:
-        campaign = run_campaign(out, n, seed, progress=progress)
+    campaign = run_campaign(out, n, seed, progress=told)
     if not quiet:
         show(campaign.summary)
     return campaign

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, save_plans, say
+from salver.cli.progress import step
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,6 +46,7 @@ def plan(
     from salver import scenario as scenarios
     from salver.planning.make import plan_pair
     from salver.planning.plan import check_place
+    from salver.planning.stops import with_stops
     from salver.run_directory import check_free
 
     chosen = scenarios.load(scenario)
@@ -57,7 +59,7 @@ def plan(
         check_place(chosen, directory)
     found, other = plan_pair(chosen, "fastest" if fastest else "robust", arm, beside)
     if stops:
-        found = _with_stops(found)
+        found = with_stops(found, lambda done, total: step(done, total, "stops"))
     save_plans(directory, {"plan": found, beside: other})
     if json:
         print_json({"directory": directory, "plan": found.summary(), beside: other.summary()})
@@ -68,18 +70,6 @@ def plan(
         say(f"Written to {directory}; next: {simulate}salver report {quoted}")
     if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)
-
-
-def _with_stops(plan: Plan) -> Plan:
-    """The plan with its stops, and a bar while they are found."""
-    from rich.progress import Progress
-
-    from salver.cli.common import console
-    from salver.planning.stops import with_stops
-
-    with Progress(console=console(), transient=True) as bar:
-        task = bar.add_task("stops")
-        return with_stops(plan, lambda done, of: bar.update(task, completed=done, total=of))
 
 
 def show(plan: Plan, other: Plan, beside: str) -> None:

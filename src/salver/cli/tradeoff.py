@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, say
+from salver.cli.progress import step
 
 if TYPE_CHECKING:
     from salver.planning.fastest.tradeoff import TradeoffPoint
@@ -51,6 +52,7 @@ def tradeoff(
     points = []
     for point in curve(chosen, wanted):
         points.append(point)
+        step(len(points), len(wanted))
         if not json:
             say(f"{point.scale:g} times the uncertainty: {point.status}")
     directory = out if out is not None else Path("runs") / f"{chosen.name}-tradeoff"

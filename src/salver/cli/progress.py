@@ -1,0 +1,100 @@
+"""The bar of every command that takes longer than a second: on a terminal's standard error, gone before anything is
+printed, back after another second of silence."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+AFTER = 1.0  # s of silence
+
+_now: Bar | None = None  # of the command that runs
+
+
+class Bar:
+    """The bar of a command. What it does is told by `step`; until then only that it goes on, and for how long."""
+
+    def __init__(self, name: str, console: Console | None = None) -> None:
+        self._name, self._console = name, console
+        self._lock = threading.RLock()  # the timer shows it, the command hides it
+        self._timer: threading.Timer | None = None
+        self._shown: Progress | None = None
+        self._done: tuple[int | None, int | None, str] = (None, None, "")
+
+    def step(self, done: int, total: int, words: str = "") -> None:
+        """How many of how many are done."""
+        with self._lock:
+            self._done = (done, total, words)
+            if self._shown is not None:
+                self._shown.update(self._shown.task_ids[0], completed=done, total=total, description=words)
+
+    def wait(self) -> None:
+        """Show it after a while."""
+        with self._lock:
+            self._timer = threading.Timer(AFTER, self._show)
+            self._timer.daemon = True
+            self._timer.start()
+
+    def end(self) -> None:
+        with self._lock:
+            if self._timer is not None:
+                self._timer.cancel()
+            if self._shown is not None:
+                self._shown.stop()
+            self._timer = self._shown = None
+
+    def _show(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+        with self._lock:
+            if self._timer is None:  # hidden meanwhile
+                return
+            done, total, words = self._done
+            self._shown = Progress(
+                TextColumn(self._name),
+                BarColumn(),
+                TaskProgressColumn(),
+                TimeElapsedColumn(),
+                TextColumn("{task.description}", markup=False),
+                console=self._console or Console(stderr=True, highlight=False),
+                transient=True,
+            )
+            self._shown.add_task(words, total=total, completed=done or 0)
+            self._shown.start()
+
+
+@contextmanager
+def working(name: str) -> Iterator[None]:
+    """While a command runs. One bar at a time; none where nobody looks."""
+    global _now
+    if _now is not None or not sys.stderr.isatty():
+        yield
+        return
+    _now = Bar(name)
+    _now.wait()
+    try:
+        yield
+    finally:
+        _now.end()
+        _now = None
+
+
+def step(done: int, total: int, words: str = "") -> None:
+    """Tell how far the command that runs has come: so many of so many, and what else there is to say."""
+    if _now is not None:
+        _now.step(done, total, words)
+
+
+def hide() -> None:
+    """Make room for what will be printed or asked now."""
+    if _now is not None:
+        _now.end()
+        _now.wait()

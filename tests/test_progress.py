@@ -1,0 +1,81 @@
+"""The bar of long commands: late, hidden while something is printed, silent where nobody looks."""
+
+from __future__ import annotations
+
+import io
+import sys
+import time
+
+import pytest
+from rich.console import Console
+
+from salver.cli import common, progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def on(monkeypatch):
+    """A function that makes something standard error. (Within a test: pytest sets its own after the fixtures.)"""
+
+    def stderr(seen: io.StringIO, after: float = 0.05) -> io.StringIO:
+        monkeypatch.setattr(sys, "stderr", seen)
+        monkeypatch.setattr(progress, "AFTER", after)
+        monkeypatch.setenv("TERM", "xterm")
+        return seen
+
+    return stderr
+
+
+def wait_for(condition) -> bool:
+    until = time.monotonic() + 10
+    while not condition() and time.monotonic() < until:
+        time.sleep(0.01)
+    return condition()
+
+
+def test_a_quick_command_shows_no_bar(on):
+    terminal = on(Terminal(), after=60.0)
+    with progress.working("plan"):
+        progress.step(1, 2)
+    assert terminal.getvalue() == ""
+
+
+def test_a_long_one_shows_what_it_was_told_and_nothing_remains(on):
+    terminal = on(Terminal())
+    with progress.working("campaign"):
+        progress.step(3, 12, "plan [bold]holds 3")
+        assert wait_for(lambda: "25%" in terminal.getvalue())
+        assert "campaign" in terminal.getvalue()
+        assert "plan [bold]holds 3" in terminal.getvalue()  # a text, no markup
+    assert terminal.getvalue().endswith("\x1b[1A\x1b[2K")  # the line is taken away
+    assert progress._now is None
+
+
+def test_what_is_printed_stands_alone_and_the_bar_comes_back(on):
+    terminal = on(Terminal())
+    with progress.working("demo"):
+        assert wait_for(lambda: "demo" in terminal.getvalue())
+        common.say("salver: a sentence")
+        before, _ = terminal.getvalue().split("salver: a sentence\n")
+        assert before.endswith("\x1b[2K")
+        assert wait_for(lambda: "demo" in terminal.getvalue().split("salver: a sentence\n")[1])
+
+
+def test_where_nobody_looks_nothing_is_drawn(on):
+    seen = on(io.StringIO(), after=0.01)
+    with progress.working("plan"):
+        time.sleep(0.2)
+    assert seen.getvalue() == ""
+
+
+def test_a_bar_can_be_drawn_anywhere():
+    seen = io.StringIO()
+    bar = progress.Bar("audit", Console(file=seen, force_terminal=True))
+    bar.wait()
+    bar.end()  # before it was shown
+    bar.end()
+    assert seen.getvalue() == ""
