@@ -223,6 +223,27 @@ def test_what_a_recording_cannot_tell_is_not_said(
     assert reason in told.sentence
 
 
+@pytest.mark.parametrize(("noise", "code"), [(1e-4, "holds"), (2.5e-4, "holds"), (6e-4, "cannot_tell")])
+def test_noise_of_markers_is_told_from_a_slip_or_said_to_hide_it(
+    plan: Plan, tmp_path: Path, noise: float, code: str
+) -> None:
+    _capture(plan, tmp_path / "vicon.csv")
+
+    def noisy(tracks: Tracks) -> Tracks:
+        rng = np.random.default_rng(3)
+        return {
+            name: mocap.Track(track.t, track.p + noise * rng.standard_normal(track.p.shape), track.R)
+            for name, track in tracks.items()
+        }
+
+    told = _told(plan, tmp_path / "vicon.csv", noisy)
+    assert told.code == code, told
+    if code == "cannot_tell":
+        assert "hides a slip of 2 mm (0.31 mm do not)" in told.sentence
+        said = float(told.sentence.split("its noise of ")[1].split(" mm")[0])
+        assert said == pytest.approx(1e3 * noise, rel=0.1)
+
+
 def _backwards(track: mocap.Track) -> mocap.Track:
     t = track.t.copy()
     t[800:] -= 0.1

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from salver.auditing.motion import continuous
+from salver.auditing.recorded import sensor_of
 from salver.driver.mocap import GAP, REST, SLIP, Track
 from salver.errors import Status
-from salver.geometry import Array, log
+from salver.geometry import Array, log, quat_wxyz_from_matrix
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
@@ -21,7 +23,8 @@ if TYPE_CHECKING:
 
 HOLDS, SLIDES, CANNOT_TELL = "holds", "slides", "cannot_tell"
 FEWEST_AT_REST = 5  # samples
-NOISE = 0.25 * SLIP  # m; what markers may stray at rest
+STRAY = 0.25 * SLIP  # m; what markers may move at rest, if it is not their noise
+SURE = 4.5 * 2**0.5  # of a track's noise, by which hardly any sample of a run is off another track's: no slip
 FITS = 0.02  # m; how far the tray may be seen from where the joints put it
 FASTER = 3.0  # m/s more than the reference, and
 SPINNING = 30.0  # rad/s: what moves faster did not move, its markers were mixed up
@@ -71,10 +74,14 @@ def _doubts(track: Track, shift: float, reference: Reference, t: Array) -> Itera
     part = slice(first, last)
     seen, p, R = own[part], track.p[part], track.R[part]
     resting = (seen >= -REST) & (seen <= 0)
+    noise = sensor_of(seen, p, continuous(quat_wxyz_from_matrix(R))).displacement if len(seen) > FEWEST_AT_REST else 0.0
+    allowed = max(STRAY, SURE * noise)
+    if SURE * noise > SLIP:
+        yield f"its noise of {1e3 * noise:.2g} mm hides a slip of {1e3 * SLIP:g} mm ({1e3 * SLIP / SURE:.2g} mm do not)"
     if resting.sum() < FEWEST_AT_REST:
         yield f"it was not seen at rest before the motion ({resting.sum()} samples in the {REST:g} s before)"
-    elif (stray := float(np.linalg.norm(p[resting] - p[resting].mean(axis=0), axis=1).max())) > NOISE:
-        yield f"at rest before the motion it strays by {1e3 * stray:.1f} mm ({1e3 * NOISE:g} mm are allowed)"
+    elif (stray := float(np.linalg.norm(p[resting] - p[resting].mean(axis=0), axis=1).max())) > allowed:
+        yield f"at rest before the motion it strays by {1e3 * stray:.1f} mm ({1e3 * allowed:.2g} mm are allowed)"
     if seen[-1] < end - GAP:
         yield f"it was not seen after t = {seen[-1]:.2f} s of {end:.2f} s"
     steps = np.diff(seen)
