@@ -215,16 +215,8 @@ class InterfaceMargins:
 
 
 def _only(rows: ContactRows, index: npt.NDArray[np.intp]) -> ContactRows:
-    return replace(
-        rows,
-        interface=rows.interface[index],
-        label=rows.label[index],
-        nominal=rows.nominal[index],
-        parameter=rows.parameter[:, index],
-        remainder=rows.remainder[:, index],
-        internal=rows.internal[index],
-        mass_signs=rows.mass_signs[index],
-    )
+    internal = rows.internal[index]
+    return replace(rows.only(index), interface=rows.interface[index], label=rows.label[index], internal=internal)
 
 
 def _combined(tangential: ContactRows, normal: ContactRows, mu: float) -> ContactRows:
@@ -235,4 +227,7 @@ def _combined(tangential: ContactRows, normal: ContactRows, mu: float) -> Contac
         parameter=tangential.parameter / mu + normal.parameter,
         remainder=tangential.remainder / mu + normal.remainder,
         internal=tangential.internal / mu + normal.internal,
+        fillings=tuple(
+            replace(n, rows=t.rows / mu + n.rows) for t, n in zip(tangential.fillings, normal.fillings, strict=True)
+        ),
     )

@@ -24,7 +24,7 @@ class LooseObject:
 
     inertial: in B. com: (3,) of the nominal centre of mass from the solid's, m. on: what it stands on, names of objects
     or ("tray",). at: (2,) where the shape's centre stands from the tray's, m. yaw: rad. support_inset: m by which the
-    base that carries is smaller than the solid's.
+    base that carries is smaller than the solid's. any_contents: whether its mass may be spread in any way in the solid.
     """
 
     name: str
@@ -36,6 +36,7 @@ class LooseObject:
     at: tuple[float, float]
     yaw: float = 0.0
     support_inset: float = 0.0
+    any_contents: bool = False
 
     @property
     def com_G(self) -> Array:
@@ -51,7 +52,7 @@ class Body:
     inertial: nominal inertial parameters in B (centre of mass at the origin).
     p_EB, R_EB: pose of B in the tray frame E. com_G: origin of B in the shape frame G.
     supports: what it stands on: names of objects, or ("tray",). contacts: with all of them, in B, in the order
-    of supports; regions: how many contact points belong to each.
+    of supports; regions: how many contact points belong to each. any_contents: see `salver.models.contents`.
     """
 
     name: str
@@ -63,6 +64,12 @@ class Body:
     supports: tuple[str, ...]
     contacts: ContactSet
     regions: tuple[int, ...]
+    any_contents: bool = False
+
+    @property
+    def points_B(self) -> Array:
+        """(k, 3) points in B whose convex hull contains the solid."""
+        return self.solid.bounding_points_G - self.com_G
 
     @property
     def friction(self) -> float:
@@ -133,6 +140,7 @@ def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -
             item.on,
             contacts,
             tuple(len(region) for region in regions),
+            item.any_contents,
         )
         top[item.name] = base + solid.height
         surface[item.name] = centre_E[:2] + solid.top_polygon @ R_EB[:2, :2].T

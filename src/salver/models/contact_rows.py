@@ -5,7 +5,7 @@ With w of `salver.models.tray_motion` at the tray frame E, each facet of each in
 with c a polynomial of the uncertain parameters p; `salver.models.worst_case` takes its worst case. That is exact for
 mass, centre of mass and inertia of a single object on a tray that does not turn. Friction enters through its least
 value (a smaller cone lies inside the larger), position through the area that every placement keeps, mass through its
-two extreme values.
+two extreme values, and contents that are not known through `salver.models.contents`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ import numpy.typing as npt
 
 from salver.errors import ScenarioError
 from salver.geometry import Array
+from salver.models.bodies import Body
 from salver.models.contact import ContactSet
+from salver.models.contents import INERTIA_OF_MOMENTS, Filling, Hull, moments_of_inertia, most_second_moments
 from salver.models.interfaces import ContactNetwork, shift_ranges, sure_contacts, to_tray
 from salver.models.parameters import Parameter, UncertainSet, tilt_at
 from salver.models.payload import Payload
@@ -97,17 +99,27 @@ def network_rows(
     model = _RowModel(network, [rows_of(c) for c in contacts], per_weight)
     owners = ("", *(body.name for body in network.bodies))
     acting = [p for p in uncertain.parameters if p.kind != "friction" and p.owner in owners]
+    filled = [b for b in network.bodies if b.any_contents and any(p.kind == "inertia" for p in acting if _of(p, b))]
     masses = [p for p in acting if p.kind == "mass"]
     if uncertain.kind == "ellipsoid" or len(masses) > _MOST_MASSES:
-        masses = []
-    others = tuple(p for p in acting if p not in masses)
-    blocks = [
-        _expand(model, others, half, dict(zip(masses, signs, strict=True)))
-        for signs in product((-1, 1), repeat=len(masses))
-    ]
+        masses = [p for p in masses if any(_of(p, body) for body in filled)]
+    if len(masses) > _MOST_MASSES:
+        raise ScenarioError(
+            f'{len(masses)} objects that touch each other have uncertainty.contents = "any"; at most {_MOST_MASSES} '
+            "are accepted."
+        )
+    within = [p for p in acting if p.kind in ("com", "inertia") and any(_of(p, body) for body in filled)]
+    others = tuple(p for p in acting if p not in masses and p not in within)
+    corners = [dict(zip(masses, signs, strict=True)) for signs in product((-1, 1), repeat=len(masses))]
+    blocks = [_expand(model, others, half, signs) for signs in corners]
+    fillings, products = [], []
+    for body in filled:
+        made = [_filling(model, body, [p for p in within if _of(p, body)], half, signs) for signs in corners]
+        fillings.append(Filling.joined(made))
+        products += _placed(model, fillings[-1], body, [p for p in others if p.places], half, corners)
     nominal = np.concatenate([block[0] for block in blocks])
     parameter = np.concatenate([block[1] for block in blocks], axis=1)
-    remainder = np.concatenate([block[2] for block in blocks], axis=1)
+    remainder = np.concatenate([np.concatenate([block[2] for block in blocks], axis=1), *products])
     copies = len(blocks)
     internal = np.concatenate([block[3] for block in blocks])
     if any(np.any(s) for s in shift.values()):
@@ -125,7 +137,63 @@ def network_rows(
         np.tile(model.interface, copies),
         np.tile(model.label, copies),
         internal,
+        fillings=tuple(fillings),
     )
+
+
+def _of(parameter: Parameter, body: Body) -> bool:
+    return parameter.owner == body.name
+
+
+def _filling(
+    model: _RowModel, body: Body, within: list[Parameter], half: Deviation, signs: Mapping[Parameter, int]
+) -> Filling:
+    """What the contents of one body add to the rows at extreme masses."""
+    deviation = {p: sign * half[p] for p, sign in signs.items()}
+    mass = body.inertial.mass + sum(value for p, value in deviation.items() if _of(p, body))
+    rows = mass * model.of_moments(body, deviation) / model.weights(deviation)[:, None]
+    mean = np.array([half.get(Parameter(body.name, "com", axis), 0.0) for axis in "xyz"])
+    nominal = np.concatenate([np.zeros(3), moments_of_inertia(body.inertial.inertia_com) / mass])
+    # In half-ranges: a centre of mass is the mean itself, an inertia (about B's origin) is linear in second moments.
+    per, less = np.zeros((len(within), 9)), np.zeros(len(within))
+    for k, p in enumerate(within):
+        entry = p.entry - 1 if p.entry is not None else 0
+        per[k] = np.eye(9)[entry] if p.kind == "com" else np.append(np.zeros(3), mass * INERTIA_OF_MOMENTS[entry - 3])
+        per[k] /= half[p]
+        less[k] = per[k] @ nominal
+    count = rows.shape[1]
+    return Filling(
+        Hull.of(body.points_B),
+        mean,
+        rows,
+        np.tile(nominal, (count, 1)),
+        tuple(within),
+        np.repeat(per[:, None], count, axis=1),
+        less,
+    )
+
+
+def _placed(
+    model: _RowModel,
+    filling: Filling,
+    body: Body,
+    places: list[Parameter],
+    half: Deviation,
+    corners: list[dict[Parameter, int]],
+) -> list[Array]:
+    """Products of a place and a moment of the contents (9, n, 12), one by one, each at the largest both can be."""
+    most = np.concatenate([filling.mean, most_second_moments(body.points_B, filling.mean)])
+    most = most + np.abs(filling.nominal).max(axis=0)
+    found = []
+    for p in places:
+        blocks = []
+        for signs in corners:
+            base = {m: sign * half[m] for m, sign in signs.items()}
+            mass = body.inertial.mass + sum(value for m, value in base.items() if _of(m, body))
+            change = model.of_moments(body, base | {p: half[p]}) - model.of_moments(body, base | {p: -half[p]})
+            blocks.append(0.5 * mass * change / model.weights(base)[:, None])
+        found.append(np.concatenate(blocks, axis=1) * most[:, None, None])
+    return found
 
 
 class _RowModel:
@@ -149,6 +217,17 @@ class _RowModel:
     def _carried(self, deviation: Deviation) -> Array:
         """(n_e, 6, 12) wrench at E that each interface carries."""
         return np.einsum("ejik,jkw->eiw", self.network.share, self._required(deviation))
+
+    def of_moments(self, body: Body, deviation: Deviation) -> Array:
+        """(9, n, 12) rows per unit of each moment (E x, and six second ones, about B) of a unit mass in one body."""
+        j, place = self.network.bodies.index(body), body.place_at(deviation)
+        down, seen = to_tray(place, body.R_EB), frame_map(place, body.R_EB)
+        facets = self.facets_at_tray(deviation)
+        found = []
+        for phi in np.vstack([np.eye(10)[1:4], np.hstack([np.zeros((6, 4)), INERTIA_OF_MOMENTS.T])]):
+            wrench = down @ wrench_map(phi) @ seen
+            found.append(np.concatenate([r @ self.network.share[e, j] @ wrench for e, r in enumerate(facets)]))
+        return np.array(found) @ frame_map(np.zeros(3), tilt_at(deviation))
 
     def facets_at_tray(self, deviation: Deviation) -> list[Array]:
         """Facet rows (n_f, 6) of each interface for wrenches at E."""

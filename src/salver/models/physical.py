@@ -28,7 +28,7 @@ def hull_faces(body: Body) -> Array:
     """(k, 4) half-spaces n . x + d <= 0 of the shape's convex hull in B, each once; n are unit vectors."""
     from scipy.spatial import ConvexHull
 
-    equations = np.asarray(ConvexHull(body.solid.bounding_points_G - body.com_G).equations)
+    equations = np.asarray(ConvexHull(body.points_B).equations)
     return equations[np.unique(np.round(equations, 9), axis=0, return_index=True)[1]]
 
 
@@ -75,7 +75,7 @@ def mass_distribution(body: Body, values: npt.ArrayLike, per_axis: int = 9) -> t
 
     row = np.asarray(values, dtype=float)
     faces = hull_faces(body)
-    corners = body.solid.bounding_points_G - body.com_G
+    corners = body.points_B
     axes = [
         np.linspace(low, high, per_axis) for low, high in zip(corners.min(axis=0), corners.max(axis=0), strict=True)
     ]

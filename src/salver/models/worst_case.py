@@ -15,18 +15,23 @@ acts through both, so c_0 . dw_k is added to c_k . w before h is taken; what no 
 bounded by itself. Of two it is the larger: the tray strays, or it follows exactly (a controller better than assumed).
 Commands that are held put w off by a swing to either side, whatever the parameters: both sides are tried.
 
+A body with unknown contents adds the largest mean of a quadratic over all its mass distributions (`models.contents`);
+its drift is linear in the same moments, and so in the same mean.
+
 All of it is convex in w, with the derivative `WorstCase.attained`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
+from salver.models.contents import Filling
 from salver.models.parameters import Parameter
 from salver.models.tray_motion import frame_map
 
@@ -53,7 +58,7 @@ class UncertainRows:
 
     nominal: (n, 12) c_0. acting: the n_p parameters in `parameter` (n_p, n, 12), c_k, per half-range. remainder:
     (n_r, n, 12) d_l. spread: (n_p, n_p) A of an ellipsoid, None for a box. masses, mass_signs: masses that are taken at
-    their extremes, and at which of them (n, n_m) each row is.
+    their extremes, and at which of them (n, n_m) each row is. fillings: bodies whose contents are unknown.
     """
 
     nominal: Array
@@ -63,6 +68,7 @@ class UncertainRows:
     spread: Array | None
     masses: tuple[Parameter, ...]
     mass_signs: Array
+    fillings: tuple[Filling, ...] = field(default=(), kw_only=True)
 
     def terms(self, w: Array) -> Array:
         """(T, n, n_p + n_r) c_k . w and then d_l . w, of w (T, 12)."""
@@ -81,14 +87,13 @@ class UncertainRows:
             out[..., : len(self.acting)] = factored / size @ self.spread.T
         return out
 
-    def tangent(self, row: Indices, dual: Array) -> Array:
-        """(r, 12) derivative by w of rows (r,) with these terms at work (r, n_p + n_r)."""
-        terms = np.concatenate([self.parameter[:, row], self.remainder[:, row]])
-        return self.nominal[row] + np.einsum("rp,prk->rk", dual, terms)
-
     def worst(self, w: Array, drift: Drift | None = None) -> Array:
         """(T, n) worst case of every row at w (T, 12)."""
         return WorstCase.of(self, w, drift).values
+
+    def slope(self, w: Array, row: Indices) -> Array:
+        """(r, 12) derivative by w of the worst case of rows (r,), each at its own w (r, 12)."""
+        return WorstCase(self, w, None, np.empty(0)).attained(np.arange(len(w)), row)
 
     def worst_point(self, w: Array, row: int) -> dict[Parameter, float]:
         """The point of the unit box or ball (by parameter, in half-ranges) that is worst for a row at w (12,).
@@ -98,13 +103,35 @@ class UncertainRows:
         slope = self.parameter[:, row] @ w
         dual = np.where(slope >= 0, 1.0, -1.0) if self.spread is None else self.dual(slope)
         point = dict(zip(self.acting, dual.tolist(), strict=True))
+        for filling in (f.only([row]) for f in self.fillings):
+            moments = filling.largest(filling.coefficients(w[None])[0])[1]
+            point |= dict(zip(filling.moved, (filling.per[:, 0] @ moments[0] - filling.less).tolist(), strict=True))
         return point | dict(zip(self.masses, self.mass_signs[row].tolist(), strict=True))
 
     def seen_from(self, p_EX: Array, R_EX: Array) -> Self:
         """The same rows for w of another frame X that is fixed to the tray, for example an object's B."""
         back = frame_map(-R_EX.T @ p_EX, R_EX.T)
+        return self.mapped(lambda rows: rows @ back)
+
+    def mapped(self, change: Callable[[Array], Array]) -> Self:
+        """With every array (..., n, 12) of rows changed."""
         return replace(
-            self, nominal=self.nominal @ back, parameter=self.parameter @ back, remainder=self.remainder @ back
+            self,
+            nominal=change(self.nominal),
+            parameter=change(self.parameter),
+            remainder=change(self.remainder),
+            fillings=tuple(filling.mapped(change) for filling in self.fillings),
+        )
+
+    def only(self, rows: Indices) -> Self:
+        """Some of the rows."""
+        chosen = self.mapped(lambda array: array[..., rows, :])
+        return replace(
+            chosen,
+            mass_signs=self.mass_signs[rows],
+            fillings=tuple(
+                replace(f.only(rows), rows=c.rows) for f, c in zip(self.fillings, chosen.fillings, strict=True)
+            ),
         )
 
     def _support(self, terms: Array) -> Array:
@@ -136,77 +163,179 @@ class WorstCase:
         """`attained`, and (r,) the side of the drift's swing on which it is: -1 or 1, 0 without a swing."""
         rows, nominal = self.rows, self.rows.nominal[row]
         stacked = np.concatenate([rows.parameter[:, row], rows.remainder[:, row]])
-        found: list[tuple[Array, Array]] = []
-        for side in _sides(self.w, self.drift):
+        fillings = tuple(filling.only(row) for filling in rows.fillings)
+        found: list[tuple[Array, Array, float]] = []
+        for swung, side in _sides(self.w, self.drift):
             w = side[node]
             terms = np.einsum("rk,prk->rp", w, stacked)
-            radius, dual = rows.radius(terms), rows.dual(terms)
+            level, dual = rows.radius(terms), rows.dual(terms)
+            own = [np.einsum("rk,prk->rp", w, f.rows) for f in fillings]
+            cases = [(level, dual, own, np.zeros(len(row)))]
             if self.drift is not None:
                 change = np.einsum("rk,rkp->rp", nominal, self.drift.dw[node])
-                own, column, mass, other = _roles(rows, self.drift)
+                roles = _roles(rows, self.drift)
                 strayed = terms.copy()
-                strayed[:, column] += change[:, own]
-                straying = rows.radius(strayed) + np.abs(change[:, other]).sum(axis=1)
-                straying += sum((rows.mass_signs[row, j] * change[:, k] for k, j in mass), np.zeros(len(row)))
-                dual = np.where((straying > radius)[:, None], rows.dual(strayed), dual)
-                radius = np.maximum(radius, straying)
-            found.append((np.einsum("rk,rk->r", w, nominal) + radius, dual))
-        dual, swung = found[0][1], np.full(len(row), 1.0 - len(found))
-        for value, other_dual in found[1:]:
-            above = value > found[0][0]
-            dual, swung = np.where(above[:, None], other_dual, dual), np.where(above, 1.0, swung)
-        return nominal + np.einsum("rp,prk->rk", dual, stacked), swung
+                strayed[:, roles.column] += change[:, roles.own]
+                straying = rows.radius(strayed) + np.abs(change[:, roles.other]).sum(axis=1)
+                straying += sum((rows.mass_signs[row, j] * change[:, k] for k, j in roles.mass), np.zeros(len(row)))
+                cases.append((straying, rows.dual(strayed), *_strayed(fillings, roles, change.T, own)))
+            for level, dual, coefficients, less in cases:
+                tangent = nominal + np.einsum("rp,prk->rk", dual, stacked)
+                value = np.einsum("rk,rk->r", w, nominal) + level - less
+                for filling, of in zip(fillings, coefficients, strict=True):
+                    largest, moments = filling.largest(of)
+                    value += largest - np.einsum("rk,prk,rp->r", w, filling.rows, filling.nominal)
+                    tangent += np.einsum("rp,prk->rk", moments - filling.nominal, filling.rows)
+                found.append((value, tangent, swung))
+        best = np.argmax([value for value, _, _ in found], axis=0)
+        tangents, each = np.stack([tangent for _, tangent, _ in found]), np.arange(len(row))
+        return tangents[best, each], np.array([swung for _, _, swung in found])[best]
 
 
-def _sides(w: Array, drift: Drift | None) -> tuple[Array, ...]:
+def _sides(w: Array, drift: Drift | None) -> tuple[tuple[float, Array], ...]:
+    """w on both sides of a swing, and which side it is."""
     if drift is None or drift.swing is None:
-        return (w,)
-    return w - drift.swing, w + drift.swing
+        return ((0.0, w),)
+    return (-1.0, w - drift.swing), (1.0, w + drift.swing)
 
 
-def _roles(rows: UncertainRows, drift: Drift) -> tuple[list[int], list[int], list[tuple[int, int]], list[int]]:
-    """Terms of a drift that rows know, and as which of `acting`; as which mass; and terms that they do not know."""
-    own, column, mass, other = [], [], [], []
+@dataclass(frozen=True)
+class _Roles:
+    """Terms of a drift that rows know (own), as which of `acting` (column); as which mass; as which parameter of which
+    filling (filled); and terms that they do not know."""
+
+    own: list[int]
+    column: list[int]
+    mass: list[tuple[int, int]]
+    filled: list[tuple[int, int, int]]
+    other: list[int]
+
+
+def _roles(rows: UncertainRows, drift: Drift) -> _Roles:
+    roles = _Roles([], [], [], [], [])
+    moved = {p: (f, q) for f, filling in enumerate(rows.fillings) for q, p in enumerate(filling.moved)}
     for k, factors in enumerate(drift.terms):
         if len(factors) == 1 and factors[0] in rows.acting:
-            own.append(k)
-            column.append(rows.acting.index(factors[0]))
+            roles.own.append(k)
+            roles.column.append(rows.acting.index(factors[0]))
         elif len(factors) == 1 and factors[0] in rows.masses:
-            mass.append((k, rows.masses.index(factors[0])))
+            roles.mass.append((k, rows.masses.index(factors[0])))
+        elif len(factors) == 1 and factors[0] in moved:
+            roles.filled.append((k, *moved[factors[0]]))
         else:  # a product, or a parameter of something else on the tray
-            other.append(k)
-    return own, column, mass, other
+            roles.other.append(k)
+    return roles
+
+
+def _strayed(
+    fillings: tuple[Filling, ...], roles: _Roles, change: Array, coefficients: list[Array]
+) -> tuple[list[Array], Array]:
+    """Coefficients (..., n, 9) of each filling with the drift's change (..., n_k, n) in them, and what to take off."""
+    change = np.swapaxes(change, -1, -2)
+    strayed, less = list(coefficients), np.zeros(change.shape[:-1])
+    for k, f, q in roles.filled:
+        strayed[f] = strayed[f] + change[..., k, None] * fillings[f].per[q]
+        less += change[..., k] * fillings[f].less[q]
+    return strayed, less
+
+
+@dataclass(frozen=True)
+class _Case:
+    """Values (T, n) of rows but for their fillings, and those fillings' coefficients (T, n, 9), in one case."""
+
+    value: Array
+    coefficients: list[Array]
 
 
 def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
     """(T, n) worst case, in pieces of time."""
+    n_k, n = 0 if drift is None else len(drift.terms), len(rows.nominal)
+    per_row = len(rows.parameter) + len(rows.remainder) + n_k + 30 * len(rows.fillings)
+    values = np.empty((len(w), n))
+    every = max(1, _CHUNK // max(1, n * per_row))
+    cases = _cases(rows, w, drift)
+    for start in range(0, len(w), every):
+        part = slice(start, start + every)
+        found = list(cases(part))
+        if rows.fillings:
+            values[part] = _filled(rows.fillings, found)
+        else:
+            values[part] = found[0].value
+            for case in found[1:]:
+                np.maximum(values[part], case.value, out=values[part])
+    return values
+
+
+def _cases(rows: UncertainRows, w: Array, drift: Drift | None) -> Callable[[slice], Iterator[_Case]]:
+    """The cases of which the worst counts, in a piece of time: either side of a swing, strayed or not."""
     n_p, n_k, n = len(rows.acting), 0 if drift is None else len(drift.terms), len(rows.nominal)
     felt = np.any(w != 0, axis=0) | (drift is not None)  # a tray that does not turn feels three of the twelve
     columns = np.concatenate([rows.parameter, rows.remainder])[:, :, felt]
     nominal, flat = rows.nominal[:, felt].T, np.ascontiguousarray(columns.reshape(-1, columns.shape[2]).T)
-    sides = [np.ascontiguousarray(side[:, felt]) for side in _sides(w, drift)]
+    sides = [np.ascontiguousarray(side[:, felt]) for _, side in _sides(w, drift)]
+    fillings = tuple(filling.mapped(lambda array: array[..., felt]) for filling in rows.fillings)
     if drift is not None:
-        own, column, mass, other = _roles(rows, drift)
+        roles = _roles(rows, drift)
         moved = np.ascontiguousarray(np.swapaxes(drift.dw, 1, 2))
-    values = np.full((len(w), n), -np.inf)
-    every = max(1, _CHUNK // max(1, n * (len(columns) + n_k)))
-    for start in range(0, len(w), every):
-        part = slice(start, start + every)
+
+    def cases(part: slice) -> Iterator[_Case]:
         count = len(w[part])
         if drift is not None:
-            change = (moved[part].reshape(-1, moved.shape[2]) @ nominal).reshape(count, n_k, n)
-            extra = np.abs(change[:, other]).sum(axis=1)
-            for k, j in mass:
+            change = (moved[part].reshape(-1, moved.shape[2]) @ rows.nominal.T).reshape(count, n_k, n)
+            extra = np.abs(change[:, roles.other]).sum(axis=1)
+            for k, j in roles.mass:
                 extra += rows.mass_signs[:, j] * change[:, k]
         for side in sides:
             terms = (side[part] @ flat).reshape(count, len(columns), n)
+            own = [filling.coefficients(side[part]) for filling in fillings]
+            level = side[part] @ nominal + np.abs(terms[:, n_p:]).sum(axis=1)
+            for filling, of in zip(fillings, own, strict=True):
+                level -= np.einsum("np,tnp->tn", filling.nominal, of)
             radius = _support(rows, terms[:, :n_p])
-            if drift is not None:
-                terms[:, column] += change[:, own]
-                radius = np.maximum(radius, _support(rows, terms[:, :n_p]) + extra)
-            value = side[part] @ nominal + np.abs(terms[:, n_p:]).sum(axis=1) + radius
-            np.maximum(values[part], value, out=values[part])
-    return values
+            if drift is None or fillings:
+                yield _Case(level + radius, own)
+            if drift is None:
+                continue
+            terms[:, roles.column] += change[:, roles.own]
+            straying = _support(rows, terms[:, :n_p]) + extra
+            if not fillings:
+                yield _Case(level + np.maximum(radius, straying), own)
+                continue
+            strayed, less = _strayed(fillings, roles, change, own)
+            yield _Case(level + straying - less, strayed)
+
+    return cases
+
+
+SURE = -0.02  # rows beyond this are always worked out, so that the sign of every row is right
+_SETTLED = 1e-6  # of the weight: a bound that is within this of a value is the value
+
+
+def _filled(fillings: tuple[Filling, ...], cases: list[_Case]) -> Array:
+    """(T, n) the worst of the cases with the worst fillings.
+
+    Worked out exactly where it can matter: for the largest row of an instant, and rows near or beyond their edge.
+    Others get a bound.
+    """
+    limits = [[f.limits(of) for f, of in zip(fillings, case.coefficients, strict=True)] for case in cases]
+    low, high = (
+        np.array([c.value + sum(limit[side] for limit in each) for c, each in zip(cases, limits, strict=True)])
+        for side in (0, 1)
+    )
+    matters = np.minimum(low.max(axis=(0, 2)), SURE)[None, :, None]
+    needed = (high > matters) & (high - low > _SETTLED)
+    for k, case in enumerate(cases):
+        at = needed[k]
+        if not at.any():
+            continue
+        known, target = case.value[at], np.broadcast_to(matters[0], at.shape)[at]
+        # One after the other: while one is worked out, the others are at their bounds.
+        rest = [limit[1][at] for limit in limits[k]]
+        for j, (filling, of) in enumerate(zip(fillings, case.coefficients, strict=True)):
+            others = known + sum(rest) - rest[j]
+            rest[j] = filling.largest(of[at], target - others)[0]
+        high[k][at] = np.minimum(high[k][at], known + sum(rest))
+    return np.asarray(high.max(axis=0))
 
 
 def _support(rows: UncertainRows, terms: Array) -> Array:

@@ -149,6 +149,7 @@ class Uncertainty(Model):
 
     A percentage is relative to the nominal value; a number is absolute, in SI units. `inertia` takes three
     (xx, yy, zz) or six (xx, xy, yy, xz, yz, zz) half-ranges; a percentage means the three on the diagonal.
+    contents = "any" stands for every distribution of the mass inside the shape, with these mass and centre of mass.
     """
 
     mass: Range | None = None
@@ -156,6 +157,13 @@ class Uncertainty(Model):
     inertia: Range6 | None = None
     friction: Range | None = None
     position: tuple[HalfRange, HalfRange] | None = None
+    contents: Literal["known", "any"] = "known"
+
+    @model_validator(mode="after")
+    def _one_inertia(self) -> Uncertainty:
+        if self.contents == "any" and self.inertia is not None:
+            raise ValueError('contents = "any" allows every inertia that the shape can have; leave inertia out')
+        return self
 
     def ranges(self, item: LooseObject, lone: bool) -> Iterator[tuple[Parameter, float, float]]:
         """What is uncertain about an object, with its nominal value and half-range, each above 0."""
@@ -169,6 +177,12 @@ class Uncertainty(Model):
             "friction": [_absolute(self.friction, item.friction)],
             "position": self.position,
         }
+        if item.any_contents:
+            from salver.models.contents import inertia_ranges
+
+            points = item.solid.bounding_points_G - item.com_G
+            heaviest = item.inertial.mass + _absolute(self.mass, inertial[0])
+            half["inertia"] = inertia_ranges(points, np.array(self.com or 3 * [0.0]), heaviest, inertial[4:]).tolist()
         for kind in half:
             own = [p for p in parameters_of(item.name, lone) if p.kind == kind]
             for parameter, value in zip(own, half[kind] or (), strict=False):
@@ -254,6 +268,7 @@ class CarriedObject(Model):
             self.at,
             float(np.deg2rad(self.yaw_deg)),
             self.support_inset,
+            self.uncertainty.contents == "any",
         )
 
     @property

@@ -198,14 +198,14 @@ class MotionRows:
 
     def slack(self, step: Array | None = None) -> tuple[Array, Array]:
         w = self.w if step is None else self.w + self.w_jacobian @ step
-        terms = self.rows.terms(w)
-        return -(w @ self.rows.nominal.T) - self.rows.radius(terms), terms
+        seen = np.broadcast_to(w[:, None], (len(w), len(self.rows.nominal), N_MOTION))
+        return -self.rows.worst(w), np.concatenate([self.rows.terms(w), seen], axis=2)
 
     def least(self) -> Array:
         return -self.rows.worst(self.w)
 
     def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
-        rows = -self.rows.tangent(row, self.rows.dual(terms))
+        rows = -self.rows.slope(terms[:, -N_MOTION:], row)
         return np.einsum("mi,mi->m", rows, self.w[instant]), np.einsum("mi,miz->mz", rows, self.w_jacobian[instant])
 
 

@@ -1,0 +1,234 @@
+"""Whatever is in the box: the worst case over all mass distributions inside a shape."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import nasty
+from salver.contact_margins import margins
+from salver.errors import ScenarioError
+from salver.geometry import Array
+from salver.models.contact_rows import contact_rows
+from salver.models.contents import Hull, largest_mean
+from salver.models.rigid_body import inertia_entries
+from salver.models.worst_case import Drift, WorstCase
+from salver.models.wrench_cone import cone_facets
+from salver.planning.make import plan
+from salver.scenario import Scenario, load
+from salver.simulation.physics import simulate
+
+COM = (0.012, 0.009, 0.016)
+
+
+def anything(made: Scenario, com: tuple[float, float, float] = COM) -> Scenario:
+    """The same with contents that nobody knows."""
+    changes: dict[str, object] = {}
+    for k, item in enumerate(made.objects):
+        known = item.uncertainty.model_dump(mode="json", exclude_none=True, exclude={"inertia"})
+        changes[f"objects__{k}__uncertainty"] = known | {"com": list(com), "contents": "any"}
+    return made.with_changes(**changes)
+
+
+def densities(count: int, low: Array, high: Array, com: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Points (count, 7, 3) in a box and their shares (count, 7) of a unit mass; |mean| <= com. Corners come often."""
+    x = rng.uniform(low, high, (count, 6, 3))
+    corner = rng.random(x.shape) < 0.6
+    x = np.where(corner, np.where(rng.random(x.shape) < 0.5, low, high), x)
+    share = rng.dirichlet(np.full(6, 0.4), count)
+    mean = np.einsum("np,npi->ni", share, x)
+    wanted = com * np.where(rng.random((count, 3)) < 0.5, rng.choice([-1.0, 1.0], (count, 3)), rng.uniform(-1, 1, 3))
+    # One more point, beyond the wanted mean as seen from this one, brings the mean there.
+    way = wanted - mean
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(way > 0, (high - wanted) / way, np.where(way < 0, (low - wanted) / way, np.inf)).min(axis=1)
+    far = np.minimum(room, 1e6)[:, None] * rng.uniform(0.3, 1.0, (count, 1))
+    last = 1.0 / (1.0 + far)
+    points = np.concatenate([x, (wanted + far * way)[:, None]], axis=1)
+    return points, np.concatenate([share * (1 - last), last], axis=1)
+
+
+def inertial(points: Array, shares: Array, mass: Array) -> tuple[Array, Array]:
+    """Centres of mass (n, 3), inertias (n, 6) about them, of point masses."""
+    c = np.einsum("np,npi->ni", shares, points)
+    away = points - c[:, None]
+    second = np.einsum("np,npi,npj->nij", shares, away, away)
+    return c, mass[:, None] * inertia_entries(np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second)
+
+
+def limits(made: Scenario, k: int = 0) -> tuple[Array, Array]:
+    points = made.payload.bodies[k].points_B
+    return points.min(axis=0), points.max(axis=0)
+
+
+def test_never_optimistic_against_a_hundred_thousand_densities() -> None:
+    """Of one box: the wrench is Newton's law summed over the point masses."""
+    made = anything(nasty.scenario([{**nasty.LOWER, "name": "box"}])).with_changes(
+        uncertainty=None, objects__0__uncertainty__position=None
+    )
+    body, rng = made.payload.first, np.random.default_rng(0)
+    w_E = nasty.felt(nasty.tray_motion(12, 3, 1.5))
+    seen = nasty.true_body(made, body, {})
+    facets = cone_facets(body.contacts).rows if made.objects[0].uncertainty.friction is None else nasty.TrueRows(made).facets[0]
+    points, shares = densities(100_000, *limits(made), np.array(COM), rng)
+    rows = contact_rows(made.payload)[0]
+    bound = rows.worst(w_E)
+    for k, w in enumerate(w_E):
+        spin = w[[6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(3, 3)
+        turn = spin - np.trace(spin) * np.eye(3) + np.cross(np.eye(3), w[3:6]).T * -1.0
+        felt_B = seen.R_EB.T @ (w[:3] + np.cross(w[3:6], seen.p_EB) + (spin - np.trace(spin) * np.eye(3)) @ seen.p_EB)
+        spread_B = seen.R_EB.T @ _rate(w, spin) @ seen.R_EB
+        del turn
+        force = felt_B + points @ spread_B.T
+        wrench = np.concatenate(
+            [np.einsum("np,npi->ni", shares, force), np.einsum("np,npi->ni", shares, np.cross(points, force))], axis=1
+        )
+        value = (wrench @ facets.T / nasty.G).max(axis=1)
+        assert value.max() <= bound[k].max() + 1e-9
+        assert value.max() > bound[k].max() - 0.12  # random densities come near to it
+
+
+def _rate(w: Array, spin: Array) -> Array:
+    """(3, 3) how the specific force changes with the place: hat(alpha) + hat(omega)^2."""
+    x, y, z = w[3:6]
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) + spin - np.trace(spin) * np.eye(3)
+
+
+@pytest.mark.parametrize("load_of", [nasty.single, nasty.stack, nasty.pair])
+@pytest.mark.parametrize("kind", ["box", "ellipsoid"])
+def test_never_optimistic_with_places_tilt_and_stacks(load_of, kind: str) -> None:
+    """Against Newton and Euler's laws for whole bodies in world axes."""
+    made = anything(load_of("box"))
+    if kind == "ellipsoid":
+        made = made.with_changes(uncertainty__set="ellipsoid")
+    w, rng = nasty.felt(nasty.tray_motion(5, 4)), np.random.default_rng(1)
+    bound = np.max([rows.worst(w).max(axis=1) for rows in contact_rows(made.payload)], axis=0)
+    true, uncertain = nasty.TrueRows(made), made.payload.uncertain
+    others = [j for j, p in enumerate(uncertain.parameters) if p.kind in ("mass", "position", "tilt")]
+    reached = np.full(len(w), -np.inf)
+    for _ in range(150):
+        s = rng.choice([-1.0, 1.0], len(others)) if kind == "box" else rng.normal(size=len(others))
+        if kind == "ellipsoid":
+            s /= np.linalg.norm(s)
+        change = {uncertain.names[j]: float(s[i] * uncertain.half_range[j]) for i, j in enumerate(others)}
+        for k, item in enumerate(made.objects):
+            own = f"{item.name}." if len(made.objects) > 1 else ""
+            mass = np.array([item.mass + change[f"{own}mass"]])
+            c, about = inertial(*densities(1, *limits(made, k), np.array(COM), rng), mass)
+            given = made.payload.bodies[k].inertial.inertia_com
+            change |= {f"{own}com_{a}": float(x) for a, x in zip("xyz", c[0], strict=True)}
+            names = ("xx", "xy", "yy", "xz", "yz", "zz")
+            more = about[0] - inertia_entries(given)
+            change |= {f"{own}inertia_{a}": float(x) for a, x in zip(names, more, strict=True)}
+        reached = np.maximum(reached, true.worst(change, w))
+    assert np.all(reached <= bound + 1e-5)  # tilt is cut off after its second order
+
+
+@pytest.mark.parametrize("mean", [(0.02, 0.01, 0.05), (0.06, 0.06, 0.25), (0.0, 0.03, 0.0)])
+def test_bound_of_a_box_is_that_of_a_linear_programme_over_a_grid(mean: tuple[float, float, float]) -> None:
+    """Within 1 % of the row (a weight times a lever); the grid misses what lies between its points, so never below."""
+    rng, half, beside = np.random.default_rng(2), np.array([0.075, 0.075, 0.28]), np.array([0.01, -0.02, 0.05])
+    axes = [np.linspace(-h, h, 15) - o for h, o in zip(half, beside, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    hull = Hull.of(np.array(np.meshgrid(*([-h - o, h - o] for h, o in zip(half, beside, strict=True)))).reshape(3, -1).T)
+    b, Q = np.empty((12, 3)), np.empty((12, 3, 3))
+    for k in range(12):
+        lever, alpha, omega = rng.normal(size=3), 8 * rng.normal(size=3), 2 * rng.normal(size=3)
+        rate = np.cross(np.eye(3), -alpha) + np.outer(omega, omega) - omega @ omega * np.eye(3)
+        cross = np.cross(np.eye(3), lever)
+        b[k], Q[k] = cross @ (rng.normal(size=3) + [0, 0, 9.81]), 0.5 * (cross @ rate + (cross @ rate).T)
+    bound, moments = largest_mean(hull, np.array(mean), b, Q)
+    for k in range(12):
+        value = grid @ b[k] + np.einsum("gi,ij,gj->g", grid, Q[k], grid)
+        sides = np.concatenate([mean, mean])
+        best = -linprog(-value, np.vstack([grid.T, -grid.T]), sides, np.ones((1, len(grid))), [1.0]).fun
+        scale = 9.81 * np.linalg.norm(half)
+        assert best - 1e-9 <= bound[k] <= best + 0.01 * scale * 0.5
+        second = np.array([Q[k][i, j] * (1 + (i != j)) for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))])
+        assert b[k] @ moments[k, :3] + second @ moments[k, 3:] == pytest.approx(bound[k], abs=2e-3 * np.abs(Q[k]).sum())
+        assert np.all(np.abs(moments[k, :3]) <= np.array(mean) + 1e-6)
+
+
+def test_without_turning_only_the_centre_of_mass_counts() -> None:
+    made = load("any-box-56")
+    known = made.with_changes(objects__0__uncertainty={"com": [0.06, 0.06, 0.28]})
+    w = nasty.felt(nasty.tray_motion(20, 5, turning=0.0, push=0.3))
+    assert contact_rows(made.payload)[0].worst(w) == pytest.approx(contact_rows(known.payload)[0].worst(w), abs=1e-9)
+
+
+def test_slope_is_the_derivative_of_the_worst_case() -> None:
+    rows = contact_rows(anything(nasty.single()).payload)[0]
+    rng, w = np.random.default_rng(3), nasty.felt(nasty.tray_motion(30, 6))
+    worst = WorstCase.of(rows, w)
+    node, row = np.arange(30), worst.values.argmax(axis=1)
+    step, way = 1e-5, rng.normal(size=w.shape)
+    ahead, behind = rows.worst(w + step * way), rows.worst(w - step * way)
+    slope = np.einsum("rk,rk->r", worst.attained(node, row), way)
+    error = np.abs((ahead - behind)[node, row] / (2 * step) - slope)
+    assert np.median(error) < 1e-3 * np.abs(slope).max()  # kinks have no derivative, and the search ends a little early
+
+
+def test_drift_of_the_contents_is_that_of_their_moments() -> None:
+    """To first order in the drift, of which the bound is the largest value over all densities."""
+    made = anything(nasty.single()).with_changes(uncertainty=None, objects__0__uncertainty__position=None)
+    uncertain, rng = made.payload.uncertain, np.random.default_rng(4)
+    acting = [p for p in uncertain.parameters if p.kind != "friction"]
+    w = nasty.felt(nasty.tray_motion(6, 7))
+    drift = Drift(tuple((p,) for p in acting), 0.05 * rng.normal(size=(6, 12, len(acting))))
+    rows = contact_rows(made.payload)[0]
+    bound = rows.worst(w, drift).max(axis=1)
+    points, shares = densities(400, *limits(made), np.array(COM), rng)
+    item, body = made.objects[0], made.payload.first
+    true, reached = nasty.TrueRows(made), np.full(6, -np.inf)
+    nominal = contact_rows(made.payload.nominal)[0]
+    for k in range(400):
+        sign = rng.choice([-1.0, 1.0])
+        mass = item.mass + sign * uncertain.half_range[0]
+        # About B's origin, as the drift of a load is to first order.
+        second = np.einsum("p,pi,pj->ij", shares[k], points[k], points[k])
+        about_B = mass * inertia_entries(np.trace(second) * np.eye(3) - second)
+        c, about = inertial(points[k : k + 1], shares[k : k + 1], np.array([mass]))
+        given = inertia_entries(body.inertial.inertia_com)
+        names = ("xx", "xy", "yy", "xz", "yz", "zz")
+        change = {"mass": mass - item.mass, **{f"com_{a}": float(x) for a, x in zip("xyz", c[0], strict=True)}}
+        change |= {f"inertia_{a}": float(x) for a, x in zip(names, about[0] - given, strict=True)}
+        s = [sign, *(c[0] / uncertain.half_range[1:4]), *((about_B - given) / uncertain.half_range[4:10])]
+        # The rows' own part at these contents, and the drift seen by the nominal ones at this mass.
+        own = true.at(change, w)[0]
+        least = {"friction": item.least_friction - item.friction}
+        del least
+        moved = np.einsum("tkp,p->tk", drift.dw, np.array(s))
+        half_rows = rows.nominal[rows.mass_signs[:, 0] == sign]
+        reached = np.maximum(reached, (own + moved @ half_rows.T).max(axis=1))
+    del nominal
+    assert np.all(reached <= bound + 1e-9)
+    assert np.all(bound > rows.worst(w).max(axis=1))
+
+
+@pytest.mark.slow
+def test_plan_for_a_box_of_any_contents_holds_for_random_ones_in_the_engine() -> None:
+    made = load("any-box-56").with_changes(motion__duration=7.7)
+    found = plan(made)
+    assert found.status.ok
+    assert margins(found.scenario, found.reference.sample(found.t)).verdict(worst=True).ok
+    rng = np.random.default_rng(5)
+    points, shares = densities(4, *limits(made), np.array([0.06, 0.06, 0.28]), rng)
+    c, about = inertial(points, shares, np.ones(4))
+    for k in range(4):
+        values = dict(zip(("com_x", "com_y", "com_z"), c[k], strict=True))
+        names = ("xx", "xy", "yy", "xz", "yz", "zz")
+        values |= dict(zip((f"inertia_{a}" for a in names), about[k] + 1e-5 * np.array([1, 0, 1, 0, 0, 1]), strict=True))
+        assert simulate(found, parameters=values).summary["outcome"] == "holds"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"objects__0__uncertainty": {"contents": "any", "inertia": "10%"}}, "leave inertia out"),
+        ({"objects__0__uncertainty": {"contents": "full"}}, "contents"),
+    ],
+)
+def test_what_cannot_be_is_refused(change: dict, said: str) -> None:
+    with pytest.raises(ScenarioError, match=said):
+        load("panda-cube", **change) if False else load("panda-cube").with_changes(**change)
