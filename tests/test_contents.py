@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import linprog
 
 import nasty
+import salver as sv
 from salver.contact_margins import margins
 from salver.errors import ScenarioError
 from salver.geometry import Array
@@ -14,8 +15,6 @@ from salver.models.contact_rows import contact_rows
 from salver.models.contents import Hull, largest_mean
 from salver.models.rigid_body import inertia_entries
 from salver.models.worst_case import Drift, WorstCase
-from salver.models.wrench_cone import cone_facets
-from salver.planning.make import plan
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate
 
@@ -67,32 +66,24 @@ def test_never_optimistic_against_a_hundred_thousand_densities() -> None:
     made = anything(nasty.scenario([{**nasty.LOWER, "name": "box"}])).with_changes(
         uncertainty=None, objects__0__uncertainty__position=None
     )
-    body, rng = made.payload.first, np.random.default_rng(0)
-    w_E = nasty.felt(nasty.tray_motion(12, 3, 1.5))
-    seen = nasty.true_body(made, body, {})
-    facets = cone_facets(body.contacts).rows if made.objects[0].uncertainty.friction is None else nasty.TrueRows(made).facets[0]
+    rng = np.random.default_rng(0)
+    w_E = nasty.felt(nasty.tray_motion(5, 3, 1.5))
+    seen = nasty.true_body(made, made.payload.first, {})
+    facets = nasty.TrueRows(made).facets[0]
     points, shares = densities(100_000, *limits(made), np.array(COM), rng)
     rows = contact_rows(made.payload)[0]
     bound = rows.worst(w_E)
     for k, w in enumerate(w_E):
         spin = w[[6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(3, 3)
-        turn = spin - np.trace(spin) * np.eye(3) + np.cross(np.eye(3), w[3:6]).T * -1.0
-        felt_B = seen.R_EB.T @ (w[:3] + np.cross(w[3:6], seen.p_EB) + (spin - np.trace(spin) * np.eye(3)) @ seen.p_EB)
-        spread_B = seen.R_EB.T @ _rate(w, spin) @ seen.R_EB
-        del turn
-        force = felt_B + points @ spread_B.T
+        x, y, z = w[3:6]
+        rate = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) + spin - np.trace(spin) * np.eye(3)
+        force = seen.R_EB.T @ (w[:3] + rate @ seen.p_EB) + points @ (seen.R_EB.T @ rate @ seen.R_EB).T
         wrench = np.concatenate(
             [np.einsum("np,npi->ni", shares, force), np.einsum("np,npi->ni", shares, np.cross(points, force))], axis=1
         )
         value = (wrench @ facets.T / nasty.G).max(axis=1)
         assert value.max() <= bound[k].max() + 1e-9
         assert value.max() > bound[k].max() - 0.12  # random densities come near to it
-
-
-def _rate(w: Array, spin: Array) -> Array:
-    """(3, 3) how the specific force changes with the place: hat(alpha) + hat(omega)^2."""
-    x, y, z = w[3:6]
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) + spin - np.trace(spin) * np.eye(3)
 
 
 @pytest.mark.parametrize("load_of", [nasty.single, nasty.stack, nasty.pair])
@@ -107,7 +98,7 @@ def test_never_optimistic_with_places_tilt_and_stacks(load_of, kind: str) -> Non
     true, uncertain = nasty.TrueRows(made), made.payload.uncertain
     others = [j for j, p in enumerate(uncertain.parameters) if p.kind in ("mass", "position", "tilt")]
     reached = np.full(len(w), -np.inf)
-    for _ in range(150):
+    for _ in range(50):
         s = rng.choice([-1.0, 1.0], len(others)) if kind == "box" else rng.normal(size=len(others))
         if kind == "ellipsoid":
             s /= np.linalg.norm(s)
@@ -129,17 +120,19 @@ def test_never_optimistic_with_places_tilt_and_stacks(load_of, kind: str) -> Non
 def test_bound_of_a_box_is_that_of_a_linear_programme_over_a_grid(mean: tuple[float, float, float]) -> None:
     """Within 1 % of the row (a weight times a lever); the grid misses what lies between its points, so never below."""
     rng, half, beside = np.random.default_rng(2), np.array([0.075, 0.075, 0.28]), np.array([0.01, -0.02, 0.05])
-    axes = [np.linspace(-h, h, 15) - o for h, o in zip(half, beside, strict=True)]
+    axes = [np.linspace(-h, h, 11) - o for h, o in zip(half, beside, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    hull = Hull.of(np.array(np.meshgrid(*([-h - o, h - o] for h, o in zip(half, beside, strict=True)))).reshape(3, -1).T)
-    b, Q = np.empty((12, 3)), np.empty((12, 3, 3))
-    for k in range(12):
+    hull = Hull.of(
+        np.array(np.meshgrid(*([-h - o, h - o] for h, o in zip(half, beside, strict=True)))).reshape(3, -1).T
+    )
+    b, Q = np.empty((8, 3)), np.empty((8, 3, 3))
+    for k in range(8):
         lever, alpha, omega = rng.normal(size=3), 8 * rng.normal(size=3), 2 * rng.normal(size=3)
         rate = np.cross(np.eye(3), -alpha) + np.outer(omega, omega) - omega @ omega * np.eye(3)
         cross = np.cross(np.eye(3), lever)
-        b[k], Q[k] = cross @ (rng.normal(size=3) + [0, 0, 9.81]), 0.5 * (cross @ rate + (cross @ rate).T)
+        b[k], Q[k] = cross @ (rng.normal(size=3) + np.array([0, 0, 9.81])), 0.5 * (cross @ rate + (cross @ rate).T)
     bound, moments = largest_mean(hull, np.array(mean), b, Q)
-    for k in range(12):
+    for k in range(8):
         value = grid @ b[k] + np.einsum("gi,ij,gj->g", grid, Q[k], grid)
         sides = np.concatenate([mean, mean])
         best = -linprog(-value, np.vstack([grid.T, -grid.T]), sides, np.ones((1, len(grid))), [1.0]).fun
@@ -178,11 +171,10 @@ def test_drift_of_the_contents_is_that_of_their_moments() -> None:
     drift = Drift(tuple((p,) for p in acting), 0.05 * rng.normal(size=(6, 12, len(acting))))
     rows = contact_rows(made.payload)[0]
     bound = rows.worst(w, drift).max(axis=1)
-    points, shares = densities(400, *limits(made), np.array(COM), rng)
+    points, shares = densities(150, *limits(made), np.array(COM), rng)
     item, body = made.objects[0], made.payload.first
     true, reached = nasty.TrueRows(made), np.full(6, -np.inf)
-    nominal = contact_rows(made.payload.nominal)[0]
-    for k in range(400):
+    for k in range(150):
         sign = rng.choice([-1.0, 1.0])
         mass = item.mass + sign * uncertain.half_range[0]
         # About B's origin, as the drift of a load is to first order.
@@ -195,13 +187,9 @@ def test_drift_of_the_contents_is_that_of_their_moments() -> None:
         change |= {f"inertia_{a}": float(x) for a, x in zip(names, about[0] - given, strict=True)}
         s = [sign, *(c[0] / uncertain.half_range[1:4]), *((about_B - given) / uncertain.half_range[4:10])]
         # The rows' own part at these contents, and the drift seen by the nominal ones at this mass.
-        own = true.at(change, w)[0]
-        least = {"friction": item.least_friction - item.friction}
-        del least
         moved = np.einsum("tkp,p->tk", drift.dw, np.array(s))
-        half_rows = rows.nominal[rows.mass_signs[:, 0] == sign]
-        reached = np.maximum(reached, (own + moved @ half_rows.T).max(axis=1))
-    del nominal
+        value = true.at(change, w)[0] + true.at({"mass": change["mass"]}, moved)[0]
+        reached = np.maximum(reached, value.max(axis=1))
     assert np.all(reached <= bound + 1e-9)
     assert np.all(bound > rows.worst(w).max(axis=1))
 
@@ -209,16 +197,18 @@ def test_drift_of_the_contents_is_that_of_their_moments() -> None:
 @pytest.mark.slow
 def test_plan_for_a_box_of_any_contents_holds_for_random_ones_in_the_engine() -> None:
     made = load("any-box-56").with_changes(motion__duration=7.7)
-    found = plan(made)
+    found = sv.plan(made)
     assert found.status.ok
     assert margins(found.scenario, found.reference.sample(found.t)).verdict(worst=True).ok
     rng = np.random.default_rng(5)
-    points, shares = densities(4, *limits(made), np.array([0.06, 0.06, 0.28]), rng)
-    c, about = inertial(points, shares, np.ones(4))
-    for k in range(4):
+    points, shares = densities(2, *limits(made), np.array([0.06, 0.06, 0.28]), rng)
+    c, about = inertial(points, shares, np.ones(2))
+    for k in range(2):
         values = dict(zip(("com_x", "com_y", "com_z"), c[k], strict=True))
         names = ("xx", "xy", "yy", "xz", "yz", "zz")
-        values |= dict(zip((f"inertia_{a}" for a in names), about[k] + 1e-5 * np.array([1, 0, 1, 0, 0, 1]), strict=True))
+        values |= dict(
+            zip((f"inertia_{a}" for a in names), about[k] + 1e-5 * np.array([1, 0, 1, 0, 0, 1]), strict=True)
+        )
         assert simulate(found, parameters=values).summary["outcome"] == "holds"
 
 
@@ -231,4 +221,4 @@ def test_plan_for_a_box_of_any_contents_holds_for_random_ones_in_the_engine() ->
 )
 def test_what_cannot_be_is_refused(change: dict, said: str) -> None:
     with pytest.raises(ScenarioError, match=said):
-        load("panda-cube", **change) if False else load("panda-cube").with_changes(**change)
+        load("panda-cube").with_changes(**change)

@@ -160,9 +160,7 @@ def largest_mean(hull: Hull, mean: Array, b: Array, Q: Array, enough: Array | No
     return values, moments
 
 
-def _search(
-    hull: Hull, mean: Array, origin: Array, b: Array, Q: Array, enough: Array
-) -> tuple[Array, Array, Array]:
+def _search(hull: Hull, mean: Array, origin: Array, b: Array, Q: Array, enough: Array) -> tuple[Array, Array, Array]:
     """`largest_mean` in the hull's units, |E x - origin| <= mean: bounds, points (M, 4, 3) and their shares (M, 4).
 
     A column of the mixture is a point x of the hull with a corner e of the box of means: sum of share (x - e) = 0.
