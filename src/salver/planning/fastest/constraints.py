@@ -19,7 +19,7 @@ from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
-from salver.planning.fastest.obstacles import KeepOut
+from salver.planning.fastest.obstacles import AT_NODES, KeepOut
 
 Gradient = Callable[[Indices, Indices], Array]
 
@@ -315,7 +315,7 @@ class Clearance(Constraint):
             -10.0 * distance,
             lambda i, f: padded(-10.0 * self.keep_out.gradient(q, i, f), motion.n),
             motion.nodes,
-            margins=(1e-2, 0.0),
+            margins=(10.0 * AT_NODES, 0.0),
             scales=False,
             reach=0.05,
             kinked=True,

@@ -165,6 +165,6 @@ def transport_problem(
         contacts=contact_rows(payload),
         uncertain=payload.uncertain,
         tracking=_tracking(scenario, payload),
-        keep_out=KeepOut.of(parts, start.q if isinstance(start, AtPosture) else None) if parts.pairs else None,
+        keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
         extra=tuple(extra),
     )
