@@ -94,7 +94,7 @@ class Replanner:
         guess = going_on(at, before, begins) if isinstance(end, Anywhere) else straight(at)
         if guess is None:
             return None, Status("unreachable", "no posture of the arm within its limits reaches it", False)
-        found: Checked | FastestMotion = optimise(at, FreeCurve, guess, NODES_PER_SPAN, time_limit, gain=GAIN)
+        found: Checked | FastestMotion = optimise(at, FreeCurve, guess, NODES_PER_SPAN, Watch(time_limit), gain=GAIN)
         finding = self._judged(at, guess.spline, found, before, begins)
         left = time_limit - (time.perf_counter() - began)
         if finding.committed is None and not start.moving and left > 0:

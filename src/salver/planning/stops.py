@@ -37,7 +37,6 @@ STORED = np.union1d(np.linspace(0.0, 1.0, 41), SPLINE.breaks())  # with the brea
 WARM = 0.3  # damping of the first step from the stop of the next instant
 STATES = 401  # instants at which the deviation along the plan is known
 SMOOTH = 0.1  # weight of acceleration, in normalised time, beside posture in the first guess
-TIME_LIMIT = 5.0  # s for one stop
 Progress = Callable[[int, int], None]
 
 
@@ -122,7 +121,7 @@ def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion)
 def _shortest(problem: TransportProblem, guess: JointMotion, duration: float) -> JointMotion | None:
     """The shortest motion to rest from a guess, checked between the nodes; None when none was found."""
     begin = SplineMotion(SPLINE, _fitted(problem, guess, duration), duration)
-    found = optimise(problem, FreeCurve, begin, NODES_PER_SPAN, TIME_LIMIT, WARM)
+    found = optimise(problem, FreeCurve, begin, NODES_PER_SPAN, damping=WARM)
     if not found.status.ok:
         return None
     z = FreeCurve(problem, Grid.of(SPLINE, STORED)).motion(found.coefficients, found.duration)

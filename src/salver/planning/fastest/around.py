@@ -57,15 +57,15 @@ class FreeSpace:
         """A free posture at q (n,), or near it where the tray leans too far there; None when that one is not free."""
         self.looks -= 1
         limits = self.problem.limits
-        q = self._upright(q)
-        if q is None or np.any(q < limits.q_min) or np.any(q > limits.q_max):
+        upright = self._upright(q)
+        if upright is None or np.any(upright < limits.q_min) or np.any(upright > limits.q_max):
             return None
         parts = self.parts
         if parts is not None and pin.computeCollisions(
-            parts.arm.pin_model, parts.arm.data, parts.model, parts.data, q, True
+            parts.arm.pin_model, parts.arm.data, parts.model, parts.data, upright, True
         ):
             return None
-        return q
+        return upright
 
     def _upright(self, q: Array) -> Array | None:
         arm = self.problem.arm

@@ -23,7 +23,7 @@ from salver.planning.fastest.obstacles import AT_NODES, KeepOut
 
 Gradient = Callable[[Indices, Indices], Array]
 
-FINEST = 5e-5  # of a limit, for what may happen between the points of the check
+FINEST = 1e-4  # of a limit, for what may happen between the points of the check
 LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is judged on the true motion
 LEVEL_SCALE = 1e-3  # rows of "level" in rad, the size at which a tilt matters to contact
 REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves what stands on it
@@ -67,6 +67,11 @@ class Block:
     kinked: bool = False
     inherits: bool = True
     of: Constraint | None = None
+
+    @property
+    def by_time(self) -> bool:
+        """Whether the same path in another time has other rows."""
+        return self.scales or self.by_duration is not None
 
     @property
     def peaks(self) -> np.ndarray:

@@ -5,7 +5,6 @@ The exchange method for semi-infinite programmes (Hettich and Kortanek, SIAM Rev
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -21,9 +20,14 @@ from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.sqp import Options, Programme, Solution, minimise
 from salver.planning.fastest.trust import Trust
+from salver.planning.fastest.watch import Watch
 
 ROUGH_GAIN = 5e-3  # relative shortening below which a rough optimum is good enough
 GAIN = 5e-4  # and one at which an optimum is
+ROUGH_ITERATIONS = 40  # at most, of a rough optimum
+ITERATIONS = 60  # and of one
+REPAIR_ITERATIONS = 15  # of each round of adding nodes
+BINDING = 0.02  # rows nearer than this to their edge, in their unit, bind
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
 HOPELESS_AT_NODES = 1e-2  # and nor will one that is broken at the nodes already
@@ -43,7 +47,8 @@ CurveOf = Callable[[TransportProblem, Grid], Curve]
 class Checked:
     """Coefficients (size, m), duration and margin (as in `Point`) of a motion whose rows were checked on the fine grid.
 
-    worst: largest row of each block there, <= 0 when kept. iterations: of all rounds.
+    worst: largest row of each block there, <= 0 when kept. binding: names of those blocks that hinder a shorter time:
+    that depend on time, and come near their edge. iterations: of all rounds.
     """
 
     coefficients: Array
@@ -51,6 +56,7 @@ class Checked:
     margin: float
     status: Status
     worst: dict[str, float]
+    binding: tuple[str, ...]
     iterations: int
 
 
@@ -77,48 +83,47 @@ def optimise(
     curve_of: CurveOf,
     start: SplineMotion,
     nodes_per_span: int,
-    time_limit: float,
+    watch: Watch | None = None,
     damping: float = 1.0,
     objective: Objective = SHORTEST,
+    iterations: int = ITERATIONS,
     gain: float = GAIN,
 ) -> Checked:
     """The optimum from a start, kept between the nodes too; of the duration, unless another objective is given.
 
     gain: relative improvement below which an iteration counts as idle.
     """
-    begun = time.perf_counter()
+    watch = watch or Watch()
     spline = start.spline
     nodes = spline.nodes(nodes_per_span)
     fine = curve_of(problem, Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s, POINTS_CHECKED))
 
     def solve(at: SplineMotion, options: Options, trust: Trust) -> Solution:
         programme = programme_of(problem, curve_of, at, nodes, objective)
-        left = max(0.05, time_limit - (time.perf_counter() - begun))
-        begin = programme.begin(at.coefficients, at.duration)
-        return minimise(programme, begin, replace(options, time_limit=left), trust)
+        return minimise(programme, programme.begin(at.coefficients, at.duration), options, trust)
 
-    solution = solve(start, Options(gain=gain), Trust(damping))
-    iterations = solution.iterations
+    solution = solve(start, Options(iterations, watch, gain=gain), Trust(damping))
+    done = solution.iterations
     for exchange in range(EXCHANGES + 1):
         point = solution.iterate.point
-        worst, slower, peaks = _between(fine, objective, point)
+        worst, binding, slower, peaks = _between(fine, objective, point)
         excess = max(worst.values())
         if 0.0 < excess < SMALL_EXCESS and objective.scalar is Scalar.DURATION:
             longer = replace(point, duration=point.duration * (1.0 + slower))
-            stretched, _, _ = _between(fine, objective, longer)
+            stretched, still, _, _ = _between(fine, objective, longer)
             if max(stretched.values()) <= 0.0:
-                worst, excess, point = stretched, 0.0, longer
-        late = time.perf_counter() - begun > time_limit
+                worst, binding, excess, point = stretched, still, 0.0, longer
+        late = watch.over()
         hopeless = excess > HOPELESS or solution.iterate.violation > HOPELESS_AT_NODES
         if excess <= 0.0 or hopeless or exchange == EXCHANGES or late:
             break
         nodes = np.union1d(nodes, fine.grid.s[peaks])
         repair = REPAIR * 4.0**exchange
-        options = Options(iterations=15, gain=gain, least_damping=repair, mending=True)
+        options = Options(REPAIR_ITERATIONS, watch, gain=gain, least_damping=repair, mending=True)
         solution = solve(SplineMotion(spline, point.coefficients, point.duration), options, Trust(repair, REPAIR_DEPTH))
-        iterations += solution.iterations
+        done += solution.iterations
     status = _status(solution, worst, objective.sought, point.duration)
-    return Checked(point.coefficients, point.duration, point.margin, status, worst, iterations)
+    return Checked(point.coefficients, point.duration, point.margin, status, worst, binding, done)
 
 
 def rough(
@@ -126,12 +131,13 @@ def rough(
     curve_of: CurveOf,
     start: SplineMotion,
     nodes_per_span: int,
-    time_limit: float,
+    watch: Watch,
     damping: float = 1.0,
+    iterations: int = ROUGH_ITERATIONS,
 ) -> Solution:
     """A first optimum with few pieces, unchecked between nodes: a start for one with more."""
     programme = programme_of(problem, curve_of, start, start.spline.nodes(nodes_per_span), points=1)
-    options = Options(gain=ROUGH_GAIN, time_limit=time_limit)
+    options = Options(iterations, watch, gain=ROUGH_GAIN)
     return minimise(programme, programme.begin(start.coefficients, start.duration), options, Trust(damping))
 
 
@@ -146,9 +152,11 @@ def _status(solution: Solution, worst: dict[str, float], sought: str, duration: 
     return Status("infeasible", sentence, False, worst)
 
 
-def _between(fine: Curve, objective: Objective, point: Point) -> tuple[dict[str, float], float, Indices]:
-    """Largest row of each block on the fine grid, by how much slower, relatively, the motion would keep them all, and
-    the points where some row is broken at its peak."""
+def _between(
+    fine: Curve, objective: Objective, point: Point
+) -> tuple[dict[str, float], tuple[str, ...], float, Indices]:
+    """Largest row of each block on the fine grid, the blocks that hinder a shorter time, by how much slower,
+    relatively, the motion would keep them all, and the points where some row is broken at its peak."""
     grid, problem = fine.grid, fine.problem
     z = fine.motion(point.coefficients, point.duration)
     motion = problem.at(grid.s, z, point.duration, grid.nodes, imposed=False)
@@ -161,4 +169,5 @@ def _between(fine: Curve, objective: Objective, point: Point) -> tuple[dict[str,
             marked[block.points[index + 1]] = True
     largest = {block.name: float(block.values.max()) for block in blocks}
     slower = max(0.0, *(block.slows * largest[block.name] for block in blocks))
-    return largest, slower, np.flatnonzero(marked)
+    binding = tuple(b.name for b in blocks if b.by_time and largest[b.name] > -BINDING)
+    return largest, binding, slower, np.flatnonzero(marked)

@@ -17,6 +17,7 @@ from salver.models.arm_geometry import ArmGeometry
 SAFETY = 5e-3  # m that are kept free
 EXACT = 0.03  # m up to which distances are exact
 AT_NODES = 1e-3  # m more at the nodes of a programme, for what may happen between them
+ENOUGH_AT_ENDS = 1.5e-3  # m beyond what is required, at which an end posture needs no exception
 NEAR = 0.05  # m; pairs that are nowhere nearer along a path are left out until they are
 
 
@@ -28,16 +29,20 @@ class KeepOut:
     required: Array
 
     @classmethod
-    def of(cls, parts: ArmGeometry, ends: Array | None) -> KeepOut:
-        """All pairs of the parts; see `kept_by` for end postures (N, n) that are known."""
-        keep_out = cls(parts, np.full(len(parts.pairs), SAFETY))
-        return keep_out if ends is None else keep_out.kept_by(ends)
+    def of(cls, parts: ArmGeometry, q: Array | None) -> KeepOut:
+        """All pairs; one that is nearer than `SAFETY` at some of the postures (N, n) that are given has to keep half of
+        that distance."""
+        required = np.full(len(parts.pairs), SAFETY)
+        if q is not None:
+            required = np.minimum(required, 0.5 * np.maximum(parts.clearance(q).min(axis=0), 0.0))
+        return cls(parts, required)
 
     def kept_by(self, ends: Array) -> KeepOut:
-        """The same with less to keep for pairs that are nearer in end postures (N, n), which cannot be helped: half of
+        """The same with less to keep for pairs that are too near in end postures (N, n) that cannot be helped: half of
         what there is, less what the nodes of a programme keep beside it."""
-        there = 0.5 * self.parts.clearance(ends).min(axis=0) - AT_NODES
-        return KeepOut(self.parts, np.clip(there, 0.0, self.required))
+        there = self.parts.clearance(ends).min(axis=0)
+        less = np.clip(0.5 * there - AT_NODES, 0.0, self.required)
+        return KeepOut(self.parts, np.where(there < self.required + ENOUGH_AT_ENDS, less, self.required))
 
     def near(self, q: Array) -> KeepOut:
         """Only the pairs that come near at one of the postures (N, n)."""

@@ -101,9 +101,7 @@ class RetimedMotion:
         return JointMotion(s * self.duration, q, first * u1, second * u1**2 + first * u2)
 
 
-def retime(
-    problem: TransportProblem, path: SplinePath, *, spans: int = 20, nodes_per_span: int = 4, time_limit: float = 30.0
-) -> RetimedMotion:
+def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, nodes_per_span: int = 4) -> RetimedMotion:
     """Fastest safe time law along a path. The problem's ends and tilt are not asked for: the path has its own.
 
     Never raises for numerical reasons: see `status`.
@@ -124,7 +122,6 @@ def retime(
         lambda p, grid: PathCurve(p, grid, path),
         SplineMotion(law, start, 1.5 * float(t[-1])),
         nodes_per_span,
-        time_limit,
     )
     wall = time.perf_counter() - begun
     return RetimedMotion(

@@ -1,8 +1,8 @@
 """The fastest motion that stays safe: shortest duration within the arm's limits, contact kept for all parameters.
 
 The decision variables are the coefficients of rest-to-rest joint splines and the duration, so the arm can run
-every candidate. `constraints` says what must hold, `sqp` finds the optimum; here are the starts, the
-refinement from few spline pieces to many, and the check between the nodes.
+every candidate. `constraints` says what must hold, `starts` where to begin, `sqp` finds a local optimum, `exchange`
+checks it between the nodes; here is the search over local optima, from few spline pieces to many.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ import numpy as np
 
 from salver.errors import Status, UnreachableError
 from salver.geometry import Array
-from salver.models.arm_limits import POSITION
 from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.ends import AtPose, AtPosture
-from salver.planning.fastest.exchange import SHORTEST, optimise, rough
+from salver.planning.fastest.ends import AtPose
+from salver.planning.fastest.exchange import ITERATIONS, ROUGH_ITERATIONS, SHORTEST, optimise, rough
 from salver.planning.fastest.objectives import Objective
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Iterate, Solution
+from salver.planning.fastest.starts import Ends, Start, around, bent, between, ends, straight, touches, tray_line
+from salver.planning.fastest.watch import WHY, Watch
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import blocked_end
 from salver.scenario import Scenario
@@ -37,29 +38,41 @@ DEGREE = 5
 REFINED = 0.5  # damping of the first step after pieces have been added,
 TURNED = 0.3  # after the last joint has been turned by a right angle,
 NEAR = 0.1  # and from the optimum of a similar problem
-ATTEMPTS = 40  # random postures from which the ends are sought
-POSTURES = 4  # start postures that are tried when none is given
-OTHERS = 6  # further goal postures that are tried when the likely ones fail
-BENDS = 3  # detours that are tried after them
+NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
+BENDS = 3  # detours that are tried at last
+AGAIN = 3  # times a motion that nothing hinders is made shorter
 
 
 @dataclass(frozen=True)
 class FastestOptions:
     """spans: number of polynomial pieces. nodes_per_span: where conditions are imposed.
-    starts: local optima refined, of which the best is taken. time_limit: s. seed: of the random starts.
+    pairs: of end postures from which the search begins when the start posture is free; ways: around what stands in the
+    way, for each of them. starts: local optima refined, of which the best is taken. iterations: of each at most, as a
+    multiple of the usual. seed: of everything random. time_limit: s, None for none: then no clock decides anything.
     """
 
     spans: int = 20
     nodes_per_span: int = 2
+    pairs: int = 4
+    ways: int = 1
     starts: int = 1
-    time_limit: float = 30.0
+    iterations: float = 1.0
     seed: int = 0
+    time_limit: float | None = None
+
+
+EFFORTS = {
+    "quick": FastestOptions(pairs=2),
+    "normal": FastestOptions(),
+    "thorough": FastestOptions(pairs=12, ways=3, starts=4, iterations=3.0),
+}
 
 
 @dataclass(frozen=True)
 class FastestMotion:
     """Result. spline, coefficients (size, n), duration: the motion. worst: largest row of each block on the fine
-    grid (<= 0: kept). wall_time: s. iterations: of all rounds and starts.
+    grid (<= 0: kept). binding: the blocks that hinder a shorter time. wall_time: s. iterations: of all rounds and
+    starts.
     """
 
     problem: TransportProblem
@@ -68,6 +81,7 @@ class FastestMotion:
     duration: float
     status: Status
     worst: dict[str, float]
+    binding: tuple[str, ...]
     wall_time: float
     iterations: int
 
@@ -148,52 +162,179 @@ def tracking_record(found: FastestMotion) -> dict[str, float]:
 
 
 def fastest(
-    problem: TransportProblem, options: FastestOptions | None = None, near: FastestMotion | None = None
+    problem: TransportProblem,
+    options: FastestOptions | None = None,
+    near: FastestMotion | None = None,
+    watch: Watch | None = None,
 ) -> FastestMotion:
-    """Shortest safe motion of a problem (see `transport_problem`). Never raises for numerical reasons: see `status`.
+    """Shortest safe motion that is found of a problem (see `transport_problem`). Never raises for numerical reasons:
+    see `status`.
 
-    near: a motion of a similar problem, tried first.
+    near: a motion of a similar problem, tried first. watch: may end the search early.
     """
     options = options or FastestOptions()
+    watch = watch or Watch(options.time_limit)
     begun = time.perf_counter()
     if near is not None:
-        begin = SplineMotion(near.spline, near.coefficients, near.duration)
-        found = _optimum(problem, options, begin, options.time_limit, NEAR)
+        found = _optimum(problem, options, SplineMotion(near.spline, near.coefficients, near.duration), watch, NEAR)
         if found.status.ok:
             return found
     blocked = _blocked(problem)
-    guesses = [] if blocked is not None else _guesses(problem, options)
-
-    def left() -> float:
-        return max(options.time_limit - (time.perf_counter() - begun), 0.05)
-
-    # The best of the first few rough optima is refined; when none is feasible, the next that is; at last the others.
-    screened = 1 if problem.start_posture is not None else POSTURES
-    roughs = [_rough(problem, options, guess, left()) for guess in guesses[:screened]]
-    further, iterations, refined = guesses[screened:], 0, 0
-    best: FastestMotion | None = None
-    while roughs or further:
-        roughs.sort(key=_merit)
-        if further and not (roughs and roughs[0].status.ok) and left() > 0.05:
-            roughs.append(_rough(problem, options, further.pop(0), left()))
-            continue
-        start = roughs.pop(0)
-        if refined == 0 and isinstance(problem.goal, AtPose) and problem.goal.target.yaw_free:
-            start, *roughs = sorted([start, *_turned(problem, options, start, left()), *roughs], key=_merit)
-        found = _optimum(problem, options, _with_all_pieces(options, start.iterate), left(), REFINED)
-        iterations, refined = iterations + start.iterations + found.iterations, refined + 1
-        if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
-            best = found
-        if (best.status.ok and refined >= options.starts) or left() <= 0.05:
-            break
-    iterations += sum(found.iterations for found in roughs)
-    wall = time.perf_counter() - begun
-    if best is None:
+    rng = np.random.default_rng(options.seed)
+    pairs = [] if blocked is not None else ends(problem, rng)
+    if not pairs:
         spline = RestSpline(DEGREE, options.spans)
         unreached = "No posture within the joint limits reaches the start or the goal pose."
         status = blocked or Status("unreachable", unreached, False)
-        return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, status, {}, wall, 0)
-    return replace(best, wall_time=wall, iterations=iterations)
+        wall = time.perf_counter() - begun
+        return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, status, {}, (), wall, 0)
+    return replace(_Search(problem, options, watch, pairs, rng).best(), wall_time=time.perf_counter() - begun)
+
+
+Begin = tuple[TransportProblem, Start]
+
+
+@dataclass(eq=False)
+class _Search:
+    """Rough optima with few pieces, the best of them refined with all."""
+
+    problem: TransportProblem
+    options: FastestOptions
+    watch: Watch
+    pairs: list[Ends]
+    rng: np.random.Generator
+    iterations: int = 0
+
+    def best(self) -> FastestMotion:
+        """The best of the first few rough optima is refined; when none is feasible, the next that is; at last the
+        others."""
+        first, further = list(self._first()), self._further()
+        steps = len(first) + self.options.starts
+        roughs: list[tuple[TransportProblem, Solution]] = []
+        for done, begin in enumerate(first, 1):
+            roughs.append(self._rough(*begin))
+            self.watch.share = done / steps
+            if self.watch.over():
+                break
+        best: FastestMotion | None = None
+        refined = 0
+        while True:
+            roughs.sort(key=_merit)
+            hopeful = bool(roughs) and roughs[0][1].iterate.violation < NEARLY
+            more = None if hopeful or self.watch.over() else next(further, None)
+            if more is not None:
+                roughs.append(self._rough(*more))
+                continue
+            if not roughs:
+                break
+            problem, rough = roughs.pop(0)
+            if refined == 0 and isinstance(problem.goal, AtPose) and problem.goal.target.yaw_free:
+                turned = [(problem, rough), *((problem, other) for other in self._turned(problem, rough))]
+                (problem, rough), *others = sorted(turned, key=_merit)
+                roughs += others
+            found = self._refined(problem, rough.iterate)
+            refined += 1
+            if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
+                best = found
+                self.watch.best = best.duration if best.status.ok else None
+            self.watch.share = min(1.0, (len(first) + refined) / steps)
+            enough = refined >= self.options.starts
+            if (best.status.ok and enough) or (not hopeful and enough) or self.watch.over():
+                break
+        assert best is not None
+        return replace(best, status=_ended(best.status, self.watch), iterations=self.iterations)
+
+    def _first(self) -> Iterator[Begin]:
+        """Straight paths between the most promising ends, and ways around what is in them."""
+        given = self.problem.start_posture is not None
+        few = self.pairs[: max(1, self.options.pairs // 4) if given else self.options.pairs]
+        ways = []
+        for pair in few:
+            problem, line = between(self.problem, pair), straight(pair)
+            yield problem, line
+            if touches(problem, line):
+                ways.append((problem, pair))
+        for problem, pair in ways[: max(1, len(few) // 2)]:
+            yield from self._around(problem, pair, self.options.ways)
+
+    def _further(self) -> Iterator[Begin]:
+        """What is tried when those fail."""
+        few = self.pairs[: max(2, self.options.pairs // 2)]
+        for pair in few:
+            line = tray_line(self.problem, pair)
+            if line is not None:
+                yield between(self.problem, pair), line
+        for pair in few:
+            yield from self._around(between(self.problem, pair), pair, self.options.ways)
+        for pair in ends(self.problem, self.rng, more=True)[: self.options.pairs]:
+            problem, line = between(self.problem, pair), straight(pair)
+            if not touches(problem, line):
+                yield problem, line
+            else:
+                yield from self._around(problem, pair, self.options.ways)
+        for _ in range(BENDS):
+            yield between(self.problem, self.pairs[0]), bent(self.pairs[0], self.rng)
+
+    def _around(self, problem: TransportProblem, pair: Ends, count: int) -> Iterator[Begin]:
+        for _ in range(count):
+            way = around(problem, [pair], self.rng)
+            if way is not None:
+                yield problem, way
+
+    def _rough(self, problem: TransportProblem, start: Start) -> tuple[TransportProblem, Solution]:
+        """A first optimum with few spline pieces, from a comfortable duration."""
+        return problem, self._rough_from(problem, start.motion(problem, self._few), 1.0)
+
+    def _rough_from(self, problem: TransportProblem, start: SplineMotion, damping: float) -> Solution:
+        iterations = round(self.options.iterations * ROUGH_ITERATIONS)
+        found = rough(problem, FreeCurve, start, self.options.nodes_per_span, self.watch, damping, iterations)
+        self.iterations += found.iterations
+        return found
+
+    def _turned(self, problem: TransportProblem, found: Solution) -> Iterator[Solution]:
+        """The same motion ending a quarter turn of the last joint away, optimised again: a local optimum does not
+        turn."""
+        few = self._few
+        ramp = min_jerk_blend(np.linspace(0, 1, few.size))
+        for turn in (0.5 * np.pi, -0.5 * np.pi):
+            coefficients = found.iterate.coefficients.copy()
+            coefficients[:, -1] += turn * ramp
+            if problem.limits.q_min[-1] < coefficients[-1, -1] < problem.limits.q_max[-1]:
+                yield self._rough_from(problem, SplineMotion(few, coefficients, found.iterate.duration), TURNED)
+
+    def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
+        """The optimum with all pieces. Where nothing hinders a shorter time it is none: then on from there."""
+        spline, s = RestSpline(DEGREE, self.options.spans), np.linspace(0, 1, 201)
+        path = self._few.matrices(s)[0] @ found.coefficients
+        start = SplineMotion(spline, spline.fit(s, path), found.duration)
+        best = _optimum(problem, self.options, start, self.watch, REFINED)
+        self.iterations += best.iterations
+        for _ in range(AGAIN):
+            if not best.status.ok or best.binding or self.watch.over():
+                break
+            start = SplineMotion(spline, best.coefficients, best.duration)
+            again = _optimum(problem, self.options, start, self.watch, REFINED)
+            self.iterations += again.iterations
+            if not again.status.ok or again.duration >= best.duration:
+                break
+            best = again
+        return best
+
+    @property
+    def _few(self) -> RestSpline:
+        return RestSpline(DEGREE, max(4, self.options.spans // 3))
+
+
+def _merit(found: tuple[TransportProblem, Solution]) -> tuple[bool, float]:
+    return found[1].iterate.violation >= NEARLY, found[1].iterate.duration
+
+
+def _ended(status: Status, watch: Watch) -> Status:
+    """The status of a search that was ended before it was done says so."""
+    if not watch.ended:
+        return status
+    why = f"The search was ended by {WHY[watch.ended]} before it was done."
+    return replace(status, code=watch.ended if status.ok else status.code, sentence=f"{status.sentence} {why}")
 
 
 def nearby(
@@ -202,7 +343,7 @@ def nearby(
     """The motion with the least objective at a duration (s), near one that was found; under the same constraints."""
     options = options or FastestOptions()
     start = SplineMotion(found.spline, found.coefficients, duration)
-    return _optimum(found.problem, options, start, options.time_limit, NEAR, objective)
+    return _optimum(found.problem, options, start, Watch(options.time_limit), NEAR, objective)
 
 
 def _blocked(problem: TransportProblem) -> Status | None:
@@ -220,150 +361,28 @@ def _blocked(problem: TransportProblem) -> Status | None:
     return Status("collision", f"In the start posture {touch.first} and {touch.second} touch.", False)
 
 
-@dataclass(frozen=True)
-class _Guess:
-    """An initial path: min-jerk between two postures plus a bell along `bend`, (n,) each."""
-
-    q_start: Array
-    q_goal: Array
-    bend: Array
-
-    def path(self, s: Array) -> Array:
-        """(len(s), n) postures at s in [0, 1]."""
-        line = self.q_start + min_jerk_blend(s)[:, None] * (self.q_goal - self.q_start)
-        return np.asarray(line + (64 * (s * (1 - s)) ** 3)[:, None] * self.bend)
-
-
-def _guesses(problem: TransportProblem, options: FastestOptions) -> list[_Guess]:
-    """Initial paths, most promising first.
-
-    With the start posture given: to the goal posture nearest to it, then to others, then bent. With none given:
-    between nearby postures that are clear of joint limits and of the arm's own parts.
-    """
-    rng = np.random.default_rng(options.seed)
-    limits, n = problem.limits, problem.n
-    centre, half = limits.range(POSITION)
-    half = np.where(np.isfinite(half), half, np.pi)
-    given = problem.start_posture
-    coasting = np.zeros(n)  # a moving start goes on for a while
-    if isinstance(problem.start, AtPosture) and problem.start.moving:
-        coasting = 0.5 * problem.start.rates[0] * braking_time(problem)
-    found: list[tuple[float, _Guess]] = []
-
-    def apart(difference: Array) -> float:
-        """Largest difference of a joint; whole turns are none, as the arm stands and moves the same."""
-        turns = np.where(problem.arm.linear, 0.0, np.round(difference / (2 * np.pi)))
-        return float(np.abs(difference - 2 * np.pi * turns).max())
-
-    def add(q_start: Array, near: Array) -> None:
-        q_goal = problem.goal.nearest(problem.arm, limits, near)
-        if q_goal is None:
-            return
-        others = (apart(q_goal - g.q_goal) + apart(q_start - g.q_start) for _, g in found)
-        if min(others, default=np.inf) > 0.3:
-            ends = np.stack([q_start, q_goal])
-            cost = float(np.max(np.abs(q_goal - q_start) / limits.velocity))
-            cost += float(np.max(np.abs((ends - centre) / half)) ** 8)
-            if problem.keep_out is not None:
-                cost += 20 * max(0.0, 0.03 - float(problem.keep_out.distances(ends).min()))
-            found.append((cost, _Guess(q_start, q_goal, np.zeros(n))))
-
-    for attempt in range(ATTEMPTS):
-        guess = centre + (0.7 * half * rng.uniform(-1, 1, n) if attempt else 0.0)
-        if given is None:
-            q_start = problem.start.nearest(problem.arm, limits, guess)
-            if q_start is not None:
-                add(q_start, q_start)
-        elif attempt < OTHERS:
-            spread = attempt / OTHERS
-            add(given, (1 - spread) * (given + coasting) + spread * guess)
-    if given is None:
-        found.sort(key=lambda item: item[0])
-    straight = [guess for _, guess in found]
-    bent = [replace(guess, bend=rng.normal(0.0, 0.25, n)) for guess in straight[:1] for _ in range(BENDS)]
-    return [*straight, *bent] if given is not None else [*straight[:POSTURES], *bent]
-
-
 def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotion:
     """Where the search begins: the most promising straight line in joint space, at a comfortable duration.
 
     Raises UnreachableError when no posture reaches an end.
     """
-    guesses = _guesses(problem, FastestOptions())
-    if not guesses:
+    pairs = ends(problem, np.random.default_rng(FastestOptions().seed))
+    if not pairs:
         raise UnreachableError("No posture within the joint limits reaches the start or the goal pose.")
-    return _begun(problem, guesses[0], spline)
-
-
-def _begun(problem: TransportProblem, guess: _Guess, spline: RestSpline) -> SplineMotion:
-    s = np.linspace(0, 1, 201)
-    q = guess.path(s)
-    if problem.moving:
-        duration = braking_time(problem) + float(np.max(np.abs(q[-1] - q[0]) / problem.limits.velocity))
-    else:
-        duration = _comfortable_duration(problem, np.abs(np.gradient(q, s, axis=0)).max(axis=0))
-    return SplineMotion(spline, spline.fit(s, q), duration)
-
-
-def _rough(problem: TransportProblem, options: FastestOptions, guess: _Guess, time_limit: float) -> Solution:
-    """A first optimum with few spline pieces, from a comfortable duration."""
-    return rough(problem, FreeCurve, _begun(problem, guess, _few(options)), options.nodes_per_span, time_limit)
-
-
-def _turned(
-    problem: TransportProblem, options: FastestOptions, found: Solution, time_limit: float
-) -> Iterator[Solution]:
-    """The same motion ending a quarter turn of the last joint away, optimised again: a local optimum does not turn."""
-    few = _few(options)
-    ramp = min_jerk_blend(np.linspace(0, 1, few.size))
-    for turn in (0.5 * np.pi, -0.5 * np.pi):
-        coefficients = found.iterate.coefficients.copy()
-        coefficients[:, -1] += turn * ramp
-        if problem.limits.q_min[-1] < coefficients[-1, -1] < problem.limits.q_max[-1]:
-            start = SplineMotion(few, coefficients, found.iterate.duration)
-            yield rough(problem, FreeCurve, start, options.nodes_per_span, time_limit, damping=TURNED)
-
-
-def _merit(found: Solution) -> tuple[bool, float]:
-    return not found.status.ok, found.iterate.duration
-
-
-def _few(options: FastestOptions) -> RestSpline:
-    return RestSpline(DEGREE, max(4, options.spans // 3))
-
-
-def _with_all_pieces(options: FastestOptions, found: Iterate) -> SplineMotion:
-    spline, s = RestSpline(DEGREE, options.spans), np.linspace(0, 1, 201)
-    return SplineMotion(spline, spline.fit(s, _few(options).matrices(s)[0] @ found.coefficients), found.duration)
+    return straight(pairs[0]).motion(problem, spline)
 
 
 def _optimum(
     problem: TransportProblem,
     options: FastestOptions,
     start: SplineMotion,
-    time_limit: float,
+    watch: Watch,
     damping: float,
     objective: Objective = SHORTEST,
 ) -> FastestMotion:
     """The optimum from a start that is near it, checked between the nodes."""
     begun = time.perf_counter()
-    found = optimise(problem, FreeCurve, start, options.nodes_per_span, time_limit, damping, objective)
-    wall = time.perf_counter() - begun
-    return FastestMotion(
-        problem, start.spline, found.coefficients, found.duration, found.status, found.worst, wall, found.iterations
-    )
-
-
-def braking_time(problem: TransportProblem) -> float:
-    """Twice the time in which the start's velocity could be braked if nothing slid, s."""
-    start = problem.start
-    assert isinstance(start, AtPosture)
-    speed = np.abs(start.rates[0])
-    limits = problem.limits
-    by_limits = np.where(np.isfinite(limits.acceleration), limits.acceleration, 10.0)
-    return float(np.clip(4.0 * np.max(speed / by_limits), 0.1, 10.0))
-
-
-def _comfortable_duration(problem: TransportProblem, speed: Array) -> float:
-    """A duration at which joint velocity is far from binding, s; `speed` (n,) is |dq/ds| at its largest."""
-    return float(np.clip(2.5 * np.max(speed / problem.limits.velocity), 1.0, 60.0))
+    iterations = round(options.iterations * ITERATIONS)
+    found = optimise(problem, FreeCurve, start, options.nodes_per_span, watch, damping, objective, iterations)
+    wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
+    return FastestMotion(problem, start.spline, *result, found.binding, wall, found.iterations)

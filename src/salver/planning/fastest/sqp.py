@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,7 @@ from salver.planning.fastest.curves import Curve
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.objectives import Objective, Point, Scalar
 from salver.planning.fastest.trust import Trust
+from salver.planning.fastest.watch import Watch
 
 Mask = npt.NDArray[np.bool_]
 
@@ -46,14 +47,14 @@ LEAST_RATIO = 0.01  # of what was hoped for that a step must bring
 
 @dataclass(frozen=True)
 class Options:
-    """iterations, time_limit (s): when to stop. gain: relative improvement below which an iteration counts as idle.
+    """iterations: when to stop; watch: may stop sooner. gain: relative improvement that counts as none.
     violation: largest violation of a margin-tightened row that counts as converged. penalty: first price of a unit of
     violation, in the unit of the objective. least_damping: of the proximal term. mending: to end with the first step
     that keeps all rows.
     """
 
     iterations: int = 60
-    time_limit: float = 20.0
+    watch: Watch = field(default_factory=Watch)
     gain: float = 1e-4
     violation: float = 5e-4
     penalty: float = 20.0
@@ -334,8 +335,8 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
                 continue
             code = "optimal" if idle >= 2 else "stalled"
             break
-        if time.perf_counter() - begun > options.time_limit:
-            code = "time_limit"
+        if options.watch.over():
+            code = options.watch.ended
             break
     sought = programme.objective.sought
     return Solution(path, _status(code, path, options, sought), done, programmes, time.perf_counter() - begun)

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
 from salver.geometry import Array
 from salver.models.arm_limits import POSITION
 from salver.planning.fastest.around import way_around
-from salver.planning.fastest.ends import AtPose, AtPosture
+from salver.planning.fastest.ends import AtPose, AtPosture, End
+from salver.planning.fastest.obstacles import ENOUGH_AT_ENDS
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.postures import postures_along
 
 ATTEMPTS = 40  # random postures from which the ends are sought,
-MORE_ATTEMPTS = 240  # and when no pair of them is free of contact
+MORE_ATTEMPTS = 100  # and from which each of them is when more are wanted,
+ENOUGH = 6  # until there are so many different ones in which nothing touches
 OTHERS = 6  # goal postures that are sought from a start posture that is given
+SLIDES, SLIDE = 12, 0.15  # steps, rad, by which an end posture that touches something is slid free
 APART = 0.3  # rad between pairs of ends that count as different
 ALONG = 31  # postures by which a path is looked at
 LOOKS = 6000  # postures that are looked at for one way around
@@ -65,11 +68,12 @@ class Start:
         return SplineMotion(spline, spline.fit(s, q), duration)
 
 
-def ends(problem: TransportProblem, rng: np.random.Generator) -> list[Ends]:
+def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False) -> list[Ends]:
     """Pairs of end postures, the most promising first; without any that touch something, unless there are no others.
 
     With the start posture given: its goal posture is the one nearest to it, then others. With none given: nearby
-    postures that are clear of joint limits and of one another's parts.
+    postures that are clear of joint limits and of one another's parts. Where none of them is free, or more are wanted,
+    both ends are sought independently of one another too, which takes longer.
     """
     found: list[Ends] = []
     limits, n, given = problem.limits, problem.n, problem.start_posture
@@ -79,16 +83,11 @@ def ends(problem: TransportProblem, rng: np.random.Generator) -> list[Ends]:
     if isinstance(problem.start, AtPosture) and problem.start.moving:
         coasting = 0.5 * problem.start.rates[0] * braking_time(problem)
 
-    def apart(difference: Array) -> float:
-        """Largest difference of a joint; whole turns are none, as the arm stands and moves the same."""
-        turns = np.where(problem.arm.linear, 0.0, np.round(difference / (2 * np.pi)))
-        return float(np.abs(difference - 2 * np.pi * turns).max())
-
-    def add(start: Array, near: Array) -> None:
-        goal = problem.goal.nearest(problem.arm, limits, near)
+    def add(start: Array, goal: Array | None) -> None:
+        goal = None if goal is None else _slid_free(problem, problem.goal, goal)
         if goal is None:
             return
-        others = (apart(goal - e.goal) + apart(start - e.start) for e in found)
+        others = (_apart(problem, goal, e.goal) + _apart(problem, start, e.start) for e in found)
         if min(others, default=np.inf) <= APART:
             return
         both = np.stack([start, goal])
@@ -101,23 +100,70 @@ def ends(problem: TransportProblem, rng: np.random.Generator) -> list[Ends]:
             cost += 20 * max(0.0, 0.03 - float((distance - problem.keep_out.required).min()))
         found.append(Ends(start, goal, cost, free))
 
-    for attempt in range(MORE_ATTEMPTS):
-        any_free = any(pair.free for pair in found)
-        if attempt >= (ATTEMPTS if given is None else OTHERS) and any_free:
-            break
+    for attempt in range(ATTEMPTS if given is None else OTHERS):
         guess = centre + (0.7 * half * rng.uniform(-1, 1, n) if attempt else 0.0)
         if given is None:
             start = problem.start.nearest(problem.arm, limits, guess)
             if start is not None:
-                add(start, start)
-                if attempt >= ATTEMPTS:
-                    add(start, guess)
+                start = _slid_free(problem, problem.start, start)
+                add(start, problem.goal.nearest(problem.arm, limits, start))
         else:
-            spread = min(attempt / OTHERS, 1.0)
-            add(given, (1 - spread) * (given + coasting) + spread * guess)
-    if given is None:
+            spread = attempt / OTHERS
+            add(given, problem.goal.nearest(problem.arm, limits, (1 - spread) * (given + coasting) + spread * guess))
+    if more or not any(pair.free for pair in found):
+        starts = _free_postures(problem, problem.start, [e.start for e in found], rng) if given is None else [given]
+        for goal in _free_postures(problem, problem.goal, [e.goal for e in found], rng):
+            for start in starts:
+                add(start, goal)
+    if given is None or not all(pair.free for pair in found[:1]):
         found.sort(key=lambda pair: pair.cost)
     return [pair for pair in found if pair.free] or found
+
+
+def _free_postures(problem: TransportProblem, end: End, known: list[Array], rng: np.random.Generator) -> list[Array]:
+    """Different postures at an end in which nothing touches, those that are known first; as many as are enough."""
+    limits = problem.limits
+    low, high = np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi)
+    found: list[Array] = []
+    candidates = chain(known, (end.nearest(problem.arm, limits, rng.uniform(low, high)) for _ in range(MORE_ATTEMPTS)))
+    for q in candidates:
+        if q is None or min((_apart(problem, q, other) for other in found), default=np.inf) <= APART:
+            continue
+        if problem.keep_out is None or problem.keep_out.parts.first_touch(q[None]) is None:
+            found.append(q)
+        if len(found) >= ENOUGH:
+            break
+    return found
+
+
+def _slid_free(problem: TransportProblem, end: End, q: Array) -> Array:
+    """A posture in which nothing touches, slid to from one at an end by the freedom that the end leaves; as far as it
+    came, when it did not come free."""
+    keep_out, arm = problem.keep_out, problem.arm
+    if keep_out is None:
+        return q
+    for _ in range(SLIDES):
+        distance = keep_out.distances(q[None])[0] - ENOUGH_AT_ENDS
+        if distance.min() >= 0:
+            break
+        near = np.flatnonzero(distance < 0)
+        away = -distance[near] @ keep_out.gradient(q[None], np.zeros_like(near), near)
+        jacobian = end.residual(arm, q)[1]
+        away -= np.linalg.pinv(jacobian, rcond=1e-3) @ (jacobian @ away)
+        size = float(np.abs(away).max())
+        if size < 1e-6:
+            break
+        slid = end.nearest(arm, problem.limits, q + SLIDE * away / size, 20)
+        if slid is None:
+            break
+        q = slid
+    return q
+
+
+def _apart(problem: TransportProblem, q: Array, other: Array) -> float:
+    """Largest difference of a joint; whole turns are none, as the arm stands and moves the same."""
+    turns = np.where(problem.arm.linear, 0.0, np.round((q - other) / (2 * np.pi)))
+    return float(np.abs(q - other - 2 * np.pi * turns).max())
 
 
 def between(problem: TransportProblem, pair: Ends) -> TransportProblem:

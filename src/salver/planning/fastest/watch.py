@@ -1,0 +1,40 @@
+"""Who may end a search before it is done, and who is told how far it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+TIME_LIMIT, INTERRUPTED = "time_limit", "interrupted"
+WHY = {TIME_LIMIT: "the time limit", INTERRUPTED: "an interruption"}
+
+Tell = Callable[[float, float | None], None]
+
+
+@dataclass
+class Watch:
+    """A search asks it between iterations whether to go on. Without a time limit nothing depends on a clock.
+
+    time_limit: s from now, or None. tell: called with the share of the work that is done, in [0, 1], and the shortest
+    duration found so far (s, None before the first). ended: why the search was ended early, one of `WHY`; "" if not.
+    """
+
+    time_limit: float | None = None
+    tell: Tell | None = None
+    ended: str = ""
+    share: float = 0.0
+    best: float | None = None
+    _begun: float = field(default_factory=time.perf_counter)
+
+    def over(self) -> bool:
+        """Whether to end now with the best so far."""
+        if self.tell is not None:
+            self.tell(self.share, self.best)
+        if not self.ended and self.time_limit is not None and time.perf_counter() - self._begun > self.time_limit:
+            self.ended = TIME_LIMIT
+        return bool(self.ended)
+
+    def interrupt(self) -> None:
+        """End the search at the next question."""
+        self.ended = self.ended or INTERRUPTED
