@@ -32,8 +32,9 @@ from salver.planning.fastest import (
 )
 from salver.planning.fastest.curves import FreeCurve, Grid, launch_basis
 from salver.planning.fastest.exchange import Checked, optimise
-from salver.planning.fastest.search import braking_time
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.fastest.starts import braking_time
+from salver.planning.fastest.watch import Watch
 from salver.planning.postures import candidate_postures
 from salver.trajectory import JointMotion
 

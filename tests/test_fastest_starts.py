@@ -1,0 +1,149 @@
+"""Where the search for the fastest motion begins, and what may end it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from salver import scenario
+from salver.models.urdf import shared_folder
+from salver.planning.fastest import FastestOptions, fastest, transport_problem
+from salver.planning.fastest.around import LEAN, STEP, way_around
+from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.starts import between, ends, straight, touches, tray_line
+from salver.planning.fastest.watch import Watch
+
+POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
+
+
+@pytest.fixture(scope="module")
+def behind_a_post() -> TransportProblem:
+    case = scenario.load("panda-cube").with_changes(
+        objects__0__uncertainty={}, motion__orientation="free", obstacles=[POST]
+    )
+    return transport_problem(case)
+
+
+def test_a_way_around_touches_nothing_stays_level_and_is_the_same_for_the_same_seed(behind_a_post):
+    problem = behind_a_post
+    pair = ends(problem, np.random.default_rng(0))[0]
+    assert touches(problem, straight(pair)) > 0.01
+    ways = [way_around(problem, [pair.start], [pair.goal], np.random.default_rng(seed), 20_000) for seed in (3, 3, 4)]
+    way = ways[0]
+    assert way is not None
+    assert ways[1] is not None
+    assert ways[2] is not None
+    assert np.array_equal(way, ways[1])
+    assert len(way) != len(ways[2]) or not np.allclose(way, ways[2])
+    assert np.array_equal(way[0], pair.start)
+    assert np.array_equal(way[-1], pair.goal)
+    assert np.linalg.norm(np.diff(way, axis=0), axis=1).max() <= 3 * STEP
+    assert problem.keep_out.parts.first_touch(way) is None
+    lean = max(np.arccos(min(1.0, problem.arm.tray_pose(q)[1][2, 2])) for q in way)
+    assert lean <= 2 * LEAN + 1e-6
+    assert np.all(way >= problem.limits.q_min)
+    assert np.all(way <= problem.limits.q_max)
+
+
+def test_no_way_is_found_without_looking_and_none_out_of_an_end_that_touches(behind_a_post):
+    problem = behind_a_post
+    pair = ends(problem, np.random.default_rng(0))[0]
+    rng = np.random.default_rng(0)
+    assert way_around(problem, [pair.start], [pair.goal], rng, 5) is None
+    inside = pair.start + np.linspace(0, 1, 200)[:, None] * (pair.goal - pair.start)
+    touch = problem.keep_out.parts.first_touch(inside)
+    assert touch is not None
+    assert way_around(problem, [pair.start], [inside[touch.index]], rng, 20_000) is None
+
+
+def test_ends_that_touch_something_are_slid_free_where_the_arm_can():
+    """A post where the elbow is in most postures at the start; all that are begun from are clear, and at the poses."""
+    case = scenario.load("panda-cube").with_changes(arm__start_posture=None, motion__duration=None, obstacles=[POST])
+    problem = transport_problem(case)
+    pairs = ends(problem, np.random.default_rng(1))
+    assert pairs
+    assert all(pair.free for pair in pairs)
+    for pair in pairs:
+        assert problem.keep_out.parts.first_touch(np.stack([pair.start, pair.goal])) is None
+        for end, q in ((problem.start, pair.start), (problem.goal, pair.goal)):
+            assert np.abs(end.residual(problem.arm, q)[0]).max() < 1e-9
+
+
+def test_an_end_that_is_too_near_keeps_what_it_can(behind_a_post):
+    problem = behind_a_post
+    pair = ends(problem, np.random.default_rng(0))[0]
+    there = problem.keep_out.parts.clearance(np.stack([pair.start, pair.goal])).min(axis=0)
+    wanted = replace(problem.keep_out, required=there + 1e-3)  # nowhere kept
+    kept = between(replace(problem, keep_out=wanted), pair).keep_out
+    assert np.all(kept.required <= 0.5 * there)
+    assert np.all(kept.required >= 0.0)
+    assert np.array_equal(
+        between(problem, pair).keep_out.required[there > 0.01], problem.keep_out.required[there > 0.01]
+    )
+
+
+def test_the_tray_goes_straight_along_its_line():
+    problem = transport_problem(scenario.load("panda-cube"))
+    pair = ends(problem, np.random.default_rng(0))[0]
+    line = tray_line(problem, pair)
+    assert line is not None
+    p = np.array([problem.arm.tray_pose(q)[0] for q in line.postures])
+    along = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
+    assert np.abs(np.cross(p - p[0], along)).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_a_short_arm_starts_where_its_own_parts_leave_room():
+    """The tutorial's bottle on a UR5, whose tray is within 6 mm of its forearm in one of its few postures: something
+    hinders a shorter time, and it is no slower than the straight line in 0.9 s, which is known to be safe."""
+    folder = shared_folder()
+    assert folder is not None
+    case = scenario.parse(
+        {
+            "name": "bottle",
+            "motion": {"start": {"position": [0.45, -0.25, 0.45]}, "goal": {"position": [0.45, 0.25, 0.45]}},
+            "objects": [
+                {
+                    "name": "bottle",
+                    "shape": {"type": "cylinder", "radius": 0.033, "height": 0.20},
+                    "mass": 0.55,
+                    "com": [0.0, 0.0, -0.02],
+                    "friction": 0.35,
+                    "support_inset": 0.003,
+                    "uncertainty": {"mass": "10%", "com": [0.003, 0.003, 0.01], "friction": "10%"},
+                }
+            ],
+            "contact": {"condition": "exact"},
+            "tray": {"size": [0.25, 0.25], "height": 0.05, "mass": 0.4},
+            "arm": {
+                "model": str(folder / "example-robot-data/robots/ur_description/urdf/ur5_robot.urdf"),
+                "flange": "tool0",
+            },
+        },
+        "bottle",
+    )
+    for orientation in ("fixed", "free"):
+        found = fastest(transport_problem(case.with_changes(motion__orientation=orientation)))
+        assert found.status.ok
+        assert found.binding
+        assert found.duration < 0.9
+
+
+@pytest.mark.slow
+def test_a_search_that_is_interrupted_says_so_and_keeps_what_it_has(behind_a_post):
+    shares = []
+
+    def tell(share: float, best: float | None) -> None:
+        shares.append(share)
+        if best is not None:
+            watch.interrupt()
+
+    watch = Watch(tell=tell)
+    found = fastest(behind_a_post, FastestOptions(spans=8, starts=5), watch=watch)
+    assert found.status.ok
+    assert found.status.code == "interrupted"
+    assert "ended by an interruption" in found.status.sentence
+    assert shares == sorted(shares)
+    assert 0 < shares[-1] < 1
