@@ -234,6 +234,13 @@ def test_a_tube_of_no_width_is_left_by_more_than_rounding():
     assert coverage(t, np.full((1, 1, 1), 1e-6), nominal, radius, ("x",)).left == 1
 
 
+def test_a_tube_is_left_by_more_than_the_accuracy_of_rollouts():
+    """A millionth of its largest radius, which the steps of a rollout are chosen for."""
+    t, nominal, radius = np.arange(2.0), np.zeros((2, 1)), np.array([[1.0], [4.0]])
+    for beyond, left in ((3.5e-6, 0), (4.5e-6, 1)):
+        assert coverage(t, np.array([[[1.0 + beyond], [0.0]]]), nominal, radius, ("x",)).left == left
+
+
 @pytest.mark.slow
 def test_first_order_tubes_miss_by_second_order():
     """Paper's move, mass alone: the excess at the ends of the range is small and falls fourfold when that halves."""
