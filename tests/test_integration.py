@@ -45,6 +45,19 @@ def test_start_is_returned_and_stacks_march_together():
     np.testing.assert_array_equal(only, start[None])
 
 
+def test_what_escapes_to_infinity_is_no_number_and_leaves_the_others_alone():
+    """x' = x^2 from x0 is x0 / (1 - x0 t): from 1 it is nowhere at t = 1, from 0.1 it is 0.1 / 0.8 at t = 2."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        both, alone = (
+            integrate(lambda _: lambda _, x: x * x, np.array(start), 0.0, np.array([0.5, 2.0, 3.0]), 0.02)
+            for start in ([1.0, 0.1], [1.0])
+        )
+    np.testing.assert_allclose(both[:, 1], 0.1 / (1 - 0.1 * np.array([0.5, 2.0, 3.0])), rtol=1e-9)
+    for x in (both[:, 0], alone[:, 0]):
+        assert x[0] == pytest.approx(2.0, rel=1e-9)
+        assert not np.isfinite(x[1:]).any()
+
+
 def test_rates_are_asked_at_no_instant_outside_the_span_and_sampled_once():
     calls = []
 

@@ -32,6 +32,7 @@ def integrate(
     rates_at: called once, with all instants (K,) at which rates will be needed; it answers with the function
     of (k, state) that evaluates the rate at the k-th of them, having sampled there what depends on time alone.
     corners: instants at which the rate is not smooth; steps end there.
+    Where a state has escaped to infinity, what follows is not a number.
     """
     inside = sorted({c for c in corners if start < c < t[-1]})
     pieces = [
@@ -52,6 +53,9 @@ def integrate(
         for i in range(1, DOP853.n_stages):
             slopes.append(rate(first + i, state + h * _combine(DOP853.A[i], slopes)))
         end = state + h * _combine(DOP853.B, slopes)
+        if not np.isfinite(end).any():  # all have escaped: no number will come any more
+            out[t > grid[k]] = np.nan
+            break
         slope = rate(first + len(_NODES) - 1, end)
         rows = np.flatnonzero((t > grid[k]) & (t <= grid[k + 1]))
         out[rows[t[rows] == grid[k + 1]]] = end
