@@ -26,6 +26,7 @@ from salver.simulation.scene import build
 from salver.trajectory import JointMotion
 
 REST = np.array([0.0, -1.2, 1.5, -0.3, 1.6, 0.0])
+TRAY = scenario.Tray()
 
 
 def turn(q: Array, joint: int, to: float, duration: float = 1.0) -> JointMotion:
@@ -51,6 +52,38 @@ def test_nothing_passes_between_two_instants() -> None:
     assert found.touch is not None
     assert {found.touch.first, found.touch.second} & {"foil"}
     assert not verdict(arm, motion, parts=arm_geometry(arm, [], [wall])).ok
+
+
+def test_there_and_back_between_two_instants_is_seen() -> None:
+    """A tray that touches a post with its edge and is back before the next of the first instants, which are 32 apart:
+    two equal distances say no more than that it went against the post for half of its way. Behind it there is something
+    nearer, so that what comes no nearer than that is of no interest."""
+    arm = load_arm(scenario.Arm(model="ur5"), TRAY)
+    stretched = np.array([0.0, -0.1, 0.1, 0.0, 0.1, 0.0])  # so that the bound on its way is nearly the way
+    t, q = np.array([0.0, 16, 16.5, 17, 32]) / 32, np.tile(stretched, (5, 1))
+    q[2, 0] += 0.1
+    motion = JointMotion(t, q, np.zeros_like(q), np.zeros_like(q))
+    (here, R_here), (there, R) = arm.tray_pose(stretched), arm.tray_pose(q[2])
+    ahead = (there - here) / np.linalg.norm(there - here)
+    half = 0.5 * np.array([*TRAY.size, TRAY.thickness])
+    corner, behind = (
+        place + turn @ (side * half * np.sign(turn.T @ ahead) - [0, 0, half[2]]) + side * away * ahead
+        for place, turn, side, away in ((there, R, 1, 0.0), (here, R_here, -1, 0.012))
+    )
+    wall = scenario.Obstacle(type="sphere", name="wall", radius=0.01, position=tuple(behind))
+    for beyond, touches in ((-0.001, True), (0.001, False)):
+        centre = corner + (0.01 + beyond) * ahead
+        post = scenario.Obstacle(type="sphere", name="post", radius=0.01, position=tuple(centre))
+        parts = arm_geometry(arm, [], [wall, post])
+        pair = parts.pairs.index((parts.names.index("tray"), parts.names.index("post")))
+        before, at = parts.clearance(np.array([stretched, q[2]]))[:, pair]
+        assert before > 0.03
+        assert at == pytest.approx(beyond, abs=2e-4)  # the tray turns a little on its way
+        found = sweep(parts, motion)
+        assert found.obstacle.distance == pytest.approx(min(0.002, beyond), abs=2e-4)
+        assert (found.touch is not None) == touches, found
+        if touches:
+            assert found.touch.time == pytest.approx(16.5 / 32, abs=0.2 / 32)
 
 
 @pytest.mark.parametrize("seed", range(6))

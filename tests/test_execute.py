@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -251,6 +252,19 @@ def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(
         execute.run_on_franka(directory, "arm", move_to_start=True)
     assert len(positions) == 201
     assert fake.calls[-1] == ("stopped",)
+
+
+@pytest.mark.parametrize("q_d", [[0.1] * 6 + [np.nan], [0.1] * 6], ids=["nan", "six"])
+def test_an_arm_that_does_not_say_where_it_is_is_not_moved(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch, q_d: list[float]
+) -> None:
+    from salver.driver.robots import FrankaRobot
+
+    monkeypatch.setitem(sys.modules, "pylibfranka", Library(plan))
+    robot = FrankaRobot("arm", _parts(plan)[0], 0.15, np.full(3, 1e-4), realtime=False)
+    monkeypatch.setattr(robot._robot, "read_once", lambda: SimpleNamespace(q_d=q_d))
+    with pytest.raises(SalverError, match="The arm at arm reports no numbers for its joints"):
+        robot.move(lambda q: pytest.fail("a motion from nowhere was asked for"))
 
 
 def test_franka_that_does_not_answer(directory: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

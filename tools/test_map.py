@@ -148,7 +148,9 @@ def _measure(tree: Path, name: str) -> dict[str, Any] | None:
         covers[source] = {}
         for function, lines in function_lines(Path(file).read_text()).items():
             tests = {test for line in lines for test in contexts.get(line, [])}
-            if any(line in contexts for line in lines):
+            if "" in tests:  # when the module is imported: it may matter to all tests that use the module
+                tests.update(test for every in contexts.values() for test in every)
+            if tests:
                 covers[source][function] = sorted(tests - {""})
     combined.erase()
     return {"tests": outcome.seconds, "marked": outcome.marked, "shares": outcome.shares, "covers": covers}
