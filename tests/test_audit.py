@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from salver.auditing.samples import JointSamples, TraySamples, tray_samples
 from typer.testing import CliRunner
 
 from recordings import AT_B, GOAL, HEADER, JOINTS, NO_TURN, START, joint_motion, line, tray_csv, write_csv
@@ -14,7 +15,8 @@ from salver.auditing.noise import Level, found, level, resolution, spikes
 from salver.auditing.recorded import sensor_of, stretches
 from salver.auditing.spline import fit
 from salver.cli import app
-from salver.geometry import exp, quat_wxyz_from_matrix
+from salver.errors import FileFormatError
+from salver.geometry import exp, log, quat_wxyz_from_matrix
 from salver.models.arm import load_arm
 from salver.motion_files.readers import read
 from salver.trajectory import MotionSamples, min_jerk_line
@@ -234,6 +236,41 @@ def test_what_may_be_mirrored_at_the_sampling_rate_is_told():
     assert any(np.any(np.abs(cells.frequency - 15) < 3) for cells in seen.mirrored)
     slow = one(t, 1e-2 * np.sin(2 * np.pi * 2 * t))
     assert not any(np.any(cells.amplitude > 3e-5) for cells in slow.mirrored)
+
+
+def test_noise_that_is_stated_of_joints_reaches_the_tray_through_the_jacobian(arm):
+    """Independent noise s in all joints has the covariance s^2 J J^T at the tray: s |J| / sqrt(3) of each component; a
+    quaternion's components move by half the angle. J by differences of the tray's pose."""
+    q, h, noise = np.array([0.4, 1.2, -0.7, -1.9, -2.1, 1.1, 1.3]), 1e-6, 2e-4
+    ends = [(arm.tray_pose(q + h * unit), arm.tray_pose(q - h * unit)) for unit in np.eye(7)]
+    moved = np.array([(a[0] - b[0]) / (2 * h) for a, b in ends])
+    turned = np.array([log(b[1].T @ a[1]) / (2 * h) for a, b in ends])
+    samples = JointSamples(np.arange(200) / 100, JOINTS, np.tile(q, (200, 1)), None, None, "by hand")
+    sensor = tray_motion(samples, arm, AT_B, NO_TURN, noise=noise).recording.sensor
+    assert sensor.position.sizes == pytest.approx(noise * np.linalg.norm(moved) / np.sqrt(3), rel=1e-6)
+    assert sensor.orientation.sizes == pytest.approx(0.5 * noise * np.linalg.norm(turned) / np.sqrt(3), rel=1e-6)
+
+
+def test_the_bandwidths_that_are_told_are_the_least_and_the_most():
+    """A slow line with a jolt of 30 Hz in it, without noise."""
+    t = np.arange(3001) / 1000
+    jolt = 1e-3 * np.sin(2 * np.pi * 30 * (t - 1.4)) * np.exp(-(((t - 1.5) / 0.05) ** 2))
+    truth = min_jerk_line(3.0, START, GOAL, np.eye(3), np.eye(3)).sample(t)
+    seen = TraySamples(t, truth.p_SB + jolt[:, None], truth.quat_SB_wxyz, "E", "by hand")
+    least, most = tray_motion(seen, None, AT_B, NO_TURN, noise=1e-6).recording.bandwidth
+    assert least < 30 < 55 < most
+
+
+def test_quaternions_of_nearly_unit_norm_are_made_unit_and_others_refused():
+    t, p = np.arange(40) / 100, np.zeros((40, 3))
+    quat = quat_wxyz_from_matrix(exp(np.outer(t, [0.1, 0.2, 0.3])))
+    for norm in (0.985, 1.015):
+        assert tray_samples(t, p, norm * quat, "E", "by hand").quat_wxyz == pytest.approx(quat, abs=1e-12)
+    for norm in (0.975, 1.025, 0.5, 2.0, 0.0):
+        wrong = quat.copy()
+        wrong[7] *= norm
+        with pytest.raises(FileFormatError, match=rf"the quaternion of sample 8 has norm {norm:.4g};"):
+            tray_samples(t, p, wrong, "E", "by hand")
 
 
 def test_uneven_times_are_no_noise(tmp_path):

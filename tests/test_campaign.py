@@ -98,6 +98,16 @@ def test_a_cube_of_another_mass_sags_as_the_step_response_says(finished):
     assert np.all(error <= peak * 1.1)
 
 
+def test_without_contact_a_run_holds_as_long_as_no_coefficient_is_negative(tmp_path):
+    """In 1.2 s the line needs nearly all of the friction: some masses keep the cone, others leave it."""
+    case = scenarios.load("panda-cube").with_changes(motion__duration=1.2, arm=None)
+    make_plan(case, "baseline").save(tmp_path, "plan")
+    run_campaign(tmp_path, n=6, engine="closed-loop", jobs=1, stems=["plan"])
+    columns = read_table(tmp_path / "campaign" / "runs.parquet")
+    assert columns["outcome"] == ["holds" if least >= 0 else "leaves cone" for least in columns["cone_least"]]
+    assert set(columns["outcome"]) == {"holds", "leaves cone"}
+
+
 def test_parallel_gives_the_identical_table(finished, run_dir):
     run_campaign(run_dir, n=N, engine="closed-loop", jobs=2)
     assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
