@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from salver.auditing.samples import JointSamples, TraySamples, tray_samples
 from typer.testing import CliRunner
 
 from recordings import AT_B, GOAL, HEADER, JOINTS, NO_TURN, START, joint_motion, line, tray_csv, write_csv
@@ -19,6 +18,7 @@ from salver.errors import FileFormatError
 from salver.geometry import exp, log, quat_wxyz_from_matrix
 from salver.models.arm import load_arm
 from salver.motion_files.readers import read
+from salver.motion_files.samples import JointSamples, TraySamples, tray_samples
 from salver.trajectory import MotionSamples, min_jerk_line
 
 GIBBS = 0.135  # of a step of the acceleration, by which a least-squares quintic overshoots it: tested below
@@ -383,6 +383,15 @@ def test_what_holds_nominally_may_not_hold_in_the_worst_case():
     assert not result.ok
     assert result.pace_worst.factor == pytest.approx(np.sqrt(0.28 / 0.27), rel=1e-3)
     assert next(iter(result.costs)) == "friction"
+
+
+def test_what_passes_the_edge_by_less_than_its_acceleration_is_known_cannot_be_told():
+    """Half a m/s^2 beyond friction times gravity at two peaks: known to 0.2 m/s^2 it slides, to 1 not."""
+    duration = np.sqrt(PEAK / (0.3 * 9.81 + 0.5))
+    for error, code in ((0.0, "slides"), (0.2, "slides"), (1.0, "cannot_tell")):
+        assert audit_motion(TrayMotion(line(duration), acceleration_error=error), case(0.3)).nominal.code == code
+        missed = TrayMotion(line(duration), acceleration_error=0.0, missed=np.full(len(line(duration).t), error))
+        assert audit_motion(missed, case(0.3)).nominal.code == code
 
 
 def test_a_tray_tilted_beyond_the_friction_angle_has_no_pace():

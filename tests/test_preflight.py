@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from salver import scenario
 from salver.control.arm import ArmState
-from salver.driver.franka_limits import FR3, velocity_range
+from salver.driver.franka_limits import FR3
 from salver.driver.preflight import check_approach, check_franka, check_plan, check_posture, demand, looked_at
 from salver.errors import SalverError, Status
 from salver.geometry import Array
@@ -278,35 +278,24 @@ def _franka(plan: Plan, arm: ArmModel, joint: JointMotion) -> set[str]:
     return {c.name for c in check_franka(replace(plan, joint=joint), arm) if not c.ok}
 
 
-def test_each_limit_of_the_research_3_is_checked(plan: Plan, arm: ArmModel) -> None:
-    """One joint at a time beyond one of the limits, the others well within."""
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_each_limit_of_the_research_3_is_checked(plan: Plan, arm: ArmModel, sign: float) -> None:
+    """One joint at a time beyond one of the limits, the others well within; either way round."""
     middle = 0.5 * (FR3.q_min + FR3.q_max)
-    assert _franka(plan, arm, by_itself(middle, middle + 0.3, 2.0)) == set()
+    assert _franka(plan, arm, by_itself(middle, middle + 0.3 * sign, 2.0)) == set()
     # A quintic step's steepest slope is 15/8, its largest acceleration 10/sqrt(3), its jerk at the ends 60.
-    away = np.eye(7)[0]
+    away = sign * np.eye(7)[0]
     assert _franka(plan, arm, by_itself(middle - away, middle + away, 1.0)) == {"FR3 velocity", "FR3 acceleration"}
     assert _franka(plan, arm, by_itself(middle, middle + 0.2 * away, 0.3)) == {"FR3 acceleration"}  # 12.8 > 10
     sudden = by_itself(middle, middle + 5e-4 * away, 0.018)  # 8.9 rad/s^2, but 60 * 5e-4 / 0.018^3 = 5144 rad/s^3
     assert _franka(plan, arm, sudden) == {"FR3 jerk"}
     # Joint 1 within 6e-3 rad of its end may turn at sqrt(12 * 0.0124) - 0.3 = 0.086 rad/s towards it, at 2.62 from it.
     # Over 0.012 rad in 0.1 s it turns at 0.225 rad/s in the middle, and nowhere faster than 6.9 rad/s^2.
-    edge = middle.copy()
-    edge[0] = FR3.q_max[0]
+    edge, beyond = middle.copy(), middle.copy()
+    edge[0], beyond[6] = sign * 2.7437, sign * 3.0159
     assert _franka(plan, arm, by_itself(edge - 0.012 * away, edge, 0.1)) == {"FR3 velocity"}
     assert _franka(plan, arm, by_itself(edge, edge - 0.012 * away, 0.1)) == set()
-    beyond = middle.copy()
-    beyond[6] = 3.0159
-    assert _franka(plan, arm, by_itself(beyond, beyond + 0.01 * np.eye(7)[6], 1.0)) >= {"FR3 position"}
-
-
-def test_limits_of_the_research_3_by_hand() -> None:
-    low, high = velocity_range(np.array([2.5, 0.0, 0.0, -1.5, 2.8101, 0.5445, 0.0]))
-    assert high[0] == pytest.approx(-0.30 + np.sqrt(12 * (2.7501 - 2.5)))
-    assert low[0] == -2.62
-    assert high[1] == pytest.approx(min(2.62, -0.2 + np.sqrt(5.17 * 1.7918)))
-    assert high[4] == 0.0
-    assert low[5] == pytest.approx(0.0)  # -(sqrt(11 * 0.00358) - 0.35) would be positive
-    assert np.all(FR3.q_min < FR3.q_max)
+    assert _franka(plan, arm, by_itself(beyond, beyond + 0.01 * sign * np.eye(7)[6], 1.0)) >= {"FR3 position"}
 
 
 # The posture ---------------------------------------------------------------------------------------------------------
