@@ -216,6 +216,7 @@ def test_load_terms_are_the_torque_of_the_true_load(case):
 # ---- against nonlinear forward dynamics ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("space", ["joint", "object"])
 def test_chain_is_the_derivative_of_the_nonlinear_loop(case, space):
     """Each uncertain parameter, joints and torque, to 1e-4; arms with and without a redundant joint.
@@ -398,6 +399,7 @@ def test_the_loop_on_uneven_nodes_is_the_chains(panda):
     assert relative(found.tray.w[:, 4] * scale, expected * scale) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("space", ["joint", "object"])
 def test_held_commands_act_half_a_period_late(panda, space):
     """Nominal load, each torque held for 2.5 and for 5 ms, against what the delay predicts; its error falls with it."""
@@ -434,6 +436,7 @@ def test_a_seen_object_in_an_unknown_place_is_refused():
 # ---- against the engine ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_engine_agrees():
     """MuJoCo's arm under the sampled controller, +-10 % mass: tray, torque and measured contact wrench."""
     duration = 1.2

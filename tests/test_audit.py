@@ -178,6 +178,7 @@ def one(t, y, noise=0.0, highest=50.0):
     return part
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frequency", "rate"), [(1, 100), (6, 1000), (15, 100), (20, 200), (45, 400), (80, 1000)])
 def test_the_acceleration_of_a_shake_is_met_at_any_frequency(frequency, rate):
     t = np.arange(2 * rate + 1) / rate
@@ -190,6 +191,7 @@ def test_the_acceleration_of_a_shake_is_met_at_any_frequency(frequency, rate):
     assert part.missed.max() < 0.55
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [1e-6, 1e-5, 1e-4, 1e-3])
 def test_noise_does_not_become_acceleration(noise):
     s = line(2.0)
@@ -412,6 +414,7 @@ def run(*arguments):
     return CliRunner().invoke(app, ["audit", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_the_exit_code_tells(tmp_path):
     held = run(tray_csv(tmp_path / "slow.csv", 2.5), "--scenario", "panda-cube")
     assert held.exit_code == 0

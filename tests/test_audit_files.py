@@ -300,6 +300,7 @@ def test_repeated_times_are_left_out_and_told(tmp_path):
     assert "2 samples repeat the time" in samples.notes[0]
 
 
+@pytest.mark.slow
 def test_times_in_a_wrong_unit_are_told(tmp_path):
     s = line(1.5)
     quick = write_csv(tmp_path / "a.csv", HEADER.replace("t,", "t_ns,"), s.t, s.p_SB, s.quat_SB_wxyz)

@@ -51,6 +51,7 @@ def twice(t: np.ndarray, a: np.ndarray) -> np.ndarray:
 # Violent motions ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_shaken_tray(tmp_path):
     # 50 mm at 6 Hz, 71 m/s^2, coming up over 0.4 s as sin^2.
     t, fine = np.arange(2001) / 1000, np.linspace(0, 0.1, 10_001)
@@ -63,6 +64,7 @@ def test_the_shaken_tray(tmp_path):
     assert slides == pytest.approx(when, abs=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_no_shake_above_the_friction_limit_holds(tmp_path, seed):
     rng = np.random.default_rng(seed)
@@ -73,6 +75,7 @@ def test_no_shake_above_the_friction_limit_holds(tmp_path, seed):
     assert of(tmp_path, t, y).outcome == "does_not_hold"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_a_bump_of_50_ms(tmp_path, noise):
     t = np.arange(2501) / 1000
@@ -82,6 +85,7 @@ def test_a_bump_of_50_ms(tmp_path, noise):
     assert found.nominal.details["time"] == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_jolt_in_a_long_recording(tmp_path):
     # 0.12 s of 8 m/s^2 in 60 s, across the border of two of the stretches that are fitted (at 30 s of 15 000 samples).
     t = np.arange(15_001) / 250
@@ -91,6 +95,7 @@ def test_a_jolt_in_a_long_recording(tmp_path):
     assert found.nominal.details["time"] == pytest.approx(29.95, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_jump_between_two_samples(tmp_path):
     for rate in (10, 100, 1000):
         t = np.arange(2 * rate + 1) / rate
@@ -118,6 +123,7 @@ def test_joints_are_judged_as_poses_are(tmp_path):
 # What sampling and noise do not show --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_gentle_motion_holds_at_any_usual_rate(tmp_path):
     for rate in (60, 125, 500, 2000):
         t = np.arange(int(2.5 * rate) + 1) / rate
@@ -126,6 +132,7 @@ def test_a_gentle_motion_holds_at_any_usual_rate(tmp_path):
         assert found.margins.interfaces[0].friction_needed.max() == pytest.approx(0.462 / 9.81, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frequency", "rate"), [(40, 50), (48, 50), (45, 60), (49, 98), (30, 62)])
 def test_what_the_sampling_cannot_resolve_never_holds(tmp_path, frequency, rate):
     t = np.arange(3 * rate + 1) / rate
@@ -208,6 +215,7 @@ def test_what_is_taken_for_granted_is_said_first(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_odd_but_harmless_recordings_hold(tmp_path):
     rng = np.random.default_rng(0)
     t = np.arange(2501) / 1000

@@ -65,6 +65,7 @@ def test_a_scenario_beyond_the_machine_is_refused(changes, words):
         CUBE.with_changes(**changes)
 
 
+@pytest.mark.slow
 def test_a_long_motion_takes_memory_in_proportion_to_its_length():
     """The chain along 120 s once took 3 GB and 14 s."""
     from salver.planning.make import make_plan
@@ -116,6 +117,7 @@ def bomb(size):
     return content.getvalue()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["mesh.zip", "mesh.3mf", "mesh.glb", "mesh.tar.gz", "mesh.stl", "mesh.ply", "mesh.obj", "mesh.off"]
 )

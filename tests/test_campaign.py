@@ -52,6 +52,7 @@ def parquet(directory: Path) -> bytes:
     return (directory / "campaign" / "runs.parquet").read_bytes()
 
 
+@pytest.mark.slow
 def test_all_plans_run_on_the_same_samples_within_the_set(finished):
     columns = read_table(finished.folder / "runs.parquet")
     assert columns["run"] == [k for k in range(N) for _ in range(2)]
@@ -108,6 +109,7 @@ def test_without_contact_a_run_holds_as_long_as_no_coefficient_is_negative(tmp_p
     assert set(columns["outcome"]) == {"holds", "leaves cone"}
 
 
+@pytest.mark.slow
 def test_parallel_gives_the_identical_table(finished, run_dir):
     run_campaign(run_dir, n=N, engine="closed-loop", jobs=2)
     assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
@@ -300,6 +302,7 @@ def test_a_campaign_is_not_finished_by_other_versions(run_dir):
     assert json.loads(path.read_text()) == summary
 
 
+@pytest.mark.slow
 def test_runs_of_unknown_origin_are_not_taken_over(run_dir):
     run_campaign(run_dir, n=2, engine="closed-loop", jobs=1)
     (run_dir / "campaign" / "campaign.json").unlink()
@@ -389,6 +392,7 @@ def test_a_run_of_the_physics_engine_is_reproduced_alone_from_its_number(tmp_pat
         assert record.summary["objects"][0]["peak_slip"] == columns["peak_slip"][k]
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_run_is_that_of_its_seed(tmp_path):
     """With sensor noise and (almost) nothing else uncertain, runs differ by their seeds alone, and come again alone."""
     from salver.planning.plan import load_plan

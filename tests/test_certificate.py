@@ -44,6 +44,7 @@ def _other(value: np.ndarray) -> np.ndarray:
     return value
 
 
+@pytest.mark.slow
 def test_a_plan_that_nobody_touched_is_read(run: Path) -> None:
     assert load_plan(run).ok
     assert load_plan(run, "baseline").method == "baseline"

@@ -86,6 +86,7 @@ def test_there_and_back_between_two_instants_is_seen() -> None:
             assert found.touch.time == pytest.approx(16.5 / 32, abs=0.2 / 32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_the_least_clearance_is_never_above_a_dense_search(seed: int) -> None:
     """Random turns and posts: what a thousand samples find is found, and what is called clear is clear there."""

@@ -59,6 +59,7 @@ def test_no_command_shows_the_help():
     assert "Usage: salver" in done.stdout + done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["fly"], ["--fly"], ["scenarios", "--fly"], ["plan"]])
 def test_wrong_use_exits_with_two(arguments):
     done = salver(*arguments)
@@ -67,6 +68,7 @@ def test_wrong_use_exits_with_two(arguments):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_unknown_scenario_is_one_sentence():
     done = salver("plan", "panda-cup")
     assert done.returncode == 2

@@ -121,6 +121,7 @@ def test_wrong_mass_at_rest_sags_as_the_oscillator_it_is():
     np.testing.assert_allclose(result.cone_coefficients[0, -1], 1.1 * 0.256 * 9.81 / 16 * np.sqrt(1.25), rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_displaced_centre_of_mass_needs_the_torque_of_its_weight():
     """In equilibrium the controller's torque carries m g c: kp_R I_n tilt = m g x (after gravity turns with B)."""
     p = np.array([0.5, 0.0, 0.4])
@@ -168,6 +169,7 @@ def test_default_step_errs_by_less_than_a_millionth_and_the_order_is_eight():
     assert np.log2(error(0.04) / error(0.01)) / 2 > 7
 
 
+@pytest.mark.slow
 def test_a_record_does_not_depend_on_the_other_samples_or_on_the_other_times():
     phi, t = perturbed(6), np.linspace(0, 1, 6)
     together = rollout(tumbling(), CUBE.inertial, GRASP_MAP, GAINS, phi, t)
@@ -179,6 +181,7 @@ def test_a_record_does_not_depend_on_the_other_samples_or_on_the_other_times():
     np.testing.assert_array_equal(again.cone_coefficients, together.cone_coefficients)
 
 
+@pytest.mark.slow
 def test_a_step_ends_where_the_reference_does():
     """There its jerk jumps by 60 times distance over duration cubed."""
     start, goal = np.array([0.5, -0.2, 0.4]), np.array([0.5, 0.2, 0.4])

@@ -217,6 +217,7 @@ def least_of(row: Array, internal: Array) -> float:
     return float((row + internal_wrenches(row[None], internal) @ internal.T).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pace", [0.9, 1.1])
 def test_arch_along_a_motion_has_the_right_least_margin_and_first_failure(pace: float) -> None:
     """Internal wrenches are solved for at few instants and interpolated between them."""

@@ -16,6 +16,7 @@ def shown(tmp_path_factory):
     return {"scenario": plan.scenario, "plan": plan, "run": run, "campaign": run_campaign(directory, 2, jobs=1)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scenario", "plan", "run", "campaign"])
 def test_one_line_in_a_console_and_one_table_in_a_notebook(shown, name):
     line, html = repr(shown[name]), shown[name]._repr_html_()

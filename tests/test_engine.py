@@ -151,6 +151,7 @@ def test_a_tolerance_that_cannot_be_met_is_reported(monkeypatch):
     assert "still err by about" in str(result.status)
 
 
+@pytest.mark.slow
 def test_a_motion_that_escapes_to_infinity_has_not_converged():
     """x' = p x^2 from x = 1 is 1 / (1 - p t): 2 at t = 0.5, and dx/dp = t / (1 - p t)^2 too; nowhere at t = 16."""
     x, u, p = symbols("x", "u", "p")

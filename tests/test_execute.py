@@ -51,6 +51,7 @@ def _parts(plan: Plan) -> tuple[Any, Any, Any]:
     return arm, plan.scenario.payload.bodies, controller_for(plan.scenario, plan.joint, plan.reference, arm=arm)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_dry_run_without_waiting_is_the_simulation(directory: Path, plan: Plan) -> None:
     """The driver's loop and `salver simulate` step the same controller on the same arm: the same motion."""
     result = execute.dry_run(directory, realtime=False)
@@ -143,6 +144,7 @@ def test_watchdog_brakes_to_rest_within_the_torque_rate(plan: Plan) -> None:
     assert np.abs(log_.tau).max() <= 87.0
 
 
+@pytest.mark.slow
 def test_undisturbed_the_watchdog_is_silent_and_torques_are_the_controllers(plan: Plan) -> None:
     arm, carried, controller = _parts(plan)
     robot = SimulatedRobot(plan, arm, 0.0, realtime=False)
@@ -199,6 +201,7 @@ def test_approach_keeps_its_share_of_the_limits(plan: Plan) -> None:
     assert (np.abs(ddq) / arm.limits.acceleration).max() <= 0.1 + 1e-6
 
 
+@pytest.mark.slow
 def test_franka_adapter_runs_the_plan(directory: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """All but the network: gravity is left to the arm, the load is told, the last torque ends the motion."""
     fake = Library(plan)
@@ -219,6 +222,7 @@ def test_franka_adapter_runs_the_plan(directory: Path, plan: Plan, monkeypatch: 
     assert result.summary["joint_error_peak"] < 5e-3
 
 
+@pytest.mark.slow
 def test_franka_moves_to_the_start_first_when_told(
     directory: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -320,6 +324,7 @@ def test_pylibfranka_has_the_names_that_are_used() -> None:
 # The command ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_commands_that_cannot_be(directory: Path, tmp_path: Path) -> None:
     from typer.testing import CliRunner
 

@@ -44,6 +44,7 @@ def test_paper_endpoints_are_as_fast_as_the_bar_and_safe(friction, level, bar):
     assert tilt < 2e-3 if level else np.deg2rad(5) < tilt < np.deg2rad(45)
 
 
+@pytest.mark.slow
 def test_fastest_plan_does_not_depend_on_a_duration_that_the_scenario_gives():
     """Its duration would otherwise say that the tray stays level: `Motion.may_turn`."""
     timed, untimed = (make_plan(load("panda-cube").with_changes(motion__duration=T), "fastest") for T in (2.5, None))
@@ -88,6 +89,7 @@ def test_robust_plan_takes_longer_and_the_nominal_one_breaks_its_conditions():
     assert name == "contact of bottle"
 
 
+@pytest.mark.slow
 def test_start_posture_is_chosen_when_none_is_given():
     scenario = cube(objects__0__uncertainty={}, arm__start_posture=None, motion__orientation="free")
     found = fastest(transport_problem(scenario), FastestOptions(spans=8))
@@ -97,6 +99,7 @@ def test_start_posture_is_chosen_when_none_is_given():
     assert np.abs(motion.p_SB[0] - scenario.motion.start.position).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_obstacle_on_the_way_is_avoided():
     pillar = {"type": "capsule", "position": [0.60, -0.12, 0.35], "radius": 0.03, "length": 0.5}
     scenario = cube(objects__0__uncertainty={}, motion__orientation="free", obstacles=[pillar])
@@ -159,6 +162,7 @@ def at(plan: FastestMotion, t: float) -> AtPosture:
     return AtPosture(q, dq, ddq)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("t", [0.1, 0.4, 0.6])
 def test_a_stop_from_the_middle_of_a_motion_keeps_every_condition(on_the_way, t):
     """It begins in the plan's state, ends at rest, and is checked at 601 points, torque rate by its own differences."""
@@ -300,6 +304,7 @@ def test_unreachable_goal_has_a_status():
     assert found.status.code == "unreachable"
 
 
+@pytest.mark.slow
 def test_time_limit_is_kept():
     """The search ends early; how early depends on the machine."""
     problem = transport_problem(cube())

@@ -277,6 +277,7 @@ class WrongLoad:
         return np.array([*path, wanted[-1] - x[:7]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mass", "com_x", "com_z"])
 def test_tracking_matches_a_rollout_of_the_arm_with_a_wrong_load(name):
     case = WrongLoad.of(mass="4%", com=[0.001, 0.001, 0.001])

@@ -59,6 +59,7 @@ def one(rig: Rig, *faults: Fault, franka: bool = False) -> Outcome:
 # One by one ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "franka"),
     [
@@ -95,6 +96,7 @@ def test_the_model_bridges_ten_periods_and_not_eleven(rig: Rig, lasts: int, fran
     assert np.abs(outcome.robot.true().dq).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elapsed", [NAN, np.inf, -1e-3, 1e308, None])
 def test_a_clock_that_is_wrong_once_is_bridged(rig: Rig, elapsed: Any) -> None:
     outcome = one(rig, Fault("read", 500, 1, "", lambda answer: (answer[0], elapsed)))
@@ -107,6 +109,7 @@ def test_a_clock_that_stands_still_is_a_reason_to_stop(rig: Rig) -> None:
     assert "its clock says that 0 s passed" in outcome.result.summary["stopped"]
 
 
+@pytest.mark.slow
 def test_late_periods_are_seen_and_stop_the_arm(rig: Rig) -> None:
     for periods, stops in ((21, False), (22, True)):
         late = Fault("read", 500, 1, "", lambda answer, n=periods: (answer[0], n * 1e-3))
@@ -125,6 +128,7 @@ def test_a_sensor_that_is_stuck_while_the_arm_moves_is_seen(rig: Rig) -> None:
     assert "it reports the same state again though it moves" in outcome.result.summary["stopped"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("site", "error"),
     [
@@ -151,6 +155,7 @@ def test_what_the_robot_says_of_itself_is_quoted(rig: Rig) -> None:
     assert stopped == "The arm at arm says: joint_velocity_violation"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signals", [(signal.SIGINT,), (signal.SIGINT,) * 3, (signal.SIGTERM, signal.SIGHUP)])
 def test_ctrl_c_brakes_however_often_it_is_pressed(rig: Rig, signals: tuple[int, ...]) -> None:
     """Once, three times at once, and again and again while the arm brakes and the log is written."""
@@ -166,6 +171,7 @@ def test_ctrl_c_brakes_however_often_it_is_pressed(rig: Rig, signals: tuple[int,
         assert t[-1] < 1.3
 
 
+@pytest.mark.slow
 def test_an_interruption_anywhere_in_the_loop_or_while_the_log_is_written(rig: Rig) -> None:
     for site in ("read", "write", "row", "controller"):
         outcome = one(rig, Fault(site, 500, 1, site, error=KeyboardInterrupt))
@@ -182,6 +188,7 @@ def test_signals_are_as_before_afterwards() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("torque", [np.full(7, NAN), np.full(7, 1e300), np.zeros(6), None, "no"])
 def test_a_controller_that_fails_ends_in_a_stop(rig: Rig, torque: Any) -> None:
     outcome = one(rig, Fault("controller", 500, 1, "", lambda _: torque))
@@ -193,6 +200,7 @@ def test_a_controller_that_fails_ends_in_a_stop(rig: Rig, torque: Any) -> None:
         assert outcome.robot.said[-2:] == ["last", "stop"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("site", "words"), [("controller", "The controller failed"), ("row", "The log failed")])
 def test_whatever_our_own_code_raises_the_arm_is_braked(rig: Rig, site: str, words: str) -> None:
     outcome = one(rig, Fault(site, 500, 10**6, site, error=lambda: SystemExit(1)))
@@ -201,6 +209,7 @@ def test_whatever_our_own_code_raises_the_arm_is_braked(rig: Rig, site: str, wor
     assert outcome.robot.said[-2:] == ["last", "stop"]
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_does_not_cost_the_log(rig: Rig) -> None:
     outcome = one(rig, Fault("save", 0, 10**6, "save", error=lambda: OSError(28, "No space left on device")))
     assert "salver-log-" in str(outcome.result.path)
@@ -208,6 +217,7 @@ def test_a_disk_that_is_full_does_not_cost_the_log(rig: Rig) -> None:
     assert len(load_npz(outcome.result.path)["t"]) > 200
 
 
+@pytest.mark.slow
 def test_a_robot_that_cannot_be_told_to_stop_is_said_so(rig: Rig) -> None:
     assert rig.throw([Fault("stop", 0, 2, "stop", error=lambda: OSError("gone"))]).result.achieved  # the third time
     outcome = rig.throw([Fault("stop", 0, 9, "stop", error=lambda: OSError("gone"))])
@@ -217,6 +227,7 @@ def test_a_robot_that_cannot_be_told_to_stop_is_said_so(rig: Rig) -> None:
 # Drawn at random -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_nothing_unsafe_leaves_and_no_log_is_lost(rig: Rig, seed: int) -> None:
     """`python tests/faults.py -n 1000` throws a thousand."""
@@ -228,6 +239,7 @@ def test_nothing_unsafe_leaves_and_no_log_is_lost(rig: Rig, seed: int) -> None:
 # The parts -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(st.lists(st.lists(st.floats() | st.just(NAN), min_size=1, max_size=4), max_size=12), st.floats())
 def test_only_numbers_within_the_limits_pass_the_gate(wanted: list[list[float]], start: float) -> None:
@@ -356,6 +368,7 @@ def test_where_no_log_can_be_written_nothing_moves(rig: Rig, tmp_path: Path, mon
         execute.dry_run(rig.folder, realtime=False)
 
 
+@pytest.mark.slow
 def test_a_second_run_keeps_the_first_ones_log(rig: Rig, tmp_path: Path) -> None:
     make_plan(CASE).save(tmp_path)
     first = execute.dry_run(tmp_path, realtime=False)

@@ -63,6 +63,7 @@ def test_a_message_that_is_none_is_one_sentence(tmp_path, message, words):
         read(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [
@@ -148,6 +149,7 @@ def test_positions_of_unequal_length_are_one_sentence(tmp_path):
         read(bag(tmp_path / "bag", "sensor_msgs/msg/JointState", messages))
 
 
+@pytest.mark.slow
 def test_a_bag_with_flipped_bytes_is_read_or_one_sentence(tmp_path):
     path = bag(tmp_path / "bag", "sensor_msgs/msg/JointState", [joint_state(k) for k in range(40)])
     whole = read(path)

@@ -82,6 +82,7 @@ def test_everything_imported_is_a_declared_dependency():
                 assert {normal(d) for d in distributions[top]} & declared, f"{path.name} imports {top}"
 
 
+@pytest.mark.slow
 def test_there_is_no_circle_of_imports():
     """Those for types alone included: whatever two modules both need is below them."""
     root = Path(salver.__file__).parent.parent
@@ -97,6 +98,7 @@ def test_there_is_no_circle_of_imports():
     tuple(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the circle
 
 
+@pytest.mark.slow
 def test_without_casadi_one_sentence_says_how_to_get_it_and_the_rest_works():
     code = """
 import json, sys

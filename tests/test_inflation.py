@@ -37,6 +37,7 @@ def test_large_ranges_leave_first_order_tubes_and_stay_in_inflated_ones() -> Non
     assert_allclose(found.share, RESERVE * found.first_order.relative.max())
 
 
+@pytest.mark.slow
 def test_no_sample_both_shapes_the_tubes_and_checks_them() -> None:
     """The halves together are all the samples, once each; extreme points (the first 16) are in both."""
     made, n = with_com(0.002), 41
@@ -72,6 +73,7 @@ def test_what_stands_beside_the_object_changes_nothing() -> None:
     assert inflated(beside, 12).share == inflated(alone, 12).share > 0
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_of_second_order() -> None:
     """A quarter of the mass and centre of mass ranges: a share of the radius that is a quarter as large."""
     large = with_com(0.002)

@@ -58,6 +58,7 @@ PLACES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", PLACES, ids=["centred", "off-centre and turned"])
 @pytest.mark.parametrize("name", ["panda", "ur10"])
 def test_tray_carries_the_object_along_the_reference(name, place):
@@ -146,6 +147,7 @@ def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda,
         assert scale > 1e-3
 
 
+@pytest.mark.slow
 def test_a_chosen_start_is_no_worse_than_the_given_one(panda, cube):
     def worst(q_start):
         motion, status = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=q_start)
@@ -157,6 +159,7 @@ def test_a_chosen_start_is_no_worse_than_the_given_one(panda, cube):
     assert worst(None) <= worst(POSTURE)
 
 
+@pytest.mark.slow
 def test_same_seed_same_motion(panda, cube):
     first, second = (follow(panda, line(), cube.p_EB, cube.R_EB, seed=3)[0] for _ in range(2))
     assert np.array_equal(first.q, second.q)
@@ -172,6 +175,7 @@ def test_candidates_are_different_and_reach(panda):
         assert all(np.abs(q - other).max() > 0.01 for other in found[:i])
 
 
+@pytest.mark.slow
 def test_scenario_brings_its_posture_and_its_load(panda, cube):
     motion, status = follow_scenario(CUBE, line())
     alone, _ = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=POSTURE)
@@ -361,6 +365,7 @@ def test_wrong_start_postures(panda, posture, words):
     assert all(word in str(caught.value) for word in words), caught.value
 
 
+@pytest.mark.slow
 def test_every_plan_accepts_the_same_start_postures():
     """One tolerance: 4.4 mm are put right, 5.5 mm are refused, whether the arm follows or is itself planned."""
     arm = load_arm(CUBE.arm, CUBE.tray)

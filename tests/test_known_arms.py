@@ -20,6 +20,7 @@ CARRIED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(KNOWN_ARMS))
 def test_carries_as_fast_as_it_goes_and_keeps_it(name: str) -> None:
     """At nominal values, and with the least friction and the heaviest load of the uncertain set."""
@@ -39,6 +40,7 @@ def test_carries_as_fast_as_it_goes_and_keeps_it(name: str) -> None:
         assert simulate(plan, parameters=parameters).summary["outcome"] == "holds"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ur3-cup", "ur5-bottle", "gen3-cup"])
 def test_ready_made_cups_and_bottles_in_their_own_time(name: str) -> None:
     plan = make_plan(scenario.load(name))

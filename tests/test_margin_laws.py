@@ -51,6 +51,7 @@ def assert_same(
 # Refinement ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), SOME)
 @FEW
 @given(seed=seeds)
@@ -70,6 +71,7 @@ def test_a_finer_friction_pyramid_never_gives_less(name: str, kind: str, seed: i
         assert np.all(after.friction_needed[finite] >= before.friction_needed[finite] * np.cos(np.pi / 4) - 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), SOME)
 @FEW
 @given(seed=seeds, share=st.floats(0.1, 0.9))
@@ -106,6 +108,7 @@ def turned_tray(made: Scenario, degrees: float) -> Scenario:
     return made.with_changes(**changes, uncertainty__tilt_deg=None, uncertainty__correlation={})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["single", "pair"])
 def test_a_turned_arrangement_on_a_turned_tray_is_the_same(name: str) -> None:
     """Objects turned on the tray by some angle, and the tray turned back by it: contacts turn with their object."""
@@ -202,6 +205,7 @@ def test_the_order_of_objects_does_not_matter(kind: str) -> None:
     assert_same(along(made, tray), along(swapped, tray))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), SOME)
 def test_names_of_objects_do_not_matter(name: str, kind: str) -> None:
     made, tray = LOADS[name](kind), nasty.tray_motion(4, 10)
@@ -306,6 +310,7 @@ def test_worst_parameters_are_where_the_worst_case_is(name: str, kind: str) -> N
     assert (nominal - reached) / (nominal - whole.exact_worst[k]) == pytest.approx(1.0, abs=4e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("single", "box"), ("stack", "ellipsoid"), ("pair", "ellipsoid")])
 def test_friction_needed_in_the_worst_case_is_that_of_no_less_a_load(name: str, kind: str) -> None:
     """With that much friction no load of the set slides, with a little less one of them does."""

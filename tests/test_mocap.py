@@ -197,6 +197,7 @@ def invert_of(pose: tuple[Array, Array]) -> tuple[Array, Array]:
     return -pose[1].T @ pose[0], pose[1].T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -281,6 +282,7 @@ def test_of_several_objects_one_track_tells_nothing_of_the_others(plan: Plan, tm
     assert "nothing is known of lid" in judge(merged, tracks, plan.reference, both, "cube", "tray").sentence
 
 
+@pytest.mark.slow
 def test_without_the_tray_nothing_is_said_of_the_load(directory: Path, plan: Plan, tmp_path: Path) -> None:
     execute.dry_run(directory, realtime=False)
     _capture(plan, tmp_path / "vicon.csv")
@@ -294,6 +296,7 @@ def test_without_the_tray_nothing_is_said_of_the_load(directory: Path, plan: Pla
     assert write_report(directory).is_file()
 
 
+@pytest.mark.slow
 def test_motion_capture_merges_into_the_log(directory: Path, plan: Plan, tmp_path: Path) -> None:
     execute.dry_run(directory, realtime=False)
     _capture(plan, tmp_path / "vicon.csv", slides=0.012)

@@ -57,6 +57,7 @@ def other(plan):
     return replace(plan, method="robust")
 
 
+@pytest.mark.slow
 def test_another_plan_takes_its_results_along(run, plans):
     before = contents(run)
     (run / "notes.txt").write_text("mine")
@@ -209,6 +210,7 @@ def flip(content, at):
     return content[:at] + bytes([content[at] ^ 4]) + content[at + 1 :]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     [

@@ -63,6 +63,7 @@ def test_the_papers_move_holds_and_creep_is_not_slip(nominal):
     assert nominal.in_contact.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["baseline", "fastest"])
 def test_a_run_is_the_same_alone_and_after_others_of_the_same_experiment(fast, method):
     """In object space and in joint space; the run before asks for more torque than there is, and loses the cube."""
@@ -75,6 +76,7 @@ def test_a_run_is_the_same_alone_and_after_others_of_the_same_experiment(fast, m
     assert {**again.summary, "wall_time": 0} == {**alone.summary, "wall_time": 0}
 
 
+@pytest.mark.slow
 def test_creep_law_holds_at_another_timestep():
     plan = quick(physics__timestep=1e-3)
     record = simulate(plan)
@@ -152,6 +154,7 @@ def test_the_first_sliding_duration_with_the_arm_is_that_of_the_exact_cone():
     assert peaks[0.985] > 1e-4
 
 
+@pytest.mark.slow
 def test_tray_alone_and_arm_agree_on_a_tilting_slide():
     """Two formulations of the same physics: the world's frame with the arm, the tray's frame with inertial forces."""
     goal = {"position": [0.444272, 0.100574, 0.4], "rpy_deg": [-20.0, 10.0, 30.0]}
@@ -166,6 +169,7 @@ def test_tray_alone_and_arm_agree_on_a_tilting_slide():
     assert np.abs(difference).max() < 0.06 * tray.slip.max()
 
 
+@pytest.mark.slow
 def test_sampled_runs_are_reproducible(fast):
     noisy = replace(
         fast, scenario=fast.scenario.with_changes(physics__position_noise=1e-5, physics__velocity_noise=1e-3)
@@ -190,6 +194,7 @@ def test_noise_of_the_sensors_is_as_large_as_asked_for_and_of_the_seed(fast):
     np.testing.assert_allclose(record.q[0], q, atol=1e-12)  # what is recorded is the truth
 
 
+@pytest.mark.slow
 def test_figures_of_the_summary_are_those_of_the_record(fast):
     """With every command kept, each figure is the largest (or least) of what is recorded."""
     plan = replace(fast, scenario=fast.scenario.with_changes(physics__settle_after=0.05))
@@ -219,6 +224,7 @@ def test_figures_of_the_summary_are_those_of_the_record(fast):
     assert {**sparse.summary, "wall_time": 0} == {**summary, "wall_time": 0, "tube": sparse.summary["tube"]}
 
 
+@pytest.mark.slow
 def test_what_lies_between_controller_and_arm_shows(fast, plain):
     """Delay, joint friction and measured object: each changes the run, none drops the cube."""
 
@@ -293,6 +299,7 @@ def test_a_load_that_holds_while_the_arm_breaks_a_limit_is_not_said_to_hold(
         assert (slippery.outcome, slippery.summary["arm"]["limits_kept"]) == ("slides", False)
 
 
+@pytest.mark.slow
 def test_round_base_with_many_feet_does_not_chatter():
     """A bottle off the tray's centre, 24 feet, some of which unload: the contact force stays smooth."""
     record = simulate(make_plan(scenarios.load("ur10-bottle"), "baseline"), options=Options(record_rate=1000.0))
@@ -320,6 +327,7 @@ def test_a_collision_with_an_obstacle_is_told(fast, plain):
     assert record.tray_e_p.max() > 1e-3
 
 
+@pytest.mark.slow
 def test_tall_object_tips_with_the_arm():
     data = quick().scenario.model_dump(mode="json", exclude_none=True)
     data["objects"][0] |= {"shape": {"type": "box", "size": [0.03, 0.03, 0.3]}, "friction": 0.8}
@@ -405,6 +413,7 @@ def test_pictures_fall_back_when_there_is_no_opengl(nominal, baseline, monkeypat
     assert len(np.unique(pictures.images)) > 2
 
 
+@pytest.mark.slow
 def test_pictures_show_the_object_move(nominal, baseline):
     try:
         with painter(nominal, baseline.scenario, 320, 240) as paint:

@@ -43,6 +43,7 @@ def line(duration, length=0.48, R_goal=UPRIGHT):
     return min_jerk_line(duration, np.zeros(3), np.array([length, 0, 0]), UPRIGHT, R_goal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.1, 0.2, 0.5, 0.7])
 @pytest.mark.parametrize("axis", ["tilt_x", "tilt_y"])
 def test_sticks_below_the_friction_angle_and_slides_above_it_to_a_fifth_of_a_degree(friction, axis):
@@ -81,6 +82,7 @@ def coulomb_slip(duration, length, friction):
     return length * (s(stop) - s(start) - v(start) * (stop - start) - 0.5 * limit * (stop - start) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.1, 0.35, 0.6])
 def test_the_first_sliding_duration_is_coulombs_to_three_per_cent(friction):
     """Level straight moves around the limit, where the cone is left: T^2 = (10 / sqrt 3) L / (mu g)."""

@@ -188,6 +188,7 @@ def test_seeds_choose_other_postures() -> None:
     assert not any(np.allclose(first[1], q, atol=1e-6) for q in other[:2])
 
 
+@pytest.mark.slow
 def test_fastest_motions_depend_on_the_seed_and_the_best_start_is_kept() -> None:
     """With the start posture free to choose: which is found depends on the seed, and refining a second cannot hurt.
 
@@ -322,6 +323,7 @@ def with_the_fastest_arm() -> Plan:
     return make_plan(load("panda-cube").with_changes(motion__goal_yaw="free"), "fastest")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [free, several, with_the_fastest_arm], ids=lambda make: make.__name__)
 def test_a_plan_comes_back_from_its_files_as_it_was(make: object, tmp_path: object) -> None:
     """Number by number, and again from the files of what came back."""

@@ -191,6 +191,7 @@ def test_where_nothing_acts_on_the_closed_loop_the_motion_of_least_jerk_is_plann
     assert plan.evaluation.samples.p_SB == pytest.approx(line.evaluation.samples.p_SB, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_tilt_stays_below_its_limit_and_less_freedom_costs_more():
     free = changed(motion__orientation="free", motion__duration=0.8)
     plans = [plan_object(free.with_changes(motion__max_tilt_deg=limit)) for limit in (None, 15, 5)]
@@ -252,6 +253,7 @@ def test_a_margin_that_nothing_reaches_is_named():
     assert "of the 0.001 N of contact.margin over its tube" in plan.status.sentence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["panda-cube-tilted-goal", "panda-tall-bottle", "slippery-cube"])
 def test_a_high_degree_finds_no_less_than_a_low_one(name):
     """Polynomials of degree 9 are of degree 30 too. One of degree 30 bends far between 61 nodes; the margin that was

@@ -184,6 +184,7 @@ def test_a_motion_that_loses_the_load_is_refused_by_its_contact(plan: Plan, arm:
     assert "reference" not in said
 
 
+@pytest.mark.slow
 def test_a_motion_must_begin_and_end_at_rest(plan: Plan, arm: ArmModel) -> None:
     j = plan.joint
     assert j is not None
@@ -226,6 +227,7 @@ def test_a_thin_wall_between_two_samples_is_seen(arm: ArmModel) -> None:
     assert near.time == pytest.approx(seen.index / 20000, abs=2e-3)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6))
 def test_nothing_touches_where_the_sweep_says_so(seed: int) -> None:
@@ -253,6 +255,7 @@ def test_nothing_touches_where_the_sweep_says_so(seed: int) -> None:
         assert distance.min() >= near.distance - 1.1e-3
 
 
+@pytest.mark.slow
 def test_the_arms_own_parts_are_kept_apart(plan: Plan, arm: ArmModel) -> None:
     folded = np.array([0.0, 0.0, 0.0, -3.0, 0.0, 0.0, 0.8])
     start = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8])

@@ -130,6 +130,7 @@ def test_retimed_path_keeps_every_limit_and_the_contact(robust):
         assert rows.worst(w).max() <= -0.5 * scenario.contact.margin
 
 
+@pytest.mark.slow
 def test_uncertainty_costs_time_on_the_same_path():
     scenario = cube(objects__0__uncertainty={"mass": "40%", "com": [0.01, 0.01, 0.01], "friction": "20%"})
     durations = []

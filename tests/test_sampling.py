@@ -138,6 +138,7 @@ def test_a_nominal_inertia_too_large_for_the_shape_does_not_empty_the_set():
     assert np.ptp(values[:, 1]) > 0.9 * 0.2 * 3.4e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_a_set_in_which_nothing_is_possible_is_refused_with_a_sentence(method):
     data = cube(inertia=[1e-9, 1e-9, 1e-9])

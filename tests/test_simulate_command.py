@@ -27,6 +27,7 @@ def salver(*arguments):
     return CliRunner().invoke(app, [str(a) for a in arguments])
 
 
+@pytest.mark.slow
 def test_both_plans_side_by_side(run_directory):
     result = salver("simulate", run_directory, "--stem", "both", "--set", "mass=0.306", "--set", "friction=0.45")
     assert result.exit_code == 0
@@ -47,6 +48,7 @@ def test_json_is_one_document(run_directory):
     assert document["plan"]["provenance"]["scenario"] == "panda-cube"
 
 
+@pytest.mark.slow
 def test_sentences_for_what_happened(run_directory):
     assert "slides from t =" in salver("simulate", run_directory, "--set", "friction=0.1").stdout
     sliding = salver("simulate", run_directory, "--set", "friction=0.1", "--set", "tilt_x=0.15").stdout

@@ -25,6 +25,7 @@ def bottle():
     return replace(plan, stops=plan_stops(transport_problem(plan.scenario), plan.joint, every=0.06))
 
 
+@pytest.mark.slow
 def test_a_stop_begins_in_the_plans_state_and_ends_at_rest(bottle):
     stops = bottle.stops
     assert len(stops.t) >= 8
@@ -60,6 +61,7 @@ def test_what_is_moved_keeps_every_condition_from_the_first_instant_to_rest(bott
         )  # jerk and torque rate jump inside a step of this grid
 
 
+@pytest.mark.slow
 def test_the_bottle_stays_at_the_worst_corners_where_braking_without_a_plan_drops_it(bottle):
     """The same corners: with the planned stop it holds in the engine, with the cool stop's motion it falls."""
     loaded = with_load(transport_problem(bottle.scenario).arm, transport_problem(bottle.scenario).items)
@@ -86,6 +88,7 @@ def _cooled(plan, loaded, now):
     return stopped(replace(plan, stops=library), now)
 
 
+@pytest.mark.slow
 def test_stops_come_back_from_the_files_of_a_plan(bottle, tmp_path):
     bottle.save(tmp_path)
     again = sv.load_plan(tmp_path)

@@ -82,6 +82,7 @@ def test_least_slack_of_a_small_set_is_attained(name: str, kind: str) -> None:
             assert_allclose(share, 1.0, atol=3e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), SOME)
 def test_no_load_of_the_set_has_less_than_the_least_slack(name: str, kind: str) -> None:
     chain, at = chain_of(name, kind, 0), slice(None, None, 5)
@@ -92,6 +93,7 @@ def test_no_load_of_the_set_has_less_than_the_least_slack(name: str, kind: str) 
     assert np.all(reached >= bound - 2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [AT_ONCE, HELD])
 @pytest.mark.parametrize(("name", "kind"), CASES)
 def test_fastest_plans_and_the_chain_agree_on_the_contact(name: str, kind: str, delay: float) -> None:
@@ -103,6 +105,7 @@ def test_fastest_plans_and_the_chain_agree_on_the_contact(name: str, kind: str, 
     assert_allclose((worst - nominal) / (-chain.least_slack() - nominal), 1.0, atol=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("single", "box"), ("stack", "ellipsoid")])
 def test_fastest_plans_count_the_products_of_a_large_set(name: str, kind: str) -> None:
     chain, seen = chain_of(name, kind, 0), rows_along(LOADS[name](kind))
@@ -217,6 +220,7 @@ def test_tubes_of_the_chain_hold_every_load_and_touch_one(name: str, kind: str) 
         assert np.median(whole / np.maximum(chain.radius(linear), 1e-12)) > 1.002  # the products are in it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), SOME)
 def test_fastest_plans_leave_room_for_the_torque_of_any_load(name: str, kind: str) -> None:
     made, chain, seen = small(name, kind), chain_of(name, kind), evaluated(name, kind)
@@ -228,6 +232,7 @@ def test_fastest_plans_leave_room_for_the_torque_of_any_load(name: str, kind: st
     assert_allclose(room, expected, atol=5e-3 * expected.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("delay", [AT_ONCE, HELD])
 def test_fastest_plans_leave_room_for_where_and_how_fast_the_joints_stray(delay: float, order: int) -> None:
@@ -245,6 +250,7 @@ def test_fastest_plans_leave_room_for_where_and_how_fast_the_joints_stray(delay:
     assert expected.max() > (1e-4 if delay else 1e-8)
 
 
+@pytest.mark.slow
 def test_no_load_of_the_set_makes_a_joint_faster_than_its_limit() -> None:
     """By the chain; and in the engine at two corners. A joint of this plan is at its limit where a wrong load acts."""
     plan = make_plan(load("panda-tall-bottle"), "fastest")
@@ -263,6 +269,7 @@ def test_no_load_of_the_set_makes_a_joint_faster_than_its_limit() -> None:
 # Clearance -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["box", "ellipsoid"])
 def test_fastest_plans_keep_clear_by_the_safety_distance_and_by_what_the_arm_strays(
     kind: str, monkeypatch: pytest.MonkeyPatch

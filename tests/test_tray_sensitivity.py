@@ -60,6 +60,7 @@ def test_filter_agrees_with_central_differences_on_a_tumbling_reference(tumbling
     assert np.all(relative_error(theta, coefficients) < 1e-4)
 
 
+@pytest.mark.slow
 def test_what_is_left_of_the_difference_falls_with_the_square_of_the_step(tumbling):
     names = ("mass", "com_x", "inertia_yy")
     loop = TrayLoop(BODY, GAINS, phi_jacobian(BODY, "cube", own(names)))

@@ -140,6 +140,7 @@ def blinded(tmp_path: Path, link: str, how: str) -> Path:
     return urdf_without(tmp_path, change)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("link", LINKS)
 @pytest.mark.parametrize("how", ["missing", "broken", "none"])
 def test_a_link_of_unknown_shape_is_refused_or_told(tmp_path: Path, link: str, how: str) -> None:
@@ -272,6 +273,7 @@ def test_hulls_that_always_overlap_are_left_out_by_name(tmp_path: Path) -> None:
 # ---- said first, wherever a plan speaks -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_plan_says_first_what_was_not_checked(tmp_path: Path) -> None:
     """In plan.json, in words and on the page; without the arm it says that arm and obstacles were not looked at."""
     cube = scenario.load("panda-cube").with_changes(
@@ -298,6 +300,7 @@ def test_a_plan_says_first_what_was_not_checked(tmp_path: Path) -> None:
     assert make_plan(cube.with_changes(arm=None, obstacles=None)).unchecked == ()
 
 
+@pytest.mark.slow
 def test_links_without_visual_meshes_are_drawn_as_they_are_checked(tmp_path: Path) -> None:
     """The arm whose meshes are nowhere stands on the page as its capsules, where the true links are."""
     alone = tmp_path / "my_arm.urdf"

@@ -79,6 +79,7 @@ def loaded(tmp_path: Path, text: str, **arm: object) -> ArmModel:
 # ---- joints that slide, joints that turn for ever --------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_gantry_is_planned_checked_and_run(tmp_path: Path) -> None:
     case = cell(tmp_path, gantry(), limits={"acceleration": 10.0, "jerk": 500.0})
     for method in ("robust", "fastest"):

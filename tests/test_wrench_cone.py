@@ -180,6 +180,7 @@ def gauge_by_cone_programme(contacts: ContactSet, wrench: np.ndarray) -> float:
     return 1 / solution.x[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [3, 4, 8])
 def test_round_cone_agrees_with_a_cone_programme(n: int) -> None:
     rng = np.random.default_rng(7 + n)
