@@ -8,7 +8,7 @@ ellipsoids whose parameters are correlated, across objects too.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import Any
 
@@ -308,6 +308,18 @@ def directions(uncertain: UncertainSet) -> Array:
     return scale @ vectors * np.sqrt(values)  # not Cholesky's: any square root will do
 
 
+def projection(uncertain: UncertainSet, index: list[int]) -> UncertainSet:
+    """The same set seen in some of its parameters: an ellipsoid's shadow has the same covariances."""
+    correlation = None if uncertain.correlation is None else uncertain.correlation[index][:, index]
+    return replace(
+        uncertain,
+        parameters=tuple(uncertain.parameters[i] for i in index),
+        nominal=uncertain.nominal[index],
+        half_range=uncertain.half_range[index],
+        correlation=correlation,
+    )
+
+
 def steepest(slope: Array, uncertain: UncertainSet) -> Array:
     """(..., n_p) points of the set, as deviations, that raise quantities with slopes (..., n_p) most."""
     if uncertain.kind == "box":
@@ -354,8 +366,10 @@ class Expansion:
     def __init__(self, rows: TrueRows, w: Array | Felt, base: dict[str, float], products: bool = True) -> None:
         uncertain = rows.uncertain
         half = dict(zip(uncertain.names, uncertain.half_range, strict=True))
-        acting = [p for p in uncertain.parameters if p.kind != "friction" and p.name not in base]
-        self.base, self.kept = base, uncertain.restricted(acting)
+        acting = [
+            i for i, p in enumerate(uncertain.parameters) if p.kind != "friction" and uncertain.names[i] not in base
+        ]
+        self.base, self.kept = base, projection(uncertain, acting)
         names = self.kept.names
 
         def at(*moved: tuple[str, int]) -> Array:

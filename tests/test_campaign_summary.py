@@ -98,6 +98,23 @@ def test_summary_of_known_runs(tmp_path):
     assert read_table(tmp_path / "runs.parquet")["mass"][:3] == [1.0, 1.0, 2.0]
 
 
+def test_two_plans_are_compared_on_the_runs_that_both_have(tmp_path):
+    """Of six and four runs those with the numbers 2 and 3: one holds with one plan and slides with the other."""
+    outcomes = {
+        "plan": dict.fromkeys(range(6), "holds"),
+        "baseline": {2: "slides", 3: "holds", 8: "slides", 9: "slides"},
+    }
+    records = {
+        (stem, run): record(stem, run, outcome, 1e-3 * run * (1 if stem == "plan" else 3))
+        for stem, runs in outcomes.items()
+        for run, outcome in runs.items()
+    }
+    paired = summarise(table(records, ["plan", "baseline"]), ["plan", "baseline"], tmp_path)["paired"][0]
+    assert (paired["holds"]["only_first"], paired["holds"]["only_second"]) == (1, 0)
+    assert paired["difference"]["peak_slip"]["max"] == pytest.approx(-4e-3)
+    assert paired["difference"]["peak_slip"]["min"] == pytest.approx(-6e-3)
+
+
 def test_runs_that_leave_the_tube_by_over_a_hundredth_are_counted(tmp_path):
     """First order misses up to that; the farthest run is named, and one of which nothing is known does not count."""
     excess = [-0.2, 0.009, 0.011, 0.3, 0.05, None]

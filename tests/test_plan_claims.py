@@ -89,6 +89,15 @@ def test_a_plan_that_misses_its_ends_by_a_millionth_is_not_verified(what: str) -
     assert exact.ok
 
 
+def test_a_plan_that_reaches_its_ends_and_loses_the_load_on_the_way_is_not_verified() -> None:
+    """A line in 0.6 s needs a friction of 0.82, and 0.4 is sure."""
+    lost = planned(min_jerk_line(0.6, START, GOAL, LEVEL, LEVEL), PAPER.with_changes(motion__duration=0.6))
+    assert lost.verification.boundary_error < 1e-9
+    assert lost.verification.violation > 0
+    assert not lost.verification.ok
+    assert not lost.ok
+
+
 def test_a_free_yaw_is_free_and_a_tilt_is_not() -> None:
     made = PAPER.with_changes(motion__goal_yaw="free")
     still = (np.zeros(3), np.zeros(3))
