@@ -191,7 +191,7 @@ def _inertial_test(uncertain: UncertainSet, body: Body) -> Possible:
     """The test of one body's mass, centre of mass and inertia together."""
     own = [(j, p.entry) for j, p in enumerate(uncertain.parameters) if p.owner == body.name]
     columns = [(j, entry) for j, entry in own if entry is not None]
-    nominal = inertial_vector(body.inertial)
+    nominal = inertial_vector(body.own)
     within_shape = bool(realisable(body, nominal)[0])
 
     def test(p: Array) -> npt.NDArray[np.bool_]:

@@ -25,6 +25,7 @@ from salver.geometry import Array, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.scenario import Scenario
+from salver.sensitivity.liquid import Liquids
 from salver.tables import Table, Tabular
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ EDGES = 16  # of the friction pyramids: at most 2 % short of the round cone
 
 AT_ONCE = 4096  # instants whose margins are in memory together
 CANNOT_TELL = "cannot_tell"
+AT_REST = 1e-3  # m/s or rad/s
+PACES = 1.03 ** np.arange(60)  # at which a motion with a liquid is looked at: up to 5.7 times slower
 SLOWEST = 100.0  # times the duration: a path that needs more is called impossible
 FASTEST = 0.2
 
@@ -64,7 +67,16 @@ class Audit(Shown, Tabular):
     @cached_property
     def margins(self) -> Margins:
         """At all instants; of very many at those that decide (`_decisive`)."""
-        return Margins(self._model, self.motion.samples.t[self._decisive], self._w[self._decisive])
+        return self._margins_at(self._decisive)
+
+    @cached_property
+    def _liquids(self) -> Liquids | None:
+        """Along the whole motion: they remember."""
+        return Liquids.along(self._model.payload, self.motion.samples.t, self._w)
+
+    def _margins_at(self, index: npt.NDArray[np.intp]) -> Margins:
+        liquids = None if self._liquids is None else self._liquids.at(index)
+        return Margins(self._model, self.motion.samples.t[index], self._w[index], None, liquids)
 
     @cached_property
     def _model(self) -> MarginModel:
@@ -79,8 +91,9 @@ class Audit(Shown, Tabular):
     def _exact(self) -> tuple[Array, Array]:
         """(T,) exact margins at all instants, nominal and in the worst case; some at a time."""
         parts = []
+        every = np.arange(len(self._w))
         for k in self._starts:  # whose rows are let go before the next are made: a long recording has gigabytes of them
-            some = Margins(self._model, self._w[k : k + AT_ONCE, 0], self._w[k : k + AT_ONCE])
+            some = self._margins_at(every[k : k + AT_ONCE])
             parts.append((some.exact, some.exact_worst))
         return np.concatenate([exact for exact, _ in parts]), np.concatenate([worst for _, worst in parts])
 
@@ -126,12 +139,12 @@ class Audit(Shown, Tabular):
             at = self._decisive[~unsure[self._decisive]]
             if not len(at):
                 return _cannot_tell([("edge", self._edge(reserve, error))], worst)
-            status = Margins(self._model, self.motion.samples.t[at], self._w[at]).verdict(worst)
+            status = self._margins_at(at).verdict(worst)
             if np.isinf(error[unsure]).any() or slide(self.motion.samples.t, reserve) > NOTICED:
                 clause = self._edge(reserve, error)
         if not status.ok:
             return status
-        doubts = [*([("edge", clause)] if clause else []), *self.motion.doubts, *self._unseen(worst)]
+        doubts = [*([("edge", clause)] if clause else []), *self.motion.doubts, *self._unseen(worst), *self._waves()]
         return _cannot_tell(doubts, worst) if doubts else self._limited(status, worst)
 
     def _limited(self, status: Status, worst: bool) -> Status:
@@ -153,6 +166,20 @@ class Audit(Shown, Tabular):
             else f"it passes what is borne by {-reserve[k]:.2g} m/s^2, and is known to {error[k]:.2g} m/s^2"
         )
         return f"at {self.motion.samples.t[k]:.3f} s the motion may or may not be too much: {known}"
+
+    def _waves(self) -> list[tuple[str, str]]:
+        """What is not known of liquids: how they move at the beginning, and what a recording leaves in the dark."""
+        if self._liquids is None:
+            return []
+        doubts, s = [], self.motion.samples
+        if max(np.abs(s.v_S[0]).max(), np.abs(s.omega_B[0]).max()) > AT_REST:
+            doubts.append(("begun", "the motion begins moving, and how the liquid moves then is not known"))
+        if self.motion.recording is not None:
+            clause = (
+                "what waves make of the noise of a recording is not judged: a planned motion, without noise, would tell"
+            )
+            doubts.append(("waves", clause))
+        return doubts
 
     def _unseen(self, worst: bool) -> list[tuple[str, str]]:
         """What a recording does not show, where it could slide a load; (code, clause)."""
@@ -233,6 +260,8 @@ class Audit(Shown, Tabular):
         """Run s times slower, accelerations and products of velocities fall by s^2 and gravity stays:
         w = w_rest + (w_1 - w_rest) / s^2. The margin is concave in 1/s^2, so what holds at one pace holds at all
         slower ones that gravity allows."""
+        if self._liquids is not None:
+            return self._pace_of_liquids(which == "exact_worst")
         w, rest = self.margins.w, self._at_rest
         least = self._margin(rest, which)
         if least.min() < 0:
@@ -260,6 +289,26 @@ class Audit(Shown, Tabular):
         return Pace(
             factor, Status("found", f"It just holds at {factor:.3f} times the duration.", True, {"factor": factor})
         )
+
+    def _pace_of_liquids(self, worst: bool) -> Pace:
+        """The least slowing, from the motion's own pace on, at which nothing spills or slides: waves keep time of their
+        own, so that slower is not always calmer, and paces are tried one by one."""
+        t, at_rest = self.motion.samples.t, self._resting_all
+        for factor in PACES:
+            w = at_rest + (self._w - at_rest) / factor**2
+            slower = factor * (t - t[0])
+            liquids = Liquids.along(self._model.payload, slower, w)
+            if Margins(self._model, slower, w, None, liquids).verdict(worst).ok:
+                sentence = f"It holds at {factor:.3f} times the duration, and at no less that was tried."
+                return Pace(float(factor), Status("found", sentence, True, {"factor": float(factor)}))
+        sentence = f"Up to {PACES[-1]:.3g} times slower the path would not hold."
+        return Pace(None, Status("tilted", sentence, False))
+
+    @property
+    def _resting_all(self) -> Array:
+        R_SB = self.motion.samples.R_SB
+        zero = np.zeros((len(R_SB), 3))
+        return motion_vector(R_SB, zero, zero, zero)
 
     @property
     def _at_rest(self) -> Array:

@@ -70,6 +70,10 @@ def define(
     if Path(folder).name != folder or folder in ("", ".."):
         raise SalverError(f'The folder is "{folder}"; it must be one name, for a folder in {directory}.')
     case = load_scenario(directory)
+    if engine == "closed-loop" and case.payload.liquids:
+        raise SalverError(
+            f"{case.payload.liquids[0].name} holds a liquid, which the engine closed-loop does not know; use physics."
+        )
     if not case.payload.uncertain.size:
         raise SalverError(f"Nothing is uncertain in {case.name}: all runs would be the same; use simulate for one run.")
     return Definition(case.digest, {stem: plan_digest(directory, stem) for stem in stems}, n, seed, method, engine)

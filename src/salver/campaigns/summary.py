@@ -18,7 +18,7 @@ from salver.statistics import clopper_pearson, mcnemar, quantiles
 TUBE_TOLERANCE = 0.01  # of the largest radius: what first order may miss before a run counts as outside
 
 # From what was wanted to what must not be; an outcome that is not listed is worst.
-SEVERITY = ("holds", "leaves cone", "limit", "slides", "lifts", "tips", "lost", "crashed", "error")
+SEVERITY = ("holds", "leaves cone", "limit", "slides", "spills", "lifts", "tips", "lost", "crashed", "error")
 SUMMARISED = (
     "peak_slip",
     "final_slip",

@@ -57,6 +57,9 @@ class InterfaceMargins:
             to_tray(b.p_EB, b.R_EB) @ wrench_map(b.inertial.phi) @ frame_map(b.p_EB, b.R_EB) for b in network.bodies
         ]
         wrench_E = self.whole.w @ np.einsum("jik,jkw->iw", network.share[self.index], np.array(required)).T
+        for j, body in enumerate(network.bodies):
+            if self.whole.liquids is not None and body.liquid is not None:
+                wrench_E = wrench_E + self.whole.liquids.nominal[body.name][0].wrench @ network.share[self.index, j].T
         if not network.determinate:
             wrench_E = wrench_E + self.whole.nominal_values[self.network][1] @ network.internal[self.index].T
         upper = network.bodies[self.interface.upper]
@@ -90,7 +93,7 @@ class InterfaceMargins:
     def cone_coefficient(self) -> Array:
         """Least coefficient Lambda of the pseudo-inverse distribution, N: the paper's condition."""
         rows = self.whole.model.paper[self.network][0]
-        return self._margin(rows, rows.worst(self.whole.w), None)
+        return self._margin(rows, self.whole.nominal_case(rows), None)
 
     @cached_property
     def cone_coefficient_worst(self) -> Array:
@@ -135,13 +138,12 @@ class InterfaceMargins:
         rows = model.rows(self.network, model.uncertain, friction_rows, False)
         own = np.flatnonzero(rows.interface == self.index)
         tangential, normal = (_only(rows, own[rows.label[own] == kind]) for kind in (0, 1))
-        w, tracking, w_0 = self.whole.w, self.whole.tracking, self._internal_worst
+        w, w_0 = self.whole.w, self._internal_worst
         low, high = 0.0, 5.0
 
         def fails(mu: float, keep: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
             at_mu = _combined(tangential, normal, mu)
-            part = replace(self.whole, w=w[keep], tracking=None if tracking is None else tracking[keep])
-            return np.asarray((part.worst_case(at_mu) + w_0[keep] @ at_mu.internal.T).max(axis=1) > 0)
+            return np.asarray((self.whole.at(keep).worst_case(at_mu) + w_0[keep] @ at_mu.internal.T).max(axis=1) > 0)
 
         candidates = np.arange(len(w))
         if fails(high, candidates).any():
@@ -215,8 +217,13 @@ class InterfaceMargins:
 
 
 def _only(rows: ContactRows, index: npt.NDArray[np.intp]) -> ContactRows:
-    internal = rows.internal[index]
-    return replace(rows.only(index), interface=rows.interface[index], label=rows.label[index], internal=internal)
+    return replace(
+        rows.only(index),
+        interface=rows.interface[index],
+        label=rows.label[index],
+        internal=rows.internal[index],
+        wrench=rows.wrench[:, index],
+    )
 
 
 def _combined(tangential: ContactRows, normal: ContactRows, mu: float) -> ContactRows:
@@ -230,4 +237,5 @@ def _combined(tangential: ContactRows, normal: ContactRows, mu: float) -> Contac
         fillings=tuple(
             replace(n, rows=t.rows / mu + n.rows) for t, n in zip(tangential.fillings, normal.fillings, strict=True)
         ),
+        wrench=tangential.wrench / mu + normal.wrench,
     )

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.geometry import Array, invert
-from salver.models.parameters import phi_jacobian
 from salver.models.rigid_body import inertia_entries, regressor
 from salver.models.tray_motion import frame_map, motion_vector
 from salver.scenario import Scenario
@@ -32,7 +31,7 @@ def tracking_motion(scenario: Scenario, samples: MotionSamples, state: Array, wr
     """
     first, uncertain = scenario.payload.first, scenario.payload.uncertain
     y = regressor(samples.R_SB, samples.a_S, samples.omega_B, samples.alpha_B)
-    moved = wrench - y @ phi_jacobian(first.inertial, first.name, uncertain.parameters)
+    moved = wrench - y @ first.phi_jacobian(uncertain.parameters)
     omega, domega = samples.omega_B, np.swapaxes(state[:, 9:], 1, 2)
     inertia = first.inertial.inertia_com
     gyroscopic = np.cross(domega, (omega @ inertia)[:, None]) + np.cross(omega[:, None], domega @ inertia)

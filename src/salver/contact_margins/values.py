@@ -2,35 +2,55 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.contact_margins.model import MarginModel
 from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
 from salver.models.internal_wrench import internal_wrenches
 from salver.sensitivity import tubes
+from salver.sensitivity.liquid import Liquids, Sloshed
 
 
 @dataclass(frozen=True)
 class RowValues:
-    """t (T,); w (T, 12): motion of the tray frame E. tracking: (T, 12, n_p) or None, see `margins`."""
+    """t (T,); w (T, 12): motion of the tray frame E. tracking: (T, 12, n_p) or None, see `margins`. liquids: what they
+    do along it, or None."""
 
     model: MarginModel
     t: Array
     w: Array
     tracking: Array | None = None
+    liquids: Liquids | None = None
 
     @cached_property
     def nominal_values(self) -> list[tuple[Array, Array]]:
         """Rows (T, n) and internal wrenches (T, n_w) of each network."""
-        return [_balanced(rows.worst(self.w), rows) for rows in self.model.nominal]
+        return [_balanced(self.nominal_case(rows), rows) for rows in self.model.nominal]
 
     @cached_property
     def worst_values(self) -> list[tuple[Array, Array]]:
         return [_balanced(self.worst_case(rows), rows) for rows in self.model.robust]
+
+    def nominal_case(self, rows: ContactRows) -> Array:
+        """Rows (T, n) at nominal parameters."""
+        value = rows.worst(self.w)
+        return value if self.liquids is None else value + Sloshed.of(rows, self.liquids.nominal).values
+
+    def at(self, keep: npt.NDArray[np.intp]) -> Self:
+        """The same at some of its instants."""
+        return replace(
+            self,
+            t=self.t[keep],
+            w=self.w[keep],
+            tracking=None if self.tracking is None else self.tracking[keep],
+            liquids=None if self.liquids is None else self.liquids.at(keep),
+        )
 
     def worst_case(self, rows: ContactRows) -> Array:
         """Worst case of the rows (T, n), with the tube of the tracking error added."""
@@ -38,6 +58,8 @@ class RowValues:
         if self.tracking is not None:
             change = np.einsum("fk,tkp->tfp", rows.nominal, self.tracking, optimize=True)
             value += tubes.radius(change, self.model.uncertain)
+        if self.liquids is not None:
+            value = value + Sloshed.of(rows, self.liquids.worst).values
         return value
 
 

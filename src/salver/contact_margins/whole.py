@@ -16,8 +16,10 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.models.interfaces import regions_lost
 from salver.scenario import Scenario
+from salver.sensitivity.liquid import Liquids, Spill
 
 if TYPE_CHECKING:
+    from salver.models.parameters import Parameter
     from salver.trajectory import MotionSamples
 
 
@@ -29,7 +31,8 @@ def margins(
     edges: of the friction pyramids, inscribed; unless given the least multiple of the scenario's that is 8 or more.
     tracking: (T, 12, n_p) from `tracking_motion`, when the tray does not follow the motion exactly.
     """
-    return Margins(margin_model(scenario, edges), samples.t, tray_motion(scenario, samples), tracking)
+    w = tray_motion(scenario, samples)
+    return Margins(margin_model(scenario, edges), samples.t, w, tracking, Liquids.along(scenario.payload, samples.t, w))
 
 
 @dataclass(frozen=True)
@@ -72,19 +75,27 @@ class Margins(RowValues):
         if worst and lost:
             sentence = f"{lost[0]} may stand beside it: the uncertain position is as large as the contact region."
             return Status("tips", sentence, False, {"interface": lost[0], "time": float(self.t[0])})
+        spilt = next((s for s in (spill_status(spill, case) for spill in self.spills(worst)) if not s.ok), None)
+        if spilt is not None and not any(f[0] <= spilt.details["time"] for f in failures):
+            return spilt
         if failures:
             time, _, code, m = min(failures, key=lambda f: (f[0], f[1]))
             sentence = f"{m.name} {case}{code} at {time:.3f} s: {m.reason(code, time, worst)}."
             return Status(code, sentence[0].upper() + sentence[1:], False, {"interface": m.name, "time": time})
+        dry = "".join(f" {spill_status(spill, '').sentence}" for spill in self.spills(worst))
         least = min(self.interfaces, key=lambda m: float((m.exact_worst if worst else m.exact).min()))
         margin = least.exact_worst if worst else least.exact
         k = int(np.argmin(margin))
         sentence = (
             f"Everything holds{' ' + case.rstrip() if case else ''}; the least margin is "
-            f"{100 * max(0.0, float(margin[k])):.1f} % of the weight ({least.name}, at {self.t[k]:.3f} s)."
+            f"{100 * max(0.0, float(margin[k])):.1f} % of the weight ({least.name}, at {self.t[k]:.3f} s).{dry}"
         )
         details = {"interface": least.name, "time": float(self.t[k]), "margin": float(margin[k])}
         return Status("holds", sentence, True, details)
+
+    def spills(self, worst: bool = False) -> list[Spill]:
+        """How near each liquid comes to its brim."""
+        return [] if self.liquids is None else self.liquids.spills(worst)
 
     def worst_parameters(self) -> dict[str, float]:
         """Values of the uncertain parameters at which the least worst-case margin occurs (to first order)."""
@@ -97,10 +108,44 @@ class Margins(RowValues):
         worst = uncertain.nominal + uncertain.half_range * np.array(signs)
         return dict(zip(uncertain.names, worst.tolist(), strict=True))
 
+    def only(self, parameter: Parameter) -> Margins:
+        """With only this parameter uncertain."""
+        model, liquids = self.model.with_only(parameter), self.liquids
+        return Margins(model, self.t, self.w, None, liquids and liquids.only(model.payload))
+
     def costs(self) -> dict[str, float]:
         """What each uncertain parameter, alone, takes from the least exact margin (share of the normal force)."""
         least = float(self.exact.min())
-        return {
-            p.name: least - float(Margins(self.model.with_only(p), self.t, self.w).exact_worst.min())
-            for p in self.model.uncertain.parameters
-        }
+        return {p.name: least - float(self.only(p).exact_worst.min()) for p in self.model.uncertain.parameters}
+
+
+def spill_status(spill: Spill, case: str = "") -> Status:
+    """Whether one liquid stays in its container, in one sentence. case: words for the parameters."""
+    k = int(np.argmin(spill.left))
+    when = {"interface": spill.name, "time": float(spill.t[k]), "left": float(spill.left[k])}
+    end = float(spill.t[-1])
+    if np.isfinite(spill.left[k]) and spill.left[k] < 0:
+        first = float(spill.t[np.argmax(spill.left < 0)])
+        sentence = f"The liquid in {spill.name} {case}comes {_mm(-spill.left[k])} too high at {spill.t[k]:.3f} s"
+        return Status("spills", f"{sentence}, the first time at {first:.3f} s.", False, when | {"time": first})
+    if spill.steep.max() > 1:
+        sentence = (
+            f"The waves in {spill.name} {case}become {spill.steep.max():.2f} times as steep as what the model "
+            f"is valid for: "
+            "they may break."
+        )
+        return Status("spills", sentence, False, when | {"time": float(spill.t[np.argmax(spill.steep > 1)])})
+    if spill.after < 0:
+        sentence = f"The liquid in {spill.name} {case}comes {_mm(-spill.after)} too high after the motion."
+        return Status("spills", sentence, False, when | {"time": end})
+    if spill.settled < 0:
+        sentence = f"The waves in {spill.name} {case}are {_mm(-spill.settled)} higher after the motion than is wanted."
+        return Status("unsettled", sentence, False, when | {"time": end})
+    if not np.isfinite(spill.left[k]):
+        return Status("holds", f"The liquid in {spill.name} is kept in by its lid.", True, when)
+    sentence = f"The liquid in {spill.name} stays {_mm(min(spill.left[k], spill.after))} below what it may reach."
+    return Status("holds", sentence, True, when)
+
+
+def _mm(metres: float) -> str:
+    return f"{1e3 * metres:.1f} mm"

@@ -11,7 +11,8 @@ import numpy as np
 from salver.geometry import Array, exp
 from salver.models import shapes
 from salver.models.contact import ContactSet, support_contacts
-from salver.models.parameters import Parameter, inertial_vector, phi_of
+from salver.models.liquid import Liquid
+from salver.models.parameters import Parameter, inertial_vector, phi_jacobian, phi_of
 from salver.models.polygons import inset, intersection
 from salver.models.rigid_body import RigidBody
 
@@ -25,6 +26,8 @@ class LooseObject:
     inertial: in B. com: (3,) of the nominal centre of mass from the solid's, m. on: what it stands on, names of objects
     or ("tray",). at: (2,) where the shape's centre stands from the tray's, m. yaw: rad. support_inset: m by which the
     base that carries is smaller than the solid's. any_contents: whether its mass may be spread in any way in the solid.
+    liquid: that is in it, with which it has its mass and centre of mass;
+    empty: without it, in B.
     """
 
     name: str
@@ -37,6 +40,13 @@ class LooseObject:
     yaw: float = 0.0
     support_inset: float = 0.0
     any_contents: bool = False
+    liquid: Liquid | None = None
+    empty: RigidBody | None = None
+
+    @property
+    def own(self) -> RigidBody:
+        """What its mass, centre of mass and inertia are of, in B: all of it, or the container without its liquid."""
+        return self.inertial if self.empty is None else self.empty
 
     @property
     def com_G(self) -> Array:
@@ -53,6 +63,7 @@ class Body:
     p_EB, R_EB: pose of B in the tray frame E. com_G: origin of B in the shape frame G.
     supports: what it stands on: names of objects, or ("tray",). contacts: with all of them, in B, in the order
     of supports; regions: how many contact points belong to each. any_contents: see `salver.models.contents`.
+    liquid, empty: as in `LooseObject`.
     """
 
     name: str
@@ -70,6 +81,19 @@ class Body:
     def points_B(self) -> Array:
         """(k, 3) points in B whose convex hull contains the solid."""
         return self.solid.bounding_points_G - self.com_G
+
+    liquid: Liquid | None = None
+    empty: RigidBody | None = None
+
+    @property
+    def own(self) -> RigidBody:
+        """What its mass, centre of mass and inertia are of, in B: all of it, or the container without its liquid."""
+        return self.inertial if self.empty is None else self.empty
+
+    def surface_B(self, fill: float) -> Array:
+        """(3,) centre of the still surface of its liquid in B."""
+        assert self.liquid is not None
+        return np.array([0.0, 0.0, self.solid.base_z + self.liquid.floor + fill]) - self.com_G
 
     @property
     def friction(self) -> float:
@@ -91,13 +115,45 @@ class Body:
         """(n, 3) contact points in B."""
         return self.contacts.p_BC
 
+    def phi(self, inertial: Array, fill: Array | float | None = None) -> Array:
+        """(..., 10) inertial parameters in B at values (..., 10) of `INERTIAL` and fills (...) of its liquid, m,
+        exactly.
+
+        Liquid counts as it is while its surface is at rest with it.
+        """
+        phi = phi_of(inertial)
+        if self.liquid is None:
+            return phi
+        fill = np.broadcast_to(self.liquid.fill if fill is None else fill, phi.shape[:-1])
+        held = {h: self._liquid_phi(h) for h in np.unique(fill).tolist()}
+        return phi + np.array([held[h] for h in fill.ravel().tolist()]).reshape(phi.shape)
+
+    def _liquid_phi(self, fill: float) -> Array:
+        assert self.liquid is not None
+        frozen = self.liquid.modes(fill).frozen
+        return RigidBody(frozen.mass, frozen.com_B + self.surface_B(fill), frozen.inertia_com).phi
+
+    def fill_at(self, deviation: Mapping[Parameter, float]) -> float | None:
+        """Fill of its liquid, m; None without one."""
+        if self.liquid is None:
+            return None
+        return self.liquid.fill + deviation.get(Parameter(self.name, "fill"), 0.0)
+
     def phi_at(self, deviation: Mapping[Parameter, float]) -> Array:
         """(10,) inertial parameters in B at parameters that deviate from nominal, exactly."""
-        inertial = inertial_vector(self.inertial)
+        inertial = inertial_vector(self.own)
         for parameter, value in deviation.items():
             if parameter.owner == self.name and parameter.entry is not None:
                 inertial[parameter.entry] += value
-        return phi_of(inertial)
+        return self.phi(inertial, self.fill_at(deviation))
+
+    def phi_jacobian(self, parameters: Sequence[Parameter]) -> Array:
+        """d phi / d p (10, n_p) at nominal parameters; zero for what is another's or does not act through phi."""
+        if self.liquid is None:
+            return phi_jacobian(self.inertial, self.name, parameters)
+        step = 1e-3  # of phi, which is quadratic in mass and length and of third order in the fill
+        moved = [(self.phi_at({p: step}) - self.phi_at({p: -step})) / (2 * step) for p in parameters]
+        return np.array(moved).reshape(len(parameters), 10).T
 
     def place_at(self, deviation: Mapping[Parameter, float]) -> Array:
         """(3,) origin of B in E at parameters that deviate from nominal, the tilt of the tray left out."""
@@ -141,6 +197,8 @@ def bodies(objects: Sequence[LooseObject], edges: int = 4, phase: float = 0.0) -
             contacts,
             tuple(len(region) for region in regions),
             item.any_contents,
+            item.liquid,
+            item.empty,
         )
         top[item.name] = base + solid.height
         surface[item.name] = centre_E[:2] + solid.top_polygon @ R_EB[:2, :2].T

@@ -44,12 +44,14 @@ class ContactRows(UncertainRows):
     row it is; of the cone's facets, whether friction limits them.
     internal: (n, n_w) effect of the network's internal wrenches on the rows, which are at zero in `worst`; zero
     when positions are uncertain, because where those wrenches act is then unknown too.
+    wrench: (m, n, 6) effect on the rows of a wrench at E, in E, that each of the m bodies needs beyond its own.
     """
 
     network: ContactNetwork
     interface: npt.NDArray[np.intp]
     label: npt.NDArray[Any]
     internal: Array
+    wrench: Array
 
 
 def contact_rows(payload: Payload) -> tuple[ContactRows, ...]:
@@ -98,7 +100,7 @@ def network_rows(
     contacts = sure_contacts(network, tray_half, uncertain)
     model = _RowModel(network, [rows_of(c) for c in contacts], per_weight)
     owners = ("", *(body.name for body in network.bodies))
-    acting = [p for p in uncertain.parameters if p.kind != "friction" and p.owner in owners]
+    acting = [p for p in uncertain.parameters if p.loads and p.owner in owners]
     filled = [b for b in network.bodies if b.any_contents and any(p.kind == "inertia" for p in acting if _of(p, b))]
     masses = [p for p in acting if p.kind == "mass"]
     if uncertain.kind == "ellipsoid" or len(masses) > _MOST_MASSES:
@@ -137,6 +139,7 @@ def network_rows(
         np.tile(model.interface, copies),
         np.tile(model.label, copies),
         internal,
+        np.concatenate([block[4] for block in blocks], axis=1),
         fillings=tuple(fillings),
     )
 
@@ -252,8 +255,8 @@ class _RowModel:
 
 def _expand(
     model: _RowModel, acting: tuple[Parameter, ...], half: Deviation, signs: Mapping[Parameter, int]
-) -> tuple[Array, Array, Array, Array]:
-    """c_0, c_k, d_l and the internal columns around the masses at their extremes.
+) -> tuple[Array, Array, Array, Array, Array]:
+    """c_0, c_k, d_l, the internal columns and those of wrenches on the bodies, around the masses at their extremes.
 
     c is quadratic in all parameters but the tilt, so differences over the half-ranges give its terms exactly;
     tilt is cut off after the second order (relative error below tilt^3 / 6).
@@ -275,12 +278,15 @@ def _expand(
     ]
     weight = model.weights(base)
     shape = (-1, len(weight), N_MOTION)
-    internal = np.concatenate([rows @ model.network.internal[e] for e, rows in enumerate(model.facets_at_tray(base))])
+    facets = list(enumerate(model.facets_at_tray(base)))
+    internal = np.concatenate([rows @ model.network.internal[e] for e, rows in facets])
+    wrench = np.concatenate([np.einsum("ni,jik->jnk", rows, model.network.share[e]) for e, rows in facets], axis=1)
     return (
         (centre + sum(half_square)) / weight[:, None],
         np.array(linear).reshape(shape) / weight[:, None],
         np.array(half_square + mixed).reshape(shape) / weight[:, None],
         internal / weight[:, None],
+        wrench / weight[:, None],
     )
 
 

@@ -23,6 +23,8 @@ _AXES = {
     "inertia": ("xx", "xy", "yy", "xz", "yz", "zz"),
     "friction": ("",),
     "position": ("x", "y"),
+    "fill": ("",),
+    "damping": ("",),
 }
 
 SetKind = Literal["box", "ellipsoid"]
@@ -33,7 +35,8 @@ class Parameter:
     """One number that may be uncertain; `name` is what files and users call it.
 
     owner: the object it belongs to; "" for the tray (tilt), and for the parameters of a model of one's own.
-    kind: mass, com, inertia, friction, position or tilt; whatever else, of one's own. axis: "" for a scalar.
+    kind: mass, com, inertia, friction, position, fill, damping or tilt; whatever else, of one's own. axis: "" for a
+    scalar.
     lone: whether its object is the only one, so that the name can leave it out.
     """
 
@@ -56,6 +59,11 @@ class Parameter:
     def entry(self) -> int | None:
         """Place among the ten of `INERTIAL`; None for what does not act through the object's inertia."""
         return INERTIAL.index(self.quantity) if self.quantity in INERTIAL else None
+
+    @property
+    def loads(self) -> bool:
+        """Whether the wrench depends on it that a rigid load needs."""
+        return self.kind not in ("friction", "damping")
 
     @property
     def places(self) -> bool:

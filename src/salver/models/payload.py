@@ -16,7 +16,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.bodies import Body, check_standing
 from salver.models.interfaces import ContactNetwork, networks, regions_lost
-from salver.models.parameters import NOTHING, Parameter, UncertainSet, inertial_vector, parse, phi_of
+from salver.models.parameters import NOTHING, Parameter, UncertainSet, inertial_vector, parse
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +33,11 @@ class Payload:
     @property
     def first(self) -> Body:
         return self.bodies[0]
+
+    @property
+    def liquids(self) -> tuple[Body, ...]:
+        """The bodies with a liquid in them."""
+        return tuple(body for body in self.bodies if body.liquid is not None)
 
     @cached_property
     def networks(self) -> tuple[ContactNetwork, ...]:
@@ -62,11 +67,13 @@ class Payload:
 
     def phi(self, body: Body, values: Array) -> Array:
         """(..., 10) inertial parameters of a body in B at values (..., n_p) of the uncertain parameters, exactly."""
-        inertial = np.broadcast_to(inertial_vector(body.inertial), (*values.shape[:-1], 10)).copy()
+        inertial, fill = np.broadcast_to(inertial_vector(body.own), (*values.shape[:-1], 10)).copy(), None
         for column, parameter in enumerate(self.uncertain.parameters):
             if parameter.owner == body.name and parameter.entry is not None:
                 inertial[..., parameter.entry] = values[..., column]
-        return phi_of(inertial)
+            elif parameter == Parameter(body.name, "fill"):
+                fill = values[..., column]
+        return body.phi(inertial, fill)
 
     def check(self) -> None:
         """Raise ValueError when the bodies cannot stand as they are said to: one sentence."""

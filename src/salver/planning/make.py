@@ -28,6 +28,11 @@ def plan_object(scenario: Scenario) -> Plan:
     Where that asks too much, at last at all instants of the check and with no more margin than the scenario's.
     """
     _need_duration(scenario)
+    if scenario.payload.liquids:
+        raise ScenarioError(
+            f"{scenario.name}: the robust plan of a given duration does not know liquids, and there is one in "
+            f"{scenario.payload.liquids[0].name}; plan with --fastest."
+        )
     began = time.perf_counter()
     problem, finest = Problem(scenario, scenario.motion.nodes), FINER * (scenario.motion.nodes - 1) + 1
     for _ in range(_REPLANS):

@@ -16,7 +16,7 @@ from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import load_npz, npz_bytes, provenance, read_json, to_json, write_atomic, write_json
 from salver.geometry import Array, log, matrix_from_quat_wxyz
 from salver.planning import certificate
-from salver.planning.object.conditions import TILT, unit_of
+from salver.planning.object.conditions import TILT, apart, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
 from salver.planning.stop_library import StopLibrary
@@ -68,7 +68,9 @@ class Verification:
     def sentence(self) -> str:
         where = f"{self.body}, at t = {self.time:.3f} s"
         if self.violation > 0:
-            what = "limit on tilt" if self.body == TILT else "contact condition"
+            what = {TILT: "limit on tilt"}.get(
+                self.body, "room below the brim" if apart(self.body) else "contact condition"
+            )
             return f"The {what} is missed by {self.violation:.3g} {self.unit} ({where})."
         if self.boundary_error > BOUNDARY_TOLERANCE:
             return f"The motion misses its start or goal by {self.boundary_error:.2g} (SI units)."

@@ -262,7 +262,7 @@ def tracking(
     return figure
 
 
-OUTCOME_MARKS = {"holds": "", "slides": "s", "tips": "t", "lifts": "l", "lost": "×", "limit": "–"}
+OUTCOME_MARKS = {"holds": "", "slides": "s", "spills": "w", "tips": "t", "lifts": "l", "lost": "×", "limit": "–"}
 
 
 def outcome_map(

@@ -25,6 +25,7 @@ CYCLE = (BLUE, VERMILION, GREEN, AMBER, MAUVE, SKY, BLACK, GREY)
 OUTCOME_COLOURS = {
     "holds": GREEN,
     "slides": AMBER,
+    "spills": AMBER,
     "tips": VERMILION,
     "lifts": MAUVE,
     "lost": BLACK,

@@ -77,6 +77,7 @@ class Scenario(Shown, Model):
     def _consistent(self) -> Scenario:
         self._bounded()
         self.payload.check()
+        self._dry()
         for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
             tilt = np.rad2deg(np.arccos(np.clip(pose.rotation[2, 2], -1, 1)))
             for item in self.objects:
@@ -88,6 +89,33 @@ class Scenario(Shown, Model):
                         f"with its least friction of {least:.4g} at most {holds:.4g} deg hold"
                     )
         return self
+
+    def _dry(self) -> None:
+        """Raise ValueError when a liquid spills already at rest, or meets what its model does not know."""
+        for item in self.objects:
+            if item.liquid is None:
+                continue
+            for key, given in (("position", item.uncertainty.position), ("tilt_deg", self.uncertainty.tilt_deg)):
+                if given is not None and any(given):
+                    raise ValueError(
+                        f"uncertainty.{key} = {list(given)} with a liquid in {item.name}: how waves change with "
+                        f"it is not "
+                        "known; leave one of the two out"
+                    )
+            liquid = item.loose().liquid
+            assert liquid is not None
+            half = item.uncertainty.ranges(item.loose(), True)
+            most = liquid.fill + next((h for p, _, h in half if p.kind == "fill"), 0.0)
+            for key, pose in (("start", self.motion.start), ("goal", self.motion.goal)):
+                up = pose.rotation[2]
+                rise = liquid.modes(most).highest(liquid.half * np.abs(up[:2]) / max(float(up[2]), 1e-9))
+                if rise > liquid.room(most):
+                    tilt = np.rad2deg(np.arccos(np.clip(up[2], -1, 1)))
+                    raise ValueError(
+                        f"motion.{key} tilts the tray by {tilt:.4g} deg, where the liquid in {item.name} stands "
+                        f"{1e3 * float(rise):.3g} mm higher at the wall already at rest; it has "
+                        f"{1e3 * liquid.room(most):.3g} mm below its brim"
+                    )
 
     def _bounded(self) -> None:
         """Raise ValueError when plans of this would take more memory or time than a machine has."""

@@ -22,6 +22,7 @@ from salver.scenario.fields import (
     Scale,
     Whole,
 )  # fmt: skip
+from salver.scenario.liquid import LiquidIn
 
 if TYPE_CHECKING:
     from salver.models.bodies import LooseObject
@@ -148,7 +149,8 @@ class Uncertainty(Model):
     """Half-ranges of what is not known exactly about an object: eq (8).
 
     A percentage is relative to the nominal value; a number is absolute, in SI units. `inertia` takes three
-    (xx, yy, zz) or six (xx, xy, yy, xz, yz, zz) half-ranges; a percentage means the three on the diagonal.
+    (xx, yy, zz) or six (xx, xy, yy, xz, yz, zz) half-ranges; a percentage means the three on the diagonal. Of a
+    container mass, com and inertia are those without its liquid; `fill` is the liquid's height.
     contents = "any" stands for every distribution of the mass inside the shape, with these mass and centre of mass.
     """
 
@@ -157,6 +159,7 @@ class Uncertainty(Model):
     inertia: Range6 | None = None
     friction: Range | None = None
     position: tuple[HalfRange, HalfRange] | None = None
+    fill: Range | None = None
     contents: Literal["known", "any"] = "known"
 
     @model_validator(mode="after")
@@ -169,7 +172,7 @@ class Uncertainty(Model):
         """What is uncertain about an object, with its nominal value and half-range, each above 0."""
         from salver.models.parameters import inertial_vector, parameters_of
 
-        inertial = inertial_vector(item.inertial)
+        inertial, liquid = inertial_vector(item.own), item.liquid
         half = {
             "mass": [_absolute(self.mass, inertial[0])],
             "com": self.com,
@@ -183,17 +186,27 @@ class Uncertainty(Model):
             points = item.solid.bounding_points_G - item.com_G
             heaviest = item.inertial.mass + _absolute(self.mass, inertial[0])
             half["inertia"] = inertia_ranges(points, np.array(self.com or 3 * [0.0]), heaviest, inertial[4:]).tolist()
+        others = {"friction": item.friction}
+        if liquid is not None:
+            others |= {"fill": liquid.fill, "damping": liquid.nominal_damping}
+            half |= {
+                "fill": [_absolute(self.fill, liquid.fill)],
+                "damping": [liquid.damping[1] - liquid.nominal_damping],
+            }
         for kind in half:
             own = [p for p in parameters_of(item.name, lone) if p.kind == kind]
             for parameter, value in zip(own, half[kind] or (), strict=False):
                 entry = parameter.entry
-                nominal = item.friction if kind == "friction" else 0.0 if entry is None else float(inertial[entry])
+                nominal = others.get(kind, 0.0 if entry is None else float(inertial[entry]))
                 if value > 0:
                     yield parameter, nominal, value
 
 
 class CarriedObject(Model):
-    """One loose object. `at` is where its shape's centre stands, from the tray's centre whatever it stands `on`, m."""
+    """One loose object. `at` is where its shape's centre stands, from the tray's centre whatever it stands `on`, m.
+
+    With a `liquid` in it, mass, com and inertia are those of the container alone.
+    """
 
     name: Annotated[
         str,
@@ -216,12 +229,14 @@ class CarriedObject(Model):
     at: tuple[Place, Place] = (0.0, 0.0)
     yaw_deg: Degrees = 0.0
     support_inset: Annotated[Number, Field(ge=0, le=5)] = 0.0
+    liquid: LiquidIn | None = None
     uncertainty: Uncertainty = Uncertainty()
 
     @model_validator(mode="after")
     def _physical(self) -> CarriedObject:
         from salver.models import bodies
 
+        self._check_liquid()
         loose = self.loose()
         bodies.check(loose)
         away = loose.solid.bounding_points_G - loose.solid.centroid_G - self.com
@@ -249,27 +264,61 @@ class CarriedObject(Model):
         solid: instead of the shape's own, for example with a rounder base.
         """
         from salver.models.bodies import LooseObject
+        from salver.models.liquid import hollow
         from salver.models.rigid_body import RigidBody, inertia_matrix
 
         solid = self.shape.solid() if solid is None else solid
+        liquid = None if self.liquid is None else self.liquid.liquid(solid.height)
+        com, unit = np.asarray(self.com), solid.unit_inertia
+        if liquid is not None:
+            hollow_com, unit = hollow(solid, liquid)
+            com = com + hollow_com
         if self.inertia is None:
-            inertia = self.mass * solid.unit_inertia
+            inertia = self.mass * unit
         elif len(self.inertia) == 3:
             inertia = np.diag(self.inertia)
         else:
             inertia = inertia_matrix(self.inertia)
+        whole, empty = RigidBody(self.mass, np.zeros(3), inertia), None
+        if liquid is not None:
+            frozen = liquid.modes(liquid.fill).frozen
+            surface = np.array([0.0, 0.0, solid.base_z + liquid.floor + liquid.fill]) - solid.centroid_G
+            phi = RigidBody(self.mass, com, inertia).phi
+            phi += RigidBody(frozen.mass, frozen.com_B + surface, frozen.inertia_com).phi
+            whole = RigidBody.from_phi(phi)
+            empty = RigidBody(self.mass, com - whole.com_B, inertia)
+            com, whole = whole.com_B, RigidBody(whole.mass, np.zeros(3), whole.inertia_com)
         return LooseObject(
             self.name,
             solid,
-            RigidBody(self.mass, np.zeros(3), inertia),
-            np.asarray(self.com),
+            whole,
+            com,
             self.friction,
             (self.on,) if isinstance(self.on, str) else tuple(self.on),
             self.at,
             float(np.deg2rad(self.yaw_deg)),
             self.support_inset,
             self.uncertainty.contents == "any",
+            liquid,
+            empty,
         )
+
+    def _check_liquid(self) -> None:
+        """Raise ValueError when there cannot be such a liquid in such an object."""
+        if self.liquid is None:
+            if self.uncertainty.fill is not None:
+                raise ValueError(
+                    f"uncertainty.fill of {self.name} needs a liquid: add [objects.liquid], or leave it out"
+                )
+            return
+        if self.uncertainty.contents == "any":
+            raise ValueError(f'liquid of {self.name}: with contents = "any" where a liquid is cannot be said; give one')
+        shape = self.shape
+        if not isinstance(shape, Box | Cylinder):
+            raise ValueError(f"liquid of {self.name}: only a cylinder or a box can hold one, not a {shape.type}")
+        outside = (shape.radius,) if isinstance(shape, Cylinder) else shape.size[:2]
+        height = shape.height if isinstance(shape, Cylinder) else shape.size[2]
+        self.liquid.check(self.name, outside, height, _absolute(self.uncertainty.fill, self.liquid.fill))
 
     @property
     def least_friction(self) -> float:

@@ -2,7 +2,8 @@
 
     x'' + kd x' + kp x = d(t)
 
-is the error dynamics of the object's loop and of the arm's joints, driven by what a wrong load changes. Each step of a
+is the error dynamics of the object's loop and of the arm's joints, driven by what a wrong load changes; and, with a
+stiffness kp that changes over time, a liquid's waves on a tray that lifts or tilts. Each step of a
 grid is exact for a drive that is a polynomial there: linear between nodes, the cubic through the four nearest nodes
 (both of any spacing), or, where it can be had at any instant, given at Gauss points of each interval (sixth order).
 All steps together are one banded triangular system; its transpose gives gradients by the drive.
@@ -33,9 +34,10 @@ class LinearFilter:
 
     step: (T - 1, 2, 2) takes (x, x') from one node to the next. gain: (T - 1, 2, J) of the J samples of the drive
     that matter between them, whose indices are `samples` (T - 1, J); None when the samples of each step are its own.
+    kp: one number, or (T,) at the nodes.
     """
 
-    kp: float
+    kp: float | Array
     kd: float
     step: Array
     gain: Array
@@ -47,17 +49,37 @@ class LinearFilter:
         count, h = len(t), np.diff(t)
         if count <= order:
             raise ValueError(f"a filter of order {order} needs at least {order + 1} nodes, not {count}")
-        samples = np.clip(np.arange(count - 1) - order // 2, 0, count - order - 1)[:, None] + np.arange(order + 1)
-        pieces = int(np.clip(np.ceil(fastest_rate(kp, kd) * h.max()), 1, _MOST_PIECES))
-        inside = ((np.arange(pieces)[:, None] + 0.5 + _FINE_POINTS) / pieces).ravel()
-        weights = np.tile(_FINE_WEIGHTS, pieces) / pieces * h[:, None]
-        # Lagrange's polynomials of the samples at the quadrature points of each interval: (T - 1, G, J).
-        known, at = t[samples], (t[:-1, None] + h[:, None] * inside)[:, :, None, None]
-        own = np.eye(order + 1, dtype=bool)
-        apart = np.where(own, 1.0, known[:, :, None] - known[:, None, :])
-        basis = np.where(own, 1.0, (at - known[:, None, None, :]) / apart[:, None]).prod(axis=3)
+        inside, weights = _fine(kp, kd, h)
+        samples, basis = _lagrange(t, order, inside)
         after = transition(kp, kd, h[:, None] * (1 - inside))[..., 1]
         return cls(kp, kd, transition(kp, kd, h), np.einsum("tg,tgi,tgj->tij", weights, after, basis), samples)
+
+    @classmethod
+    def stiffened(cls, t: Array, kp: Array, kd: Array, extra: Array) -> list[LinearFilter]:
+        """K filters for drives known at nodes t (T,), cubic between them, with kp (K,) + extra (K, T) instead of one
+        number; extra is cubic between the nodes too. Underdamped: kd (K,) < 2 sqrt(kp).
+
+        extra x is one more drive, with x in each step the cubic through both its ends and their rates; that makes the
+        step implicit: (1 + F) X_(k+1) = (step - G) X_k + gain d.
+        """
+        h, fastest = np.diff(t), int(np.argmax(kp))
+        u, weights = _fine(float(kp[fastest]), float(kd[fastest]), h)
+        samples, basis = _lagrange(t, 3, u)
+        sigma = 0.5 * kd[:, None, None]
+        omega = np.sqrt(kp[:, None, None] - sigma**2)
+        left = h[:, None] * (1 - u)
+        fading, angle = np.exp(-sigma * left), omega * left
+        pushed = fading * np.sin(angle) / omega
+        after = np.stack([pushed, fading * np.cos(angle) - sigma * pushed], axis=2)  # (K, T - 1, 2, G)
+        stiffer = weights * np.einsum("tgj,ktj->ktg", basis, extra[:, samples])
+        ends = [[(1 - u) ** 2 * (1 + 2 * u), u * (1 - u) ** 2], [u**2 * (3 - 2 * u), u**2 * (u - 1)]]
+        scale = np.stack([np.ones_like(h), h], axis=1)[:, None, :]  # rates are per second, u per step
+        begin, end = ((after * stiffer[:, :, None]) @ np.stack(pair, axis=1) * scale for pair in ends)
+        back = np.linalg.inv(np.eye(2) + end)
+        plain = np.stack([transition(float(p), float(d), h) for p, d in zip(kp, kd, strict=True)])
+        steps, gains = back @ (plain - begin), back @ (after @ (weights[:, :, None] * basis))
+        each = zip(kp[:, None] + extra, kd.tolist(), steps, gains, strict=True)
+        return [cls(stiff, d, step, gain, samples) for stiff, d, step, gain in each]
 
     @classmethod
     def on_grid(cls, grid: QuadratureGrid, kp: float, kd: float) -> LinearFilter:
@@ -80,7 +102,8 @@ class LinearFilter:
 
     def acceleration(self, drive: Array, x: Array, rate: Array) -> Array:
         """x'' (T, ...) at nodes at which the drive is known."""
-        return drive - self.kd * rate - self.kp * x
+        kp = self.kp if np.ndim(self.kp) == 0 else np.reshape(self.kp, (-1, *(1,) * (x.ndim - 1)))
+        return drive - self.kd * rate - kp * x
 
     def gradient(self, by_x: Array, by_rate: Array) -> Array:
         """Derivative (Q, ...) by the drive of a function with these derivatives (T, ...) by x and x' at the nodes."""
@@ -105,6 +128,24 @@ class LinearFilter:
     def _solved(self, state: Array, trans: str) -> Array:
         right = np.asfortranarray(state.reshape(2 * len(state), -1))
         return dtbtrs(self._bands, right, uplo="L", trans=trans, overwrite_b=True)[0].reshape(state.shape)
+
+
+def _fine(kp: float, kd: float, h: Array) -> tuple[Array, Array]:
+    """Fractions (G,) of a step at which its integral is taken, and weights (T - 1, G), s, for steps h (T - 1,)."""
+    pieces = int(np.clip(np.ceil(fastest_rate(kp, kd) * h.max()), 1, _MOST_PIECES))
+    inside = ((np.arange(pieces)[:, None] + 0.5 + _FINE_POINTS) / pieces).ravel()
+    return inside, np.tile(_FINE_WEIGHTS, pieces) / pieces * h[:, None]
+
+
+def _lagrange(t: Array, order: int, inside: Array) -> tuple[npt.NDArray[np.intp], Array]:
+    """Which nodes (T - 1, J) stand for what is between two of t (T,), and Lagrange's polynomials of these at fractions
+    `inside` (G,) of the way: (T - 1, G, J)."""
+    count, h = len(t), np.diff(t)
+    samples = np.clip(np.arange(count - 1) - order // 2, 0, count - order - 1)[:, None] + np.arange(order + 1)
+    known, at = t[samples], (t[:-1, None] + h[:, None] * inside)[:, :, None, None]
+    own = np.eye(order + 1, dtype=bool)
+    apart = np.where(own, 1.0, known[:, :, None] - known[:, None, :])
+    return samples, np.where(own, 1.0, (at - known[:, None, None, :]) / apart[:, None]).prod(axis=3)
 
 
 @lru_cache(maxsize=64)

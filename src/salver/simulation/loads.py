@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, exp
 from salver.models.bodies import TRAY, Body
+from salver.models.liquid import THICKEST, Modes
 from salver.models.parameters import TILT, Parameter, all_parameters, inertial_vector
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.models.shapes import Solid, cylinder
@@ -23,7 +25,8 @@ ROUND_POINTS = 24  # support points of a round base: the inscribed polygon is at
 class Load:
     """One loose object with its true parameters.
 
-    inertial: true inertial parameters in B, whose origin is the *nominal* centre of mass (docs/conventions.md).
+    inertial: true inertial parameters in B, whose origin is the *nominal* centre of mass (docs/conventions.md); of a
+    container without its liquid. fill, damping: of its liquid, m and of critical; None without one.
     friction: Coulomb coefficient towards everything it stands on. p_EB, R_EB: pose at the start.
     supports: name of each support ("tray" or an object) -> (k, 3) points of its base that rest on it, in B.
     outline_B: (n, 3) all those points: what slips, lifts and tips is told by them.
@@ -40,6 +43,21 @@ class Load:
     R_EB: Array
     supports: Mapping[str, Array]
     nominal: Body
+    fill: float | None = None
+    damping: float | None = None
+
+    @cached_property
+    def modes(self) -> Modes:
+        """Of its liquid."""
+        assert self.nominal.liquid is not None
+        assert self.fill is not None
+        return self.nominal.liquid.modes(self.fill)
+
+    @property
+    def surface_B(self) -> Array:
+        """(3,) centre of its liquid's still surface, in B."""
+        assert self.fill is not None
+        return self.nominal.surface_B(self.fill)
 
     @property
     def outline_B(self) -> Array:
@@ -92,7 +110,7 @@ def _load(
     shape = item.shape
     round_base = cylinder(shape.radius, shape.height, ROUND_POINTS) if shape.type == "cylinder" else None
     loose = item.loose(round_base)
-    solid, inertial = loose.solid, inertial_vector(loose.inertial)
+    solid, inertial = loose.solid, inertial_vector(loose.own)
     for parameter, value in true.items():
         if parameter.owner == item.name and parameter.entry is not None:
             inertial[parameter.entry] = value
@@ -101,7 +119,33 @@ def _load(
     _check(item.name, body, friction)
     p_EB = nominal.place_at(true)
     supports = _supports(nominal, solid, p_EB, scenario, below)
-    return Load(item.name, solid, shape, nominal.com_G, body, friction, p_EB, nominal.R_EB, supports, nominal)
+    fill, damping = _filled(nominal, true)
+    return Load(
+        item.name, solid, shape, nominal.com_G, body, friction, p_EB, nominal.R_EB, supports, nominal, fill, damping
+    )
+
+
+def _filled(body: Body, true: Mapping[Parameter, float]) -> tuple[float | None, float | None]:
+    """Fill and damping of what is in a body, or None. Raises ScenarioError for what cannot be."""
+    liquid = body.liquid
+    asked = {kind: true[key] for kind in ("fill", "damping") if (key := Parameter(body.name, kind)) in true}
+    if liquid is None:
+        for kind, value in asked.items():
+            raise ScenarioError(f"{kind} of {body.name} = {value:g}: it has no liquid in it ([objects.liquid]).")
+        return None, None
+    fill, damping = asked.get("fill", liquid.fill), asked.get("damping", liquid.nominal_damping)
+    if not 0 < fill <= liquid.brim:
+        raise ScenarioError(
+            f"fill of {body.name} = {fill:g} m; it must be above 0 and at most its brim, {liquid.brim:g} m."
+        )
+    if not 0 <= damping <= 2 * THICKEST:
+        raise ScenarioError(f"damping of {body.name} = {damping:g} of critical; it must be from 0 to {2 * THICKEST:g}.")
+    if not liquid.round:
+        raise ScenarioError(
+            f"{body.name} is a box with a liquid in it; the physics engine knows liquids in upright cylinders only. "
+            "Plans, margins and salver audit know both."
+        )
+    return fill, damping
 
 
 def _check(name: str, body: RigidBody, friction: float) -> None:

@@ -5,16 +5,20 @@ An object is measured against what it stands on: the tray, or the object below i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from salver.geometry import Array
+from salver.models.liquid import GRAVITY, LEAST_WEIGHT
 from salver.simulation import creep
 from salver.simulation.loads import Load
 from salver.simulation.scene import DAMPING_WIDTH, Scene
 from salver.simulation.trace import Trace
+
+QUIET = 0.008  # s
 
 
 @dataclass(frozen=True)
@@ -105,8 +109,49 @@ def _creep(
     return creep.on_object(t, bias, load.p_EB, scene.loads[below].p_EB, gain)
 
 
-def judge(t: Array, seen: Behaviour, touches: Array, thresholds: Thresholds, names: tuple[str, ...]) -> dict[str, Any]:
-    """Figures per object and over all, from t = 0 on. The outcome is the worst of tips, lifts, lost, slides, holds.
+def surfaces(scene: Scene, trace: Trace) -> Array:
+    """(N, m, 3) of the liquid in each object: its height at the wall along x and y, and its highest point, over the
+    level at rest, m; NaN where there is none. What does not swing of it follows the container's own acceleration."""
+    out = np.full((len(trace.t), len(scene.loads), 3), np.nan)
+    for i, swing in enumerate(scene.swings):
+        modes = scene.loads[swing.load].modes
+        a, b = trace.swung[:, i, :, 0], trace.swung[:, i, :, 1]
+        incline = np.stack([-np.tan(b) / np.cos(a), np.tan(a)], axis=2)  # of each mass under its hinges
+        force = _smooth(trace.t, trace.felt[:, i, :3])
+        slope = force[:, :2] / np.maximum(force[:, 2:], LEAST_WEIGHT * GRAVITY)
+        turning = np.sum(_smooth(trace.t, trace.felt[:, i, 3:5]) ** 2, axis=1)
+        eta = np.einsum("na,tna->ta", modes.rise, incline) - modes.rest_rise * slope
+        out[:, swing.load, :2], out[:, swing.load, 2] = eta, modes.crest(eta, slope, turning)
+    return out
+
+
+def _smooth(t: Array, x: Array) -> Array:
+    """Means of x (N, ...) over `QUIET`: contacts chatter, a liquid does not follow that."""
+    width = max(1, round(QUIET / (t[1] - t[0])))
+    kernel = np.ones(width) / width
+    inside = np.pad(x, ((width // 2, width - 1 - width // 2), (0, 0)), mode="edge")
+    return np.stack([np.convolve(column, kernel, "valid") for column in inside.T], axis=1)
+
+
+def liquid_room(load: Load) -> float:
+    """m from the surface of its liquid at rest to the brim; infinite under a lid, NaN without a liquid."""
+    liquid = load.nominal.liquid
+    if liquid is None or load.fill is None:
+        return np.nan
+    return np.inf if liquid.sealed else liquid.brim - load.fill
+
+
+def judge(
+    t: Array,
+    seen: Behaviour,
+    touches: Array,
+    thresholds: Thresholds,
+    names: tuple[str, ...],
+    room: Sequence[float] = (),
+    surface: Array | None = None,
+) -> dict[str, Any]:
+    """Figures per object and over all, from t = 0 on. The outcome is the worst of tips, lifts, lost, spills, slides,
+    holds. room: (m,) of each liquid (`liquid_room`). surface: (N, m, 3), see `surfaces`.
 
     first_* is the time of the first instant over the threshold, or None. Figures end when an object is lost.
     """
@@ -122,15 +167,23 @@ def judge(t: Array, seen: Behaviour, touches: Array, thresholds: Thresholds, nam
             "first_tip": _first(at, tip > thresholds.tip),
             "lost_at": _first(t[moving], seen.lost[moving, k]),
         }
+        wet: dict[str, Any] = {}
+        if surface is not None and not np.isnan(room[k]):
+            waves = surface[kept, k, 2]
+            events["first_spill"] = _first(at, waves > room[k])
+            wet = {"peak_wave": _largest(waves), "room": float(room[k]) if np.isfinite(room[k]) else None}
         objects.append(
             {
                 "name": name,
-                "outcome": next((word for word, event in _WORST_FIRST.items() if events[event] is not None), "holds"),
+                "outcome": next(
+                    (word for word, event in _WORST_FIRST.items() if events.get(event) is not None), "holds"
+                ),
                 "peak_slip": _largest(slip),
                 "final_slip": float(slip[-1]) if len(slip) else None,
                 "peak_creep": _largest(np.linalg.norm(seen.creep_E[kept, k], axis=-1)),
                 "peak_lift": _largest(lift),
                 "peak_tip_angle": _largest(tip),
+                **wet,
                 **events,
                 "contact_lost": float(np.sum(~touches[moving, k]) * (t[1] - t[0])),
             }
@@ -146,7 +199,13 @@ def judge(t: Array, seen: Behaviour, touches: Array, thresholds: Thresholds, nam
     }
 
 
-_WORST_FIRST = {"tips": "first_tip", "lifts": "first_lift", "lost": "lost_at", "slides": "first_slip"}
+_WORST_FIRST = {
+    "tips": "first_tip",
+    "lifts": "first_lift",
+    "lost": "lost_at",
+    "spills": "first_spill",
+    "slides": "first_slip",
+}
 
 
 def _first(t: Array, happened: Array) -> float | None:

@@ -27,7 +27,7 @@ from salver.scenario import Scenario
 from salver.simulation import creep, tray_frame
 from salver.simulation.engine import mujoco
 from salver.simulation.loads import true_world
-from salver.simulation.outcome import Thresholds, behaviour, judge
+from salver.simulation.outcome import Thresholds, behaviour, judge, liquid_room, surfaces
 from salver.simulation.record import SimulationRecord
 from salver.simulation.scene import Scene, build
 from salver.simulation.trace import Recorder, Trace, net_contact_wrench
@@ -225,10 +225,11 @@ def simulate_tray(
         recorder.joints(now, none, none, none)
         for i in range(steps):
             mujoco.mj_step1(model, data)
-            tray_frame.apply(motion, k * steps + i, model, data, scene.object_ids, scene.qvel_ids)
+            tray_frame.apply(motion, k * steps + i, model, data, scene.object_ids, scene.qvel_ids, scene.point_ids)
             mujoco.mj_step2(model, data)
             if i == 0:
                 recorder.take(data)
+                recorder.seen_from_rest(motion, k * steps)
     _check_engine(data, scenario)
     tray_S = run.wanted_E.p_SB, run.wanted_E.R_SB @ scene.world.R_tilt
     summary = {"method": "reference", "with_arm": False}
@@ -309,7 +310,10 @@ def measure(
     moving = trace.t >= -1e-9
     counted = moving & ~np.logical_or.accumulate(seen.lost[:, 0])  # what falls off the tray follows no reference
     counted[np.argmax(moving)] = True
-    judged = judge(trace.t, seen, trace.touches, options.thresholds, names)
+    surface = surfaces(scene, trace)
+    judged = judge(
+        trace.t, seen, trace.touches, options.thresholds, names, [liquid_room(x) for x in scene.loads], surface
+    )
     if judged["outcome"] == "holds" and not summary.get("arm", {}).get("limits_kept", True):
         judged["outcome"] = "limit"
     every = max(1, round(1 / (options.record_rate * scenario.physics.command_period)))
@@ -342,6 +346,7 @@ def measure(
         lift=seen.lift[keep],
         tip_angle=seen.tip_angle[keep],
         in_contact=trace.touches[keep],
+        surface=surface[keep],
         contact_force_E=np.einsum("tji,tmj->tmi", trace.R_XE, trace.force_X)[keep],
         contact_points_B=points,
         contact_forces_B=forces[keep],

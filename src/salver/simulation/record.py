@@ -18,7 +18,7 @@ from salver.run_directory import check_digest, save_record
 from salver.tables import Table, Tabular, dimensioned
 
 FOLDER = "simulation"
-OUTCOMES = ("holds", "slides", "tips", "lifts", "lost", "limit")
+OUTCOMES = ("holds", "slides", "spills", "tips", "lifts", "lost", "limit")
 
 
 @dataclass(frozen=True, repr=False)
@@ -35,6 +35,8 @@ class SimulationRecord(Shown, Tabular):
     contact_points_B (n_c, 3), contact_forces_B (T, n_c, 3): feet of the first object and the force on it there, in B.
     cone_coefficients (T, n_lambda): Lambda of the net contact wrench on the first object, pinv(G F_hat) F_B, N.
     e_p, e_o (T,): m and rad between the first object and its reference. tray_e_p, tray_e_o: same for the tray.
+    surface (T, m, 3): of the liquid in each object, m: how far it stands over its level at the wall along the object's
+    x and y, and its highest point; NaN where there is none. Empty in runs of versions without liquids.
     object_names: m names. parameters: the values that were not nominal. summary: figures, see `salver simulate --help`.
     """
 
@@ -61,6 +63,7 @@ class SimulationRecord(Shown, Tabular):
     tray_e_p: Array
     tray_e_o: Array
     object_names: tuple[str, ...]
+    surface: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
     parameters: Mapping[str, float] = field(default_factory=dict)
     summary: Mapping[str, Any] = field(default_factory=dict)
 
@@ -112,13 +115,14 @@ _DIMENSIONS: Mapping[str, tuple[str, ...]] = {
 }
 _META = ("object_names", "parameters", "summary")
 ARRAYS = tuple(f.name for f in dataclasses.fields(SimulationRecord) if f.name not in _META)
+_REQUIRED = tuple(name for name in ARRAYS if name != "surface")
 
 
 def load_record(directory: str | Path, stem: str = "plan") -> SimulationRecord:
     """Read what `SimulationRecord.save` wrote. Raises FileFormatError, also when it is of another plan."""
     folder = Path(directory) / FOLDER
     path = folder / f"{stem}.json"
-    arrays, summary = read_result(path, ARRAYS)
+    arrays, summary = read_result(path, _REQUIRED)
     if summary.get("outcome") not in OUTCOMES:
         raise FileFormatError(f"{path} is no summary of a simulation; write it again with salver simulate.")
     check_digest(summary, path, Path(directory), stem)
@@ -127,5 +131,8 @@ def load_record(directory: str | Path, stem: str = "plan") -> SimulationRecord:
     if np.shape(arrays["p_SB"])[1:2] != (len(names),):
         raise FileFormatError(f"{path} and {stem}.npz are of different runs; write them again with salver simulate.")
     return SimulationRecord(
-        **{name: arrays[name] for name in ARRAYS}, object_names=names, parameters=parameters, summary=summary
+        **{name: arrays[name] for name in ARRAYS if name in arrays},
+        object_names=names,
+        parameters=parameters,
+        summary=summary,
     )

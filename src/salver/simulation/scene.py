@@ -26,11 +26,14 @@ from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel
 from salver.models.bodies import TRAY
 from salver.models.obstacle_shapes import mesh_pieces
+from salver.models.rigid_body import RigidBody
 from salver.scenario import Cylinder, Obstacle, Scenario
 from salver.simulation.engine import mujoco
 from salver.simulation.loads import Load, TrueWorld
 
 FOOT_RADIUS = 5e-4  # m
+SMALL_POINT = 1e-6  # of m L^2: the inertia about itself of a mass that stands for a point
+DOWN_E = np.array([0.0, 0.0, -1.0])
 HULL_GAP = 3e-4  # m between the hull's base and the feet: closed once an object tips
 DAMPING_WIDTH = 0.95  # d_max of solimp: with solref it sets the contact's damping 2 / (d_max timeconst)
 DAMPING_RATIO = 3.0  # of the contact's spring: below 2 feet chatter near the friction limit, at 10 they sink visibly
@@ -51,6 +54,7 @@ class Scene:
     foot_object, foot_support, foot_number: (n_geom,) per geom: index of the object whose foot it is (-1: no
     foot), index of the object it rests on (-1: tray),
     number of the foot in `Load.outline_B`. obstacle: (n_geom,) whether it is one.
+    swings: what moves of the liquids, in the order of the objects that hold one.
     """
 
     model: Any
@@ -65,10 +69,16 @@ class Scene:
     foot_support: Array
     foot_number: Array
     obstacle: Array
+    swings: tuple[Swing, ...] = ()
 
     @property
     def n(self) -> int:
         return 0 if self.arm is None else self.arm.n
+
+    @property
+    def point_ids(self) -> list[int]:
+        """MuJoCo bodies that are points: what swings in the liquids."""
+        return [int(i) for swing in self.swings for i in swing.body_ids]
 
     @property
     def loads(self) -> tuple[Load, ...]:
@@ -84,11 +94,29 @@ class Scene:
         for load, i in zip(self.loads, self.qpos_ids, strict=True):
             data.qpos[i : i + 3] = p_SE + R_SE @ load.p_EB
             data.qpos[i + 3 : i + 7] = quat_wxyz_from_matrix(R_SE @ load.R_EB)
+        down_S = np.array([0.0, 0.0, -1.0]) if self.arm is not None else DOWN_E
+        for swing in self.swings:
+            down = (R_SE @ self.loads[swing.load].R_EB).T @ down_S
+            data.qpos[swing.qpos_ids] = np.arctan2(down[1], -down[2]), -np.arcsin(np.clip(down[0], -1, 1))
         mujoco.mj_forward(self.model, data)
 
     def tray_pose(self, data: Any) -> tuple[Array, Array]:
         """(p_SE, R_SE) of the real tray's surface, tilt included."""
         return data.xpos[self.tray_id].copy(), data.xmat[self.tray_id].reshape(3, 3).copy()
+
+
+@dataclass(frozen=True)
+class Swing:
+    """The moving masses of one liquid, each a point on a spherical pendulum: hinges about x, then y, of the container.
+
+    load: which object it is in. qpos_ids: (n_modes, 2) of its angles. body_ids: (n_modes,) of the masses. sensor: first
+    of the six readings at the centre of the still surface: specific force, turning rate, in the container's axes.
+    """
+
+    load: int
+    qpos_ids: Array
+    body_ids: Array
+    sensor: int
 
 
 def build(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False) -> Scene:
@@ -249,6 +277,10 @@ def _hull(k: int) -> str:
     return f"salver:hull:{k}"
 
 
+def _swing(k: int, mode: int) -> str:
+    return f"salver:swing:{k}:{mode}"
+
+
 def _obstacle(k: int) -> str:
     return f"{OBSTACLE}{k}"
 
@@ -259,7 +291,13 @@ _COLOURS = ((0.80, 0.36, 0.22), (0.20, 0.45, 0.70), (0.35, 0.60, 0.30), (0.75, 0
 def _add_load(spec: Any, load: Load, k: int) -> None:
     body = spec.worldbody.add_body(name=f"salver:object:{k}")
     body.add_freejoint(name=f"salver:object:{k}")
-    _set_inertia(body, load.inertial.mass, load.inertial.com_B, load.inertial.inertia_com)
+    inertial = load.inertial
+    if load.fill is not None:
+        still = load.modes.still
+        surface = RigidBody(still.mass, still.com_B + load.surface_B, still.inertia_com)
+        inertial = RigidBody.from_phi(inertial.phi + surface.phi)
+        _add_swing(spec, body, load, k)
+    _set_inertia(body, inertial.mass, inertial.com_B, inertial.inertia_com)
     for number, point in enumerate(load.outline_B):
         body.add_geom(
             name=_foot(k, number),
@@ -298,6 +336,27 @@ def _add_load(spec: Any, load: Load, k: int) -> None:
         body.add_geom(
             name=_hull(k), type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, pos=centre, rgba=rgba, **_INERT
         )
+
+
+def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
+    """The moving masses of a liquid. Pendulums and not springs: what lifts or tilts the container stiffens them."""
+    modes, damping = load.modes, load.damping or 0.0
+    for n, (mass, height, length, omega) in enumerate(
+        zip(modes.mass[:, 0], modes.height[:, 0], modes.length[:, 0], modes.omega[:, 0], strict=True)
+    ):
+        bob = body.add_body(name=_swing(k, n), pos=load.surface_B + np.array([0.0, 0.0, height + length]))
+        for axis in np.eye(3)[:2]:
+            bob.add_joint(
+                name=f"{_swing(k, n)}:{'x' if axis[0] else 'y'}",
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=axis,
+                damping=np.array([2 * damping * omega * mass * length**2, 0.0, 0.0]),
+            )
+        _set_inertia(bob, mass, np.array([0.0, 0.0, -length]), SMALL_POINT * mass * length**2 * np.eye(3))
+    site = f"salver:surface:{k}"
+    body.add_site(name=site, pos=load.surface_B, group=5)
+    for name, kind in (("force", mujoco.mjtSensor.mjSENS_ACCELEROMETER), ("turn", mujoco.mjtSensor.mjSENS_GYRO)):
+        spec.add_sensor(name=f"{site}:{name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 
 
 def _add_obstacle(spec: Any, obstacle: Obstacle, k: int) -> list[str]:
@@ -393,4 +452,12 @@ def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: f
         foot_support=foot[1],
         foot_number=foot[2],
         obstacle=np.array([model.geom(i).name.startswith(OBSTACLE) for i in range(model.ngeom)]),
+        swings=tuple(_found_swing(model, k, load) for k, load in enumerate(world.loads) if load.fill is not None),
     )
+
+
+def _found_swing(model: Any, k: int, load: Load) -> Swing:
+    names = [_swing(k, n) for n in range(len(load.modes.mass))]
+    joints = [[model.joint(f"{name}:{axis}").qposadr[0] for axis in "xy"] for name in names]
+    bodies = [model.body(name).id for name in names]
+    return Swing(k, np.array(joints), np.array(bodies), int(model.sensor(f"salver:surface:{k}:force").adr[0]))

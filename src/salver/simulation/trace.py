@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from salver.geometry import Array, matrix_from_quat_wxyz
+from salver.models.liquid import MODES
 from salver.simulation.scene import Scene
+from salver.simulation.tray_frame import TrayMotion
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,8 @@ class Trace:
     force_X (N, m, 3): sum of contact forces on an object from what it stands on. touches (N, m): whether there is any.
     foreign (N, m): whether it touches what it should not (another object's side, an obstacle, its own side).
     collides (N,): whether tray or objects touch an obstacle.
+    swung (N, k, n_modes, 2): angles of what moves of each of k liquids (`scene.Swing`). felt (N, k, 6): specific force
+    and turning rate at the centre of its surface.
     """
 
     t: Array
@@ -35,6 +39,8 @@ class Trace:
     touches: Array
     foreign: Array
     collides: Array
+    swung: Array = field(default_factory=lambda: np.zeros((0, 0, MODES, 2)))
+    felt: Array = field(default_factory=lambda: np.zeros((0, 0, 6)))
 
 
 class Recorder:
@@ -48,6 +54,10 @@ class Recorder:
         self.bodies = np.concatenate([[scene.tray_id], scene.object_ids])
         self.position = np.empty((count, m + 1, 3))
         self.quaternion = np.empty((count, m + 1, 4))
+        swings = scene.swings
+        self.angles = np.array([s.qpos_ids for s in swings], dtype=int).reshape(len(swings), MODES, 2)
+        self.sensors = np.array([s.sensor + np.arange(6) for s in swings], dtype=int).reshape(len(swings), 6)
+        self.swung, self.felt = np.empty((count, *self.angles.shape)), np.empty((count, *self.sensors.shape))
         self.contacts: list[tuple[Array, Array, Array, Array]] = []
         self.count = 0
 
@@ -61,11 +71,21 @@ class Recorder:
         k = self.count
         self.position[k] = data.xpos[self.bodies]
         self.quaternion[k] = data.xquat[self.bodies]
+        self.swung[k], self.felt[k] = data.qpos[self.angles], data.sensordata[self.sensors]
         contact = data.contact
         self.contacts.append(
             (contact.geom.copy(), contact.frame.copy(), contact.efc_address.copy(), data.efc_force.copy())
         )
         self.count = k + 1
+
+    def seen_from_rest(self, motion: TrayMotion, step: int) -> None:
+        """Of a tray that is the engine's world: what was just taken felt the tray's motion too, at that step of it."""
+        for swing, felt in zip(self.scene.swings, self.felt[self.count - 1], strict=True):
+            load = self.scene.loads[swing.load]
+            R_EB = load.R_EB
+            apparent = motion.felt_at(step, load.p_EB + R_EB @ load.surface_B, np.zeros(3))
+            felt[:3] -= R_EB.T @ apparent
+            felt[3:] += R_EB.T @ motion.omega[step]
 
     def trace(self) -> Trace:
         scene, count = self.scene, self.count
@@ -114,12 +134,14 @@ class Recorder:
             touches=touches,
             foreign=foreign,
             collides=collides,
+            swung=self.swung[:count],
+            felt=self.felt[:count],
         )
 
 
 def _owner(scene: Scene) -> Array:
     """Per geom, the index of the object it belongs to; -1 for tray, arm and obstacles."""
-    index = np.full(scene.model.nbody, -1)
+    index = np.full(scene.model.nbody, -1)  # what swings in a liquid has no geoms
     index[scene.object_ids] = np.arange(len(scene.object_ids))
     return index[scene.model.geom_bodyid]
 

@@ -12,6 +12,7 @@ contact forces (Landau and Lifshitz, Mechanics, section 39, and the same for Eul
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +36,10 @@ class TrayMotion:
     pull: Array
     turns: bool
 
+    def felt_at(self, k: int, p: Array, v: Array) -> Array:
+        """(3,) acceleration that a point (3,) which moves at v (3,) seems to have of itself at instant k."""
+        return self.specific[k] - self.pull[k] @ p - 2 * (self.turn[k] @ v)
+
     @classmethod
     def of(cls, motion: MotionSamples) -> TrayMotion:
         specific = np.einsum("tji,tj->ti", motion.R_SB, GRAVITY_S - motion.a_S)
@@ -44,9 +49,16 @@ class TrayMotion:
         return cls(specific, motion.omega_B, motion.alpha_B, turn, pull, turns)
 
 
-def apply(motion: TrayMotion, k: int, model: Any, data: Any, object_ids: Array, qvel_ids: Array) -> None:
-    """Set the forces of instant k on the objects. Poses and velocities in `data` must be current."""
+def apply(
+    motion: TrayMotion, k: int, model: Any, data: Any, object_ids: Array, qvel_ids: Array, point_ids: Iterable[int] = ()
+) -> None:
+    """Set the forces of instant k on the objects, and on bodies that are points. Poses and velocities in `data` must be
+    current."""
     wrench = data.xfrc_applied
+    for i in point_ids:
+        root = data.subtree_com[model.body_rootid[i]]
+        v = data.cvel[i, 3:] + np.cross(data.cvel[i, :3], data.xipos[i] - root)
+        wrench[i, :3] = model.body_mass[i] * motion.felt_at(k, data.xipos[i], v)
     if not motion.turns:
         for i in object_ids:
             wrench[i, :3] = model.body_mass[i] * motion.specific[k]

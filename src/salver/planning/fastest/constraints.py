@@ -10,18 +10,22 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from salver.geometry import Array
 from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
+from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import AT_NODES, KeepOut
+from salver.sensitivity.liquid import Sloshed, Waves
 
 Gradient = Callable[[Indices, Indices], Array]
+Pulled = tuple[Array, Array]
+History = Callable[[Indices, Indices], Pulled]
 
 FINEST = 1e-4  # of a limit, for what may happen between the points of the check
 LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is judged on the true motion
@@ -30,6 +34,7 @@ REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves wha
 CONTACT_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
 JOINING = 3  # times as many may join, where a step led beyond rows that had been left out
 UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
+WAVE_MARGIN = 5e-3  # of the room of a liquid, kept at nodes: between them waves are driven by what was interpolated
 INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
 
 
@@ -44,6 +49,8 @@ class Block:
     scales: whether the rows depend on time, and so become nearly linear in T^2 when multiplied by it.
     following: derivatives by z at the next node, for rows that couple two neighbours. by_duration: (N, m) derivative
     by log T at fixed z, for rows in which the duration itself occurs.
+    history: of rows that depend on what the tray felt at other nodes too: derivatives by w at all nodes of the motion,
+    (r, T, 12), and by log T at fixed w, (r,); beside the gradient.
     slows: by how much longer a motion, relatively, is put right for each unit of excess.
     reach: rows further than this from their edge are never considered, because their derivatives are expensive.
     most: rows of one node that are considered; None for all. always: rows are considered however far away.
@@ -60,6 +67,7 @@ class Block:
     scales: bool = True
     following: Gradient | None = None
     by_duration: Array | None = None
+    history: History | None = None
     slows: float = 1.5
     reach: float = np.inf
     most: int | None = None
@@ -244,6 +252,10 @@ class Contact(Constraint):
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         w, drift = (motion.terms.w, None) if motion.response is None else motion.response.felt()
         worst = WorstCase.of(self.rows, w, drift)
+        values, history = worst.values, None
+        if motion.sloshing:
+            sloshed = Sloshed.of(self.rows, motion.sloshing)
+            values, history = values + sloshed.values, sloshed.history
 
         def gradient(i: Indices, f: Indices) -> Array:
             slope, side = worst.attained_swinging(i, f)
@@ -256,7 +268,60 @@ class Contact(Constraint):
 
         carried = " and ".join(body.name for body in self.rows.network.bodies)
         margins = (self.margin + 1e-3, max(self.margin, FINEST))
-        yield Block(f"contact of {carried}", worst.values, gradient, motion.nodes, margins, most=CONTACT_ROWS)
+        name = f"contact of {carried}"
+        yield Block(name, values, gradient, motion.nodes, margins, most=CONTACT_ROWS, history=history)
+
+
+@dataclass(frozen=True, eq=False)
+class Brim(Constraint):
+    """A body's liquid stays below its brim, during the motion and after it, in all its cases; no wave is steeper than
+    the model is valid for. In units of the room that it has."""
+
+    body: Body
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        found = motion.sloshing[self.body.name]
+        waves, last = [case.waves for case in found], motion.nodes[-1:]
+        liquid = waves[0].case.liquid
+
+        def block(part: str, values: list[Array], scale: list[float], by: Callable[[int, Indices], Pulled]) -> Block:
+            def history(i: Indices, f: Indices) -> Pulled:
+                by_w, by_duration = np.zeros((len(i), *motion.terms.w.shape)), np.zeros(len(i))
+                for k, size in enumerate(scale):
+                    mine = np.flatnonzero(f == k)
+                    if len(mine):
+                        by_w[mine], by_duration[mine] = (x / size for x in by(k, i[mine]))
+                return by_w, by_duration
+
+            rows = np.stack([x / size - 1 for x, size in zip(values, scale, strict=True)], axis=1)
+            points = last if len(rows) == 1 else motion.nodes
+            name = f"{part} in {self.body.name}"
+            return Block(name, rows, _nothing(motion.n), points, (WAVE_MARGIN, FINEST), history=history)
+
+        yield block(
+            "steepness",
+            [x.free_height for x in waves],
+            [x.case.steepest for x in waves],
+            lambda k, i: waves[k].free_by(i),
+        )
+        room = [x.case.room for x in waves]
+        ends = [(0.0, "waves left", room), (liquid.within, "settled waves", [liquid.settled] * len(waves))]
+        if np.isfinite(room).all():
+            highest = [case.waves.raised(case.higher) for case in found]
+            yield block("waves", highest, room, lambda k, i: waves[k].crest_by(i))
+        for seconds, part, limit in ends:
+            if np.isfinite(limit).all():
+                left = [np.array([case.waves.left(seconds, case.more_left)]) for case in found]
+                yield block(part, left, limit, partial(_left_by, waves, seconds))
+
+
+def _nothing(n: int) -> Gradient:
+    return lambda i, f: np.zeros((len(i), 4 * n))
+
+
+def _left_by(waves: list[Waves], seconds: float, k: int, i: Indices) -> Pulled:
+    by_w, by_duration = waves[k].left_by(seconds)
+    return np.repeat(by_w, len(i), axis=0), np.repeat(by_duration, len(i))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,10 +13,23 @@ import numpy.typing as npt
 from salver.geometry import Array
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop
+from salver.sensitivity.liquid import Case, Slosh, along
 
 Indices = npt.NDArray[np.intp]
 
 EASING = 0.25  # of a motion that begins moving: over this share of it margins grow from nothing
+
+
+def sloshes(several: Sequence[Case], t: Array, w: Array, response: Deviation | None) -> tuple[Slosh, ...]:
+    """Cases along what the tray feels, w (T, 12), at t (T,): as planned, and with what the arm makes of it."""
+    found = [Slosh.of(waves) for waves in along(several, t, w)]
+    if response is None:
+        return tuple(found)
+    felt, drift = response.felt()
+    for planned in tuple(found):
+        reaction = response.reaction(planned.wrench)
+        found.append(Slosh.of(planned.waves.shifted(felt - w + reaction), reaction, drift.dw))
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +38,8 @@ class Evaluation:
 
     model: Pinocchio's, with all objects bolted on at nominal parameters; frame_id: of the tray in it. tracking: what
     a wrong load does to the arm, or None. nodes: (N,) indices of the points at which dynamics and distances are
-    looked at; the joints' own motion costs little and is looked at at all points. imposed: whether the rows are
+    looked at; the joints' own motion costs little and is looked at at all points. liquids: the cases of each. imposed:
+    whether the rows are
     conditions of a programme; otherwise they are checked between its nodes. moving: whether it begins moving.
 
     All further quantities are computed when they are first read, and once.
@@ -39,6 +54,7 @@ class Evaluation:
     nodes: Indices
     imposed: bool
     moving: bool
+    liquids: tuple[tuple[Case, ...], ...] = ()
 
     @property
     def n(self) -> int:
@@ -61,6 +77,12 @@ class Evaluation:
         if self.tracking is None:
             return None
         return self.tracking.along(self.s[self.nodes] * self.duration, self.terms, self.at_nodes[1:])
+
+    @cached_property
+    def sloshing(self) -> dict[str, tuple[Slosh, ...]]:
+        """What each body's liquid does, by the body's name: its cases."""
+        t = self.s[self.nodes] * self.duration
+        return {each[0].body.name: sloshes(each, t, self.terms.w, self.response) for each in self.liquids}
 
     @cached_property
     def steps(self) -> Array:

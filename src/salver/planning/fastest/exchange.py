@@ -136,7 +136,7 @@ def rough(
     iterations: int = ROUGH_ITERATIONS,
 ) -> Solution:
     """A first optimum with few pieces, unchecked between nodes: a start for one with more."""
-    programme = programme_of(problem, curve_of, start, start.spline.nodes(nodes_per_span), points=1)
+    programme = programme_of(problem.roughly, curve_of, start, start.spline.nodes(nodes_per_span), points=1)
     options = Options(iterations, watch, gain=ROUGH_GAIN)
     return minimise(programme, programme.begin(start.coefficients, start.duration), options, Trust(damping))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,6 +20,7 @@ from salver.models.parameters import UncertainSet
 from salver.models.payload import Payload
 from salver.planning.fastest.constraints import (
     LEVEL_TOLERANCE,
+    Brim,
     Clearance,
     Constraint,
     Contact,
@@ -36,6 +37,9 @@ from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
 from salver.scenario import Scenario
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
+from salver.sensitivity.liquid import Case, Liquids, Spill, cases
+
+SURELY_DRY = 1e-4  # of the room, that is left at every fill and damping that a verdict looks at
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +47,20 @@ class TransportProblem:
     """Everything the optimiser needs.
 
     arm: the arm with its tray. model: its Pinocchio model with all objects bolted on at nominal parameters.
-    start, goal: how the motion begins and ends (`salver.planning.fastest.ends`).
+    payload: what is carried, with what is uncertain about it. start, goal: how the motion begins and ends
+    (`salver.planning.fastest.ends`).
     limits: the share of the arm's limits that may be used. max_tilt: rad from vertical; 0 means level.
     contacts: rows for each network of touching objects. uncertain: what is not known (empty for a nominal plan).
     tracking: what a wrong load and held commands do to the arm; None when nothing is uncertain.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
-    extra: constraints beside those that follow from all this.
+    extra: constraints beside those that follow from all this. liquids: for each, the cases that stand for all there
+    are.
     """
 
     scenario: Scenario
     arm: ArmModel
     model: Any
-    items: tuple[Body, ...]
+    payload: Payload
     start: End
     goal: End
     limits: JointLimits
@@ -64,6 +70,11 @@ class TransportProblem:
     tracking: JointLoop | None
     keep_out: KeepOut | None
     extra: tuple[Constraint, ...] = ()
+    liquids: tuple[tuple[Case, ...], ...] = ()
+
+    @property
+    def items(self) -> tuple[Body, ...]:
+        return self.payload.bodies
 
     @property
     def n(self) -> int:
@@ -72,6 +83,11 @@ class TransportProblem:
     @property
     def level(self) -> bool:
         return self.max_tilt == 0.0
+
+    @cached_property
+    def roughly(self) -> TransportProblem:
+        """For a first guess: without what liquids do, which costs most and changes least of the way."""
+        return replace(self, liquids=())
 
     @property
     def start_posture(self) -> Array | None:
@@ -91,6 +107,12 @@ class TransportProblem:
         found += [Contact(rows, self.scenario.contact.margin) for rows in self.contacts]
         if np.isfinite(self.max_tilt):
             found.append(Level() if self.level else Tilt(self.max_tilt))
+        if self.moving and self.liquids:
+            raise ScenarioError(
+                f"{self.scenario.name}: a motion that begins moving is not planned with a liquid on the tray "
+                f"({self.liquids[0][0].body.name}): how it moves then is not known. Plan from rest, without --stops."
+            )
+        found += [Brim(each[0].body) for each in self.liquids]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
         return (*found, *self.extra)
@@ -99,14 +121,36 @@ class TransportProblem:
         """A motion z (4, P, n) of this arm and load at points s (P,) in [0, 1] of its duration; see `Evaluation`."""
         nodes = np.arange(len(s)) if nodes is None else nodes
         frame_id = self.arm.tray_id
-        return Evaluation(self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving)
+        return Evaluation(
+            self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving, self.liquids
+        )
+
+
+def _lasting(found: Sequence[Case]) -> tuple[Case, ...]:
+    """The cases with the least damping, whose waves are mostly the highest; `with_missed_cases` finds where not."""
+    least = min(case.damping for case in found)
+    return tuple(case for case in found if case.damping == least)
+
+
+def with_missed_cases(problem: TransportProblem, t: Array, w: Array) -> TransportProblem | None:
+    """The problem with those fills and dampings added at which a liquid spills along w (T, 12) at E; None for none."""
+    whole = Liquids.along(problem.payload, t, w)
+    if whole is None:
+        return None
+    more = {
+        name: [x.waves.case for x in each if Spill.of(name, [x]).slack.min() < SURELY_DRY]
+        for name, each in whole.worst.items()
+    }
+    if not any(more.values()):
+        return None
+    return replace(problem, liquids=tuple((*each, *more[each[0].body.name]) for each in problem.liquids))
 
 
 def _tracking(scenario: Scenario, payload: Payload) -> JointLoop | None:
     """The closed loop that a robust plan allows for; friction does not act through it."""
     if not payload.uncertain.size:
         return None
-    return joint_loop(scenario, payload.with_only([p for p in payload.uncertain.parameters if p.kind != "friction"]))
+    return joint_loop(scenario, payload.with_only([p for p in payload.uncertain.parameters if p.loads]))
 
 
 def transport_problem(
@@ -157,7 +201,7 @@ def transport_problem(
         scenario=scenario,
         arm=arm,
         model=with_load(arm, payload.bodies).pin_model,
-        items=payload.bodies,
+        payload=payload,
         start=start,
         goal=AtPose(end),
         limits=arm.planning_limits,
@@ -167,4 +211,5 @@ def transport_problem(
         tracking=_tracking(scenario, payload),
         keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
         extra=tuple(extra),
+        liquids=tuple(_lasting(cases(body, payload.uncertain)) for body in payload.liquids),
     )

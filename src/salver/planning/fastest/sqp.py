@@ -67,6 +67,7 @@ class Iterate:
     """Where the programme stands, the motion there and its rows, margins included."""
 
     point: Point
+    curve: Curve
     motion: Evaluation
     blocks: tuple[Block, ...]
     cost: float
@@ -78,6 +79,18 @@ class Iterate:
     @property
     def duration(self) -> float:
         return self.point.duration
+
+    @cached_property
+    def felt(self) -> Array:
+        """(T 12, size m + 1) derivatives of what the tray feels at all nodes by the coefficients and by log T / 2."""
+        motion, point = self.motion, self.point
+        slope = motion.terms.w_z
+        parts = np.zeros((slope.shape[0] * slope.shape[1], 4, motion.n))
+        parts[:, :3] = slope.reshape(len(parts), 3, motion.n)
+        at = np.repeat(motion.nodes, slope.shape[1])
+        columns = self.curve.columns(point.coefficients, point.duration, parts, at)
+        slower = self.curve.by_duration(point.coefficients, point.duration, motion.z)
+        return np.column_stack([columns, 0.5 * np.einsum("rkn,krn->r", parts, slower[:, at])])
 
     @cached_property
     def worst(self) -> tuple[float, str]:
@@ -130,7 +143,7 @@ class Programme:
         z = self.curve.motion(point.coefficients, point.duration)
         motion = self.curve.problem.at(grid.s, z, point.duration, grid.nodes)
         blocks = self.objective.demanded(evaluate(self.constraints, motion), point.margin)
-        return Iterate(point, motion, blocks, self.objective.value(self.curve, point))
+        return Iterate(point, self.curve, motion, blocks, self.objective.value(self.curve, point))
 
     def begin(self, coefficients: Array, duration: float) -> Iterate:
         """The iterate at coefficients (size, m) and a duration; the margin, if it is sought, is what there is."""
@@ -159,6 +172,10 @@ class Programme:
         matrix = self._chained(path, block.gradient(node, column), block.points[node])
         if block.following is not None:
             matrix += self._chained(path, block.following(node, column), block.points[node + 1])
+        if block.history is not None:
+            by_w, by_duration = block.history(node, column)
+            matrix += by_w.reshape(len(node), -1) @ path.felt
+            matrix[:, -1] += 0.5 * by_duration
         if self.objective.scalar is Scalar.DURATION:
             if block.by_duration is not None:
                 matrix[:, -1] += 0.5 * block.by_duration[node, column]

@@ -25,17 +25,19 @@ from salver.geometry import Array, exp, invert
 from salver.models.bodies import TRAY, Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import networks, sure_contacts
-from salver.models.parameters import Parameter, phi_jacobian
+from salver.models.parameters import Parameter
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, PRODUCTS, frame_map, wrench_map
 from salver.models.worst_case import UncertainRows
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
+from salver.sensitivity.liquid import Liquids, Sloshed, Spill
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
 
 Indices = npt.NDArray[np.intp]
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
+LIQUID = "liquid in "  # and whose it is
 _PLACE_STEP = 1e-4  # m or rad, of a central difference of what is nearly linear
 
 
@@ -62,8 +64,8 @@ class Rows(Protocol):
         ...
 
 
-Condition = Callable[[BodyMotion, TraySensitivity, int], Rows]
-"""Rows along a motion of B and its closed loop's sensitivity, with derivatives by n_z variables (or none)."""
+Condition = Callable[[BodyMotion, TraySensitivity, int, Liquids | None], Rows]
+"""Rows along a motion of B, its closed loop's sensitivity and liquids, with derivatives by n_z variables (or none)."""
 
 
 def conditions_for(scenario: Scenario) -> list[Condition]:
@@ -73,12 +75,19 @@ def conditions_for(scenario: Scenario) -> list[Condition]:
     """
     limit = scenario.motion.max_tilt_deg
     tilt = [] if limit is None else [_tilt(float(np.deg2rad(limit)))]
-    return [*_contact_conditions(scenario), *tilt]
+    return [*_contact_conditions(scenario), *(_brim(body) for body in scenario.payload.liquids), *tilt]
 
 
 def unit_of(scenario: Scenario, owner: str) -> str:
     """Unit of the slack of one row."""
+    if owner.startswith(LIQUID):
+        return "of the room"
     return "rad" if owner == TILT else UNITS[scenario.contact.condition]
+
+
+def apart(owner: str) -> bool:
+    """Whether a row is of no contact, and so in a unit of its own."""
+    return owner == TILT or owner.startswith(LIQUID)
 
 
 def _contact_conditions(scenario: Scenario) -> list[Condition]:
@@ -87,6 +96,11 @@ def _contact_conditions(scenario: Scenario) -> list[Condition]:
     payload.check_places()
     if scenario.contact.condition == "exact":
         return [_exact(rows.seen_from(first.p_EB, first.R_EB)) for rows in contact_rows(payload)]
+    if payload.liquids:
+        raise ScenarioError(
+            f'{scenario.name}: contact.condition = "paper" knows no liquids, and there is one in '
+            f'{payload.liquids[0].name}; use "exact".'
+        )
     for body in payload.bodies:
         if body.supports != (TRAY,):
             raise ScenarioError(
@@ -138,13 +152,14 @@ class WrenchRows:
 def _paper(payload: Payload, body: Body) -> Condition:
     """Lambda of one body: the closed loop's tube for the first, that of a body that follows its tray for others."""
     first, uncertain = payload.first, payload.uncertain
-    jacobian = phi_jacobian(body.inertial, body.name, uncertain.parameters)
+    jacobian = body.phi_jacobian(uncertain.parameters)
     contacts = sure_contacts(networks([body])[0], payload.tray_half, uncertain)[0]
     distribution: Array = np.linalg.pinv(contacts.grasp_map).astype(float)
     p_BX, R_BX = first.R_EB.T @ (body.p_EB - first.p_EB), first.R_EB.T @ body.R_EB
     placed = _place_map(body, uncertain.parameters, first)
 
-    def rows(motion: BodyMotion, loop: TraySensitivity, n_z: int) -> WrenchRows:
+    def rows(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> WrenchRows:
+        assert liquids is None
         own_motion = motion.of_frame(p_BX, R_BX)
         wrench, wrench_jacobian = _stacked(*own_motion.wrench(body.inertial.phi[:, None]), n_z)
         change = (loop.df, loop.dtau) if body is first else own_motion.wrench(jacobian)
@@ -189,12 +204,14 @@ def _place_map(body: Body, parameters: tuple[Parameter, ...], first: Body) -> Ar
 
 @dataclass(frozen=True)
 class MotionRows:
-    """The worst case of contact rows (with the sign of a slack) at what B feels, w (T, 12)."""
+    """The worst case of contact rows (with the sign of a slack) at what B feels, w (T, 12). sloshed: (T, n) that
+    liquids add."""
 
     owner: tuple[str, ...]
     rows: UncertainRows
     w: Array
     w_jacobian: Array
+    sloshed: Array | float = 0.0
 
     def slack(self, step: Array | None = None) -> tuple[Array, Array]:
         w = self.w if step is None else self.w + self.w_jacobian @ step
@@ -202,7 +219,7 @@ class MotionRows:
         return -self.rows.worst(w), np.concatenate([self.rows.terms(w), seen], axis=2)
 
     def least(self) -> Array:
-        return -self.rows.worst(self.w)
+        return -self.rows.worst(self.w) - self.sloshed
 
     def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
         rows = -self.rows.slope(terms[:, -N_MOTION:], row)
@@ -212,9 +229,10 @@ class MotionRows:
 def _exact(rows: ContactRows) -> Condition:
     owner = tuple(rows.network.interfaces[int(e)].name for e in rows.interface)
 
-    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int) -> MotionRows:
+    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> MotionRows:
         del loop  # a body that follows its tray needs the same wrench whatever the controller does
-        return MotionRows(owner, rows, *motion_vector(motion, n_z))
+        sloshed = 0.0 if liquids is None else Sloshed.of(rows, liquids.worst).values
+        return MotionRows(owner, rows, *motion_vector(motion, n_z), sloshed)
 
     return along
 
@@ -233,6 +251,34 @@ def motion_vector(motion: BodyMotion, n_z: int) -> tuple[Array, Array]:
         turn = motion.omega.tangent[:, 0]
         tangent[:, 6:] = omega[:, first, None] * turn[:, second] + omega[:, second, None] * turn[:, first]
     return w, tangent
+
+
+# The brim ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class BrimRows:
+    """Share of the room that a liquid leaves (T,), at its worst case, what it does after the motion at the end."""
+
+    owner: tuple[str, ...]
+    left: Array
+
+    def slack(self, step: Array | None = None) -> tuple[Array, Array]:
+        return self.left[:, None], np.zeros((len(self.left), 1, 0))
+
+    def least(self) -> Array:
+        return self.slack()[0]
+
+    def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
+        raise NotImplementedError
+
+
+def _brim(body: Body) -> Condition:
+    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> BrimRows:
+        assert liquids is not None
+        return BrimRows((LIQUID + body.name,), Spill.of(body.name, liquids.worst[body.name]).slack)
+
+    return along
 
 
 # The limit on tilt -------------------------------------------------------------------------------------------
@@ -258,7 +304,7 @@ class TiltRows:
 
 
 def _tilt(limit: float) -> Condition:
-    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int) -> TiltRows:
+    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> TiltRows:
         upright = motion.rotation.matrix[:, 0, 2, :]  # e_z of S, in B
         left = (upright[:, 2] - np.cos(limit)) / np.sin(limit)
         jacobian = np.zeros((len(left), n_z))

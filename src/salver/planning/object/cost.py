@@ -7,7 +7,7 @@ import numpy as np
 from salver.control.object import Gains
 from salver.geometry import Array
 from salver.models.bodies import Body
-from salver.models.parameters import UncertainSet, phi_jacobian
+from salver.models.parameters import UncertainSet
 from salver.scenario import Scenario
 from salver.sensitivity.tray import TrayLoop
 
@@ -16,7 +16,7 @@ def tray_loop(scenario: Scenario) -> TrayLoop:
     """The closed loop of the scenario's first object, with all its uncertain parameters."""
     first, uncertain = scenario.payload.first, scenario.payload.uncertain
     gains = Gains(scenario.control.kp, scenario.control.kd)
-    return TrayLoop(first.inertial, gains, phi_jacobian(first.inertial, first.name, uncertain.parameters))
+    return TrayLoop(first.inertial, gains, first.phi_jacobian(uncertain.parameters))
 
 
 def row_scale(weighting: str, body: Body, gains: Gains) -> tuple[float, float, float, float]:

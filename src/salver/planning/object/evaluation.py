@@ -10,11 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salver.geometry import Array
-from salver.planning.object.conditions import TILT, conditions_for
+from salver.geometry import Array, invert
+from salver.models.tray_motion import frame_map
+from salver.planning.object.conditions import apart, conditions_for, motion_vector
 from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
+from salver.sensitivity.liquid import Liquids
 from salver.sensitivity.tray import BodyMotion
 from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference
@@ -44,11 +46,11 @@ class Evaluation:
         return self.samples.t
 
     def worst(self) -> tuple[float, float, str]:
-        """Least slack, its time, and the object it belongs to: of the contacts, unless only the tilt fails."""
-        tilts = np.array([owner == TILT for owner in self.slack_owner])
+        """Least slack, its time, and the object it belongs to: of the contacts, unless only something else fails."""
+        others = np.array([apart(owner) for owner in self.slack_owner])
         slack = self.slack
-        if slack[:, ~tilts].min() < 0 or slack[:, tilts].min(initial=np.inf) >= 0:
-            slack = np.where(tilts, np.inf, slack)  # in a unit of its own
+        if slack[:, ~others].min() < 0 or slack[:, others].min(initial=np.inf) >= 0:
+            slack = np.where(others, np.inf, slack)  # in a unit of its own
         k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
         return float(slack[k, i]), float(self.t[k]), self.slack_owner[i]
 
@@ -63,7 +65,10 @@ def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluat
     wrench_B = joined(*motion.wrench(loop.body.phi[:, None]))[:, 0]
     distribution = np.linalg.pinv(scenario.payload.first.contacts.grasp_map)
     theta = distribution @ sensitivity.wrench
-    rows = [condition(motion, sensitivity, 0) for condition in conditions_for(scenario)]
+    first = scenario.payload.first
+    w_E = motion_vector(motion, 0)[0] @ frame_map(*invert(first.p_EB, first.R_EB)).T
+    liquids = Liquids.along(scenario.payload, grid.t, w_E)
+    rows = [condition(motion, sensitivity, 0, liquids) for condition in conditions_for(scenario)]
     return Evaluation(
         samples,
         wrench_B,

@@ -275,7 +275,7 @@ class Problem:
         residual = np.concatenate([residual, smooth + smooth_jacobian @ z])
         jacobian = np.concatenate([jacobian, smooth_jacobian])
         motion, sensitivity = motion.thinned(self.every), sensitivity.thinned(self.every)
-        rows = tuple(condition(motion, sensitivity, self.size) for condition in self.conditions)
+        rows = tuple(condition(motion, sensitivity, self.size, None) for condition in self.conditions)
         goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
         if theta is not None:
             goal, goal_jacobian = self._goal(on_grid.R_SB[-1], theta[-1])

@@ -87,7 +87,7 @@ class Held:
 class Deviation:
     """What a wrong load makes of a motion at T instants, per unit of each of its n_c terms; and held commands.
 
-    terms: the motion as planned. joints, tray: deviations. torque: (T, n, n_c) commanded, N m.
+    terms: the motion as planned. joints, tray: deviations. torque: (T, n, n_c) commanded, N m. law: of the loop.
     """
 
     load: LoadChange
@@ -96,6 +96,14 @@ class Deviation:
     tray: TrayDeviation
     torque: Array
     held: Held
+    law: Law
+
+    def reaction(self, wrench: Array) -> Array:
+        """(T, 12) how what the tray feels changes, to first order, when the load needs a wrench (T, 6) at E beyond what
+        the controller knows of."""
+        pushed = np.einsum("tij,ti->tj", self.terms.jacobian, wrench)
+        missing = np.linalg.solve(self.terms.mass_matrix, pushed[:, :, None])
+        return self.law(missing, np.zeros(1))[1].w[:, :, 0]
 
     def felt(self, held: bool = True) -> tuple[Array, Drift]:
         """w (T, 12) at nominal parameters, and how the others change it."""
@@ -204,6 +212,7 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law) -> De
         TrayDeviation(*(x[:, :, :-1] for x in vars(tray).values())),
         torque[:, :, :-1],
         Held(joints.q[:, :, -1], joints.dq[:, :, -1], torque[:, :, -1], tray.state[:, :, -1], tray.w[:, :, -1], swing),
+        law,
     )
 
 

@@ -1,0 +1,277 @@
+"""A liquid in an open container: its sloshing modes, what it weighs, and how high it stands at the wall.
+
+Linear potential flow in an upright container (Ibrahim, Liquid Sloshing Dynamics, 2005; Dodge, The New Dynamic Behavior
+of Liquids in Moving Containers, 2000). The first two modes of each lateral axis move, the others follow as if at rest:
+all that is left of the liquid moves as if a lid lay on it. With O the centre of the still surface, z up the container's
+axis, f the specific force at O and f_S that at a mode's own height (0, 0, z_n), the place r_n (2,) of its mass obeys
+
+    r_n'' + 2 zeta omega_n r_n' + (omega_n^2 / g) f_z r_n = -f_S,
+
+and the surface stands at the wall, along either axis, by
+
+    eta = sum gamma_n r_n - (R - sum b_n) f / f_z,        gamma_n = b_n omega_n^2 / g
+
+above its height at rest, R the radius or half the side, b_n what mode n has of a surface that is inclined.
+
+Beyond linear theory: a free wave of amplitude a crests at a + kappa a^2 / R (`Modes.peaking`), and a container that
+tilts at a rate Omega throws the liquid up by some Omega^2 R^2 / g. Both are added to what must stay below the brim.
+Valid for free waves up to 0.3 R on liquids at least half as deep as the container is wide (R), not for swirling ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models import shapes
+from salver.models.rigid_body import RigidBody
+from salver.models.shapes import Solid
+
+GRAVITY = 9.81  # m/s^2
+MODES = 2  # that move, of each lateral axis
+APART = 0.12  # of frequency, between the fills that stand for all of a range
+TERMS = 24  # of series that fall off with the fourth power or faster
+SHALLOWEST = 0.5  # depth over R: below, waves break and steepen as these modes do not
+STEEPEST = 0.3  # amplitude of a free wave over R, to which the crests were compared (docs/liquids.md)
+LEAST_WEIGHT = 0.2  # of g that must press on the surface: with less there is none
+THICKEST = 0.1  # of critical damping: boundary layers are then no longer thin
+UNKNOWN_DAMPING = (0.5, 2.0)  # times the damping that the viscosity would have in a clean container
+MOST_OF_WATER = 0.03  # of critical: a dirty surface and the contact line at the wall brake small waves of water too
+TILTING = 1.3  # times Omega^2 R^2 / g: what nonlinear potential flow showed of a container that is tilted quickly
+_ROOTS = np.array([1.8411837813, 5.3314427735, 8.5363163663, 11.7060049026])  # of J1'
+# A free wave in a cylinder that is 0.3 R high, by nonlinear potential flow: depth over R, kappa.
+_CYLINDER_DEPTH = np.array([0.35, 0.5, 0.65, 0.8, 1.0, 1.5, 2.0])
+_CYLINDER_PEAKING = np.array([3.6, 3.0, 2.2, 1.75, 1.46, 1.25, 1.22])
+
+
+@dataclass(frozen=True)
+class Fluid:
+    """density kg/m^3, kinematic viscosity m^2/s, at room temperature (coffee: hot)."""
+
+    density: float
+    viscosity: float
+
+
+FLUIDS = {"water": Fluid(998.0, 1.0e-6), "coffee": Fluid(975.0, 4.0e-7), "oil": Fluid(915.0, 8.0e-5)}
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The modes of one container at one fill. Arrays (n_modes, 2): mode, axis x or y; (2,): axis.
+
+    omega rad/s. mass kg. height m, z_n of each mode from the surface. rise m, b_n. half (2,) R of each axis, m.
+    peaking (2,) kappa. frozen: all of the liquid as if a lid lay on it, about O. round: whether the wall is a circle;
+    else the highest point is a corner.
+    """
+
+    omega: Array
+    mass: Array
+    height: Array
+    rise: Array
+    half: Array
+    peaking: Array
+    frozen: RigidBody
+    round: bool
+
+    @property
+    def length(self) -> Array:
+        """(n_modes, 2) of pendulums with these frequencies, m."""
+        return np.asarray(GRAVITY / self.omega**2)
+
+    @property
+    def gain(self) -> Array:
+        """(n_modes, 2) gamma_n, wave at the wall for each metre that the mass is displaced."""
+        return self.rise / self.length
+
+    @property
+    def rest_rise(self) -> Array:
+        """(2,) R - sum b_n, what the modes that do not move have of an inclined surface, m."""
+        return np.asarray(self.half - self.rise.sum(axis=0))
+
+    def highest(self, eta: Array) -> Array:
+        """(...) around the wall, of a surface with heights eta (..., 2) there along x and y."""
+        if self.round:
+            return np.asarray(np.linalg.norm(eta, axis=-1))
+        return np.asarray(np.abs(eta).sum(axis=-1))
+
+    def crest(self, eta: Array, slope: Array, turning: Array) -> Array:
+        """(...) height of the highest point over the surface at rest, m, what is not linear included.
+
+        eta (..., 2): by linear theory, m. slope (..., 2): f / f_z. turning (...): Omega^2 across the axis, 1/s^2.
+        """
+        free = eta + self.half * slope
+        steep = (self.peaking / self.half * free**2).sum(axis=-1)
+        return self.highest(eta) + steep + TILTING / GRAVITY * float(self.half.max()) ** 2 * turning
+
+    @property
+    def still(self) -> RigidBody:
+        """The liquid without its moving masses, about O: what is left when they hang as pendulums."""
+        mass = self.frozen.mass - float(self.mass[:, 0].sum())
+        lever = self.frozen.mass * self.frozen.com_B[2] - float((self.mass * self.height)[:, 0].sum())
+        z = lever / mass
+        about_O = np.diag(self.frozen.inertia_com)[:2] + self.frozen.mass * self.frozen.com_B[2] ** 2
+        lateral = about_O[::-1] - (self.mass * self.height**2).sum(axis=0) - mass * z**2  # by the axis they move along
+        return RigidBody(
+            mass, np.array([0.0, 0.0, z]), np.diag([lateral[1], lateral[0], self.frozen.inertia_com[2, 2]])
+        )
+
+
+@dataclass(frozen=True)
+class Liquid:
+    """What is in a container, and what must not happen to it.
+
+    size: (radius,) of an upright cylinder, or (x, y) of an upright box, inside, m. floor: height of its bottom over the
+    object's base, m. fill, brim: heights over that bottom, m. density kg/m^3. damping: least and most, of critical.
+    margin: m that must be left below the brim. highest: m, largest wave that is wanted, whatever the brim allows.
+    sealed: a lid keeps it in. settled, within: after the motion and so many seconds no wave is higher, m.
+    """
+
+    size: tuple[float] | tuple[float, float]
+    floor: float
+    fill: float
+    brim: float
+    density: float
+    damping: tuple[float, float]
+    margin: float = 0.0
+    highest: float = np.inf
+    sealed: bool = False
+    settled: float = np.inf
+    within: float = 0.0
+    name: str = field(default="liquid", compare=False)
+
+    @property
+    def round(self) -> bool:
+        return len(self.size) == 1
+
+    @property
+    def half(self) -> Array:
+        """(2,) radius, or half of each side, m."""
+        return np.repeat(self.size, 2) if self.round else 0.5 * np.array(self.size)
+
+    @property
+    def nominal_damping(self) -> float:
+        return 0.5 * sum(self.damping)
+
+    def room(self, fill: float) -> float:
+        """m to which waves may rise at a fill."""
+        return np.inf if self.sealed else min(self.brim - fill - self.margin, self.highest)
+
+    def modes(self, fill: float) -> Modes:
+        """Raises ValueError for a fill of nothing."""
+        if fill <= 0:
+            raise ValueError(f"fill = {fill:g} m; it must be above 0")
+        return _modes(self.size, fill, self.density)
+
+    def surface_height(self, fill: float) -> float:
+        """Height of the still surface over the object's base, m."""
+        return self.floor + fill
+
+    def cases(self, least: float, most: float, apart: float = APART) -> list[tuple[float, float]]:
+        """(fill, damping) that stand for all between `least` and `most` m: equally spaced in frequency, at most `apart`
+        of it, so that the phase of a wave is never far from a known one, and both ends of the damping."""
+        low, high = (self.modes(fill).omega[0].min() for fill in (least, most))
+        count = 1 if most - least < 1e-9 else 2 + int((high / low - 1) / apart)
+        fills = _at_frequencies(self, least, most, np.linspace(low, high, count)) if count > 1 else [least]
+        return [(fill, damping) for fill in fills for damping in dict.fromkeys(self.damping)]
+
+
+def _at_frequencies(liquid: Liquid, least: float, most: float, wanted: Array) -> list[float]:
+    fills = np.linspace(least, most, 201)
+    omega = np.array([liquid.modes(float(fill)).omega[0].min() for fill in fills])
+    return [float(np.interp(w, omega, fills)) for w in wanted[:-1]] + [most]
+
+
+def damping_of(size: tuple[float, ...], fill: float, viscosity: float) -> float:
+    """Damping of the first mode, of critical, by the boundary layers of a clean container (Dodge 2000, from Stephens
+    and others; a box counts as the cylinder of its shorter half side)."""
+    R = size[0] if len(size) == 1 else 0.5 * min(size)
+    depth = 1.84 * fill / R
+    shallow = 0.318 / np.sinh(depth) * (1 + (1 - fill / R) / np.cosh(depth))
+    return float(0.79 * np.sqrt(viscosity / np.sqrt(GRAVITY * R**3)) * (1 + shallow))
+
+
+def hollow(solid: Solid, liquid: Liquid) -> tuple[Array, Array]:
+    """(3,) centre of mass of a uniform container from the centre of the solid it is cut out of, and (3, 3) its inertia
+    about that, per mass."""
+    inside = shapes.cylinder(liquid.size[0], liquid.brim) if liquid.round else shapes.box((*liquid.size, liquid.brim))
+    corners = solid.base_polygon
+    sides = 2 * (np.full(2, np.linalg.norm(corners, axis=1).max()) if liquid.round else corners.max(axis=0))
+    outer = float(np.prod(sides)) * solid.height
+    inner = float(np.prod(2 * liquid.half)) * liquid.brim  # of either, pi / 4 of it when round
+    phi = RigidBody(outer, np.zeros(3), outer * solid.unit_inertia).phi
+    phi -= RigidBody(inner, np.array([0.0, 0.0, 0.5 * liquid.floor]), inner * inside.unit_inertia).phi
+    whole = RigidBody.from_phi(phi / (outer - inner))
+    return whole.com_B, whole.inertia_com
+
+
+@lru_cache(maxsize=1024)
+def _modes(size: tuple[float, ...], fill: float, density: float) -> Modes:
+    return _cylinder(size[0], fill, density) if len(size) == 1 else _box(size[0], size[1], fill, density)
+
+
+def _cylinder(R: float, h: float, density: float) -> Modes:
+    xi, total = _ROOTS[:MODES], density * np.pi * R**2 * h
+    tanh = np.tanh(xi * h / R)
+    mass = total * 2 * R * tanh / (xi * h * (xi**2 - 1))
+    height = -(2 * R / xi) * np.tanh(xi * h / (2 * R))
+    every = _all_roots()
+    turning = R**2 / 4 + h**2 / 12 - R**2
+    turning += (16 * R**3 / h) * float(np.sum(np.tanh(every * h / (2 * R)) / (every**3 * (every**2 - 1))))
+    kappa = float(np.interp(h / R, _CYLINDER_DEPTH, _CYLINDER_PEAKING))
+    return Modes(
+        omega=_twice(np.sqrt(GRAVITY * xi * tanh / R)),
+        mass=_twice(mass),
+        height=_twice(height),
+        rise=_twice(2 * R / (xi**2 - 1)),
+        half=np.array([R, R]),
+        peaking=np.array([kappa, kappa]),
+        frozen=RigidBody(total, np.array([0.0, 0.0, -0.5 * h]), np.diag([total * turning, total * turning, 0.0])),
+        round=True,
+    )
+
+
+def _box(x: float, y: float, h: float, density: float) -> Modes:
+    sides, total = np.array([x, y]), density * x * y * h
+    k = (2 * np.arange(1, MODES + 1)[:, None] - 1) * np.pi / sides
+    tanh = np.tanh(k * h)
+    # What a lid makes of it: Graham and Rodriguez, J. Applied Mechanics 19 (1952) 381, about the centre.
+    odd = 2 * np.arange(1, TERMS + 1) - 1.0
+    ratio = h / sides
+    series = np.sum(np.tanh(0.5 * odd[:, None] * np.pi * ratio) / odd[:, None] ** 5, axis=0)
+    turning = (sides**2 + h**2) / 12 - sides**2 / 3 + 64 / np.pi**5 * sides**3 / h * series
+    steep = np.tanh(np.pi * h / sides)  # a standing wave to second order: Tadjbakhsh and Keller, JFM 8 (1960) 442
+    return Modes(
+        omega=np.sqrt(GRAVITY * k * tanh),
+        mass=total * 8 * tanh / (k**3 * sides**2 * h),
+        height=-(2 / k) * np.tanh(0.5 * k * h),
+        rise=4 / (sides * k**2),
+        half=0.5 * sides,
+        peaking=np.pi / 16 * (steep + 3 / steep**3),
+        frozen=RigidBody(
+            total,
+            np.array([0.0, 0.0, -0.5 * h]),
+            np.diag([total * turning[1], total * turning[0], total * _about_axis(x, y)]),
+        ),
+        round=False,
+    )
+
+
+def _about_axis(x: float, y: float) -> float:
+    """What a box of liquid has of inertia about its upright axis, per mass: the same series, seen from above."""
+    odd = 2 * np.arange(1, TERMS + 1) - 1.0
+    series = float(np.sum(np.tanh(0.5 * odd * np.pi * y / x) / odd**5))
+    return (x**2 + y**2) / 12 - x**2 / 3 + 64 / np.pi**5 * x**3 / y * series
+
+
+def _twice(values: Array) -> Array:
+    return np.repeat(values[:, None], 2, axis=1)
+
+
+@lru_cache(maxsize=1)
+def _all_roots() -> Array:
+    from scipy.special import jnp_zeros
+
+    return np.asarray(jnp_zeros(1, TERMS), dtype=float)

@@ -1,0 +1,135 @@
+"""What is in an open container on the tray: the table [objects.liquid]."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from salver.scenario.fields import Metres, Model, Number
+
+if TYPE_CHECKING:
+    from salver.models.liquid import Liquid
+
+Damped = Annotated[Number, Field(ge=0, le=1)]  # of critical
+
+
+class LiquidIn(Model):
+    """A liquid in an upright cylinder (`radius`) or box (`size`), inside measures; `fill` and `brim` are heights over
+    the bottom inside, and the brim is the top of the object. What is not said of the liquid is that of `kind`."""
+
+    kind: Literal["water", "coffee", "oil"] = "water"
+    radius: Metres | None = None
+    size: tuple[Metres, Metres] | None = None
+    fill: Metres
+    brim: Metres
+    density: Annotated[Number, Field(ge=100, le=20_000)] | None = None
+    viscosity: Annotated[Number, Field(ge=0, le=10)] | None = None
+    damping: tuple[Damped, Damped] | None = None
+    margin: Annotated[Number, Field(ge=0, le=1)] = 0.001
+    highest_wave: Annotated[Number, Field(gt=0, le=1)] | None = None
+    settled_wave: Annotated[Number, Field(gt=0, le=1)] | None = None
+    settled_within: Annotated[Number, Field(ge=0, le=600)] = 0.0
+    sealed: Annotated[bool, Field(description="true or false")] = False
+
+    @model_validator(mode="after")
+    def _possible(self) -> LiquidIn:
+        from salver.models.liquid import THICKEST
+
+        if (self.radius is None) == (self.size is None):
+            raise ValueError("liquid needs the inside of its container: radius of a cylinder, or size of a box")
+        if self.damping is not None and self.damping[0] > self.damping[1]:
+            raise ValueError(f"liquid.damping = {list(self.damping)}; the least comes first, of critical damping")
+        if self.damping_range[0] > THICKEST:
+            raise ValueError(
+                f"liquid has a viscosity of {self._viscosity:g} m^2/s, damping {self.damping_range[0]:.2g} of "
+                f"critical: "
+                f"to this model it is a solid; leave out [objects.liquid] and give its mass to the object, or a "
+                f"damping "
+                f"whose least is at most {THICKEST:g}"
+            )
+        if self.damping_range[1] > 2 * THICKEST:
+            raise ValueError(
+                f"liquid.damping = {list(self.damping_range)} of critical; waves are known to {2 * THICKEST:g}"
+            )
+        return self
+
+    @property
+    def inside(self) -> tuple[float] | tuple[float, float]:
+        if self.radius is not None:
+            return (self.radius,)
+        assert self.size is not None
+        return self.size
+
+    @property
+    def _viscosity(self) -> float:
+        from salver.models.liquid import FLUIDS
+
+        return FLUIDS[self.kind].viscosity if self.viscosity is None else self.viscosity
+
+    @property
+    def damping_range(self) -> tuple[float, float]:
+        """Least and most, of critical; that of the viscosity is known to within a factor."""
+        from salver.models.liquid import MOST_OF_WATER, UNKNOWN_DAMPING, damping_of
+
+        if self.damping is not None:
+            return self.damping
+        clean = damping_of(self.inside, self.fill, self._viscosity)
+        return UNKNOWN_DAMPING[0] * clean, max(UNKNOWN_DAMPING[1] * clean, MOST_OF_WATER)
+
+    def check(self, name: str, outside: tuple[float, ...], height: float, fill_range: float) -> None:
+        """Raise ValueError when it cannot be in its object or is beyond what the model is valid for: one sentence.
+
+        outside: (radius,) or (x, y) of the object, m.
+        """
+        from salver.models.liquid import SHALLOWEST
+
+        here = f"liquid of {name}"
+        if len(outside) != len(self.inside):
+            raise ValueError(
+                f"{here}: a cylinder holds liquid in a round inside (radius), a box in a rectangular one (size)"
+            )
+        if any(inner >= outer for inner, outer in zip(self.inside, outside, strict=True)):
+            raise ValueError(
+                f"{here}: inside it measures {list(self.inside)} m, outside {list(outside)} m (radius, or x and y); "
+                "the inside must be smaller"
+            )
+        if self.brim > height:
+            raise ValueError(f"{here}: brim = {self.brim:g} m over the bottom; {name} is only {height:g} m high")
+        if fill_range >= self.fill:
+            raise ValueError(
+                f"uncertainty.fill of {name} = {fill_range:g} m reaches down to nothing from fill = {self.fill:g} m"
+            )
+        least, most = self.fill - fill_range, self.fill + fill_range
+        if most + self.margin >= self.brim:
+            raise ValueError(
+                f"{here}: filled up to {most:g} m, with a margin of {self.margin:g} m, it stands above the brim at "
+                f"{self.brim:g} m; give less fill, a smaller uncertainty.fill or a higher brim"
+            )
+        half = max(self.inside) if self.radius is not None else 0.5 * max(self.inside)
+        if least < SHALLOWEST * half:
+            raise ValueError(
+                f"{here}: {least:g} m deep in a container {2 * half:g} m wide is too shallow for this model, which is "
+                f"valid from {SHALLOWEST * half:g} m on; in shallower ones waves break"
+            )
+
+    def liquid(self, height: float) -> Liquid:
+        """As mechanics see it, in an object of this height."""
+        from salver.models.liquid import FLUIDS, Liquid
+
+        known = FLUIDS[self.kind]
+        return Liquid(
+            size=self.inside,
+            floor=height - self.brim,
+            fill=self.fill,
+            brim=self.brim,
+            density=known.density if self.density is None else self.density,
+            damping=self.damping_range,
+            margin=self.margin,
+            highest=np.inf if self.highest_wave is None else self.highest_wave,
+            sealed=self.sealed,
+            settled=np.inf if self.settled_wave is None else self.settled_wave,
+            within=self.settled_within,
+            name=self.kind,
+        )

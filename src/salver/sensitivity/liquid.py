@@ -1,0 +1,587 @@
+"""How a liquid moves in its container along a motion of the tray, and what that asks of the container.
+
+The modes of `salver.models.liquid` are filters with a memory (`salver.sensitivity.filter`), driven by the lateral
+specific force at each mode's height and stiffened by the vertical one. All is linear in the drive; the transposed
+filter gives the derivative of any function of the waves by what the tray felt at all earlier times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.geometry import Array
+from salver.models.bodies import Body
+from salver.models.contact_rows import ContactRows
+from salver.models.interfaces import to_tray
+from salver.models.liquid import APART, GRAVITY, LEAST_WEIGHT, STEEPEST, TILTING, Liquid, Modes
+from salver.models.parameters import NOTHING, Parameter, UncertainSet
+from salver.models.payload import Payload
+from salver.models.tray_motion import N_MOTION, frame_map
+from salver.sensitivity.filter import LinearFilter
+
+Indices = npt.NDArray[np.intp]
+VERDICT_APART = 0.02  # of frequency, between the fills at which a verdict looks
+_TURNING = np.zeros(N_MOTION)
+_TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """The liquid of one body at one fill (m) and damping (of critical).
+
+    at_O (3, 12), at_mode (n_modes, 2, 12): w of the tray's E to the specific force at the centre of the surface, and
+    the lateral one at each mode. to_E (6, 6): wrench at O to that at E, in E.
+    """
+
+    body: Body
+    fill: float
+    damping: float
+    modes: Modes
+    at_O: Array
+    at_mode: Array
+    to_E: Array
+
+    @classmethod
+    def of(cls, body: Body, fill: float, damping: float) -> Case:
+        assert body.liquid is not None
+        modes = body.liquid.modes(fill)
+
+        def felt(height: float) -> Array:
+            at = body.p_EB + body.R_EB @ (body.surface_B(fill) + np.array([0.0, 0.0, height]))
+            return frame_map(at, body.R_EB)
+
+        heights = modes.height
+        at_mode = np.array([[felt(z[0])[0], felt(z[1])[1]] for z in heights])
+        p_EO = body.p_EB + body.R_EB @ body.surface_B(fill)
+        return cls(body, fill, damping, modes, felt(0.0)[:3], at_mode, to_tray(p_EO, body.R_EB))
+
+    @property
+    def liquid(self) -> Liquid:
+        assert self.body.liquid is not None
+        return self.body.liquid
+
+    @property
+    def room(self) -> float:
+        """m to which the surface may rise."""
+        return self.liquid.room(self.fill)
+
+    @property
+    def steepest(self) -> float:
+        """m, the largest free wave for which the model is valid."""
+        return STEEPEST * float(self.modes.half.min())
+
+    @property
+    def kd(self) -> Array:
+        return np.asarray(2 * self.damping * self.modes.omega)
+
+    def along(self, t: Array, w: Array) -> Waves:
+        """Its waves along a motion that begins at rest: what the tray feels, w (T, 12), at nodes t (T,), T >= 4."""
+        return along([self], t, w)[0]
+
+
+def along(several: Sequence[Case], t: Array, w: Array) -> list[Waves]:
+    """The waves of each case; all their filters are made at once."""
+    upward = [_upward(w @ case.at_O[2]) for case in several]
+    kp, kd, extra = [], [], []
+    for case, up in zip(several, upward, strict=True):
+        own, brakes = (x[:, :1] if case.modes.round else x for x in (case.modes.omega**2, case.kd))
+        kp.append(own.ravel())
+        kd.append(brakes.ravel())
+        extra.append(own.ravel()[:, None] * (up / GRAVITY - 1))
+    made = iter(LinearFilter.stiffened(t, np.concatenate(kp), np.concatenate(kd), np.concatenate(extra)))
+    axes = [1 if case.modes.round else 2 for case in several]
+    filters = [
+        [[next(made) for _ in range(n)] * (3 - n) for _ in case.kd] for case, n in zip(several, axes, strict=True)
+    ]
+    return [Waves(*each, w) for each in zip(several, [t] * len(several), filters, upward, strict=True)]
+
+
+def _upward(force: Array) -> Array:
+    return np.maximum(force, LEAST_WEIGHT * GRAVITY)
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """A liquid along a motion of T nodes.
+
+    Vectors across the container have two components. In a round one, whose wall cannot take the liquid along, they are
+    along axes that do not turn about the container's own: those that the container had at the beginning.
+    filters: one of each mode and axis, of a round container the same for both. upward: (T,) specific force that
+    stiffens them. near: waves to which these are a small change, and of what is felt.
+    """
+
+    case: Case
+    t: Array
+    filters: list[list[LinearFilter]]
+    upward: Array
+    w: Array
+    near: tuple[Waves, Array] | None = None
+
+    def shifted(self, dw: Array) -> Waves:
+        """The waves of w + dw (T, 12), to first order in dw."""
+        return replace(self, w=self.w + dw, near=(self, dw))
+
+    @cached_property
+    def force(self) -> Array:
+        """(T, 3) specific force at the centre of the surface, in the container's axes."""
+        return self.w @ self.case.at_O.T
+
+    @cached_property
+    def spin(self) -> Array:
+        """(T,) rad by which the container has turned about its axis."""
+        if self.near is not None:
+            return self.near[0].spin
+        if not self.case.modes.round:
+            return np.zeros(len(self.t))
+        return self._turning.respond(self.w[:, 5])[0]
+
+    @cached_property
+    def _turning(self) -> LinearFilter:
+        """From the angular acceleration about the axis to the angle."""
+        return LinearFilter.on_nodes(self.t, 0.0, 0.0, 3)
+
+    def _still(self, x: Array) -> Array:
+        """Vectors (T, ..., 2) in the container's axes to those that do not turn with it."""
+        return _turned(x, self.spin)
+
+    @cached_property
+    def _at_modes(self) -> Array:
+        """(T, n_modes, 2) lateral specific force at each mode."""
+        return self._still(np.einsum("nak,tk->tna", self.case.at_mode, self.w))
+
+    def respond(self, force: Array, start: Array | None = None) -> tuple[Array, Array, Array]:
+        """r, r' and r'' (T, n_modes, 2, c) to lateral specific forces (T, n_modes, 2, c) at the modes."""
+        shape = force.shape
+        r, rate, second = (np.empty(shape) for _ in range(3))
+        for n, each in enumerate(self.filters):
+            axes = [(each[0], slice(0, 2))] if each[0] is each[1] else [(each[0], slice(0, 1)), (each[1], slice(1, 2))]
+            for one, axis in axes:
+                drive = -force[:, n, axis]
+                begin = None if start is None else np.stack([start[n, axis], np.zeros_like(start[n, axis])])
+                r[:, n, axis], rate[:, n, axis] = one.respond(drive, begin)
+                second[:, n, axis] = one.acceleration(drive, r[:, n, axis], rate[:, n, axis])
+        return r, rate, second
+
+    @cached_property
+    def _moved(self) -> tuple[Array, Array, Array]:
+        if self.near is not None:
+            waves, dw = self.near
+            changes = self.respond(self._still(np.einsum("nak,tk->tna", self.case.at_mode, dw))[..., None])
+            return (waves.r + changes[0][..., 0], waves.rate + changes[1][..., 0], waves.second + changes[2][..., 0])
+        force = self._at_modes[..., None]
+        # At rest before the motion: the surface is level, whatever the tray is.
+        start = -force[0] / self.case.modes.omega[..., None] ** 2 * (GRAVITY / self.upward[0])
+        r, rate, second = self.respond(force, start)
+        return r[..., 0], rate[..., 0], second[..., 0]
+
+    @property
+    def r(self) -> Array:
+        """(T, n_modes, 2) place of each moving mass, m."""
+        return self._moved[0]
+
+    @property
+    def rate(self) -> Array:
+        """(T, n_modes, 2) m/s."""
+        return self._moved[1]
+
+    @property
+    def second(self) -> Array:
+        """(T, n_modes, 2) m/s^2."""
+        return self._moved[2]
+
+    @cached_property
+    def slope(self) -> Array:
+        """(T, 2) of a surface at rest under the force: f / f_z."""
+        return self._still(self.force[:, :2] / self.upward[:, None])
+
+    @cached_property
+    def eta(self) -> Array:
+        """(T, 2) m by which the surface stands at the wall, by linear theory."""
+        return np.asarray(
+            np.einsum("na,tna->ta", self.case.modes.gain, self.r) - self.case.modes.rest_rise * self.slope
+        )
+
+    @property
+    def eta_B(self) -> Array:
+        """(T, 2) the same along the container's own axes."""
+        return _turned(self.eta, -self.spin)
+
+    @cached_property
+    def free(self) -> Array:
+        """(T, 2) m, the part of it that is a wave, not the incline of a surface at rest."""
+        return self.eta + self.case.modes.half * self.slope
+
+    @cached_property
+    def crest(self) -> Array:
+        """(T,) height of the highest point over the surface at rest, m, what is not linear included."""
+        return self.case.modes.crest(self.eta, self.slope, self.w @ _TURNING)
+
+    def raised(self, by: Array | float) -> Array:
+        """(T,) the crest of waves whose linear part is higher by so much, (T,) m, at the worst."""
+        modes = self.case.modes
+        more = np.broadcast_to(by, len(self.t))[:, None]
+        return self.crest + by + (modes.peaking / modes.half * more * (2 * np.abs(self.free) + more)).sum(axis=1)
+
+    @property
+    def free_height(self) -> Array:
+        """(T,) height of the free wave, by linear theory."""
+        return self.case.modes.highest(self.free)
+
+    @property
+    def _wide(self) -> float:
+        return float(self.case.modes.half.max())
+
+    @cached_property
+    def tail(self) -> Array:
+        """(n_modes, 2) amplitude at the wall of the waves that are left at the end, when all is at rest, m."""
+        return np.asarray(self.case.modes.gain * np.hypot(*self._ending))
+
+    @cached_property
+    def _ending(self) -> tuple[Array, Array]:
+        """(n_modes, 2) how far each mass is from its rest at the end, and its speed over the frequency there, m."""
+        case = self.case
+        softer = GRAVITY / self.upward[-1]
+        rest = self._at_modes[-1] / case.modes.omega**2 * softer
+        return self.r[-1] + rest, self.rate[-1] / case.modes.omega * np.sqrt(softer)
+
+    def left(self, seconds: float = 0.0, more: float = 0.0) -> float:
+        """m, no crest is higher from so many seconds after the end on, the tray at rest: both modes at their best.
+        more: m by which the linear waves may be higher."""
+        modes, amplitude = self.case.modes, (self.tail * self._fading(seconds)).sum(axis=0) + more
+        highest = self.case.modes.highest(amplitude + modes.half * np.abs(self.slope[-1]))
+        return float(highest + np.sum(modes.peaking / modes.half * amplitude**2))
+
+    def _fading(self, seconds: float) -> Array:
+        return np.asarray(np.exp(-self.case.damping * self.case.modes.omega * seconds))
+
+    @cached_property
+    def wrench(self) -> Array:
+        """(T, 6) what the container must give at E beyond what the liquid would need if a lid lay on it, N and N m."""
+        modes, force = self.case.modes, self.force
+        r, second = _turned(self.r, -self.spin), _turned(self.second, -self.spin)
+        pushed = np.einsum("na,tna->ta", modes.mass, second)
+        turned = np.einsum("na,tna->ta", modes.mass * modes.height, second)
+        hung = np.einsum("na,tna->ta", modes.mass, r)
+        out = np.zeros((len(r), 6))
+        out[:, :2] = pushed
+        out[:, 3] = hung[:, 1] * force[:, 2] - turned[:, 1]
+        out[:, 4] = turned[:, 0] - hung[:, 0] * force[:, 2]
+        out[:, 5] = hung[:, 0] * force[:, 1] - hung[:, 1] * force[:, 0]
+        return out @ self.case.to_E.T
+
+    # What else the tray feels ------------------------------------------------------------------------------------
+
+    def changed(self, dw: Array) -> tuple[Array, Array, Array]:
+        """To first order, by changes dw (T, 12, c) of what the tray feels: of eta (T, 2, c), of the wrench (T, 6, c),
+        and of what is left at the end (2, c), as an amplitude."""
+        modes, case = self.case.modes, self.case
+        felt = np.einsum("nak,tkc->tcna", case.at_mode, dw)
+        r, rate, second = self.respond(np.moveaxis(self._still(felt), 1, 3))
+        force = np.einsum("ik,tkc->tci", case.at_O, dw)
+        lateral = self._still(force[:, :, :2]) - self.slope[:, None] * force[:, :, 2:]
+        slope = np.swapaxes(lateral, 1, 2) / self.upward[:, None, None]
+        eta = np.einsum("na,tnac->tac", modes.gain, r) - modes.rest_rise[:, None] * slope
+        left = np.einsum("na,nac->ac", modes.gain, np.hypot(r[-1], rate[-1] / modes.omega[..., None]))
+        up = self.force[:, 2, None]
+        r, second = (np.moveaxis(_turned(np.moveaxis(x, 3, 1), -self.spin), 1, 3) for x in (r, second))
+        hung = np.einsum("na,tnac->tac", modes.mass, r)
+        turned = np.einsum("na,tnac->tac", modes.mass * modes.height, second)
+        out = np.zeros((len(r), 6, dw.shape[2]))
+        out[:, :2] = np.einsum("na,tnac->tac", modes.mass, second)
+        out[:, 3], out[:, 4] = hung[:, 1] * up - turned[:, 1], turned[:, 0] - hung[:, 0] * up
+        return eta, np.einsum("ij,tjc->tic", case.to_E, out), left
+
+    # Derivatives, of rows (m,) at nodes (m,): by w at all nodes (m, T, 12), and by log T of the duration (m,) --------
+
+    def crest_by(self, node: Indices) -> tuple[Array, Array]:
+        """Of the crest."""
+        modes = self.case.modes
+        by_free = 2 * modes.peaking / modes.half * self.free[node]
+        return self._surface_by(node, self._steepest(self.eta[node]), by_free, TILTING / GRAVITY * self._wide**2)
+
+    def free_by(self, node: Indices) -> tuple[Array, Array]:
+        """Of the height of the free wave."""
+        return self._surface_by(node, np.zeros((len(node), 2)), self._steepest(self.free[node]), 0.0)
+
+    def _surface_by(self, node: Indices, by_eta: Array, by_free: Array, thrown: float) -> tuple[Array, Array]:
+        case, modes = self.case, self.case.modes
+        both, up = by_eta + by_free, self.upward[node, None]
+        by_slope = (by_free * modes.half - both * modes.rest_rise) / up
+        lateral = _turned(by_slope, -self.spin[node])
+        by_force = np.column_stack([lateral, -(by_slope * self.slope[node]).sum(axis=1)])
+        by_spin = self.upward[node] * (by_slope * _across(self.slope[node])).sum(axis=1)
+        by_r = modes.gain * both[:, None, :]
+        return self._back(node, by_r, np.zeros_like(by_r), by_force @ case.at_O + thrown * _TURNING, by_spin)
+
+    def _steepest(self, eta: Array) -> Array:
+        """Derivative of `Modes.highest`."""
+        if self.case.modes.round:
+            return np.asarray(eta / np.maximum(np.linalg.norm(eta, axis=-1, keepdims=True), 1e-12))
+        return np.sign(eta)
+
+    def left_by(self, seconds: float = 0.0) -> tuple[Array, Array]:
+        """Of `left`, one row; the tray's posture at the end is taken as given."""
+        modes, fading = self.case.modes, self._fading(seconds)
+        amplitude = (self.tail * fading).sum(axis=0)
+        slope = self._steepest(amplitude + modes.half * np.abs(self.slope[-1]))
+        slope = fading * modes.gain * (slope + 2 * modes.peaking / modes.half * amplitude)
+        away, speed = self._ending
+        size = np.maximum(np.hypot(away, speed), 1e-12)
+        to_speed = np.sqrt(GRAVITY / self.upward[-1]) / modes.omega
+        last = np.array([len(self.t) - 1])
+        by_r, by_rate = slope * away / size, slope * speed / size * to_speed
+        return self._back(last, by_r[None], by_rate[None], np.zeros((1, N_MOTION)), np.zeros(1))
+
+    def wrench_by(self, node: Indices, weight: Array) -> tuple[Array, Array]:
+        """Of weight (m, 6) . wrench."""
+        case, modes, force, spin = self.case, self.case.modes, self.force[node], self.spin[node]
+        r, second = _turned(self.r[node], -spin), _turned(self.second[node], -spin)
+        weight = weight @ case.to_E
+        across = weight[:, [4, 3]] * [1.0, -1.0]  # what turns along x is a moment about y
+        by_second = modes.mass * (weight[:, None, :2] + modes.height * across[:, None])
+        hanging = -across * force[:, 2:] + weight[:, 5:] * force[:, [1, 0]] * [1.0, -1.0]
+        stiff = modes.omega**2 / GRAVITY
+        by_hung = modes.mass * hanging[:, None]
+        by_spin = -(by_second * _across(second) + by_hung * _across(r)).sum(axis=(1, 2))
+        hung = np.einsum("na,mna->ma", modes.mass, r)
+        by_force = np.column_stack(
+            [-weight[:, 5] * hung[:, 1], weight[:, 5] * hung[:, 0], -(across * hung).sum(axis=1)]
+        )
+        by_force[:, 2] -= np.einsum("mna,mna->m", by_second, stiff * r)
+        by_w = by_force @ case.at_O - np.einsum("mna,nak->mk", by_second, case.at_mode)
+        by_second = _turned(by_second, spin)
+        by_r = _turned(by_hung, spin) - stiff * self.upward[node, None, None] * by_second
+        by_spin -= (by_second * _across(self._at_modes[node])).sum(axis=(1, 2))
+        return self._back(node, by_r, -case.kd * by_second, by_w, by_spin)
+
+    @cached_property
+    def _slower(self) -> tuple[Array, Array]:
+        """(T, n_modes, 2) derivative of r and r' by log T, where what the tray feels is the same in each share of it.
+
+        In shares of T the equation reads x'' / T^2 + kd x' / T + kp x = d.
+        """
+        more = 2 * self.second + self.case.kd * self.rate
+        turned = 2 * self.spin[:, None, None] * _across(self._at_modes)
+        r, rate, _ = self.respond((turned - more)[..., None])
+        return r[..., 0], rate[..., 0] - self.rate
+
+    def _back(self, node: Indices, by_r: Array, by_rate: Array, by_w: Array, by_spin: Array) -> tuple[Array, Array]:
+        """From derivatives (m, n_modes, 2) by r and r', (m, 12) by w itself and (m,) by the spin, at the rows' own
+        nodes."""
+        case, count, row = self.case, len(node), np.arange(len(node))
+        out = np.zeros((count, len(self.t), N_MOTION))
+        out[row, node] = by_w
+        softened, turned = np.zeros((2, len(self.t), count))
+        turned[node, row] = by_spin
+        for n, each in enumerate(self.filters):
+            driven = np.empty((len(self.t), count, 2))
+            for axis in range(2):
+                x, rate = np.zeros((2, len(self.t), count))
+                x[node, row], rate[node, row] = by_r[:, n, axis], by_rate[:, n, axis]
+                driven[..., axis] = each[axis].gradient(x, rate)
+            out -= np.einsum("tma,ak->mtk", _turned(driven, -self.spin), case.at_mode[n])
+            softened += np.einsum("tma,ta->tm", driven, case.modes.omega[n] ** 2 / GRAVITY * self.r[:, n])
+            turned -= np.einsum("tma,ta->tm", driven, _across(self._at_modes[:, n]))
+        out -= softened.T[:, :, None] * case.at_O[2]
+        slower = [np.einsum("mna,mna->m", by, x[node]) for by, x in zip((by_r, by_rate), self._slower, strict=True)]
+        if case.modes.round:
+            out[:, :, 5] += self._turning.gradient(turned, np.zeros_like(turned)).T
+        return out, slower[0] + slower[1] + 2 * self.spin[node] * by_spin
+
+
+def _turned(x: Array, angle: Array) -> Array:
+    """Vectors (T, ..., 2) turned by angles (T,), rad."""
+    shape = (-1, *(1,) * (x.ndim - 2))
+    c, s = np.cos(angle).reshape(shape), np.sin(angle).reshape(shape)
+    return np.stack([c * x[..., 0] - s * x[..., 1], s * x[..., 0] + c * x[..., 1]], axis=-1)
+
+
+def _across(x: Array) -> Array:
+    """Derivative of `_turned` by the angle: turned by a quarter."""
+    return np.stack([-x[..., 1], x[..., 0]], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Slosh:
+    """What one case of a liquid does along a motion of T instants.
+
+    wrench: (T, 6) of `Waves`. reaction: (T, 12) by which what the tray feels changes because the arm gives way to it.
+    spread: (T, 6, n_c) change of the wrench per half-range of each term of what is uncertain. higher: (T,) m, by which
+    the waves may be higher for all these, and more_left: what is left at the end.
+    """
+
+    waves: Waves
+    wrench: Array
+    reaction: Array | None = None
+    spread: Array | None = None
+    higher: Array | float = 0.0
+    more_left: float = 0.0
+
+    @classmethod
+    def of(cls, waves: Waves, reaction: Array | None = None, dw: Array | None = None) -> Slosh:
+        """dw: (T, 12, n_c) change of what the tray feels."""
+        if dw is None:
+            return cls(waves, waves.wrench, reaction)
+        eta, spread, left = waves.changed(dw)
+        higher, more = np.linalg.norm(eta, axis=1).sum(axis=1), float(np.linalg.norm(left, axis=0).sum())
+        return cls(waves, waves.wrench, reaction, spread, higher, more)
+
+    def at(self, index: Indices) -> Slosh:
+        """The wrench at some instants."""
+        return replace(self, wrench=self.wrench[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Sloshed:
+    """What liquids add to contact rows (T, n): each at its worst case. worst: by liquid, (T, n) which case that is."""
+
+    rows: ContactRows
+    liquids: list[tuple[int | None, tuple[Slosh, ...]]]
+    values: Array
+    worst: list[Array]
+
+    @classmethod
+    def of(cls, rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]]) -> Sloshed:
+        """sloshing: the cases of each liquid, by the name of its body."""
+        index = {body.name: j for j, body in enumerate(rows.network.bodies)}
+        total, chosen, liquids = np.zeros((1, 1)), [], []
+        for name, cases in sloshing.items():
+            j = index.get(name)
+            each = np.array([_added(case, rows, j) for case in cases])
+            worst = np.argmax(each, axis=0)
+            total = total + np.take_along_axis(each, worst[None], axis=0)[0]
+            chosen.append(worst)
+            liquids.append((j, cases))
+        return cls(rows, liquids, total, chosen)
+
+    def history(self, node: Indices, row: Indices) -> tuple[Array, Array]:
+        """Derivatives of rows at nodes (m,) by w at all nodes (m, T, 12), and by log T at fixed w (m,).
+
+        How the arm gives way is taken as given.
+        """
+        waves = self.liquids[0][1][0].waves
+        by_w, by_duration = np.zeros((len(node), *waves.w.shape)), np.zeros(len(node))
+        for (j, cases), worst in zip(self.liquids, self.worst, strict=True):
+            for k, case in enumerate(cases):
+                mine = np.flatnonzero(worst[node, row] == k)
+                if j is not None and len(mine):
+                    found = case.waves.wrench_by(node[mine], self.rows.wrench[j][row[mine]])
+                    by_w[mine] += found[0]
+                    by_duration[mine] += found[1]
+        return by_w, by_duration
+
+
+def _added(case: Slosh, rows: ContactRows, j: int | None) -> Array:
+    """(T, n); j: which body of the network the liquid is in, None for one that stands elsewhere."""
+    added = np.zeros((len(case.wrench), len(rows.nominal)))
+    if case.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
+        added += case.reaction @ rows.nominal.T
+    if j is not None:
+        added += case.wrench @ rows.wrench[j].T
+        if case.spread is not None:
+            added += np.abs(np.einsum("ni,tic->tnc", rows.wrench[j], case.spread, optimize=True)).sum(axis=2)
+    return added
+
+
+@dataclass(frozen=True, eq=False)
+class Liquids:
+    """All liquids of a payload along what its tray feels, w (T, 12) at t (T,), by body: at their nominal fill and
+    damping, and at all cases. whole, kept: of which motion these are some instants, and which."""
+
+    payload: Payload
+    t: Array
+    w: Array
+    whole: Liquids | None = None
+    kept: Indices | None = None
+
+    @classmethod
+    def along(cls, payload: Payload, t: Array, w: Array) -> Liquids | None:
+        """A motion that begins at rest. None without a liquid."""
+        return cls(payload, t, w) if payload.liquids else None
+
+    @cached_property
+    def nominal(self) -> Mapping[str, tuple[Slosh, ...]]:
+        return self._found(NOTHING) if self.whole is None else self._thinned(self.whole.nominal)
+
+    @cached_property
+    def worst(self) -> Mapping[str, tuple[Slosh, ...]]:
+        return self._found(self.payload.uncertain) if self.whole is None else self._thinned(self.whole.worst)
+
+    def _found(self, uncertain: UncertainSet) -> dict[str, tuple[Slosh, ...]]:
+        return {
+            body.name: tuple(Slosh.of(x) for x in along(cases(body, uncertain, VERDICT_APART), self.t, self.w))
+            for body in self.payload.liquids
+        }
+
+    def _thinned(self, found: Mapping[str, tuple[Slosh, ...]]) -> dict[str, tuple[Slosh, ...]]:
+        assert self.kept is not None
+        return {name: tuple(case.at(self.kept) for case in each) for name, each in found.items()}
+
+    def at(self, index: Indices) -> Liquids:
+        """Of the wrenches those at some instants; what becomes of the surface stays that of the whole motion."""
+        whole, kept = (self, index) if self.whole is None or self.kept is None else (self.whole, self.kept[index])
+        return replace(self, whole=whole, kept=kept)
+
+    def only(self, payload: Payload) -> Liquids:
+        """The same with another uncertain set."""
+        return replace(self, payload=payload, whole=None if self.whole is None else self.whole.only(payload))
+
+    def spills(self, worst: bool) -> list[Spill]:
+        """What each liquid comes to."""
+        return [Spill.of(name, each) for name, each in (self.worst if worst else self.nominal).items()]
+
+
+@dataclass(frozen=True, eq=False)
+class Spill:
+    """How near one liquid comes to its brim, at its worst case.
+
+    crest: (T,) m, the highest of all cases. left: (T,) m of room over it, least of all cases; infinite under a lid.
+    after: the same for good after the motion. steep: (T,) free wave over the largest for which the model is valid.
+    settled: m that waves are lower than wanted, some time after the motion; infinite if nothing is wanted.
+    slack: (T,) the least of these as shares of what is allowed.
+    """
+
+    name: str
+    t: Array
+    crest: Array
+    left: Array
+    after: float
+    steep: Array
+    settled: float
+    slack: Array
+
+    @classmethod
+    def of(cls, name: str, each: Sequence[Slosh]) -> Spill:
+        waves = [case.waves for case in each]
+        liquid = waves[0].case.liquid
+        crest, room = np.array([x.crest for x in waves]), np.array([x.case.room for x in waves])
+        left, after = room[:, None] - crest, room - np.array([x.left() for x in waves])
+        steep = np.max([x.free_height / x.case.steepest for x in waves], axis=0)
+        settled = min(liquid.settled - x.left(liquid.within) for x in waves)
+        slack = 1 - steep
+        if np.isfinite(room).all():
+            slack = np.minimum(slack, (left / room[:, None]).min(axis=0))
+            slack[-1] = min(slack[-1], float((after / room).min()))
+        if np.isfinite(settled):
+            slack[-1] = min(slack[-1], settled / liquid.settled)
+        return cls(
+            name, waves[0].t, crest.max(axis=0), left.min(axis=0), float(after.min()), steep, float(settled), slack
+        )
+
+
+def cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[Case, ...]:
+    """Fills and dampings of a body's liquid that stand for all of an uncertain set; none without a liquid."""
+    liquid = body.liquid
+    if liquid is None:
+        return ()
+    half = uncertain.ranges
+    fill = half.get(Parameter(body.name, "fill"), 0.0)
+    found = liquid.cases(liquid.fill - fill, liquid.fill + fill, apart)
+    if Parameter(body.name, "damping") not in half:
+        found = [(h, liquid.nominal_damping) for h in dict.fromkeys(h for h, _ in found)]
+    return tuple(Case.of(body, *each) for each in found)

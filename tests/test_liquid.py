@@ -1,0 +1,267 @@
+"""The liquid in a container: modes, waves along a motion and their derivatives, what a scenario may ask."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.sparse import diags, identity, kron
+from scipy.sparse.linalg import spsolve
+
+import salver as sv
+from salver.errors import ScenarioError
+from salver.models.liquid import Liquid, damping_of
+from salver.models.tray_motion import at_rest
+from salver.sensitivity.liquid import Case, Liquids, Spill, Waves, cases
+
+CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
+BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
+BOX = {"objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]}, "objects__0__liquid": BOX_IN}
+
+
+@pytest.fixture(scope="module")
+def coffee():
+    return sv.load_scenario("panda-coffee")
+
+
+def shaken(t: np.ndarray, yaw: float = 25.0) -> np.ndarray:
+    """What a tray feels that lifts, tilts and turns, from rest to rest."""
+    s = t / t[-1]
+    w = np.tile(at_rest(), (len(t), 1))
+    w[:, 0], w[:, 1] = 3 * np.sin(2 * np.pi * s), 1.5 * np.sin(3 * np.pi * s) ** 3
+    w[:, 2] += 2 * np.sin(9 * t) * np.sin(np.pi * s) ** 2
+    w[:, 3], w[:, 4], w[:, 5] = 4 * np.sin(2 * np.pi * s), -5 * np.sin(4 * np.pi * s), yaw * np.sin(2 * np.pi * s)
+    w[:, 6] = np.sin(np.pi * s) ** 2
+    w[:, 8] = 0.3 * w[:, 6]
+    return w
+
+
+def test_modes_of_a_cup_are_those_of_the_literature():
+    modes = CUP.modes(0.06)
+    # f_11 = sqrt(1.8412 g / R tanh(1.8412 h / R)) / 2 pi: by hand for R = 40, h = 60 mm.
+    by_hand = np.sqrt(1.8411838 * 9.81 / 0.04 * np.tanh(1.8411838 * 1.5)) / (2 * np.pi)
+    np.testing.assert_allclose(modes.omega[0, 0] / (2 * np.pi), by_hand, rtol=1e-6)
+    total = 1000 * np.pi * 0.04**2 * 0.06
+    np.testing.assert_allclose(
+        modes.mass[0, 0] / total, 2 * np.tanh(1.8411838 * 1.5) / (1.8411838 * 1.5 * 2.3899577), rtol=1e-6
+    )
+    assert modes.frozen.mass == pytest.approx(total)
+
+
+@pytest.mark.parametrize("round_", [True, False], ids=["cup", "box"])
+def test_under_a_lid_the_liquid_turns_as_laplace_says(round_):
+    """Kinetic energy of liquid in a closed container turned at 1 rad/s about its centre, by finite volumes.
+
+    In a cylinder phi = u(r, z) cos(theta); in a box u(x, z), r standing for x.
+    """
+    liquid = CUP if round_ else Liquid((0.09, 0.06), 0.005, 0.05, 0.08, 1000.0, (0.0, 0.0))
+    R, h, n = float(liquid.half[0]), liquid.fill, 90
+    dr, dz = R / n, h / n
+    r, z = (np.arange(n) + 0.5) * dr, (np.arange(n) + 0.5) * dz - h / 2
+    weight, edge = (r, np.arange(n + 1) * dr) if round_ else (np.ones(n), np.ones(n + 1))
+    across = diags([edge[1:-1], -edge[1:] - edge[:-1], edge[1:-1]], [-1, 0, 1]).tolil()
+    across[-1, -1] += edge[-1]  # no flux but what the wall pushes
+    across[0, 0] -= edge[0]  # odd about the middle
+    along = diags([np.ones(n - 1), np.r_[-1, -2 * np.ones(n - 2), -1], np.ones(n - 1)], [-1, 0, 1])
+    own = diags(-1 / r if round_ else np.zeros(n))
+    laplace = kron(across / dr**2 + own, identity(n)) + kron(diags(weight), along / dz**2)
+    pushed = np.zeros((n, n))  # velocity of the walls: (z, -x)
+    pushed[-1] += edge[-1] * z / dr
+    pushed[:, -1] += weight * -r / dz
+    pushed[:, 0] -= weight * -r / dz
+    phi = spsolve(laplace.tocsc(), -pushed.ravel()).reshape(n, n)
+    at_wall = phi[-1] + 0.5 * dr * z
+    top, bottom = phi[:, -1] - 0.5 * dz * r, phi[:, 0] + 0.5 * dz * r
+    energy = edge[-1] * at_wall @ z * dz + weight * (top - bottom) @ -r * dr
+    per_volume = energy / (R**2 * h if round_ else R * h)  # over the circle as cos^2: half of it; over x: both halves
+    frozen = liquid.modes(h).frozen
+    assert frozen.inertia_com[1, 1] / frozen.mass == pytest.approx(per_volume, rel=5e-3)
+
+
+@pytest.mark.parametrize("fill", [0.03, 0.06])
+def test_moving_masses_and_the_rest_weigh_what_the_liquid_weighs(fill):
+    modes = CUP.modes(fill)
+    frozen, still, mass, z = modes.frozen, modes.still, modes.mass[:, 0], modes.height[:, 0]
+    assert still.mass + mass.sum() == pytest.approx(frozen.mass)
+    assert still.mass * still.com_B[2] + mass @ z == pytest.approx(frozen.mass * frozen.com_B[2])
+    about = still.inertia_com[0, 0] + still.mass * still.com_B[2] ** 2 + mass @ z**2
+    assert about == pytest.approx(frozen.inertia_com[0, 0] + frozen.mass * frozen.com_B[2] ** 2)
+
+
+def test_a_surface_at_rest_is_level_however_the_tray_is_pushed(coffee):
+    """Constant specific force, long enough for waves to die: eta = -R f / f_z, and the liquid's weight hangs aside."""
+    case = Case.of(coffee.payload.first, 0.05, 0.1)
+    t = np.linspace(0, 12, 4001)
+    w = np.tile(at_rest(), (len(t), 1))
+    w[:, 0] = 2 * np.minimum(t / 2, 1) ** 2 * (3 - 2 * np.minimum(t / 2, 1))
+    waves = case.along(t, w)
+    np.testing.assert_allclose(waves.eta[-1], [-0.04 * 2 / 9.81, 0], atol=1e-7)
+    np.testing.assert_allclose(waves.free[-1], 0, atol=1e-7)
+    assert waves.left() == pytest.approx(0.04 * 2 / 9.81, rel=1e-3)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 25.0])
+def test_filter_agrees_with_the_equations_integrated(coffee, yaw):
+    """In axes that do not turn, where the equations of the modes hold, to 1e-6 of the largest displacement."""
+    case = Case.of(coffee.payload.first, 0.05, 0.01)
+    T = 0.9
+
+    def rates(t, state):
+        w = shaken(np.array([t, T]), yaw)[0]
+        r, rate, angle, spin = state[:4].reshape(2, 2), state[4:8].reshape(2, 2), state[8], state[9]
+        c, s = np.cos(angle), np.sin(angle)
+        force = (case.at_mode @ w) @ np.array([[c, s], [-s, c]])
+        omega = case.modes.omega
+        second = -force - 2 * case.damping * omega * rate - omega**2 / 9.81 * (case.at_O[2] @ w) * r
+        return np.concatenate([rate.ravel(), second.ravel(), [spin, w[5]]])
+
+    t = np.linspace(0, T, 301)
+    exact = solve_ivp(rates, (0, T), np.zeros(10), rtol=1e-11, atol=1e-14, t_eval=t).y.T[:, :4].reshape(-1, 2, 2)
+    waves = case.along(t, shaken(t, yaw))
+    assert np.abs(waves.r - exact).max() < 1e-6 * np.abs(exact).max()
+
+
+def _functions(waves: Waves, node, weight):
+    return {
+        "crest": (waves.crest[node], lambda: waves.crest_by(node)),
+        "free": (waves.free_height[node], lambda: waves.free_by(node)),
+        "wrench": (np.sum(weight * waves.wrench[node], axis=1), lambda: waves.wrench_by(node, weight)),
+        "left": (np.array([waves.left(0.2)]), lambda: waves.left_by(0.2)),
+    }
+
+
+@pytest.mark.parametrize("changes", [{}, BOX], ids=["cup", "box"])
+def test_derivatives_agree_with_differences(coffee, changes):
+    """By what the tray felt at all times, and by the duration; to what is interpolated between 201 nodes."""
+    scenario = coffee.with_changes(**changes) if changes else coffee
+    case = Case.of(scenario.payload.first, 0.05, 0.01)
+    rng, t, step = np.random.default_rng(1), np.linspace(0, 0.9, 201), 1e-6
+    w, node, weight = shaken(t), np.array([15, 66, 110, 165, 199]), rng.normal(size=(5, 6))
+    move = np.sin(np.pi * t / 0.9)[:, None] ** 2 * np.stack([np.cos(k * t) for k in rng.uniform(2, 12, 12)], 1)
+    here = _functions(case.along(t, w), node, weight)
+    up, down = (_functions(case.along(t, w + sign * step * move), node, weight) for sign in (1, -1))
+    longer, shorter = (_functions(case.along(t * (1 + sign * step), w), node, weight) for sign in (1, -1))
+    for name, (_, derivative) in here.items():
+        by_w, by_duration = derivative()
+        for ends, found in (((up, down), np.einsum("mtk,tk->m", by_w, move)), ((longer, shorter), by_duration)):
+            difference = (ends[0][name][0] - ends[1][name][0]) / (2 * step)
+            np.testing.assert_allclose(found, difference, atol=2e-5 * np.abs(difference).max(), err_msg=name)
+
+
+def test_changes_are_first_order_differences(coffee):
+    """Of pushes along the tray and turns about its sides, which leave alone what stiffens the waves: linear,
+    exactly."""
+    case, t = Case.of(coffee.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
+    dw = np.zeros((101, 12, 2))
+    lateral = [0, 1, 3, 4]
+    dw[:, lateral] = np.random.default_rng(2).normal(size=(4, 2)) * np.sin(np.pi * t / 0.9)[:, None, None] ** 2
+    here = case.along(t, shaken(t))
+    eta, wrench, _ = here.changed(dw)
+    for k in range(2):
+        there = case.along(t, shaken(t) + dw[:, :, k])
+        np.testing.assert_allclose(eta[:, :, k], there.eta - here.eta, atol=1e-12)
+        np.testing.assert_allclose(wrench[:, :2, k], (there.wrench - here.wrench)[:, :2], atol=1e-12)
+        np.testing.assert_allclose(here.shifted(dw[:, :, k]).wrench, there.wrench, atol=1e-12)
+
+
+def test_every_fill_in_the_range_is_covered_by_the_cases(coffee):
+    """61 fills, the waves at none more than 3 % of the room above the highest of the cases that a verdict looks at."""
+    payload, t = coffee.payload, np.linspace(0, 0.8, 301)
+    w = 0.6 * (shaken(t) - at_rest()) + at_rest()
+    body = payload.first
+    whole = Liquids.along(payload, t, w)
+    assert whole is not None
+    least = Spill.of(body.name, whole.worst[body.name]).slack.min()
+    for fill in np.linspace(0.035, 0.065, 31):
+        for damping in np.linspace(*body.liquid.damping, 3):
+            waves = Case.of(body, float(fill), float(damping)).along(t, w)
+            assert 1 - waves.crest.max() / waves.case.room > least - 0.03
+
+
+def test_cases_span_fill_and_damping(coffee):
+    found = cases(coffee.payload.first, coffee.payload.uncertain)
+    assert {round(case.fill, 6) for case in found} >= {0.035, 0.065}
+    assert len({case.damping for case in found}) == 2
+    assert len(cases(coffee.payload.first, coffee.payload.nominal.uncertain)) == 1
+
+
+def test_viscosity_damps_as_boundary_layers_do():
+    assert damping_of((0.04,), 0.06, 1e-6) == pytest.approx(0.79 * np.sqrt(1e-6 / np.sqrt(9.81 * 0.04**3)), rel=0.05)
+
+
+def liquid(**changes):
+    return {"objects__0__liquid": {"kind": "water", "radius": 0.04, "fill": 0.05, "brim": 0.08, **changes}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (liquid(fill=0.07), "stands above the brim"),
+        (liquid(fill=0.085, brim=0.08), "stands above the brim"),
+        (liquid(fill=0.02), "too shallow for this model"),
+        (liquid(viscosity=0.01), "to this model it is a solid"),
+        (liquid(radius=0.05), "the inside must be smaller"),
+        (liquid(brim=0.09), "is only 0.085 m high"),
+        (liquid(size=[0.05, 0.05]), "radius of a cylinder, or size of a box"),
+        (liquid(damping=[0.02, 0.01]), "the least comes first"),
+        (liquid(damping=[0.0, 0.9]), "waves are known to"),
+        ({"objects__0__uncertainty__fill": 0.06}, "reaches down to nothing"),
+        ({"objects__0__uncertainty__position": [0.01, 0.0]}, "how waves change with it is not known"),
+        ({"uncertainty__tilt_deg": [1.0, 0.0]}, "how waves change with it is not known"),
+        ({"motion__goal": {"position": [0.44, 0.1, 0.411], "rpy_deg": [19.7, 0, 0]}}, "mm below its brim"),
+        ({"objects__0__liquid": None}, "needs a liquid"),
+    ],
+)
+def test_what_cannot_be_is_told_in_one_sentence(coffee, changes, words):
+    with pytest.raises(ScenarioError, match=words) as caught:
+        coffee.with_changes(**changes)
+    assert str(caught.value).count("\n") == 0
+
+
+def test_a_lid_keeps_the_liquid_in_and_its_force(coffee):
+    sealed = coffee.with_changes(**liquid(sealed=True))
+    t = np.linspace(0, 0.8, 201)
+    whole = Liquids.along(sealed.payload, t, shaken(t))
+    assert whole is not None
+    spill = whole.spills(True)[0]
+    assert np.isinf(spill.left).all()
+    assert np.abs(whole.nominal["cup"][0].wrench).max() > 0.1
+
+
+def test_what_does_not_know_liquids_says_so(coffee):
+    from dataclasses import replace
+
+    from salver.planning.fastest import Anywhere, AtPosture, transport_problem
+
+    with pytest.raises(ScenarioError, match="plan with --fastest"):
+        sv.plan(coffee.with_changes(motion__duration=2.0))
+    with pytest.raises(ScenarioError, match="knows no liquids"):
+        sv.plan(coffee.with_changes(motion__duration=2.0, contact__condition="paper"), "baseline").verify()
+    problem = transport_problem(coffee)
+    q = problem.start_posture
+    moving = replace(problem, start=AtPosture(q, 0.1 * np.ones(7), np.zeros(7)), goal=Anywhere())
+    with pytest.raises(ScenarioError, match="begins moving"):
+        moving.constraints  # noqa: B018
+
+
+@pytest.mark.slow
+def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee):
+    from salver.planning.fastest import FastestOptions, plan_fastest
+
+    plan = plan_fastest(coffee, options=FastestOptions(time_limit=300))
+    assert plan.ok, plan.verification.sentence
+    assert plan.duration < 0.80
+    for parameters in ({"fill": 0.065, "damping": 0.002}, {"fill": 0.035, "damping": 0.03}):
+        record = sv.simulate(plan, parameters=parameters)
+        assert record.outcome == "holds"
+        room = coffee.payload.first.liquid.brim - parameters["fill"]
+        assert 0.3 * room < np.nanmax(record.surface[:, 0, 2]) < room
+
+
+def test_audit_knows_that_a_line_spills(coffee):
+    """The straight line in 0.9 s slides and spills; with enough friction it spills; in 2.5 s it does neither."""
+    sticky = coffee.with_changes(objects__0__friction=2.0)
+    for duration, word in ((0.95, "spills"), (2.5, "holds")):
+        plan = sv.plan(sticky.with_changes(motion__duration=duration), "baseline", arm=False)
+        assert plan.margins.verdict(worst=True).code == word
+        assert plan.verification.ok == (word == "holds")
