@@ -110,6 +110,7 @@ class Live:
         """
         scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
         problem = transport_problem(scenario, robust=robust)
+        problem.check_from_rest("live motion")
         if q is None and not isinstance(problem.start, AtPosture):
             found = problem.start.nearest(problem.arm, problem.limits, problem.limits.range(POSITION)[0])
             if found is None:

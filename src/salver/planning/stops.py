@@ -68,6 +68,7 @@ def plan_stops(
     progress: called with how many of how many instants are done.
     Raises SalverError when the motion has no stop because it begins or ends moving.
     """
+    problem.check_from_rest("a stop")
     if np.abs(motion.dq[[0, -1]]).max() > 1e-6:
         raise SalverError("Stops are planned along motions from rest to rest; this one begins or ends moving.")
     end = motion.duration

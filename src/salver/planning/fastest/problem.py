@@ -99,6 +99,14 @@ class TransportProblem:
         """Whether the motion begins moving."""
         return isinstance(self.start, AtPosture) and self.start.moving
 
+    def check_from_rest(self, what: str) -> None:
+        """Raise ScenarioError when a liquid is on the tray: how it moves is known of motions from rest."""
+        for body in self.payload.liquids:
+            raise ScenarioError(
+                f"{self.scenario.name}: {what} is not planned with a liquid on the tray ({body.name}): how "
+                "that moves is known from rest only; use salver plan --fastest, without --stops."
+            )
+
     @cached_property
     def constraints(self) -> tuple[Constraint, ...]:
         """All that must hold along the motion."""
@@ -107,11 +115,8 @@ class TransportProblem:
         found += [Contact(rows, self.scenario.contact.margin) for rows in self.contacts]
         if np.isfinite(self.max_tilt):
             found.append(Level() if self.level else Tilt(self.max_tilt))
-        if self.moving and self.liquids:
-            raise ScenarioError(
-                f"{self.scenario.name}: a motion that begins moving is not planned with a liquid on the tray "
-                f"({self.liquids[0][0].body.name}): how it moves then is not known. Plan from rest, without --stops."
-            )
+        if self.moving:
+            self.check_from_rest("a motion that begins moving")
         found += [Brim(each[0].body) for each in self.liquids]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
