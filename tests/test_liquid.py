@@ -246,9 +246,9 @@ def test_what_does_not_know_liquids_says_so(coffee):
 
 @pytest.mark.slow
 def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee):
-    from salver.planning.fastest import FastestOptions, plan_fastest
+    from salver.planning.fastest import plan_fastest
 
-    plan = plan_fastest(coffee, options=FastestOptions(time_limit=300))
+    plan = plan_fastest(coffee)
     assert plan.ok, plan.verification.sentence
     assert plan.duration < 0.80
     for parameters in ({"fill": 0.065, "damping": 0.002}, {"fill": 0.035, "damping": 0.03}):
