@@ -40,6 +40,7 @@ COMMANDS = (
     "render",
     "export",
     "execute",
+    "identify",
 )
 
 for _name in COMMANDS:

@@ -1,0 +1,327 @@
+"""Mass, centre of mass and inertia of the load from logs of its being carried, as ranges that cover the truth.
+
+The load's wrench is linear in its inertial parameters phi (`salver.models.rigid_body`), so what sensors read with the
+load, less what they read along the same motion with the empty tray, is
+
+    torques:  J_E^T Y phi + Z n + noise        wrist:  Y phi + noise,
+
+with Z n what joint friction changed in between. The arm's own model errs the same in both runs, and cancels; of each
+run its inverse dynamics at its own state is taken off first. Noise is coloured (`salver.learning.noise`): generalised
+least squares, each channel scaled up when its residual is larger than told. The middle of the scenario's ranges is the
+prior, with their half-ranges as standard deviations. Ranges are `WIDTH` standard deviations, of the centre of mass (a
+ratio) by Fieller (1954), and the scenario's own where those are narrower.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salver.errors import FileFormatError, SalverError, ScenarioError
+from salver.geometry import Array, hat
+from salver.learning import noise
+from salver.learning.logs import Log
+from salver.models.contents import inertia_ranges
+from salver.models.interfaces import to_tray
+from salver.models.parameters import inertial_vector, phi_of
+from salver.models.rigid_body import inertia_entries
+from salver.models.tray_motion import frame_map, wrench_map
+
+if TYPE_CHECKING:
+    from salver.models.arm import ArmModel
+    from salver.planning.plan import Plan
+    from salver.scenario import Scenario
+
+WIDTH = 3.0  # standard deviations
+BANDWIDTH = 10.0  # Hz, of what is believed of a measured deviation from the plan
+ENDS = 0.08  # s at each end, where smoothing has only one side
+BLOCK = 0.005  # s over which samples are averaged
+MOVES = 0.02  # rad that some joint must move, for a motion
+SAME = 0.02  # rad by which the empty run may differ from the loaded one
+STRANGE = 6.0  # times the noise that was told, in the residual: not one rigid load on this arm
+LEARNT = 0.9  # of the range before: a parameter whose range is not narrower than this was not identified
+NAMES = ("mass", "com_x", "com_y", "com_z")
+
+
+@dataclass(frozen=True)
+class Range:
+    """low, high: of a parameter of the scenario, SI units; before: (low, high) that it had."""
+
+    low: float
+    high: float
+    before: tuple[float, float]
+
+    @property
+    def half(self) -> float:
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def middle(self) -> float:
+        return 0.5 * (self.high + self.low)
+
+    @property
+    def learnt(self) -> bool:
+        return self.half < LEARNT * 0.5 * (self.before[1] - self.before[0])
+
+
+@dataclass(frozen=True)
+class Identified:
+    """ranges: of mass (kg) and centre of mass (m from the nominal one, in B). phi (10,), covariance (10, 10): in B.
+
+    residual: by how much the worst channel is noisier than was told. sensors: what was used.
+    """
+
+    scenario: Scenario
+    ranges: dict[str, Range]
+    phi: Array
+    covariance: Array
+    residual: float
+    sensors: tuple[str, ...]
+    told: list[str] = field(default_factory=list)
+
+    def learnt_scenario(self) -> Scenario:
+        """The scenario with the new ranges. B moves with the nominal centre of mass, and so do start and goal."""
+        item, motion = self.scenario.objects[0], self.scenario.motion
+        shift = np.array([self.ranges[name].middle for name in NAMES[1:]])
+        changes: dict[str, object] = {
+            "objects__0__mass": self.ranges["mass"].middle,
+            "objects__0__com": (np.array(item.com) + shift).tolist(),
+            "objects__0__uncertainty__mass": self.ranges["mass"].half,
+            "objects__0__uncertainty__com": [self.ranges[name].half for name in NAMES[1:]],
+        }
+        if item.inertia is not None:
+            changes["objects__0__inertia"] = [x * self.ranges["mass"].middle / item.mass for x in item.inertia]
+        for end in ("start", "goal"):
+            pose = getattr(motion, end)
+            changes[f"motion__{end}__position"] = (np.array(pose.position) + pose.rotation @ shift).tolist()
+        return self.scenario.with_changes(**changes)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Of a log at N instants: what an arm without load would read, and what a load adds per unit of phi."""
+
+    t: Array
+    samples: int
+    dq: Array
+    tau: Array | None
+    wrench: Array | None
+    to_tau: Array
+    to_wrench: Array
+
+
+def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
+    """What logs of a plan's motion tell of its load. empty: the same motion with nothing on the tray.
+
+    Raises ScenarioError for a scenario that this cannot be asked of, FileFormatError for logs that do not belong to it,
+    SalverError when the logs contradict the scenario's ranges.
+    """
+    from salver.models.arm import load_arm
+
+    scenario = plan.scenario
+    if scenario.arm is None or plan.joint is None:
+        raise ScenarioError(f"{scenario.name} has no arm that moves; a load is identified by the arm that carries it.")
+    if len(scenario.objects) > 1:
+        raise ScenarioError(
+            f"{scenario.name} carries {len(scenario.objects)} objects, and an arm feels only their sum; load them one "
+            "by one, each in a scenario of its own."
+        )
+    arm = load_arm(scenario.arm, scenario.tray)
+    without = _state(plan, arm, empty)
+    prior, spread = _prior(scenario)
+    information, pull = np.diag(1 / spread**2), np.zeros(10)
+    residual, sensors, chi = 0.0, set[str](), []
+    for log in loaded:
+        state = _state(plan, arm, log)
+        _same_motion(log, empty)
+        for name, rows, values, scale in _channels(state, without, log, empty):
+            sensors.add(name)
+            left = values - rows @ prior
+            information += scale * rows.T @ rows
+            pull += scale * rows.T @ left
+            residual = max(residual, 1 / np.sqrt(scale))
+            chi.append((name, 1 / np.sqrt(scale)))
+    worst = max(chi, key=lambda item: item[1])
+    if worst[1] > STRANGE:
+        raise FileFormatError(
+            f"{', '.join(log.source for log in loaded)}: {worst[0]} differ from those of one rigid load by "
+            f"{worst[1]:.0f} times the noise: something slid, or the arm or the empty tray is another."
+        )
+    covariance = np.asarray(np.linalg.inv(information), dtype=float)
+    phi = prior + covariance @ pull
+    ranges = _ranges(scenario, phi, covariance)
+    told = _not_identified(ranges, sensors)
+    return Identified(scenario, ranges, phi, covariance, residual, tuple(sorted(sensors)), told)
+
+
+def _prior(scenario: Scenario) -> tuple[Array, Array]:
+    """phi (10,) in the middle of the scenario's ranges, and standard deviations as wide as they are."""
+    payload, body = scenario.payload, scenario.payload.first
+    ranges = {p.quantity: h for p, h in payload.uncertain.ranges.items()}
+    half = np.array([ranges.get(name, 0.0) for name in NAMES])
+    nominal = inertial_vector(body.inertial)
+    heaviest = nominal[0] + half[0]
+    moment = heaviest * np.maximum(half[1:], 1e-4)
+    inertia = inertia_ranges(body.points_B, half[1:], heaviest, nominal[4:])
+    return phi_of(nominal), np.concatenate([[max(half[0], 1e-3 * nominal[0])], moment, inertia])
+
+
+def _state(plan: Plan, arm: ArmModel, log: Log) -> _State:
+    from salver.sensitivity.arm.terms import motion_terms
+
+    assert plan.joint is not None
+    body, step = plan.scenario.payload.first, float(np.median(np.diff(log.t)))
+    wanted = plan.joint.sample(log.t)
+    off = log.q - wanted[0]
+    if np.abs(log.q).max() > 12 and np.abs(np.deg2rad(log.q) - wanted[0]).max() < 0.2:
+        raise FileFormatError(f"{log.source}: its joint positions are in degrees; they must be in rad.")
+    if np.abs(off).max() > 0.2:
+        raise FileFormatError(
+            f"{log.source}: a joint is {np.abs(off).max():.3g} rad from the plan; this is the log of another motion."
+        )
+    if np.ptp(log.q, axis=0).max() < MOVES:
+        raise FileFormatError(f"{log.source} has no motion in it: no joint moves by {MOVES:g} rad.")
+    q, dq, ddq = (a + b for a, b in zip(wanted[:3], _smooth(off, step), strict=True))
+    every = max(1, round(BLOCK / step))
+    inside = (log.t > max(log.t[0], 0.0) + ENDS) & (log.t < min(log.t[-1], plan.duration) - ENDS)
+    index = np.flatnonzero(inside)
+    blocks = index[: len(index) // every * every].reshape(-1, every)
+    if len(blocks) < 20:
+        raise FileFormatError(f"{log.source} shows {len(blocks)} instants of the motion; at least 20 are needed.")
+
+    def mean(values: Array) -> Array:
+        return np.asarray(values[blocks].mean(axis=1))
+
+    terms = motion_terms(arm.pin_model, arm.tray_id, mean(q), mean(dq), mean(ddq))
+    place = frame_map(body.p_EB, body.R_EB)
+    maps = np.array([to_tray(body.p_EB, body.R_EB) @ wrench_map(unit) @ place for unit in np.eye(10)])
+    at_E = np.einsum("kij,tj->tik", maps, terms.w)
+    at_F = at_E.copy()
+    at_F[:, 3:] += hat(arm.p_FE) @ at_E[:, :3]
+    to_tau = np.einsum("tij,tik->tjk", terms.jacobian, at_E)
+    tau = None if log.tau is None else mean(log.tau) - terms.torque
+    wrench = None if log.wrench_F is None else mean(log.wrench_F) - _tray_wrench(plan, arm, terms.w)
+    return _State(mean(log.t), every, mean(dq), tau, wrench, to_tau, at_F)
+
+
+def _tray_wrench(plan: Plan, arm: ArmModel, w: Array) -> Array:
+    """(T, 6) what the tray itself needs at the flange."""
+    tray = plan.scenario.tray
+    com_E = arm.tray_com_F - arm.p_FE
+    about = np.diag(tray.inertia)
+    phi = phi_of(np.concatenate([[tray.mass], com_E, inertia_entries(about)]))
+    at_E = w @ wrench_map(phi).T
+    at_E[:, 3:] += np.cross(arm.p_FE, at_E[:, :3])
+    return np.asarray(at_E)
+
+
+def _smooth(off: Array, step: float) -> tuple[Array, Array, Array]:
+    """A measured deviation (K, n) from the plan and its derivatives, forth and back through a low pass."""
+    from scipy.signal import butter, sosfiltfilt
+
+    share = min(0.9, 2 * BANDWIDTH * step)
+    value = np.asarray(sosfiltfilt(butter(2, share, output="sos"), off, axis=0))
+    rate = np.gradient(value, step, axis=0)
+    return value, rate, np.gradient(rate, step, axis=0)
+
+
+def _same_motion(log: Log, empty: Log) -> None:
+    shared = (log.t >= empty.t[0]) & (log.t <= empty.t[-1])
+    if shared.mean() < 0.8:
+        raise FileFormatError(f"{empty.source} and {log.source} must both hold the whole motion.")
+    other = np.stack([np.interp(log.t[shared], empty.t, column) for column in empty.q.T], axis=1)
+    apart = float(np.abs(other - log.q[shared]).max())
+    if apart > SAME:
+        raise FileFormatError(
+            f"{empty.source} is of another motion than {log.source}: they are up to {apart:.3g} rad apart; at most "
+            f"{SAME:g} is accepted."
+        )
+
+
+def _channels(state: _State, without: _State, log: Log, empty: Log) -> list[tuple[str, Array, Array, float]]:
+    """Whitened rows (N, 10), differences (N,) of every channel, and the weight of both."""
+    found: list[tuple[str, Array, Array, float]] = []
+
+    def at(values: Array) -> Array:
+        """(N, m) of the empty run at the loaded run's instants."""
+        return np.stack([np.interp(state.t, without.t, column) for column in values.T], axis=1)
+
+    def add(name: str, values: Array, rows: Array, told: noise.Noise, nuisance: Array | None) -> None:
+        covariance = 2 * told.covariance(state.t, state.samples)
+        if nuisance is not None:
+            covariance += nuisance @ nuisance.T
+        root = np.linalg.cholesky(covariance)
+        white = np.linalg.solve(root, np.column_stack([values, rows]))
+        fitted = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=1e-8)[0]
+        left = white[:, 0] - white[:, 1:] @ fitted
+        size = float(np.sqrt(np.sum(left**2) / max(1, len(left) - 10)))
+        found.append((name, white[:, 1:], white[:, 0], 1 / max(1.0, size) ** 2))
+
+    if state.tau is not None and without.tau is not None:
+        difference = state.tau - at(without.tau)
+        for j in range(difference.shape[1]):
+            speed = state.dq[:, j]
+            nuisance = np.column_stack([np.tanh(speed / noise.STILL), speed]) * noise.FRICTION
+            add("joint torques", difference[:, j], state.to_tau[:, j], noise.TORQUE, nuisance)
+    if state.wrench is not None and without.wrench is not None:
+        difference = state.wrench - at(without.wrench)
+        for j in range(6):
+            told, name = (noise.FORCE, "wrist forces") if j < 3 else (noise.MOMENT, "wrist torques")
+            add(name, difference[:, j], state.to_wrench[:, j], told, None)
+    if not found:
+        raise FileFormatError(
+            f"{log.source} and {empty.source} share no sensor; both must hold tau, or both wrench_F (fx to tz)."
+        )
+    return found
+
+
+def _ranges(scenario: Scenario, phi: Array, covariance: Array) -> dict[str, Range]:
+    """Ranges of mass and centre of mass, within those of the scenario."""
+    payload = scenario.payload
+    half = {p.quantity: h for p, h in payload.uncertain.ranges.items()}
+    nominal = inertial_vector(payload.first.inertial)
+    found = {}
+    for k, name in enumerate(NAMES):
+        before = (nominal[k] - half.get(name, 0.0), nominal[k] + half.get(name, 0.0))
+        if k == 0:
+            radius = WIDTH * np.sqrt(covariance[0, 0])
+            low, high = phi[0] - radius, phi[0] + radius
+        else:
+            low, high = fieller(phi[0], phi[k], covariance[np.ix_([0, k], [0, k])])
+        both = max(low, before[0]), min(high, before[1])
+        if both[0] > both[1]:
+            unit = "kg" if k == 0 else "m"
+            raise SalverError(
+                f"The logs put {name} between {low:.4g} and {high:.4g} {unit}, the scenario between {before[0]:.4g} "
+                f"and {before[1]:.4g}: one of them is wrong; the scenario's range is not widened."
+            )
+        found[name] = Range(both[0], both[1], before)
+    return found
+
+
+def fieller(m: float, h: float, covariance: Array) -> tuple[float, float]:
+    """Range of h / m at `WIDTH` standard deviations, covariance (2, 2) of (m, h): where a quadratic is 0."""
+    a = m**2 - WIDTH**2 * covariance[0, 0]
+    b = m * h - WIDTH**2 * covariance[0, 1]
+    c = h**2 - WIDTH**2 * covariance[1, 1]
+    inner = b**2 - a * c
+    if a <= 0 or inner < 0:
+        return -np.inf, np.inf
+    return float((b - np.sqrt(inner)) / a), float((b + np.sqrt(inner)) / a)
+
+
+def _not_identified(ranges: dict[str, Range], sensors: set[str]) -> list[str]:
+    """What this motion does not show, and what would."""
+    open_ = [name for name, r in ranges.items() if r.before[1] > r.before[0] and not r.learnt]
+    if not open_:
+        return []
+    if sensors == {"joint torques"} and any(name.startswith("com") for name in open_):
+        way = "joint torques weigh a light load and do not locate it; a wrist force-torque sensor would"
+    elif "com_z" in open_:
+        way = "a motion that tilts the tray would"
+    else:
+        way = "a longer or faster motion, or several logs of it, would"
+    return [f"This does not show {', '.join(open_)}: {way}."]

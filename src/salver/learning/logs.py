@@ -1,0 +1,122 @@
+"""Logs of an arm that carried something: joint positions with joint torques, with wrist forces and torques, or both."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from salver.errors import FileFormatError
+from salver.files import load_npz
+from salver.geometry import Array
+
+LONGEST_GAP = 0.03  # s between two samples; more is a gap in the clock
+MOST_ROWS = 2_000_000
+FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """One run, K samples of n joints. t (K,): s, 0 when the motion starts. q (K, n): rad.
+
+    tau (K, n): N m at the joints, gravity included; None when there are none. wrench_F (K, 6): force N and torque N m
+    that the arm exerts through the sensor on all beyond it, at the flange, in its axes (f_z > 0 at rest, upright); None
+    when there is no sensor. source: where it was read.
+    """
+
+    source: str
+    t: Array
+    q: Array
+    tau: Array | None = None
+    wrench_F: Array | None = None
+
+
+def read_log(path: str | Path, n: int) -> Log:
+    """A log of an arm with n joints.
+
+    .npz with t, q and tau or wrench_F, as `salver execute` and `salver simulate` write it, or .csv with the columns t,
+    q1 ... qn and tau1 ... taun, or fx, fy, fz, tx, ty, tz, or all.
+
+    Raises FileFormatError, one sentence.
+    """
+    path = Path(path)
+    if path.suffix == ".npz":
+        found = load_npz(path, ("t", "q"))
+    elif path.suffix == ".csv":
+        found = _read_csv(path, n)
+    else:
+        raise FileFormatError(
+            f"{path} is no log; give a .npz that salver execute wrote, or a .csv with t and q1 to q{n}."
+        )
+    log = Log(str(path), found["t"], found["q"], found.get("tau"), found.get("wrench_F"))
+    _check(log, n)
+    return log
+
+
+def _read_csv(path: Path, n: int) -> dict[str, Array]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = csv.reader(file)
+            head = [name.strip().lower() for name in next(rows, [])]
+            lines = [row for _, row in zip(range(MOST_ROWS), rows, strict=False) if row]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise FileFormatError(f"{path} cannot be read ({error}); a log is a .npz or a .csv file.") from None
+    groups = {"t": ["t"], "q": [f"q{k + 1}" for k in range(n)], "tau": [f"tau{k + 1}" for k in range(n)]}
+    groups["wrench_F"] = list(FORCE)
+    found = {}
+    for name, columns in groups.items():
+        have = [c for c in columns if c in head]
+        if not have and name in ("tau", "wrench_F"):
+            continue
+        if len(have) < len(columns):
+            missing = next(c for c in columns if c not in head)
+            raise FileFormatError(
+                f'{path} has no column "{missing}"; a log has t, q1 to q{n}, and tau1 to tau{n} or fx to tz.'
+            )
+        try:
+            values = np.array([[float(row[head.index(c)]) for c in columns] for row in lines])
+        except (ValueError, IndexError):
+            raise FileFormatError(f"{path} has a row that is not all numbers in {', '.join(columns)}.") from None
+        found[name] = values[:, 0] if name == "t" else values
+    return found
+
+
+def _check(log: Log, n: int) -> None:
+    parts = {"q": (log.q, n), "tau": (log.tau, n), "wrench_F": (log.wrench_F, 6)}
+    if log.tau is None and log.wrench_F is None:
+        raise FileFormatError(
+            f"{log.source} holds neither joint torques (tau) nor wrist forces (wrench_F): nothing weighs."
+        )
+    if np.ndim(log.t) != 1 or len(log.t) < 50:
+        raise FileFormatError(f"{log.source} has {np.size(log.t)} samples; at least 50 are needed.")
+    for name, (values, width) in parts.items():
+        if values is not None and np.shape(values) != (len(log.t), width):
+            raise FileFormatError(
+                f"{log.source}: {name} has the shape {np.shape(values)}; of this arm it is ({len(log.t)}, {width})."
+            )
+        if values is not None and not np.isfinite(values).all():
+            raise FileFormatError(f"{log.source}: {name} has values that are no numbers.")
+    steps = np.diff(log.t)
+    if not np.isfinite(log.t).all() or steps.min() <= 0:
+        raise FileFormatError(f"{log.source}: its times do not grow from sample to sample.")
+    if steps.max() > LONGEST_GAP:
+        k = int(np.argmax(steps))
+        raise FileFormatError(
+            f"{log.source} has no samples for {steps[k]:.3g} s after t = {log.t[k]:.3f} s; at most {LONGEST_GAP:g} s "
+            "may lie between two."
+        )
+    for name, values in (("tau", log.tau), ("wrench_F", log.wrench_F)):
+        if values is not None:
+            stuck = np.all(np.diff(values, axis=0) == 0, axis=0)
+            if stuck.all():
+                raise FileFormatError(f"{log.source}: {name} never changes; it was not recorded.")
+            top = np.abs(values).max(axis=0)
+            flat = (np.abs(np.abs(values) - top) < 1e-9 * np.maximum(top, 1e-9)).mean(axis=0)
+            k = int(np.argmax(np.where(stuck, 0.0, flat)))
+            if flat[k] > 0.05 and not stuck[k]:
+                raise FileFormatError(
+                    f"{log.source}: column {k + 1} of {name} stays at {top[k]:.4g} for {100 * flat[k]:.0f} % of the "
+                    "time: it is saturated."
+                )

@@ -1,0 +1,114 @@
+"""Logs as an arm's sensors would write them, of a plan carried with any load or none; no engine, nothing slides.
+
+Errors are made as sensors make them, not as `salver.learning.noise` has them: noise through a second-order filter, a
+bias, a drift that wanders, links that are heavier than the model says, joint friction that differs from run to run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.learning.logs import Log
+from salver.models.interfaces import to_tray
+from salver.models.parameters import inertial_vector, phi_of
+from salver.models.rigid_body import inertia_entries
+from salver.models.tray_motion import frame_map, wrench_map
+from salver.planning.plan import Plan
+from salver.sensitivity.arm.terms import motion_terms
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Sizes (standard deviations unless said), in N, N m, rad.
+
+    torque, force, moment: of noise, half of it coloured; _bias: of a channel in a run; torque_drift: in a second; that
+    of a wrist sensor is as large as its bias. links: share by which each link's mass is wrong, in all runs. friction:
+    (low, high) N m of joints, of which a share `friction_change` is new in each run. rate: samples a second. times: of
+    all noises.
+    """
+
+    torque: float = 0.08
+    torque_bias: float = 0.15
+    torque_drift: float = 0.03
+    force: float = 0.05
+    force_bias: float = 0.01
+    moment: float = 0.002
+    moment_bias: float = 0.0004
+    encoder: float = 2e-5
+    links: float = 0.02
+    friction: tuple[float, float] = (0.1, 0.5)
+    friction_change: float = 0.1
+    rate: float = 200.0
+    times: float = 1.0
+
+
+class SensedArm:
+    """One arm with its own errors, which carries loads. wrist, joints: whether it has these sensors."""
+
+    def __init__(
+        self, plan: Plan, seed: int, sensors: Sensors | None = None, *, wrist: bool = True, joints: bool = True
+    ) -> None:
+        from salver.models.arm import load_arm
+
+        assert plan.scenario.arm is not None
+        assert plan.joint is not None
+        self.plan, self.joint, self.sensors = plan, plan.joint, sensors or Sensors()
+        self.wrist, self.joints = wrist, joints
+        self.rng = np.random.default_rng(seed)
+        self.arm = load_arm(plan.scenario.arm, plan.scenario.tray)
+        low, high = self.sensors.friction
+        self.friction = self.rng.uniform(low, high, self.arm.n)
+        self.model = self.arm.pin_model.copy()
+        for k in range(1, self.model.njoints - 1):  # the last carries the tray, which was weighed
+            share = 1 + self.sensors.links * self.rng.standard_normal()
+            body = self.model.inertias[k]
+            body.mass, body.inertia = share * body.mass, share * body.inertia
+            self.model.inertias[k] = body
+
+    def log(self, inertial: Array | None, source: str = "log") -> Log:
+        """A run with a load of values (10,) of `parameters.INERTIAL` in B, or with the empty tray."""
+        s, rng, n = self.sensors, self.rng, self.arm.n
+        t = np.arange(0.0, self.plan.duration + 0.5 / s.rate, 1 / s.rate)
+        q, dq, ddq = self.joint.sample(t)[:3]
+        terms = motion_terms(self.model, self.arm.tray_id, q, dq, ddq)
+        tau, body, tray = terms.torque.copy(), self.plan.scenario.payload.first, self.plan.scenario.tray
+        com_E = self.arm.tray_com_F - self.arm.p_FE
+        phi_tray = phi_of(np.concatenate([[tray.mass], com_E, inertia_entries(np.diag(tray.inertia))]))
+        at_E = terms.w @ wrench_map(phi_tray).T
+        if inertial is not None:
+            of_load = to_tray(body.p_EB, body.R_EB) @ wrench_map(phi_of(inertial)) @ frame_map(body.p_EB, body.R_EB)
+            load_E = terms.w @ of_load.T
+            tau += np.einsum("tij,ti->tj", terms.jacobian, load_E)
+            at_E = at_E + load_E
+        change = 1 + s.friction_change * rng.standard_normal(n)
+        tau += self.friction * change * np.tanh(dq / 0.02) + 0.1 * s.friction_change * rng.standard_normal(n) * dq
+        wrench = at_E.copy()
+        wrench[:, 3:] += np.cross(self.arm.p_FE, at_E[:, :3])
+        each = np.array([s.force] * 3 + [s.moment] * 3)
+        bias = np.array([s.force_bias] * 3 + [s.moment_bias] * 3)
+        tau += self._errors(len(t), np.full(n, s.torque), np.full(n, s.torque_bias), np.full(n, s.torque_drift))
+        wrench += self._errors(len(t), each, bias, bias)
+        seen = q + s.times * s.encoder * rng.standard_normal(q.shape)
+        return Log(source, t, seen, tau if self.joints else None, wrench if self.wrist else None)
+
+    def _errors(self, count: int, noise: Array, bias: Array, drift: Array) -> Array:
+        """(count, m): white noise, noise around 8 Hz, a bias, a random walk that leads `drift` away in a second."""
+        from scipy.signal import lfilter
+
+        s, rng, m = self.sensors, self.rng, len(noise)
+        white = rng.standard_normal((count, m))
+        pole = np.exp(-2 * np.pi * 6 / s.rate)
+        driven = rng.standard_normal((count + 400, m))
+        coloured = lfilter([1.0], [1.0, -1.4 * pole, 0.5 * pole**2], driven, axis=0)[400:]
+        coloured /= coloured.std(axis=0)
+        walk = np.cumsum(rng.standard_normal((count, m)), axis=0) / np.sqrt(s.rate)
+        out = np.sqrt(0.5) * noise * (white + coloured) + bias * rng.standard_normal(m) + drift * walk
+        return np.asarray(s.times * out)
+
+
+def nominal_load(plan: Plan) -> Array:
+    """(10,) of the plan's own load."""
+    return inertial_vector(plan.scenario.payload.first.inertial)
