@@ -110,12 +110,15 @@ def _check(log: Log, n: int) -> None:
     for name, values in (("tau", log.tau), ("wrench_F", log.wrench_F)):
         if values is not None:
             stuck = np.all(np.diff(values, axis=0) == 0, axis=0)
-            if stuck.all():
-                raise FileFormatError(f"{log.source}: {name} never changes; it was not recorded.")
+            if stuck.any():
+                raise FileFormatError(
+                    f"{log.source}: column {int(np.argmax(stuck)) + 1} of {name} never changes: it was not recorded, or it "
+                    "is saturated."
+                )
             top = np.abs(values).max(axis=0)
             flat = (np.abs(np.abs(values) - top) < 1e-9 * np.maximum(top, 1e-9)).mean(axis=0)
-            k = int(np.argmax(np.where(stuck, 0.0, flat)))
-            if flat[k] > 0.05 and not stuck[k]:
+            k = int(np.argmax(flat))
+            if flat[k] > 0.05:
                 raise FileFormatError(
                     f"{log.source}: column {k + 1} of {name} stays at {top[k]:.4g} for {100 * flat[k]:.0f} % of the "
                     "time: it is saturated."

@@ -1,0 +1,199 @@
+"""What a load is, from logs whose errors are made otherwise than the estimator takes them to be."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import salver as sv
+from salver.cli import app
+from salver.errors import FileFormatError, SalverError, ScenarioError
+from salver.geometry import Array
+from salver.learning import Log, identify, read_log
+from salver.learning.identify import NAMES, WIDTH, fieller
+from salver.learning.sensors import SensedArm, Sensors
+from salver.models.parameters import inertial_vector
+from salver.planning.plan import Plan, load_plan
+from salver.scenario import load
+
+WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015]}
+QUIET = Sensors(times=0.0, links=0.0, friction_change=0.0)
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    scenario = load("panda-cube-1.0s").with_changes(objects__0__uncertainty={"mass": "10%"})
+    plan = sv.plan(scenario)
+    replace(plan, scenario=scenario).save(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plan(directory: Path) -> Plan:
+    """The plan of a careful person, whose ranges are wide."""
+    made = load_plan(directory)
+    return replace(made, scenario=made.scenario.with_changes(objects__0__uncertainty=WIDE))
+
+
+def drawn(plan: Plan, seed: int) -> Array:
+    """(10,) a load within the ranges."""
+    rng, values = np.random.default_rng([3, seed]), inertial_vector(plan.scenario.payload.first.inertial)
+    share = 1 + 0.5 * rng.uniform(-1, 1)
+    values[0], values[1:4], values[4:] = share * values[0], 0.015 * rng.uniform(-1, 1, 3), share * values[4:]
+    return values
+
+
+@pytest.mark.parametrize("wrist", [True, False])
+def test_without_errors_the_load_comes_out(plan: Plan, wrist: bool) -> None:
+    """Of phi, only what the prior still pulls at is missing."""
+    arm, load_ = SensedArm(plan, 0, QUIET, wrist=wrist, joints=not wrist), drawn(plan, 1)
+    found = identify(plan, [arm.log(load_)], arm.log(None))
+    assert found.phi[0] == pytest.approx(load_[0], abs=0.002 if wrist else 0.02)
+    if wrist:
+        assert found.phi[1:3] / found.phi[0] == pytest.approx(load_[1:3], abs=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrist", [True, False])
+@pytest.mark.parametrize("times", [1.0, 2.0])
+def test_ranges_cover_the_truth(plan: Plan, wrist: bool, times: float) -> None:
+    """A claim of 95 % per parameter, of 93 % with the noise doubled; ranges of 3 deviations should miss hardly ever."""
+    inside, half = [], []
+    for k in range(12):
+        arm, load_ = SensedArm(plan, k, Sensors(times=times), wrist=wrist, joints=not wrist), drawn(plan, k)
+        found = identify(plan, [arm.log(load_)], arm.log(None)).ranges
+        inside += [found[n].low <= x <= found[n].high for n, x in zip(NAMES, load_[:4], strict=True)]
+        half.append(found["mass"].half)
+    assert np.mean(inside) >= 0.95
+    assert np.median(half) < (0.02 if wrist else 0.09)  # and they are worth something: the prior has 0.128 kg
+
+
+def test_two_logs_tell_more_than_one(plan: Plan) -> None:
+    arm, load_ = SensedArm(plan, 5, joints=False), drawn(plan, 5)
+    empty, logs = arm.log(None), [arm.log(load_) for _ in range(2)]
+    assert identify(plan, logs, empty).covariance[0, 0] < identify(plan, logs[:1], empty).covariance[0, 0]
+
+
+def test_range_of_a_ratio_covers_as_often_as_it_says() -> None:
+    """Fieller's, at three deviations: 99.7 %; of 4000 draws at least 99.3 %."""
+    rng, C = np.random.default_rng(6), np.array([[0.02**2, 1e-5], [1e-5, 0.001**2]])
+    drawn_ = rng.multivariate_normal([0.25, 0.25 * 0.01], C, 4000)
+    covered = [low <= 0.01 <= high for low, high in (fieller(m, h, C) for m, h in drawn_)]
+    assert np.mean(covered) >= 0.993
+    assert fieller(0.05, 0.001, C) == (-np.inf, np.inf)
+    assert WIDTH * 0.02 > 0.05
+
+
+def test_learnt_scenario_is_narrower_and_leaves_the_tray_where_it_was(plan: Plan) -> None:
+    arm, load_ = SensedArm(plan, 7, joints=False), drawn(plan, 7)
+    learnt = identify(plan, [arm.log(load_)], arm.log(None)).learnt_scenario()
+    before, after = plan.scenario.payload, learnt.payload
+    assert np.all(after.uncertain.half_range <= before.uncertain.half_range + 1e-12)
+    assert after.first.inertial.mass == pytest.approx(load_[0], abs=after.uncertain.half_range[0])
+    for end in ("start", "goal"):
+        at = [np.array(getattr(s.motion, end).position) - s.payload.first.p_EB for s in (plan.scenario, learnt)]
+        assert at[0] == pytest.approx(at[1], abs=1e-12)
+
+
+def broken(log: Log, what: str) -> Log:
+    t, q, wrench = log.t.copy(), log.q.copy(), log.wrench_F.copy()
+    if what == "degrees":
+        q = np.rad2deg(q)
+    elif what == "still":
+        q = np.tile(q[:1], (len(q), 1))
+    elif what == "slip":
+        wrench[len(t) // 2 :, 3:] += 0.5 * np.sin(np.arange(len(t) - len(t) // 2)[:, None] / 3)
+    elif what == "other":
+        q = q + 0.03
+    return Log(what, t, q, log.tau, wrench)
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ("degrees", "in degrees"),
+        ("still", "another motion|no motion"),
+        ("slip", "something slid"),
+        ("other", "another motion"),
+    ],
+)
+def test_logs_that_tell_nothing_are_refused(plan: Plan, what: str, said: str) -> None:
+    arm = SensedArm(plan, 8, joints=False)
+    loaded, empty = arm.log(drawn(plan, 8)), arm.log(None)
+    with pytest.raises(FileFormatError, match=said):
+        identify(plan, [broken(loaded, what)], empty)
+
+
+def test_a_contradiction_is_told_and_nothing_widened(plan: Plan) -> None:
+    arm, load_ = SensedArm(plan, 9, joints=False), drawn(plan, 9)
+    load_[0] = 0.6
+    with pytest.raises(SalverError, match="the scenario's range is not widened"):
+        identify(plan, [arm.log(load_)], arm.log(None))
+
+
+def test_logs_without_a_sensor_in_common_are_refused(plan: Plan) -> None:
+    arm = SensedArm(plan, 10)
+    loaded, empty = arm.log(drawn(plan, 10)), arm.log(None)
+    with pytest.raises(FileFormatError, match="share no sensor"):
+        identify(plan, [replace(loaded, tau=None)], replace(empty, wrench_F=None))
+
+
+def test_several_objects_are_refused(plan: Plan) -> None:
+    arm = SensedArm(plan, 11)
+    cups = replace(plan, scenario=load("upright-cups").with_changes(arm={"model": "panda"}))
+    with pytest.raises(ScenarioError, match="one by one"):
+        identify(cups, [arm.log(None)], arm.log(None))
+
+
+def written(path: Path, log: Log, columns: list[str] | None = None) -> Path:
+    names = ["t", *(f"q{k + 1}" for k in range(7)), "fx", "fy", "fz", "tx", "ty", "tz"]
+    with path.open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(columns or names)
+        rows.writerows(np.column_stack([log.t, log.q, log.wrench_F]).tolist())
+    return path
+
+
+def test_command_writes_the_scenario_it_has_learnt(directory: Path, tmp_path: Path) -> None:
+    narrow = load_plan(directory)
+    arm = SensedArm(narrow, 12, joints=False)
+    values = inertial_vector(narrow.scenario.payload.first.inertial)
+    values[0] *= 1.05
+    loaded, empty = (written(tmp_path / f"{n}.csv", arm.log(v)) for n, v in (("loaded", values), ("empty", None)))
+    out = tmp_path / "learnt.toml"
+    done = CliRunner().invoke(
+        app, ["identify", str(loaded), "--plan", str(directory), "--empty", str(empty), "-o", str(out)]
+    )
+    assert done.exit_code == 0, done.output
+    learnt = load(out).payload
+    assert learnt.uncertain.half_range[0] < narrow.scenario.payload.uncertain.half_range[0]
+    assert abs(learnt.first.inertial.mass - values[0]) <= learnt.uncertain.half_range[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda log: replace(log, t=np.where(np.arange(len(log.t)) > 60, log.t + 0.1, log.t)), "has no samples for"),
+        (lambda log: replace(log, t=log.t[::-1]), "do not grow"),
+        (lambda log: replace(log, wrench_F=np.clip(log.wrench_F, -1.6, 1.6)), "saturated"),
+        (lambda log: replace(log, q=np.where(log.t[:, None] > 0.5, np.nan, log.q)), "no numbers"),
+    ],
+)
+def test_files_that_are_no_good_logs_are_refused(plan: Plan, tmp_path: Path, change, said: str) -> None:
+    log = SensedArm(plan, 13, joints=False).log(drawn(plan, 13))
+    with pytest.raises(FileFormatError, match=said):
+        read_log(written(tmp_path / "log.csv", change(log)), 7)
+
+
+def test_files_that_are_no_logs_are_refused(plan: Plan, tmp_path: Path) -> None:
+    log = SensedArm(plan, 14, joints=False).log(None)
+    with pytest.raises(FileFormatError, match='no column "q3"'):
+        read_log(written(tmp_path / "a.csv", log, ["t", "q1", "q2", *(f"x{k}" for k in range(11))]), 7)
+    with pytest.raises(FileFormatError, match="is no log"):
+        read_log(tmp_path / "log.txt", 7)
