@@ -112,8 +112,8 @@ def _check(log: Log, n: int) -> None:
             stuck = np.all(np.diff(values, axis=0) == 0, axis=0)
             if stuck.any():
                 raise FileFormatError(
-                    f"{log.source}: column {int(np.argmax(stuck)) + 1} of {name} never changes: it was not recorded, or it "
-                    "is saturated."
+                    f"{log.source}: column {int(np.argmax(stuck)) + 1} of {name} never changes: it was not recorded, "
+                    "or it is saturated."
                 )
             top = np.abs(values).max(axis=0)
             flat = (np.abs(np.abs(values) - top) < 1e-9 * np.maximum(top, 1e-9)).mean(axis=0)
