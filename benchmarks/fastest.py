@@ -34,6 +34,7 @@ import numpy as np
 from salver.campaigns import run_campaign
 from salver.errors import SalverError, Status
 from salver.files import read_json, write_atomic, write_json
+from salver.geometry import Array
 from salver.planning.fastest import fastest, object_motion
 from salver.planning.fastest.constraints import evaluate, worst_of
 from salver.planning.fastest.problem import TransportProblem, transport_problem
@@ -202,13 +203,15 @@ def topp(scenario: Scenario, problem: TransportProblem, path: SplinePath) -> tup
     law = reachable_law(problem, path)
     if law is None:
         raise SalverError(f"{scenario.name}: no time law on the line.")
-    t, u = law
+    return float(law[0][-1]), plan_of(scenario, problem, JointMotion(*law_motion(path, *law)))
+
+
+def law_motion(path: SplinePath, t: Array, u: Array) -> tuple[Array, Array, Array, Array]:
+    """(t, q, dq, ddq) of a path that is at u at times t."""
     rate = np.gradient(u, t)
     rate[[0, -1]] = 0.0
     q, first, second = path.derivatives(u, 2)
-    bend = np.gradient(rate, t)[:, None]
-    joint = JointMotion(t, q, first * rate[:, None], second * rate[:, None] ** 2 + first * bend)
-    return float(t[-1]), plan_of(scenario, problem, joint)
+    return t, q, first * rate[:, None], second * rate[:, None] ** 2 + first * np.gradient(rate, t)[:, None]
 
 
 def paper(scenario: Scenario) -> tuple[float, Plan]:
@@ -339,7 +342,7 @@ def page(results: dict[str, Any]) -> str:
         "Each cell: duration, and of how many perturbed runs in the physics engine the load stayed where it was and",
         "the arm within its limits. The ways of finding a duration, from left to right: the straight level min-jerk",
         "line, as fast as the arm's limits and nominal contact allow; the same line with the time-optimal law (without",
-        "jerk, as TOPP-RA has it: `benchmarks/toppra_peer.py` compares it with the package toppra); the paper's",
+        "jerk, as TOPP-RA has it: `benchmarks/peers.py --agreement` compares it with the package toppra); the paper's",
         "polynomial plan and condition; the fastest motion that trusts the nominal parameters, tray free to tilt; the",
         "fastest robust motions, level and tilting. The paper's condition knows objects on the tray only. All ways",
         "meet the same parameters: the extreme points of the uncertain set first, then points drawn evenly from it.",

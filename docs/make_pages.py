@@ -7,7 +7,7 @@ Each place is `<!-- KIND: NAME -->`, what this command wrote, `<!-- end -->`:
 
 help: plan                 the text of `salver plan --help`
 keys: Motion               the keys of a table of the scenario file, from the model that checks it
-example: cost              a file of examples/extending
+example: cost              a file of examples/extending or benchmarks
 api: salver.trajectory     the public names of a module, each with the first sentence of its docstring (on the site, all
                            of it with signatures: `docs/hooks.py`)
 """
@@ -51,8 +51,9 @@ def help_of(command: str) -> str:
 
 
 def example_of(name: str) -> str:
-    """A file of `examples/extending`; `tests/test_examples.py` runs it."""
-    return f"```py\n{(DOCS.parent / 'examples' / 'extending' / name).with_suffix('.py').read_text(encoding='utf-8')}```"
+    """A file of `examples/extending` or `benchmarks`; `tests/test_examples.py` and `tests/test_peers.py` run them."""
+    places = [DOCS.parent / folder / f"{name}.py" for folder in ("examples/extending", "benchmarks")]
+    return f"```py\n{next(p for p in places if p.is_file()).read_text(encoding='utf-8')}```"
 
 
 def keys_of(model: str) -> str:

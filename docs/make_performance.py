@@ -30,7 +30,7 @@ COMMANDS = {
     "physics": ["physics.py", "--quick"],
     "campaign": ["campaign.py"],
 }
-PEERS = {"toppra": ["toppra_peer.py", "--only", "cube, friction 0.4", "tall bottle"]}
+PEERS = {"toppra": ["peers.py", "--agreement", "--only", "cube, friction 0.4", "tall bottle"]}
 PROCESSES = (
     "salver --help",
     "salver scenarios",
