@@ -1,6 +1,7 @@
 """What is replaced is kept, what belongs to another plan is not shown, a damaged line costs one run."""
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.export import write_export
 from salver.planning.make import plan_baseline, plan_object
+from salver.planning.plan import load_plan
 from salver.reports.page import write_report
 from salver.simulation.physics import simulate
 from salver.simulation.record import load_record
@@ -105,7 +107,7 @@ def test_a_directory_of_another_scenario_is_left_alone_and_the_plan_is_kept_besi
     from salver.cli.common import WRONG_USE, save_plans
 
     before = contents(run)
-    faster = plan_baseline(CASE.with_changes(motion__duration=2.0))
+    faster = plan_baseline(CASE.with_changes(motion__duration=2.0, name="another"))
     with pytest.raises(ScenarioError, match="holds the plan of another scenario"):
         faster.save(run)
     import typer
@@ -115,6 +117,66 @@ def test_a_directory_of_another_scenario_is_left_alone_and_the_plan_is_kept_besi
     assert ended.value.exit_code == WRONG_USE
     assert contents(run) == before
     assert (tmp_path / "run-1" / "plan.npz").is_file()
+
+
+def test_an_edited_scenario_replaces_its_plans_and_keeps_all_that_rested_on_them(run):
+    from salver.cli.common import save_plans
+
+    before = contents(run)
+    edited = plan_baseline(CASE.with_changes(motion__duration=2.0))
+    with pytest.raises(ScenarioError, match="another scenario"):  # unasked, Python replaces nothing
+        edited.save(run)
+    save_plans(run, {"plan": edited})
+    assert contents(run / "earlier" / "1") == before
+    assert load_plan(run).duration == 2.0
+    assert {name.split("/")[0] for name in contents(run)} == {"earlier", "scenario.toml", "plan.npz", "plan.json"}
+
+
+def test_plans_of_another_scenario_are_replaced_by_force_only(run, tmp_path):
+    before = contents(run)
+    toml = tmp_path / "other.toml"
+    toml.write_text((run / "scenario.toml").read_text().replace(f'name = "{CASE.name}"', 'name = "other"'))
+    done = command("plan", toml, "--no-arm", "-o", run)
+    assert done.exit_code == 2
+    assert "replace its plans with --force" in done.stderr
+    assert contents(run) == before
+    done = command("plan", toml, "--no-arm", "-o", run, "--force")
+    assert done.exit_code == 0, done.stderr
+    assert "held another plan; it is kept with its results in" in done.stderr
+    assert contents(run / "earlier" / "1") == before
+
+
+def test_a_scenario_of_ones_own_without_plans_is_never_moved(tmp_path, plans):
+    """A folder where somebody keeps a scenario is no run directory yet."""
+    (tmp_path / "scenario.toml").write_text((scenario.SCENARIO_DIR / "panda-cube-1.2s.toml").read_text())
+    done = command("plan", "panda-cube", "--no-arm", "-o", tmp_path, "--force")
+    assert done.exit_code == 2
+    assert (tmp_path / "scenario.toml").read_text() == (scenario.SCENARIO_DIR / "panda-cube-1.2s.toml").read_text()
+
+
+def test_watch_plans_again_on_save_and_waits_for_mistakes_to_be_mended(tmp_path, capsys, monkeypatch):
+    from salver.cli import watch
+
+    toml, run, text = tmp_path / "cube.toml", tmp_path / "run", (scenario.SCENARIO_DIR / "panda-cube.toml").read_text()
+    toml.write_text(text)
+    edits = [text.replace("friction = 0.5", "friction = -1"), text.replace("duration = 2.5", "duration = 2.0")]
+
+    def save_next(_):
+        if not edits:
+            raise KeyboardInterrupt
+        toml.write_text(edits.pop(0))
+        os.utime(toml, ns=(len(edits), len(edits)))
+
+    monkeypatch.setattr(watch.time, "sleep", save_next)
+    done = command("plan", toml, "--no-arm", "-o", run, "--watch")
+    assert done.exit_code == 130
+    assert "friction = -1: must be" in done.stderr
+    assert load_plan(run).duration == 2.0
+    assert "2.0 s" in (run / "report.html").read_text() or "2.00 s" in (run / "report.html").read_text()
+    assert load_plan(run / "earlier" / "1").duration == 2.5
+    done = command("plan", "panda-cube", "-o", run, "--watch")
+    assert done.exit_code == 2
+    assert "is not a file to watch" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["plan.json", "plan.npz", "baseline.json"])

@@ -46,13 +46,17 @@ def check_free(directory: Path) -> None:
         raise SalverError(f"{directory} cannot be written to: {reason}; name another directory with -o.") from None
 
 
-def make_room(directory: Path, stem: str) -> Path | None:
+def make_room(directory: Path, stem: str, with_scenario: bool = False) -> Path | None:
     """Move the plan `stem` and all results that rest on it to DIRECTORY/earlier/N; returns that folder.
 
-    None when there is nothing to move. With "plan" goes what it was compared with. Raises SalverError
-    when a campaign of it is running.
+    None when there is nothing to move. With "plan" goes what it was compared with. with_scenario: and everything else
+    that rests on scenario.toml, and that. Raises SalverError when a campaign of it is running.
     """
-    old = [path for path in _belongings(directory, stem) if path.exists()]
+    found = _belongings(directory, stem)
+    if with_scenario:
+        found += [directory / f"{name}{end}" for name in known_stems(directory) for end in (".json", ".npz")]
+        found.append(directory / SCENARIO)
+    old = [path for path in dict.fromkeys(found) if path.exists()]
     if not old:
         return None
     for path in old:

@@ -128,16 +128,19 @@ def headed(name: str, text: object) -> Text:
     return Text.assemble((printable(name), "bold"), f": {printable(str(text))}")
 
 
-def save_plans(directory: Path, plans: Mapping[str, Plan]) -> None:
+def save_plans(directory: Path, plans: Mapping[str, Plan], force: bool = False) -> None:
     """Write plans by stem into a run directory, and say what became of another plan that stood there.
 
-    A directory of another scenario is left alone: the plans go beside it, so that they are not lost, and the command
-    ends as wrong use, because nothing stands where the next command would look for it.
+    Plans of the scenario as it was before it was edited make way (force: of any other scenario). Else a directory of
+    another scenario is left alone: the plans go beside it, so that they are not lost, and the command ends as wrong
+    use, because nothing stands where the next command would look for it.
     """
+    from salver.planning.plan import make_way
     from salver.run_directory import EARLIER
 
     before = set(directory.glob(f"{EARLIER}/*"))
     try:
+        make_way(next(iter(plans.values())).scenario, directory, force=force)
         for stem, plan in plans.items():
             plan.save(directory, stem)
     except ScenarioError as error:

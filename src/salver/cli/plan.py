@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +11,7 @@ import typer
 
 from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, save_plans, say
 from salver.cli.progress import step
+from salver.cli.watch import watched
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,9 +37,17 @@ def plan(
     stops: Annotated[
         bool, typer.Option("--stops", help="Plan load-safe stops along the fastest plan too; takes some seconds.")
     ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the plans of another scenario too; they are kept in earlier/.")
+    ] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Plan again, and write the page, whenever the .toml file is saved.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Plan a motion that keeps the object on the tray, and another one beside it to compare it with.
+
+    Plans of the same scenario, as it was before it was edited, are replaced: they move to earlier/ with their results.
 
     Example: `salver plan panda-cube -o runs/cube`
 
@@ -49,6 +59,12 @@ def plan(
     from salver.planning.stops import with_stops
     from salver.run_directory import check_free
 
+    if watch:
+        again = partial(
+            plan, scenario, out, fastest, beside, duration, arm, stops=stops, force=force, watch=False, json=json
+        )
+        watched(Path(scenario), again, lambda: out if out is not None else Path("runs") / scenarios.load(scenario).name)
+        return
     chosen = scenarios.load(scenario)
     if duration is not None:
         chosen = chosen.with_changes(motion__duration=duration)
@@ -56,11 +72,11 @@ def plan(
     if fastest or chosen.motion.duration is None:  # the scenario that is saved is known when the plan is
         check_free(directory)
     else:
-        check_place(chosen, directory)
+        check_place(chosen, directory, edited=True, force=force)
     found, other = plan_pair(chosen, "fastest" if fastest else "robust", arm, beside)
     if stops:
         found = with_stops(found, lambda done, total: step(done, total, "stops"))
-    save_plans(directory, {"plan": found, beside: other})
+    save_plans(directory, {"plan": found, beside: other}, force)
     if json:
         print_json({"directory": directory, "plan": found.summary(), beside: other.summary()})
     else:

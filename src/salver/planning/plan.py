@@ -20,7 +20,7 @@ from salver.planning.object.conditions import TILT, apart, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
 from salver.planning.stop_library import StopLibrary
-from salver.run_directory import CERTIFICATE, check_free, make_room
+from salver.run_directory import CERTIFICATE, SCENARIO, check_free, known_stems, make_room
 from salver.scenario import Scenario
 from salver.tables import Table, Tabular, dimensioned
 from salver.trajectory import (
@@ -318,20 +318,43 @@ class Plan(Shown, Tabular):
         return directory
 
 
-def check_place(scenario: Scenario, directory: Path) -> None:
+def check_place(scenario: Scenario, directory: Path, *, edited: bool = False, force: bool = False) -> bool:
     """Raise ScenarioError when the directory belongs to another scenario, SalverError when it is not free.
 
+    edited: plans of a scenario of the same name may be replaced (`make_way`); force: those of any. True when they must.
     Ask before planning, so that no plan is made in vain.
     """
     from salver.scenario import load
 
     check_free(directory)
-    path = directory / "scenario.toml"
-    if path.is_file() and (existing := load(path)).digest != scenario.digest:
-        raise ScenarioError(
-            f"{directory} holds the plan of another scenario ({existing.name}, {existing.digest}; this one is "
-            f"{scenario.name}, {scenario.digest}); choose another directory with -o, or remove that one."
-        )
+    path = directory / SCENARIO
+    if not path.is_file():
+        return False
+    planned = bool(known_stems(directory))
+    try:
+        existing = load(path)
+    except ScenarioError:
+        if force and planned:
+            return True
+        raise
+    if existing.digest == scenario.digest:
+        return False
+    if planned and (force or (edited and existing.name == scenario.name)):
+        return True
+    ways = " replace its plans with --force," if edited and planned else ""
+    raise ScenarioError(
+        f"{directory} holds the plan of another scenario ({existing.name}, {existing.digest}; this one is "
+        f"{scenario.name}, {scenario.digest}); choose another directory with -o,{ways} or remove that one."
+    )
+
+
+def make_way(scenario: Scenario, directory: Path, *, force: bool = False) -> None:
+    """Move the plans of an earlier version of the scenario, with it and all results, to DIRECTORY/earlier/N.
+
+    force: those of any other scenario. Raises as `check_place`.
+    """
+    if check_place(scenario, directory, edited=True, force=force):
+        make_room(directory, "plan", with_scenario=True)
 
 
 def write_scenario(scenario: Scenario, directory: Path) -> None:
