@@ -218,9 +218,10 @@ def plot(results: dict[str, Any], path: Path) -> None:
         axes.plot([x, x], [kept, stayed], color=colour, linewidth=1)
         axes.plot(x, stayed, "o", markersize=6, markerfacecolor="white", color=colour)
         axes.plot(x, kept, "o", markersize=6, color=colour)
-        axes.annotate(name, (x, kept), xytext=(6, 5), textcoords="offset points", fontsize=8)
+        axes.annotate(name, (x, stayed), xytext=(6, 5), textcoords="offset points", fontsize=8)
     axes.set(xlabel="mean duration, s", ylabel="runs, %", ylim=(-6, 112))
     axes.set_title("full: load and limits kept; open: the load stays", fontsize=9)
+    axes.margins(x=0.14)
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
 
