@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -11,12 +12,22 @@ import typer
 
 from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, save_plans, say
 from salver.cli.progress import step
+from salver.cli.searching import searching
 from salver.cli.watch import watched
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from salver.planning.fastest import FastestOptions
     from salver.planning.plan import Plan
+
+
+class Effort(StrEnum):
+    """The names in `salver.planning.fastest.EFFORTS`, which loads solvers."""
+
+    QUICK = "quick"
+    NORMAL = "normal"
+    THOROUGH = "thorough"
 
 
 def plan(
@@ -25,6 +36,14 @@ def plan(
     ],
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Run directory; default runs/NAME.")] = None,
     fastest: Annotated[bool, typer.Option("--fastest", help="Find the shortest duration that is safe.")] = False,
+    safest: Annotated[
+        bool,
+        typer.Option(
+            "--safest",
+            help="Find the motion that keeps the load furthest from its edge in the given duration, clear of obstacles "
+            "and within the arm's limits.",
+        ),
+    ] = False,
     beside: Annotated[
         str,
         typer.Option(
@@ -43,6 +62,17 @@ def plan(
     watch: Annotated[
         bool, typer.Option("--watch", help="Plan again, and write the page, whenever the .toml file is saved.")
     ] = False,
+    effort: Annotated[
+        Effort | None,
+        typer.Option(
+            help="How much the search for a fastest or safest plan tries, in starts and iterations; default normal. "
+            "The same effort gives the same plan on any machine.",
+        ),
+    ] = None,
+    time_limit: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="End that search after so many seconds, with the best so far; none by default."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Plan a motion that keeps the object on the tray, and another one beside it to compare it with.
@@ -51,7 +81,9 @@ def plan(
 
     Example: `salver plan panda-cube -o runs/cube`
 
-    Ends with 0 when the plan is safe and the arm can follow it, with 3 when there is no such plan.
+    Ends with 0 when the plan is safe and the arm can follow it, with 3 when no such plan was found, which does not
+    prove that there is none. Ctrl-C ends the search for a fastest plan with the best found so far, which is written
+    with a status that says so; Ctrl-C once more ends the command.
     """
     from salver import scenario as scenarios
     from salver.planning.make import plan_pair
@@ -60,20 +92,25 @@ def plan(
     from salver.run_directory import check_free
 
     if watch:
-        again = partial(
-            plan, scenario, out, fastest, beside, duration, arm, stops=stops, force=force, watch=False, json=json
-        )
+        asked = {"fastest": fastest, "safest": safest, "duration": duration, "effort": effort, "time_limit": time_limit}
+        again = partial(plan, scenario, out, beside=beside, arm=arm, stops=stops, force=force, json=json, **asked)
         watched(Path(scenario), again, lambda: out if out is not None else Path("runs") / scenarios.load(scenario).name)
         return
     chosen = scenarios.load(scenario)
     if duration is not None:
         chosen = chosen.with_changes(motion__duration=duration)
+    if fastest and safest:
+        raise typer.BadParameter("--fastest finds the duration, --safest needs one: give one of them.")
+    method = "safest" if safest else "fastest" if fastest or chosen.motion.duration is None else "robust"
+    if method == "robust" and (effort is not None or time_limit is not None):
+        raise typer.BadParameter("--effort and --time-limit are for the searches of --fastest and --safest.")
     directory = out if out is not None else Path("runs") / chosen.name
-    if fastest or chosen.motion.duration is None:  # the scenario that is saved is known when the plan is
+    if method == "fastest":  # the scenario that is saved is known when the plan is
         check_free(directory)
     else:
         check_place(chosen, directory, edited=True, force=force)
-    found, other = plan_pair(chosen, "fastest" if fastest else "robust", arm, beside)
+    with searching(time_limit) as search:
+        found, other = plan_pair(chosen, method, arm, beside, options=options_of(effort), watch=search)
     if stops:
         found = with_stops(found, lambda done, total: step(done, total, "stops"))
     save_plans(directory, {"plan": found, beside: other}, force)
@@ -86,6 +123,13 @@ def plan(
         say(f"Written to {directory}; next: {simulate}salver report {quoted}")
     if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)
+
+
+def options_of(effort: Effort | None) -> FastestOptions:
+    """The options of the search for an effort; None is the normal one."""
+    from salver.planning.fastest import EFFORTS
+
+    return EFFORTS[effort or Effort.NORMAL]
 
 
 def show(plan: Plan, other: Plan, beside: str) -> None:

@@ -200,8 +200,7 @@ def _motion(plan: Plan) -> JointMotion:
 
 def _run(plan: Plan, arm: ArmModel, carried: Sequence[Body], robot: Robot, watchdog: Watchdog, start: float) -> Log:
     assert plan.joint is not None
-    space = "joint" if plan.method == "fastest" else "object"
-    controller = controller_for(plan.scenario, plan.joint, plan.reference, arm=arm, space=space)  # type: ignore[arg-type]
+    controller = controller_for(plan.scenario, plan.joint, plan.reference, arm=arm, space=plan.space)
     _warm_up(controller, arm, carried, plan.joint)
     end = plan.duration + plan.scenario.physics.settle_after
     return drive(robot, controller, plan.joint, arm, carried, start=start, end=end, watchdog=watchdog)

@@ -41,8 +41,8 @@ def check(
 ) -> None:
     """Raise FileFormatError, one sentence with what differs, unless a plan's files are what its certificate says."""
     certified = record.get(CERTIFICATE)
-    fastest = " --fastest" if record.get("method") == "fastest" else ""
-    again = f"plan again with `salver plan {quote(f'{directory}/scenario.toml')}{fastest} -o ANOTHER_DIRECTORY`"
+    asked = f" --{record['method']}" if record.get("method") in ("fastest", "safest") else ""
+    again = f"plan again with `salver plan {quote(f'{directory}/scenario.toml')}{asked} -o ANOTHER_DIRECTORY`"
     if not isinstance(certified, dict):
         raise FileFormatError(
             f"{directory / stem}.json has no certificate: it was written before plans had one, or it was edited, and "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,10 @@ from salver.planning.plan import FINER, Plan
 from salver.run_directory import STEMS
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, min_jerk_line
+
+if TYPE_CHECKING:
+    from salver.planning.fastest import FastestOptions
+    from salver.planning.fastest.watch import Watch
 
 _REPLANS = 6  # how often a plan that fails between the nodes is planned again
 
@@ -73,11 +77,11 @@ def plan_baseline(scenario: Scenario) -> Plan:
     return plan
 
 
-def plan_nominal(scenario: Scenario) -> Plan:
+def plan_nominal(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> Plan:
     """The fastest motion that is safe when every parameter is nominal; judged over the whole uncertain set."""
     from salver.planning.fastest import plan_fastest
 
-    plan = plan_fastest(scenario.with_changes(motion__duration=None), robust=False)
+    plan = plan_fastest(scenario.with_changes(motion__duration=None), robust=False, options=options, watch=watch)
     if not plan.status.ok or plan.verification.violation == 0:
         return plan
     found = f"The shortest motion for nominal parameters takes {plan.duration:.4f} s"
@@ -105,19 +109,26 @@ def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
 
 
 def plan_pair(
-    scenario: Scenario, method: str = "robust", arm: bool = True, beside: str = "baseline"
+    scenario: Scenario,
+    method: str = "robust",
+    arm: bool = True,
+    beside: str = "baseline",
+    *,
+    options: FastestOptions | None = None,
+    watch: Watch | None = None,
 ) -> tuple[Plan, Plan]:
     """The plan asked for and what it is compared with.
 
     beside: "baseline", the straight line of the same duration, from the same start posture; or "nominal", the fastest
-    motion for someone who believes the nominal parameters.
+    motion for someone who believes the nominal parameters. options, watch: of the search for fastest and safest
+    motions.
     Raises ScenarioError for an unknown comparison, and where one cannot be made.
     """
     if beside not in STEMS[1:]:
         raise ScenarioError(f'A plan can be compared with {" or ".join(STEMS[1:])}, not with "{beside}".')
-    plan = make_plan(scenario, method, arm)
+    plan = make_plan(scenario, method, arm, options=options, watch=watch)
     if beside == "nominal":
-        return plan, plan_nominal(plan.scenario)
+        return plan, plan_nominal(plan.scenario, options=options, watch=watch)
     timed = plan.scenario if plan.scenario.motion.duration else scenario.with_changes(motion__duration=plan.duration)
     baseline = replace(plan_baseline(timed), scenario=plan.scenario)
     if arm and scenario.arm is not None:
@@ -125,18 +136,32 @@ def plan_pair(
     return plan, baseline
 
 
-def make_plan(scenario: Scenario, method: str = "robust", arm: bool = True) -> Plan:
-    """A plan by method: "robust", "baseline" or "fastest", with the arm's motion when the scenario has an arm.
+def make_plan(
+    scenario: Scenario,
+    method: str = "robust",
+    arm: bool = True,
+    *,
+    options: FastestOptions | None = None,
+    watch: Watch | None = None,
+) -> Plan:
+    """A plan by method: "robust", "baseline", "fastest" or "safest" (in the scenario's duration), with the arm's motion
+    when the scenario has an arm.
+
+    options, watch: of the search for fastest and safest motions.
 
     Raises ScenarioError when the scenario does not say what the method needs.
     """
     if method == "fastest" or (method == "robust" and scenario.motion.duration is None):
         from salver.planning.fastest import plan_fastest
 
-        return plan_fastest(scenario.with_changes(motion__duration=None))
+        return plan_fastest(scenario.with_changes(motion__duration=None), options=options, watch=watch)
+    if method == "safest":
+        from salver.planning.fastest.safest import plan_safest
+
+        return plan_safest(scenario, options=options, watch=watch)
     makers = {"robust": plan_object, "baseline": plan_baseline}
     if method not in makers:
-        raise ScenarioError(f'There is no planning method "{method}"; there are robust, baseline and fastest.')
+        raise ScenarioError(f'There is no planning method "{method}"; there are robust, baseline, fastest and safest.')
     plan = makers[method](scenario)
     return with_arm(plan) if arm and scenario.arm is not None and plan.status.code != "infeasible" else plan
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class Verification:
 class Plan(Shown, Tabular):
     """A motion of the carried object (and of the arm, when there is one) with its guarantees.
 
-    method: "robust" (eqs 13-17), "baseline" (straight min-jerk line) or "fastest".
+    method: "robust" (eqs 13-17), "baseline" (straight min-jerk line), "fastest" or "safest" (in its duration).
     reference: the motion of B. joint: the arm's motion, or None. status: how planning ended; arm_status: whether
     the arm can follow, None without an arm. solver: method, cost, duality gap, iterations, times.
     tau: (T, n) feed-forward torque at `t`, or None. Arrays have the time axis first (docs/conventions.md).
@@ -106,6 +106,11 @@ class Plan(Shown, Tabular):
     @property
     def duration(self) -> float:
         return self.reference.duration
+
+    @property
+    def space(self) -> Literal["object", "joint"]:
+        """Where the controller closes its loop: what was planned in the joints knows its tracking errors there."""
+        return "joint" if self.method in ("fastest", "safest") else "object"
 
     @property
     def t(self) -> Array:
@@ -190,7 +195,7 @@ class Plan(Shown, Tabular):
             model = chain_model(self.scenario)
         except ScenarioError:  # the chain of this scenario has no such sensitivity
             return None
-        return arm_chain(model, self.joint, space="joint" if self.method == "fastest" else "object")
+        return arm_chain(model, self.joint, space=self.space)
 
     def facts(self) -> dict[str, str]:
         """What a notebook shows of it."""

@@ -63,7 +63,8 @@ class Motion:
         """For a legend: what kind of motion this is."""
         if self.stem != "plan":
             return self.stem.capitalize()
-        return "Fastest" if self.summary.get("method") == "fastest" else "Robust"
+        method = self.summary.get("method")
+        return str(method).capitalize() if method in ("fastest", "safest") else "Robust"
 
     @property
     def t(self) -> Array:

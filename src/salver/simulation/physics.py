@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.interpolate import interp1d
@@ -93,7 +93,7 @@ class Experiment:
     @cached_property
     def controller(self) -> ArmController:
         # Plans made in joint space know their tracking errors in joint space (salver.planning.fastest.tracking).
-        space: Literal["object", "joint"] = "joint" if self.plan.method == "fastest" else "object"
+        space = self.plan.space
         return controller_for(self.plan.scenario, self.joint, self.plan.reference, arm=self.arm, space=space)
 
     @cached_property

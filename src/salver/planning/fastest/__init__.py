@@ -9,6 +9,7 @@ from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Model, Objective, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.search import (
+    EFFORTS,
     FastestMotion,
     FastestOptions,
     fastest,
@@ -19,6 +20,7 @@ from salver.planning.fastest.search import (
 )
 
 __all__ = [
+    "EFFORTS",
     "Anywhere",
     "AtPose",
     "AtPosture",

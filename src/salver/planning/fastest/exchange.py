@@ -68,13 +68,15 @@ def programme_of(
     objective: Objective = SHORTEST,
     points: int = POINTS,
 ) -> Programme:
-    """The programme at nodes (N,) in [0, 1], watching only what comes near along the start.
+    """The programme at nodes (N,) in [0, 1], watching, for a shorter time, only what comes near along the start.
 
     curve_of: makes the curve of a problem and grid. points: from node to node, where the joints' limits are imposed.
     """
     curve = curve_of(problem, Grid.of(start.spline, nodes, points))
-    postures = curve.motion(start.coefficients, start.duration)[0, curve.grid.nodes]
-    constraints = [constraint.near(postures) for constraint in problem.constraints]
+    constraints = problem.constraints
+    if objective.scalar is Scalar.DURATION:  # others may lead far from where they begin
+        postures = curve.motion(start.coefficients, start.duration)[0, curve.grid.nodes]
+        constraints = tuple(constraint.near(postures) for constraint in constraints)
     return Programme(curve, constraints, objective)
 
 
@@ -144,7 +146,7 @@ def rough(
 def _status(solution: Solution, worst: dict[str, float], sought: str, duration: float) -> Status:
     excess = max(worst.values())
     if excess <= 0.0:
-        return Status("optimal", f"The {sought} safe motion takes {duration:.4f} s.", True)
+        return Status("optimal", f"The {sought} safe motion found takes {duration:.4f} s.", True)
     if excess > HOPELESS and not solution.status.ok:
         return solution.status
     name = max(worst, key=lambda key: worst[key])

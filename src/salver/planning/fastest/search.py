@@ -24,7 +24,7 @@ from salver.planning.fastest.problem import TransportProblem, transport_problem,
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Iterate, Solution
 from salver.planning.fastest.starts import Ends, Start, around, bent, between, ends, straight, touches, tray_line
-from salver.planning.fastest.watch import WHY, Watch
+from salver.planning.fastest.watch import INTERRUPTED, WHY, Watch
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import blocked_end
 from salver.scenario import Scenario
@@ -75,7 +75,7 @@ EFFORTS = {
 class FastestMotion:
     """Result. spline, coefficients (size, n), duration: the motion. worst: largest row of each block on the fine
     grid (<= 0: kept). binding: the blocks that hinder a shorter time. wall_time: s. iterations: of all rounds and
-    starts.
+    starts. margin: that was sought, when it was (`LeastMargin`).
     """
 
     problem: TransportProblem
@@ -87,6 +87,7 @@ class FastestMotion:
     binding: tuple[str, ...]
     wall_time: float
     iterations: int
+    margin: float = 0.0
 
     def sample(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """q, dq, ddq, dddq (T, n) at times t, clamped to rest outside [0, duration]."""
@@ -115,33 +116,41 @@ def object_motion(problem: TransportProblem, t: Array, q: Array, dq: Array, ddq:
     return tray.of_frame(problem.items[0].p_EB, problem.items[0].R_EB)
 
 
-def plan_fastest(scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None) -> Plan:
+def plan_fastest(
+    scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None, watch: Watch | None = None
+) -> Plan:
     """The fastest plan of a scenario with an arm. Its contact condition is the exact one, whatever the scenario's.
 
-    robust: safe for the whole uncertain set (with the arm's tracking), or for nominal parameters only.
+    robust: safe for the whole uncertain set (with the arm's tracking), or for nominal parameters only. watch: may end
+    the search early, with the best so far.
     Raises ScenarioError when the scenario has no arm; a plan that could not be found has a status that says so.
     """
     problem = transport_problem(scenario, robust=robust)
-    found = fastest(problem, options)
+    found = fastest(problem, options, watch=watch)
     for _ in range(MISSED):
         more = _missed(found) if found.status.ok else None
         if more is None:
             break
-        again = fastest(more, options, near=found)
+        again = fastest(more, options, near=found, watch=watch)
         wall, iterations = found.wall_time + again.wall_time, found.iterations + again.iterations
         found = replace(again, wall_time=wall, iterations=iterations)
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
-    record = {
+    return joint_plan(scenario, problem, found.joint_motion(), found.status, solver_record(found, robust))
+
+
+def solver_record(found: FastestMotion, robust: bool) -> dict[str, Any]:
+    """What a plan keeps of how it was found."""
+    return {
         "name": "sequential quadratic programming (PIQP)",
         "robust": robust,
         "seconds": found.wall_time,
         "iterations": found.iterations,
         "spans": found.spline.spans,
         "worst": found.worst,
+        "binding": found.binding,
         **tracking_record(found),
     }
-    return joint_plan(scenario, problem, found.joint_motion(), found.status, record)
 
 
 def _missed(found: FastestMotion) -> TransportProblem | None:
@@ -153,7 +162,12 @@ def _missed(found: FastestMotion) -> TransportProblem | None:
 
 
 def joint_plan(
-    scenario: Scenario, problem: TransportProblem, joint: JointMotion, status: Status, record: Mapping[str, Any]
+    scenario: Scenario,
+    problem: TransportProblem,
+    joint: JointMotion,
+    status: Status,
+    record: Mapping[str, Any],
+    method: str = "fastest",
 ) -> Plan:
     """A motion of the joints as a plan under the exact contact condition, judged by the arm's own verdict."""
     from salver.planning.follow.limits import torques, verdict
@@ -162,7 +176,7 @@ def joint_plan(
     exact = scenario.with_changes(contact__condition="exact")
     reference = SampledReference(object_motion(problem, joint.t, joint.q, joint.dq, joint.ddq))
     parts = None if problem.keep_out is None else problem.keep_out.parts
-    plan = Plan(exact, "fastest", reference, status, joint, verdict(problem.arm, joint, problem.items, parts))
+    plan = Plan(exact, method, reference, status, joint, verdict(problem.arm, joint, problem.items, parts))
     tau = torques(problem.arm, JointMotion(plan.t, *joint.sample(plan.t)), problem.items)
     return replace(plan, tau=tau, solver=record)
 
@@ -250,7 +264,7 @@ class _Search:
                 turned = [(problem, rough), *((problem, other) for other in self._turned(problem, rough))]
                 (problem, rough), *others = sorted(turned, key=_merit)
                 roughs += others
-            found = self._refined(problem, rough.iterate)
+            found, begun = self._refined(problem, rough.iterate), (problem, rough.iterate)
             refined += 1
             if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
                 best = found
@@ -260,6 +274,11 @@ class _Search:
             if (best.status.ok and enough) or (not hopeful and enough) or self.watch.over():
                 break
         assert best is not None
+        if self.watch.ended == INTERRUPTED and not best.status.ok:
+            # What was begun is mended, in a moment, before it is given back.
+            briefly = replace(self.options, iterations=0.25 * self.options.iterations)
+            mended = replace(self, options=briefly, watch=Watch())._refined(*begun)
+            best = mended if mended.status.ok else best
         return replace(best, status=_ended(best.status, self.watch), iterations=self.iterations)
 
     def _first(self) -> Iterator[Begin]:
@@ -356,12 +375,23 @@ def _ended(status: Status, watch: Watch) -> Status:
 
 
 def nearby(
-    found: FastestMotion, objective: Objective, duration: float, options: FastestOptions | None = None
+    found: FastestMotion,
+    objective: Objective,
+    duration: float,
+    options: FastestOptions | None = None,
+    *,
+    begin: Start | None = None,
+    watch: Watch | None = None,
 ) -> FastestMotion:
-    """The motion with the least objective at a duration (s), near one that was found; under the same constraints."""
+    """The motion with the least objective at a duration (s), near one that was found; under the same constraints.
+
+    begin: a path between the same ends to begin from instead.
+    """
     options = options or FastestOptions()
-    start = SplineMotion(found.spline, found.coefficients, duration)
-    return _optimum(found.problem, options, start, Watch(options.time_limit), NEAR, objective)
+    start, damping = SplineMotion(found.spline, found.coefficients, duration), NEAR
+    if begin is not None:
+        start, damping = replace(begin.motion(found.problem, found.spline), duration=duration), REFINED
+    return _optimum(found.problem, options, start, watch or Watch(options.time_limit), damping, objective)
 
 
 def _blocked(problem: TransportProblem) -> Status | None:
@@ -403,4 +433,4 @@ def _optimum(
     iterations = round(options.iterations * ITERATIONS)
     found = optimise(problem, FreeCurve, start, options.nodes_per_span, watch, damping, objective, iterations)
     wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
-    return FastestMotion(problem, start.spline, *result, found.binding, wall, found.iterations)
+    return FastestMotion(problem, start.spline, *result, found.binding, wall, found.iterations, found.margin)

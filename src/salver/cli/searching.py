@@ -1,0 +1,50 @@
+"""A watch on a search that a command runs: its bar, its time limit, and Ctrl-C, which ends it with the best so far."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from salver.cli.common import say
+from salver.cli.progress import step
+
+if TYPE_CHECKING:
+    from salver.planning.fastest.watch import Watch
+
+ONCE = 0.3  # s within which a second signal is the same: some shells send it to a process and to its group
+
+
+@contextmanager
+def searching(time_limit: float | None = None) -> Iterator[Watch]:
+    """The watch. Ctrl-C once more ends the command. time_limit: s, None for none."""
+    from salver.planning.fastest.watch import Watch
+
+    def tell(share: float, best: float | None) -> None:
+        step(round(100 * share), 100, "" if best is None else f"{best:.3f} s so far; Ctrl-C takes it")
+
+    watch = Watch(time_limit, tell)
+    if threading.current_thread() is not threading.main_thread():
+        yield watch
+        return
+
+    first = float("inf")
+
+    def interrupted(number: int, frame: FrameType | None) -> None:
+        nonlocal first
+        if time.monotonic() - first > ONCE and callable(before):
+            before(number, frame)
+        if not watch.ended:
+            first = time.monotonic()
+            watch.interrupt()
+            say("salver: the search ends with the best found so far; Ctrl-C once more ends the command.")
+
+    before = signal.signal(signal.SIGINT, interrupted)
+    try:
+        yield watch
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,75 @@
+"""The safest motion in a given time, and how a search is watched on the command line."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+from typer.testing import CliRunner
+
+from salver import scenario
+from salver.cli import app
+from salver.cli.plan import Effort
+from salver.cli.searching import searching
+from salver.errors import ScenarioError, UnreachableError
+from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
+from salver.planning.fastest.safest import plan_safest
+
+FEW = FastestOptions(spans=8)
+POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
+
+
+@pytest.mark.slow
+def test_the_safest_motion_keeps_more_than_the_fastest_and_what_it_says_is_verified():
+    case = scenario.load("panda-cube").with_changes(motion__duration=1.0)
+    safest = plan_safest(case, options=FEW)
+    assert safest.ok, (safest.status, safest.arm_status)
+    assert safest.duration == pytest.approx(1.0)
+    assert safest.method == "safest"
+    assert safest.space == "joint"
+    fastest = plan_fastest(case.with_changes(motion__duration=None), options=FEW)
+    assert safest.verification.slack > fastest.verification.slack + 0.1
+    assert safest.verification.slack == pytest.approx(safest.solver["margin"], abs=5e-3)
+    assert safest.solver["shortest"] == pytest.approx(fastest.duration)
+
+
+@pytest.mark.slow
+def test_the_safest_motion_goes_around_what_stands_in_the_way():
+    case = scenario.load("panda-cube").with_changes(motion__duration=1.5, objects__0__uncertainty={}, obstacles=[POST])
+    plan = plan_safest(case)  # eight pieces are too few to see a post between their nodes
+    assert plan.ok, (plan.status, plan.arm_status)
+    assert plan.arm_status.details["obstacle_clearance"]["distance"] > 0.004
+
+
+def test_the_safest_motion_needs_a_duration_that_is_long_enough():
+    case = scenario.load("panda-cube").with_changes(objects__0__uncertainty={})
+    with pytest.raises(ScenarioError, match=r"motion\.duration is missing"):
+        plan_safest(case.with_changes(motion__duration=None))
+    with pytest.raises(UnreachableError, match=r"no safe motion in 0\.3 s was found; the shortest that was takes 0\.6"):
+        plan_safest(case.with_changes(motion__duration=0.3), options=FEW)
+
+
+def test_efforts_have_one_set_of_names():
+    assert [effort.value for effort in Effort] == list(EFFORTS)
+    assert EFFORTS["normal"] == FastestOptions()
+    assert all(options.time_limit is None for options in EFFORTS.values())
+
+
+@pytest.mark.parametrize("given", [["--effort", "quick"], ["--time-limit", "3"], ["--fastest", "--safest"]])
+def test_options_of_a_search_without_one_are_wrong_use(tmp_path, given):
+    result = CliRunner().invoke(app, ["plan", "panda-cube", "-o", str(tmp_path / "run"), *given])
+    assert result.exit_code == 2
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_interruption_ends_the_search_and_not_the_command(capsys):
+    before = signal.getsignal(signal.SIGINT)
+    with searching() as watch:
+        assert not watch.over()
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)  # a shell may send it twice
+        assert watch.over()
+        assert watch.ended == "interrupted"
+    assert signal.getsignal(signal.SIGINT) is before
+    assert capsys.readouterr().err.count("best found so far") == 1
