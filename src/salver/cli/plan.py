@@ -92,8 +92,21 @@ def plan(
     from salver.run_directory import check_free
 
     if watch:
-        asked = {"fastest": fastest, "safest": safest, "duration": duration, "effort": effort, "time_limit": time_limit}
-        again = partial(plan, scenario, out, beside=beside, arm=arm, stops=stops, force=force, json=json, **asked)
+        again = partial(
+            plan,
+            scenario,
+            out,
+            fastest=fastest,
+            safest=safest,
+            beside=beside,
+            duration=duration,
+            arm=arm,
+            stops=stops,
+            force=force,
+            effort=effort,
+            time_limit=time_limit,
+            json=json,
+        )
         watched(Path(scenario), again, lambda: out if out is not None else Path("runs") / scenarios.load(scenario).name)
         return
     chosen = scenarios.load(scenario)
