@@ -41,6 +41,7 @@ COMMANDS = (
     "export",
     "execute",
     "identify",
+    "learn",
 )
 
 for _name in COMMANDS:

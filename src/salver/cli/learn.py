@@ -1,0 +1,93 @@
+"""`salver learn`: careful first, then fast."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, say
+from salver.errors import ScenarioError
+
+if TYPE_CHECKING:
+    from salver.learning.trips import Trip
+
+
+def learn(
+    scenario: Annotated[str, typer.Argument(help="Name of a ready-made scenario, or a .toml file.")],
+    trips: Annotated[int, typer.Option(min=1, max=50, help="How often the load is carried.")] = 6,
+    seed: Annotated[int, typer.Option(min=0, help="Of the hidden true load and of the sensors.")] = 0,
+    sensor: Annotated[
+        Literal["wrist", "torques"], typer.Option(help="What the arm feels with: a wrist sensor, or joint torques.")
+    ] = "wrist",
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Write the scenario with the learnt ranges to this .toml file.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Carry a load whose ranges are wide carefully, learn what it is, and carry it ever faster.
+
+    Each trip is the fastest safe motion for what is known; the load, which is hidden, is carried in the physics engine;
+    what the arm's sensors felt narrows the ranges for the next. See `salver identify` for the ranges and for real arms.
+
+    Example: `salver learn panda-tall-bottle --trips 6 -o learnt.toml`
+
+    Ends with 0 when the load stayed on every trip, with 3 when it did not or when no safe motion was found.
+    """
+    import tomli_w
+
+    from salver import scenario as scenarios
+    from salver.files import write_atomic
+    from salver.learning.trips import trips as carried
+
+    if out is not None and (out.suffix != ".toml" or out.exists()):
+        raise ScenarioError(f"--out = {out} must be a .toml file that does not exist yet.")
+    made: list[Trip] = []
+    for trip in carried(scenarios.load(scenario), trips, seed, sensor):
+        made.append(trip)
+        say(f"Trip {trip.number} of {trips}: {trip.plan.duration:.3f} s, {trip.outcome}. {trip.told}".rstrip())
+        if out is not None and trip.learnt is not None:
+            write_atomic(out, tomli_w.dumps(trip.learnt.learnt_scenario().model_dump(mode="json", exclude_none=True)))
+    if json:
+        print_json([_record(trip) for trip in made])
+    else:
+        _show(made)
+    if out is not None and out.exists():
+        say(f"Written to {out}; next: salver plan {out} --fastest.")
+    if any(trip.outcome != "holds" for trip in made):
+        raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _record(trip: Trip) -> dict[str, Any]:
+    ranges = {} if trip.learnt is None else trip.learnt.ranges
+    return {
+        "trip": trip.number,
+        "duration": trip.plan.duration,
+        "outcome": trip.outcome,
+        "margin_worst_case": trip.margin,
+        "plan_of_the_trip_before": trip.kept,
+        "learnt": {name: [r.low, r.high] for name, r in ranges.items()},
+        "told": trip.told,
+    }
+
+
+def _show(made: list[Trip]) -> None:
+    from rich.table import Table
+
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    for title in ("trip", "duration", "load", "margin", "mass after, g", "centre of mass after, +- mm"):
+        table.add_column(title, justify="right")
+    for trip in made:
+        learnt = trip.learnt
+        mass = "-" if learnt is None else "{:.1f} to {:.1f}".format(*(1e3 * x for x in _ends(trip)))
+        half = "-" if learnt is None else ", ".join(f"{1e3 * learnt.ranges[f'com_{a}'].half:.2f}" for a in "xyz")
+        table.add_row(
+            str(trip.number), f"{trip.plan.duration:.3f} s", trip.outcome, f"{100 * trip.margin:.1f} %", mass, half
+        )
+    result_console().print(table)
+
+
+def _ends(trip: Trip) -> tuple[float, float]:
+    assert trip.learnt is not None
+    return trip.learnt.ranges["mass"].low, trip.learnt.ranges["mass"].high

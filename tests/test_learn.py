@@ -1,0 +1,58 @@
+"""Careful first, then fast: the load stays on every trip, ranges shrink around the truth, motions get quicker."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from salver.cli import app
+from salver.errors import ScenarioError
+from salver.learning.identify import NAMES
+from salver.learning.trips import trips, true_load
+from salver.scenario import load
+
+
+@pytest.mark.slow
+def test_second_trip_is_quicker_nothing_is_lost_and_the_truth_stays_within_the_ranges() -> None:
+    scenario, seed = load("panda-tall-bottle"), 3
+    true, made = true_load(scenario, seed), list(trips(scenario, 2, seed))
+    assert [trip.outcome for trip in made] == ["holds", "holds"]
+    assert made[1].plan.duration < 0.95 * made[0].plan.duration
+    widths = [scenario.payload.uncertain.half_range[:4]]
+    for trip in made:
+        assert trip.learnt is not None
+        assert trip.margin >= 0
+        body = trip.learnt.scenario.payload.first
+        values = [true[0], *(true[1:4] - body.com_G)]
+        for name, value in zip(NAMES, values, strict=True):
+            assert trip.learnt.ranges[name].low - 1e-9 <= value <= trip.learnt.ranges[name].high + 1e-9
+        widths.append(trip.learnt.learnt_scenario().payload.uncertain.half_range[:4])
+    assert np.all(np.diff(widths, axis=0) <= 1e-12)
+
+
+def test_true_load_lies_in_the_set_and_differs_with_the_seed() -> None:
+    scenario = load("panda-tall-bottle")
+    body, half = scenario.payload.first, scenario.payload.uncertain.ranges
+    for seed in range(5):
+        true = true_load(scenario, seed)
+        off = np.append(true[0] - body.inertial.mass, true[1:4] - body.com_G)
+        assert np.all(np.abs(off) <= list(half.values())[:4])
+    assert not np.array_equal(true_load(scenario, 0), true_load(scenario, 1))
+
+
+def test_what_cannot_be_learnt_is_refused() -> None:
+    with pytest.raises(ScenarioError, match="one object"):
+        next(trips(load("upright-cups"), 1))
+    with pytest.raises(ScenarioError, match="needs an arm"):
+        next(trips(load("tall-box-56"), 1))
+
+
+def test_command_refuses_to_write_over_a_file(tmp_path: Path) -> None:
+    there = tmp_path / "there.toml"
+    there.write_text("")
+    done = CliRunner().invoke(app, ["learn", "panda-tall-bottle", "-o", str(there)])
+    assert done.exit_code == 2
+    assert there.read_text() == ""
