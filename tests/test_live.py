@@ -98,7 +98,7 @@ wish = st.one_of(goals, st.just(Live.stop), garbage)
 
 
 @pytest.mark.slow
-@settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.lists(st.tuples(st.floats(0.0, 1.2), wish), min_size=2, max_size=6), st.integers(1, 90))
 def test_whatever_is_wished_no_row_is_broken_and_it_ends_at_rest(cube, wishes, every):
     live = Live(cube, lead=LEAD)

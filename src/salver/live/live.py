@@ -25,8 +25,23 @@ from salver.geometry import Array
 from salver.live.motion import Committed, between, joined, resting
 from salver.live.reader import Pieces, Reader
 from salver.live.replan import Replanner
+from salver.live.steer import TICK, Steering
 from salver.live.verify import verified
-from salver.live.wishes import ACCEPTED, Goal, Halt, Pose, Wish, numbers, pose_goal, posture_goal, refused, why_not
+from salver.live.wishes import (
+    ACCEPTED,
+    Follow,
+    Goal,
+    Halt,
+    Pose,
+    Wish,
+    chunk_wish,
+    numbers,
+    pose_goal,
+    posture_goal,
+    refused,
+    twist_wish,
+    why_not,
+)
 from salver.models.arm import with_load
 from salver.models.arm_limits import POSITION
 from salver.planning.fastest import Anywhere, AtPosture, TransportProblem, transport_problem
@@ -35,6 +50,8 @@ from salver.trajectory import JointMotion
 
 LONGEST_GAP = 0.05  # s between two commands; what is longer is taken for a jump of the clock
 FIRST_LEAD = 0.25  # s from the beginning of planning to the hand-over, before it is known how long planning takes
+FIRST_TICK = 0.05  # s, the same of a tick
+CALMING = 0.3  # s of ticks after a twist or a chunk, in which the motion is calmed; then it runs out
 LEADS = 5  # plans from whose times the lead is taken
 SPARE = 1.3  # of the longest of them
 LEAST_LEAD = 0.02  # s
@@ -125,8 +142,10 @@ class Live:
             raise ScenarioError(f"{scenario.name}: the load is not safe at rest at q: {rest.sentence}.")
         self._problem = problem
         self._replanner = Replanner.of(problem)
+        self._steering = Steering.of(problem, self._replanner.sought)
         self._lead = lead
-        self._spent: deque[float] = deque(maxlen=LEADS)
+        # How long planning took of late, s: of motions and of ticks.
+        self._spent: dict[bool, deque[float]] = {steered: deque(maxlen=LEADS) for steered in (False, True)}
         self._planning = threading.Lock()
         # Written by the loop alone.
         self._running = _Running.first(rest.committed)
@@ -140,6 +159,7 @@ class Live:
         # Written by whoever wishes.
         self._wish: Wish | None = None
         self._queue: deque[Goal] = deque()
+        self._heard: deque[tuple[float, Array]] = deque(maxlen=200)
         self._done: Wish | None = None
         self._attempts = 0
         self._refused = ""
@@ -211,6 +231,35 @@ class Live:
         self._wish = Halt()
         return ACCEPTED
 
+    def twist(self, v: npt.ArrayLike, omega: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Status:
+        """To move the tray at v_S (3,), m/s, and omega_S (3,), rad/s, both in S, as nearly as safety allows; to be said
+        again and again: after 0.1 s of silence it is to come to rest."""
+        wish = twist_wish(list(self._heard), v, omega, self._now)
+        if isinstance(wish, Status):
+            return self._refuse(wish.sentence, "The twist")
+        self._heard.append((self._now, wish.wanted.twist))  # type: ignore[attr-defined]
+        return self._follow(wish)
+
+    def chunk(
+        self,
+        times: npt.ArrayLike,
+        poses: npt.ArrayLike | tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
+        *,
+        joints: npt.ArrayLike | None = None,
+    ) -> Status:
+        """To be at poses, or in postures (C, n), at times (C,), s from now, as nearly as safety allows, and to hold the
+        last one. poses: of the first object's frame B, p_SB (C, 3) with the tray level, or (p_SB, R_SB (C, 3, 3))."""
+        wish = chunk_wish(self._problem, times, poses, joints, self._now)
+        if isinstance(wish, Status):
+            return self._refuse(wish.sentence, "The chunk")
+        return self._follow(wish)
+
+    def _follow(self, wish: Follow) -> Status:
+        self._refused = ""
+        self._queue.clear()
+        self._wish = wish
+        return ACCEPTED
+
     def measured(self, q: npt.ArrayLike) -> Status:
         """Where the arm is, (n,) rad, as its loop sees it: when that is too far from where it was told to be, it is
         stopped."""
@@ -275,17 +324,20 @@ class Live:
         """s from the beginning of planning to the hand-over."""
         if self._lead is not None:
             return self._lead
-        return max(LEAST_LEAD, SPARE * max(self._spent, default=FIRST_LEAD / SPARE))
+        steered = isinstance(self._wish, Follow)
+        first = FIRST_TICK if steered else FIRST_LEAD
+        return max(LEAST_LEAD, SPARE * max(self._spent[steered], default=first / SPARE))
 
     def _due(self) -> Wish | None:
         """What is to be planned for now."""
         wish, offered = self._wish, self._offered
         if offered is not None and self._offer is None:
             self._offered = None
-            if self._running is offered:
+            if self._running is offered and not isinstance(offered.wish, Follow):
                 self._done, self._attempts = offered.wish, 0
         if wish is not self._done:
-            return wish
+            early = isinstance(wish, Follow) and self._hand_over(self.committed, True) <= self.committed.begins + 1e-9
+            return None if early else wish
         if self._queue and self._now >= self.committed.ends:
             self._wish = self._queue.popleft()
             return self._wish
@@ -297,8 +349,15 @@ class Live:
             return
         running, began = self._running, time.perf_counter()
         base = running.committed
-        begins = self._hand_over(base)
-        if isinstance(wish, Halt):
+        steered = isinstance(wish, Follow)
+        begins = self._hand_over(base, steered)
+        if isinstance(wish, Follow):
+            heard = begins <= wish.until
+            if begins > wish.until + CALMING:
+                self._done = wish  # what is committed ends at rest
+                return
+            found, status = self._steering.tick(wish.wanted if heard else wish.then, base, begins)
+        elif isinstance(wish, Halt):
             if begins >= base.ends:
                 self._done = wish
                 return
@@ -312,15 +371,15 @@ class Live:
                 found, status = None, Status("unreachable", blocked, False)
             else:
                 found, status = self._replanner.to(wish.end, base, begins, budget)
-        self._spent.append(time.perf_counter() - began)
+        self._spent[steered].append(time.perf_counter() - began)
         if found is not None and found.begins < self._now and base.ends <= found.begins:
             # It came late, but the arm was at rest and is: the same motion, from a little later on.
-            found = verified(self._problem, found.motion, self._hand_over(base), base).committed
+            found = verified(self._problem, found.motion, self._hand_over(base, steered), base).committed
         if found is not None:
             self._refused = ""
             self._offered = running.then(found, wish, self._now)
             self._offer = self._offered
-        elif wish is not self._done:
+        elif wish is not self._done and not steered:
             self._attempts += 1
             last = status.code == "unreachable" or begins >= base.ends or self._attempts >= MOST_ATTEMPTS
             if last:
@@ -328,9 +387,11 @@ class Live:
                 what = f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop"
                 self._refuse(status.sentence, what)
 
-    def _hand_over(self, base: Committed) -> float:
-        """Live time of the next hand-over: an instant at which the base's deviation is known exactly, if it moves."""
+    def _hand_over(self, base: Committed, steered: bool) -> float:
+        """Live time of the next hand-over: the next tick, or where the base's deviation is known exactly."""
         begins = max(self._now + self.lead, base.begins)
+        if steered:
+            return TICK * float(np.ceil(begins / TICK - 1e-9))
         k = int(np.searchsorted(base.nodes, begins))
         return float(base.nodes[k]) if k < len(base.nodes) else begins
 

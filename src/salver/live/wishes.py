@@ -1,7 +1,8 @@
-"""What may be asked of a live motion: a goal, a stop. Each says in a sentence why it cannot be, before it is tried."""
+"""What may be asked of a live motion: a goal, a stop, a twist, a chunk. What cannot be is refused in a sentence."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array
+from salver.live.steer import ChunkWanted, TwistWanted, Wanted
 from salver.planning.fastest import AtPose, AtPosture, End, TransportProblem
 from salver.planning.fastest.constraints import LEVEL_TOLERANCE
 from salver.planning.postures import PoseTarget
@@ -32,7 +34,24 @@ class Halt:
     """To rest, as soon as may be."""
 
 
-Wish = Goal | Halt
+@dataclass(frozen=True, eq=False)
+class Follow:
+    """To do what is wanted as nearly as may be, and to stop when nothing is heard after live time `until`, s.
+
+    Of a chunk that ends in a posture or pose, it is held then.
+    """
+
+    wanted: Wanted
+    until: float
+    then: Wanted
+
+
+Wish = Goal | Halt | Follow
+
+MOST_SPEED, MOST_TURN = 5.0, 20.0  # m/s, rad/s; what is beyond is in another unit
+SILENCE = 0.1  # s after a twist at which it counts no more
+HEARD = 0.06  # s of twists from which it is told how they change
+LEAST_HEARD = 4e-3  # s
 
 
 def refused(sentence: str) -> Status:
@@ -87,6 +106,71 @@ def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
         )
     target = PoseTarget(p, rotation, first.p_EB, first.R_EB, yaw_free=not whole)
     return Goal(AtPose(target), f"({p[0]:.3f}, {p[1]:.3f}, {p[2]:.3f}) m")
+
+
+def twist_wish(
+    heard: Sequence[tuple[float, Array]], v: npt.ArrayLike, omega: npt.ArrayLike, now: float
+) -> Follow | Status:
+    """v_S (3,), m/s, and omega_S (3,), rad/s, of the tray in S. heard: live times and twists before."""
+    twist = []
+    for value, most, what, unit in ((v, MOST_SPEED, "v", "m/s"), (omega, MOST_TURN, "omega", "rad/s")):
+        found = numbers(value, (3,), what)
+        if isinstance(found, Status):
+            return found
+        if np.linalg.norm(found) > most:
+            return refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
+        twist.append(found)
+    latest = np.concatenate(twist)
+    recent = [(t, old) for t, old in heard if now - HEARD <= t < now] + [(now, latest)]
+    t = np.array([t for t, _ in recent]) - now
+    slope = np.zeros(6)
+    if -t[0] >= LEAST_HEARD:
+        away = t - t.mean()
+        slope = away @ np.array([old for _, old in recent]) / (away @ away)
+    return Follow(TwistWanted(latest, slope, now), now + SILENCE, TwistWanted(np.zeros(6), np.zeros(6), now))
+
+
+def chunk_wish(
+    problem: TransportProblem, times: npt.ArrayLike, poses: Any, joints: npt.ArrayLike | None, now: float
+) -> Follow | Status:
+    """Poses or postures at times (C,) from now on, s."""
+    if (poses is None) == (joints is None):
+        return refused("a chunk is of poses or of joints, one of them")
+    try:
+        count = len(np.atleast_1d(np.asarray(times, dtype=float)))
+    except (TypeError, ValueError):
+        count = 0
+    t = numbers(times, (count,), "times")
+    if isinstance(t, Status):
+        return t
+    if not count or t[0] < 0 or np.any(np.diff(t) <= 0):
+        return refused("times must be one or more, at least 0, and each later than the one before")
+    t = now + t
+    if joints is not None:
+        q = numbers(joints, (count, problem.n), "joints")
+        if isinstance(q, Status):
+            return q
+        outside = (q < problem.limits.q_min) | (q > problem.limits.q_max)
+        if outside.any():
+            row, j = (int(x) for x in np.argwhere(outside)[0])
+            return refused(
+                f"{problem.arm.joint_names[j]} would be at {q[row, j]:.4g} in posture {row}, beyond its limits"
+            )
+        wanted = ChunkWanted(t, None, None, q)
+    else:
+        whole = isinstance(poses, tuple) and len(poses) == 2
+        p = numbers(poses[0] if whole else poses, (count, 3), "positions")
+        first = problem.items[0]
+        rotations = np.tile(first.R_EB, (count, 1, 1))
+        R = numbers(poses[1], (count, 3, 3), "rotations") if whole else rotations
+        if isinstance(p, Status) or isinstance(R, Status):
+            return p if isinstance(p, Status) else R  # type: ignore[return-value]
+        square = R @ np.swapaxes(R, 1, 2) - np.eye(3)
+        if np.abs(square).max() > ORTHONORMAL or (np.linalg.det(R) < 0).any():
+            return refused("a rotation is none: its rows must be orthonormal and right-handed")
+        R_SE = R @ first.R_EB.T
+        wanted = ChunkWanted(t, p - R_SE @ first.p_EB, R_SE, None)
+    return Follow(wanted, float(t[-1]), wanted)
 
 
 def why_not(problem: TransportProblem, goal: Goal) -> str:

@@ -1,0 +1,304 @@
+"""A hand or a policy in command: at each tick what is committed is bent a little towards what is wanted.
+
+The bend is a coarse spline that begins at the hand-over with value, velocity and acceleration zero, and ends at rest
+within the horizon. No bend *is* the committed motion, so with bounds of max(-row, 0) the quadratic programme of a tick
+can always be solved and needs no slack: real-time iteration (Diehl, Bock, Schloeder, SIAM J. Control Optim. 43(5),
+2005), whose every iterate is feasible. What it finds is looked at like any other motion before it is committed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from salver.errors import Status
+from salver.geometry import Array, hat, log
+from salver.live.motion import Committed, between
+from salver.live.verify import verified
+from salver.planning import qp
+from salver.planning.fastest import AtPosture, Block, Evaluation, TransportProblem, evaluate
+from salver.planning.fastest.curves import Grid
+from salver.planning.fastest.evaluation import Indices
+from salver.planning.fastest.spline import RestSpline
+from salver.planning.fastest.sqp import Mask
+from salver.trajectory import JointMotion
+
+TICK = 0.02  # s; hand-overs are at its multiples, and so are the bends' knots
+BREAKS = np.array([0, 1, 2, 4, 6, 9, 13, 18, 25, 36])  # ticks: short where what is asked for is soon to be seen
+HORIZON = float(TICK * BREAKS[-1])  # s in which every bend is at rest
+NODES_PER_SPAN = 4  # at which conditions are imposed; POINTS from each to the next for the joints' own
+POINTS = 2
+DEPTH = 0.25  # rows further than this from their edge are left out of a tick
+TOLERANCE = 1e-6
+RIDGE = 1e-6
+LEAST_CAUTION, MOST_CAUTION = 0.1, 1e5
+BENT = 5e-4  # by which a bend may miss the stricter rows at the nodes
+ROUNDS = 3  # programmes of a tick: rows that a bend breaks though they were far away join the next one
+LARGEST_BEND = 1.0  # rad
+SHARES = (1.0, 0.3)  # of the bend that are tried
+
+# Weights of squares, integrated over time. Speeds in m/s and rad/s, accelerations in rad/s^2.
+SPEED, TURNING = 100.0, 20.0
+LIFTING = 3.0  # times as much for the vertical: else a lift is bought for its normal force
+PLACE, HEADING = 400.0, 100.0  # of a pose that is wanted at a time
+JOINTS, RATES = 200.0, 20.0  # of a posture that is
+UPRIGHT, STRAIGHT = 2.0, 2000.0  # where the tray may tilt; and where it may not
+ACCELERATION, JERK = 2e-4, 2e-8
+BENT_RATE = 1e-3  # of a bend's acceleration, beside its size
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What should be zero at points of the grid: value (r,), its derivatives parts (r, 4, n) by q and its rates there,
+    point (r,), weight (r,)."""
+
+    value: Array
+    parts: Array
+    point: Indices
+    weight: Array
+
+
+class Wanted(Protocol):
+    """What is followed as nearly as safety allows."""
+
+    def residuals(self, motion: Evaluation, t: Array, weight: Array) -> Residuals:
+        """How far a motion is from it; t: (N,) live times of the nodes, weight: (N,) s, what each stands for."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class TwistWanted:
+    """The tray's velocity and angular velocity in S, (6,) at live time t0, changing at slope (6,) for a while."""
+
+    twist: Array
+    slope: Array
+    t0: float
+    window: float = 0.2  # s from the hand-over in which it is followed
+    ahead: float = 0.12  # s for which the slope is believed
+
+    def at(self, t: Array) -> Array:
+        """(N, 6) at live times."""
+        return np.asarray(self.twist + np.clip(t - self.t0, 0.0, self.ahead)[:, None] * self.slope)
+
+    def residuals(self, motion: Evaluation, t: Array, weight: Array) -> Residuals:
+        within = np.flatnonzero(t <= t[0] + self.window)
+        each = np.array([SPEED, SPEED, LIFTING * SPEED, TURNING, TURNING, TURNING])
+        return _speed(motion, within, self.at(t[within]), np.outer(weight[within], each).ravel())
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkWanted:
+    """A timed motion of the tray or of the joints: samples at live times t (C,), increasing.
+
+    p_SE (C, 3) and R_SE (C, 3, 3), or q (C, n). Between them linear; after the last one it is held.
+    """
+
+    t: Array
+    p_SE: Array | None
+    R_SE: Array | None
+    q: Array | None
+
+    def residuals(self, motion: Evaluation, t: Array, weight: Array) -> Residuals:
+        if self.q is not None:
+            wanted = np.stack([np.interp(t, self.t, column) for column in self.q.T], axis=1)
+            return _joints(motion, wanted, np.repeat(JOINTS * weight, motion.n))
+        assert self.p_SE is not None
+        assert self.R_SE is not None
+        p = np.stack([np.interp(t, self.t, column) for column in self.p_SE.T], axis=1)
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
+        return _pose(motion, p, self.R_SE[k], weight)
+
+
+def _speed(motion: Evaluation, nodes: Indices, wanted_S: Array, weight: Array) -> Residuals:
+    """Twist of the tray against one in S (N, 6)."""
+    terms, n = motion.terms, motion.n
+    R = terms.R_SE[nodes]
+    both = np.zeros((len(nodes), 6, 6))
+    both[:, :3, :3] = both[:, 3:, 3:] = R
+    twist_S = np.einsum("kij,kj->ki", both, terms.twist[nodes])
+    parts = np.zeros((len(nodes), 6, 4, n))
+    # d(R v) = R (dv + dtheta x v), dtheta = J_omega dq.
+    turned = np.concatenate([hat(terms.twist[nodes, :3]), hat(terms.twist[nodes, 3:])], axis=1)
+    parts[:, :, 0] = both @ (terms.twist_q[nodes] - turned @ terms.jacobian[nodes, 3:])
+    parts[:, :, 1] = both @ terms.jacobian[nodes]
+    point = np.repeat(motion.nodes[nodes], 6)
+    return Residuals((twist_S - wanted_S).ravel(), parts.reshape(-1, 4, n), point, weight)
+
+
+def _pose(motion: Evaluation, p_SE: Array, R_SE: Array, weight: Array) -> Residuals:
+    """Pose of the tray against (p_SE, R_SE)."""
+    terms, n, count = motion.terms, motion.n, len(motion.nodes)
+    value = np.concatenate([terms.p_SE - p_SE, log(np.swapaxes(R_SE, 1, 2) @ terms.R_SE)], axis=1)
+    parts = np.zeros((count, 6, 4, n))
+    parts[:, :3, 0], parts[:, 3:, 0] = terms.R_SE @ terms.jacobian[:, :3], terms.jacobian[:, 3:]
+    each = np.array([PLACE, PLACE, LIFTING * PLACE, HEADING, HEADING, HEADING])
+    weight = np.outer(weight, each).ravel()
+    return Residuals(value.ravel(), parts.reshape(-1, 4, n), np.repeat(motion.nodes, 6), weight)
+
+
+def _joints(motion: Evaluation, q: Array, weight: Array) -> Residuals:
+    count, n = q.shape
+    parts = np.zeros((count, n, 4, n))
+    parts[:, range(n), 0, range(n)] = 1.0
+    value = (motion.at_nodes[0] - q).ravel()
+    return Residuals(value, parts.reshape(-1, 4, n), np.repeat(motion.nodes, n), weight)
+
+
+def _level(motion: Evaluation, weight: Array) -> Residuals:
+    """The tray upright."""
+    terms, count, n = motion.terms, len(motion.nodes), motion.n
+    up = terms.R_SE[:, 2, :]
+    turning = np.cross(up[:, :, None], terms.jacobian[:, 3:], axisa=1, axisb=1, axisc=1)
+    parts = np.zeros((count, 2, 4, n))
+    parts[:, :, 0] = turning[:, :2]
+    return Residuals(up[:, :2].ravel(), parts.reshape(-1, 4, n), np.repeat(motion.nodes, 2), np.repeat(weight, 2))
+
+
+class Bends(RestSpline):
+    """The coarse spline of a bend."""
+
+    def breaks(self) -> Array:
+        return BREAKS / BREAKS[-1]
+
+
+@dataclass
+class Caution:
+    """What a bend's size costs: more after one that was refused, less after one that was not."""
+
+    weight: float = LEAST_CAUTION
+
+    def passed(self, whole: bool) -> None:
+        self.weight = max(LEAST_CAUTION, self.weight * (0.5 if whole else 1.5))
+
+    def failed(self) -> None:
+        self.weight = min(MOST_CAUTION, 4.0 * self.weight)
+
+
+@dataclass(frozen=True, eq=False)
+class Steering:
+    """problem: by which motions are judged; sought: the same, under conditions a little stricter."""
+
+    problem: TransportProblem
+    sought: TransportProblem
+    spline: Bends
+    grid: Grid
+    smooth: Array  # (4, size, P) what multiplies q and its rates along the motion for the slope of the cost
+    curvature: Array  # (size n, size n) of the cost that does not change
+    nearness: Array  # (size n, size n) square of a bend's size
+    caution: Caution
+
+    @classmethod
+    def of(cls, problem: TransportProblem, sought: TransportProblem) -> Steering:
+        spline = Bends(5, len(BREAKS) - 1)
+        grid = Grid.of(spline, spline.nodes(NODES_PER_SPAN), POINTS)
+        basis = grid.basis / HORIZON ** np.arange(4.0)[:, None, None]
+        weights = HORIZON * grid.weights * np.array([0.0, 0.0, ACCELERATION, JERK])[:, None]
+        smooth = np.swapaxes(basis * weights[:, :, None], 1, 2)
+        gram = (smooth @ basis).sum(axis=0)
+        size = HORIZON * (
+            (grid.basis[0].T * grid.weights) @ grid.basis[0] + BENT_RATE * (basis[2].T * grid.weights) @ basis[2]
+        )
+        each = np.eye(problem.n)
+        return cls(problem, sought, spline, grid, smooth, np.kron(gram, each), np.kron(size, each), Caution())
+
+    def tick(self, wanted: Wanted, base: Committed, begins: float) -> tuple[Committed | None, Status]:
+        """What is committed bent towards what is wanted, from live time `begins` on."""
+        bend = self._bend(wanted, base, begins)
+        if bend is None:
+            return None, Status("refused", "the programme of the tick was not solved", False)
+        finding = None
+        for share in SHARES:
+            finding = verified(self.problem, self.bent(base, begins, share * bend), begins, base)
+            if finding.committed is not None:
+                self.caution.passed(share == SHARES[0])
+                return finding.committed, Status("optimal", "", True)
+        assert finding is not None
+        self.caution.failed()
+        return None, Status("refused", finding.sentence, False)
+
+    def bent(self, base: Committed, begins: float, bend: Array) -> JointMotion:
+        """The committed motion from `begins` on with a bend (size, n) added."""
+        own = begins - base.begins
+        first = between(base.motion, own, max(base.motion.duration, own + HORIZON))
+        t = np.union1d(first.t, HORIZON * self.spline.breaks())
+        t = t[np.append(np.diff(t) > 1e-7, True)]
+        s = np.minimum(t / HORIZON, 1.0)
+        added = self.spline.matrices(s)[:3] @ bend / HORIZON ** np.arange(3.0)[:, None, None]
+        added[1:, s >= 1.0] = 0.0
+        states = [x + y for x, y in zip(first.sample(t), added, strict=True)]
+        return JointMotion(t, *states)
+
+    def _bend(self, wanted: Wanted, base: Committed, begins: float) -> Array | None:
+        grid, n = self.grid, self.problem.n
+        t = begins + HORIZON * grid.s
+        own = t - base.begins
+        moving = (own < base.motion.duration)[:, None]
+        z = np.stack([*base.motion.sample(own), base.motion.jerk(own) * moving])
+        sought = replace(self.sought, start=AtPosture(*base.state(begins)))
+        deviation = base.deviation_at(begins, self.problem)
+        if sought.tracking is not None and deviation is not None:
+            sought = replace(sought, tracking=sought.tracking.begun(deviation))
+        motion = sought.at(grid.s, z, HORIZON, grid.nodes)
+        constraints = [constraint.near(motion.at_nodes[0]) for constraint in sought.constraints]
+        blocks = evaluate(constraints, motion)
+        hessian = self.curvature + self.caution.weight * self.nearness
+        slope = np.zeros((grid.basis.shape[2], n))
+        for order in (2, 3):
+            slope += self.smooth[order] @ z[order]
+        cost = slope.ravel()
+        steps = np.diff(t[grid.nodes])
+        weight = 0.5 * (np.append(steps, 0.0) + np.append(0.0, steps))
+        asked = [wanted.residuals(motion, t[grid.nodes], weight)]
+        asked.append(_level(motion, (STRAIGHT if self.problem.level else UPRIGHT) * weight))
+        for part in asked:
+            rows = grid.chained(part.parts, part.point, HORIZON)
+            weighted = rows * part.weight[:, None]
+            hessian += weighted.T @ rows
+            cost = cost + weighted.T @ part.value
+        hessian[range(len(hessian)), range(len(hessian))] += RIDGE
+        masks = [block.near(DEPTH) & np.ones(block.values.shape, dtype=bool) for block in blocks]
+        matrix = self._rows(blocks, masks)
+        where = [np.nonzero(mask) for mask in masks]
+        bound = -np.concatenate([block.values[at] for block, at in zip(blocks, where, strict=True)])
+        for _ in range(ROUNDS):
+            # Bounds are never negative: no bend is always allowed.
+            found = qp.solve(_programme(hessian, cost, matrix, np.maximum(bound, 0.0), n), TOLERANCE)
+            if found is None:
+                return None
+            bend = np.vstack([np.zeros(n), found.x.reshape(-1, n)])
+            trial = evaluate(constraints, sought.at(grid.s, z + grid.motion(bend, HORIZON), HORIZON, grid.nodes))
+            more = [block.joining(mask) for block, mask in zip(trial, masks, strict=True)]
+            if max(block.values.max() for block in trial) <= BENT:
+                break
+            # The rows that were forgotten, and bounds with which the linear rows are exact where the step led to.
+            masks = [mask | joining for mask, joining in zip(masks, more, strict=True)]
+            where += [np.nonzero(mask) for mask in more]
+            matrix = np.vstack([matrix, self._rows(blocks, more)])
+            values = [trial[k % len(trial)].values[at] for k, at in enumerate(where)]
+            bound = matrix @ bend.ravel() - np.concatenate(values)
+        return bend
+
+    def _rows(self, blocks: Sequence[Block], masks: Sequence[Mask]) -> Array:
+        """Derivatives (r, size n) by the bend of the rows that masks name, block by block."""
+        matrices = [np.zeros((0, self.grid.basis.shape[2] * self.problem.n))]
+        for block, mask in zip(blocks, masks, strict=True):
+            node, column = np.nonzero(mask)
+            if not len(node):
+                continue
+            parts = block.gradient(node, column).reshape(len(node), 4, -1)
+            rows = self.grid.chained(parts, block.points[node], HORIZON)
+            if block.following is not None:
+                parts = block.following(node, column).reshape(len(node), 4, -1)
+                rows = rows + self.grid.chained(parts, block.points[node + 1], HORIZON)
+            matrices.append(rows)
+        return np.vstack(matrices)
+
+
+def _programme(hessian: Array, cost: Array, matrix: Array, bound: Array, fixed: int) -> qp.Quadratic:
+    """Of the unknowns but the first ones, which are zero: the first control posture is that of the hand-over."""
+    count = len(cost) - fixed
+    none, far = np.zeros((0, count)), np.full(count, LARGEST_BEND)
+    return qp.Quadratic(hessian[fixed:, fixed:], cost[fixed:], matrix[:, fixed:], bound, none, np.zeros(0), -far, far)

@@ -1,0 +1,121 @@
+"""A hand or a policy in command of a live motion: followed as nearly as safety allows, and never further."""
+
+import re
+
+import numpy as np
+import pytest
+
+import salver as sv
+from live_runs import drive, executed, in_turn, jolts, rows_of
+from salver.live import Live
+from salver.live.steer import TICK, ChunkWanted, TwistWanted
+
+EVERY = round(TICK * 1e3)
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return sv.load_scenario("panda-cube")
+
+
+def check(live, states):
+    worst = rows_of(live.problem, executed(states))
+    assert max(worst.values()) <= 0.0, worst
+    assert jolts(states)[0] < 1e-5  # rad; see test_live
+    assert not np.any(states[1][-1])
+
+
+def velocities(live, states, every):
+    """(K, 3) of the tray in S."""
+    found = []
+    for q, dq in zip(states[0][::every], states[1][::every], strict=True):
+        _, R_SE = live.problem.arm.tray_pose(q)
+        found.append(R_SE @ (live.problem.arm.body_jacobian(q) @ dq)[:3])
+    return np.array(found)
+
+
+def said(stream, seconds):
+    """A stream of twists, 100 a second."""
+    return [(t, lambda live, t=t: live.twist(stream(t))) for t in np.arange(0.0, seconds, 0.01)]
+
+
+def test_a_gentle_hand_is_followed_as_if_nothing_stood_between(cube):
+    def gentle(t):
+        return 0.15 * np.array([np.sin(2 * t), 1 - np.cos(3 * t), 0.3 * np.sin(t)])
+
+    live = Live(cube, lead=TICK)
+    states = drive(live, 1.0, said(gentle, 1.0), EVERY)
+    wanted = np.array([gentle(t) for t in np.arange(0.2, 1.0, 0.01)])
+    error = velocities(live, states, 10)[20:] - wanted
+    assert np.sqrt(np.mean(error**2)) < 0.03 * np.sqrt(np.mean(wanted**2))
+    check(live, in_turn(states, drive(live, 1.2, every=EVERY, begins=1.0)))
+
+
+@pytest.mark.slow
+def test_a_hostile_hand_and_then_silence(cube):
+    """Reversals that would lose the cube if they were followed; then nothing, and the arm comes to rest."""
+
+    def hostile(t):
+        return np.array([0.8, 1.2, 0.4]) * np.sign(np.sin(2 * np.pi * 2.7 * t))
+
+    live = Live(cube, lead=TICK)
+    states = drive(live, 0.8, said(hostile, 0.8), EVERY)
+    assert np.abs(velocities(live, states, 10)).max() > 0.1
+    check(live, in_turn(states, drive(live, 1.3, every=EVERY, begins=0.8)))
+    assert live.idle
+
+
+def test_a_chunk_of_postures_is_followed_and_its_last_one_held(cube):
+    live = Live(cube, lead=TICK)
+    start = live.problem.start.q
+    live.goto(q=start)
+    turn = np.eye(7)[6]
+    times = np.linspace(0.1, 0.6, 6)
+    assert live.chunk(times, joints=start + 0.3 * np.linspace(0, 1, 6)[:, None] * turn).ok
+    states = drive(live, 1.9, every=EVERY)
+    check(live, states)
+    assert np.abs(states[0][-1] - start - 0.3 * turn).max() < 0.02
+    assert live.idle
+
+
+def test_derivatives_of_what_is_wanted_match_differences(cube):
+    """Twist and pose residuals by the joints' motion, against central differences of the residuals themselves."""
+    problem = Live(cube).problem
+    rng = np.random.default_rng(4)
+    s, n = np.linspace(0, 1, 4), problem.n
+    z = 0.4 * rng.standard_normal((4, 4, n))
+    z[0] += problem.start.q
+    p, R = problem.arm.tray_pose(problem.start.q)
+    t, weight = 0.1 * s, np.ones(4)
+    pose = ChunkWanted(np.array([0.0, 1.0]), np.array([p, p + 0.1]), np.array([R, R]), None)
+    for wanted in (TwistWanted(rng.standard_normal(6), np.zeros(6), 0.0, window=1.0), pose):
+        found = wanted.residuals(problem.at(s, z, 0.1), t, weight)
+        for order in (0, 1):
+            for joint in range(n):
+                step = np.zeros_like(z)
+                step[order, :, joint] = 1e-6
+                up, down = (wanted.residuals(problem.at(s, z + sign * step, 0.1), t, weight) for sign in (1, -1))
+                difference = (up.value - down.value) / 2e-6
+                near = pose is wanted and order == 0
+                # The turn's derivative is that at the wanted rotation: exact where it is met.
+                kept = np.tile(np.arange(6) < 3, 4) if near else np.ones(24, dtype=bool)
+                assert np.abs(difference - found.parts[:, order, joint])[kept].max() < 1e-6
+
+
+def test_what_cannot_be_followed_is_refused_in_a_sentence(cube):
+    live = Live(cube, lead=TICK)
+    for wish, sentence in (
+        (lambda: live.twist((np.nan, 0, 0)), "v has values that are not finite"),
+        (lambda: live.twist((300.0, 0, 0)), "v is 300; it must be at most 5 m/s, in S"),
+        (lambda: live.twist((0, 0, 0), (0, 0, 90.0)), "omega is 90; it must be at most 20 rad/s, in S"),
+        (lambda: live.twist((0, 0)), r"v has shape \(2,\)"),
+        (lambda: live.chunk([0.2, 0.1], joints=np.zeros((2, 7))), "each later than the one before"),
+        (lambda: live.chunk([0.1, 0.2], joints=np.zeros((3, 7))), r"joints has shape \(3, 7\)"),
+        (lambda: live.chunk([0.1], joints=np.full((1, 7), 9.0)), "panda_joint1 would be at 9 in posture 0"),
+        (lambda: live.chunk([0.1]), "a chunk is of poses or of joints"),
+        (lambda: live.chunk("soon", joints=np.zeros((1, 7))), "times"),
+    ):
+        status = wish()
+        assert not status.ok
+        assert re.search(sentence, status.sentence), status.sentence
+    assert live.idle
