@@ -118,7 +118,7 @@ def test_a_planner_that_fails_or_dies_leaves_what_is_committed(cube, monkeypatch
 
     monkeypatch.setattr(type(live._replanner), "to", broken)
     live.goto((0.5, -0.3, 0.4))
-    assert "The planner failed (ArithmeticError: lost)" in live.plan().refused
+    assert "The planner failed (ArithmeticError: lost)" in live.plan(60.0).refused
     more = drive(live, 1.5, every=None, begins=0.4)
     assert live.committed is goal
     check(live, in_turn(states, more))
@@ -138,7 +138,7 @@ def test_a_motion_that_comes_too_late_is_not_taken(cube, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(type(live._replanner), "to", slowly)
         live.goto((0.5, -0.3, 0.4))
-        live.plan()
+        live.plan(60.0)
     assert len(between_times) == 1
     late = drive(live, 0.01, every=None, begins=0.45)
     assert live.committed is goal
@@ -294,14 +294,14 @@ class TestWishes:
             assert re.search(sentence, status.sentence)
         assert live.idle
         live.goto((3.0, 0.0, 0.5))
-        assert "no posture of the arm within its limits reaches it" in live.plan().refused
+        assert "no posture of the arm within its limits reaches it" in live.plan(60.0).refused
         assert live.idle
 
     def test_an_obstacle_at_the_goal_is_named(self, cube):
         post = {"type": "box", "name": "post", "position": [0.45, 0.1, 0.45], "size": [0.05, 0.05, 0.4]}
         live = Live(cube.with_changes(obstacles=[post]), lead=LEAD)
         live.goto(((0.45, 0.1, 0.45), np.eye(3)))
-        assert "would be inside post" in live.plan().refused
+        assert "would be inside post" in live.plan(60.0).refused
 
     def test_queued_goals_are_reached_one_after_the_other(self, cube):
         live = Live(cube, lead=LEAD)
@@ -324,7 +324,7 @@ class TestWishes:
             "panda_joint1 is 0.100 rad from where it was told to be"
             in live.measured(told + np.eye(7)[0] * 0.1).sentence
         )
-        assert live.plan().doing == "stopping"
+        assert live.plan(60.0).doing == "stopping"
 
     def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(self, cube):
         with pytest.raises(ScenarioError, match="the load is not safe at rest at q"):

@@ -301,7 +301,13 @@ class Live:
         committed, now = self.committed, self._now
         rests_in = max(0.0, committed.ends - now)
         margin, limit = committed.margins.at(now)
-        doing = "resting" if not rests_in else "stopping" if isinstance(self._wish, Halt) else "following"
+        doing = (
+            "resting"
+            if not rests_in or committed.at_rest
+            else "stopping"
+            if isinstance(self._wish, Halt)
+            else "following"
+        )
         return State(doing, rests_in, limit, margin, self._refused, self._clock, self.lead)
 
     @property

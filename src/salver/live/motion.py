@@ -18,7 +18,7 @@ from salver.trajectory import JointMotion
 SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last
 HOLD_STEP = 1e-2  # s between nodes at which the deviation at rest is known
 SAME = 1e-9  # s; instants nearer than this are one
-SETTLED = 1.0  # s at rest after which the load's sag is that of any rest
+SETTLED = 1.0  # s at rest after which what the load makes the arm sag by changes no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +43,7 @@ class Committed:
 
     begins: live time of the motion's own time 0, s. motion: knots from 0 on; at rest after the last one, and before the
     first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
-    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. fresh: whether the arm
-    has been at rest for long when it begins.
+    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain.
     """
 
     begins: float
@@ -52,7 +51,6 @@ class Committed:
     nodes: Array
     deviation: Array | None
     margins: Margins
-    fresh: bool = False
 
     @property
     def ends(self) -> float:
@@ -64,24 +62,20 @@ class Committed:
         q, dq, ddq = self.motion.sample(t - self.begins)
         return q[0], dq[0], ddq[0]
 
-    def settled(self, t: float) -> bool:
-        """Whether at live time t the arm has been at rest for so long that it is any rest."""
-        return t >= self.ends + SETTLED or (self.fresh and self.at_rest)
-
     @property
     def at_rest(self) -> bool:
         """Whether it does not move at all."""
         return bool(np.all(self.motion.q == self.motion.q[0]))
 
     def deviation_at(self, t: float, problem: TransportProblem) -> Array | None:
-        """(2, n, k) the deviation at live time t; None for what a long rest leaves."""
-        if self.deviation is None or problem.tracking is None or self.settled(t):
+        """(2, n, k) the deviation at live time t; None where nothing is uncertain."""
+        if self.deviation is None or problem.tracking is None:
             return None
         if t <= self.nodes[-1]:
             k = int(np.clip(np.searchsorted(self.nodes, t) - 1, 0, len(self.nodes) - 2))
             u = (t - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
             return np.asarray((1 - u) * self.deviation[k] + u * self.deviation[k + 1])
-        held = t - self.nodes[-1]
+        held = min(t - self.nodes[-1], SETTLED)
         count = max(5, int(np.ceil(held / HOLD_STEP)) + 1)
         z = np.zeros((4, count, problem.n))
         z[0] = self.motion.q[-1]

@@ -72,7 +72,7 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
         e = np.concatenate([-response.joints.q, -response.held.q[:, :, None]], axis=2)
         rate = np.concatenate([-response.joints.dq, -response.held.dq[:, :, None]], axis=2)
         deviation = np.stack([e, rate], axis=1)
-    committed = Committed(begins, motion, begins + t[nodes], deviation, margins, before is None)
+    committed = Committed(begins, motion, begins + t[nodes], deviation, margins)
     return Finding(committed, excess, "")
 
 
