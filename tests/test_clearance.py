@@ -71,7 +71,7 @@ def test_there_and_back_between_two_instants_is_seen() -> None:
         for place, turn, side, away in ((there, R, 1, 0.0), (here, R_here, -1, 0.012))
     )
     wall = scenario.Obstacle(type="sphere", name="wall", radius=0.01, position=tuple(behind))
-    for beyond, touches in ((-0.001, True), (0.001, False)):
+    for beyond, touches in ((-0.001, True), (0.0005, False)):
         centre = corner + (0.01 + beyond) * ahead
         post = scenario.Obstacle(type="sphere", name="post", radius=0.01, position=tuple(centre))
         parts = arm_geometry(arm, [], [wall, post])
