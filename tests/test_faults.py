@@ -359,6 +359,13 @@ def test_checks_are_demanded_before_the_arm_is_connected(rig: Rig, monkeypatch: 
     assert library.calls == []
 
 
+def test_a_way_to_the_start_that_is_not_fit_is_not_gone(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pylibfranka", Library(rig.plan))
+    monkeypatch.setattr(execute, "check_approach", lambda *args: [Check("x", False, "A wall is in between.")])
+    with pytest.raises(SalverError, match=r"Not moved\. A wall is in between\."):
+        execute.run_on_franka(rig.folder, "arm", move_to_start=True, confirm=lambda _: pytest.fail("it was asked for"))
+
+
 def test_where_no_log_can_be_written_nothing_moves(rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "execution").write_text("in the way")
     assert "cannot be written" in check_place(tmp_path).sentence

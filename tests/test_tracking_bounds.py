@@ -232,7 +232,6 @@ def test_fastest_plans_leave_room_for_the_torque_of_any_load(name: str, kind: st
     assert_allclose(room, expected, atol=5e-3 * expected.max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("delay", [AT_ONCE, HELD])
 def test_fastest_plans_leave_room_for_where_and_how_fast_the_joints_stray(delay: float, order: int) -> None:
