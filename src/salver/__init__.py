@@ -224,11 +224,13 @@ def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None
     return of(_scenario(scenario), motion)
 
 
-def report(of: Plan | str | Path, run: SimulationRecord | None = None, *, path: str | Path | None = None) -> Page:
+def report(
+    of: Plan | Audit | str | Path, run: SimulationRecord | None = None, *, path: str | Path | None = None
+) -> Page:
     """The page with its 3-D replay; shown in a notebook, written to a file.
 
-    of: a run directory (written to DIR/report.html unless `path` says where), or a plan, with a run of it (written
-    when there is a `path`). Raises SalverError.
+    of: a run directory (written to DIR/report.html unless `path` says where), or a plan, with a run of it, or an audit
+    (written when there is a `path`). Raises SalverError.
     """
     from salver.reports.inline import page_of
 

@@ -57,12 +57,13 @@ class Pace:
 class Audit(Shown, Tabular):
     """A motion and everything that follows from it for the scenario's objects; computed when asked for.
 
-    source: what was read. motion: the tray's, with what had to be repaired or assumed.
+    source: what was read. motion: the tray's, with what had to be repaired or assumed. given: as it was read.
     """
 
     scenario: Scenario
     source: str
     motion: TrayMotion
+    given: Samples | None = None
 
     @cached_property
     def margins(self) -> Margins:
@@ -88,7 +89,7 @@ class Audit(Shown, Tabular):
         return motion_vector(s.R_SB, s.a_S, s.omega_B, s.alpha_B)
 
     @cached_property
-    def _exact(self) -> tuple[Array, Array]:
+    def reserves(self) -> tuple[Array, Array]:
         """(T,) exact margins at all instants, nominal and in the worst case; some at a time."""
         parts = []
         every = np.arange(len(self._w))
@@ -108,12 +109,12 @@ class Audit(Shown, Tabular):
         if len(self._w) <= AT_ONCE:
             return np.arange(len(self._w))
         s = self.motion.samples
-        measures = [*self._exact, -np.linalg.norm(s.a_S, axis=1), s.R_SB[:, 2, 2]]
+        measures = [*self.reserves, -np.linalg.norm(s.a_S, axis=1), s.R_SB[:, 2, 2]]
         each = max(1, AT_ONCE // (2 * len(self._starts) * len(measures)))
         chosen = [np.array([0, len(self._w) - 1])]
         for measure in measures:
             chosen += [k + np.argsort(measure[k : k + AT_ONCE])[:each] for k in self._starts]
-        chosen += [np.flatnonzero(margin < 0)[:1] for margin in self._exact]
+        chosen += [np.flatnonzero(margin < 0)[:1] for margin in self.reserves]
         return np.unique(np.concatenate(chosen)).astype(np.intp)
 
     @cached_property
@@ -127,7 +128,7 @@ class Audit(Shown, Tabular):
 
     def reserve(self, worst: bool = False) -> Array:
         """(T,) m/s^2: acceleration, in any direction, that would still be borne beyond the motion's own."""
-        return 9.81 * self._exact[worst]
+        return 9.81 * self.reserves[worst]
 
     def _verdict(self, worst: bool) -> Status:
         reserve = self.reserve(worst)
@@ -359,7 +360,7 @@ class Audit(Shown, Tabular):
 
     def table(self) -> Table:
         """The tray's motion (frame E) as it was understood, and how far it is from the edge, for pandas and xarray."""
-        s, (nominal, worst) = self.motion.samples, self._exact
+        s, (nominal, worst) = self.motion.samples, self.reserves
         values = {"p_SE": s.p_SB, "v_S": s.v_S, "a_S": s.a_S, "omega_E": s.omega_B, "alpha_E": s.alpha_B}
         curves = {"margin": nominal, "margin_worst_case": worst}
         return Table(
@@ -516,7 +517,7 @@ def audit_samples(
     first = scenario.payload.first
     joints = _arm(scenario) if isinstance(samples, JointSamples) else None
     motion = tray_motion(samples, joints, *invert(first.p_EB, first.R_EB), highest, noise, longest_gap)
-    return Audit(scenario, samples.source, motion)
+    return Audit(scenario, samples.source, motion, samples)
 
 
 def _arm(scenario: Scenario) -> ArmModel | None:

@@ -7,26 +7,47 @@ from typing import Annotated
 
 import typer
 
+from salver.cli.audit import Gap, Highest, Noise, Topic
 from salver.cli.common import Json, print_json, say
 
 
 def report(
-    directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it.")],
+    directory: Annotated[
+        Path, typer.Argument(help="A run directory, as `salver plan` makes it; or a motion file, with --scenario.")
+    ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Where to write it; DIR/report.html by default.")
+        Path | None, typer.Option("-o", "--output", help="Where to write it; DIR/report.html, FILE.html by default.")
     ] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option("-s", "--scenario", help="What is on the tray, for a motion file: a name or a .toml file."),
+    ] = None,
+    topic: Topic = None,
+    highest: Highest = 50.0,
+    noise: Noise = None,
+    gap: Gap = None,
     json: Json = False,
 ) -> None:
     """Write one self-contained page about a run: verdict, 3-D replay, margins, tubes, results.
+
+    Or about the audit of a motion file, with the options of `salver audit`.
 
     It opens from disk in any current browser and needs no network. It shows what the directory has: run it again
     after `salver simulate` or `salver campaign`.
 
     Example: `salver report out/panda-cube`
     """
-    from salver.reports.page import write_report
+    if scenario is not None:
+        from salver import scenario as scenarios
+        from salver.auditing import audit
+        from salver.reports.audit_page import write_audit_page
 
-    path = write_report(directory, output, say)
+        found = audit(directory, scenarios.load(scenario), topic, highest, noise, gap)
+        path = write_audit_page(found, output or directory.with_suffix(".html"))
+    else:
+        from salver.reports.page import write_report
+
+        path = write_report(directory, output, say)
     if json:
         print_json({"page": str(path), "bytes": path.stat().st_size})
     else:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
+from salver.auditing import Audit
 from salver.files import output_file, write_atomic
+from salver.reports.audit_page import audit_page
 from salver.reports.page import page, write_report
 from salver.reports.run import read_run
 
@@ -37,13 +39,16 @@ class Page:
         return str(frame.format(self.html, HEIGHT))
 
 
-def page_of(of: Plan | str | Path, run: SimulationRecord | None = None, path: str | Path | None = None) -> Page:
+def page_of(of: Plan | Audit | str | Path, run: SimulationRecord | None = None, path: str | Path | None = None) -> Page:
     """The page of a run directory (written to `path`, by default DIR/report.html), or of a plan that need not be saved
-    (written if there is a `path`), with a run of it in the engine."""
+    (written if there is a `path`), with a run of it in the engine; or that of an audit."""
     if isinstance(of, str | Path):
         written = write_report(of, path)
         return Page(written.read_text(encoding="utf-8"), written)
     target = None if path is None else output_file(path, (".html", ".htm"))
+    if isinstance(of, Audit):
+        html = audit_page(of)
+        return Page(html, None if target is None else write_atomic(target, html, keep=True))
     with TemporaryDirectory() as folder:
         directory = Path(folder) / of.scenario.name
         of.save(directory)

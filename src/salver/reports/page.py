@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,8 +19,9 @@ from salver.reports.cells import joined
 from salver.reports.charts import thin
 from salver.reports.replay import replay_scene
 from salver.reports.run import Motion, Run, read_run
+from salver.reports.sections import Sections
 from salver.reports.style import ROLE_COLOURS
-from salver.reports.words import asked, outcome_in_words, true_parameters, verdict
+from salver.reports.words import Verdict, asked, outcome_in_words, true_parameters, verdict
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -46,26 +47,49 @@ def page(run: Run) -> str:
     """The whole page as text."""
     arm = _arm(run)
     made = sections.build(run, arm)
-    answer = verdict(run)
-    data = {"replay": _replay(run, arm), "charts": made.specs}
+    return filled(
+        verdict(run),
+        made,
+        replay(run, arm),
+        name=run.scenario.name,
+        asked=asked(run),
+        notes=run.notes,
+        tiles=sections.tiles(run),
+        source=run.directory.name or str(run.directory),
+    )
+
+
+def filled(
+    answer: Verdict,
+    made: Sections,
+    shown: dict[str, Any],
+    *,
+    name: str,
+    asked: str,
+    notes: Sequence[str],
+    tiles: Markup,
+    source: str,
+) -> str:
+    """The template with everything in its place: what any page of salver is."""
+    data = {"replay": shown, "charts": made.specs}
     script = _asset("viewer.js") + _asset("plots.js") + _asset("main.js")
     return _fill(
         _asset("page.html"),
-        title=f"{run.scenario.name}: {answer.headline}",
-        name=run.scenario.name,
+        title=f"{name}: {answer.headline}",
+        name=name,
         css=Markup(_asset("page.css")),
         policy=_policy(script),
         level=answer.level,
         headline=answer.headline,
         detail=answer.detail,
-        asked=asked(run),
-        notes=joined(Markup('<p class="note">{}</p>').format(note) for note in run.notes),
-        tiles=sections.tiles(run),
+        asked=asked,
+        notes=joined(Markup('<p class="note">{}</p>').format(note) for note in notes),
+        tiles=tiles,
         navigation=joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in made.titles),
         replay=Markup(_asset("replay.html")),
         sections=made.html,
         version=versions()["salver"],
-        directory=run.directory.name or str(run.directory),
+        directory=source,
         # "<" could end the script element, or begin a comment in it; in JSON "\\u003c" is the same text.
         data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
         script=Markup(script),
@@ -103,7 +127,7 @@ def _arm(run: Run) -> ArmModel | None:
     return load_arm(run.scenario.arm, run.scenario.tray)
 
 
-def _replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
+def replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
     """The 3-D scene, a caption for each motion, and friction in use over time (1 at its largest) for the scrubber."""
     scene = replay_scene(run, arm)
     used = []

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 NAVIGATION = {
     "replay": "Replay",
     "margins": "Margins",
+    "known": "How it is known",
     "campaign": "Perturbed runs",
     "simulation": "Simulation",
     "execution": "On the arm",
@@ -159,6 +160,11 @@ def tiles(run: Run) -> Markup:
                 str(solver.get("name", "")),
             )
         )
+    return tile_list(shown)
+
+
+def tile_list(shown: Iterable[tuple[str, str, str]]) -> Markup:
+    """Label, figure, and what is said below it."""
     return joined(Markup("<div><dt>{}</dt><dd>{}<small>{}</small></dd></div>").format(*tile) for tile in shown)
 
 
