@@ -28,6 +28,7 @@ from salver.trajectory import MotionSamples, SampledReference
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
 
+UNCHECKED = "Not checked: whether an arm can follow the motion, and whether anything collides."
 INSTANTS = 4001  # of the motion that is drawn
 HEADLINES = {
     "holds": ("good", "Everything stays where it is, whatever is carried within its ranges"),
@@ -48,13 +49,17 @@ def audit_page(audit: Audit) -> str:
     level, headline = HEADLINES[audit.outcome]
     if audit.outcome == "does_not_hold" and audit.nominal.ok:
         headline = "It holds for the nominal load, and not for everything that it may be"
-    answer = Verdict(level, headline, audit.worst.sentence if audit.nominal.ok else audit.nominal.sentence)
+    sentence = audit.worst.sentence if audit.nominal.ok else audit.nominal.sentence
+    answer = Verdict(level, headline, f"{UNCHECKED} {sentence}")
+    shown = replay(run, arm)
+    for variant in shown["variants"]:
+        variant["caption"] = "as it was read"
     return filled(
         answer,
         _sections(audit),
-        replay(run, arm),
+        shown,
         name=f"{Path(audit.source).name} with the load of {audit.scenario.name}",
-        asked="Not checked: whether an arm can follow the motion, and whether anything collides.",
+        asked=f"A motion of {float(np.ptp(audit.motion.samples.t)):.2f} s that is given, with {run.load} on the tray.",
         notes=audit.motion.notes,
         tiles=_tiles(audit),
         source=audit.source,
