@@ -63,8 +63,7 @@ class Case:
     @classmethod
     def of(cls, name: str, plan: Plan) -> Case:
         t = np.arange(int(plan.duration * RATE + 1e-6) + 1) / RATE
-        space = "joint" if plan.method == "fastest" else "object"
-        return cls(name, plan, arm_chain(chain_model(plan.scenario), plan.joint, space=space, t=t))
+        return cls(name, plan, arm_chain(chain_model(plan.scenario), plan.joint, space=plan.space, t=t))
 
     @property
     def t(self) -> Array:

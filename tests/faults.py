@@ -19,7 +19,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -37,6 +37,7 @@ from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan, load_plan
+from salver.planning.stops import plan_stops, stop_problem
 
 CASE = scenario.load("panda-cube").with_changes(
     motion__duration=1.25, motion__nodes=21, physics__settle_before=0.05, physics__settle_after=0.1
@@ -53,7 +54,11 @@ EXCEPTIONS: tuple[Callable[[], BaseException], ...] = (
     lambda: SystemExit(1),
     lambda: KeyboardInterrupt(),
 )
-SITES = ("read", "write", "look", "start", "stop", "controller", "brake", "braking", "row", "save", "record")
+SITES = (
+    "read", "write", "look", "start", "stop", "controller", "planned", "stopping", "brake", "braking", "row", "save",
+    "record",
+)  # fmt: skip
+ONCE = ("look", "start", "stop", "save", "record", "planned", "brake")  # sites that are not passed every period
 Change = Callable[[Any], Any]
 
 
@@ -93,14 +98,14 @@ def _one(rng: np.random.Generator, at: int) -> Fault:
         words, change = _sample(rng)
         return Fault("read", at, lasts, f"{words} {when}", change, odd=words.startswith(("answer", "q = ")))
     if kind == "torque":
-        site = str(rng.choice(["controller", "braking"]))
+        site = str(rng.choice(["controller", "stopping", "braking"]))
         words, change = _torque(rng)
         return Fault(site, at, lasts, f"{site} gives {words} {when}", change)
     if kind == "signal":
         numbers = tuple(int(n) for n in rng.choice([signal.SIGINT, signal.SIGTERM, signal.SIGHUP], rng.integers(1, 4)))
         return Fault("read", at, int(rng.choice([1, 3, 200])), f"signals {numbers} {when}", signals=numbers)
     site, error = str(rng.choice(SITES)), EXCEPTIONS[rng.integers(len(EXCEPTIONS))]
-    if site in ("look", "start", "stop", "save", "record", "brake"):
+    if site in ONCE:
         at, lasts = 0, int(rng.choice([1, 2, 10**6]))
     return Fault(site, at, lasts, f"{site} raises {error()!r} at period {at} for {lasts}", error=error)
 
@@ -221,7 +226,7 @@ class Bench:
             if fault.error is None or fault.site != site:
                 continue
             here = fault.now(self.period)
-            if site in ("look", "start", "stop", "save", "record", "brake"):
+            if site in ONCE:
                 here = self.raised[fault.words] < fault.lasts
             if here:
                 self.raised[fault.words] += 1
@@ -231,9 +236,14 @@ class Bench:
 class Rig:
     """A plan in a run directory, and all that need not be made anew for each fault."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, every: float | None = None) -> None:
+        """every: s between the instants with a load-safe stop; None for a plan without any."""
         self.folder = folder
-        make_plan(CASE).save(folder)
+        plan = make_plan(CASE)
+        if every is not None:
+            assert plan.joint is not None
+            plan = replace(plan, stops=plan_stops(stop_problem(plan), plan.joint, every, plan.space))
+        plan.save(folder)
         self.plan = load_plan(folder)
         self.arm = load_arm(self.plan.scenario.arm, self.plan.scenario.tray)  # type: ignore[arg-type]
         self.carried = self.plan.scenario.payload.bodies
@@ -264,11 +274,12 @@ class Rig:
 
     def _patches(self, bench: Bench, robot: Callable[..., Arm]) -> Iterator[Any]:
         step, brake, braking = ArmController.step, stops.CoolStop.__init__, stops.CoolStop.step
-        row, save, record, drive = execute_book().add, logs.save_record, SimulatedRobot.record, execute.drive
+        row, save, record, run = execute_book().add, logs.save_record, SimulatedRobot.record, execute.Drive.run
+        plan, stop = stops.PlannedStop.__init__, stops.PlannedStop.step
 
-        def armed_drive(*args: Any, **options: Any) -> Any:
+        def armed_run(drive: Any) -> Any:
             bench.armed = True
-            return drive(*args, **options)
+            return run(drive)
 
         def faulty(site: str, inner: Callable[..., Any]) -> Callable[..., Any]:
             def call(*args: Any, **options: Any) -> Any:
@@ -282,8 +293,10 @@ class Rig:
         yield patch.object(execute, "check_plan", lambda *args: list(self.checks))
         yield patch.object(execute, "check_franka", lambda *args: list(self.franka))
         yield patch.object(execute, "SimulatedRobot", robot)
-        yield patch.object(execute, "drive", armed_drive)
+        yield patch.object(execute.Drive, "run", armed_run)
         yield patch.object(ArmController, "step", faulty("controller", step))
+        yield patch.object(stops.PlannedStop, "__init__", faulty("planned", plan))
+        yield patch.object(stops.PlannedStop, "step", faulty("stopping", stop))
         yield patch.object(stops.CoolStop, "__init__", faulty("brake", brake))
         yield patch.object(stops.CoolStop, "step", faulty("braking", braking))
         yield patch.object(execute_book(), "add", faulty("row", row))
@@ -359,6 +372,8 @@ class Outcome:
                 yield f"{name} in the log holds what is no number"
         if self.robot.failed and not summary["stopped"]:
             yield "the log does not say that the robot failed"
+        if summary["load_kept_in_stop"] and summary.get("outcome") not in ("holds", "stopped"):
+            yield f"the load is said to be kept, and it {summary['outcome']}"
         if summary["stopped"] and self.result.achieved:
             yield "a run that was stopped is said to have achieved what was asked for"
         json.dumps(summary)
@@ -371,10 +386,10 @@ def main() -> None:
     given = asked.parse_args()
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
-        rig = Rig(Path(folder) / "run")
+        rigs = Rig(Path(folder) / "cool"), Rig(Path(folder) / "safe", every=0.1)
         for seed in range(given.seed, given.seed + given.n):
             faults = draw(seed)
-            outcome = rig.throw(faults, franka=seed % 3 == 0 and not any(fault.odd for fault in faults))
+            outcome = rigs[seed % 2].throw(faults, franka=seed % 3 == 0 and not any(fault.odd for fault in faults))
             wrong = outcome.wrong()
             counts["runs"] += 1
             counts["torques sent"] += len(outcome.robot.sent)
@@ -382,6 +397,7 @@ def main() -> None:
             summary = outcome.result.summary if isinstance(outcome.result, execute.Execution) else {}
             counts["went on to the end"] += not summary.get("stopped", "-")
             counts["stopped"] += bool(summary.get("stopped"))
+            counts["stopped, load surely kept"] += bool(summary.get("load_kept_in_stop"))
             counts["states bridged"] += summary.get("bridged", 0)
             if wrong or given.n == 1:
                 print(

@@ -1,5 +1,6 @@
 """Load-safe stops: from anywhere along a plan to rest, with the load in its place for the whole uncertain set."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,15 +8,21 @@ import pytest
 from typer.testing import CliRunner
 
 import salver as sv
+from salver.campaigns import instant_of_run, run_campaign
+from salver.campaigns.summary import read_table, summarise
 from salver.cli import app
 from salver.control.arm import ArmState
+from salver.driver.preflight import _stops
 from salver.driver.stops import CoolStop
-from salver.errors import ScenarioError
-from salver.models.arm import with_load
-from salver.planning.fastest import transport_problem
+from salver.errors import FileFormatError, SalverError, ScenarioError, Status
+from salver.models.arm import load_arm, with_load
+from salver.planning.fastest import AtPosture, transport_problem
 from salver.planning.fastest.constraints import evaluate, worst_of
+from salver.planning.fastest.curves import BrakingCurve, Grid
+from salver.planning.fastest.retiming import SplinePath
+from salver.planning.fastest.spline import RestSpline
 from salver.planning.stop_library import StopLibrary
-from salver.planning.stops import plan_stops, stopped, with_stops
+from salver.planning.stops import plan_stops, stop_from, stop_problem, stopped, with_stops
 
 
 @pytest.fixture(scope="module")
@@ -37,15 +44,31 @@ def test_a_stop_begins_in_the_plans_state_and_ends_at_rest(bottle):
 
 
 def test_whenever_it_is_asked_for_the_arm_rests_no_later_than_with_the_plan(bottle):
-    for now in np.linspace(0, bottle.duration, 301):
-        assert bottle.stops.rests_at(now) <= bottle.duration
+    for now in np.linspace(1e-3, bottle.duration, 301):
+        rests = bottle.stops.course(now).rests
+        assert now <= rests <= bottle.duration
         motion = bottle.stops.stopped(bottle.joint, now)
-        assert motion.duration == pytest.approx(bottle.stops.rests_at(now))
+        assert motion.duration == pytest.approx(rests)
         until = np.linspace(0, now, 7)
         assert np.allclose(motion.sample(until)[0], bottle.joint.sample(until)[0], atol=1e-9)  # not before it is asked
-    waits = [bottle.stops.rests_at(now) - now for now in np.linspace(0, bottle.duration, 2001)]
+    waits = [bottle.stops.course(now).rests - now for now in np.linspace(0, bottle.duration, 2001)]
     assert max(waits) <= bottle.stops.longest + 1e-9
     assert bottle.stops.longest < 0.7 * bottle.duration
+
+
+def test_before_it_begins_nothing_moves_and_near_its_end_it_is_finished(bottle):
+    stops = bottle.stops
+    for now in (-0.1, 0.0):
+        assert stops.course(now).rests == now
+        assert stops.course(now).stop is None
+    assert stops.course(stops.t[-1] + 1e-6).rests == bottle.duration
+    assert stops.t[-1] < stops.finishing < bottle.duration
+    for now in (stops.finishing - 1e-3, stops.finishing + 1e-6):
+        assert (stops.course(now).stop is None) == (now > stops.finishing)
+    assert f"from {stops.finishing:.2f} s on only by finishing" in stops.sentence
+    none = replace(stops, t=stops.t[:0], duration=stops.duration[:0])
+    assert none.sentence.endswith(f"it can only be finished, within {bottle.duration:.2f} s.")
+    assert none.longest == pytest.approx(bottle.duration)
 
 
 def test_what_is_moved_keeps_every_condition_from_the_first_instant_to_rest(bottle):
@@ -71,7 +94,7 @@ def test_the_bottle_stays_at_the_worst_corners_where_braking_without_a_plan_drop
             [-signs if n == "friction" else 1 for n in uncertain.names]
         )
         parameters = dict(zip(map(str, uncertain.names), values.tolist(), strict=True))
-        assert sv.simulate(stopped(bottle, now), parameters=parameters).outcome == "holds"
+        assert sv.simulate(bottle, parameters=parameters, stop_at=now).outcome == "holds"
         fallen += sv.simulate(_cooled(bottle, loaded, now), parameters=parameters).outcome != "holds"
     assert fallen >= 2
 
@@ -83,7 +106,12 @@ def _cooled(plan, loaded, now):
     s = np.linspace(0, stop.braking, 61)
     states = (np.array(x) for x in zip(*(stop.reference(x) for x in s), strict=True))
     library = StopLibrary(
-        np.array([now]), np.array([stop.braking]), s / stop.braking, *(x[None] for x in states), np.inf
+        np.array([now]),
+        np.array([stop.braking]),
+        s / stop.braking,
+        *(x[None] for x in states),
+        np.zeros((2, 7)),
+        np.inf,
     )
     return stopped(replace(plan, stops=library), now)
 
@@ -102,10 +130,154 @@ def test_stops_come_back_from_the_files_of_a_plan(bottle, tmp_path):
     assert written == ["plan-stop.json", "plan-stop.npz"]  # not what the page takes for a run of the plan
 
 
+def test_a_campaign_of_stops_goes_on_and_each_run_comes_again_alone(bottle, tmp_path):
+    """Each run has its own instant, the same when it is made again; more runs keep the first three."""
+    bottle.save(tmp_path)
+    earlier = read_table(run_campaign(tmp_path, 3, method="corners", stops=True, jobs=1).folder / "runs.parquet")
+    both = run_campaign(tmp_path, 5, method="corners", stops=True, jobs=1)
+    table = read_table(both.folder / "runs.parquet")
+    assert both.folder.name == "stops"
+    assert {name: values[:3] for name, values in table.items()} == earlier
+    assert table["stop_at"] == [instant_of_run(0, k, bottle.duration) for k in range(5)]
+    assert len(set(table["stop_at"])) == 5
+    for now, takes in zip(table["stop_at"], table["stop_takes"], strict=True):
+        assert takes == pytest.approx(bottle.stops.course(now).rests - now)
+    told = both.summary["plans"]["plan"]["stops"]
+    assert (told["lost"]["count"], told["lost"]["of"], told["beyond_a_limit"]["count"]) == (0, 5, 0)
+    alone = CliRunner().invoke(app, ["simulate", str(tmp_path), "--run", "4", "--folder", "stops", "--json"])
+    assert json.loads(alone.stdout)["plan"]["stop_at"] == table["stop_at"][4]
+    assert json.loads(alone.stdout)["plan"]["objects"][0]["peak_slip"] == table["peak_slip"][4]
+    with pytest.raises(SalverError, match="use --engine physics"):
+        run_campaign(tmp_path, 3, stops=True, engine="closed-loop")
+
+
+def test_lost_and_beyond_a_limit_are_counted_from_what_became_of_the_load(tmp_path):
+    became = (
+        [("holds", 1e-5, False), ("slides", 4e-3, True), ("slides", 6e-3, False), ("tips", 0.0, False)],
+        [("lifts", 0.0, False), ("lost", 0.3, False), ("limit", 1e-4, False), ("holds", 1e-4, True)],
+    )
+    names = ("outcome", "peak_slip", "finishes")
+    same = {"stem": "plan", "stop_at": 0.1, "stop_takes": 0.2}
+    runs = enumerate(run for half in became for run in half)
+    rows = [{**same, "run": k, **dict(zip(names, run, strict=True))} for k, run in runs]
+    told = summarise(rows, ["plan"], tmp_path)["plans"]["plan"]["stops"]
+    assert (told["lost"]["count"], told["lost"]["of"], told["beyond_a_limit"]["count"], told["finished"]) == (
+        4,
+        8,
+        1,
+        2,
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: {"q": s.q + 1e-4}, "do not begin where the plan is"),
+        (lambda s: {"dq": np.where(np.arange(len(s.s))[:, None] < len(s.s) - 1, s.dq, 0.01)}, "do not end at rest"),
+        (lambda s: {"duration": 0.7 * s.duration}, "is not safe"),
+        (lambda s: {"t": s.t[::-1]}, "their times do not increase"),
+        (lambda s: {"ddq": np.where(s.ddq == s.ddq.max(), np.nan, s.ddq)}, "stop_ddq is no array of numbers"),
+        (lambda s: {"stray": s.stray[1:]}, "stop_stray is no array of numbers"),
+    ],
+)
+def test_nothing_moves_with_stops_that_are_not_what_they_should_be(bottle, change, words):
+    case = bottle.scenario
+    arm = load_arm(case.arm, case.tray)
+    stops = bottle.stops
+    few = replace(stops, **{x: getattr(stops, x)[::4] for x in ("t", "duration", "q", "dq", "ddq")})
+    few = replace(few, stray=stops.stray[-len(few.t) - 1 :])
+    assert _stops(replace(bottle, stops=few), arm, case.payload.bodies).ok
+    told = _stops(replace(bottle, stops=replace(few, **change(few))), arm, case.payload.bodies)
+    assert words in told.sentence
+    assert not told.ok
+    assert told.required
+
+
 def test_what_has_no_stops_says_so_in_a_sentence(bottle):
     with pytest.raises(ScenarioError, match="has no stops"):
         stopped(replace(bottle, stops=None), 0.1)
-    with pytest.raises(ScenarioError, match="asked for at 9 s; the plan lasts"):
+    with pytest.raises(ScenarioError, match="asked for at 9 s; it must be after 0"):
         stopped(bottle, 9.0)
-    with pytest.raises(ScenarioError, match="safe fastest plans"):
-        with_stops(sv.plan("panda-cube"))
+    unsafe = replace(bottle, status=Status("infeasible", "No.", False))
+    for plan in (sv.plan("panda-cube", arm=False), unsafe):
+        with pytest.raises(ScenarioError, match="safe plans of an arm"):
+            with_stops(plan)
+    with pytest.raises(ScenarioError, match="has no arm"):
+        sv.simulate(replace(bottle, scenario=bottle.scenario.with_changes(arm=None)), stop_at=0.1)
+    arrays = bottle.stops.arrays()
+    del arrays["stop_stray"]
+    with pytest.raises(FileFormatError, match="lack the array stop_stray"):
+        StopLibrary.of_arrays(arrays, 1.0)
+
+
+def test_a_plan_in_object_space_stops_in_the_joints_and_keeps_its_load():
+    """Its controller closes the loop on the cube's pose; the stop's on the joints, from the deviation as it then is."""
+    plan = sv.plan(sv.load_scenario("panda-cube", motion__duration=1.25))
+    stops = plan_stops(stop_problem(plan), plan.joint, every=0.25, space=plan.space)
+    plan = replace(plan, stops=stops)
+    assert plan.space == "object"
+    assert len(stops.t) == 4
+    assert stops.duration.max() < 0.4
+    for now, mass in ((0.3, 0.2816), (0.7, 0.2304)):
+        run = sv.simulate(plan, parameters={"mass": mass}, stop_at=now)
+        assert run.outcome == "holds"
+        assert run.summary["arm"]["torque_rate_cut"] == 0  # nothing jumps where one controller follows the other
+        assert run.t[-1] < stops.course(now).rests + 0.6
+        off = np.abs(run.q - stops.stopped(plan.joint, now).sample(run.t)[0]).max(axis=0)
+        # As far as was said; at nominal parameters too the engine's arm is up to 0.2 mrad from where it is expected.
+        assert np.all(off <= stops.stray[stops.course(now).stop] + 2e-4)
+        assert off.max() > 0.7 * stops.stray.max()  # and that is no idle bound: this is a corner
+
+
+def test_a_motion_of_ones_own_can_be_stopped_from_any_state(bottle):
+    """Without a guess, and not on any plan: the bottle's, a tenth slower. It begins in that state."""
+    problem = transport_problem(bottle.scenario)
+    q, dq, ddq = (x[0] for x in bottle.joint.sample(0.3))
+    found = stop_from(problem, AtPosture(q, 0.9 * dq, 0.81 * ddq))
+    begin = [x[0] for x in (found.motion.q, found.motion.dq, found.motion.ddq)]
+    assert np.allclose(np.concatenate(begin), np.concatenate([q, 0.9 * dq, 0.81 * ddq]), atol=1e-9)
+    assert np.abs(found.motion.dq[-1]).max() < 1e-9
+    assert found.motion.duration < bottle.stops.course(0.3).rests - 0.3
+    assert stop_from(problem, AtPosture(q, 3 * dq)) is None  # beyond the speed limit
+
+
+def test_a_time_law_that_begins_moving_has_the_derivatives_that_differences_give(bottle):
+    """By every coefficient and by the duration, of every row of z; the start is that of the motion, to its speed."""
+    path, spline = SplinePath.timed(bottle.joint), RestSpline(degree=5, spans=4)
+    curve = BrakingCurve(stop_problem(bottle), Grid.of(spline, np.linspace(0, 1, 9)), path, 0.4, 1 / bottle.duration)
+    coefficients = np.linspace(0.4, 0.55, spline.size)[:, None]
+    z = curve.motion(coefficients, 0.3)
+    for value, expected in zip(z[:3, 0], bottle.joint.sample(0.4 * bottle.duration), strict=True):
+        assert np.allclose(value, expected[0], atol=2e-3)
+    assert np.abs(z[1:3, -1]).max() < 1e-9
+    step = 1e-6
+    ahead, behind = (curve.motion(coefficients, 0.3 * np.exp(sign * step)) for sign in (1, -1))
+    by_duration = curve.by_duration(coefficients, 0.3, z)
+    assert np.allclose(by_duration, (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-5 * np.abs(by_duration).max())
+    parts, point = np.random.default_rng(0).normal(size=(9, 4, 7)), np.arange(9)
+    columns = curve.columns(coefficients, 0.3, parts, point)
+    for k in range(spline.size):
+        ahead, behind = (
+            curve.motion(coefficients + sign * step * np.eye(spline.size)[:, k : k + 1], 0.3) for sign in (1, -1)
+        )
+        found = np.einsum("pkn,kpn->p", parts, (ahead - behind) / (2 * step))
+        assert np.allclose(columns[:, k], found, rtol=1e-4, atol=1e-5 * np.abs(columns).max())
+
+
+def test_stops_on_the_path_stay_on_it_and_are_no_sooner_than_free_ones():
+    """Of a level cube, which need not lean: it can brake on its own path from some instants."""
+    plan = sv.plan(sv.load_scenario("panda-cube", motion__duration=1.25))
+    stops, free = (
+        plan_stops(stop_problem(plan), plan.joint, every=0.25, space=plan.space, on_path=on_path)
+        for on_path in (True, False)
+    )
+    assert len(stops.t) >= 1
+    passed = plan.joint.sample(np.linspace(0, plan.duration, 5001))[0]
+    half_step = 0.5 * np.abs(np.diff(passed, axis=0)).max()
+    for k in range(len(stops.t)):
+        motion = stops.motion(k)
+        q = motion.sample(np.linspace(0, motion.duration, 21))[0]
+        assert np.abs(passed[None] - q[:, None]).max(axis=2).min(axis=1).max() < half_step + 1e-7
+        assert np.abs(motion.dq[-1]).max() < 1e-9
+    for now in np.linspace(0.01, plan.duration, 60):
+        assert stops.course(now).rests >= free.course(now).rests - 0.02  # a local optimum each

@@ -159,11 +159,13 @@ def simulate(
     *,
     parameters: Mapping[str, float] | None = None,
     seed: int = 0,
+    stop_at: float | None = None,
 ) -> SimulationRecord:
     """Run a plan in the physics engine; see `salver.simulation.physics.simulate`.
 
     With a scenario: a motion file, or its columns, as `audit` takes it; the tray is then moved exactly, without an arm.
-    parameters: true values by name where they are not nominal, for example {"mass": 0.3}. Raises ScenarioError.
+    parameters: true values by name where they are not nominal, for example {"mass": 0.3}. stop_at: s, when a stop is
+    asked for, of a plan with stops. Raises ScenarioError.
     """
     from salver.planning.plan import Plan
 
@@ -177,7 +179,7 @@ def simulate(
         raise _no_plan("simulate", plan)
     from salver.simulation.physics import simulate as run
 
-    return run(plan, parameters=parameters, seed=seed)
+    return run(plan, parameters=parameters, seed=seed, stop_at=stop_at)
 
 
 def campaign(

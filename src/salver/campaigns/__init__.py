@@ -4,7 +4,15 @@
 `salver simulate DIR --run k` repeats it.
 """
 
-from salver.campaigns.definition import Definition, parameters_of_run, read_definition, seed_of_run
+from salver.campaigns.definition import Definition, instant_of_run, parameters_of_run, read_definition, seed_of_run
 from salver.campaigns.engine import Campaign, run_campaign
 
-__all__ = ["Campaign", "Definition", "parameters_of_run", "read_definition", "run_campaign", "seed_of_run"]
+__all__ = [
+    "Campaign",
+    "Definition",
+    "instant_of_run",
+    "parameters_of_run",
+    "read_definition",
+    "run_campaign",
+    "seed_of_run",
+]

@@ -19,6 +19,7 @@ Engine = Literal["physics", "closed-loop"]
 ENGINES: tuple[str, ...] = get_args(Engine)
 SUMMARY = "campaign.json"
 DEFAULT_FOLDER = "campaign"
+STOPS_FOLDER = "stops"  # of a campaign of stopped runs
 MOST_RUNS = 200_000  # of all plans together: records of some 5 kB each
 
 
@@ -28,6 +29,7 @@ class Definition:
 
     plans: stem of the plan's file -> digest of its content. scenario: digest of the resolved scenario.
     engine: "physics" (arm, tray and objects with contact) or "closed-loop" (eqs 18 and 19 alone, no contact).
+    stops: whether each run is stopped at an instant of its own.
     """
 
     scenario: str
@@ -36,6 +38,7 @@ class Definition:
     seed: int
     method: str
     engine: str
+    stops: bool = False
 
     def extends(self, other: Definition) -> bool:
         """Whether the runs of `other` are the first runs of this one."""
@@ -45,12 +48,12 @@ class Definition:
     def in_words(self) -> str:
         return (
             f"{self.n} runs of {' and '.join(self.plans)} (scenario {self.scenario}), method {self.method}, "
-            f"seed {self.seed}, engine {self.engine}"
+            f"seed {self.seed}, engine {self.engine}{', each stopped on its way' if self.stops else ''}"
         )
 
 
 def define(
-    directory: Path, stems: Sequence[str], n: int, seed: int, method: str, engine: str, folder: str
+    directory: Path, stems: Sequence[str], n: int, seed: int, method: str, engine: str, folder: str, stops: bool
 ) -> Definition:
     """Definition of a campaign in a run directory. Raises SalverError, one sentence for each mistake."""
     if n < 1:
@@ -74,9 +77,13 @@ def define(
         raise SalverError(
             f"{case.payload.liquids[0].name} holds a liquid, which the engine closed-loop does not know; use physics."
         )
-    if not case.payload.uncertain.size:
+    if stops and engine != "physics":
+        raise SalverError(f"Stops are motions of an arm; the engine {engine} has none: use --engine physics.")
+    if not case.payload.uncertain.size and not stops:
         raise SalverError(f"Nothing is uncertain in {case.name}: all runs would be the same; use simulate for one run.")
-    return Definition(case.digest, {stem: plan_digest(directory, stem) for stem in stems}, n, seed, method, engine)
+    return Definition(
+        case.digest, {stem: plan_digest(directory, stem) for stem in stems}, n, seed, method, engine, stops
+    )
 
 
 def load_scenario(directory: Path) -> scenario.Scenario:
@@ -106,6 +113,11 @@ def seed_of_run(seed: int, run: int) -> int:
     return int(np.random.default_rng([seed, run, 1]).integers(2**31))
 
 
+def instant_of_run(seed: int, run: int, duration: float) -> float:
+    """When run number `run` of a campaign of stops is asked to stop, s: anywhere in the plan's duration."""
+    return float(np.random.default_rng([seed, run, 2]).uniform(0.0, duration))
+
+
 def read_definition(directory: str | Path, folder: str = DEFAULT_FOLDER) -> Definition:
     """Definition of the campaign that a run directory holds. Raises SalverError when there is none."""
     path = Path(directory) / folder / SUMMARY
@@ -117,7 +129,9 @@ def read_definition(directory: str | Path, folder: str = DEFAULT_FOLDER) -> Defi
 def definition_in(summary: Any, path: Path) -> Definition:
     """The definition that a campaign.json holds. Raises FileFormatError when it is not one of salver's."""
     found = summary.get("definition") if isinstance(summary, dict) else None
-    kinds = {"scenario": str, "plans": dict, "n": int, "seed": int, "method": str, "engine": str}
+    kinds = {"scenario": str, "plans": dict, "n": int, "seed": int, "method": str, "engine": str, "stops": bool}
+    if isinstance(found, dict):
+        found = {"stops": False, **found}  # of before there were any
     if not isinstance(found, dict) or {key: type(value) for key, value in found.items()} != kinds:
         raise FileFormatError(
             f"{path} is not a campaign that salver wrote: it has no definition; move it away or use another --folder."

@@ -11,13 +11,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from salver.campaigns import workers
-from salver.campaigns.definition import DEFAULT_FOLDER, SUMMARY, Definition, define, definition_in, load_scenario
+from salver.campaigns.definition import (
+    DEFAULT_FOLDER,
+    STOPS_FOLDER,
+    SUMMARY,
+    Definition,
+    define,
+    definition_in,
+    load_scenario,
+)
 from salver.campaigns.journal import Item, Journal
 from salver.campaigns.runners import BLOCK, Context
 from salver.campaigns.summary import read_table, summarise, table, write_table
 from salver.display import Shown
 from salver.errors import FileFormatError, SalverError
 from salver.files import provenance, read_json, sealed, write_json
+from salver.planning.plan import load_plan
 from salver.run_directory import known_stems
 from salver.tables import pandas_module
 
@@ -63,23 +72,35 @@ def run_campaign(
     engine: str = "physics",
     jobs: int | None = None,
     ray: str | None = None,
-    folder: str = DEFAULT_FOLDER,
+    folder: str | None = None,
     progress: Progress | None = None,
+    *,
+    stops: bool = False,
 ) -> Campaign:
     """n runs of each plan of a run directory, all plans on the same samples; goes on where an earlier one stopped.
 
     stems: plans to run (default: plan and baseline). jobs: processes (default: all cores). ray: address of a Ray
     cluster to use instead. progress(done, total, outcomes by (stem, outcome)) is called after each run.
+    folder: in the run directory, "campaign" or with stops "stops" unless given. stops: stop each run by the plan's own
+    stops, at a random instant of its own; of plans that have stops.
     Raises SalverError when the folder holds another campaign: nothing is overwritten.
     """
     directory = Path(directory)
     load_scenario(directory)
-    stems = list(dict.fromkeys(stems or known_stems(directory)[:2]))
+    folder = (STOPS_FOLDER if stops else DEFAULT_FOLDER) if folder is None else folder
+    known = known_stems(directory)
+    if stops:
+        known = [stem for stem in known if load_plan(directory, stem).stops is not None]
+        lacking = [stem for stem in stems or () if stem not in known]
+        if lacking or not known:
+            stem = lacking[0] if lacking else "plan"
+            raise SalverError(f"{directory / stem}.npz holds no plan with stops; plan it with `salver plan --stops`.")
+    stems = list(dict.fromkeys(stems or known[:2]))
     if not stems:
         raise SalverError(f"{directory} holds no plan; make one with `salver plan`.")
     if jobs is not None and jobs < 1:
         raise SalverError(f"{jobs} jobs were asked for; it needs at least 1.")
-    definition = define(directory, stems, n, seed, method, engine, folder)
+    definition = define(directory, stems, n, seed, method, engine, folder, stops)
     place = directory / folder
     _claim(place, definition)
     with Journal(place) as journal:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.campaigns.definition import Definition, samples, seed_of_run
+from salver.campaigns.definition import Definition, instant_of_run, samples, seed_of_run
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.sensitivity import tubes
@@ -54,6 +54,12 @@ class Context:
 
         return {stem: Experiment(plan) for stem, plan in self._plans.items()}
 
+    def _experiment(self, stem: str, run: int) -> Experiment:
+        if not self.definition.stops:
+            return self._experiments[stem]
+        plan = self._plans[stem]
+        return replace(self._experiments[stem], stop_at=instant_of_run(self.definition.seed, run, plan.duration))
+
     def parameters(self, run: int) -> dict[str, float]:
         names, values = self._samples
         return dict(zip(names, map(float, values[run]), strict=True))
@@ -64,7 +70,7 @@ class Context:
         drawn = [self.parameters(run) for run in runs]
         seeds = [seed_of_run(self.definition.seed, run) for run in runs]
         if self.definition.engine == "physics":
-            results = _physics(self._experiments[stem], drawn, seeds)
+            results = _physics([self._experiment(stem, run) for run in runs], drawn, seeds)
         else:
             results = _closed_loop(self._plans[stem], runs, drawn)
         seconds = (time.perf_counter() - begin) / len(runs)
@@ -79,17 +85,20 @@ def _split(result: Scalars) -> dict[str, Any]:
     return {"outcome": scalars.pop("outcome"), "scalars": scalars}
 
 
-def _physics(experiment: Experiment, drawn: Sequence[Mapping[str, float]], seeds: Sequence[int]) -> list[Scalars]:
+def _physics(
+    experiments: Sequence[Experiment], drawn: Sequence[Mapping[str, float]], seeds: Sequence[int]
+) -> list[Scalars]:
     """Arm, tray and objects in the physics engine."""
     results: list[Scalars] = []
-    for parameters, seed in zip(drawn, seeds, strict=True):
+    for experiment, parameters, seed in zip(experiments, drawn, seeds, strict=True):
         try:
             record = experiment.run(dict(parameters), seed)
         except SalverError as error:
             results.append({"outcome": "error", "sentence": str(error)})
             continue
         scalars = run_scalars(record.summary)
-        scalars |= tube_scalars(experiment.plan, record.t, record.cone_coefficients)
+        if experiment.stop_at is None:
+            scalars |= tube_scalars(experiment.plan, record.t, record.cone_coefficients)
         results.append(scalars)
     return results
 

@@ -15,6 +15,8 @@ from salver.campaigns.journal import Item, Record
 from salver.files import write_atomic
 from salver.statistics import clopper_pearson, mcnemar, quantiles
 
+DROPPED = ("tips", "lifts", "lost")  # outcomes of a load that did not stay, and
+FAR = 5e-3  # m of slip from where on it counts as lost too
 TUBE_TOLERANCE = 0.01  # of the largest radius: what first order may miss before a run counts as outside
 
 # From what was wanted to what must not be; an outcome that is not listed is worst.
@@ -97,6 +99,7 @@ def _plan_summary(rows: Sequence[Row], stem: str, directory: Path, folder: str) 
         "outcomes": {name: clopper_pearson(counts.get(name, 0), len(rows)).as_dict() for name in ordered},
         "quantiles": {name: quantiles(_numbers(rows, name)) for name in SUMMARISED if _numbers(rows, name)},
         "tube": _tube(rows),
+        "stops": _stops(rows),
         "worst_run": {
             "run": worst["run"],
             "outcome": worst["outcome"],
@@ -104,8 +107,24 @@ def _plan_summary(rows: Sequence[Row], stem: str, directory: Path, folder: str) 
             "cone_least": worst.get("cone_least"),
             "sentence": worst.get("sentence"),
             "replay": f"salver simulate {quote(str(directory))} --stem {stem} --run {worst['run']}"
-            + (f" --folder {folder}" if folder != DEFAULT_FOLDER else ""),
+            + (f" --folder {quote(folder)}" if folder != DEFAULT_FOLDER else ""),
         },
+    }
+
+
+def _stops(rows: Sequence[Row]) -> dict[str, Any] | None:
+    """Of stopped runs: how many lost their load (tipped, lifted, off the tray, slipped over 5 mm) and how many kept it
+    beyond a limit of the arm; how long stops took, s; how many finished instead. None for runs that were not stopped.
+    """
+    stopped = [row for row in rows if _is_number(row.get("stop_at"))]
+    if not stopped:
+        return None
+    lost = sum(row["outcome"] in DROPPED or row.get("peak_slip", 0.0) > FAR for row in stopped)
+    return {
+        "lost": clopper_pearson(lost, len(stopped)).as_dict(),
+        "beyond_a_limit": clopper_pearson(sum(row["outcome"] == "limit" for row in stopped), len(stopped)).as_dict(),
+        "takes": quantiles(_numbers(stopped, "stop_takes")),
+        "finished": sum(bool(row["finishes"]) for row in stopped),
     }
 
 

@@ -32,6 +32,12 @@ DEFECT = 70  # as sysexits.h has it: salver itself failed
 INTERRUPTED = 130  # 128 + SIGINT, as a shell reports it
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON document on standard output.")]
+Stops = Annotated[
+    bool,
+    typer.Option(
+        "--stops", help="Plan load-safe stops too: motions to rest from all along the plan; takes some seconds."
+    ),
+]
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

@@ -45,7 +45,8 @@ def execute(
     """Run a plan on a real arm by torque, with checks before, a watchdog during, and a log after.
 
     First `--dry-run`: the same loop on the simulated arm, which tells how well this machine keeps 1 kHz. The log goes
-    to DIR/execution; `salver report DIR` shows it. Stop with Ctrl-C: the arm brakes smoothly, what it carries may fall.
+    to DIR/execution; `salver report DIR` shows it. Stop with Ctrl-C: by the plan's own stops the load stays
+    (`salver plan --stops`); a plan without them brakes smoothly, and what it carries may fall.
 
     Ends with 0 when the motion ran to its end (with --mocap: and the load held as far as it was seen), with 1 when it
     did not, with 3 when motion capture cannot tell.
@@ -63,7 +64,7 @@ def execute(
     if mocap is not None:
         result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
     elif dry_run:
-        result = run_dry(directory, stem, Watchdog(watchdog), realtime)
+        result = run_dry(directory, stem, Watchdog(watchdog), realtime, confirm=_warned)
     elif address is None:
         raise SalverError("Give the arm's --address, as in --address 172.16.0.2, or try --dry-run first.")
     else:
@@ -82,6 +83,14 @@ def execute(
         _tell(result)
     if not result.achieved:
         raise typer.Exit(CANNOT_TELL if result.summary["outcome"] == "cannot_tell" else NOT_ACHIEVED)
+
+
+def _warned(checks: list[Check]) -> bool:
+    """What is missing and not required, before the simulated arm moves."""
+    for check in checks:
+        if not check.ok:
+            say(f"salver: {check.sentence}")
+    return True
 
 
 def _assent(yes: bool, json: bool) -> Any:
@@ -132,7 +141,9 @@ def _tell(result: Execution) -> None:
     if summary["bridged"]:
         tell(f"States that could not be believed and were bridged by the model: {summary['bridged']}.")
     if summary["load_kept_in_stop"] is False:
-        tell("The arm was brought to rest by the cool stop, which does not keep the load: it may have moved or fallen.")
+        tell("The way to rest was not one that surely keeps the load: it may have moved or fallen.")
+    elif summary["load_kept_in_stop"]:
+        tell("It was brought to rest by a planned stop, and was where that is safe for the load all along.")
     for key in ("load", "log_elsewhere"):
         if key in summary:
             tell(str(summary[key]))

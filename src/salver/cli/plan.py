@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, save_plans, say
+from salver.cli.common import NO_SAFE_PLAN, Json, Stops, headed, print_json, result_console, save_plans, say
 from salver.cli.progress import step
 from salver.cli.searching import searching
 from salver.cli.watch import watched
@@ -53,9 +53,7 @@ def plan(
     ] = "baseline",
     duration: Annotated[float | None, typer.Option(help="Duration in s, instead of the scenario's.")] = None,
     arm: Annotated[bool, typer.Option(help="Follow the plan with the scenario's arm, when it has one.")] = True,
-    stops: Annotated[
-        bool, typer.Option("--stops", help="Plan load-safe stops along the fastest plan too; takes some seconds.")
-    ] = False,
+    stops: Stops = False,
     force: Annotated[
         bool, typer.Option("--force", help="Replace the plans of another scenario too; they are kept in earlier/.")
     ] = False,
@@ -124,7 +122,7 @@ def plan(
         check_place(chosen, directory, edited=True, force=force)
     with searching(time_limit) as search:
         found, other = plan_pair(chosen, method, arm, beside, options=options_of(effort), watch=search)
-    if stops:
+    if stops and found.ok:
         found = with_stops(found, lambda done, total: step(done, total, "stops"))
     save_plans(directory, {"plan": found, beside: other}, force)
     if json:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.audit import Gap, Highest, Noise, Topic
-from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console, save_plans, say
+from salver.cli.common import NO_SAFE_PLAN, Json, Stops, print_json, result_console, save_plans, say
+from salver.cli.progress import step
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ def retime(
     highest: Highest = 50.0,
     noise: Noise = None,
     gap: Gap = None,
+    stops: Stops = False,
     json: Json = False,
 ) -> None:
     """Run through joint waypoints, or along the path of a motion or a plan, as fast as is safe for what is carried.
@@ -79,6 +81,10 @@ def retime(
     directory = out if out is not None else Path("runs") / f"{chosen.name}-retimed"
     check_free(directory)
     plan = plan_retimed(chosen, read_waypoints(path, chosen, topic), robust=robust)
+    if stops and plan.ok:
+        from salver.planning.stops import with_stops
+
+        plan = with_stops(plan, lambda done, total: step(done, total, "stops"))
     save_plans(directory, {"plan": plan})
     if write is not None:
         from salver.export.motion import read_motion
@@ -94,6 +100,8 @@ def retime(
         tell(plan.verification.sentence)
         if plan.arm_status is not None:
             tell(str(plan.arm_status))
+        if plan.stops is not None:
+            tell(plan.stops.sentence)
         tell(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
     if not plan.ok:

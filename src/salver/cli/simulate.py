@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -62,12 +61,17 @@ def simulate(
     if stem not in (*STEMS, "both"):
         raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both.')
     parameters = _parameters(set_ or [])
+    stopping = None  # seed of the instants of a campaign of stops
     if run is not None:
-        from salver.campaigns import parameters_of_run
+        from salver.campaigns import instant_of_run, parameters_of_run, read_definition
 
         if parameters:
             raise ScenarioError("--run takes its parameters from the campaign; leave out --set.")
         parameters, seed = parameters_of_run(directory, run, folder)
+        if (campaign := read_definition(directory, folder)).stops:
+            stopping = campaign.seed
+            if stop_at is not None:
+                raise ScenarioError("--run of a campaign of stops has its own instant; leave out --stop-at.")
     if scenario is not None:
         if run is not None or stop_at is not None or stem != "plan":
             raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
@@ -78,13 +82,9 @@ def simulate(
     for name in both if stem == "both" else (stem,):
         plan = load_plan(directory, name)
         _warn(plan, name)
-        if stop_at is not None:
-            from salver.planning.stops import stopped
-
-            plan = stopped(plan, stop_at)
-        record = run_physics(plan, parameters=parameters, seed=seed)
-        if stop_at is not None:
-            record = replace(record, summary={**record.summary, "stop_at": stop_at})
+        if stopping is not None and run is not None:
+            stop_at = instant_of_run(stopping, run, plan.duration)
+        record = run_physics(plan, parameters=parameters, seed=seed, stop_at=stop_at)
         record.save(directory, name, "" if stop_at is None else "-stop")
         results[name] = record
     if json:

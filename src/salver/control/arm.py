@@ -61,6 +61,38 @@ class Saturation:
     peak_share: float = 0.0
 
 
+class JointTable:
+    """A joint motion from time 0 at the multiples of a period, s; for a loop that has no time to evaluate splines."""
+
+    def __init__(self, joint: JointMotion, period: float) -> None:
+        self.period, self.duration = period, joint.duration
+        self.t = np.arange(int(np.ceil(joint.duration / period - 1e-9)) + 1) * period
+        self.q, self.dq, self.ddq = joint.sample(np.minimum(self.t, joint.duration))
+        self._dddq = np.gradient(self.ddq, period, axis=0) if len(self.t) > 1 else np.zeros_like(self.ddq)
+
+    def instant(self, t: float) -> tuple[int, float]:
+        """Nearest sample, and the time from there; 0 before the start and after the end."""
+        if t <= 0.0:
+            return 0, 0.0
+        if t >= self.duration:
+            return len(self.q) - 1, 0.0
+        index = round(t / self.period)
+        offset = t - index * self.period
+        return index, 0.0 if abs(offset) < 1e-9 else offset
+
+    def at(self, index: int, offset: float) -> tuple[Array, Array, Array]:
+        """q, dq, ddq (n,) at an instant."""
+        q, dq, ddq = self.q[index], self.dq[index], self.ddq[index]
+        return _ahead(offset, q, dq, ddq, self._dddq[index]) if offset else (q, dq, ddq)
+
+
+def wanted_acceleration(reference: tuple[Array, Array, Array], state: ArmState, gains: tuple[float, float]) -> Array:
+    """(n,) of the loop on the joints: that of the reference q, dq, ddq, and what its errors ask for."""
+    q, dq, ddq = reference
+    kp, kd = gains
+    return np.asarray(ddq + kp * (q - state.q) + kd * (dq - state.dq))
+
+
 class ArmController:
     """Carries the first of `bodies` along `reference`; the others are a load that sticks to the tray.
 
@@ -107,12 +139,9 @@ class ArmController:
         self._torque_step = arm.limits.torque_rate * period if limit_torque else np.full(arm.n, np.inf)
         self._previous: Array | None = None
 
-        self._duration = joint.duration
-        t = np.arange(int(np.ceil(joint.duration / period - 1e-9)) + 1) * period
-        self._q, self._dq, self._ddq = joint.sample(np.minimum(t, joint.duration))
-        self._dddq = np.gradient(self._ddq, period, axis=0)
+        self._joint = JointTable(joint, period)
         if reference is not None:
-            m = reference.sample(np.minimum(t, reference.duration))
+            m = reference.sample(np.minimum(self._joint.t, reference.duration))
             self._p, self._v, self._a = m.p_SB, m.v_S, m.a_S
             self._rotation, self._omega, self._alpha = m.R_SB, m.omega_B, m.alpha_B
             self._jerk, self._angular_jerk = (np.gradient(x, period, axis=0) for x in (m.a_S, m.alpha_B))
@@ -122,15 +151,15 @@ class ArmController:
         self._previous = None
         self.saturation = Saturation()
 
+    def take_over(self, other: ArmController) -> None:
+        """Go on where another controller stops: from its last torque, with its counts."""
+        self._previous, self.saturation = other._previous, other.saturation
+
     def step(self, state: ArmState, t: float) -> Array:
         """Joint torques (n,), N m, for a state at time t, s."""
-        index, offset = self._instant(t)
+        index, offset = self._joint.instant(t)
         model, data, q, dq = self._model, self._data, state.q, state.dq
-        q_star, dq_star, ddq_star = self._q[index], self._dq[index], self._ddq[index]
-        if offset:
-            q_star, dq_star, ddq_star = _ahead(offset, q_star, dq_star, ddq_star, self._dddq[index])
-        kp, kd = self._posture_gains
-        ddq = ddq_star + kp * (q_star - q) + kd * (dq_star - dq)
+        ddq = wanted_acceleration(self._joint.at(index, offset), state, self._posture_gains)
 
         if self.space == "joint":
             return self._limited(pin.rnea(model, data, q, dq, ddq))
@@ -149,16 +178,6 @@ class ArmController:
             multiplier = np.linalg.solve(gram + _SINGULAR**2 * np.eye(6), missing)
         ddq = ddq + jacobian.T @ multiplier
         return self._limited(pin.rnea(model, data, q, dq, ddq) + jacobian.T @ wrench_B)
-
-    def _instant(self, t: float) -> tuple[int, float]:
-        """Nearest sample of the reference, and the time from there; 0 before the start and after the end."""
-        if t <= 0.0:
-            return 0, 0.0
-        if t >= self._duration:
-            return len(self._q) - 1, 0.0
-        index = round(t / self.period)
-        offset = t - index * self.period
-        return index, 0.0 if abs(offset) < 1e-9 else offset
 
     def _object_command(self, state: ArmState, index: int, offset: float, placement: Any) -> tuple[Array, Array]:
         """Rate of the body twist that eq (19) asks for, (6,), and the wrench at B for it, (6,)."""
@@ -214,6 +233,31 @@ class ArmController:
             torque = np.clip(torque, -self._torque_limit, self._torque_limit)
         self._previous = torque
         return torque
+
+
+@dataclass
+class Relay:
+    """One controller after another: `first` until the time `at`, s, then `second`, whose own time begins there."""
+
+    first: ArmController
+    second: ArmController
+    at: float
+
+    @property
+    def saturation(self) -> Saturation:
+        return self.first.saturation
+
+    def reset(self) -> None:
+        self.first.reset()
+        self.second.reset()
+
+    def step(self, state: ArmState, t: float) -> Array:
+        """As that of a controller."""
+        if t < self.at - 1e-9:
+            return self.first.step(state, t)
+        if self.second.saturation is not self.first.saturation:
+            self.second.take_over(self.first)
+        return self.second.step(state, t - self.at)
 
 
 def controller_for(

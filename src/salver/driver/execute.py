@@ -12,12 +12,12 @@ import numpy as np
 
 from salver.control.arm import ArmController, ArmState, controller_for
 from salver.driver import mocap, seen
-from salver.driver.execution import Log, Watchdog, drive, named
+from salver.driver.execution import Drive, Log, Watchdog, named
 from salver.driver.logs import FOLDER, arrays_of, check_place, keep, summary_of
 from salver.driver.preflight import Check, check_approach, check_franka, check_plan, check_posture, demand
 from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
-from salver.driver.signals import noted_signals
-from salver.driver.stops import cool_stops
+from salver.driver.signals import Signals, noted_signals
+from salver.driver.stops import StopFrom, stops_of
 from salver.errors import FileFormatError, SalverError, UnreachableError
 from salver.files import read_result
 from salver.geometry import Array
@@ -29,7 +29,7 @@ from salver.trajectory import JointMotion
 
 ROBOTS = ("franka",)
 APPROACH_SHARE = 0.1  # of the velocity limits on the way to the start posture
-STOP_ROOM = 3.0  # s that a cool stop may take in a dry run
+STOP_ROOM = 3.0  # s that a stop may take in a dry run beyond the motion
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,18 @@ class Execution:
 
 
 def dry_run(
-    directory: str | Path, stem: str = "plan", watchdog: Watchdog | None = None, realtime: bool = True
+    directory: str | Path,
+    stem: str = "plan",
+    watchdog: Watchdog | None = None,
+    realtime: bool = True,
+    *,
+    confirm: Callable[[list[Check]], bool] = lambda checks: True,
+    signals: Signals | None = None,
 ) -> Execution:
     """The plan on the simulated arm, in real time, through the very loop that drives a real one.
 
+    confirm: asked with the checks after all of them passed, before anything moves. signals: through which the caller
+    may ask for a stop (`Signals.note`), from another thread.
     Raises SalverError when a check before the run fails, UnreachableError when the plan has no joint motion.
     """
     plan, arm, carried = _prepared(directory, stem)
@@ -62,9 +70,11 @@ def dry_run(
     robot = SimulatedRobot(plan, arm, STOP_ROOM, realtime)
     checks += check_posture(_motion(plan), arm, robot.look())
     demand(checks)
+    if not confirm(checks):
+        raise SalverError("Not moved: it was not confirmed.")
     began = time.perf_counter()
     with noted_signals():  # nothing may come between the run and its log
-        log_ = _run(plan, arm, carried, robot, watchdog, robot.start_time)
+        log_ = _run(plan, arm, carried, robot, watchdog, robot.start_time, signals)
         summary = {**summary_of(plan, robot.source, log_, checks, watchdog), "realtime": realtime}
         try:
             record = robot.record({"with_arm": True}, began)
@@ -93,9 +103,11 @@ def run_on_franka(
     move_to_start: bool = False,
     realtime: bool = True,
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
+    signals: Signals | None = None,
 ) -> Execution:
     """The plan on a Franka arm. confirm: asked with the checks after all of them passed, before anything moves.
 
+    signals: through which the caller may ask for a stop (`Signals.note`), from another thread.
     move_to_start: go to the start posture first, at a tenth of the speed limits, with nothing on the tray.
     Raises SalverError when a check fails or the arm refuses, MissingDependencyError without pylibfranka.
     """
@@ -123,7 +135,7 @@ def run_on_franka(
     if not confirm(checks):
         raise SalverError("Not moved: it was not confirmed.")
     with noted_signals():  # nothing may come between the run and its log
-        log_ = _run(plan, arm, carried, robot, watchdog, -plan.scenario.physics.settle_before)
+        log_ = _run(plan, arm, carried, robot, watchdog, -plan.scenario.physics.settle_before, signals)
         summary = summary_of(plan, robot.source, log_, checks, watchdog)
         return _kept(directory, stem, arrays_of(plan, arm, carried[0], log_), summary, checks)
 
@@ -198,21 +210,34 @@ def _motion(plan: Plan) -> JointMotion:
     return plan.joint
 
 
-def _run(plan: Plan, arm: ArmModel, carried: Sequence[Body], robot: Robot, watchdog: Watchdog, start: float) -> Log:
-    assert plan.joint is not None
-    controller = controller_for(plan.scenario, plan.joint, plan.reference, arm=arm, space=plan.space)
-    _warm_up(controller, arm, carried, plan.joint)
+def _run(
+    plan: Plan,
+    arm: ArmModel,
+    carried: Sequence[Body],
+    robot: Robot,
+    watchdog: Watchdog,
+    start: float,
+    signals: Signals | None,
+) -> Log:
+    joint = _motion(plan)
+    controller = controller_for(plan.scenario, joint, plan.reference, arm=arm, space=plan.space)
+    stop_from = stops_of(plan, controller, arm, carried)
+    _warm_up(controller, stop_from, joint)
     end = plan.duration + plan.scenario.physics.settle_after
-    return drive(robot, controller, plan.joint, arm, carried, start=start, end=end, watchdog=watchdog)
+    drive = Drive(robot, controller, joint, arm, carried, start, end, watchdog, stop_from, signals or Signals())
+    return drive.run()
 
 
-def _warm_up(controller: ArmController, arm: ArmModel, carried: Sequence[Body], joint: JointMotion) -> None:
+def _warm_up(controller: ArmController, stop_from: StopFrom, joint: JointMotion) -> None:
     """First calls load code and fill caches; they must not happen in the loop."""
-    q, dq, _ = joint.sample(0.0)
-    state = ArmState(q[0], dq[0])
-    for _ in range(50):
-        controller.step(state, 0.0)
-    cool_stops(arm, carried)(state, 0.0).step(state, 0.0)
+    for t in (0.0, 0.5 * joint.duration):
+        q, dq, _ = joint.sample(t)
+        state = ArmState(q[0], dq[0])
+        for _ in range(50):
+            controller.step(state, t)
+        stop = stop_from(state, t)
+        for s in (0.0, stop.duration):
+            stop.step(state, s)
     controller.reset()
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.control.arm import ArmController, ArmState
+from salver.control.arm import ArmController, ArmState, JointTable
 from salver.driver.gate import TorqueGate
 from salver.driver.sensing import Sensed, Senses
 from salver.driver.signals import Signals, noted_signals
@@ -51,15 +51,10 @@ class Watchdog:
     late_periods: int = 20
     bridged_periods: int = 10
 
-    def complaint(self, arm: ArmModel, state: ArmState, q_wanted: Array, missed: int, t: float) -> str | None:
-        """One sentence when something is wrong, else None."""
-        error = np.abs(state.q - q_wanted)
-        j = int(np.argmax(error))
-        if not error[j] <= self.joint_error:
-            return (
-                f"{arm.joint_names[j]} is {error[j]:.3f} rad off its reference at t = {t:.3f} s; "
-                f"{self.joint_error:g} rad are allowed."
-            )
+    def complaint(self, arm: ArmModel, state: ArmState, q_wanted: Array, missed: int, t: float) -> str:
+        """One sentence when something is wrong, else an empty one."""
+        if astray := self.astray(arm, state, q_wanted, t):
+            return astray
         share = np.abs(state.dq) / arm.limits.velocity
         j = int(np.argmax(share))
         if not share[j] <= self.velocity_share:
@@ -69,7 +64,18 @@ class Watchdog:
             )
         if missed > self.late_periods:
             return f"{missed} control periods in a row were missed at t = {t:.3f} s; {self.late_periods} are allowed."
-        return None
+        return ""
+
+    def astray(self, arm: ArmModel, state: ArmState, q_wanted: Array, t: float) -> str:
+        """One sentence when a joint is too far off its reference."""
+        error = np.abs(state.q - q_wanted)
+        j = int(np.argmax(error))
+        if error[j] <= self.joint_error:
+            return ""
+        return (
+            f"{arm.joint_names[j]} is {error[j]:.3f} rad off its reference at t = {t:.3f} s; "
+            f"{self.joint_error:g} rad are allowed."
+        )
 
 
 @dataclass(frozen=True)
@@ -96,71 +102,58 @@ class Log:
     keeps_load: bool | None = None
 
 
-def drive(
-    robot: Robot,
-    controller: ArmController,
-    joint: JointMotion,
-    arm: ArmModel,
-    bodies: Sequence[Body],
-    *,
-    start: float,
-    end: float,
-    watchdog: Watchdog,
-    stop_from: StopFrom | None = None,
-) -> Log:
-    """Run the loop from t = start to t = end, s; the arm is at rest before 0 and after the motion.
+@dataclass(eq=False)
+class Drive:
+    """The loop from t = start to t = end, s; the arm is at rest before 0 and after the motion.
 
-    stop_from: the stop to fall back on when something is wrong (`salver.driver.stops`); cool stops unless given.
-
-    Never raises: whatever goes wrong in here, the arm is stopped as well as it then can be, the robot leaves torque
-    control, and the log says why. What the watchdog sees, a state that cannot be believed, a failure of the controller,
-    Ctrl-C and the other signals that ask a process to end lead to a stop by torque; a robot that does not answer is
-    left to its own brakes.
+    stop_from: the stop to fall back on when something is wrong (`salver.driver.stops`).
+    signals: what may ask for a stop from outside, also from another thread (`Signals.note`).
     """
-    loop = _Loop(robot, controller, joint, arm, bodies, start, end, watchdog, stop_from or cool_stops(arm, bodies))
-    collecting = gc.isenabled()
-    with noted_signals() as signals:
-        gc.collect()
-        gc.disable()  # a collection takes longer than a period
-        try:
-            return loop.run(signals)
-        finally:
-            if collecting:
-                gc.enable()
 
+    robot: Robot
+    controller: ArmController
+    joint: JointMotion
+    arm: ArmModel
+    bodies: Sequence[Body]
+    start: float
+    end: float
+    watchdog: Watchdog
+    stop_from: StopFrom
+    signals: Signals = field(default_factory=Signals)
 
-class _Loop:
-    """One run of the loop. t: s of the motion. torque: the last that was sent."""
-
-    def __init__(
-        self,
-        robot: Robot,
-        controller: ArmController,
-        joint: JointMotion,
-        arm: ArmModel,
-        bodies: Sequence[Body],
-        start: float,
-        end: float,
-        watchdog: Watchdog,
-        stop_from: StopFrom,
-    ) -> None:
-        self.robot, self.controller, self.watchdog, self.arm = robot, controller, watchdog, arm
-        self.loaded, self.bodies, self.period = with_load(arm, bodies), bodies, controller.period
-        self.t, self.end = start, end
-        grid = np.arange(int(np.ceil(joint.duration / self.period)) + 1) * self.period
-        self.wanted = joint.sample(np.minimum(grid, joint.duration))[0]
-        self.stops = [stop_from, cool_stops(arm, bodies)]  # tried in this order, each when the one before it fails
+    def __post_init__(self) -> None:
+        self.loaded, self.period = with_load(self.arm, self.bodies), self.controller.period
+        self.t = self.start  # s of the motion
+        self.wanted = JointTable(self.joint, self.period)
+        # Tried in this order, each when the one before it fails.
+        self.stops = [self.stop_from, cool_stops(self.arm, self.bodies)]
         self.stop: Stop | None = None
         self.gate: TorqueGate | None = None
         self.stopped, self.since, self.interruptions, self.unsure = "", 0.0, 0, False
-        self.renewals = 0
+        self.renewals, self.seen = 0, True  # all along the stop
         # Time never advances by less than half a period, so this is enough.
-        self.book = _Book(2 * int((end - start + STOP_ROOM) / self.period), arm.n)
+        self.book = _Book(2 * int((self.end - self.start + STOP_ROOM) / self.period), self.arm.n)
 
-    def run(self, signals: Signals) -> Log:
+    def run(self) -> Log:
+        """Never raises: whatever goes wrong in here, the arm is stopped as well as it then can be, the robot leaves
+        torque control, and the log says why. What the watchdog sees, a state that cannot be believed, a failure of the
+        controller, Ctrl-C and the other signals that ask a process to end lead to a stop by torque; a robot that does
+        not answer is left to its own brakes.
+        """
+        collecting = gc.isenabled()
+        with noted_signals(self.signals):
+            gc.collect()
+            gc.disable()  # a collection takes longer than a period
+            try:
+                return self._run()
+            finally:
+                if collecting:
+                    gc.enable()
+
+    def _run(self) -> Log:
         try:
             gate = self.begin()
-            while not self.one_period(gate, signals):
+            while not self.one_period(gate):
                 pass
         except BaseException as error:  # torque control cannot go on; nothing may keep the robot from being stopped
             self.stopped = " ".join([*filter(None, [self.stopped]), self.failure(error)])
@@ -168,7 +161,7 @@ class _Loop:
         report = self.controller.saturation
         cut = {"torque": report.torque, "torque_rate": report.torque_rate, "peak_share": report.peak_share}
         cut |= {"gate_closed": self.gate.closed, "gate_cut": self.gate.cut} if self.gate is not None else {}
-        return self.book.closed(self.stopped, cut, None if self.stop is None else self.stop.keeps_load)
+        return self.book.closed(self.stopped, cut, None if self.stop is None else self.stop.keeps_load and self.seen)
 
     def begin(self) -> TorqueGate:
         state = self.robot.look()
@@ -181,7 +174,7 @@ class _Loop:
         self.robot.start()
         return gate
 
-    def one_period(self, gate: TorqueGate, signals: Signals) -> bool:
+    def one_period(self, gate: TorqueGate) -> bool:
         """Whether it was the last one."""
         try:
             answer = self.robot.read()
@@ -192,9 +185,9 @@ class _Loop:
             if blind and not sensed.wrong:
                 self.seen_again(sensed.state)
             self.state = sensed.state
-            q_wanted = self.wanted[min(max(round(self.t / self.period), 0), len(self.wanted) - 1)]
-            wish = signals.wish(self.t) or self.complaint(sensed, q_wanted)
-            demanded = self.demand(sensed.state, wish)
+            wish = "" if self.stop is not None else self.signals.wish(self.t)
+            demanded = self.demand(sensed.state, wish or self.complaint(sensed))
+            self.seen &= self.stop is None or not sensed.wrong
             # After a write of which nobody knows whether it was done, the same torque again: no rate is overstepped.
             self.torque = gate(self.torque if self.unsure else demanded)
             last = self.over(sensed.state)
@@ -202,9 +195,9 @@ class _Loop:
             self.robot.write(self.torque, sensed, last=last)
             self.unsure = False
             try:
-                self.book.add(self.t, sensed, self.torque, q_wanted, woken)
+                self.book.add(self.t, sensed, self.torque, self.q_wanted, woken)
             except BaseException as error:  # the torque has left; a row less is no reason to leave the arm alone
-                signals.note(
+                self.signals.note(
                     "Interrupted" if isinstance(error, KeyboardInterrupt) else f"The log failed ({named(error)})"
                 )
             if self.book.full and not last:
@@ -214,14 +207,22 @@ class _Loop:
             self.interruptions += 1
             if self.interruptions > MOST_INTERRUPTIONS:
                 raise
-            signals.note("Interrupted")
+            self.signals.note("Interrupted")
             self.t += self.period
             return False
 
-    def complaint(self, sensed: Sensed, q_wanted: Array) -> str:
-        """Why to stop; empty for going on."""
+    @property
+    def q_wanted(self) -> Array:
+        """Where the arm should be now, by the motion or by the stop."""
         if self.stop is not None:
-            return ""
+            return self.stop.reference(self.s)[0]
+        return self.wanted.q[self.wanted.instant(self.t)[0]]
+
+    def complaint(self, sensed: Sensed) -> str:
+        """Why to stop, or to stop otherwise; empty for going on."""
+        if self.stop is not None:
+            # An arm that cannot follow a planned stop is braked as it is; the last stop goes on, come what may.
+            return self.watchdog.astray(self.arm, sensed.state, self.q_wanted, self.t) if self.stops else ""
         blind, allowed = self.senses.blind, self.watchdog.bridged_periods
         if blind > allowed:
             return (
@@ -229,11 +230,11 @@ class _Loop:
                 f"bridged: {sensed.wrong}."
             )
         missed = round(sensed.elapsed / self.period) - 1
-        return self.watchdog.complaint(self.arm, sensed.state, q_wanted, missed, self.t) or ""
+        return self.watchdog.complaint(self.arm, sensed.state, self.q_wanted, missed, self.t)
 
     def demand(self, state: ArmState, wish: str) -> Array:
         """What the controller or the stop asks for; when that fails, what the next stop does."""
-        if wish and self.stop is None:
+        if wish:
             self.brake(state, wish)
         while True:
             try:
@@ -258,9 +259,8 @@ class _Loop:
         self.stopped = " ".join([*filter(None, [self.stopped]), why])
         self.since = self.t
         while self.stops:
-            self.stop_from = self.stops.pop(0)
             try:
-                self.stop = self.stop_from(state, self.t)
+                self.stop = self.stops.pop(0)(state, self.t)
                 return
             except KeyboardInterrupt:
                 raise
@@ -273,7 +273,8 @@ class _Loop:
         elsewhere = np.abs(state.q - self.state.q).max() > ELSEWHERE
         if self.stop is not None and elsewhere and self.renewals < MOST_RENEWALS:
             self.renewals += 1
-            self.stops.insert(0, self.stop_from)
+            stop, s = self.stop, self.s
+            self.stops.insert(0, lambda state, t: stop.renewed(state, s))
             self.brake(state, f"The arm was elsewhere when it was seen again at t = {self.t:.3f} s.")
 
     def over(self, state: ArmState) -> bool:

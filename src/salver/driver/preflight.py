@@ -19,7 +19,7 @@ from salver.geometry import log
 from salver.models.arm_geometry import arm_geometry
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.forward import tray_motion
-from salver.planning.follow.limits import verdict
+from salver.planning.follow.limits import BETWEEN, verdict
 from salver.trajectory import JointMotion, MotionSamples
 
 if TYPE_CHECKING:
@@ -43,9 +43,12 @@ AGREES = {"m, rad": 1e-5, "m/s, rad/s": 1e-4, "m/s^2, rad/s^2": 1e-2}  # of refe
 
 @dataclass(frozen=True)
 class Check:
+    """required: whether nothing may move when it fails."""
+
     name: str
     ok: bool
     sentence: str
+    required: bool = True
 
 
 def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> list[Check]:
@@ -70,6 +73,7 @@ def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> list[Check]
             f'physics.feedback is "{plan.scenario.physics.feedback}"; without a live measurement of the object it must '
             'be "joints".',
         ),
+        _stops(plan, arm, bodies),
     ]
 
 
@@ -139,7 +143,7 @@ def _smooth(joint: JointMotion, arm: ArmModel) -> Check:
 def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan) -> list[Check]:
     """Limits, and the arm against itself, its tray, its load and the scenario's obstacles."""
     parts = arm_geometry(arm, bodies, plan.scenario.obstacles)
-    status, swept = verdict(arm, motion, bodies, parts), sweep(parts, motion)
+    status, swept = verdict(arm, motion, bodies, parts, BETWEEN), sweep(parts, motion)
     near, touch = swept.nearest, swept.touch
     around = f"{len(plan.scenario.obstacles)} obstacles" if plan.scenario.obstacles else "no obstacles"
     if near is None:
@@ -186,6 +190,45 @@ def _contact(plan: Plan, given: MotionSamples) -> Check:
     """What the joints' own motion asks of every contact, in the worst case of the uncertain set."""
     status = margins(plan.scenario, given).verdict(worst=True)
     return Check("contact", status.ok, status.sentence)
+
+
+def _stops(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> Check:
+    """Whether it can be stopped with the load in its place; and that what is stored of the stops fits the plan."""
+    stops, joint = plan.stops, plan.joint
+    if stops is None or joint is None:
+        return Check(
+            "stops",
+            False,
+            "The plan has no load-safe stops: when it is stopped the arm brakes without regard to the load, which may "
+            "fall; plan with --stops.",
+            required=False,
+        )
+    count, n = len(stops.t), arm.n
+    shapes = {"q": (count, len(stops.s), n), "stray": (count + 1, n), "duration": (count,), "s": stops.s.shape}
+    shapes |= {"dq": shapes["q"], "ddq": shapes["q"], "t": (count,)}
+    for name, shape in shapes.items():
+        array = getattr(stops, name)
+        if array.dtype.kind != "f" or array.shape != shape or not np.all(np.isfinite(array)):
+            return Check(
+                "stops", False, f"The plan's stops are not usable: stop_{name} is no array of numbers {shape}."
+            )
+    in_time = np.all(np.diff(stops.t) > 0) and np.all((stops.t > 0) & (stops.t < joint.duration))
+    if not in_time or not np.all(stops.duration > 0) or stops.s[0] != 0 or not np.all(np.diff(stops.s) > 0):
+        return Check("stops", False, "The plan's stops are not usable: their times do not increase within the plan.")
+    for x, states in zip((stops.q, stops.dq, stops.ddq), joint.sample(stops.t), strict=True):
+        if count and np.abs(x[:, 0] - states).max() > STILL:
+            return Check("stops", False, "The plan's stops do not begin where the plan is at their instants.")
+    if count and max(np.abs(stops.dq[:, -1]).max(), np.abs(stops.ddq[:, -1]).max()) > STILL:
+        return Check("stops", False, "The plan's stops do not end at rest.")
+    parts = arm_geometry(arm, bodies, plan.scenario.obstacles)
+    for k, now in enumerate(stops.t):
+        motion = looked_at(stops.motion(k))
+        status = verdict(arm, motion, bodies, parts, BETWEEN)
+        contact = margins(plan.scenario, _object_motion(arm, bodies, motion)).verdict(worst=True)
+        for judged in (status, contact):
+            if not judged.ok:
+                return Check("stops", False, f"The stop from {now:.2f} s is not safe: {judged.sentence}")
+    return Check("stops", True, stops.sentence)
 
 
 def _rest(joint: JointMotion) -> Check:
@@ -264,6 +307,6 @@ def check_approach(joint: JointMotion, plan: Plan, arm: ArmModel) -> list[Check]
 
 def demand(checks: Sequence[Check]) -> None:
     """Raise SalverError with the sentences of what failed."""
-    failed = [check.sentence for check in checks if not check.ok]
+    failed = [check.sentence for check in checks if check.required and not check.ok]
     if failed:
         raise SalverError("Not moved. " + " ".join(failed))

@@ -14,11 +14,13 @@ _WISHES = {"SIGINT": "Interrupted", "SIGTERM": "Terminated", "SIGHUP": "The term
 
 @dataclass
 class Signals:
-    """seen: what was asked for first; empty while nothing was."""
+    """A wish to stop. seen: what was asked for first; empty while nothing was."""
 
     seen: str = ""
 
     def note(self, what: str) -> None:
+        """Ask for a stop, from any thread: the loop begins it in its next period. what: who or what asks, as it stands
+        in the log, "Protective stop" say."""
         self.seen = self.seen or what
 
     def wish(self, t: float) -> str:
@@ -27,12 +29,13 @@ class Signals:
 
 
 @contextlib.contextmanager
-def noted_signals() -> Iterator[Signals]:
+def noted_signals(signals: Signals | None = None) -> Iterator[Signals]:
     """Within, these signals interrupt nothing and are noted; once or many times makes no difference.
 
-    Python lets only the main thread do that; in others nothing changes.
+    signals: where they are noted, when it is there already. Python lets only the main thread do that; in others
+    nothing changes.
     """
-    signals, before = Signals(), {}
+    signals, before = signals or Signals(), {}
 
     def handler(number: int, frame: Any) -> None:
         signals.note(_WISHES[signal.Signals(number).name])

@@ -8,17 +8,20 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import pinocchio as pin
 
-from salver.control.arm import ArmState
+from salver.control.arm import ArmController, ArmState, JointTable, wanted_acceleration
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
+    from salver.planning.plan import Plan
 
 STOP_GAINS = (200.0, 28.0)  # 1/s^2, 1/s of the cool stop, in every joint
 STOP_SHARE = 0.8  # of the maker's acceleration: what is on the tray may go, the arm must not go far
 LEAST_STOP_TIME = 0.15  # s
 HOLD_AFTER_STOP = 0.25  # s
+SENSED = 5e-4  # rad by which what is measured may differ from where the arm is
+FAR = (0.01, 0.1)  # rad, rad/s off its reference, from where on an arm is not drawn back to it
 
 
 class Stop(Protocol):
@@ -26,7 +29,7 @@ class Stop(Protocol):
 
     @property
     def keeps_load(self) -> bool:
-        """Whether what lies loose on the tray surely stays there."""
+        """Whether what lies loose on the tray surely stays there, as far as the arm was seen till now."""
         ...
 
     @property
@@ -34,13 +37,39 @@ class Stop(Protocol):
         """s from its beginning until the arm rests and torque control may end."""
         ...
 
+    def reference(self, s: float) -> tuple[Array, Array, Array]:
+        """(q, dq, ddq) where the arm should be a time s after it began."""
+        ...
+
     def step(self, state: ArmState, s: float) -> Array:
         """Torque (n,), N m, for a state a time s after it began."""
+        ...
+
+    def renewed(self, state: ArmState, s: float) -> Stop:
+        """The same stop when the arm is seen elsewhere a time s after it began; its time begins anew."""
         ...
 
 
 StopFrom = Callable[[ArmState, float], Stop]
 """The stop from a state that can be believed, at time t of the motion, s."""
+
+
+class Fading:
+    """A velocity that goes to zero along a quintic step, so that neither acceleration nor torque jumps."""
+
+    def __init__(self, q: Array, dq: Array, acceleration: Array) -> None:
+        """From q with dq, within accelerations (n,)."""
+        self._q, self._dq = q.copy(), dq.copy()
+        needed = 1.875 * np.abs(dq) / acceleration  # the step's steepest slope
+        self.duration = max(LEAST_STOP_TIME, float(np.max(np.where(np.isfinite(needed), needed, 0.0))))
+
+    def at(self, s: float) -> tuple[Array, Array, Array]:
+        """(q, dq, ddq) a time s later."""
+        x = min(max(s / self.duration, 0.0), 1.0)
+        left = 1 - x**3 * (10 - 15 * x + 6 * x**2)
+        slope = -30 * x**2 * (1 - x) ** 2 / self.duration
+        area = self.duration * (x - x**4 * (2.5 - 3 * x + x**2))
+        return self._q + area * self._dq, left * self._dq, slope * self._dq
 
 
 def cool_stops(arm: ArmModel, bodies: Sequence[Body]) -> StopFrom:
@@ -52,33 +81,121 @@ def cool_stops(arm: ArmModel, bodies: Sequence[Body]) -> StopFrom:
 class CoolStop:
     """Brings the arm to rest from any state, smoothly and within a share of its acceleration, and holds it there.
 
-    The velocity of every joint goes to zero along a quintic step, so neither acceleration nor torque jumps. It asks
-    nothing of the contact: what lies on the tray may slide or fall.
+    It asks nothing of the contact: what lies on the tray may slide or fall. Without a load, or where nothing else is
+    left.
     """
 
     keeps_load = False
 
     def __init__(self, loaded: ArmModel, state: ArmState) -> None:
         """loaded: the arm with what it carries (`salver.models.arm.with_load`)."""
-        self._model, self._data = loaded.pin_model, loaded.data
-        self._q, self._dq = state.q.copy(), state.dq.copy()
-        needed = 1.875 * np.abs(self._dq) / (STOP_SHARE * loaded.limits.acceleration)  # the step's steepest slope
-        self.braking = max(LEAST_STOP_TIME, float(np.max(np.where(np.isfinite(needed), needed, 0.0))))
+        self._loaded = loaded
+        self._fading = Fading(state.q, state.dq, STOP_SHARE * loaded.limits.acceleration)
+
+    @property
+    def braking(self) -> float:
+        """s until it is at rest."""
+        return self._fading.duration
 
     @property
     def duration(self) -> float:
         return self.braking + HOLD_AFTER_STOP
 
     def reference(self, s: float) -> tuple[Array, Array, Array]:
-        """(q, dq, ddq) a time s after the stop began."""
-        x = min(max(s / self.braking, 0.0), 1.0)
-        left = 1 - x**3 * (10 - 15 * x + 6 * x**2)
-        slope = -30 * x**2 * (1 - x) ** 2 / self.braking
-        area = self.braking * (x - x**4 * (2.5 - 3 * x + x**2))
-        return self._q + area * self._dq, left * self._dq, slope * self._dq
+        return self._fading.at(s)
 
     def step(self, state: ArmState, s: float) -> Array:
-        q, dq, ddq = self.reference(s)
-        kp, kd = STOP_GAINS
-        wanted = ddq + kp * (q - state.q) + kd * (dq - state.dq)
-        return np.asarray(pin.rnea(self._model, self._data, state.q, state.dq, wanted)).copy()
+        return _torque(self._loaded, state, self.reference(s), STOP_GAINS)
+
+    def renewed(self, state: ArmState, s: float) -> Stop:
+        return CoolStop(self._loaded, state)
+
+
+def stops_of(plan: Plan, controller: ArmController, arm: ArmModel, bodies: Sequence[Body]) -> StopFrom:
+    """The stops that a plan has (`salver.planning.stops`); cool ones when it has none."""
+    return cool_stops(arm, bodies) if plan.stops is None else PlannedStops(plan, controller, arm, bodies)
+
+
+class PlannedStops:
+    """The load-safe stops of a plan, at the periods of a loop: all is worked out before it starts.
+
+    controller: that follows the plan.
+    """
+
+    def __init__(self, plan: Plan, controller: ArmController, arm: ArmModel, bodies: Sequence[Body]) -> None:
+        assert plan.joint is not None
+        assert plan.stops is not None
+        self.library, self.controller, self.loaded = plan.stops, controller, with_load(arm, bodies)
+        self.gains = (plan.scenario.control.kp[0], plan.scenario.control.kd[0])
+        self.plan = JointTable(plan.joint, controller.period)
+        self.tables = [JointTable(self.library.motion(k), controller.period) for k in range(len(self.library.t))]
+
+    def __call__(self, state: ArmState, t: float) -> PlannedStop:
+        course = self.library.course(t)
+        return PlannedStop(self, state, t, course.leaves, course.stop, course.rests)
+
+
+class PlannedStop:
+    """The plan until it is left, then one of its stops, then rest.
+
+    The plan's controller goes on until the plan is left, so nothing jumps when a stop begins. An arm that is far off
+    its reference is not drawn back to it, which would be a jolt: the way to rest begins where it is, and its speed
+    beyond the plan's fades.
+    """
+
+    def __init__(
+        self, stops: PlannedStops, state: ArmState, begun: float, leaves: float, k: int | None, rests: float
+    ) -> None:
+        """begun: s of the plan's time, now. k: which stop; None: to the plan's end, or where it begins before it."""
+        self._stops, self._begun, self._leaves, self._k, self._rests = stops, begun, leaves, k, rests
+        library = stops.library
+        self._allowed = library.stray[-1 if k is None else k] + SENSED
+        q, dq, _ = self._planned(0.0)
+        off, faster = state.q - q, state.dq - dq
+        self._beside: Fading | None = None
+        if not (np.abs(off).max() <= FAR[0] and np.abs(faster).max() <= FAR[1]):
+            self._beside = Fading(off, faster, STOP_SHARE * stops.loaded.limits.acceleration)
+        self.keeps_load = True
+        self._watch(state, 0.0)
+
+    @property
+    def duration(self) -> float:
+        beside = 0.0 if self._beside is None else self._beside.duration
+        return max(self._rests - self._begun, beside) + HOLD_AFTER_STOP
+
+    def reference(self, s: float) -> tuple[Array, Array, Array]:
+        planned = self._planned(s)
+        if self._beside is None:
+            return planned
+        q, dq, ddq = (a + b for a, b in zip(planned, self._beside.at(s), strict=True))
+        return q, dq, ddq
+
+    def step(self, state: ArmState, s: float) -> Array:
+        self._watch(state, s)
+        if self._beside is None and not self._left(s):
+            return self._stops.controller.step(state, min(self._begun + s, self._leaves))
+        return _torque(self._stops.loaded, state, self.reference(s), self._stops.gains)
+
+    def renewed(self, state: ArmState, s: float) -> Stop:
+        return PlannedStop(self._stops, state, self._begun + s, self._leaves, self._k, self._rests)
+
+    def _left(self, s: float) -> bool:
+        return self._k is not None and self._begun + s >= self._leaves - 1e-9
+
+    def _planned(self, s: float) -> tuple[Array, Array, Array]:
+        t = self._begun + s
+        table, now = self._stops.plan, min(t, self._leaves)
+        if self._k is not None and self._left(s):
+            table, now = self._stops.tables[self._k], t - self._leaves
+        return table.at(*table.instant(now))
+
+    def _watch(self, state: ArmState, s: float) -> None:
+        """The load is sure to stay only while the arm is where it was checked to be."""
+        self.keeps_load &= bool((np.abs(state.q - self._planned(s)[0]) <= self._allowed).all())
+
+
+def _torque(
+    loaded: ArmModel, state: ArmState, reference: tuple[Array, Array, Array], gains: tuple[float, float]
+) -> Array:
+    wanted = wanted_acceleration(reference, state, gains)
+    return np.asarray(pin.rnea(loaded.pin_model, loaded.data, state.q, state.dq, wanted)).copy()

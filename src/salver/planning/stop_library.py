@@ -4,20 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from salver.display import Shown
+from salver.errors import FileFormatError
 from salver.geometry import Array
 from salver.trajectory import JointMotion
 
 SAME = 1e-9  # s; instants nearer than this are one
+_ARRAYS = ("t", "duration", "s", "q", "dq", "ddq", "stray")
+
+
+@dataclass(frozen=True)
+class Course:
+    """What is done when a stop is asked for: the plan until `leaves`, s, then stop number `stop` of the library; None:
+    nothing but the plan (and rest, where that is over). rests: s, when the arm is at rest."""
+
+    leaves: float
+    stop: int | None
+    rests: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StopLibrary(Shown):
     """K stops. t: (K,) instants of the plan, s, increasing. duration: (K,) of each stop, s. s: (M,) from 0 to 1, its
     samples' shares of that. q, dq, ddq: (K, M, n) rad, rad/s, rad/s^2.
+    stray: (K + 1, n) rad, the most by which each joint may be off its reference under the uncertain set, up to the end
+    of each stop, and of the whole plan.
 
     end: s, when the plan itself is at rest.
     """
@@ -28,20 +43,25 @@ class StopLibrary(Shown):
     q: Array
     dq: Array
     ddq: Array
+    stray: Array
     end: float
 
-    def best(self, now: float) -> int | None:
-        """Index of the stop that is at rest first, of those whose instant is not before `now`; None: finish."""
+    def course(self, now: float) -> Course:
+        """The one that is at rest first of those that are left at `now`, s of the plan's time."""
+        if now <= 0:
+            return Course(now, None, now)  # at rest where the plan would begin
         ahead = np.flatnonzero(self.t >= now - SAME)
-        if not len(ahead):
-            return None
-        k = int(ahead[np.argmin(self.t[ahead] + self.duration[ahead])])
-        return k if self.t[k] + self.duration[k] < self.end else None
+        if len(ahead):
+            k = int(ahead[np.argmin(self.t[ahead] + self.duration[ahead])])
+            if (rests := float(self.t[k] + self.duration[k])) < self.end:
+                return Course(float(self.t[k]), k, rests)
+        return Course(max(now, self.end), None, max(now, self.end))
 
-    def rests_at(self, now: float) -> float:
-        """When the arm is at rest if a stop is asked for at `now`, s of the plan's time."""
-        k = self.best(now)
-        return self.end if k is None else float(self.t[k] + self.duration[k])
+    @cached_property
+    def _instants(self) -> Array:
+        """Those just after which another course becomes the best, s."""
+        changes = np.concatenate([[SAME], self.t + 2 * SAME])
+        return changes[changes < self.end]
 
     @property
     def longest(self) -> float:
@@ -49,21 +69,26 @@ class StopLibrary(Shown):
 
         Just after an instant the next one must be waited for, so it is enough to look there.
         """
-        instants = np.concatenate([[0.0], self.t + 2 * SAME])
-        return max(self.rests_at(float(now)) - float(now) for now in instants[instants < self.end])
+        return max(self.course(float(now)).rests - float(now) for now in self._instants)
+
+    @property
+    def finishing(self) -> float:
+        """From when on, s, finishing the plan is the soonest rest there is; `end` when that is never so."""
+        return next((float(now) for now in self._instants if self.course(float(now)).stop is None), self.end)
 
     def motion(self, k: int) -> JointMotion:
         """Stop k, from its own time 0."""
         return JointMotion(self.s * self.duration[k], self.q[k], self.dq[k], self.ddq[k])
 
     def stopped(self, plan: JointMotion, now: float) -> JointMotion:
-        """What is moved when a stop is asked for at `now`: the plan to the instant of the best stop, and that stop."""
-        k = self.best(now)
-        if k is None:
+        """What is moved when a stop is asked for at `now` > 0: the plan to the instant of the best stop, and that
+        stop."""
+        course = self.course(now)
+        if course.stop is None:
             return plan
-        before = plan.t[plan.t < self.t[k] - SAME]
-        stop = self.motion(k)
-        t = np.concatenate([before, self.t[k] + stop.t])
+        before = plan.t[plan.t < course.leaves - SAME]
+        stop = self.motion(course.stop)
+        t = np.concatenate([before, course.leaves + stop.t])
         states = (np.vstack([a, b]) for a, b in zip(plan.sample(before), (stop.q, stop.dq, stop.ddq), strict=True))
         return JointMotion(t, *states)
 
@@ -73,19 +98,28 @@ class StopLibrary(Shown):
 
     @property
     def sentence(self) -> str:
+        if not len(self.t):
+            return f"No stop is sooner at rest than the plan: it can only be finished, within {self.end:.2f} s."
+        last = (
+            f"; from {self.finishing:.2f} s on only by finishing, within {self.end - self.finishing:.2f} s"
+            if self.end - self.finishing > SAME
+            else ""
+        )
         return (
             f"It can be stopped at any time within {self.longest:.2f} s with the load in place, by one of "
-            f"{len(self.t)} planned stops or by finishing."
+            f"{len(self.t)} planned stops{last}."
         )
 
     def arrays(self) -> dict[str, Array]:
         """As `plan.npz` holds them."""
-        return {f"stop_{name}": getattr(self, name) for name in ("t", "duration", "s", "q", "dq", "ddq")}
+        return {f"stop_{name}": getattr(self, name) for name in _ARRAYS}
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, Array], end: float) -> StopLibrary | None:
-        """From the arrays of a plan file; None when it has no stops."""
+        """From the arrays of a plan file; None when it has no stops. Raises FileFormatError when some are missing."""
         if "stop_t" not in arrays:
             return None
-        t, duration, s, q, dq, ddq = (arrays[f"stop_{name}"] for name in ("t", "duration", "s", "q", "dq", "ddq"))
-        return cls(t, duration, s, q, dq, ddq, end)
+        missing = [f"stop_{name}" for name in _ARRAYS if f"stop_{name}" not in arrays]
+        if missing:
+            raise FileFormatError(f"The plan's stops lack the array {missing[0]}; plan again with --stops.")
+        return cls(**{name: arrays[f"stop_{name}"] for name in _ARRAYS}, end=end)

@@ -2,69 +2,118 @@
 
 A stop begins in the state of the plan at its instant, with the arm's deviation under a wrong load as it is there, and
 ends at rest anywhere. Everything that holds of a fastest motion holds of it: the arm's limits, contact in the worst
-case over the uncertain set, clearance of the arm's own parts and of obstacles, between the nodes too.
+case over the uncertain set, clearance of the arm's own parts and of obstacles, between the nodes too. Each is judged
+once more by the arm's own verdict before it is kept.
 
 From any instant the plan is followed to one of the stored instants ahead, and its stop taken, or to its end: whichever
 is at rest first. So there is always one, and it is never later than the plan itself.
+
+A stop is followed in the joints, also that of a plan whose controller closes its loop on the object's pose.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from salver.control.object import Gains
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
-from salver.planning.fastest.curves import FreeCurve, Grid, launch_basis
+from salver.models.arm import load_arm
+from salver.planning.fastest.constraints import LEVEL_TOLERANCE
+from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch_basis
 from salver.planning.fastest.ends import Anywhere, AtPosture
-from salver.planning.fastest.exchange import optimise
+from salver.planning.fastest.exchange import CurveOf, optimise
+from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.search import object_motion
-from salver.planning.fastest.spline import RestSpline, SplineMotion
-from salver.planning.stop_library import StopLibrary
+from salver.planning.fastest.retiming import SplinePath
+from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.fastest.starts import braking_time
+from salver.planning.follow.forward import tray_motion
+from salver.planning.follow.limits import BETWEEN, verdict
+from salver.planning.stop_library import SAME, StopLibrary
+from salver.sensitivity.arm.task import task_law
+from salver.sensitivity.arm.terms import motion_terms
+from salver.sensitivity.arm.tracking import Deviation, deviation, late
 from salver.trajectory import JointMotion, SampledReference
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 EVERY = 0.02  # s from one instant to the next
-SPLINE = RestSpline(degree=5, spans=8)  # of every stop
+SPLINE = RestSpline(degree=5, spans=6)  # of every stop
 NODES_PER_SPAN = 3
 STORED = np.union1d(np.linspace(0.0, 1.0, 41), SPLINE.breaks())  # with the breaks: what is stored is what was checked
+FINER = 4  # times as many samples as are stored are judged
 WARM = 0.3  # damping of the first step from the stop of the next instant
-STATES = 401  # instants at which the deviation along the plan is known
+GAIN = 1e-2  # relative shortening below which a stop is short enough
+STATES = 401  # instants at which the deviation along the plan is known, at least, and
+STATES_EVERY = 4e-3  # s from one to the next, at most
 SMOOTH = 0.1  # weight of acceleration, in normalised time, beside posture in the first guess
+LEAST = 1e-4  # s by which a stop must be sooner at rest than what there is without it
 Progress = Callable[[int, int], None]
+Space = Literal["object", "joint"]
 
 
 def with_stops(plan: Plan, progress: Progress | None = None) -> Plan:
-    """The same plan with its stops. Raises ScenarioError when it is no safe fastest plan."""
-    if plan.method != "fastest" or plan.joint is None or not plan.ok:
-        raise ScenarioError("Stops are planned for safe fastest plans: salver plan SCENARIO --fastest --stops.")
-    return replace(plan, stops=plan_stops(transport_problem(plan.scenario), plan.joint, progress=progress))
+    """The same plan with its stops. Raises ScenarioError when it is no safe plan of an arm."""
+    if plan.joint is None or not plan.ok:
+        raise ScenarioError("Stops are planned for safe plans of an arm; this plan is none.")
+    problem = stop_problem(plan)
+    on_path = plan.scenario.motion.stop == "on-path"
+    stops = plan_stops(problem, plan.joint, space=plan.space, on_path=on_path, progress=progress)
+    return replace(plan, stops=stops)
+
+
+def stop_problem(plan: Plan) -> TransportProblem:
+    """What the stops of a plan must keep: all that the scenario asks of a fastest motion.
+
+    Where the plan itself tilts further, or passes things more closely, a stop may too.
+    """
+    assert plan.joint is not None
+    q = plan.joint.sample(np.linspace(0.0, plan.joint.duration, STATES))[0]
+    free = plan.scenario.with_changes(arm__start_posture=None)
+    problem = transport_problem(free)
+    tilt = max(float(np.arccos(np.clip(problem.arm.tray_pose(x)[1][2, 2], -1.0, 1.0))) for x in q)
+    if tilt > max(problem.max_tilt, LEVEL_TOLERANCE):
+        problem = replace(problem, max_tilt=1.01 * tilt)
+    if problem.keep_out is not None:
+        problem = replace(problem, keep_out=KeepOut.of(problem.keep_out.parts, q))
+    return problem
 
 
 def stopped(plan: Plan, now: float) -> Plan:
     """What becomes of a plan when a stop is asked for at `now`, s. Raises ScenarioError when it has no stops."""
     if plan.stops is None or plan.joint is None:
-        raise ScenarioError("This plan has no stops; plan it with salver plan SCENARIO --fastest --stops.")
-    if not 0 <= now <= plan.duration:
-        raise ScenarioError(f"The stop is asked for at {now:g} s; the plan lasts from 0 to {plan.duration:.4g} s.")
-    joint, problem = plan.stops.stopped(plan.joint, now), transport_problem(plan.scenario)
-    reference = SampledReference(object_motion(problem, joint.t, joint.q, joint.dq, joint.ddq))
+        raise ScenarioError("This plan has no stops; plan it with salver plan SCENARIO --stops.")
+    if not 0 < now <= plan.duration:
+        raise ScenarioError(
+            f"The stop is asked for at {now:g} s; it must be after 0 and not after {plan.duration:.4g} s, the end."
+        )
+    assert plan.scenario.arm is not None
+    joint, first = plan.stops.stopped(plan.joint, now), plan.scenario.payload.first
+    tray = tray_motion(load_arm(plan.scenario.arm, plan.scenario.tray), joint)
+    reference = SampledReference(tray.of_frame(first.p_EB, first.R_EB))
     return replace(plan, joint=joint, reference=reference, tau=None, stops=None)
 
 
 def plan_stops(
-    problem: TransportProblem, motion: JointMotion, every: float = EVERY, progress: Progress | None = None
+    problem: TransportProblem,
+    motion: JointMotion,
+    every: float = EVERY,
+    space: Space = "joint",
+    on_path: bool = False,
+    progress: Progress | None = None,
 ) -> StopLibrary:
     """Stops along a motion that the problem's constraints allow.
 
     Found backwards in time: from an instant, going on to the next one and stopping as there is a stop already, and so
     a place to begin. Instants whose own stop is no sooner at rest than that are left out.
+    space: where the controller closes its loop along the motion. on_path: stops that never leave the motion's own
+    path, of which only the timing is free; often there is none, as where a tray leans into the plan's acceleration.
     progress: called with how many of how many instants are done.
     Raises SalverError when the motion has no stop because it begins or ends moving.
     """
@@ -73,60 +122,170 @@ def plan_stops(
         raise SalverError("Stops are planned along motions from rest to rest; this one begins or ends moving.")
     end = motion.duration
     instants = np.arange(every, end - 0.5 * every, every)
-    state = _states(problem, motion)
-    kept: list[tuple[float, JointMotion]] = []
+    t, strayed = along(problem, motion, space)
+    radius = np.zeros((len(t), problem.n)) if strayed is None else strayed.joint_radius(0)
+    path = SplinePath.timed(motion) if on_path else None
+    kept: list[tuple[float, FoundStop]] = []
     ahead = JointMotion(*(np.asarray(x)[-1:] for x in (motion.t, motion.q, motion.dq, motion.ddq)))
     rest, begin = end, end  # when what is ahead is at rest, and where it leaves the plan
-    for done, now in enumerate(instants[::-1]):
-        guess = _going_on(motion, float(now), begin, ahead)
-        at = replace(problem, start=AtPosture(*(x[0] for x in motion.sample(now))), goal=Anywhere())
-        found = _shortest(state(at, float(now)), guess, rest - float(now))
-        if found is not None and float(now) + found.duration < rest - 1e-4:
-            kept.append((float(now), found))
-            ahead, rest, begin = found, float(now) + found.duration, float(now)
+    for done, now in enumerate(map(float, instants[::-1])):
+        begun = None if strayed is None else strayed.state_at(t, now)
+        if path is None:
+            state = AtPosture(*(x[0] for x in motion.sample(now)))
+            found = stop_from(problem, state, begun, _going_on(motion, now, begin, ahead), rest - now)
+        else:
+            found = brake_on(problem, path, end, now, begun, _law_ahead(now, begin, end, kept), rest - now)
+        if found is not None and now + found.motion.duration < rest - LEAST:
+            kept.append((now, found))
+            ahead, rest, begin = found.motion, now + found.motion.duration, now
         if progress:
             progress(done + 1, len(instants))
     kept.reverse()
     shape = (len(kept), len(STORED), problem.n)
-    q, dq, ddq = (np.array([getattr(stop, x) for _, stop in kept]).reshape(shape) for x in ("q", "dq", "ddq"))
-    duration = np.array([stop.duration for _, stop in kept])
-    return StopLibrary(np.array([now for now, _ in kept]), duration, STORED, q, dq, ddq, end)
+    q, dq, ddq = (np.array([getattr(stop.motion, x) for _, stop in kept]).reshape(shape) for x in ("q", "dq", "ddq"))
+    instants = np.array([now for now, _ in kept])
+    if len(kept):  # to the last digit: what is found on a path is, to what its spline leaves
+        q[:, 0], dq[:, 0], ddq[:, 0] = motion.sample(instants)
+    stray = [np.maximum(stop.stray, radius[t <= now].max(axis=0)) for now, stop in kept]
+    return StopLibrary(
+        instants,
+        np.array([stop.motion.duration for _, stop in kept]),
+        STORED,
+        q,
+        dq,
+        ddq,
+        np.array([*stray, radius.max(axis=0)]),
+        end,
+    )
 
 
-def _states(problem: TransportProblem, motion: JointMotion) -> Callable[[TransportProblem, float], TransportProblem]:
-    """Gives a problem the deviation that a wrong load has brought the arm into at an instant of the motion."""
+@dataclass(frozen=True, eq=False)
+class FoundStop:
+    """motion: from its own time 0 to rest. stray: (n,) rad, the most by which each joint may be off it. law: of a stop
+    on a path, where on it the samples of the motion are, from 0 to 1."""
+
+    motion: JointMotion
+    stray: Array
+    law: Array | None = None
+
+
+def stop_from(
+    problem: TransportProblem,
+    state: AtPosture,
+    deviation: Array | None = None,
+    guess: JointMotion | None = None,
+    duration: float | None = None,
+) -> FoundStop | None:
+    """The shortest motion to rest anywhere from a state of the arm; None when none was found.
+
+    problem: what must hold on the way, for which uncertain set; its ends are not asked for.
+    deviation: (2, n, n_c + 1) in which the arm is under a wrong load, of `Deviation.state_at`; at rest under it unless
+    given. guess: a motion from the state to rest, and the `duration`, s, to begin with: braking of every joint unless
+    given. What is found is checked between the nodes of the programme, on a grid six
+    times finer (the joints' own limits on one thirty times finer), and judged by `follow.limits.verdict`.
+    """
+    problem = _begun(problem, state, deviation)
+    if guess is None:
+        duration = braking_time(problem) if duration is None else duration
+        coefficients = _braking(state, duration)
+    else:
+        duration = guess.duration if duration is None else duration
+        coefficients = _fitted(problem, guess, duration)
+    return _shortest(problem, FreeCurve, SplineMotion(SPLINE, coefficients, duration))
+
+
+def brake_on(
+    problem: TransportProblem,
+    path: SplinePath,
+    end: float,
+    now: float,
+    deviation: Array | None,
+    law: tuple[Array, Array],
+    duration: float,
+) -> FoundStop | None:
+    """The shortest stop that stays on a path, from where a motion of duration `end`, s, which gave it, is at `now`.
+
+    deviation: as of `stop_from`. law: times from `now`, s, and where on the path, from 0 to 1, to begin with;
+    duration: s, likewise. None when none was found.
+    """
+    begin, rate = now / end, 1.0 / end
+    z = path.derivatives(np.array([begin]), 2)[:, 0] * rate ** np.arange(3.0)[:, None]
+    problem = _begun(problem, AtPosture(*z), deviation)
+    s = np.linspace(0.0, 1.0, 121)
+    wanted = np.interp(s * law[0][-1], *law) - duration * rate * launch_basis(s)[0, 0]
+    coefficients = np.clip(SPLINE.fit(s, wanted[:, None]), 0.0, 1.0)
+
+    def curve_of(at: TransportProblem, grid: Grid) -> BrakingCurve:
+        return BrakingCurve(at, grid, path, begin, rate)
+
+    return _shortest(problem, curve_of, SplineMotion(SPLINE, coefficients, duration))
+
+
+def _begun(problem: TransportProblem, state: AtPosture, deviation: Array | None) -> TransportProblem:
+    """The problem of coming to rest from a state, and from a deviation."""
+    problem.check_from_rest("a stop")
+    tracking = problem.tracking
+    if tracking is not None and deviation is not None:
+        tracking = tracking.begun(deviation)
+    return replace(problem, start=state, goal=Anywhere(), tracking=tracking)
+
+
+def _shortest(problem: TransportProblem, curve_of: CurveOf, begin: SplineMotion) -> FoundStop | None:
+    """The shortest motion to rest along a curve, checked between the nodes and judged; None when none was found."""
+    found = optimise(problem, curve_of, begin, NODES_PER_SPAN, damping=WARM, gain=GAIN)
+    if not found.status.ok:
+        return None
+    s = np.interp(np.arange(FINER * (len(STORED) - 1) + 1) / FINER, np.arange(len(STORED)), STORED)
+    curve = curve_of(problem, Grid.of(SPLINE, s))
+    z = curve.motion(found.coefficients, found.duration)
+    fine = JointMotion(s * found.duration, *z[:3])
+    parts = None if problem.keep_out is None else problem.keep_out.parts
+    if not verdict(problem.arm, fine, problem.items, parts, BETWEEN).ok:
+        return None
+    response = problem.at(s, z, found.duration, imposed=False).response
+    stray = np.zeros(problem.n) if response is None else response.joint_radius(0).max(axis=0)
+    law = curve.law(found.coefficients, found.duration)[0, ::FINER, 0] if isinstance(curve, BrakingCurve) else None
+    return FoundStop(JointMotion(STORED * found.duration, *z[:3, ::FINER]), stray, law)
+
+
+def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple[Array, Deviation | None]:
+    """Instants (T,), s, and there the deviation that a wrong load brings the arm into along a motion from rest, under
+    the loop on the joints or on the object's pose; None when nothing is uncertain."""
+    t = np.linspace(0.0, motion.duration, max(STATES, int(np.ceil(motion.duration / STATES_EVERY)) + 1))
     tracking = problem.tracking
     if tracking is None:
-        return lambda at, now: at
-    t = np.linspace(0.0, motion.duration, STATES)
+        return t, None
     q, dq, ddq = motion.sample(t)
-    z = np.stack([q, dq, ddq, motion.jerk(t)])
-    along = problem.at(t / motion.duration, z, motion.duration)
-    assert along.response is not None
-    deviation = along.response
-
-    def begun(at: TransportProblem, now: float) -> TransportProblem:
-        return replace(at, tracking=tracking.begun(deviation.state_at(t, now)))
-
-    return begun
+    terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
+    rates = np.stack([dq, ddq, motion.jerk(t)])
+    if space == "joint":
+        return t, tracking.along(t, terms, rates)
+    control = problem.scenario.control
+    law = task_law(t, terms, problem.items[0], Gains(control.kp, control.kd), tracking.settle)
+    return t, deviation(tracking.load, terms, late(terms, rates, tracking.delay), law)
 
 
 def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion) -> JointMotion:
     """The plan from `now` to `begin`, and what is ahead there; from time 0."""
-    between = np.unique(np.concatenate([[now], motion.t[(motion.t > now) & (motion.t < begin)]]))
+    between = np.unique(np.concatenate([[now], motion.t[(motion.t > now + SAME) & (motion.t < begin - SAME)]]))
     first = motion.sample(between)
     t = np.concatenate([between - now, begin - now + (ahead.t - ahead.t[0])])
     return JointMotion(t, *(np.vstack([a, b]) for a, b in zip(first, (ahead.q, ahead.dq, ahead.ddq), strict=True)))
 
 
-def _shortest(problem: TransportProblem, guess: JointMotion, duration: float) -> JointMotion | None:
-    """The shortest motion to rest from a guess, checked between the nodes; None when none was found."""
-    begin = SplineMotion(SPLINE, _fitted(problem, guess, duration), duration)
-    found = optimise(problem, FreeCurve, begin, NODES_PER_SPAN, damping=WARM)
-    if not found.status.ok:
-        return None
-    z = FreeCurve(problem, Grid.of(SPLINE, STORED)).motion(found.coefficients, found.duration)
-    return JointMotion(STORED * found.duration, *z[:3])
+def _law_ahead(now: float, begin: float, end: float, kept: Sequence[tuple[float, FoundStop]]) -> tuple[Array, Array]:
+    """The time law of going on to `begin` and stopping as there is a stop there: times from `now`, s, and where on the
+    path of a motion of duration `end`, s."""
+    t, u = np.linspace(now, begin, 21), np.linspace(now, begin, 21) / end
+    if kept and kept[-1][1].law is not None:
+        t, u = np.append(t, begin + kept[-1][1].motion.t[1:]), np.append(u, kept[-1][1].law[1:])
+    return t - now, u
+
+
+def _braking(state: AtPosture, duration: float) -> Array:
+    """(size, n) coefficients with which every joint's velocity fades along the smooth step 1 - 3 s^2 + 2 s^3."""
+    s = np.linspace(0.0, 1.0, 121)
+    return SPLINE.fit(s, state.q + np.outer(0.5 * duration * min_jerk_blend(s), state.rates[0]))
 
 
 def _fitted(problem: TransportProblem, guess: JointMotion, duration: float) -> Array:

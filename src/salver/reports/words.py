@@ -74,7 +74,12 @@ def _why_not(run: Run) -> str:
 
 
 def _promise(run: Run) -> str:
-    """What the plan says of itself, in figures."""
+    """What the plan says of itself, in figures, and of its stops."""
+    stops = run.plan.summary.get("stops", {}).get("sentence", "")
+    return f"{_margins(run)}. {stops.rstrip('.')}" if stops else _margins(run)
+
+
+def _margins(run: Run) -> str:
     curves, plan = run.contact[run.plan.stem], run.plan
     if curves.coefficient is not None:
         text = f"Needs a friction coefficient of {float(curves.coefficient.max()):.3f}, there is {curves.available:g}"

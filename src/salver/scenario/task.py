@@ -46,6 +46,7 @@ class Motion(Model):
     orientation: Literal["fixed", "free"] | None = None
     max_tilt_deg: Annotated[Number, Field(gt=0, le=90)] | None = None
     goal_yaw: Literal["fixed", "free"] = "fixed"
+    stop: Literal["free", "on-path"] = "free"
 
     @property
     def may_turn(self) -> bool:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.interpolate import interp1d
 
-from salver.control.arm import ArmController, ArmState, Saturation, controller_for
+from salver.control.arm import ArmController, ArmState, Relay, Saturation, controller_for
 from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.files import provenance
 from salver.geometry import Array, invert, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
@@ -71,11 +71,13 @@ class Run:
 class Experiment:
     """A plan, to be run any number of times. What the true parameters do not change is made once, by the first run.
 
+    stop_at: s of the plan's time at which a stop is asked for; None: never.
     One run at a time: they share the arm's work space and the controller.
     """
 
     plan: Plan
     options: Options = field(default_factory=Options)
+    stop_at: float | None = None
 
     @cached_property
     def arm(self) -> ArmModel:
@@ -83,33 +85,49 @@ class Experiment:
         return load_arm(self.plan.scenario.arm, self.plan.scenario.tray)
 
     @cached_property
-    def joint(self) -> JointMotion:
-        """The arm's motion. Raises UnreachableError when the plan has none."""
-        if self.plan.joint is None:
-            why = self.plan.no_arm_motion
-            raise UnreachableError(f"{self.plan.scenario.name} has no joint motion to simulate: {why}")
-        return self.plan.joint
+    def moved(self) -> Plan:
+        """What the arm is to do. Raises ScenarioError when it is to be stopped and cannot be."""
+        if self.stop_at is None:
+            return self.plan
+        from salver.planning.stops import stopped
+
+        return stopped(self.plan, self.stop_at)
 
     @cached_property
-    def controller(self) -> ArmController:
-        # Plans made in joint space know their tracking errors in joint space (salver.planning.fastest.tracking).
-        space = self.plan.space
-        return controller_for(self.plan.scenario, self.joint, self.plan.reference, arm=self.arm, space=space)
+    def joint(self) -> JointMotion:
+        """The arm's motion. Raises UnreachableError when the plan has none."""
+        if self.moved.joint is None:
+            why = self.plan.no_arm_motion
+            raise UnreachableError(f"{self.plan.scenario.name} has no joint motion to simulate: {why}")
+        return self.moved.joint
+
+    @cached_property
+    def controller(self) -> ArmController | Relay:
+        plan, stops = self.plan, self.plan.stops
+        course = None if stops is None or self.stop_at is None else stops.course(self.stop_at)
+        if stops is None or course is None or course.stop is None:
+            return controller_for(plan.scenario, self.joint, plan.reference, arm=self.arm, space=plan.space)
+        assert plan.joint is not None
+        first = controller_for(plan.scenario, plan.joint, plan.reference, arm=self.arm, space=plan.space)
+        stop = controller_for(plan.scenario, stops.motion(course.stop), None, arm=self.arm, space="joint")
+        return Relay(first, stop, course.leaves)
 
     @cached_property
     def wanted(self) -> MotionSamples:
         """The reference at the commands."""
-        return _at_commands(self.plan.scenario, self.plan.reference)
+        return _at_commands(self.plan.scenario, self.moved.reference)
 
     def run(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> SimulationRecord:
         """One run, as `simulate` makes it."""
         plan, scenario, options = self.plan, self.plan.scenario, self.options
         if scenario.arm is None:
+            if self.stop_at is not None:
+                raise ScenarioError(f"{scenario.name} has no arm; stops are motions of an arm.")
             return simulate_tray(plan.reference, scenario, parameters, options)
         began = time.perf_counter()
         q_start = self.joint.sample(0.0)[0][0]
         scene = build(scenario, true_world(scenario, parameters), self.arm)
-        run = Run(scenario, dict(parameters or {}), options, plan.reference, scene, self.wanted)
+        run = Run(scenario, dict(parameters or {}), options, self.moved.reference, scene, self.wanted)
         self.controller.reset()
         trace = _run_arm(run, self.controller, q_start, np.random.default_rng(seed))
         bias = creep.tray_bias(self.arm, trace.q, trace.dq, scene.world.R_tilt)
@@ -120,23 +138,35 @@ class Experiment:
             "arm": _arm_summary(self.arm.limits, trace, self.controller.saturation),
         }
         record = measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
-        record.summary["tube"] = _against_tube(plan, record)  # type: ignore[index]
+        if self.stop_at is None:
+            record.summary["tube"] = _against_tube(plan, record)  # type: ignore[index]
+        else:
+            assert plan.stops is not None
+            course = plan.stops.course(self.stop_at)
+            told = {"stop_at": self.stop_at, "stop_takes": course.rests - self.stop_at, "finishes": course.stop is None}
+            record.summary.update(told)  # type: ignore[attr-defined]
         return record
 
 
 def simulate(
-    plan: Plan, *, parameters: Mapping[str, float] | None = None, seed: int = 0, options: Options | None = None
+    plan: Plan,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    seed: int = 0,
+    options: Options | None = None,
+    stop_at: float | None = None,
 ) -> SimulationRecord:
     """Run a plan in the physics engine; with its arm when the scenario has one, else with an exactly moving tray.
 
     parameters: true values by name, where not nominal (docs/conventions.md). seed: of the sensor noise, 0 or more.
-    Raises ScenarioError for parameters that cannot be, UnreachableError when the plan has no joint motion,
-    SalverError when the engine diverges.
+    stop_at: s of the plan's time at which a stop is asked for; the plan must have stops (`salver.planning.stops`).
+    Raises ScenarioError for parameters that cannot be and for a stop that cannot, UnreachableError when the plan has no
+    joint motion, SalverError when the engine diverges.
     """
-    return Experiment(plan, options or Options()).run(parameters, seed)
+    return Experiment(plan, options or Options(), stop_at).run(parameters, seed)
 
 
-def _run_arm(run: Run, controller: ArmController, q_start: Array, rng: np.random.Generator) -> Trace:
+def _run_arm(run: Run, controller: ArmController | Relay, q_start: Array, rng: np.random.Generator) -> Trace:
     """Command by command: sense, step the controller, apply its torque, step the engine."""
     scene, physics = run.scene, run.scenario.physics
     model, data, n = scene.model, mujoco.MjData(scene.model), scene.n

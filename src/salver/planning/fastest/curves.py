@@ -191,24 +191,16 @@ class PathCurve:
     width = 1
 
     def motion(self, coefficients: Array, duration: float) -> Array:
-        _, u1, u2, u3 = self._law(coefficients, duration)
-        p0, p1, p2, p3 = self.path.derivatives(self.grid.basis[0] @ coefficients[:, 0], 3)
+        u, u1, u2, u3 = self.law(coefficients, duration)
+        p0, p1, p2, p3 = self.path.derivatives(u[:, 0], 3)
         return np.stack([p0, p1 * u1, p2 * u1**2 + p1 * u2, p3 * u1**3 + 3 * p2 * u1 * u2 + p1 * u3])
 
     def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
         return np.asarray(-ORDERS * z)
 
     def columns(self, coefficients: Array, duration: float, parts: Array, point: Indices) -> Array:
-        u, u1, u2, u3 = (x[point] for x in self._law(coefficients, duration))
-        _, p1, p2, p3, p4 = self.path.derivatives(u[:, 0], 4)
-        zero = np.zeros_like(p1)
-        by_law = (
-            (p1, p2 * u1, p3 * u1**2 + p2 * u2, p4 * u1**3 + 3 * p3 * u1 * u2 + p2 * u3),
-            (zero, p1, 2 * p2 * u1, 3 * p3 * u1**2 + 3 * p2 * u2),
-            (zero, zero, p1, 3 * p2 * u1),
-            (zero, zero, zero, p1),
-        )
-        law = np.stack([np.einsum("rkn,krn->r", parts, np.stack(row)) for row in by_law], axis=1)
+        by_law = self._by_law(self.law(coefficients, duration)[:, point])
+        law = np.einsum("rkn,jkrn->rj", parts, by_law)
         return self.grid.chained(law[:, :, None], point, duration)
 
     def fixed(self) -> tuple[int, int]:
@@ -224,6 +216,51 @@ class PathCurve:
     def repaired(self, coefficients: Array) -> Array | None:
         return np.maximum.accumulate(np.clip(coefficients, 0.0, 1.0), axis=0)
 
-    def _law(self, coefficients: Array, duration: float) -> Array:
-        """(4, N, 1) u and its time derivatives."""
+    def law(self, coefficients: Array, duration: float) -> Array:
+        """(4, P, 1) u and its time derivatives."""
         return self.grid.motion(coefficients, duration)
+
+    def _by_law(self, law: Array) -> Array:
+        """(4, 4, R, n): derivatives by u and its three time derivatives, first axis, of z."""
+        u, u1, u2, u3 = law
+        _, p1, p2, p3, p4 = self.path.derivatives(u[:, 0], 4)
+        zero = np.zeros_like(p1)
+        rows = (
+            (p1, p2 * u1, p3 * u1**2 + p2 * u2, p4 * u1**3 + 3 * p3 * u1 * u2 + p2 * u3),
+            (zero, p1, 2 * p2 * u1, 3 * p3 * u1**2 + 3 * p2 * u2),
+            (zero, zero, p1, 3 * p2 * u1),
+            (zero, zero, zero, p1),
+        )
+        return np.stack([np.stack(row) for row in rows])
+
+
+@dataclass(frozen=True, eq=False)
+class BrakingCurve(PathCurve):
+    """A time law along a path that begins as the motion goes which gave the path, and ends at rest where it will.
+
+    start: u where it begins. rate: of u there, 1/s; the path is in proportion to the motion's time, so u'' is 0.
+    """
+
+    start: float = 0.0
+    rate: float = 1.0
+
+    def by_duration(self, coefficients: Array, duration: float, z: Array) -> Array:
+        # Of order k: T^-k for the spline, T^(1 - k) for the function of the start.
+        by_duration = self._launched(duration) - ORDERS * self.law(coefficients, duration)
+        return np.einsum("jkrn,jr->krn", self._by_law(self.law(coefficients, duration)), by_duration[:, :, 0])
+
+    def fixed(self) -> tuple[int, int]:
+        return 1, 0
+
+    def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
+        return np.eye(coefficients.size)[1:], 1.0 - coefficients[1:, 0]
+
+    def repaired(self, coefficients: Array) -> Array | None:
+        return np.clip(coefficients, 0.0, 1.0)
+
+    def law(self, coefficients: Array, duration: float) -> Array:
+        return self.grid.motion(coefficients, duration) + self._launched(duration)
+
+    def _launched(self, duration: float) -> Array:
+        """(4, P, 1) what the rate at the start adds."""
+        return launch_basis(self.grid.s)[0][:, :, None] * self.rate * duration ** (1 - ORDERS)

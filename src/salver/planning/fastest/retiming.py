@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 PATH_DEGREE = 5
 PATH_POINTS = 60  # to which a dense path is thinned out, evenly along its length
 LAW_DEGREE = 5
+TIMED_POINTS = 401  # of the path of a motion whose timing is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,13 @@ class SplinePath:
             q = np.column_stack([np.interp(wanted, length, column) for column in q.T])
             length = wanted
         return cls(make_interp_spline(length / length[-1], q, PATH_DEGREE))
+
+    @classmethod
+    def timed(cls, motion: JointMotion) -> SplinePath:
+        """The path of a motion, u in proportion to its time instead of its length: the states are those of the motion,
+        to what its own samples leave open."""
+        t = np.linspace(0.0, motion.duration, TIMED_POINTS)
+        return cls(make_interp_spline(t / motion.duration, motion.sample(t)[0], PATH_DEGREE))
 
     @classmethod
     def of(cls, motion: JointMotion) -> SplinePath:

@@ -12,7 +12,7 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
-from salver.models.arm_limits import LIMITS
+from salver.models.arm_limits import LIMITS, LimitKind
 from salver.models.bodies import Body
 from salver.planning.follow.clearance import sweep
 from salver.trajectory import JointMotion
@@ -20,6 +20,7 @@ from salver.wording import listed
 
 WITHIN_LIMITS, LIMIT_EXCEEDED, COLLISION = "within_limits", "limit_exceeded", "collision"
 _TOLERANCE = 1e-9  # relative; a motion planned up to a limit touches it
+BETWEEN = 5e-3  # of a limit: more than what a motion that keeps it at a planner's instants asks for between them
 
 
 @dataclass(frozen=True)
@@ -90,11 +91,17 @@ def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
 
 
 def verdict(
-    arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = (), parts: ArmGeometry | None = None
+    arm: ArmModel,
+    motion: JointMotion,
+    bodies: Sequence[Body] = (),
+    parts: ArmGeometry | None = None,
+    between: float = 0.0,
 ) -> Status:
     """Status "within_limits", "limit_exceeded" or "collision". A good one says first what was not checked.
 
-    parts: the arm's geometry, when it is known already. `details` has the peak of each kind of limit by its key;
+    parts: the arm's geometry, when it is known already. between: share by which the scenario's part of a limit may be
+    overstepped, but never the maker's own: for looks at other instants than those at which a motion was planned
+    (`BETWEEN`). `details` has the peak of each kind of limit by its key;
     "unchecked" (`unchecked`); "limit_sources": who gave each limit, joint by joint; "pairs_left_out": links that were
     not compared, by reason; "clearance": the nearest two parts; "obstacle_clearance": the part nearest to an obstacle;
     "collision": the parts that touch.
@@ -104,7 +111,11 @@ def verdict(
     details: dict[str, Any] = {peak.kind.replace(" ", "_"): vars(peak) for peak in found}
     blind = unchecked(arm, parts)
     details |= {"unchecked": blind, "limit_sources": arm.limit_sources, "pairs_left_out": parts.left_out}
-    broken = sorted((peak for peak in found if not peak.share <= 1 + _TOLERANCE), key=lambda peak: -peak.share)
+    rooms = {kind.name: _room(arm, kind, between) for kind in LIMITS}
+    broken = sorted(
+        (p for p in found if not p.share <= rooms[p.kind][arm.joint_names.index(p.joint)] + _TOLERANCE),
+        key=lambda peak: -peak.share,
+    )
     sentences = [
         f"the {peak.kind} of {peak.joint} reaches {peak.value:.4g} {peak.unit} at t = {peak.time:.2f} s, "
         f"{100 * (peak.share - 1):.3g} % over its limit of {peak.limit:.4g}"
@@ -127,3 +138,10 @@ def verdict(
         near = swept.obstacle
         nearest += f"; {near.first} passes {near.second} at {1e3 * near.distance:.0f} mm at t = {near.time:.2f} s"
     return Status(WITHIN_LIMITS, f"{first}{arm.name} follows within its limits; {nearest}.", True, details)
+
+
+def _room(arm: ArmModel, kind: LimitKind, between: float) -> Array:
+    """(n,) what a motion may use of the scenario's part of each limit of a kind."""
+    part, whole = arm.planning_limits.range(kind)[1], arm.limits.range(kind)[1]
+    with np.errstate(invalid="ignore"):  # where nobody gave a limit
+        return np.fmin(1.0 + between, np.fmax(whole / part, 1.0))

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from salver.control.arm import POSTURE_GAINS
 from salver.control.object import Gains
 from salver.errors import ScenarioError
 from salver.geometry import Array
@@ -29,15 +28,13 @@ from salver.models.parameters import UncertainSet
 from salver.sensitivity import tubes
 from salver.sensitivity.arm.contact import ContactChange, contact_change
 from salver.sensitivity.arm.load import LoadChange
-from salver.sensitivity.arm.task import joints_of_task, tray_of_task
+from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import (
     Deviation,
     Held,
     JointDeviation,
     JointLoop,
-    Law,
-    TrayDeviation,
     deviation,
     joint_loop,
     late,
@@ -213,7 +210,8 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
     if space == "joint":
         found = model.loop.along(t, terms, rates)
     else:
-        found = deviation(model.load, terms, late(terms, rates, model.loop.delay), _object_law(model, t, terms))
+        law = task_law(t, terms, model.items[0], model.gains, model.loop.settle)
+        found = deviation(model.load, terms, late(terms, rates, model.loop.delay), law)
     load, contact = model.load, model.contact
     n_p = load.uncertain.size
     direct_wrench = np.einsum("pij,tj->tip", load.wrench_p, terms.w)
@@ -228,13 +226,3 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
         slack=-terms.w @ contact.rows.T,
         slack_p=-np.einsum("pri,ti->trp", contact.rows_p, terms.w) - contact.rows @ found.tray.w[:, :, :n_p],
     )
-
-
-def _object_law(model: ChainModel, t: Array, terms: MotionTerms) -> Law:
-    """The loop closed on the pose of the first object, the posture's in the null space."""
-
-    def law(missing: Array, before: Array) -> tuple[JointDeviation, TrayDeviation]:
-        tray = tray_of_task(t, terms, missing, model.items[0], model.gains, model.loop.settle, before)
-        return joints_of_task(t, terms, tray, missing, POSTURE_GAINS, model.loop.settle, before), tray
-
-    return law

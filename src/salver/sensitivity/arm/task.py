@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from salver.control.arm import POSTURE_GAINS
 from salver.control.object import Gains
 from salver.geometry import Array, hat
 from salver.models.bodies import Body
 from salver.models.tray_motion import PRODUCTS, frame_map
 from salver.sensitivity.arm.terms import MotionTerms
-from salver.sensitivity.arm.tracking import JointDeviation, TrayDeviation
+from salver.sensitivity.arm.tracking import JointDeviation, Law, TrayDeviation
 from salver.sensitivity.filter import LinearFilter, settled
 
 _FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
@@ -147,3 +148,13 @@ def _between(values: Array) -> Array:
     middle[0] = (5 * values[0] + 15 * values[1] - 5 * values[2] + values[3]) / 16
     middle[-1] = (5 * values[-1] + 15 * values[-2] - 5 * values[-3] + values[-4]) / 16
     return middle
+
+
+def task_law(t: Array, terms: MotionTerms, first: Body, gains: Gains, settle: float) -> Law:
+    """The loop closed on the pose of the first object, the posture's in the null space; t evenly spaced."""
+
+    def law(missing: Array, before: Array) -> tuple[JointDeviation, TrayDeviation]:
+        tray = tray_of_task(t, terms, missing, first, gains, settle, before)
+        return joints_of_task(t, terms, tray, missing, POSTURE_GAINS, settle, before), tray
+
+    return law

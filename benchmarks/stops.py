@@ -1,0 +1,214 @@
+"""Can it be stopped at any time? Five loads: stops along their fastest motion, taken at random instants in the engine.
+
+    python benchmarks/stops.py [-n 50] [--cool 20] [--jobs 1] [--only cube ...] [--again] [--docs]
+
+Each of n runs is stopped at an instant of its own, with the corners of the uncertain set first and then parameters
+drawn from it: `salver campaign runs/stops/LOAD --stops --method corners`, which goes on where it was stopped. The first
+runs (--cool) once more with the cool stop, which brakes the joints and knows nothing of the load. --again plans anew.
+
+Results are kept in docs/data/stops.json; with --docs the page docs/stops.md is written from them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fastest import scenarios as loads
+from salver.campaigns import instant_of_run, parameters_of_run, run_campaign
+from salver.campaigns.summary import DROPPED, FAR
+from salver.control.arm import ArmState
+from salver.driver.stops import CoolStop
+from salver.files import read_json, write_atomic, write_json
+from salver.models.arm import load_arm, with_load
+from salver.planning.fastest import FastestOptions, plan_fastest
+from salver.planning.plan import Plan, load_plan
+from salver.planning.stop_library import StopLibrary
+from salver.planning.stops import with_stops
+from salver.scenario import Scenario, load
+from salver.simulation.physics import simulate
+
+ROOT = Path(__file__).parent.parent
+DATA = ROOT / "docs" / "data" / "stops.json"
+WORK = ROOT / "runs" / "stops"
+INSTANTS = 200  # at which stops are compared
+
+
+def scenarios() -> dict[str, Scenario]:
+    """The five loads."""
+    known = loads()
+    return {
+        "cube": load("panda-cube"),
+        "tall bottle": load("panda-tall-bottle"),
+        "three bottles on a UR10": _three_bottles(),
+        "stack of two": known["stack of two"],
+        "cup off the middle": known["cup off the middle"],
+    }
+
+
+def _three_bottles() -> Scenario:
+    """The bottle of `ur10-bottle` thrice, on a triangle."""
+    base = load("ur10-bottle")
+    bottle = base.objects[0].model_dump(mode="json", exclude_none=True)
+    places = {"left": (0.05, 0.07), "right": (0.05, -0.07), "front": (-0.07, 0.0)}
+    objects = [{**bottle, "name": name, "at": list(at)} for name, at in places.items()]
+    shift = np.array(places["left"]) - np.array(bottle["at"])
+    moved = {
+        f"motion__{end}__position": (np.array(getattr(base.motion, end).position) + np.append(shift, 0.0)).tolist()
+        for end in ("start", "goal")
+    }
+    return base.with_changes(name="three-bottles", objects=objects, motion__duration=None, **moved)
+
+
+def planned(place: Path, scenario: Scenario, again: bool) -> tuple[Plan, dict[str, float]]:
+    """The fastest plan with its stops, and the CPU time that each took, s; from the directory when it is there."""
+    if again and place.is_dir():
+        shutil.rmtree(place)
+    if (place / "times.json").is_file():
+        return load_plan(place), read_json(place / "times.json")
+    begun = time.process_time()
+    plan = plan_fastest(scenario.with_changes(motion__duration=None), options=FastestOptions(time_limit=300.0))
+    found = time.process_time()
+    plan = with_stops(plan)
+    times = {"plan": found - begun, "stops": time.process_time() - found}
+    plan.save(place)
+    write_json(place / "times.json", times)
+    return plan, times
+
+
+def compared(plan: Plan) -> dict[str, float]:
+    """How long stops take beside finishing and beside the cool stop, over instants all along the plan."""
+    assert plan.stops is not None
+    instants = (np.arange(INSTANTS) + 0.5) / INSTANTS * plan.duration
+    takes = np.array([plan.stops.course(now).rests - now for now in instants])
+    cool = np.array([_cool_stop(plan, now).braking for now in instants])
+    return {
+        "median": float(np.median(takes)),
+        "longest": plan.stops.longest,
+        "of_finishing": float(np.median(takes / (plan.duration - instants))),
+        "of_cool": float(np.median(takes / cool)),
+        "of_cool_most": float(np.max(takes / cool)),
+    }
+
+
+def _cool_stop(plan: Plan, now: float) -> CoolStop:
+    assert plan.scenario.arm is not None
+    assert plan.joint is not None
+    loaded = with_load(load_arm(plan.scenario.arm, plan.scenario.tray), plan.scenario.payload.bodies)
+    q, dq, _ = (x[0] for x in plan.joint.sample(now))
+    return CoolStop(loaded, ArmState(q, dq))
+
+
+def cooled(plan: Plan, now: float) -> Plan:
+    """The plan with the cool stop from an instant as its only stop."""
+    stop = _cool_stop(plan, now)
+    s = np.linspace(0.0, 1.0, 61)
+    q, dq, ddq = (np.array(x)[None] for x in zip(*(stop.reference(x * stop.braking) for x in s), strict=True))
+    library = StopLibrary(np.array([now]), np.array([stop.braking]), s, q, dq, ddq, np.zeros((2, q.shape[2])), np.inf)
+    return replace(plan, stops=library)
+
+
+def cool(place: Path, plan: Plan, n: int) -> dict[str, int]:
+    """The first n runs of the campaign with the cool stop: how many lost their load."""
+    lost = 0
+    for run in range(n):
+        parameters, seed = parameters_of_run(place, run, "stops")
+        now = instant_of_run(0, run, plan.duration)
+        record = simulate(cooled(plan, now), parameters=parameters, seed=seed, stop_at=now)
+        slip = max(item["peak_slip"] for item in record.summary["objects"])
+        lost += record.outcome in DROPPED or slip > FAR
+    return {"runs": n, "lost": lost}
+
+
+def study(name: str, scenario: Scenario, n: int, few: int, jobs: int, again: bool) -> dict[str, Any]:
+    place = WORK / name.replace(" ", "-")
+    plan, times = planned(place, scenario, again)
+    assert plan.stops is not None
+    campaign = run_campaign(place, n, method="corners", stems=["plan"], jobs=jobs, stops=True)
+    told = campaign.summary["plans"]["plan"]
+    return {
+        "duration": plan.duration,
+        "instants": int((plan.duration - 0.01) / 0.02),
+        "stops": len(plan.stops.t),
+        "finishing": plan.stops.finishing,
+        "seconds": times,
+        **compared(plan),
+        "outcomes": {outcome: rate["count"] for outcome, rate in told["outcomes"].items()},
+        "runs": told["runs"],
+        "lost": told["stops"]["lost"]["count"],
+        "beyond_a_limit": told["stops"]["beyond_a_limit"]["count"],
+        "slip": told["quantiles"]["peak_slip"]["max"],
+        "cool": cool(place, plan, min(few, n)),
+    }
+
+
+HEAD = """# Can it be stopped at any time?
+
+Written by `python benchmarks/stops.py --docs`; the numbers are in `docs/data/stops.json`.
+
+Five loads, each on its fastest robust motion, stopped in the physics engine at random instants: of {runs} runs {lost}
+lost the load by a [load-safe stop](howto/fastest.md#stop-at-any-time), and of the first {others} of them {dropped} by
+the cool stop, which brakes the joints and knows nothing of the load. Parameters are the corners of the uncertain set,
+then drawn from it. Lost means slipped over 5 mm, tipped, lifted off or off the tray.
+
+| load | stopped runs | lost | kept, arm beyond a limit | largest slip, mm | lost by the cool stop |
+|---|---|---|---|---|---|
+"""
+MIDDLE = """
+How long it takes, over instants all along the plan. A stop is stored every 20 ms where it is sooner at rest than going
+on to the next one; so none is later than finishing. CPU times are of one core of a machine that was busy with other
+work.
+
+| load | plan, s | stops (CPU) | takes, s: median, longest | of finishing | of the cool stop: median, most |
+|---|---|---|---|---|---|
+"""
+TAIL = """
+Again: `python benchmarks/stops.py -n {n} --cool {cool} --docs`. One run of it: `salver simulate runs/stops/cube --run 3
+--folder stops`.
+"""
+
+
+def page(results: dict[str, Any]) -> str:
+    """docs/stops.md."""
+    kept, times = "", ""
+    for name, r in results.items():
+        kept += f"| {name} | {r['runs']} | {r['lost']} | {r['beyond_a_limit']} | {1e3 * r['slip']:.2f} "
+        kept += f"| {r['cool']['lost']} of {r['cool']['runs']} |\n"
+        times += f"| {name} | {r['duration']:.2f} | {r['stops']} of {r['instants']} ({r['seconds']['stops']:.0f} s) "
+        times += f"| {r['median']:.2f}, {r['longest']:.2f} | {r['of_finishing']:.2f} "
+        times += f"| {r['of_cool']:.2f}, {r['of_cool_most']:.2f} |\n"
+    runs, lost = (sum(r[key] for r in results.values()) for key in ("runs", "lost"))
+    others, dropped = (sum(r["cool"][key] for r in results.values()) for key in ("runs", "lost"))
+    first = next(iter(results.values()))
+    head = HEAD.format(runs=runs, lost=lost, others=others, dropped=dropped)
+    return head + kept + MIDDLE + times + TAIL.format(n=first["runs"], cool=first["cool"]["runs"])
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("-n", type=int, default=50, help="stopped runs of each load")
+    options.add_argument("--cool", type=int, default=20, help="how many of them with the cool stop too")
+    options.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
+    options.add_argument("--only", nargs="+", help="these loads")
+    options.add_argument("--again", action="store_true", help="plan anew")
+    options.add_argument("--docs", action="store_true", help="write docs/stops.md")
+    chosen = options.parse_args()
+    cases = scenarios()
+    results = read_json(DATA) if DATA.is_file() else {}
+    for name in chosen.only or cases:
+        results[name] = study(name, cases[name], chosen.n, chosen.cool, chosen.jobs, chosen.again)
+        write_json(DATA, results)
+        print(name, results[name], flush=True)
+    if chosen.docs:
+        write_atomic(ROOT / "docs" / "stops.md", page({name: results[name] for name in cases if name in results}))
+
+
+if __name__ == "__main__":
+    main()
