@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import salver as sv
-from salver.errors import SalverError, ScenarioError
+from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.export import write_export
 from salver.trajectory import MotionSamples
 
@@ -47,6 +47,7 @@ print(json.dumps([callable(getattr(salver, name)) for name in salver.__all__]))
         (lambda: sv.simulate(None), "simulate wants a plan, as sv.plan makes it; it was given a NoneType."),
         (lambda: sv.campaign(3), "campaign wants a run directory"),
         (lambda: sv.margins("panda-cube"), "margins wants a Plan, or MotionSamples and a scenario"),
+        (lambda: sv.report(3), "report wants a Plan, an Audit or a run directory; it was given a int."),
         (lambda: sv.plan(3), "A int was given for a scenario"),
         (lambda: sv.fastest("panda-cube", speed=3), 'fastest has no option "speed"; it has '),
         (lambda: sv.retime(np.zeros((3, 7))), "A path alone does not say what is carried"),
@@ -57,6 +58,12 @@ def test_what_is_wrong_is_one_sentence(call, words):
         call()
     assert words in str(error.value)
     assert str(error.value).endswith(".")
+
+
+@pytest.mark.parametrize("motion", [3, [1, 2], {}, {"t": [0, 1]}, {"t": np.arange(9.0), "x": "far"}])
+def test_what_is_no_motion_is_one_sentence(motion):
+    with pytest.raises(FileFormatError, match=r"^the (int|list|dict) "):
+        sv.audit(motion, "panda-cube")
 
 
 def test_a_directory_given_for_a_plan_is_told_how_to_load_it(directory):

@@ -234,8 +234,13 @@ def report(
     of: a run directory (written to DIR/report.html unless `path` says where), or a plan, with a run of it, or an audit
     (written when there is a `path`). Raises SalverError.
     """
+    from salver.auditing import Audit
+    from salver.errors import ScenarioError
+    from salver.planning.plan import Plan
     from salver.reports.inline import page_of
 
+    if not isinstance(of, Plan | Audit | str | Path):
+        raise ScenarioError(f"report wants a Plan, an Audit or a run directory; it was given a {type(of).__name__}.")
     return page_of(of, run, path)
 
 

@@ -130,6 +130,8 @@ def of_columns(columns: Mapping[str, Any], joint_names: JointNames = no_joints) 
     """A motion of columns by name: a mapping of arrays, or a pandas DataFrame (whose index is the time where no column
     is). Raises FileFormatError."""
     source = f"the {type(columns).__name__}"
+    if not hasattr(columns, "keys"):
+        raise FileFormatError(f"{source} is no motion; give a file, a mapping of columns by name, or a DataFrame.")
     header = [str(name) for name in columns]
     parts = [columns[name] for name in columns]
     index = getattr(columns, "index", None)
