@@ -2,6 +2,7 @@
 
     python benchmarks/survey.py -n 40 -o out/survey.jsonl     plan those that the file does not hold yet
     python benchmarks/survey.py --table -o out/survey.jsonl   print the table of what it holds
+    python benchmarks/survey.py --docs -o out/survey.jsonl    write it into docs/survey.md, and the data beside it
 
 Each task follows from its number. It is planned at the default effort and, to know what is possible, at the thorough
 one with another seed. A task counts as solvable when any of them solves it; the best known is the shortest.
@@ -28,6 +29,8 @@ from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
 
 SEED = 20261121
 THOROUGH = (replace(EFFORTS["thorough"], seed=1),)
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE, DATA = DOCS / "survey.md", DOCS / "data" / "survey.jsonl"
 TRIES = 50  # to place obstacles that leave both ends free
 
 # Name, reach (m) from the base, and, for those by URDF, file and flange.
@@ -181,16 +184,61 @@ def table(records: list[dict[str, Any]]) -> str:
     return "\n".join(rows)
 
 
+def page(records: list[dict[str, Any]]) -> str:
+    """docs/survey.md: what was done, the table, and the tasks that are not as they should be."""
+    default = [(r, r["default"]["duration"], best_known(r)) for r in records]
+    missed = [
+        f"{r['number']} ({r['arm']}): {r['default']['says'].rstrip('.')}"
+        for r, found, best in default
+        if best and not found
+    ]
+    slower = [
+        f"{r['number']} ({r['arm']}): {found:.3f} s, {best:.3f} s is known"
+        for r, found, best in default
+        if best and found and found > 1.03 * best
+    ]
+    unsolved = [f"{r['number']} ({r['arm']})" for r, _, best in default if best is None]
+    compared = sum(bool(r["thorough"]) for r in records)
+    return "\n".join(
+        [
+            "# A survey of random tasks",
+            "",
+            "Written by `python benchmarks/survey.py --docs`; one line for each task is in `docs/data/survey.jsonl`.",
+            "",
+            f"Tasks {records[0]['number']} to {records[-1]['number']} of the survey: random ends, loads and cells on",
+            "the arms that salver knows and on two URDFs; every other one has one to three obstacles near the way.",
+            f"Each is planned at the default effort, {compared} of them at `--effort thorough` too, with another seed:",
+            "what any of these solves counts as solvable, and the shortest duration is the best known; nothing says",
+            "that no shorter one exists. A task that was planned at the default effort only has nothing to be compared",
+            "with. Processor times on a machine that was busy with other things.",
+            "",
+            table(records),
+            "",
+            f"Solvable and not solved at the default effort: {'; '.join(missed) or 'none'}.",
+            "",
+            f"More than 3 % above the best known: {'; '.join(slower) or 'none'}.",
+            "",
+            f"Solved by none: {', '.join(unsolved) or 'none'}.",
+            "",
+        ]
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-n", type=int, default=200, help="tasks 0 to n - 1")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/survey.jsonl"))
     parser.add_argument("--table", action="store_true", help="only print the table")
+    parser.add_argument("--docs", action="store_true", help="write the page of what the file holds")
     parser.add_argument("--quick", action="store_true", help="without the thorough effort")
     given = parser.parse_args()
-    if not given.table:
+    if not (given.table or given.docs):
         survey(range(given.n), given.out, thorough=not given.quick)
-    print(table(read(given.out)))
+    records = sorted(read(given.out), key=lambda record: int(record["number"]))
+    if given.docs:
+        DATA.write_text("".join(json.dumps(record) + "\n" for record in records), encoding="utf-8")
+        PAGE.write_text(page(records), encoding="utf-8")
+    print(table(records))
 
 
 if __name__ == "__main__":

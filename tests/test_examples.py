@@ -71,7 +71,7 @@ def extended(name):
 
 
 def durations(output):
-    return [float(seconds) for seconds in re.findall(r"safe motion takes ([\d.]+) s", output)]
+    return [float(seconds) for seconds in re.findall(r"safe motion found takes ([\d.]+) s", output)]
 
 
 def test_every_extension_is_run_here_and_shown_in_the_documentation():

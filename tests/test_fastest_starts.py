@@ -11,6 +11,7 @@ from salver import scenario
 from salver.models.urdf import shared_folder
 from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.fastest.around import LEAN, STEP, way_around
+from salver.planning.fastest.bound import least_duration, least_time
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.starts import between, ends, straight, touches, tray_line
 from salver.planning.fastest.watch import Watch
@@ -82,6 +83,29 @@ def test_an_end_that_is_too_near_keeps_what_it_can(behind_a_post):
     assert np.array_equal(
         between(problem, pair).keep_out.required[there > 0.01], problem.keep_out.required[there > 0.01]
     )
+
+
+@pytest.mark.parametrize(
+    ("distance", "velocity", "acceleration", "jerk", "time"),
+    [
+        (4.0, 1.0, 1.0, np.inf, 5.0),  # a trapezium of velocity
+        (1.0, 9.0, 1.0, np.inf, 2.0),  # a triangle: 2 sqrt(d / a)
+        (1.0, np.inf, np.inf, 32.0, 1.0),  # jerk alone: (32 d / j)^(1/3)
+        (3.0, 1.0, 2.0, 4.0, 4.0),  # all of them: 1 s up, 1 s down, 2 s at full speed
+        (6.0, np.inf, 2.0, 4.0, 4.0),  # 1/2 s of jerk, 1 s at full acceleration, 1/2 s of jerk, and the same down
+        (3.0, 2.0, np.inf, np.inf, 1.5),
+        (3.0, np.inf, np.inf, np.inf, 0.0),
+        (0.0, 1.0, 1.0, 1.0, 0.0),
+    ],
+)
+def test_least_time_of_a_joint(distance, velocity, acceleration, jerk, time):
+    assert least_time(distance, velocity, acceleration, jerk) == pytest.approx(time)
+
+
+def test_no_motion_is_faster_than_its_joints_alone(behind_a_post):
+    found = fastest(behind_a_post, FastestOptions(spans=8))
+    bound = least_duration(behind_a_post.limits, found.coefficients[0], found.coefficients[-1])
+    assert 0.2 * found.duration < bound < found.duration
 
 
 def test_the_tray_goes_straight_along_its_line():
