@@ -221,7 +221,7 @@ def plot(results: dict[str, Any], path: Path) -> None:
         axes.annotate(name, (x, stayed), xytext=(6, 5), textcoords="offset points", fontsize=8)
     axes.set(xlabel="mean duration, s", ylabel="runs, %", ylim=(-6, 112))
     axes.set_title("full: load and limits kept; open: the load stays", fontsize=9)
-    axes.margins(x=0.14)
+    axes.margins(x=0.22)
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
 
