@@ -143,7 +143,11 @@ def plan_fastest(
     if status.ok:
         status = replace(status, sentence=f"{status.sentence} {_held_by(found, bound)}")
     record = {**solver_record(found, robust), "bound": bound}
-    return joint_plan(scenario, problem, found.joint_motion(), status, record)
+    plan = joint_plan(scenario, problem, found.joint_motion(), status, record)
+    if robust and status.ok and plan.verification.violation > 0:
+        said = f"The motion found in {found.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
+        plan = replace(plan, status=Status("unsafe", said, False))
+    return plan
 
 
 def _held_by(found: FastestMotion, bound: float) -> str:
