@@ -14,6 +14,7 @@ from salver import scenario as scenarios
 from salver.auditing import Audit, audit
 from salver.auditing.slip import per_cycle
 from salver.cli import app
+from salver.errors import SalverError
 from salver.models.arm import load_arm
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import MotionSamples
@@ -200,12 +201,26 @@ def test_beginning_and_ending_at_speed_is_said(tmp_path):
     sway = of(tmp_path, t, 0.05 * np.sin(2 * np.pi * t))
     assert sway.outcome == "holds"
     assert sway.nominal.sentence.startswith(
-        "Not judged: the recording begins at 0.31 m/s and ends at 0.31 m/s, and what came before or after is not in "
-        "it. Everything holds;"
+        "Not judged: the recording begins at 0.31 m/s and ends at 0.31 m/s, and what came before and comes "
+        "after is not in it. Everything holds;"
     )
+    # One that only speeds up does not show that it can be stopped.
+    cut = of(tmp_path, t, 0.1 * t**2)
+    assert cut.nominal.details["reasons"] == ["speed"]
+    assert "the recording ends at 0.4 m/s, and what comes after is not in it" in cut.nominal.sentence
     # A speed that a load bears to be brought to at once is none: v^2 / (2 x 4.905 m/s^2) is 0.9 mm.
     slow = of(tmp_path, t, 0.015 * np.sin(2 * np.pi * t))
     assert slow.nominal.sentence.startswith("Everything holds;")
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("highest", np.nan), ("highest", np.inf), ("highest", 0.0), ("noise", -1.0), ("noise", 1e300), ("gap", -1.0)],
+)
+def test_what_cannot_be_asked_is_refused(tmp_path, option, value):
+    t = np.arange(100) / 100
+    with pytest.raises(SalverError, match=f"--{option} .* was asked for; it must be from "):
+        audit(written(tmp_path / "a.csv", t, move(t)), CUBE, **{option.replace("gap", "longest_gap"): value})
 
 
 def test_what_is_taken_for_granted_is_said_first(tmp_path):

@@ -24,20 +24,22 @@ BRIDGED_STEPS = 3.5
 FEWEST = 32  # samples, below which noise is not told from motion
 SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
 JUMP = 5e-4  # m
+_AS_FAST = 0.95
 
 
 @dataclass(frozen=True)
 class Recording:
     """How a recorded motion was seen. sensor: its noise. rate: Hz. highest: Hz, up to which anything unseen is reckoned
-    with. bandwidth: (least, most) of the curve, Hz. ends, slowest: m/s at which it begins and ends, and of its slowest
-    instant. unseen, mirrored: see `salver.auditing.recorded.Stretch`; in s."""
+    with. bandwidth: (least, most) of the curve, Hz. ends: m/s at which it begins and ends.
+    slowest: m/s, of the slowest instant from which it comes to such a speed within the recording, and of that to
+    which it comes from one. unseen, mirrored: see `salver.auditing.recorded.Stretch`; in s."""
 
     sensor: Sensor
     rate: float
     highest: float
     bandwidth: tuple[float, float]
     ends: tuple[float, float]
-    slowest: float
+    slowest: tuple[float, float]
     unseen: tuple[Cells, ...]
     mirrored: tuple[Cells, ...]
 
@@ -75,10 +77,13 @@ def tray_motion(
     if None. longest_gap: s without samples that is bridged (default: `BRIDGED`). Raises FileFormatError or SalverError
     with a sentence.
     """
-    for name, value, zero in (("highest", highest, False), ("noise", noise, True)):
-        if value is not None and not (0 < value < np.inf or (zero and value == 0)):
-            least = "0 or more" if zero else "above 0"
-            raise SalverError(f"--{name} {value:g} was asked for; it must be a number, {least}.")
+    for name, value, least, most in (
+        ("highest", highest, 1e-3, 1e4),
+        ("noise", noise, 0.0, 1.0),
+        ("gap", longest_gap, 0.0, 3600.0),
+    ):
+        if value is not None and not least <= value <= most:
+            raise SalverError(f"--{name} {value:g} was asked for; it must be from {least:g} to {most:g}.")
     if isinstance(samples, TraySamples):
         motion = _recorded(samples, highest, noise, None, longest_gap)
         return replace(motion, samples=motion.samples.of_frame(p_BE, R_BE)) if samples.frame == "B" else motion
@@ -157,7 +162,7 @@ def _recorded(
         highest,
         (float(bandwidth.min()), float(bandwidth.max())),
         (float(speed[0]), float(speed[-1])),
-        float(speed.min()),
+        _slowest(speed),
         tuple(cells for part in parts for cells in part.unseen if len(cells.first)),
         tuple(cells for part in parts for cells in part.mirrored if len(cells.first)),
     )
@@ -240,6 +245,13 @@ def _gaps(t: Array, step: float, longest_gap: float | None, notes: list[str]) ->
             f"No samples for {np.diff(t)[k]:.3g} s after t = {t[k]:.3f} s; the motion there is a smooth guess."
         )
     return []
+
+
+def _slowest(speed: Array) -> tuple[float, float]:
+    """The slowest instant before the last as fast as the first one, and after the first as fast as the last one."""
+    before = int(np.flatnonzero(speed >= _AS_FAST * speed[0])[-1])
+    after = int(np.flatnonzero(speed >= _AS_FAST * speed[-1])[0])
+    return float(speed[: before + 1].min()), float(speed[after:].min())
 
 
 def _joined(parts: list[MotionSamples]) -> MotionSamples:

@@ -6,7 +6,7 @@ two it cannot be told, and the verdict says what would tell.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -188,8 +188,9 @@ class Audit(Shown, Tabular):
         rest = self._resting(worst)
         if recording is None:
             return []
-        # Where the tray rests for a moment, it can have come to its speed as it does in the recording.
-        doubts = [] if _jerked(recording.slowest, rest) <= HIDDEN else _ends(recording, rest)
+        # Where it comes from rest to such a speed within the recording, or from such a speed to rest, it can have done
+        # so before or after: that is said (`_limited`), and no doubt.
+        doubts = _ends(recording, rest, [_jerked(v, rest) > HIDDEN for v in recording.slowest])
         by_noise, harmless = self.hidden(worst)
         if by_noise.distance > HIDDEN:
             doubts.append(("noise", _noise_clause(by_noise, harmless, recording)))
@@ -433,15 +434,18 @@ def _jerked(speed: float, rest: float) -> float:
     return speed**2 / (2 * rest)
 
 
-def _ends(seen: Recording, rest: float) -> list[tuple[str, str]]:
+def _ends(seen: Recording, rest: float, which: Sequence[bool] = (True, True)) -> list[tuple[str, str]]:
     """Of a recording that begins or ends at speed, that it does not show how the tray comes to it: (code, clause)."""
+    words = ("begins", "came before"), ("ends", "comes after")
     fast = [
-        f"{word} at {v:.2g} m/s"
-        for word, v in zip(("begins", "ends"), seen.ends, strict=True)
-        if _jerked(v, rest) > HIDDEN
+        (f"{word} at {v:.2g} m/s", missing)
+        for (word, missing), v, asked in zip(words, seen.ends, which, strict=True)
+        if asked and _jerked(v, rest) > HIDDEN
     ]
-    clause = f"the recording {' and '.join(fast)}, and what came before or after is not in it"
-    return [("speed", clause)] if fast else []
+    if not fast:
+        return []
+    speeds, missing = (" and ".join(parts) for parts in zip(*fast, strict=True))
+    return [("speed", f"the recording {speeds}, and what {missing} is not in it")]
 
 
 def _noise_clause(slip: Slip, harmless: float, seen: Recording) -> str:
