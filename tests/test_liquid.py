@@ -245,8 +245,9 @@ def test_what_does_not_know_liquids_says_so(coffee):
 
 
 @pytest.mark.slow
-def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee):
+def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee, tmp_path):
     from salver.planning.fastest import plan_fastest
+    from salver.reports.page import write_report
 
     plan = plan_fastest(coffee)
     assert plan.ok, plan.verification.sentence
@@ -256,6 +257,11 @@ def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee):
         assert record.outcome == "holds"
         room = coffee.payload.first.liquid.brim - parameters["fill"]
         assert 0.3 * room < np.nanmax(record.surface[:, 0, 2]) < room
+    plan.save(tmp_path)
+    record.save(tmp_path)
+    page = write_report(tmp_path).read_text(encoding="utf-8")
+    assert "Highest point of the liquid in cup" in page
+    assert "Fastest, in the engine" in page
 
 
 def test_audit_knows_that_a_line_spills(coffee):

@@ -35,6 +35,8 @@ EDGES = 16  # of the friction pyramids: at most 2 % short of the round cone
 
 AT_ONCE = 4096  # instants whose margins are in memory together
 CANNOT_TELL = "cannot_tell"
+SPILLS = ("spills", "unsettled")
+SURELY_SPILT = 0.5  # of the room by which waves must be higher, for a recording to say that they are
 AT_REST = 1e-3  # m/s or rad/s
 PACES = 1.03 ** np.arange(60)  # at which a motion with a liquid is looked at: up to 5.7 times slower
 SLOWEST = 100.0  # times the duration: a path that needs more is called impossible
@@ -143,6 +145,8 @@ class Audit(Shown, Tabular):
             status = self._margins_at(at).verdict(worst)
             if np.isinf(error[unsure]).any() or slide(self.motion.samples.t, reserve) > NOTICED:
                 clause = self._edge(reserve, error)
+        if status.code in SPILLS and self.motion.recording is not None and self._least_room(worst) > -SURELY_SPILT:
+            return _cannot_tell(self._waves(), worst)
         if not status.ok:
             return status
         doubts = [*([("edge", clause)] if clause else []), *self.motion.doubts, *self._unseen(worst), *self._waves()]
@@ -167,6 +171,11 @@ class Audit(Shown, Tabular):
             else f"it passes what is borne by {-reserve[k]:.2g} m/s^2, and is known to {error[k]:.2g} m/s^2"
         )
         return f"at {self.motion.samples.t[k]:.3f} s the motion may or may not be too much: {known}"
+
+    def _least_room(self, worst: bool) -> float:
+        """Share of its room that is left to the liquid that has the least; negative where it spills."""
+        assert self._liquids is not None
+        return min(float(spill.slack.min()) for spill in self._liquids.spills(worst))
 
     def _waves(self) -> list[tuple[str, str]]:
         """What is not known of liquids: how they move at the beginning, and what a recording leaves in the dark."""

@@ -269,6 +269,50 @@ def clearance_charts(run: Run, arm: ArmModel) -> list[Spec]:
     return charts
 
 
+def liquid_charts(run: Run) -> list[Spec]:
+    """How high each liquid stands over its level at rest, and its brim: along the plans, with the range over fills and
+    dampings, and as the physics engine saw it."""
+    from salver.contact_margins import tray_motion
+    from salver.sensitivity.liquid import Liquids
+    from salver.trajectory import MotionSamples
+
+    payload, charts = run.scenario.payload, []
+    for k, body in enumerate(run.bodies):
+        liquid = body.liquid
+        if liquid is None:
+            continue
+        curves, bands = [], []
+        for m in run.motions:
+            p, v, a, omega, alpha = (m.arrays[key] for key in ("p_SB", "v_S", "a_S", "omega_B", "alpha_B"))
+            samples = MotionSamples(m.t, p, v, a, m.R_SB, omega, alpha)
+            whole = Liquids.along(payload, m.t, tray_motion(run.scenario, samples))
+            assert whole is not None
+            found = np.array([case.waves.crest for case in whole.worst[body.name]])
+            x, low, high = thin(m.t, 1e3 * found.min(axis=0), 1e3 * found.max(axis=0))
+            bands.append({"x": x, "low": low, "high": high, "colour": ROLE_COLOURS[m.stem]})
+            curves.append(series(m, f"{m.label}, nominal", m.t, 1e3 * whole.nominal[body.name][0].waves.crest))
+            if m.simulation is not None and m.simulation.arrays.get("surface", np.zeros((0, 0))).shape[1]:
+                seen = m.simulation.arrays["surface"][:, k, 2]
+                curves.append(
+                    series(m, f"{m.label}, in the engine", m.simulation.t, 1e3 * seen, width=1.0, opacity=0.55)
+                )
+        half = payload.uncertain.ranges.get(Parameter(body.name, "fill"), 0.0)
+        lines = [] if liquid.sealed else [{"y": 1e3 * (liquid.brim - liquid.fill - half), "label": "brim, fullest"}]
+        charts.append(
+            time_chart(
+                f"Highest point of the liquid in {body.name}",
+                "over its level at rest, mm",
+                curves,
+                "Band: all fills and dampings within their ranges. The brim is that over the fullest filling.",
+                "mm",
+                zero=True,
+                bands=bands,
+                lines=lines,
+            )
+        )
+    return charts
+
+
 def run_charts(records: list[tuple[Motion, Record]]) -> list[Spec]:
     """What the physics engine or an arm says: tracking errors as in Fig. 8, slip, tip angle; of the tray alone when
     the object was not seen."""

@@ -13,6 +13,8 @@ _UNITS = {
     "position": (1e3, "mm"),
     "tilt": (180 / np.pi, "°"),
     "friction": (1.0, ""),
+    "fill": (1e3, "mm"),
+    "damping": (100.0, "% of critical"),
 }
 _NAMES = {"com": "centre of mass", "position": "place on the tray"}
 

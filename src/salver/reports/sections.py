@@ -25,6 +25,7 @@ NAVIGATION = {
     "replay": "Replay",
     "margins": "Margins",
     "known": "How it is known",
+    "liquid": "Liquid",
     "campaign": "Perturbed runs",
     "simulation": "Simulation",
     "execution": "On the arm",
@@ -80,6 +81,8 @@ def build(run: Run, arm: ArmModel | None) -> Sections:
         f"Four views of the distance between {run.load} and sliding, tipping or lifting.",
         charts.margin_charts(run),
     )
+    if run.scenario.payload.liquids:
+        page.add("liquid", "Liquid", "How near it comes to its brim.", charts.liquid_charts(run))
     if run.campaign is not None:
         found, specs, extra = perturbed_runs.section(run, run.campaign)
         page.add("campaign", "Perturbed runs", found, specs, extra)
