@@ -40,6 +40,7 @@ LEAST_WEIGHT = 0.2  # of g that must press on the surface: with less there is no
 THICKEST = 0.1  # of critical damping: boundary layers are then no longer thin
 UNKNOWN_DAMPING = (0.5, 2.0)  # times the damping that the viscosity would have in a clean container
 MOST_OF_WATER = 0.03  # of critical: a dirty surface and the contact line at the wall brake small waves of water too
+LEFT_OVER = 1.8  # times peak^3 / R^2: what nonlinear flow left over after the stop, beyond linear waves
 TILTING = 1.3  # times Omega^2 R^2 / g: what nonlinear potential flow showed of a container that is tilted quickly
 _ROOTS = np.array([1.8411837813, 5.3314427735, 8.5363163663, 11.7060049026])  # of J1'
 # A free wave in a cylinder that is 0.3 R high, by nonlinear potential flow: depth over R, kappa.

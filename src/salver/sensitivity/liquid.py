@@ -18,7 +18,7 @@ from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows
 from salver.models.interfaces import to_tray
-from salver.models.liquid import APART, GRAVITY, LEAST_WEIGHT, STEEPEST, TILTING, Liquid, Modes
+from salver.models.liquid import APART, GRAVITY, LEAST_WEIGHT, LEFT_OVER, STEEPEST, TILTING, Liquid, Modes
 from salver.models.parameters import NOTHING, Parameter, UncertainSet
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, frame_map
@@ -254,7 +254,15 @@ class Waves:
         more: m by which the linear waves may be higher."""
         modes, amplitude = self.case.modes, (self.tail * self._fading(seconds)).sum(axis=0) + more
         highest = self.case.modes.highest(amplitude + modes.half * np.abs(self.slope[-1]))
-        return float(highest + np.sum(modes.peaking / modes.half * amplitude**2))
+        over = LEFT_OVER * (self._peak[1] + more) ** 3 / float(modes.half.min()) ** 2
+        return float(highest + np.sum(modes.peaking / modes.half * amplitude**2) + over)
+
+    @cached_property
+    def _peak(self) -> tuple[int, float]:
+        """When the linear wave is highest during the motion, and how high, m: how far its phase can have drifted."""
+        heights = self.case.modes.highest(self.eta)
+        k = int(np.argmax(heights))
+        return k, float(heights[k])
 
     def _fading(self, seconds: float) -> Array:
         return np.asarray(np.exp(-self.case.damping * self.case.modes.omega * seconds))
@@ -335,7 +343,11 @@ class Waves:
         to_speed = np.sqrt(GRAVITY / self.upward[-1]) / modes.omega
         last = np.array([len(self.t) - 1])
         by_r, by_rate = slope * away / size, slope * speed / size * to_speed
-        return self._back(last, by_r[None], by_rate[None], np.zeros((1, N_MOTION)), np.zeros(1))
+        by_w, by_duration = self._back(last, by_r[None], by_rate[None], np.zeros((1, N_MOTION)), np.zeros(1))
+        k, peak = np.array([self._peak[0]]), self._peak[1]
+        more, longer = self._surface_by(k, self._steepest(self.eta[k]), np.zeros((1, 2)), 0.0)
+        steep = 3 * LEFT_OVER * peak**2 / float(modes.half.min()) ** 2
+        return by_w + steep * more, by_duration + steep * longer
 
     def wrench_by(self, node: Indices, weight: Array) -> tuple[Array, Array]:
         """Of weight (m, 6) . wrench."""

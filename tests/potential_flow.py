@@ -1,0 +1,103 @@
+"""Nonlinear potential flow in an upright container that is pushed about without turning: no pendulum, no small waves.
+
+phi = sum a_j B_j(x, y) cosh(k_j (z + h)) / cosh(k_j h) with the container's own eigenfunctions B_j, which satisfy
+Laplace's equation and the walls exactly; the surface eta = sum e_j B_j moves by its kinematic condition and
+by Bernoulli's equation at its true place, both in the least-squares sense over points of the surface. Runge-Kutta
+of fourth order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import jnp_zeros, jv, jvp
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Eigenfunctions (P, J) at points of the surface, their slopes, wave numbers k (J,), weights (P,), and at the wall
+    (Q, J). x, y: (P,)."""
+
+    value: np.ndarray
+    by_x: np.ndarray
+    by_y: np.ndarray
+    k: np.ndarray
+    weight: np.ndarray
+    wall: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+
+
+def rectangle(side: float, count: int = 14) -> Basis:
+    """Waves along one side."""
+    x = side * 0.5 * np.cos((np.arange(4 * count) + 0.5) * np.pi / (4 * count))
+    k = np.arange(1, count + 1) * np.pi / side
+    at = k * (x[:, None] + side / 2)
+    weight = np.sqrt(1 - (2 * x / side) ** 2)  # of Chebyshev points
+    ends = np.cos(k * np.array([[0.0], [side]]))
+    return Basis(np.cos(at), -k * np.sin(at), np.zeros_like(at), k, weight, ends, x, np.zeros_like(x))
+
+
+def cylinder(radius: float, orders: tuple[int, ...] = (6, 6, 5, 4, 3)) -> Basis:
+    """Waves that are mirrored in the plane y = 0; orders: how many of cos(m theta) for each m."""
+    r = radius * np.sqrt((np.arange(14) + 0.5) / 14)
+    theta = (np.arange(12) + 0.5) * np.pi / 12
+    rr, tt = (g.ravel() for g in np.meshgrid(r, theta))
+    edge = np.linspace(0, np.pi, 25)
+    value, by_r, by_t, k, wall = [], [], [], [], []
+    for m, number in enumerate(orders):
+        for root in jnp_zeros(m, number):
+            kk = root / radius
+            scale = jv(m, root)
+            k.append(kk)
+            value.append(jv(m, kk * rr) * np.cos(m * tt) / scale)
+            by_r.append(kk * jvp(m, kk * rr) * np.cos(m * tt) / scale)
+            by_t.append(-m * jv(m, kk * rr) * np.sin(m * tt) / scale / rr)
+            wall.append(np.cos(m * edge))
+    by_r, by_t = np.array(by_r).T, np.array(by_t).T
+    c, s = np.cos(tt)[:, None], np.sin(tt)[:, None]
+    return Basis(
+        np.array(value).T, c * by_r - s * by_t, s * by_r + c * by_t, np.array(k), np.ones(len(rr)), np.array(wall).T,
+        rr * np.cos(tt), rr * np.sin(tt),
+    )  # fmt: skip
+
+
+def simulate(
+    basis: Basis, depth: float, push: Callable[[float], tuple[float, float]], times: np.ndarray, damping: float = 0.0
+) -> np.ndarray:
+    """(T,) highest point at the wall at uniform times, m, from rest. push(t): specific force along x and z, m/s^2."""
+    k, J = basis.k, len(basis.k)
+    still = np.tanh(k * depth)
+    omega = np.sqrt(9.81 * k * still)
+    ones = np.ones((len(basis.x), 1))
+    sqrt_w = np.sqrt(basis.weight)[:, None]
+    project = np.linalg.pinv(sqrt_w * np.hstack([basis.value, ones]))
+
+    def rates(t: float, state: np.ndarray) -> np.ndarray:
+        e, a = state[:J], state[J:]
+        eta = basis.value @ e
+        up = np.exp(k * eta[:, None])
+        # cosh(k (eta + h)) / cosh(k h) and sinh(k (eta + h)) / cosh(k h), without large numbers
+        cosh = 0.5 * (up * (1 + still) + (1 - still) / up)
+        sinh = 0.5 * (up * (1 + still) - (1 - still) / up)
+        u, v = (basis.by_x * cosh) @ a, (basis.by_y * cosh) @ a
+        w = (basis.value * k * sinh) @ a
+        risen = w - u * (basis.by_x @ e) - v * (basis.by_y @ e)
+        fx, fz = push(t)
+        bernoulli = -0.5 * (u**2 + v**2 + w**2) - fz * eta - fx * basis.x
+        matrix = sqrt_w * np.hstack([basis.value * cosh, ones])
+        normal = matrix.T @ matrix + 1e-12 * np.eye(J + 1)
+        pushed = np.linalg.solve(normal, matrix.T @ (sqrt_w[:, 0] * bernoulli))[:J]
+        return np.concatenate([(project @ (sqrt_w[:, 0] * risen))[:J], pushed - 2 * damping * omega * a])
+
+    state, out = np.zeros(2 * J), np.zeros(len(times))
+    for i in range(len(times) - 1):
+        t, dt = times[i], times[i + 1] - times[i]
+        one = rates(t, state)
+        two = rates(t + dt / 2, state + dt / 2 * one)
+        three = rates(t + dt / 2, state + dt / 2 * two)
+        four = rates(t + dt, state + dt * three)
+        state = state + dt / 6 * (one + 2 * two + 2 * three + four)
+        out[i + 1] = np.max(basis.wall @ state[:J])
+    return out
