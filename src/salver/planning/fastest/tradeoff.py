@@ -36,11 +36,16 @@ class TradeoffPoint:
 
 
 def scaled(scenario: Scenario, factor: float) -> Scenario:
-    """The scenario with all half-ranges multiplied. Raises ScenarioError when no such objects can exist."""
+    """The scenario with all half-ranges multiplied. Raises ScenarioError when no such objects can exist.
+
+    Contents that may be any stay so, unless the factor is 0.
+    """
     changes: dict[str, Any] = {}
     for i, item in enumerate(scenario.objects):
-        ranges = item.uncertainty.model_dump(mode="json", exclude_none=True)
-        changes[f"objects__{i}__uncertainty"] = {key: _times(value, factor) for key, value in ranges.items()}
+        ranges = item.uncertainty.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        contents = {"contents": ranges.pop("contents")} if "contents" in ranges else {}
+        scaled_ranges = {key: _times(value, factor) for key, value in ranges.items()}
+        changes[f"objects__{i}__uncertainty"] = scaled_ranges | (contents if factor else {})
     tilt = scenario.uncertainty.tilt_deg
     if tilt is not None:
         changes["uncertainty__tilt_deg"] = _times(list(tilt), factor)
@@ -60,7 +65,7 @@ def _times(value: Any, factor: float) -> Any:
 def with_something_uncertain(scenario: Scenario) -> Scenario:
     """The scenario itself, or with friction uncertain by `FRICTION_SHARE` when it names nothing uncertain."""
     if (
-        any(item.uncertainty.model_dump(exclude_none=True) for item in scenario.objects)
+        any(item.uncertainty.model_dump(exclude_none=True, exclude_defaults=True) for item in scenario.objects)
         or scenario.uncertainty.tilt_deg
     ):
         return scenario
