@@ -16,7 +16,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array
 from salver.live.motion import Committed
-from salver.live.verify import Finding, verified
+from salver.live.verify import Finding, kept, verified
 from salver.planning.fastest import (
     Anywhere,
     AtPose,
@@ -57,7 +57,7 @@ class Firm(Constraint):
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         for block in self.judged.blocks(motion):
-            nodes, check = block.margins
+            nodes, check = block.margins[0], kept(block, self.judged)
             yield replace(block, values=block.values + check, margins=(2 * nodes, 0.5 * nodes))
 
 

@@ -17,7 +17,8 @@ from salver.geometry import Array
 from salver.live.motion import Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
-from salver.planning.fastest import Block, TransportProblem, evaluate
+from salver.planning.fastest import Block, Constraint, TransportProblem, evaluate
+from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import NEAR
 from salver.planning.follow.clearance import sweep
@@ -25,7 +26,10 @@ from salver.trajectory import JointMotion
 
 STEP = 2e-3  # s between instants at which dynamics, contact and distances are looked at
 FINER = 2  # times as many at which the joints' own motion is
-FORGIVEN = 0.5  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
+# Of the normal force at rest, that contact keeps at least: jerk jumps at knots, and what that makes of held commands is
+# known to half of this between the instants.
+STEADY = 1e-3
+FORGIVEN = 0.2  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
 BEGINNING = 0.02  # s
 AT_REST = 1e-7  # rad/s, rad/s^2: what is left of a motion's end
 CONTINUOUS = (1e-8, 1e-7, 1e-5)  # rad, rad/s, rad/s^2: by which a motion may begin elsewhere than where the arm is
@@ -100,11 +104,18 @@ def few(parts: ArmGeometry, q: Array) -> Array:
     return q
 
 
+def kept(block: Block, constraint: Constraint | None) -> float:
+    """The margin that a motion keeps from the edge of a constraint's rows."""
+    return max(block.margins[1], STEADY) if isinstance(constraint, Contact) else block.margins[1]
+
+
 def _begun(block: Block, t: Array) -> Block:
-    """The block, with what the state that is inherited lacks of its margin forgiven."""
+    """The block with its margin, of which what the state that is inherited lacks is forgiven."""
+    margin = kept(block, block.of)
+    block.values[:] += margin - block.margins[1]
     if block.inherits:
         first = block.values[: np.searchsorted(t[block.points], BEGINNING)]
-        first[:] = np.where(first < FORGIVEN * block.margins[1], np.minimum(first, 0.0), first)
+        first[:] = np.where(first < FORGIVEN * margin, np.minimum(first, 0.0), first)
     return block
 
 
