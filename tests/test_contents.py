@@ -13,8 +13,10 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.contact_rows import contact_rows
 from salver.models.contents import Hull, largest_mean
+from salver.models.physical import realisable
 from salver.models.rigid_body import inertia_entries
 from salver.models.worst_case import Drift, WorstCase
+from salver.sampling import METHODS, draw
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate
 
@@ -222,3 +224,14 @@ def test_plan_for_a_box_of_any_contents_holds_for_random_ones_in_the_engine() ->
 def test_what_cannot_be_is_refused(change: dict, said: str) -> None:
     with pytest.raises(ScenarioError, match=said):
         load("panda-cube").with_changes(**change)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_samples_of_any_contents_are_contents_that_can_be(method: str) -> None:
+    payload = load("any-box-56").payload
+    values = draw(payload.uncertain, 12, 6, method, payload.bodies)
+    assert np.all(np.abs(values - payload.uncertain.nominal) <= payload.uncertain.half_range + 1e-12)
+    inertial_values = np.column_stack([np.ones(12), values])
+    assert realisable(payload.first, inertial_values).all()
+    assert np.all(np.ptp(values[:, 3:6:2], axis=0) > 0.005)  # kg m^2: they are filled in different ways
+    assert values[:, [3, 5, 8]].min() > 0

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.models.parameters import UncertainSet, inertial_vector
-from salver.models.physical import realisable
+from salver.models.parameters import Parameter, UncertainSet, inertial_vector
+from salver.models.physical import hull_faces, random_inertia, realisable
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
@@ -27,6 +27,7 @@ METHODS: tuple[str, ...] = get_args(Method)
 # Methods by which run k does not depend on how many runs there are: more runs can be added later.
 EXTENSIBLE = ("uniform", "corners", "sobol")
 
+_WITHIN = 0.95  # of the way to the surface that a centre of mass of any contents is drawn
 _TRIES = 1000  # draws for one run before the set is called impossible
 
 Possible = Callable[[Array], npt.NDArray[np.bool_]]
@@ -45,6 +46,7 @@ def draw(
     With `bodies`, combinations that no object can have are left out: mass, friction or inertia not positive,
     principal moments against the triangle inequality, a centre of mass outside the shape, and, where the
     nominal object satisfies it, an inertia that no mass distribution within the shape has.
+    An object with `contents = "any"` gets the inertia of random point masses inside it, whatever the method.
     Raises SalverError when (almost) no combination is possible.
     """
     if n < 0:
@@ -53,10 +55,41 @@ def draw(
         raise SalverError(f'There is no sampling method "{method}"; known are {", ".join(METHODS)}.')
     if uncertain.size == 0:
         return np.zeros((n, 0))
+    filled = [body for body in bodies or () if body.any_contents]
+    if any(_inertia_of(p, filled) for p in uncertain.parameters):
+        return _filled(uncertain, n, seed, method, bodies or (), filled)
     possible = _possible(uncertain, bodies)
     return {"uniform": _uniform, "corners": _corners, "lhs": _latin, "sobol": _sobol}[method](
         uncertain, n, seed, possible
     )
+
+
+def _inertia_of(parameter: Parameter, filled: Sequence[Body]) -> bool:
+    return parameter.kind == "inertia" and any(parameter.owner == body.name for body in filled)
+
+
+def _filled(
+    uncertain: UncertainSet, n: int, seed: int, method: Method, bodies: Sequence[Body], filled: Sequence[Body]
+) -> Array:
+    """Runs with random contents: all else by the method, then the inertia of some mass distribution that fits to it."""
+    others = [p for p in uncertain.parameters if not _inertia_of(p, filled)]
+    known = [body for body in bodies if body not in filled]
+    column = {p: j for j, p in enumerate(uncertain.parameters)}
+    values = np.zeros((n, uncertain.size))
+    values[:, [column[p] for p in others]] = draw(uncertain.restricted(others), n, seed, method, known)
+    for body in filled:
+        own = {p.entry: j for p, j in column.items() if p.owner == body.name and p.entry is not None}
+        faces, nominal = hull_faces(body), inertial_vector(body.inertial)
+        for k in range(n):
+            at = np.array([values[k, own[i]] if i in own else nominal[i] for i in range(4)])
+            outwards = faces[:, :3] @ at[1:]
+            beyond = outwards > -_WITHIN * faces[:, 3]
+            if beyond.any():  # a centre of mass on the shape's surface would leave all of the mass there
+                at[1:] *= _WITHIN * float(np.min(-faces[beyond, 3] / outwards[beyond]))
+            inertia = at[0] * random_inertia(body, at[1:], np.random.default_rng([seed, k, 1]))
+            for i, j in own.items():
+                values[k, j] = at[i] if i < 4 else inertia[i - 4]
+    return values
 
 
 def _uniform(uncertain: UncertainSet, n: int, seed: int, possible: Possible, first: int = 0) -> Array:

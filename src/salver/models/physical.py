@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
-from salver.models.rigid_body import inertia_matrix
+from salver.models.rigid_body import inertia_entries, inertia_matrix
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
@@ -63,6 +63,24 @@ def realisable(body: Body, values: npt.ArrayLike, *, within_shape: bool = True) 
     result = np.zeros(len(values), dtype=bool)
     result[possible] = fine
     return result
+
+
+def random_inertia(body: Body, com: Array, rng: np.random.Generator, points: int = 6) -> Array:
+    """(6,) inertia about the centre of mass com (3,), per mass, of random point masses within the shape's hull.
+
+    com lies within the hull. The last of the masses stands where it brings the centre of mass to its place.
+    """
+    faces, corners = hull_faces(body), body.points_B
+    x = rng.dirichlet(np.full(len(corners), 1.0 / len(corners)), points) @ corners  # often near a corner
+    share = rng.dirichlet(np.ones(points))
+    way = com - share @ x
+    speed, left = faces[:, :3] @ way, -(faces[:, :3] @ com + faces[:, 3])
+    room = float(np.min(left[speed > 1e-12] / speed[speed > 1e-12], initial=1e3))
+    far = max(room, 0.0) * rng.uniform(0.2, 1.0)
+    away = np.vstack([x, com + far * way]) - com
+    weight = np.append(share * far, 1.0) / (1.0 + far)
+    second = np.einsum("p,pi,pj->ij", weight, away, away)
+    return inertia_entries(np.trace(second) * np.eye(3) - second)
 
 
 def mass_distribution(body: Body, values: npt.ArrayLike, per_axis: int = 9) -> tuple[Array, Array] | None:
