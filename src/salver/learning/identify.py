@@ -41,6 +41,7 @@ ENDS = 0.08  # s at each end, where smoothing has only one side
 BLOCK = 0.005  # s over which samples are averaged
 MOVES = 0.02  # rad that some joint must move, for a motion
 SAME = 0.02  # rad by which the empty run may differ from the loaded one
+SLIPPED = 3.5  # standard deviations by which the centres of mass of a run's halves differ when the load slid
 STRANGE = 6.0  # times the noise that was told, in the residual: not one rigid load on this arm
 LEARNT = 0.9  # of the range before: a parameter whose range is not narrower than this was not identified
 NAMES = ("mass", "com_x", "com_y", "com_z")
@@ -112,6 +113,11 @@ class _State:
     to_tau: Array
     to_wrench: Array
 
+    def only(self, part: slice) -> _State:
+        """Some of the instants."""
+        tau, wrench = (None if x is None else x[part] for x in (self.tau, self.wrench))
+        return _State(self.t[part], self.samples, self.dq[part], tau, wrench, self.to_tau[part], self.to_wrench[part])
+
 
 def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
     """What logs of a plan's motion tell of its load. empty: the same motion with nothing on the tray.
@@ -133,10 +139,12 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
     without = _state(plan, arm, empty)
     prior, spread = _prior(scenario)
     information, pull = np.diag(1 / spread**2), np.zeros(10)
-    residual, sensors, chi = 0.0, set[str](), []
+    residual, sensors, chi, shift = 0.0, set[str](), [], np.zeros(3)
     for log in loaded:
         state = _state(plan, arm, log)
         _same_motion(log, empty)
+        moved = _moved(state, without, log, empty, (prior, spread))
+        shift = np.maximum(shift, np.maximum(np.abs(moved[0]) - moved[1], 0.0))
         for name, rows, values, scale in _channels(state, without, log, empty):
             sensors.add(name)
             left = values - rows @ prior
@@ -152,7 +160,7 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
         )
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
     phi = prior + covariance @ pull
-    ranges = _ranges(scenario, phi, covariance)
+    ranges = _ranges(scenario, phi, covariance, shift)
     told = _not_identified(ranges, sensors)
     return Identified(scenario, ranges, phi, covariance, residual, tuple(sorted(sensors)), told)
 
@@ -241,6 +249,34 @@ def _same_motion(log: Log, empty: Log) -> None:
         )
 
 
+def _moved(state: _State, without: _State, log: Log, empty: Log, prior: tuple[Array, Array]) -> tuple[Array, Array]:
+    """By how much the centre of mass moved between the halves of a run, with standard deviations (3,), m.
+
+    Raises FileFormatError when it surely did: something slid.
+    """
+    phi_0, spread = prior
+    found, middle = [], len(state.t) // 2
+    for part in (slice(0, middle), slice(middle, None)):
+        information, pull = np.diag(1 / (3 * spread) ** 2), np.zeros(10)
+        for _, rows, values, scale in _channels(state.only(part), without, log, empty):
+            information += scale * rows.T @ rows
+            pull += scale * rows.T @ (values - rows @ phi_0)
+        covariance = np.linalg.inv(information)
+        phi = phi_0 + covariance @ pull
+        com = phi[1:4] / phi[0]
+        by_phi = np.column_stack([-com, np.eye(3)]) / phi[0]
+        found.append((com, np.diag(by_phi @ covariance[:4, :4] @ by_phi.T)))
+    moved, error = found[1][0] - found[0][0], np.sqrt(found[0][1] + found[1][1])
+    worst = int(np.argmax(np.abs(moved) / error))
+    if np.abs(moved[worst]) > SLIPPED * error[worst]:
+        raise FileFormatError(
+            f"{log.source}: the centre of mass moved by {1e3 * moved[worst]:.1f} mm along {'xyz'[worst]} between the "
+            f"halves of the run, where {1e3 * SLIPPED * error[worst]:.1f} mm may be noise: something slid, or the sensor "
+            "is not at the flange in its axes."
+        )
+    return moved, error
+
+
 def _channels(state: _State, without: _State, log: Log, empty: Log) -> list[tuple[str, Array, Array, float]]:
     """Whitened rows (N, 10), differences (N,) of every channel, and the weight of both."""
     found: list[tuple[str, Array, Array, float]] = []
@@ -278,8 +314,8 @@ def _channels(state: _State, without: _State, log: Log, empty: Log) -> list[tupl
     return found
 
 
-def _ranges(scenario: Scenario, phi: Array, covariance: Array) -> dict[str, Range]:
-    """Ranges of mass and centre of mass, within those of the scenario."""
+def _ranges(scenario: Scenario, phi: Array, covariance: Array, shift: Array) -> dict[str, Range]:
+    """Ranges of mass and centre of mass, within those of the scenario. shift: (3,) m that the latter may have moved."""
     payload = scenario.payload
     half = {p.quantity: h for p, h in payload.uncertain.ranges.items()}
     nominal = inertial_vector(payload.first.inertial)
@@ -291,6 +327,7 @@ def _ranges(scenario: Scenario, phi: Array, covariance: Array) -> dict[str, Rang
             low, high = phi[0] - radius, phi[0] + radius
         else:
             low, high = fieller(phi[0], phi[k], covariance[np.ix_([0, k], [0, k])])
+            low, high = low - shift[k - 1], high + shift[k - 1]
         both = max(low, before[0]), min(high, before[1])
         if both[0] > both[1]:
             unit = "kg" if k == 0 else "m"
