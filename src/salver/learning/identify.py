@@ -271,8 +271,8 @@ def _moved(state: _State, without: _State, log: Log, empty: Log, prior: tuple[Ar
     if np.abs(moved[worst]) > SLIPPED * error[worst]:
         raise FileFormatError(
             f"{log.source}: the centre of mass moved by {1e3 * moved[worst]:.1f} mm along {'xyz'[worst]} between the "
-            f"halves of the run, where {1e3 * SLIPPED * error[worst]:.1f} mm may be noise: something slid, or the sensor "
-            "is not at the flange in its axes."
+            f"halves of the run, where {1e3 * SLIPPED * error[worst]:.1f} mm may be noise: something slid, or the "
+            "sensor is not at the flange in its axes."
         )
     return moved, error
 
