@@ -267,6 +267,9 @@ def _moved(state: _State, without: _State, log: Log, empty: Log, prior: tuple[Ar
         by_phi = np.column_stack([-com, np.eye(3)]) / phi[0]
         found.append((com, np.diag(by_phi @ covariance[:4, :4] @ by_phi.T)))
     moved, error = found[1][0] - found[0][0], np.sqrt(found[0][1] + found[1][1])
+    # Along an axis that half a run does not show better than was known before, nothing can be told.
+    told = SLIPPED * error < spread[1:4] / phi_0[0]
+    moved, error = np.where(told, moved, 0.0), np.where(told, error, 1.0)
     worst = int(np.argmax(np.abs(moved) / error))
     if np.abs(moved[worst]) > SLIPPED * error[worst]:
         raise FileFormatError(
