@@ -27,7 +27,7 @@ from salver.campaigns.summary import DROPPED, FAR
 from salver.control.arm import ArmState
 from salver.driver.stops import CoolStop
 from salver.files import read_json, write_atomic, write_json
-from salver.models.arm import load_arm, with_load
+from salver.models.arm import ArmModel, load_arm, with_load
 from salver.planning.fastest import FastestOptions, plan_fastest
 from salver.planning.plan import Plan, load_plan
 from salver.planning.stop_library import StopLibrary
@@ -88,7 +88,8 @@ def compared(plan: Plan) -> dict[str, float]:
     assert plan.stops is not None
     instants = (np.arange(INSTANTS) + 0.5) / INSTANTS * plan.duration
     takes = np.array([plan.stops.course(now).rests - now for now in instants])
-    cool = np.array([_cool_stop(plan, now).braking for now in instants])
+    loaded = _loaded(plan)
+    cool = np.array([_cool_stop(plan, loaded, now).braking for now in instants])
     return {
         "median": float(np.median(takes)),
         "longest": plan.stops.longest,
@@ -98,17 +99,20 @@ def compared(plan: Plan) -> dict[str, float]:
     }
 
 
-def _cool_stop(plan: Plan, now: float) -> CoolStop:
+def _loaded(plan: Plan) -> ArmModel:
     assert plan.scenario.arm is not None
+    return with_load(load_arm(plan.scenario.arm, plan.scenario.tray), plan.scenario.payload.bodies)
+
+
+def _cool_stop(plan: Plan, loaded: ArmModel, now: float) -> CoolStop:
     assert plan.joint is not None
-    loaded = with_load(load_arm(plan.scenario.arm, plan.scenario.tray), plan.scenario.payload.bodies)
     q, dq, _ = (x[0] for x in plan.joint.sample(now))
     return CoolStop(loaded, ArmState(q, dq))
 
 
 def cooled(plan: Plan, now: float) -> Plan:
     """The plan with the cool stop from an instant as its only stop."""
-    stop = _cool_stop(plan, now)
+    stop = _cool_stop(plan, _loaded(plan), now)
     s = np.linspace(0.0, 1.0, 61)
     q, dq, ddq = (np.array(x)[None] for x in zip(*(stop.reference(x * stop.braking) for x in s), strict=True))
     library = StopLibrary(np.array([now]), np.array([stop.braking]), s, q, dq, ddq, np.zeros((2, q.shape[2])), np.inf)
@@ -153,10 +157,11 @@ HEAD = """# Can it be stopped at any time?
 
 Written by `python benchmarks/stops.py --docs`; the numbers are in `docs/data/stops.json`.
 
-Five loads, each on its fastest robust motion, stopped in the physics engine at random instants: of {runs} runs {lost}
-lost the load by a [load-safe stop](howto/fastest.md#stop-at-any-time), and of the first {others} of them {dropped} by
-the cool stop, which brakes the joints and knows nothing of the load. Parameters are the corners of the uncertain set,
-then drawn from it. Lost means slipped over 5 mm, tipped, lifted off or off the tray.
+{loads} loads, each on its fastest robust motion, stopped in the physics engine at random instants: of {runs} runs
+{lost} lost the load by a [load-safe stop](howto/fastest.md#stop-at-any-time), and of {others} of them that were
+made again with the cool stop, which brakes the joints and knows nothing of the load, {dropped}. Parameters
+are the corners of the uncertain set, then drawn from it. Lost means slipped over 5 mm,
+tipped, lifted off or off the tray.
 
 | load | stopped runs | lost | kept, arm beyond a limit | largest slip, mm | lost by the cool stop |
 |---|---|---|---|---|---|
@@ -180,14 +185,16 @@ def page(results: dict[str, Any]) -> str:
     kept, times = "", ""
     for name, r in results.items():
         kept += f"| {name} | {r['runs']} | {r['lost']} | {r['beyond_a_limit']} | {1e3 * r['slip']:.2f} "
-        kept += f"| {r['cool']['lost']} of {r['cool']['runs']} |\n"
+        kept += f"| {r['cool']['lost']} of {r['cool']['runs']} |\n" if r["cool"]["runs"] else "| not run |\n"
         times += f"| {name} | {r['duration']:.2f} | {r['stops']} of {r['instants']} ({r['seconds']['stops']:.0f} s) "
         times += f"| {r['median']:.2f}, {r['longest']:.2f} | {r['of_finishing']:.2f} "
         times += f"| {r['of_cool']:.2f}, {r['of_cool_most']:.2f} |\n"
     runs, lost = (sum(r[key] for r in results.values()) for key in ("runs", "lost"))
     others, dropped = (sum(r["cool"][key] for r in results.values()) for key in ("runs", "lost"))
     first = next(iter(results.values()))
-    head = HEAD.format(runs=runs, lost=lost, others=others, dropped=dropped)
+    head = HEAD.format(loads=len(results), runs=runs, lost=lost, others=others, dropped=dropped)
+    if missing := [name for name in scenarios() if name not in results]:
+        kept += f"\nNot run to the end: {', '.join(missing)}.\n"
     return head + kept + MIDDLE + times + TAIL.format(n=first["runs"], cool=first["cool"]["runs"])
 
 
