@@ -131,12 +131,6 @@ class TransportProblem:
         )
 
 
-def _lasting(found: Sequence[Case]) -> tuple[Case, ...]:
-    """The cases with the least damping, whose waves are mostly the highest; `with_missed_cases` finds where not."""
-    least = min(case.damping for case in found)
-    return tuple(case for case in found if case.damping == least)
-
-
 def with_missed_cases(problem: TransportProblem, t: Array, w: Array) -> TransportProblem | None:
     """The problem with those fills and dampings added at which a liquid spills along w (T, 12) at E; None for none."""
     whole = Liquids.along(problem.payload, t, w)
@@ -216,5 +210,5 @@ def transport_problem(
         tracking=_tracking(scenario, payload),
         keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
         extra=tuple(extra),
-        liquids=tuple(_lasting(cases(body, payload.uncertain)) for body in payload.liquids),
+        liquids=tuple(cases(body, payload.uncertain) for body in payload.liquids),
     )
