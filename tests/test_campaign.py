@@ -284,8 +284,10 @@ def test_the_directory_of_another_campaign_is_not_touched(finished, run_dir):
     for options in ({"seed": 1}, {"method": "sobol"}, {"n": 5}, {"stems": ["plan"]}, {"engine": "physics"}):
         with pytest.raises(SalverError, match="holds another campaign: 30 runs of plan and baseline"):
             run_campaign(run_dir, **{"n": N, "engine": "closed-loop", "jobs": 1, **options})
-    for ending in ("npz", "json"):
-        (run_dir / f"plan.{ending}").write_bytes((run_dir / f"baseline.{ending}").read_bytes())
+    (run_dir / "plan.npz").write_bytes((run_dir / "baseline.npz").read_bytes())
+    with pytest.raises(SalverError, match="was edited since"):
+        run_campaign(run_dir, n=N, engine="closed-loop", jobs=1)
+    (run_dir / "plan.json").write_bytes((run_dir / "baseline.json").read_bytes())
     with pytest.raises(SalverError, match="holds another campaign"):
         run_campaign(run_dir, n=N, engine="closed-loop", jobs=1)
     assert before == {path.name: path.read_bytes() for path in (run_dir / "campaign").iterdir()}

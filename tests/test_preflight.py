@@ -68,14 +68,12 @@ def test_good_plans_pass_every_check(plan: Plan, arm: ArmModel) -> None:
     demand(checks + check_franka(plan, arm))
 
 
-def test_the_reference_of_a_plan_that_tilts_the_tray_is_where_its_joints_take_it(arm: ArmModel) -> None:
+def test_a_plan_that_tilts_the_tray_passes_every_check(arm: ArmModel) -> None:
     """Poses are compared where the tray is neither level nor straight."""
     tilting = make_plan(scenario.load("panda-cube"), "fastest")
     samples = tilting.reference.sample(np.linspace(0, tilting.duration, 20))
     assert samples.R_SB[:, 2, 2].min() < np.cos(0.1)
-    checks = {c.name: c for c in check_plan(tilting, arm, tilting.scenario.payload.bodies)}
-    for name in ("plan", "smoothness", "reference", "contact", "rest", "clearance"):
-        assert checks[name].ok, checks[name].sentence
+    demand(check_plan(tilting, arm, tilting.scenario.payload.bodies))
 
 
 @pytest.mark.parametrize("name", ["t", "q", "dq", "ddq"])

@@ -101,6 +101,8 @@ def run_campaign(
     if jobs is not None and jobs < 1:
         raise SalverError(f"{jobs} jobs were asked for; it needs at least 1.")
     definition = define(directory, stems, n, seed, method, engine, folder, stops)
+    for stem in stems:
+        load_plan(directory, stem)  # raises when it was edited since, also when no run is left to be made
     place = directory / folder
     _claim(place, definition)
     with Journal(place) as journal:
