@@ -65,7 +65,7 @@ class Modes:
 
     omega rad/s. mass kg. height m, z_n of each mode from the surface. rise m, b_n. half (2,) R of each axis, m.
     peaking (2,) kappa. frozen: all of the liquid as if a lid lay on it, about O. round: whether the wall is a circle;
-    else the highest point is a corner.
+    else the highest point is a corner. following: rad/s, the lowest mode of those that follow as if at rest.
     """
 
     omega: Array
@@ -76,6 +76,7 @@ class Modes:
     peaking: Array
     frozen: RigidBody
     round: bool
+    following: float
 
     @property
     def length(self) -> Array:
@@ -214,7 +215,7 @@ def _modes(size: tuple[float, ...], fill: float, density: float) -> Modes:
 
 
 def _cylinder(R: float, h: float, density: float) -> Modes:
-    xi, total = _ROOTS[:MODES], density * np.pi * R**2 * h
+    xi, total, after = _ROOTS[:MODES], density * np.pi * R**2 * h, _ROOTS[MODES]
     tanh = np.tanh(xi * h / R)
     mass = total * 2 * R * tanh / (xi * h * (xi**2 - 1))
     height = -(2 * R / xi) * np.tanh(xi * h / (2 * R))
@@ -231,6 +232,7 @@ def _cylinder(R: float, h: float, density: float) -> Modes:
         peaking=np.array([kappa, kappa]),
         frozen=RigidBody(total, np.array([0.0, 0.0, -0.5 * h]), np.diag([total * turning, total * turning, 0.0])),
         round=True,
+        following=float(np.sqrt(GRAVITY * after / R * np.tanh(after * h / R))),
     )
 
 
@@ -243,6 +245,7 @@ def _box(x: float, y: float, h: float, density: float) -> Modes:
     ratio = h / sides
     series = np.sum(np.tanh(0.5 * odd[:, None] * np.pi * ratio) / odd[:, None] ** 5, axis=0)
     turning = (sides**2 + h**2) / 12 - sides**2 / 3 + 64 / np.pi**5 * sides**3 / h * series
+    after = (2 * MODES + 1) * np.pi / sides.max()
     steep = np.tanh(np.pi * h / sides)  # a standing wave to second order: Tadjbakhsh and Keller, JFM 8 (1960) 442
     return Modes(
         omega=np.sqrt(GRAVITY * k * tanh),
@@ -257,6 +260,7 @@ def _box(x: float, y: float, h: float, density: float) -> Modes:
             np.diag([total * turning[1], total * turning[0], total * _about_axis(x, y)]),
         ),
         round=False,
+        following=float(np.sqrt(GRAVITY * after * np.tanh(after * h))),
     )
 
 

@@ -123,8 +123,8 @@ class Waves:
     near: tuple[Waves, Array] | None = None
 
     def shifted(self, dw: Array) -> Waves:
-        """The waves of w + dw (T, 12), to first order in dw."""
-        return replace(self, w=self.w + dw, near=(self, dw))
+        """The waves of w + dw (T, 12), to first order in dw, which begins with the motion."""
+        return replace(self, w=self.w + dw, upward=_upward((self.w + dw) @ self.case.at_O[2]), near=(self, dw))
 
     @cached_property
     def force(self) -> Array:
@@ -134,8 +134,6 @@ class Waves:
     @cached_property
     def spin(self) -> Array:
         """(T,) rad by which the container has turned about its axis."""
-        if self.near is not None:
-            return self.near[0].spin
         if not self.case.modes.round:
             return np.zeros(len(self.t))
         return self._turning.respond(self.w[:, 5])[0]
@@ -167,16 +165,31 @@ class Waves:
                 second[:, n, axis] = one.acceleration(drive, r[:, n, axis], rate[:, n, axis])
         return r, rate, second
 
+    def _level(self, force: Array) -> Array:
+        """(n_modes, 2, c) r where a motion begins: the surface is level, whatever the tray is."""
+        return -force[0] / self.case.modes.omega[..., None] ** 2 * (GRAVITY / self.upward[0])
+
+    def _pushed(self, dw: Array, before: bool) -> tuple[Array, Array, Array]:
+        """r, r' and r'' (T, n_modes, 2, c), to first order, by changes dw (T, 12, c) of what the tray feels: pushed
+        aside, stiffened, and turned under the waves. before: whether what changes was so before the motion too."""
+        case = self.case
+        drive = np.moveaxis(self._still(np.einsum("nak,tkc->tcna", case.at_mode, dw)), 1, 3)
+        drive += (case.modes.omega**2 / GRAVITY * self.r)[..., None] * (case.at_O[2] @ dw)[:, None, None]
+        drive += _across(self._at_modes)[..., None] * self._spun(dw)[:, None, None]
+        return self.respond(drive, self._level(drive) if before else None)
+
+    def _spun(self, dw: Array) -> Array:
+        """(T, c) change of `spin`."""
+        return self._turning.respond(dw[:, 5])[0] if self.case.modes.round else np.zeros((len(dw), dw.shape[2]))
+
     @cached_property
     def _moved(self) -> tuple[Array, Array, Array]:
         if self.near is not None:
             waves, dw = self.near
-            changes = self.respond(self._still(np.einsum("nak,tk->tna", self.case.at_mode, dw))[..., None])
+            changes = waves._pushed(dw[:, :, None], before=False)
             return (waves.r + changes[0][..., 0], waves.rate + changes[1][..., 0], waves.second + changes[2][..., 0])
         force = self._at_modes[..., None]
-        # At rest before the motion: the surface is level, whatever the tray is.
-        start = -force[0] / self.case.modes.omega[..., None] ** 2 * (GRAVITY / self.upward[0])
-        r, rate, second = self.respond(force, start)
+        r, rate, second = self.respond(force, self._level(force))
         return r[..., 0], rate[..., 0], second[..., 0]
 
     @property
@@ -221,11 +234,10 @@ class Waves:
         """(T,) height of the highest point over the surface at rest, m, what is not linear included."""
         return self.case.modes.crest(self.eta, self.slope, self.w @ _TURNING)
 
-    def raised(self, by: Array | float) -> Array:
-        """(T,) the crest of waves whose linear part is higher by so much, (T,) m, at the worst."""
-        modes = self.case.modes
-        more = np.broadcast_to(by, len(self.t))[:, None]
-        return self.crest + by + (modes.peaking / modes.half * more * (2 * np.abs(self.free) + more)).sum(axis=1)
+    def raised(self, by: Array | float, freer: Array | float) -> Array:
+        """(T,) the crest, m, of waves that are higher by so much, (T,), of which the free wave by (T, 2) at most."""
+        modes, free = self.case.modes, np.abs(self.free)
+        return self.crest + by + (modes.peaking / modes.half * freer * (2 * free + freer)).sum(axis=1)
 
     @property
     def free_height(self) -> Array:
@@ -284,25 +296,35 @@ class Waves:
 
     # What else the tray feels ------------------------------------------------------------------------------------
 
-    def changed(self, dw: Array) -> tuple[Array, Array, Array]:
-        """To first order, by changes dw (T, 12, c) of what the tray feels: of eta (T, 2, c), of the wrench (T, 6, c),
-        and of what is left at the end (2, c), as an amplitude."""
-        modes, case = self.case.modes, self.case
-        felt = np.einsum("nak,tkc->tcna", case.at_mode, dw)
-        r, rate, second = self.respond(np.moveaxis(self._still(felt), 1, 3))
-        force = np.einsum("ik,tkc->tci", case.at_O, dw)
-        lateral = self._still(force[:, :, :2]) - self.slope[:, None] * force[:, :, 2:]
-        slope = np.swapaxes(lateral, 1, 2) / self.upward[:, None, None]
+    def changed(self, dw: Array) -> Change:
+        """To first order, by changes dw (T, 12, c) of what the tray feels, before the motion too."""
+        modes, case, spun = self.case.modes, self.case, self._spun(dw)[:, None]
+        r, rate, second = self._pushed(dw, before=True)
+        force = np.einsum("ik,tkc->tic", case.at_O, dw)
+        lateral = np.moveaxis(self._still(np.moveaxis(force[:, :2], 1, 2)), 1, 2)
+        slope = (lateral - self.slope[:, :, None] * force[:, None, 2]) / self.upward[:, None, None]
+        slope += _across(self.slope)[:, :, None] * spun
         eta = np.einsum("na,tnac->tac", modes.gain, r) - modes.rest_rise[:, None] * slope
         left = np.einsum("na,nac->ac", modes.gain, np.hypot(r[-1], rate[-1] / modes.omega[..., None]))
-        up = self.force[:, 2, None]
-        r, second = (np.moveaxis(_turned(np.moveaxis(x, 3, 1), -self.spin), 1, 3) for x in (r, second))
-        hung = np.einsum("na,tnac->tac", modes.mass, r)
-        turned = np.einsum("na,tnac->tac", modes.mass * modes.height, second)
-        out = np.zeros((len(r), 6, dw.shape[2]))
-        out[:, :2] = np.einsum("na,tnac->tac", modes.mass, second)
-        out[:, 3], out[:, 4] = hung[:, 1] * up - turned[:, 1], turned[:, 0] - hung[:, 0] * up
-        return eta, np.einsum("ij,tjc->tic", case.to_E, out), left
+
+        def weighed(x: Array, dx: Array, mass: Array) -> tuple[Array, Array]:
+            """Sums over the modes in the container's axes, (T, 2, 1), and their changes (T, 2, c)."""
+            own = _turned(np.einsum("na,tna->ta", mass, x), -self.spin)
+            moved = _turned(np.moveaxis(np.einsum("na,tnac->tac", mass, dx), 1, 2), -self.spin)
+            return own[:, :, None], np.moveaxis(moved, 2, 1) - _across(own)[:, :, None] * spun
+
+        pushed = weighed(self.second, second, modes.mass)[1]
+        turned = weighed(self.second, second, modes.mass * modes.height)[1]
+        hung, hangs = weighed(self.r, r, modes.mass)
+        f = self.force[:, :, None]
+        out = np.empty((len(r), 6, dw.shape[2]))
+        out[:, :2], out[:, 2] = pushed, 0.0
+        out[:, 3] = hangs[:, 1] * f[:, 2] + hung[:, 1] * force[:, 2] - turned[:, 1]
+        out[:, 4] = turned[:, 0] - hangs[:, 0] * f[:, 2] - hung[:, 0] * force[:, 2]
+        out[:, 5] = hangs[:, 0] * f[:, 1] - hangs[:, 1] * f[:, 0] + hung[:, 0] * force[:, 1] - hung[:, 1] * force[:, 0]
+        thrown = TILTING / GRAVITY * self._wide**2 * np.einsum("k,tkc->tc", _TURNING, dw)
+        wrench = np.einsum("ij,tjc->tic", case.to_E, out)
+        return Change(eta, eta + modes.half[:, None] * slope, thrown, wrench, left)
 
     # Derivatives, of rows (m,) at nodes (m,): by w at all nodes (m, T, 12), and by log T of the duration (m,) --------
 
@@ -406,6 +428,21 @@ class Waves:
         return out, slower[0] + slower[1] + 2 * self.spin[node] * by_spin
 
 
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What c changes of what the tray feels make of waves, to first order.
+
+    eta, free: (T, 2, c) of the waves' heights along both axes, m. thrown: (T, c) of what tilting throws up, m. wrench:
+    (T, 6, c) at E. left: (2, c) of what is left at the end, an amplitude, m.
+    """
+
+    eta: Array
+    free: Array
+    thrown: Array
+    wrench: Array
+    left: Array
+
+
 def _turned(x: Array, angle: Array) -> Array:
     """Vectors (T, ..., 2) turned by angles (T,), rad."""
     shape = (-1, *(1,) * (x.ndim - 2))
@@ -424,7 +461,8 @@ class Slosh:
 
     wrench: (T, 6) of `Waves`. reaction: (T, 12) by which what the tray feels changes because the arm gives way to it.
     spread: (T, 6, n_c) change of the wrench per half-range of each term of what is uncertain. higher: (T,) m, by which
-    the waves may be higher for all these, and more_left: what is left at the end.
+    the crest may be higher for all these, but for what a steeper free wave makes of it; freer: (T, 2) m, by which that
+    may be higher; more_left: what is left at the end.
     """
 
     waves: Waves
@@ -432,6 +470,7 @@ class Slosh:
     reaction: Array | None = None
     spread: Array | None = None
     higher: Array | float = 0.0
+    freer: Array | float = 0.0
     more_left: float = 0.0
 
     @classmethod
@@ -439,9 +478,24 @@ class Slosh:
         """dw: (T, 12, n_c) change of what the tray feels."""
         if dw is None:
             return cls(waves, waves.wrench, reaction)
-        eta, spread, left = waves.changed(dw)
-        higher, more = np.linalg.norm(eta, axis=1).sum(axis=1), float(np.linalg.norm(left, axis=0).sum())
-        return cls(waves, waves.wrench, reaction, spread, higher, more)
+        change, modes = waves.changed(dw), waves.case.modes
+        higher = (modes.highest(np.moveaxis(change.eta, 1, 2)) + np.abs(change.thrown)).sum(axis=1)
+        more = float(modes.highest(change.left.T).sum())
+        return cls(waves, waves.wrench, reaction, change.wrench, higher, np.abs(change.free).sum(axis=2), more)
+
+    @property
+    def crest(self) -> Array:
+        """(T,) m, at the worst of what is uncertain."""
+        return self.waves.raised(self.higher, self.freer)
+
+    @property
+    def free_height(self) -> Array:
+        """(T,) m of the free wave, at the worst of what is uncertain."""
+        return self.waves.free_height + self.waves.case.modes.highest(self.freer + np.zeros((1, 2)))
+
+    def left(self, seconds: float = 0.0) -> float:
+        """m, see `Waves.left`, at the worst of what is uncertain."""
+        return self.waves.left(seconds, self.more_left)
 
     def at(self, index: Indices) -> Slosh:
         """The wrench at some instants."""
@@ -571,10 +625,10 @@ class Spill:
     def of(cls, name: str, each: Sequence[Slosh]) -> Spill:
         waves = [case.waves for case in each]
         liquid = waves[0].case.liquid
-        crest, room = np.array([x.crest for x in waves]), np.array([x.case.room for x in waves])
-        left, after = room[:, None] - crest, room - np.array([x.left() for x in waves])
-        steep = np.max([x.free_height / x.case.steepest for x in waves], axis=0)
-        settled = min(liquid.settled - x.left(liquid.within) for x in waves)
+        crest, room = np.array([x.crest for x in each]), np.array([x.case.room for x in waves])
+        left, after = room[:, None] - crest, room - np.array([x.left() for x in each])
+        steep = np.max([x.free_height / x.waves.case.steepest for x in each], axis=0)
+        settled = min(liquid.settled - x.left(liquid.within) for x in each)
         slack = 1 - steep
         if np.isfinite(room).all():
             slack = np.minimum(slack, (left / room[:, None]).min(axis=0))

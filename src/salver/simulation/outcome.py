@@ -18,8 +18,6 @@ from salver.simulation.loads import Load
 from salver.simulation.scene import DAMPING_WIDTH, Scene
 from salver.simulation.trace import Trace
 
-QUIET = 0.008  # s
-
 
 @dataclass(frozen=True)
 class Thresholds:
@@ -117,20 +115,27 @@ def surfaces(scene: Scene, trace: Trace) -> Array:
         modes = scene.loads[swing.load].modes
         a, b = trace.swung[:, i, :, 0], trace.swung[:, i, :, 1]
         incline = np.stack([-np.tan(b) / np.cos(a), np.tan(a)], axis=2)  # of each mass under its hinges
-        force = _smooth(trace.t, trace.felt[:, i, :3])
+        # A push shorter than its own time moves a wave as its mean over that time would, held: contacts chatter.
+        own = 1 / modes.following
+        accelerated = _rate(trace.t, trace.moved[:, i], own) - trace.pulled[:, i]
+        force = np.einsum("tji,tj->ti", trace.R_XB[:, swing.load], accelerated)
         slope = force[:, :2] / np.maximum(force[:, 2:], LEAST_WEIGHT * GRAVITY)
-        turning = np.sum(_smooth(trace.t, trace.felt[:, i, 3:5]) ** 2, axis=1)
+        turning = np.sum(_rate(trace.t, _sum(trace.t, trace.turned[:, i, :2]), own) ** 2, axis=1)
         eta = np.einsum("na,tna->ta", modes.rise, incline) - modes.rest_rise * slope
         out[:, swing.load, :2], out[:, swing.load, 2] = eta, modes.crest(eta, slope, turning)
     return out
 
 
-def _smooth(t: Array, x: Array) -> Array:
-    """Means of x (N, ...) over `QUIET`: contacts chatter, a liquid does not follow that."""
-    width = max(1, round(QUIET / (t[1] - t[0])))
-    kernel = np.ones(width) / width
-    inside = np.pad(x, ((width // 2, width - 1 - width // 2), (0, 0)), mode="edge")
-    return np.stack([np.convolve(column, kernel, "valid") for column in inside.T], axis=1)
+def _rate(t: Array, x: Array, seconds: float) -> Array:
+    """Mean derivative of x (N, ...) over so many seconds around each instant, fewer at the ends."""
+    k, half = np.arange(len(t)), max(1, round(0.5 * seconds / (t[1] - t[0])))
+    before, after = np.maximum(k - half, 0), np.minimum(k + half, len(t) - 1)
+    return np.asarray((x[after] - x[before]) / (t[after] - t[before])[:, None])
+
+
+def _sum(t: Array, x: Array) -> Array:
+    """Integral of x (N, ...) up to each instant."""
+    return np.asarray(np.cumsum(x, axis=0) * (t[1] - t[0]))
 
 
 def liquid_room(load: Load) -> float:

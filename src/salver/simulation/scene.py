@@ -110,7 +110,7 @@ class Swing:
     """The moving masses of one liquid, each a point on a spherical pendulum: hinges about x, then y, of the container.
 
     load: which object it is in. qpos_ids: (n_modes, 2) of its angles. body_ids: (n_modes,) of the masses. sensor: first
-    of the six readings at the centre of the still surface: specific force, turning rate, in the container's axes.
+    of the six readings at the centre of the still surface: velocity, turning rate, in the container's axes.
     """
 
     load: int
@@ -355,7 +355,7 @@ def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
         _set_inertia(bob, mass, np.array([0.0, 0.0, -length]), SMALL_POINT * mass * length**2 * np.eye(3))
     site = f"salver:surface:{k}"
     body.add_site(name=site, pos=load.surface_B, group=5)
-    for name, kind in (("force", mujoco.mjtSensor.mjSENS_ACCELEROMETER), ("turn", mujoco.mjtSensor.mjSENS_GYRO)):
+    for name, kind in (("velocity", mujoco.mjtSensor.mjSENS_VELOCIMETER), ("turn", mujoco.mjtSensor.mjSENS_GYRO)):
         spec.add_sensor(name=f"{site}:{name}", type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site)
 
 
@@ -460,4 +460,4 @@ def _found_swing(model: Any, k: int, load: Load) -> Swing:
     names = [_swing(k, n) for n in range(len(load.modes.mass))]
     joints = [[model.joint(f"{name}:{axis}").qposadr[0] for axis in "xy"] for name in names]
     bodies = [model.body(name).id for name in names]
-    return Swing(k, np.array(joints), np.array(bodies), int(model.sensor(f"salver:surface:{k}:force").adr[0]))
+    return Swing(k, np.array(joints), np.array(bodies), int(model.sensor(f"salver:surface:{k}:velocity").adr[0]))

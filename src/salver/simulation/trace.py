@@ -22,8 +22,9 @@ class Trace:
     force_X (N, m, 3): sum of contact forces on an object from what it stands on. touches (N, m): whether there is any.
     foreign (N, m): whether it touches what it should not (another object's side, an obstacle, its own side).
     collides (N,): whether tray or objects touch an obstacle.
-    swung (N, k, n_modes, 2): angles of what moves of each of k liquids (`scene.Swing`). felt (N, k, 6): specific force
-    and turning rate at the centre of its surface.
+    swung (N, k, n_modes, 2): angles of what moves of each of k liquids (`scene.Swing`). moved, turned (N, k, 3):
+    velocity of the centre of its surface in X, turning rate of its container in B. pulled (N, k, 3): acceleration that
+    it would have in X if it were free.
     """
 
     t: Array
@@ -40,7 +41,9 @@ class Trace:
     foreign: Array
     collides: Array
     swung: Array = field(default_factory=lambda: np.zeros((0, 0, MODES, 2)))
-    felt: Array = field(default_factory=lambda: np.zeros((0, 0, 6)))
+    moved: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    turned: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    pulled: Array = field(default_factory=lambda: np.zeros((0, 0, 3)))
 
 
 class Recorder:
@@ -57,7 +60,8 @@ class Recorder:
         swings = scene.swings
         self.angles = np.array([s.qpos_ids for s in swings], dtype=int).reshape(len(swings), MODES, 2)
         self.sensors = np.array([s.sensor + np.arange(6) for s in swings], dtype=int).reshape(len(swings), 6)
-        self.swung, self.felt = np.empty((count, *self.angles.shape)), np.empty((count, *self.sensors.shape))
+        self.swung, self.sensed = np.empty((count, *self.angles.shape)), np.empty((count, *self.sensors.shape))
+        self.pulled = np.tile(scene.model.opt.gravity, (count, len(swings), 1))
         self.contacts: list[tuple[Array, Array, Array, Array]] = []
         self.count = 0
 
@@ -71,7 +75,7 @@ class Recorder:
         k = self.count
         self.position[k] = data.xpos[self.bodies]
         self.quaternion[k] = data.xquat[self.bodies]
-        self.swung[k], self.felt[k] = data.qpos[self.angles], data.sensordata[self.sensors]
+        self.swung[k], self.sensed[k] = data.qpos[self.angles], data.sensordata[self.sensors]
         contact = data.contact
         self.contacts.append(
             (contact.geom.copy(), contact.frame.copy(), contact.efc_address.copy(), data.efc_force.copy())
@@ -80,12 +84,12 @@ class Recorder:
 
     def seen_from_rest(self, motion: TrayMotion, step: int) -> None:
         """Of a tray that is the engine's world: what was just taken felt the tray's motion too, at that step of it."""
-        for swing, felt in zip(self.scene.swings, self.felt[self.count - 1], strict=True):
+        k = self.count - 1
+        for swing, sensed, pulled in zip(self.scene.swings, self.sensed[k], self.pulled[k], strict=True):
             load = self.scene.loads[swing.load]
-            R_EB = load.R_EB
-            apparent = motion.felt_at(step, load.p_EB + R_EB @ load.surface_B, np.zeros(3))
-            felt[:3] -= R_EB.T @ apparent
-            felt[3:] += R_EB.T @ motion.omega[step]
+            at = load.p_EB + load.R_EB @ load.surface_B
+            pulled[:] = motion.felt_at(step, at, load.R_EB @ sensed[:3])
+            sensed[3:] += load.R_EB.T @ motion.omega[step]
 
     def trace(self) -> Trace:
         scene, count = self.scene, self.count
@@ -135,7 +139,9 @@ class Recorder:
             foreign=foreign,
             collides=collides,
             swung=self.swung[:count],
-            felt=self.felt[:count],
+            moved=np.einsum("tkij,tkj->tki", R_XB[:, [s.load for s in scene.swings]], self.sensed[:count, :, :3]),
+            turned=self.sensed[:count, :, 3:],
+            pulled=self.pulled[:count],
         )
 
 

@@ -300,18 +300,17 @@ class Brim(Constraint):
 
         yield block(
             "steepness",
-            [x.free_height for x in waves],
+            [x.free_height for x in found],
             [x.case.steepest for x in waves],
             lambda k, i: waves[k].free_by(i),
         )
         room = [x.case.room for x in waves]
         ends = [(0.0, "waves left", room), (liquid.within, "settled waves", [liquid.settled] * len(waves))]
         if np.isfinite(room).all():
-            highest = [case.waves.raised(case.higher) for case in found]
-            yield block("waves", highest, room, lambda k, i: waves[k].crest_by(i))
+            yield block("waves", [x.crest for x in found], room, lambda k, i: waves[k].crest_by(i))
         for seconds, part, limit in ends:
             if np.isfinite(limit).all():
-                left = [np.array([case.waves.left(seconds, case.more_left)]) for case in found]
+                left = [np.array([x.left(seconds)]) for x in found]
                 yield block(part, left, limit, partial(_left_by, waves, seconds))
 
 

@@ -27,7 +27,9 @@ def sloshes(several: Sequence[Case], t: Array, w: Array, response: Deviation | N
         return tuple(found)
     felt, drift = response.felt()
     for planned in tuple(found):
+        # The arm gives way to what the waves push, and the waves are then others: twice round is enough.
         reaction = response.reaction(planned.wrench)
+        reaction = response.reaction(planned.waves.shifted(felt - w + reaction).wrench)
         found.append(Slosh.of(planned.waves.shifted(felt - w + reaction), reaction, drift.dw))
     return tuple(found)
 

@@ -31,13 +31,13 @@ from salver.planning.fastest.constraints import (
     TorqueRateLimit,
 )
 from salver.planning.fastest.ends import AtPose, AtPosture, End
-from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.evaluation import Evaluation, Indices, sloshes
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
 from salver.scenario import Scenario
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
-from salver.sensitivity.liquid import Case, Liquids, Spill, cases
+from salver.sensitivity.liquid import VERDICT_APART, Case, Spill, cases
 
 SURELY_DRY = 1e-4  # of the room, that is left at every fill and damping that a verdict looks at
 
@@ -131,18 +131,18 @@ class TransportProblem:
         )
 
 
-def with_missed_cases(problem: TransportProblem, t: Array, w: Array) -> TransportProblem | None:
-    """The problem with those fills and dampings added at which a liquid spills along w (T, 12) at E; None for none."""
-    whole = Liquids.along(problem.payload, t, w)
-    if whole is None:
-        return None
-    more = {
-        name: [x.waves.case for x in each if Spill.of(name, [x]).slack.min() < SURELY_DRY]
-        for name, each in whole.worst.items()
-    }
-    if not any(more.values()):
-        return None
-    return replace(problem, liquids=tuple((*each, *more[each[0].body.name]) for each in problem.liquids))
+def with_missed_cases(problem: TransportProblem, motion: Evaluation) -> TransportProblem | None:
+    """The problem with those fills and dampings added at which a liquid spills, with what the arm makes of it; None for
+    none."""
+    t, uncertain = motion.s[motion.nodes] * motion.duration, problem.payload.uncertain
+    found = []
+    for known in problem.liquids:
+        body, here = known[0].body, {(case.fill, case.damping) for case in known}
+        others = [x for x in cases(body, uncertain, VERDICT_APART) if (x.fill, x.damping) not in here]
+        dry = sloshes(others, t, motion.terms.w, motion.response) if others else ()
+        wet = {x.waves.case for x in dry if Spill.of(body.name, [x]).slack.min() < SURELY_DRY}
+        found.append((*known, *(case for case in others if case in wet)))
+    return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
 
 
 def _tracking(scenario: Scenario, payload: Payload) -> JointLoop | None:
