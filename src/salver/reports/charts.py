@@ -272,10 +272,6 @@ def clearance_charts(run: Run, arm: ArmModel) -> list[Spec]:
 def liquid_charts(run: Run) -> list[Spec]:
     """How high each liquid stands over its level at rest, and its brim: along the plans, with the range over fills and
     dampings, and as the physics engine saw it."""
-    from salver.contact_margins import tray_motion
-    from salver.sensitivity.liquid import Liquids
-    from salver.trajectory import MotionSamples
-
     payload, charts = run.scenario.payload, []
     for k, body in enumerate(run.bodies):
         liquid = body.liquid
@@ -283,9 +279,7 @@ def liquid_charts(run: Run) -> list[Spec]:
             continue
         curves, bands = [], []
         for m in run.motions:
-            p, v, a, omega, alpha = (m.arrays[key] for key in ("p_SB", "v_S", "a_S", "omega_B", "alpha_B"))
-            samples = MotionSamples(m.t, p, v, a, m.R_SB, omega, alpha)
-            whole = Liquids.along(payload, m.t, tray_motion(run.scenario, samples))
+            whole = run.waves(m)
             assert whole is not None
             found = np.array([case.waves.crest for case in whole.worst[body.name]])
             x, low, high = thin(m.t, 1e3 * found.min(axis=0), 1e3 * found.max(axis=0))

@@ -14,7 +14,10 @@ from salver.models.bodies import Body
 from salver.models.parameters import Parameter
 from salver.reports.meshes import LinkMesh, decimate, link_meshes, obstacle_meshes, pack
 from salver.reports.style import OBJECT_COLOURS, ROLE_COLOURS, TRAY_COLOUR, rgb
+from salver.simulation import liquid_surface
 from salver.simulation.drawing import OBSTACLE_COLOUR
+from salver.simulation.liquid_surface import DrawnSurface
+from salver.simulation.loads import true_world
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -51,6 +54,8 @@ def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
             "owner": first.name,
             "coneHeight": CONE_HEIGHT,
         },
+        "brim": {"dry": liquid_surface.BRIM_COLOUR, "spilt": liquid_surface.SPILT_COLOUR},
+        "wallOpacity": liquid_surface.WALL_OPACITY,
         "variants": variants,
         "bounds": _bounds(run, arm),
         "azimuth": _azimuth(run, arm),
@@ -103,7 +108,43 @@ def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
         "metresPerNewton": REST_FORCE_LENGTH * len(points_B) / (body.inertial.mass * abs(GRAVITY_S[2])),
         "contacts": _pack(contacts),
         "forces": _pack(np.einsum("tij,tcj->tci", R, forces_B)),
+        "liquids": [s and _liquid(s, keep) for s in surfaces(motion, run)],
         "path": np.round(p[_spread(len(p), 90)], 5).tolist(),
+    }
+
+
+def surfaces(motion: Motion, run: Run) -> list[DrawnSurface | None]:
+    """The liquid of each object as the engine saw it, as planned where nothing was run; a real arm sees none."""
+    out: list[DrawnSurface | None] = [None] * len(run.bodies)
+    if not run.scenario.payload.liquids:
+        return out
+    if motion.seen is not None:
+        arrays, summary = motion.seen.arrays, motion.seen.summary
+        if not np.size(arrays.get("surface", ())):
+            return out
+        return liquid_surface.of_run(
+            true_world(run.scenario, summary.get("parameters")).loads, arrays["surface"], summary
+        )
+    planned = run.waves(motion)
+    assert planned is not None
+    for k, body in enumerate(run.bodies):
+        if body.liquid is not None:
+            waves = planned.nominal[body.name][0].waves
+            over = waves.crest > (np.inf if body.liquid.sealed else body.liquid.brim - body.liquid.fill)
+            spilt = float(motion.t[np.argmax(over)]) if np.any(over) else None
+            out[k] = DrawnSurface.of_heights(body, body.liquid.fill, waves.eta_B, spilt)
+    return out
+
+
+def _liquid(surface: DrawnSurface, keep: np.ndarray) -> dict[str, Any]:
+    """In B: corners of the bottom and of the brim, centre and slope of the surface; when it came over the brim, s."""
+    return {
+        "bottom": np.round(surface.bottom_B, 6).tolist(),
+        "brim": np.round(surface.brim_B, 6).tolist(),
+        "level": surface.level_B.tolist(),
+        "slope": _pack(surface.slope[keep]),
+        "spilt": surface.spilt,
+        "colour": surface.colour,
     }
 
 
@@ -164,6 +205,7 @@ def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
             "polygon": np.round(polygon + offset[:2], 6).tolist(),
             "low": float(low),
             "high": float(low + body.solid.height),
+            "open": body.liquid is not None and not body.liquid.sealed,
             "colour": rgb(colour),
         }
     points, triangles = _hull(body.solid.bounding_points_G)

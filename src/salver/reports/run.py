@@ -7,7 +7,7 @@ import io
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from salver.models.parameters import Parameter
 from salver.planning.plan import read_plan
 from salver.reports.contact import ContactCurves, contact_curves
 from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest
+
+if TYPE_CHECKING:
+    from salver.sensitivity.liquid import Liquids
 
 _NEEDED = (
     "t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B", "wrench_B", "grasp_map", "cone_coefficients",
@@ -115,6 +118,16 @@ class Run:
     def contact(self) -> dict[str, ContactCurves]:
         """Stem to how near the motion comes to sliding, tipping or lifting."""
         return {m.stem: contact_curves(self.scenario, m.arrays) for m in self.motions}
+
+    def waves(self, motion: Motion) -> Liquids | None:
+        """The liquids along a motion as it was planned, at its times; None without any."""
+        from salver.contact_margins import tray_motion
+        from salver.sensitivity.liquid import Liquids
+        from salver.trajectory import MotionSamples
+
+        p, v, a, omega, alpha = (motion.arrays[key] for key in ("p_SB", "v_S", "a_S", "omega_B", "alpha_B"))
+        samples = MotionSamples(motion.t, p, v, a, motion.R_SB, omega, alpha)
+        return Liquids.along(self.scenario.payload, motion.t, tray_motion(self.scenario, samples))
 
     def parameter(self, name: str) -> Parameter:
         """The parameter that one of the files calls so. Raises FileFormatError."""

@@ -248,7 +248,7 @@ def simulate_tray(
     real = _of_tray(reference.sample(fine), scene).of_frame(np.zeros(3), scene.world.R_tilt)
     motion = tray_frame.TrayMotion.of(real)
     model, data = scene.model, mujoco.MjData(scene.model)
-    scene.place(data)
+    scene.place(data, down=motion.specific[0])
     recorder = Recorder(scene, len(run.t))
     none = np.empty(0)
     for k, now in enumerate(run.t):

@@ -16,6 +16,7 @@ from salver.models.arm import ArmModel, load_arm
 from salver.scenario import Scenario
 from salver.simulation.drawing import draw_obstacles
 from salver.simulation.engine import mujoco
+from salver.simulation.liquid_surface import Colour, DrawnSurface, of_run
 from salver.simulation.loads import true_world
 from salver.simulation.record import SimulationRecord
 from salver.simulation.scene import Scene, build
@@ -23,6 +24,7 @@ from salver.simulation.scene import Scene, build
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+BRIM_RADIUS = 0.0012  # m, of the ring in pictures
 _BACKENDS = ("egl", "osmesa", "glfw")  # the first two need no display
 
 
@@ -104,6 +106,7 @@ def painter(
     scene.model.vis.global_.offwidth, scene.model.vis.global_.offheight = width, height
     data = mujoco.MjData(scene.model)
     camera = _camera(view or View(), record, arm)
+    liquids = of_run(scene.loads, record.surface, record.summary)
     drawn, option = mujoco.MjvScene(scene.model, maxgeom=20000), mujoco.MjvOption()
     size = mujoco.MjrRect(0, 0, width, height)
     context = _context(width, height)
@@ -115,6 +118,9 @@ def painter(
             _pose(scene, data, record, k)
             mujoco.mjv_updateScene(scene.model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, drawn)
             _add_trail(drawn, path)
+            for j, liquid in enumerate(liquids):
+                if liquid is not None:
+                    _add_liquid(drawn, liquid, record, j, k)
             mujoco.mjr_render(size, drawn, resources)
             image = np.empty((height, width, 3), dtype=np.uint8)
             mujoco.mjr_readPixels(image, None, size, resources)
@@ -193,17 +199,29 @@ def _add_trail(scene: Any, path: Array | None, spacing: float = 6e-3) -> None:
         return
     at = np.linspace(0, length[-1], max(2, int(length[-1] / spacing)))
     for point in np.stack([np.interp(at, length, path[:, i]) for i in range(3)], axis=1):
-        if scene.ngeom >= scene.maxgeom:
-            return
-        mujoco.mjv_initGeom(
-            scene.geoms[scene.ngeom],
-            mujoco.mjtGeom.mjGEOM_SPHERE,
-            np.full(3, 2e-3),
-            point,
-            np.eye(3).ravel(),
-            np.array([0.10, 0.25, 0.55, 0.8], dtype=np.float32),
-        )
+        _add(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 2e-3), point, np.eye(3), (0.10, 0.25, 0.55, 0.8))
+
+
+def _add(scene: Any, kind: Any, size: Array, at: Array, axes: Array, rgba: Sequence[float]) -> None:
+    """One more piece of the picture: columns of axes (3, 3) may be of any length and direction."""
+    if scene.ngeom < scene.maxgeom:
+        piece = scene.geoms[scene.ngeom]
+        mujoco.mjv_initGeom(piece, kind, size, at, axes.ravel(), np.array(rgba, dtype=np.float32))
         scene.ngeom += 1
+
+
+def _add_liquid(scene: Any, liquid: DrawnSurface, record: SimulationRecord, j: int, k: int) -> None:
+    """The liquid in object j at sample k, and its brim."""
+    p, R = record.p_SB[k, j], matrix_from_quat_wxyz(record.quat_SB_wxyz[k, j])
+    for a, b, c in p + liquid.triangles_B(k) @ R.T:
+        across = np.cross(b - a, c - a)
+        axes = np.column_stack([b - a, c - a, across / np.linalg.norm(across)])
+        _add(scene, mujoco.mjtGeom.mjGEOM_TRIANGLE, np.ones(3), a, axes, (*liquid.colour, 1))
+    brim = p + liquid.brim_B @ R.T
+    colour = (*liquid.brim_colour(record.t[k]), 1)
+    for a, b in zip(brim, np.roll(brim, -1, axis=0), strict=True):
+        _add(scene, mujoco.mjtGeom.mjGEOM_CAPSULE, np.ones(3), a, np.eye(3), colour)
+        mujoco.mjv_connector(scene.geoms[scene.ngeom - 1], mujoco.mjtGeom.mjGEOM_CAPSULE, BRIM_RADIUS, a, b)
 
 
 def _drawings(
@@ -219,8 +237,10 @@ def _drawings(
     """Line drawings by matplotlib: arm as a chain of links, tray and objects as edges of their hulls."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 
     loads = true_world(scenario, record.parameters).loads
+    liquids = of_run(loads, record.surface, record.summary)
     target, distance = _framing(view, record, arm)
     x, y = 0.5 * np.array(scenario.tray.size)
     tray = np.array([[x, y, 0], [-x, y, 0], [-x, -y, 0], [x, -y, 0], [x, y, 0]])
@@ -249,11 +269,18 @@ def _drawings(
                 _polygon(axes, np.vstack([ring, ring[:1]]), f"C{1 + j}")
             for a, b in zip(bottom, top, strict=True):
                 _polygon(axes, np.stack([a, b]), f"C{1 + j}")
+            liquid = liquids[j]
+            if liquid is not None:
+                brim = record.p_SB[k, j] + np.vstack([liquid.brim_B, liquid.brim_B[:1]]) @ R.T
+                axes.add_collection3d(
+                    Poly3DCollection(record.p_SB[k, j] + liquid.triangles_B(k) @ R.T, facecolor=liquid.colour)
+                )
+                _polygon(axes, brim, liquid.brim_colour(record.t[k]))
         axes.text2D(0.02, 0.95, f"t = {record.t[k]:.2f} s", transform=axes.transAxes)
         canvas.draw()
         images.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
     return np.stack(images)
 
 
-def _polygon(axes: Axes, points: Array, colour: str) -> None:
+def _polygon(axes: Axes, points: Array, colour: str | Colour) -> None:
     axes.plot(*points.T, color=colour, linewidth=1.5)

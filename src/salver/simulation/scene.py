@@ -29,11 +29,12 @@ from salver.models.obstacle_shapes import mesh_pieces
 from salver.models.rigid_body import RigidBody
 from salver.scenario import Cylinder, Obstacle, Scenario
 from salver.simulation.engine import mujoco
+from salver.simulation.liquid_surface import WALL_OPACITY
 from salver.simulation.loads import Load, TrueWorld
 
 FOOT_RADIUS = 5e-4  # m
 SMALL_POINT = 1e-6  # of m L^2: the inertia about itself of a mass that stands for a point
-DOWN_E = np.array([0.0, 0.0, -1.0])
+DOWN = np.array([0.0, 0.0, -1.0])
 HULL_GAP = 3e-4  # m between the hull's base and the feet: closed once an object tips
 DAMPING_WIDTH = 0.95  # d_max of solimp: with solref it sets the contact's damping 2 / (d_max timeconst)
 DAMPING_RATIO = 3.0  # of the contact's spring: below 2 feet chatter near the friction limit, at 10 they sink visibly
@@ -84,8 +85,11 @@ class Scene:
     def loads(self) -> tuple[Load, ...]:
         return self.world.loads
 
-    def place(self, data: Any, q: Array | None = None) -> None:
-        """Put the arm at q (n,) at rest, and every object at its place on the tray, at rest with it."""
+    def place(self, data: Any, q: Array | None = None, down: Array = DOWN) -> None:
+        """Put the arm at q (n,) at rest, and every object at its place on the tray, at rest with it; liquids level.
+
+        down (3,): where gravity points in the world of the model, of any length: without an arm that is the tray's.
+        """
         data.qvel[:] = 0
         if q is not None:
             data.qpos[: self.n] = q
@@ -94,10 +98,10 @@ class Scene:
         for load, i in zip(self.loads, self.qpos_ids, strict=True):
             data.qpos[i : i + 3] = p_SE + R_SE @ load.p_EB
             data.qpos[i + 3 : i + 7] = quat_wxyz_from_matrix(R_SE @ load.R_EB)
-        down_S = np.array([0.0, 0.0, -1.0]) if self.arm is not None else DOWN_E
+        down_S = down / np.linalg.norm(down)
         for swing in self.swings:
-            down = (R_SE @ self.loads[swing.load].R_EB).T @ down_S
-            data.qpos[swing.qpos_ids] = np.arctan2(down[1], -down[2]), -np.arcsin(np.clip(down[0], -1, 1))
+            x, y, z = (R_SE @ self.loads[swing.load].R_EB).T @ down_S
+            data.qpos[swing.qpos_ids] = np.arctan2(y, -z), -np.arcsin(np.clip(x, -1, 1))
         mujoco.mj_forward(self.model, data)
 
     def tray_pose(self, data: Any) -> tuple[Array, Array]:
@@ -307,7 +311,7 @@ def _add_load(spec: Any, load: Load, k: int) -> None:
             group=4,
             **_INERT,
         )
-    rgba = [*_COLOURS[k % len(_COLOURS)], 1]
+    rgba = [*_COLOURS[k % len(_COLOURS)], 1 if load.fill is None else WALL_OPACITY]
     centre, height = -load.com_G, load.solid.height
     raised = centre + np.array([0, 0, HULL_GAP / 2])
     if load.shape.type == "box":  # type: ignore[attr-defined]

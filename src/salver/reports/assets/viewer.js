@@ -143,13 +143,26 @@ function revolve(profile, sides = 28) {
   return shade(points, triangles);
 }
 
-function prism(polygon, low, high) {
+// An upright prism; `open`: its side alone.
+function prism(polygon, low, high, open = false) {
   const n = polygon.length, points = [], triangles = [];
   for (const z of [low, high]) for (const [x, y] of polygon) points.push(x, y, z);
   for (let i = 0; i < n; i++) {
     const j = (i + 1) % n;
     triangles.push(i, j, j + n, i, j + n, i + n);
-    if (i > 0 && i + 1 < n) triangles.push(0, i + 1, i, n, n + i, n + i + 1);
+    if (!open && i > 0 && i + 1 < n) triangles.push(0, i + 1, i, n, n + i, n + i + 1);
+  }
+  return shade(points, triangles);
+}
+
+// A liquid from the bottom (corners) to its surface: a plane through `level` with slopes along x and y.
+function column(bottom, level, [sx, sy]) {
+  const n = bottom.length, points = bottom.flat(), triangles = [];
+  for (const [x, y] of bottom) points.push(x, y, level[2] + sx * (x - level[0]) + sy * (y - level[1]));
+  points.push(...level);
+  for (let i = 0; i < n; i++) {
+    const j = (i + 1) % n;
+    triangles.push(i, j, j + n, i, j + n, i + n, 2 * n, i + n, j + n);
   }
   return shade(points, triangles);
 }
@@ -242,7 +255,11 @@ function createViewer(canvas, scene) {
       gl.enableVertexAttribArray(k);
       gl.vertexAttribPointer(k, 3, gl.FLOAT, false, 24, 12 * k);
     }
-    return { array, count: data.length / 6 };
+    return { array, buffer, count: data.length / 6 };
+  };
+  const refill = (shape, data) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, shape.buffer);
+    gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_DRAW);
   };
 
   const half = scene.tray.size.map((x) => x / 2), [hx, hy] = half, thick = scene.tray.thickness;
@@ -258,7 +275,7 @@ function createViewer(canvas, scene) {
   const links = scene.meshes.map((mesh) => ({ shape: upload(unpackMesh(mesh)), joint: mesh.joint, colour: mesh.colour }));
   const obstacles = scene.obstacles.map((mesh) => ({ shape: upload(unpackMesh(mesh)), colour: mesh.colour }));
   const objects = scene.objects.map((o) => ({
-    shape: upload(o.polygon ? prism(o.polygon, o.low, o.high) : shade(o.points.flat(), o.triangles.flat())),
+    shape: upload(o.polygon ? prism(o.polygon, o.low, o.high, o.open) : shade(o.points.flat(), o.triangles.flat())),
     edges: o.polygon ? o.polygon.flatMap((p, i) => {
       const q = o.polygon[(i + 1) % o.polygon.length], sharp = o.polygon.length <= 8;
       const rims = [o.low, o.high].map((z) => [[...p, z], [...q, z]]);
@@ -270,6 +287,7 @@ function createViewer(canvas, scene) {
     ...v,
     joints: float32(v.joints), tray: float32(v.tray), objects: float32(v.objects), forces: float32(v.forces), contacts: float32(v.contacts),
     path: upload(tube(v.path, 0.0011 * reach)),
+    liquids: v.liquids.map((l) => l && { ...l, slope: float32(l.slope), shape: upload(column(l.bottom, l.level, [0, 0])) }),
   }));
 
   const options = { forces: false, cones: false, path: true, layout: "side", camera: "whole", dark: false };
@@ -291,11 +309,11 @@ function createViewer(canvas, scene) {
   function solids(variant, t) {
     const list = [], joints = posesAt(variant.joints, variant.t, scene.joints, t);
     const tray = Mat.pose(posesAt(variant.tray, variant.t, 1, t));
-    for (const link of links) list.push([link.shape, Mat.pose(joints, 7 * link.joint), link.colour, true]);
-    list.push([shapes.tray, tray, scene.tray.colour, true]);
-    if (scene.meshes.length) list.push([shapes.post, tray, [0.35, 0.37, 0.4], true]);
+    for (const link of links) list.push([link.shape, Mat.pose(joints, 7 * link.joint), link.colour]);
+    list.push([shapes.tray, tray, scene.tray.colour]);
+    if (scene.meshes.length) list.push([shapes.post, tray, [0.35, 0.37, 0.4]]);
     const poses = posesAt(variant.objects, variant.t, objects.length, t);
-    objects.forEach((o, i) => list.push([o.shape, Mat.pose(poses, 7 * i), o.colour, false]));
+    objects.forEach((o, i) => list.push([o.shape, Mat.pose(poses, 7 * i), o.colour, { ...o, liquid: variant.liquids[i] }]));
     return { list, poses };
   }
 
@@ -328,11 +346,20 @@ function createViewer(canvas, scene) {
     }
   }
 
-  function drawEdges(object, model, colour) {
-    for (const [a, b] of object.edges) {
+  const loop = (points) => points.map((p, i) => [p, points[(i + 1) % points.length]]);
+
+  function drawEdges(edges, model, colour, radius = 0.0005) {
+    for (const [a, b] of edges) {
       const p = Mat.point(model, a), q = Mat.point(model, b), d = Vec.sub(q, p);
-      draw(shapes.shaft, Mat.along(p, d, 0.0005, Vec.norm(d)), colour, 1);
+      draw(shapes.shaft, Mat.along(p, d, radius, Vec.norm(d)), colour, 1);
     }
+  }
+
+  function drawLiquid(liquid, variant, t, model) {
+    refill(liquid.shape, column(liquid.bottom, liquid.level, valuesAt(liquid.slope, variant.t, 2, t)));
+    draw(liquid.shape, model, [...liquid.colour, 1]);
+    const spilt = liquid.spilt !== null && t >= liquid.spilt;
+    drawEdges(loop(liquid.brim), model, [...(spilt ? scene.brim.spilt : scene.brim.dry), 1], spilt ? 0.0016 : 0.0009);
   }
 
   const FOV = 0.6;  // rad, upright
@@ -405,17 +432,20 @@ function createViewer(canvas, scene) {
         gl.disable(gl.POLYGON_OFFSET_FILL);
         continue;
       }
-      for (const [shape, model, colour, isArm] of list) if (isArm || !seeInside) draw(shape, model, [...colour, 1]);
-      if (seeInside) {
-        const cones = drawContacts(variant, t, Mat.pose(poses));
-        objects.forEach((o, i) => drawEdges(o, Mat.pose(poses, 7 * i), [...o.colour.map((x) => 0.55 * x), 1]));
-        gl.depthMask(false);
-        drawConesOf(cones);
-        gl.enable(gl.CULL_FACE);  // its far side, and the base that lies in the tray's surface, would shine through
-        objects.forEach((o, i) => draw(o.shape, Mat.pose(poses, 7 * i), [...o.colour, 0.22]));
-        gl.disable(gl.CULL_FACE);
-        gl.depthMask(true);
+      const seenThrough = [];
+      for (const [shape, model, colour, object] of list) {
+        if (object?.liquid) drawLiquid(object.liquid, variant, t, model);
+        if (object && seeInside) drawEdges(object.edges, model, [...colour.map((x) => 0.55 * x), 1]);
+        if (object && (seeInside || object.liquid)) seenThrough.push([shape, model, [...colour, seeInside ? 0.22 : scene.wallOpacity]]);
+        else draw(shape, model, [...colour, 1]);
       }
+      const cones = seeInside ? drawContacts(variant, t, Mat.pose(poses)) : [];
+      gl.depthMask(false);
+      drawConesOf(cones);
+      gl.enable(gl.CULL_FACE);  // its far side, and the base that lies in the tray's surface, would shine through
+      for (const piece of seenThrough) draw(...piece);
+      gl.disable(gl.CULL_FACE);
+      gl.depthMask(true);
     }
     gl.enable(gl.CULL_FACE);  // last, and seen through: nothing hides behind an obstacle
     for (const o of obstacles) draw(o.shape, identity, [...o.colour, 0.55]);
