@@ -170,7 +170,7 @@ def _run(audit: Audit) -> tuple[Run, ArmModel | None]:
         arm = load_arm(scenario.arm, scenario.tray)
         q = reordered(joints, arm.joint_names).q
         arrays["q"] = np.column_stack([np.interp(arrays["t"], joints.t, column) for column in q.T])
-    summary: Mapping[str, Any] = {"ok": audit.ok, "method": "given"}
+    summary: Mapping[str, Any] = {"ok": audit.ok, "method": "given", "thinned": len(keep) < len(samples.t)}
     return Run(Path(audit.source), scenario, [_Given("plan", arrays, dict(summary))]), arm
 
 

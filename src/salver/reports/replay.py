@@ -114,9 +114,10 @@ def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
 
 
 def surfaces(motion: Motion, run: Run) -> list[DrawnSurface | None]:
-    """The liquid of each object as the engine saw it, as planned where nothing was run; a real arm sees none."""
+    """The liquid of each object as the engine saw it, as planned where nothing was run; a real arm sees none.
+    Of a given motion whose samples were thinned waves are not known, which are quicker than what is left of them."""
     out: list[DrawnSurface | None] = [None] * len(run.bodies)
-    if not run.scenario.payload.liquids:
+    if not run.scenario.payload.liquids or motion.summary.get("thinned"):
         return out
     if motion.seen is not None:
         arrays, summary = motion.seen.arrays, motion.seen.summary
