@@ -357,3 +357,16 @@ def test_audit_knows_that_a_line_spills(coffee):
         plan = sv.plan(sticky.with_changes(motion__duration=duration), "baseline", arm=False)
         assert plan.margins.verdict(worst=True).code == word
         assert plan.verification.ok == (word == "holds")
+
+
+def test_what_is_not_known_of_a_liquid_is_said_first(coffee):
+    """By the plan and by every verdict that calls it dry; a box says more of itself than a cup."""
+    made = coffee.with_changes(motion__duration=2.5, objects__0__friction=2.0)
+    plan = sv.plan(made, "baseline", arm=False)
+    said = "swirling or breaking waves in cup"
+    assert plan.unchecked[0] == said
+    assert plan.margins.verdict(worst=True).sentence.startswith(f"Not checked: {said}. Everything holds")
+    assert sv.plan(made, "baseline").unchecked[0] == said
+    boxed = made.with_changes(**BOX).payload.unmodelled
+    assert boxed[0].endswith("when it turns about its upright axis")
+    assert not sv.load_scenario("panda-cube").payload.unmodelled

@@ -183,8 +183,10 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
     for label, value in lines.items():
         table.add_row(label, value(plan), value(other))
     console.print(table)
-    if plan.arm_status is None and plan.unchecked:
-        console.print(f"Not checked: {'; '.join(plan.unchecked)}.")
+    # What is not checked of the arm, its own sentence says.
+    blind = plan.unchecked if plan.arm_status is None else plan.scenario.payload.unmodelled
+    if blind:
+        console.print(f"Not checked: {'; '.join(blind)}.")
     for name, item in zip(names, (plan, other), strict=True):
         console.print(headed(name, item.status))
         if item.arm_status is not None:

@@ -83,11 +83,12 @@ class Margins(RowValues):
             sentence = f"{m.name} {case}{code} at {time:.3f} s: {m.reason(code, time, worst)}."
             return Status(code, sentence[0].upper() + sentence[1:], False, {"interface": m.name, "time": time})
         dry = "".join(f" {spill_status(spill, '').sentence}" for spill in self.spills(worst))
+        blind = f"Not checked: {'; '.join(payload.unmodelled)}. " if dry else ""
         least = min(self.interfaces, key=lambda m: float((m.exact_worst if worst else m.exact).min()))
         margin = least.exact_worst if worst else least.exact
         k = int(np.argmin(margin))
         sentence = (
-            f"Everything holds{' ' + case.rstrip() if case else ''}; the least margin is "
+            f"{blind}Everything holds{' ' + case.rstrip() if case else ''}; the least margin is "
             f"{100 * max(0.0, float(margin[k])):.1f} % of the weight ({least.name}, at {self.t[k]:.3f} s).{dry}"
         )
         details = {"interface": least.name, "time": float(self.t[k]), "margin": float(margin[k])}

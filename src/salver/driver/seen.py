@@ -16,6 +16,7 @@ from salver.auditing.recorded import sensor_of
 from salver.driver.mocap import GAP, REST, SLIP, Track
 from salver.errors import Status
 from salver.geometry import Array, log, quat_wxyz_from_matrix
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
@@ -58,7 +59,9 @@ def judge(
     where = f"{1e3 * moved[k]:.2f} mm at t = {merged['t'][during][k]:.2f} s; {1e3 * SLIP:g} mm can be told from noise"
     if moved[k] > SLIP:
         return Status(SLIDES, f"{object_name} moved on its tray by up to {where}.", False)
-    return Status(HOLDS, f"{object_name} kept its place on the tray, to {where}.", True)
+    wet = listed([body.name for body in carried if body.liquid is not None and not body.liquid.sealed])
+    first = f"Not judged: whether the liquid in {wet} was spilt, which motion capture does not see. " if wet else ""
+    return Status(HOLDS, f"{first}{object_name} kept its place on the tray, to {where}.", True)
 
 
 def _doubts(track: Track, shift: float, reference: Reference, t: Array) -> Iterator[str]:

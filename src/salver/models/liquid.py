@@ -157,6 +157,11 @@ class Liquid:
     def nominal_damping(self) -> float:
         return 0.5 * sum(self.damping)
 
+    def unmodelled(self, owner: str) -> str:
+        """What is not known of its waves, in words; owner: name of the container."""
+        walls = "" if self.round else " and what its walls take along of them when it turns about its upright axis"
+        return f"swirling or breaking waves in {owner}{walls}"
+
     def room(self, fill: float) -> float:
         """m to which waves may rise at a fill."""
         return np.inf if self.sealed else min(self.brim - fill - self.margin, self.highest)

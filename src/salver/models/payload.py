@@ -39,6 +39,11 @@ class Payload:
         """The bodies with a liquid in them."""
         return tuple(body for body in self.bodies if body.liquid is not None)
 
+    @property
+    def unmodelled(self) -> tuple[str, ...]:
+        """What is not known of its liquids, in words; to be said before anything that is said to be safe."""
+        return tuple(body.liquid.unmodelled(body.name) for body in self.liquids if body.liquid is not None)
+
     @cached_property
     def networks(self) -> tuple[ContactNetwork, ...]:
         """The bodies that touch each other, directly or through others."""

@@ -149,12 +149,13 @@ class Plan(Shown, Tabular):
     @property
     def unchecked(self) -> tuple[str, ...]:
         """What the verdict does not cover, in words; to be said before anything that is said to be safe."""
+        load = self.scenario.payload.unmodelled
         if self.arm_status is not None:
-            return tuple(self.arm_status.details.get("unchecked", ()))
+            return (*load, *self.arm_status.details.get("unchecked", ()))
         out = [] if self.scenario.arm is None else ["whether the arm can follow (planned without it)"]
         if self.scenario.obstacles:
             out.append("whether anything hits an obstacle (planned without an arm)")
-        return tuple(out)
+        return (*load, *out)
 
     @property
     def no_arm_motion(self) -> str:
