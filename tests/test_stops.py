@@ -229,6 +229,23 @@ def test_a_plan_in_object_space_stops_in_the_joints_and_keeps_its_load():
         assert off.max() > 0.7 * stops.stray.max()  # and that is no idle bound: this is a corner
 
 
+@pytest.mark.slow
+def test_a_path_of_ones_own_made_faster_can_be_stopped_too(tmp_path):
+    """By the command: the cube at the worst corner, stopped half way, stays."""
+    sv.plan("panda-cube").save(tmp_path / "given")
+    run = CliRunner().invoke(app, ["retime", str(tmp_path / "given"), "-o", str(tmp_path / "quick"), "--stops"])
+    assert run.exit_code == 0, run.output
+    quick = sv.load_plan(tmp_path / "quick")
+    assert quick.stops is not None
+    assert quick.stops.longest < 0.5 * quick.duration
+    now = 0.5 * quick.duration
+    rests = quick.stops.course(now).rests
+    corner = dict(zip(quick.uncertain.names, quick.uncertain.nominal + quick.uncertain.half_range, strict=True))
+    record = sv.simulate(quick, parameters={name: float(x) for name, x in corner.items()}, stop_at=now)
+    assert record.summary["outcome"] == "holds"
+    assert np.abs(record.dq[record.t > rests + 0.3]).max() < 0.02
+
+
 def test_a_motion_of_ones_own_can_be_stopped_from_any_state(bottle):
     """Without a guess, and not on any plan: the bottle's, a tenth slower. It begins in that state."""
     problem = transport_problem(bottle.scenario)
