@@ -16,7 +16,7 @@ import numpy as np
 
 import salver as sv
 from salver.models.tray_motion import at_rest
-from salver.sensitivity.liquid import Case
+from salver.sensitivity.waves import Case
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from potential_flow import cylinder, rectangle, simulate

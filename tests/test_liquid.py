@@ -16,7 +16,8 @@ from salver.errors import ScenarioError
 from salver.models.liquid import Liquid, damping_of
 from salver.models.tray_motion import at_rest
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
-from salver.sensitivity.liquid import Case, Liquids, Slosh, Spill, Waves, cases
+from salver.sensitivity.sloshing import Liquids, Slosh, Spill
+from salver.sensitivity.waves import Case, Waves, cases
 from salver.simulation import outcome
 
 CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))

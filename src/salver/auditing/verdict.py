@@ -25,7 +25,7 @@ from salver.geometry import Array, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.scenario import Scenario
-from salver.sensitivity.liquid import Liquids
+from salver.sensitivity.sloshing import Liquids
 from salver.tables import Table, Tabular
 
 if TYPE_CHECKING:

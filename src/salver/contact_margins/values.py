@@ -14,7 +14,7 @@ from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
 from salver.models.internal_wrench import internal_wrenches
 from salver.sensitivity import tubes
-from salver.sensitivity.liquid import Liquids, Sloshed
+from salver.sensitivity.sloshing import Liquids, Sloshed
 
 
 @dataclass(frozen=True)

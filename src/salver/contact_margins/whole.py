@@ -16,7 +16,7 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.models.interfaces import regions_lost
 from salver.scenario import Scenario
-from salver.sensitivity.liquid import Liquids, Spill
+from salver.sensitivity.sloshing import Liquids, Spill
 
 if TYPE_CHECKING:
     from salver.models.parameters import Parameter

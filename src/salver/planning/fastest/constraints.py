@@ -21,7 +21,8 @@ from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import AT_NODES, KeepOut
-from salver.sensitivity.liquid import Sloshed, Waves
+from salver.sensitivity.sloshing import Sloshed
+from salver.sensitivity.waves import Waves
 
 Gradient = Callable[[Indices, Indices], Array]
 Pulled = tuple[Array, Array]

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from salver.geometry import Array
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop
-from salver.sensitivity.liquid import Case, Slosh, along
+from salver.sensitivity.sloshing import Slosh
+from salver.sensitivity.waves import Case, along
 
 Indices = npt.NDArray[np.intp]
 

@@ -37,7 +37,8 @@ from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
 from salver.scenario import Scenario
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
-from salver.sensitivity.liquid import VERDICT_APART, Case, Spill, cases
+from salver.sensitivity.sloshing import Spill
+from salver.sensitivity.waves import VERDICT_APART, Case, cases
 
 SURELY_DRY = 1e-4  # of the room, that is left at every fill and damping that a verdict looks at
 

@@ -31,7 +31,7 @@ from salver.models.tray_motion import N_MOTION, PRODUCTS, frame_map, wrench_map
 from salver.models.worst_case import UncertainRows
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
-from salver.sensitivity.liquid import Liquids, Sloshed, Spill
+from salver.sensitivity.sloshing import Liquids, Sloshed, Spill
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
 
 Indices = npt.NDArray[np.intp]

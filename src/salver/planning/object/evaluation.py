@@ -16,7 +16,7 @@ from salver.planning.object.conditions import apart, conditions_for, motion_vect
 from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
-from salver.sensitivity.liquid import Liquids
+from salver.sensitivity.sloshing import Liquids
 from salver.sensitivity.tray import BodyMotion
 from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference
