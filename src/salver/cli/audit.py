@@ -13,6 +13,10 @@ from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console
 if TYPE_CHECKING:
     from salver.auditing import Audit
 
+OnTray = Annotated[
+    str | None,
+    typer.Option("-s", "--scenario", help="What is on the tray, for a motion file: a name or a .toml file."),
+]
 Topic = Annotated[str | None, typer.Option(help="Topic of the motion, when a bag has several.")]
 Highest = Annotated[
     float, typer.Option(help="Nothing on the arm shakes the tray faster than this, Hz: what a recording must show.")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.audit import Gap, Highest, Noise, Topic
+from salver.cli.audit import Gap, Highest, Noise, OnTray, Topic
 from salver.cli.common import Json, print_json, say
 
 
@@ -18,10 +18,7 @@ def report(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Where to write it; DIR/report.html, FILE.html by default.")
     ] = None,
-    scenario: Annotated[
-        str | None,
-        typer.Option("-s", "--scenario", help="What is on the tray, for a motion file: a name or a .toml file."),
-    ] = None,
+    scenario: OnTray = None,
     topic: Topic = None,
     highest: Highest = 50.0,
     noise: Noise = None,

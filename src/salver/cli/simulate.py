@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.audit import Topic
+from salver.cli.audit import OnTray, Topic
 from salver.cli.common import Json, headed, print_json, result_console, say
 from salver.errors import ScenarioError
 
@@ -33,10 +33,7 @@ def simulate(
     stop_at: Annotated[
         float | None, typer.Option(help="Ask for a stop at this time, s: the plan needs stops (salver plan --stops).")
     ] = None,
-    scenario: Annotated[
-        str | None,
-        typer.Option("-s", "--scenario", help="What is on the tray, for a motion file: a name or a .toml file."),
-    ] = None,
+    scenario: OnTray = None,
     topic: Topic = None,
     json: Json = False,
 ) -> None:
