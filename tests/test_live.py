@@ -15,8 +15,9 @@ from live_runs import drive, executed, in_turn, jolts, rows_of
 from salver.errors import ScenarioError
 from salver.live import Live, Worker
 from salver.live.motion import between, joined, resting
-from salver.live.verify import verified
+from salver.live.verify import instants, verified
 from salver.planning.fastest import fastest, joint_plan
+from salver.planning.fastest.constraints import Contact, evaluate
 from salver.planning.fastest.exchange import optimise
 from salver.trajectory import JointMotion
 
@@ -200,6 +201,22 @@ class TestVerdict:
         carried = live.committed.deviation_at(now, live.problem)
         scale = np.abs(np.stack([response.joints.q, response.joints.dq])).max(axis=(1, 2))[:, None, :]
         assert (np.abs(whole - carried)[..., :-1] / scale).max() < 0.01  # nodes every 2 ms, against every 1 ms
+
+    def test_contact_keeps_a_margin_also_where_the_scenario_asks_for_none(self, cube, moving):
+        """0.1 % of what holds: jerk jumps between the instants that are looked at. Of a load that slides on the way."""
+        motion = moving.committed.motion
+        at = verified(moving.problem, motion, 3.0, None).committed.margins.t
+        assert at[[0, -1]] == pytest.approx([3.0, 3.0 + motion.duration])
+        problem = Live(cube.with_changes(contact__margin=0.0, objects__0__friction=0.2)).problem
+        s, nodes = instants(motion)
+        z = np.stack([*motion.sample(s * motion.duration), motion.jerk(s * motion.duration)])
+        blocks = evaluate(problem.constraints, problem.at(s, z, motion.duration, nodes, imposed=False))
+        (contact,) = (block for block in blocks if isinstance(block.of, Contact))
+        more = 1e-3 - contact.margins[1]  # the rows hold a margin already
+        assert more > 5e-4
+        found = verified(problem, motion, 3.0, None)
+        assert found.sentence.startswith("contact of cube would be exceeded")
+        assert found.excess == pytest.approx(contact.values.max() + more, abs=1e-12)
 
     def test_the_executed_is_the_same_in_pieces(self, moving):
         motion = moving.committed.motion
