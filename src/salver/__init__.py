@@ -196,7 +196,8 @@ def campaign(
 
     A plan that was just made: `sv.campaign(plan.save("runs/cube"))`. method: how the uncertain set is sampled
     ("uniform", "corners", "lhs", "sobol"). stems: plans to run (default: plan and what it is compared with). engine:
-    "physics" or "closed-loop". jobs: processes (default: all cores). Raises SalverError.
+    "physics" or "closed-loop". jobs: processes (default: all cores); in a script, call it below
+    `if __name__ == "__main__":`, as Python asks of whatever starts processes. Raises SalverError.
     """
     if not isinstance(directory, str | Path):
         raise _no_plan("campaign", directory)
