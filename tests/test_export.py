@@ -141,6 +141,7 @@ def test_mujoco_scene_opens_elsewhere_and_holds_still(directory: Path, tmp_path:
     write_export(directory, "mujoco", tmp_path / "scene")
     (tmp_path / "scene").rename(tmp_path / "moved")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "moved" / "scene.xml"))
+    assert "vertex=" not in (tmp_path / "moved" / "scene.xml").read_text(), "converters to USD want meshes as files"
     data = mujoco.MjData(model)
     plan = load_plan(directory)
     body = plan.scenario.payload.first
@@ -182,6 +183,30 @@ def test_mujoco_scene_of_a_stack_without_an_arm_stands(tmp_path: Path) -> None:
     assert sum(normal) == pytest.approx(weight, rel=1e-3)
 
 
+def test_a_urscript_streams_the_joints_of_the_plan_at_its_controllers_rate(tmp_path: Path) -> None:
+    """Read as a robot's controller would: every servoj holds for one period, from the start to rest at the goal."""
+    make_plan(scenario.load("ur10-bottle"), "baseline").save(tmp_path / "run", "plan")
+    (path,) = write_export(tmp_path / "run", "urscript")
+    plan = load_plan(tmp_path / "run", "plan")
+    assert path.name == "plan.script"
+    lines = [line.strip() for line in path.read_text().splitlines()]
+    sent = [json.loads(line[len("servoj(") : line.index("]") + 1]) for line in lines if line.startswith("servoj(")]
+    assert all("t=0.002," in line for line in lines if line.startswith("servoj("))
+    instants = np.minimum(0.002 * np.arange(1, len(sent) + 1), plan.duration)
+    assert plan.duration <= 0.002 * len(sent) < plan.duration + 0.002
+    np.testing.assert_allclose(sent, plan.joint.sample(instants)[0], atol=1e-9)  # instants in whole nanoseconds
+    (start,) = [line for line in lines if line.startswith("local start = ")]
+    assert json.loads(start[len("local start = ") :]) == plan.joint.sample(0.0)[0][0].tolist()
+    assert lines[-3:] == ["stopj(2.0)", "end", "salver_motion()"]
+    assert sum(line == "end" for line in lines) == sum(line.startswith(("def ", "while ", "if ")) for line in lines)
+
+
+def test_urscript_is_refused_for_another_makers_arm(directory: Path, tmp_path: Path) -> None:
+    with pytest.raises(SalverError, match=r"for the arms of Universal Robots, .* has panda_joint1"):
+        write_export(directory, "urscript", tmp_path / "m.script")
+    assert not (tmp_path / "m.script").exists()
+
+
 def test_without_an_arm_paths_alone_are_exported(tmp_path: Path) -> None:
     case = scenario.load("panda-cube").with_changes(arm=None)
     make_plan(case, "baseline").save(tmp_path / "run", "plan")
@@ -192,7 +217,7 @@ def test_without_an_arm_paths_alone_are_exported(tmp_path: Path) -> None:
 
 
 def test_mistakes_get_a_sentence(directory: Path, tmp_path: Path) -> None:
-    with pytest.raises(SalverError, match='no export format "xml"; known are csv, json, ros2, yaml, moveit, mujoco'):
+    with pytest.raises(SalverError, match=r'no export format "xml"; known are csv, json, .*, mujoco, urscript'):
         write_export(directory, "xml")
     for file_format in ("ros2", "mujoco"):
         (tmp_path / file_format).mkdir()

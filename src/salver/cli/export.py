@@ -12,7 +12,7 @@ from salver.cli.common import Json, print_json, say
 
 def export(
     directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it.")],
-    file_format: Annotated[str, typer.Option("--format", help="csv, json, ros2, yaml, moveit or mujoco.")],
+    file_format: Annotated[str, typer.Option("--format", help="csv, json, ros2, yaml, moveit, mujoco or urscript.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
     ] = None,
@@ -21,7 +21,7 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML
-    (moveit: a RobotTrajectory), MuJoCo scene.
+    (moveit: a RobotTrajectory), MuJoCo scene, URScript program.
 
     Numbers keep all their digits; times are whole nanoseconds.
 
@@ -33,5 +33,9 @@ def export(
     if json:
         print_json({"files": [str(path) for path in paths]})
     else:
+        meshes = [path for path in paths if path.parent.name == "meshes"]
         for path in paths:
-            say(f"Wrote {path}")
+            if path not in meshes:
+                say(f"Wrote {path}")
+        if meshes:
+            say(f"Wrote {len(meshes)} files in {meshes[0].parent}")

@@ -1,13 +1,16 @@
-"""Plans for other programs: CSV, JSON, ROS 2, MuJoCo."""
+"""Plans for other programs: CSV, JSON, ROS 2, MuJoCo, URScript."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from salver.errors import SalverError
-from salver.files import output_file
+from salver.files import output_file, write_atomic
 
-FORMATS = {"csv": ".csv", "json": ".json", "ros2": "_bag", "yaml": ".yaml", "moveit": ".yaml", "mujoco": "_mujoco"}
+FORMATS = {
+    "csv": ".csv", "json": ".json", "ros2": "_bag", "yaml": ".yaml", "moveit": ".yaml", "mujoco": "_mujoco",
+    "urscript": ".script",
+}  # fmt: skip
 
 
 def write_export(
@@ -19,9 +22,9 @@ def write_export(
 ) -> list[Path]:
     """Write the motion `stem` of a run directory in a format; returns the files. By default DIR/export/STEM + ending.
 
-    rate: samples per second, the plan's own instants when None. Another file that stands there is kept, numbered.
-    Raises SalverError for an unknown format or a place that is taken, FileFormatError for a directory without such
-    a plan.
+    rate: samples per second, the plan's own instants when None (urscript: 500). Another file that stands there is
+    kept, numbered. Raises SalverError for an unknown format, an arm that a format is not for, or a place that is
+    taken, FileFormatError for a directory without such a plan.
     """
     if file_format not in FORMATS:
         raise SalverError(f'There is no export format "{file_format}"; known are {", ".join(FORMATS)}.')
@@ -31,6 +34,13 @@ def write_export(
 
         return write_scene(directory, target, stem)
     from salver.export.motion import read_motion
+
+    if file_format == "urscript":
+        from salver.export import urscript
+
+        rate = urscript.RATE if rate is None else rate
+        text = urscript.program(read_motion(directory, stem, rate), rate)
+        return [write_atomic(output_file(target, (".script",)), text, keep=True)]
     from salver.motion_files import ENDINGS, write
 
     if ENDINGS[file_format]:

@@ -74,14 +74,27 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[P
 
 
 def _copy_meshes(spec: Any, folder: Path) -> None:
-    """Mesh files into the folder, and the scene told to find them there."""
+    """Every mesh as a file in the folder, and the scene told to find them there.
+
+    Points written into the XML would do for MuJoCo; other readers of its scenes, USD's among them, want files.
+    """
     for mesh in spec.meshes:
-        if not mesh.file:
-            continue
-        target = folder / MESHES / (mesh.name.replace("/", "_") + Path(mesh.file).suffix)
-        target.parent.mkdir(exist_ok=True)
-        shutil.copyfile(mesh.file, target)
+        (folder / MESHES).mkdir(exist_ok=True)
+        stem = folder / MESHES / mesh.name.replace("/", "_").replace(":", "_")
+        if mesh.file:
+            target = stem.with_name(stem.name + Path(mesh.file).suffix)
+            shutil.copyfile(mesh.file, target)
+        else:  # a convex part, in the engine's own single precision
+            target = stem.with_name(stem.name + ".stl")
+            target.write_bytes(_convex_stl(np.reshape(mesh.uservert, (-1, 3))))
+            mesh.uservert, mesh.userface = [], []
         mesh.file = str(target.resolve())
+
+
+def _convex_stl(points: Array) -> bytes:
+    import trimesh
+
+    return bytes(trimesh.convex.convex_hull(points).export(file_type="stl"))
 
 
 def _add_servos(spec: Any, arm: ArmModel) -> None:
