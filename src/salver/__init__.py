@@ -23,10 +23,13 @@ if TYPE_CHECKING:
     from salver.contact_margins import Margins
     from salver.geometry import Array
     from salver.live import Live
+    from salver.planning.fastest import FastestOptions
     from salver.planning.plan import Plan
+    from salver.planning.round import Round
     from salver.reports.inline import Page
     from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
+    from salver.simulation.round import RoundRecord
     from salver.trajectory import MotionSamples
 
 __version__ = "0.1.0"
@@ -39,9 +42,11 @@ __all__ = [
     "load_scenario",
     "margins",
     "plan",
+    "plan_legs",
     "report",
     "retime",
     "simulate",
+    "simulate_legs",
 ]
 
 
@@ -84,23 +89,41 @@ def plan(scenario: Scenario | str | Path, method: str = "robust", *, arm: bool =
     return make_plan(_scenario(scenario), method, arm)
 
 
+def plan_legs(scenario: Scenario | str | Path, **options: Any) -> Round:
+    """The fastest plan of a task of several legs (docs/howto/legs.md): its `legs` are plans, each with its own load.
+
+    options: as `fastest`. Raises ScenarioError, UnreachableError.
+    """
+    from salver.planning.fastest.legs import plan_legs as run
+
+    return run(_scenario(scenario), options=_options("plan_legs", options))
+
+
 def fastest(scenario: Scenario | str | Path, *, robust: bool = True, **options: Any) -> Plan:
     """The fastest plan of a scenario with an arm: the shortest duration at which everything is kept.
 
     robust: for the whole uncertain set, or for nominal parameters only. options: those of
     `salver.planning.fastest.FastestOptions`, as `time_limit=10, starts=4`. Raises ScenarioError, UnreachableError.
     """
+    from salver.planning.fastest import plan_fastest
+
+    chosen = _options("fastest", options)
+    given = _scenario(scenario).with_changes(motion__duration=None)
+    return plan_fastest(given, robust=robust, options=chosen)
+
+
+def _options(name: str, options: Mapping[str, Any]) -> FastestOptions:
+    """Those of a search. Raises ScenarioError for one that there is not."""
     from dataclasses import fields
 
     from salver.errors import ScenarioError
-    from salver.planning.fastest import FastestOptions, plan_fastest
+    from salver.planning.fastest import FastestOptions
 
     known = [field.name for field in fields(FastestOptions)]
-    unknown = next((name for name in options if name not in known), None)
+    unknown = next((key for key in options if key not in known), None)
     if unknown is not None:
-        raise ScenarioError(f'fastest has no option "{unknown}"; it has {", ".join(known)}.')
-    given = _scenario(scenario).with_changes(motion__duration=None)
-    return plan_fastest(given, robust=robust, options=FastestOptions(**options))
+        raise ScenarioError(f'{name} has no option "{unknown}"; it has {", ".join(known)}.')
+    return FastestOptions(**options)
 
 
 def retime(path: str | Path | Array, scenario: Scenario | str | Path | None = None, *, robust: bool = True) -> Plan:
@@ -180,6 +203,16 @@ def simulate(
     from salver.simulation.physics import simulate as run
 
     return run(plan, parameters=parameters, seed=seed, stop_at=stop_at)
+
+
+def simulate_legs(plan: Round, *, parameters: Mapping[str, float] | None = None, seed: int = 0) -> RoundRecord:
+    """Run a plan of several legs in the physics engine; what stays on the tray begins each leg where it was left.
+
+    parameters: true values by name where they are not nominal, for example {"glass1.mass": 0.3}. Raises ScenarioError.
+    """
+    from salver.simulation.round import simulate_round
+
+    return simulate_round(plan, parameters=parameters, seed=seed)
 
 
 def campaign(

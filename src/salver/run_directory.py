@@ -6,6 +6,7 @@ import fcntl
 import hashlib
 import itertools
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,20 @@ SCENARIO = "scenario.toml"
 CERTIFICATE = "certificate"  # key of a plan's record
 STEMS = ("plan", "baseline", "nominal")  # the motions that it may hold: a plan, and what it is compared with
 RECORDS = ("simulation", "execution")  # folders with one record a stem
+_LEG = re.compile(r"leg([1-9][0-9]?)")
 _OF_ALL = ("report.html", "figures", "export", "film.mp4", "film.gif")
+
+
+def leg_number(stem: str) -> int | None:
+    """Which leg of a plan of several a stem names, 1 for "leg1"; None for none."""
+    found = _LEG.fullmatch(stem)
+    return None if found is None else int(found[1])
+
+
+def file_stem(directory: Path, stem: str) -> str:
+    """Stem of the files in which a plan is: all legs of a plan are in those of the plan."""
+    own = (directory / f"{stem}.npz").is_file()
+    return stem if own or leg_number(stem) is None else STEMS[0]
 
 
 def check_free(directory: Path) -> None:
@@ -75,7 +89,8 @@ def make_room(directory: Path, stem: str, with_scenario: bool = False) -> Path |
 def _belongings(directory: Path, stem: str) -> list[Path]:
     """Results first, the plan itself last: what is stopped half way still tells that it is not done."""
     stems = STEMS if stem == "plan" else (stem,)
-    results = [directory / name for name in _OF_ALL] + campaign_folders(directory)
+    pages = sorted(directory.glob("report-leg*.html"))
+    results = [directory / name for name in _OF_ALL] + pages + campaign_folders(directory)
     for folder in RECORDS:
         if stem == "plan":
             results.append(directory / folder)
@@ -88,6 +103,7 @@ def plan_digest(directory: Path, stem: str) -> str:
     """Digest of the plan `stem` of a run directory, by which its results know it: that of its certificate
     (`salver.planning.certificate`), apart from what only tells how it was planned. Raises SalverError when there is
     no such plan, FileFormatError when its record holds no certificate."""
+    stem = file_stem(directory, stem)
     path = directory / f"{stem}.json"
     if not _holds(directory, stem):
         known = ", ".join(known_stems(directory)) or "none"
@@ -105,6 +121,7 @@ def digest_of(value: Any) -> str:
 
 
 def _holds(directory: Path, stem: str) -> bool:
+    stem = file_stem(directory, stem)
     return all((directory / f"{stem}{ending}").is_file() for ending in (".npz", ".json"))
 
 

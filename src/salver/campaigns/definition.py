@@ -73,13 +73,17 @@ def define(
     if Path(folder).name != folder or folder in ("", ".."):
         raise SalverError(f'The folder is "{folder}"; it must be one name, for a folder in {directory}.')
     case = load_scenario(directory)
-    if engine == "closed-loop" and case.payload.liquids:
+    if case.legs and (stops or engine == "closed-loop" or list(stems) != ["plan"]):
         raise SalverError(
-            f"{case.payload.liquids[0].name} holds a liquid, which the engine closed-loop does not know; use physics."
+            f"{case.name} is a task of {len(case.legs)} legs: a run of its campaign is one of all of them in the "
+            "engine physics; it has no --stem, no --stops, and no other --engine."
         )
+    liquids = [body.name for body in case.bodies if body.liquid is not None]
+    if engine == "closed-loop" and liquids:
+        raise SalverError(f"{liquids[0]} holds a liquid, which the engine closed-loop does not know; use physics.")
     if stops and engine != "physics":
         raise SalverError(f"Stops are motions of an arm; the engine {engine} has none: use --engine physics.")
-    if not case.payload.uncertain.size and not stops:
+    if not case.uncertain.size and not stops:
         raise SalverError(f"Nothing is uncertain in {case.name}: all runs would be the same; use simulate for one run.")
     return Definition(
         case.digest, {stem: plan_digest(directory, stem) for stem in stems}, n, seed, method, engine, stops
@@ -102,10 +106,9 @@ def samples(directory: Path, definition: Definition) -> tuple[tuple[str, ...], A
             f"{directory / 'scenario.toml'} has the digest {case.digest}, but the campaign was made for "
             f"{definition.scenario}; the scenario was changed afterwards."
         )
-    payload = case.payload
     method: Any = definition.method
-    drawn = sampling.draw(payload.uncertain, definition.n, definition.seed, method, payload.bodies)
-    return payload.uncertain.names, drawn
+    drawn = sampling.draw(case.uncertain, definition.n, definition.seed, method, case.bodies)
+    return case.uncertain.names, drawn
 
 
 def seed_of_run(seed: int, run: int) -> int:

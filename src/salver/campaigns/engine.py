@@ -27,6 +27,7 @@ from salver.display import Shown
 from salver.errors import FileFormatError, SalverError
 from salver.files import provenance, read_json, sealed, write_json
 from salver.planning.plan import load_plan
+from salver.planning.round import load
 from salver.run_directory import known_stems
 from salver.tables import pandas_module
 
@@ -86,10 +87,10 @@ def run_campaign(
     Raises SalverError when the folder holds another campaign: nothing is overwritten.
     """
     directory = Path(directory)
-    load_scenario(directory)
+    legs = bool(load_scenario(directory).legs)
     folder = (STOPS_FOLDER if stops else DEFAULT_FOLDER) if folder is None else folder
     known = known_stems(directory)
-    if stops:
+    if stops and not legs:
         known = [stem for stem in known if load_plan(directory, stem).stops is not None]
         lacking = [stem for stem in stems or () if stem not in known]
         if lacking or not known:
@@ -102,7 +103,7 @@ def run_campaign(
         raise SalverError(f"{jobs} jobs were asked for; it needs at least 1.")
     definition = define(directory, stems, n, seed, method, engine, folder, stops)
     for stem in stems:
-        load_plan(directory, stem)  # raises when it was edited since, also when no run is left to be made
+        load(directory, stem)  # raises when it was edited since, also when no run is left to be made
     place = directory / folder
     _claim(place, definition)
     with Journal(place) as journal:

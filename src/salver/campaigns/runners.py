@@ -18,7 +18,9 @@ from salver.sensitivity import tubes
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
+    from salver.planning.round import Round
     from salver.simulation.physics import Experiment
+    from salver.simulation.round import RoundExperiment, RoundRecord
 
 # Runs that the engine-free rollout integrates side by side. Always as many, at the same places: linear algebra on
 # fewer rows may round differently, and a resumed campaign must give the very same table.
@@ -43,22 +45,29 @@ class Context:
         return samples(self.directory, self.definition)
 
     @cached_property
-    def _plans(self) -> dict[str, Plan]:
-        from salver.planning.plan import load_plan
+    def _plans(self) -> dict[str, Plan | Round]:
+        from salver.planning.round import load
 
-        return {stem: load_plan(self.directory, stem) for stem in self.definition.plans}
+        return {stem: load(self.directory, stem) for stem in self.definition.plans}
 
     @cached_property
-    def _experiments(self) -> dict[str, Experiment]:
+    def _experiments(self) -> dict[str, Experiment | RoundExperiment]:
+        from salver.planning.plan import Plan
         from salver.simulation.physics import Experiment
+        from salver.simulation.round import RoundExperiment
 
-        return {stem: Experiment(plan) for stem, plan in self._plans.items()}
+        return {
+            s: Experiment(plan) if isinstance(plan, Plan) else RoundExperiment(plan) for s, plan in self._plans.items()
+        }
 
-    def _experiment(self, stem: str, run: int) -> Experiment:
-        if not self.definition.stops:
-            return self._experiments[stem]
-        plan = self._plans[stem]
-        return replace(self._experiments[stem], stop_at=instant_of_run(self.definition.seed, run, plan.duration))
+    def _experiment(self, stem: str, run: int) -> Experiment | RoundExperiment:
+        from salver.simulation.round import RoundExperiment
+
+        experiment = self._experiments[stem]
+        if not self.definition.stops or isinstance(experiment, RoundExperiment):
+            return experiment
+        instant = instant_of_run(self.definition.seed, run, experiment.plan.duration)
+        return replace(experiment, stop_at=instant)
 
     def parameters(self, run: int) -> dict[str, float]:
         names, values = self._samples
@@ -72,7 +81,7 @@ class Context:
         if self.definition.engine == "physics":
             results = _physics([self._experiment(stem, run) for run in runs], drawn, seeds)
         else:
-            results = _closed_loop(self._plans[stem], runs, drawn)
+            results = _closed_loop(self._plans[stem], runs, drawn)  # type: ignore[arg-type]
         seconds = (time.perf_counter() - begin) / len(runs)
         return [
             {"stem": stem, "run": run, "seconds": round(seconds, 4), "parameters": p, **_split(result)}
@@ -86,12 +95,17 @@ def _split(result: Scalars) -> dict[str, Any]:
 
 
 def _physics(
-    experiments: Sequence[Experiment], drawn: Sequence[Mapping[str, float]], seeds: Sequence[int]
+    experiments: Sequence[Experiment | RoundExperiment], drawn: Sequence[Mapping[str, float]], seeds: Sequence[int]
 ) -> list[Scalars]:
     """Arm, tray and objects in the physics engine."""
+    from salver.simulation.round import RoundExperiment
+
     results: list[Scalars] = []
     for experiment, parameters, seed in zip(experiments, drawn, seeds, strict=True):
         try:
+            if isinstance(experiment, RoundExperiment):
+                results.append(round_scalars(experiment.run(dict(parameters), seed)))
+                continue
             record = experiment.run(dict(parameters), seed)
         except SalverError as error:
             results.append({"outcome": "error", "sentence": str(error)})
@@ -190,6 +204,20 @@ def run_scalars(summary: Mapping[str, Any]) -> Scalars:
     if len(objects) > 1:
         for key in [key for key in objects[0] if key.startswith("peak_")]:
             scalars[key] = max(float(item[key]) for item in objects)
+    return scalars
+
+
+def round_scalars(record: RoundRecord) -> Scalars:
+    """The figures of a run of several legs, flat: the worst of all legs, which leg the outcome is of, and the outcome
+    and the slip on each."""
+    legs = [run_scalars(leg.summary) for leg in record.legs]
+    scalars: Scalars = {"outcome": record.outcome, "leg": int(record.summary["leg"])}
+    for key in legs[0]:
+        values = [leg.get(key) for leg in legs]
+        if "peak" in key and "." not in key and all(isinstance(value, float) for value in values):
+            scalars[key] = max(values)  # type: ignore[type-var]
+    for k, leg in enumerate(legs, 1):
+        scalars |= {f"leg{k}.{key}": leg[key] for key in ("outcome", "peak_slip")}
     return scalars
 
 

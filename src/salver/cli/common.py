@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from salver.planning.plan import Plan
+    from salver.planning.round import Round
 
 ACHIEVED = 0
 NOT_ACHIEVED = 1
@@ -134,7 +135,7 @@ def headed(name: str, text: object) -> Text:
     return Text.assemble((printable(name), "bold"), f": {printable(str(text))}")
 
 
-def save_plans(directory: Path, plans: Mapping[str, Plan], force: bool = False) -> None:
+def save_plans(directory: Path, plans: Mapping[str, Plan | Round], force: bool = False) -> None:
     """Write plans by stem into a run directory, and say what became of another plan that stood there.
 
     Plans of the scenario as it was before it was edited make way (force: of any other scenario). Else a directory of

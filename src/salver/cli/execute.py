@@ -22,7 +22,9 @@ def execute(
     robot: Annotated[str, typer.Option(help="Which arm: franka.")] = "franka",
     address: Annotated[str | None, typer.Option(help="Network address of the arm's control interface.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="The simulated arm, in real time.")] = False,
-    stem: Annotated[str, typer.Option(help="Which motion: plan, baseline or nominal.")] = "plan",
+    stem: Annotated[
+        str, typer.Option(help="Which motion: plan, baseline or nominal; or a leg: leg1, leg2 ...")
+    ] = "plan",
     watchdog: Annotated[float, typer.Option(help="Stop when a joint is this far off its reference, rad.")] = 0.05,
     move_to_start: Annotated[
         bool, typer.Option("--move-to-start", help="First go slowly to the start posture, with an empty tray.")

@@ -16,7 +16,9 @@ def export(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
     ] = None,
-    stem: Annotated[str, typer.Option(help="Which motion: plan, baseline or nominal.")] = "plan",
+    stem: Annotated[
+        str, typer.Option(help="Which motion: plan, baseline or nominal; or a leg: leg1, leg2 ...")
+    ] = "plan",
     rate: Annotated[float | None, typer.Option(help="Samples per second; the plan's own instants by default.")] = None,
     json: Json = False,
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
     from salver.planning.fastest import FastestOptions
     from salver.planning.plan import Plan
+    from salver.planning.round import Round
+    from salver.scenario import Scenario
 
 
 class Effort(StrEnum):
@@ -45,12 +48,13 @@ def plan(
         ),
     ] = False,
     beside: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="What to compare it with: baseline (the straight line in the same time), or nominal (the fastest "
-            "motion for someone who believes the nominal values)."
+            help="What to compare it with: baseline (the straight line in the same time; the default), or nominal (the "
+            "fastest motion for someone who believes the nominal values). A task of several legs is compared with "
+            "nothing.",
         ),
-    ] = "baseline",
+    ] = None,
     duration: Annotated[float | None, typer.Option(help="Duration in s, instead of the scenario's.")] = None,
     arm: Annotated[bool, typer.Option(help="Follow the plan with the scenario's arm, when it has one.")] = True,
     stops: Stops = False,
@@ -116,6 +120,12 @@ def plan(
     if method == "robust" and (effort is not None or time_limit is not None):
         raise typer.BadParameter("--effort and --time-limit are for the searches of --fastest and --safest.")
     directory = out if out is not None else Path("runs") / chosen.name
+    if chosen.legs:
+        if beside is not None or not arm:
+            raise typer.BadParameter("--beside and --no-arm are not for a task of several legs; leave them out.")
+        _plan_legs(chosen, directory, safest, stops, force, options_of(effort), time_limit, json)
+        return
+    beside = beside or "baseline"
     if method == "fastest":  # the scenario that is saved is known when the plan is
         check_free(directory)
     else:
@@ -134,6 +144,69 @@ def plan(
         say(f"Written to {directory}; next: {simulate}salver report {quoted}")
     if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _plan_legs(
+    scenario: Scenario,
+    directory: Path,
+    safest: bool,
+    stops: bool,
+    force: bool,
+    options: FastestOptions,
+    time_limit: float | None,
+    json: bool,
+) -> None:
+    """The plan of a task of several legs."""
+    from salver.planning.fastest.legs import plan_legs
+    from salver.planning.stops import with_stops
+    from salver.run_directory import check_free
+
+    if safest:
+        raise typer.BadParameter("--safest is not known of a task of several legs yet; leave it out, for --fastest.")
+    check_free(directory)
+    with searching(time_limit) as search:
+        found = plan_legs(scenario, options=options, watch=search)
+    if stops and found.ok:
+        found = replace(found, legs=tuple(with_stops(leg) for leg in found.legs))
+    save_plans(directory, {"plan": found}, force)
+    if json:
+        print_json({"directory": directory, "plan": found.summary()})
+    else:
+        _show_legs(found)
+        say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
+    if not found.ok:
+        raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _show_legs(plan: Round) -> None:
+    """A plan of several legs for a person, on standard output."""
+    from rich.table import Table
+
+    console, scenario = result_console(), plan.scenario
+    console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    for column in ("leg", "on the tray", "then", "duration", "left, worst case", "friction needed / sure", "arm"):
+        table.add_column(column)
+    for k, (leg, asked) in enumerate(zip(plan.legs, scenario.legs, strict=True), 1):
+        table.add_row(
+            str(k),
+            ", ".join(item.name for item in leg.scenario.objects),
+            ", ".join([*(f"- {name}" for name in asked.taken), *(f"+ {name}" for name in asked.added)]),
+            f"{leg.duration:.4g} s",
+            f"{100 * leg.margins.exact_worst.min():.1f} %",
+            _friction(leg),
+            "yes" if leg.arm_status is not None and leg.arm_status.ok else "NO",
+        )
+    console.print(table)
+    console.print(f"Not checked: {'; '.join(plan.unchecked)}.")
+    console.print(headed("all", plan.status))
+    for k, leg in enumerate(plan.legs, 1):
+        console.print(headed(f"leg {k}", leg.status))
+        console.print(f"  arm: {leg.arm_status}")
+        console.print(f"  {leg.verification.sentence}")
+        if leg.stops is not None:
+            console.print(f"  {leg.stops.sentence}")
+    console.print(f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}.")
 
 
 def options_of(effort: Effort | None) -> FastestOptions:

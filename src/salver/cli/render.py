@@ -15,7 +15,9 @@ def render(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Film to write: .mp4, .mkv, .webm, .gif or .webp.")
     ] = None,
-    stem: Annotated[str, typer.Option(help="plan, baseline, nominal, or both side by side.")] = "both",
+    stem: Annotated[
+        str, typer.Option(help="plan, baseline, nominal, or both side by side; or a leg: leg1, leg2 ...")
+    ] = "both",
     rate: Annotated[float, typer.Option(help="Pictures a second.")] = 30.0,
     speed: Annotated[float, typer.Option(help="Speed of time; 0.25 is four times slower.")] = 1.0,
     width: Annotated[int, typer.Option(help="Width of each picture, pixels.")] = 960,

@@ -44,12 +44,13 @@ def scenarios(
 
 
 def _record(item: Scenario) -> dict[str, Any]:
-    uncertain = item.payload.uncertain
+    uncertain = item.uncertain
     return {
         "name": item.name,
         "summary": item.summary,
         "source": item.source,
         "duration": item.motion.duration,
+        "legs": len(item.each_leg),
         "objects": [
             {"name": o.name, "shape": o.shape.type, "mass": o.mass, "friction": o.friction} for o in item.objects
         ],
@@ -71,5 +72,5 @@ def _objects_in_words(item: Scenario) -> str:
 
 def _uncertain_in_words(item: Scenario) -> str:
     """What is uncertain, parts and axes taken together: "mass, com, friction"."""
-    kinds = [parameter.kind for parameter in item.payload.uncertain.parameters]
+    kinds = [parameter.kind for parameter in item.uncertain.parameters]
     return ", ".join(dict.fromkeys(kinds)) or "nothing"

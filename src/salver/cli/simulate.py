@@ -12,6 +12,8 @@ from salver.cli.common import Json, headed, print_json, result_console, say
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from salver.planning.plan import Plan
     from salver.simulation.record import SimulationRecord
 
@@ -20,7 +22,13 @@ def simulate(
     directory: Annotated[
         Path, typer.Argument(help="Run directory that `salver plan` made; or a motion file, with --scenario.")
     ],
-    stem: Annotated[str, typer.Option(help="Which plan: plan, baseline, nominal, or both that there are.")] = "plan",
+    stem: Annotated[
+        str,
+        typer.Option(
+            help="Which plan: plan, baseline, nominal, or both that there are; of a plan of several legs, leg1, leg2 "
+            "and so on, or plan: all of them, one after the other."
+        ),
+    ] = "plan",
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", help="True value of a parameter, as mass=0.3 (SI units); repeat for several."),
@@ -44,6 +52,9 @@ def simulate(
     Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary); earlier runs are kept as STEM-1, STEM-2.
     A stopped run is STEM-stop, and no run of the plan to the page.
 
+    The legs of a task of several are run one after the other: what stays on the tray begins each where the one before
+    has left it. They are written as leg1, leg2 and so on.
+
     For a motion file (CSV, JSON, YAML, ROS bag) the tray is moved exactly along the motion, as `salver audit` reads it;
     the arm is left out, and nothing is written.
 
@@ -52,11 +63,12 @@ def simulate(
     Ends with 0 when the run was made, whatever became of the object.
     """
     from salver.planning.plan import load_plan
-    from salver.run_directory import STEMS
+    from salver.planning.round import has_legs
+    from salver.run_directory import STEMS, leg_number
     from salver.simulation.physics import simulate as run_physics
 
-    if stem not in (*STEMS, "both"):
-        raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both.')
+    if stem not in (*STEMS, "both") and leg_number(stem) is None:
+        raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both; or leg1, leg2, ...')
     parameters = _parameters(set_ or [])
     stopping = None  # seed of the instants of a campaign of stops
     if run is not None:
@@ -74,6 +86,14 @@ def simulate(
             raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
         _motion(directory, scenario, parameters, topic, json)
         return
+    if has_legs(directory):
+        if stem == "plan":
+            if stop_at is not None:
+                raise ScenarioError("--stop-at is a time on one leg: name that too, as --stem leg1.")
+            _legs(directory, parameters, seed, json)
+            return
+        if run is not None:
+            raise ScenarioError("--run is a run of all legs; leave out --stem.")
     results: dict[str, SimulationRecord] = {}
     both = [name for name in STEMS if (directory / f"{name}.npz").is_file()]
     for name in both if stem == "both" else (stem,):
@@ -89,6 +109,25 @@ def simulate(
     else:
         show(results)
         say(f"Written to {directory / 'simulation'}.")
+
+
+def _legs(directory: Path, parameters: dict[str, float], seed: int, json: bool) -> None:
+    """All legs in the engine, one after the other."""
+    from salver.planning.round import load_round
+    from salver.simulation.round import simulate_round
+
+    plan = load_round(directory)
+    for k, leg in enumerate(plan.legs, 1):
+        _warn(leg, f"leg{k}")
+    record = simulate_round(plan, parameters=parameters, seed=seed)
+    record.save(directory)
+    if json:
+        print_json({"plan": {"parameters": record.parameters, **record.summary}})
+        return
+    show({f"leg {k}": leg for k, leg in enumerate(record.legs, 1)}, record.parameters)
+    if len(record.legs) < len(plan.legs):
+        say(f"salver: leg {len(record.legs) + 1} was not begun: the load was lost on the one before it.")
+    say(f"Written to {directory / 'simulation'}.")
 
 
 def _motion(path: Path, scenario: str, parameters: dict[str, float], topic: str | None, json: bool) -> None:
@@ -123,33 +162,30 @@ def _warn(plan: Plan, stem: str) -> None:
         say(f"salver: {stem}: {plan.arm_status.sentence}")
 
 
-def show(results: dict[str, SimulationRecord]) -> None:
-    """Runs side by side, for a person, on standard output."""
+def show(results: dict[str, SimulationRecord], parameters: Mapping[str, float] | None = None) -> None:
+    """Runs side by side, for a person, on standard output. parameters: of all, if not those of the first."""
     from rich.table import Table
 
     console = result_console()
-    first = next(iter(results.values()))
-    drawn = ", ".join(f"{name} = {value:.6g}" for name, value in first.parameters.items())
+    true = next(iter(results.values())).parameters if parameters is None else parameters
+    drawn = ", ".join(f"{name} = {value:.6g}" for name, value in true.items())
     console.print(f"True parameters (SI units): {drawn or 'nominal'}")
     table = Table(box=None, padding=(0, 3, 0, 0))
     table.add_column("")
     for name in results:
         table.add_column(name, justify="right")
-    rows: dict[str, list[str]] = {}
-    for record in results.values():
-        for label, value in _lines(record).items():
-            rows.setdefault(label, []).append(value)
-    for label, values in rows.items():
-        table.add_row(label, *values)
+    several = any(len(record.object_names) > 1 for record in results.values())
+    columns = [_lines(record, several) for record in results.values()]
+    for label in dict.fromkeys(label for column in columns for label in column):
+        table.add_row(label, *(column.get(label, "") for column in columns))
     console.print(table)
     for name, record in results.items():
         for sentence in sentences(record):
             console.print(headed(name, sentence))
 
 
-def _lines(record: SimulationRecord) -> dict[str, str]:
+def _lines(record: SimulationRecord, several: bool) -> dict[str, str]:
     summary = record.summary
-    several = len(record.object_names) > 1
     lines = {"duration": f"{summary['duration']:.3f} s"}
     for item in summary["objects"]:
         name = f"{item['name']}: " if several else ""

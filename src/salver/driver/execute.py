@@ -24,7 +24,7 @@ from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm
 from salver.models.bodies import Body
 from salver.planning.plan import Plan, load_plan
-from salver.run_directory import known_stems
+from salver.run_directory import file_stem, known_stems
 from salver.trajectory import JointMotion
 
 ROBOTS = ("franka",)
@@ -194,7 +194,7 @@ def _peak(values: Array) -> float | None:
 
 def _prepared(directory: str | Path, stem: str) -> tuple[Plan, ArmModel, Sequence[Body]]:
     known = known_stems(Path(directory))
-    if known and stem not in known:
+    if known and file_stem(Path(directory), stem) not in known:
         raise SalverError(f'{directory} has no motion "{stem}"; it has {", ".join(known)}.')
     plan = load_plan(directory, stem)
     if plan.scenario.arm is None:

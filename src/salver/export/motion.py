@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from salver.errors import SalverError
-from salver.files import load_npz, provenance
+from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.motion_files import Motion
-from salver.planning.plan import Plan, load_plan
+from salver.planning.plan import Plan, plan_of, read_plan
 
 MOST_SAMPLES = 1e6
 
@@ -25,13 +25,14 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
         raise SalverError(
             f"A rate of {rate:g} samples per second was asked for; it must be above 0 and at most 100000."
         )
-    plan = load_plan(directory, stem)
+    files = read_plan(directory, stem)
+    plan = plan_of(files, Path(directory) / stem)
     if rate is not None and rate * plan.duration > MOST_SAMPLES:
         raise SalverError(
             f"{rate:g} samples per second make {rate * plan.duration:.2g} samples of this motion; at most "
             f"{MOST_SAMPLES:.2g} are written."
         )
-    ns = _instants(load_npz(Path(directory) / f"{stem}.npz")["t"], plan.duration, rate)
+    ns = _instants(files.arrays["t"], plan.duration, rate)
     t = ns * 1e-9
     samples = plan.reference.sample(t)
     first = plan.scenario.payload.first

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from salver.planning.fastest import FastestOptions
     from salver.planning.fastest.watch import Watch
 
+METHODS = ("robust", "baseline", "fastest", "safest")
 _REPLANS = 6  # how often a plan that fails between the nodes is planned again
 
 
@@ -151,6 +152,7 @@ def make_plan(
 
     Raises ScenarioError when the scenario does not say what the method needs.
     """
+    scenario.check_one_leg(f"the {method} plan" if method in METHODS else "this")
     if method == "fastest" or (method == "robust" and scenario.motion.duration is None):
         from salver.planning.fastest import plan_fastest
 
@@ -161,7 +163,7 @@ def make_plan(
         return plan_safest(scenario, options=options, watch=watch)
     makers = {"robust": plan_object, "baseline": plan_baseline}
     if method not in makers:
-        raise ScenarioError(f'There is no planning method "{method}"; there are robust, baseline, fastest and safest.')
+        raise ScenarioError(f'There is no planning method "{method}"; there are {", ".join(METHODS[:-1])} and safest.')
     plan = makers[method](scenario)
     return with_arm(plan) if arm and scenario.arm is not None and plan.status.code != "infeasible" else plan
 

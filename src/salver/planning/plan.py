@@ -20,8 +20,16 @@ from salver.planning.object.conditions import TILT, apart, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
 from salver.planning.stop_library import StopLibrary
-from salver.run_directory import CERTIFICATE, SCENARIO, check_free, known_stems, make_room
-from salver.scenario import Scenario
+from salver.run_directory import (
+    CERTIFICATE,
+    SCENARIO,
+    check_free,
+    file_stem,
+    known_stems,
+    leg_number,
+    make_room,
+)
+from salver.scenario import Pose, Scenario
 from salver.tables import Table, Tabular, dimensioned
 from salver.trajectory import (
     JointMotion,
@@ -225,7 +233,7 @@ class Plan(Shown, Tabular):
             "method": self.method,
             "ok": self.ok,
             "unchecked": list(self.unchecked),
-            "status": _status_record(self.status),
+            "status": status_record(self.status),
             "duration": self.duration,
             "condition": self.scenario.contact.condition,
             "weighting": self.scenario.objective.weighting,
@@ -247,7 +255,7 @@ class Plan(Shown, Tabular):
             "provenance": provenance(self.scenario),
         }
         if self.arm_status is not None:
-            out["arm"] = _status_record(self.arm_status)
+            out["arm"] = status_record(self.arm_status)
         if self.chain is not None:
             out["arm_chain"] = self.chain.summary()
         if self.stops is not None:
@@ -312,16 +320,23 @@ class Plan(Shown, Tabular):
         is kept with its results, in DIRECTORY/earlier/N. Raises ScenarioError when the directory belongs to another
         scenario, SalverError when it has files of others under these names.
         """
-        directory, arrays, record = Path(directory), self.arrays(), json.loads(to_json(self.summary()))
-        check_place(self.scenario, directory)
-        write_scenario(self.scenario, directory)
-        content, path = npz_bytes(arrays), directory / f"{stem}.npz"
-        if path.is_file() and path.read_bytes() != content:
-            make_room(directory, stem)
-        write_atomic(path, content)
-        certified = certificate.certificate(self.scenario, arrays, record)
-        write_json(directory / f"{stem}.json", {**record, CERTIFICATE: certified})
-        return directory
+        return save_files(self.scenario, self.arrays(), self.summary(), Path(directory), stem)
+
+
+def save_files(
+    scenario: Scenario, arrays: Mapping[str, Array], summary: Mapping[str, Any], directory: Path, stem: str
+) -> Path:
+    """Write a plan's files, certified, as `Plan.save` says; returns the directory."""
+    record = json.loads(to_json(summary))
+    check_place(scenario, directory)
+    write_scenario(scenario, directory)
+    content, path = npz_bytes(arrays), directory / f"{stem}.npz"
+    if path.is_file() and path.read_bytes() != content:
+        make_room(directory, stem)
+    write_atomic(path, content)
+    certified = certificate.certificate(scenario, arrays, record)
+    write_json(directory / f"{stem}.json", {**record, CERTIFICATE: certified})
+    return directory
 
 
 def check_place(scenario: Scenario, directory: Path, *, edited: bool = False, force: bool = False) -> bool:
@@ -385,7 +400,39 @@ _NEEDED = ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B")
 
 
 def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ...] = _NEEDED) -> PlanFiles:
-    """Read a plan's files. Raises FileFormatError or ScenarioError: none there, damaged, edited since."""
+    """Read a plan's files; of a plan of several legs, those of the leg that `stem` names ("leg2"). Raises
+    FileFormatError or ScenarioError: none there, damaged, edited since."""
+    found = read_files(directory, stem, required)
+    legs = found.record.get("legs")
+    if legs is None:
+        return found
+    number = leg_number(stem)
+    if number is None or number > len(legs):
+        raise FileFormatError(
+            f"{Path(directory) / 'plan'}.npz is a plan of {len(legs)} legs, and this is for one motion; name a leg: "
+            f"leg1 to leg{len(legs)} (with --stem, where there is one)."
+        )
+    return leg_files(found, number)
+
+
+def leg_files(whole: PlanFiles, number: int) -> PlanFiles:
+    """One leg, 1 for the first, of the files of a plan of several."""
+    prefix = f"leg{number}."
+    arrays = {name.removeprefix(prefix): a for name, a in whole.arrays.items() if name.startswith(prefix)}
+    scenario = whole.scenario.each_leg[number - 1]
+    if number > 1 and scenario.motion.goal_yaw == "free":  # it begins in the heading that was chosen
+        scenario = begun_at(scenario, arrays["p_SB"][0], arrays["quat_SB_wxyz"][0])
+    return PlanFiles(scenario, arrays, whole.record["legs"][number - 1])
+
+
+def begun_at(scenario: Scenario, p_SB: Array, quat_SB_wxyz: Array) -> Scenario:
+    """The scenario of a leg that begins in another pose."""
+    start = Pose.model_validate({"position": p_SB.tolist(), "quat_wxyz": quat_SB_wxyz.tolist()})
+    return scenario.model_copy(update={"motion": scenario.motion.model_copy(update={"start": start})})
+
+
+def read_files(directory: str | Path, stem: str = "plan", required: tuple[str, ...] = ()) -> PlanFiles:
+    """Read a plan's files as they are, also of several legs, all in one. Raises as `read_plan`."""
     from salver.scenario import load
 
     directory = Path(directory)
@@ -395,32 +442,43 @@ def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ..
             "make one with `salver plan SCENARIO -o DIR`."
         )
     scenario = load(directory / "scenario.toml")
+    stem = file_stem(directory, stem)
+    if scenario.legs:
+        required = tuple(f"leg{k + 1}.{name}" for k in range(len(scenario.legs)) for name in required)
     arrays = load_npz(directory / f"{stem}.npz", required)
     record = read_json(directory / f"{stem}.json")
     if not isinstance(record, dict):
         raise FileFormatError(f"{directory / stem}.json is no record of a plan; write it again with `salver plan`.")
     certificate.check(directory, stem, scenario, arrays, record)
+    legs = record.get("legs")
+    if (legs is not None) != bool(scenario.legs) or len(legs or ()) != len(scenario.legs):
+        raise FileFormatError(f"{directory / stem}.json is not of as many legs as scenario.toml has; plan again.")
     return PlanFiles(scenario, arrays, record)
 
 
 def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
-    """Read a plan back. Raises FileFormatError or ScenarioError with a sentence; executes nothing."""
-    files = read_plan(directory, stem)
+    """Read a plan back, or one leg of a plan of several ("leg2"). Raises FileFormatError or ScenarioError with a
+    sentence; executes nothing."""
+    return plan_of(read_plan(directory, stem), Path(directory) / stem)
+
+
+def plan_of(files: PlanFiles, path: Path) -> Plan:
+    """The plan that files hold. Raises FileFormatError, naming `path`."""
     arrays, record = files.arrays, files.record
     try:
         return Plan(
             files.scenario,
             record["method"],
             _reference(arrays),
-            _status_from(record["status"]),
+            status_from(record["status"]),
             JointMotion(*(arrays[key] for key in _JOINT)) if "joint_t" in arrays else None,
-            _status_from(record["arm"]) if "arm" in record else None,
+            status_from(record["arm"]) if "arm" in record else None,
             arrays.get("tau"),
             record["solver"],
             StopLibrary.of_arrays(arrays, float(arrays["t"][-1])),
         )
     except (KeyError, TypeError, ValueError, IndexError):
-        raise FileFormatError(f"{Path(directory) / stem}.npz and .json are not those of a plan; plan again.") from None
+        raise FileFormatError(f"{path}.npz and .json are not those of a plan; plan again.") from None
 
 
 _JOINT = ("joint_t", "joint_q", "joint_dq", "joint_ddq")
@@ -453,9 +511,11 @@ def _margin_record(m: InterfaceMargins) -> dict[str, float]:
     }
 
 
-def _status_record(status: Status) -> dict[str, Any]:
+def status_record(status: Status) -> dict[str, Any]:
+    """A status as plan.json holds it."""
     return {"code": status.code, "ok": status.ok, "sentence": status.sentence, "details": dict(status.details)}
 
 
-def _status_from(record: Mapping[str, Any]) -> Status:
+def status_from(record: Mapping[str, Any]) -> Status:
+    """A status that plan.json holds."""
     return Status(record["code"], record["sentence"], record["ok"], record["details"])

@@ -16,7 +16,8 @@ import numpy as np
 from salver.errors import MissingDependencyError, SalverError
 from salver.files import put_in_place, write_atomic, writing
 from salver.planning.plan import load_plan
-from salver.run_directory import STEMS
+from salver.run_directory import SCENARIO, STEMS, leg_number
+from salver.scenario import load
 from salver.simulation.record import FOLDER, SimulationRecord, load_record
 
 if TYPE_CHECKING:
@@ -81,8 +82,12 @@ def write_film(
 
 
 def _records(directory: Path, stem: str) -> tuple[Scenario, dict[str, SimulationRecord]]:
-    if stem not in (*STEMS, "both"):
+    if stem not in (*STEMS, "both") and leg_number(stem) is None:
         raise SalverError(f'There is no motion "{stem}" to show; known are {", ".join(STEMS)} and both.')
+    if leg_number(stem) is None and (legs := len(load(directory / SCENARIO).legs)):
+        raise SalverError(
+            f"{directory} is of a task of {legs} legs, each a film of its own: give --stem leg1 and so on."
+        )
     wanted = [stem] if stem != "both" else [s for s in STEMS if (directory / FOLDER / f"{s}.npz").is_file()]
     missing = [s for s in wanted or ["plan"] if not (directory / FOLDER / f"{s}.npz").is_file()]
     if missing:
@@ -121,7 +126,7 @@ def _pictures(
         *before, last = records.values()
         parts = [*(_spooled(film(record)) for record in before), film(last)]
         for row in zip(*parts, strict=True):
-            titles = [f"{LABELS[stem]}: {records[stem].outcome}" for stem in records]
+            titles = [f"{LABELS.get(stem, stem)}: {records[stem].outcome}" for stem in records]
             yield _side_by_side([_titled(p, t) for p, t in zip(row, titles, strict=True)])
 
     return together(), "matplotlib" if note else "mujoco", note

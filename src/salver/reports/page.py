@@ -14,8 +14,9 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from salver.files import output_file, versions, write_atomic
+from salver.planning.round import has_legs
 from salver.reports import sections
-from salver.reports.cells import joined
+from salver.reports.cells import NOTHING, joined
 from salver.reports.charts import thin
 from salver.reports.replay import replay_scene
 from salver.reports.run import Motion, Run, read_run
@@ -37,14 +38,18 @@ def write_report(
     SalverError when `path` is no place for the page.
     """
     target = output_file(path, (".html", ".htm")) if path is not None else Path(directory) / "report.html"
+    if has_legs(directory):
+        from salver.reports.round import write_pages
+
+        return write_pages(Path(directory), target, say, keep=path is not None)
     run = read_run(directory)
     for note in run.notes:
         say(note)
     return write_atomic(target, page(run), keep=path is not None)
 
 
-def page(run: Run) -> str:
-    """The whole page as text."""
+def page(run: Run, others: Markup = NOTHING) -> str:
+    """The whole page as text. others: links to pages that belong to it."""
     arm = _arm(run)
     made = sections.build(run, arm)
     return filled(
@@ -56,23 +61,26 @@ def page(run: Run) -> str:
         notes=run.notes,
         tiles=sections.tiles(run),
         source=run.directory.name or str(run.directory),
+        others=others,
     )
 
 
 def filled(
     answer: Verdict,
     made: Sections,
-    shown: dict[str, Any],
+    shown: dict[str, Any] | None,
     *,
     name: str,
     asked: str,
     notes: Sequence[str],
     tiles: Markup,
     source: str,
+    others: Markup = NOTHING,
 ) -> str:
-    """The template with everything in its place: what any page of salver is."""
-    data = {"replay": shown, "charts": made.specs}
-    script = _asset("viewer.js") + _asset("plots.js") + _asset("main.js")
+    """The template with everything in its place: what any page of salver is. shown: its replay; None for a page of
+    words and tables alone."""
+    data = {} if shown is None else {"replay": shown, "charts": made.specs}
+    script = "" if shown is None else _asset("viewer.js") + _asset("plots.js") + _asset("main.js")
     return _fill(
         _asset("page.html"),
         title=f"{name}: {answer.headline}",
@@ -85,8 +93,8 @@ def filled(
         asked=asked,
         notes=joined(Markup('<p class="note">{}</p>').format(note) for note in notes),
         tiles=tiles,
-        navigation=joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in made.titles),
-        replay=Markup(_asset("replay.html")),
+        navigation=others + joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in made.titles),
+        replay=NOTHING if shown is None else Markup(_asset("replay.html")),
         sections=made.html,
         version=versions()["salver"],
         directory=source,

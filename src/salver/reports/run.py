@@ -145,6 +145,15 @@ class Run:
         return next((m for m in self.motions if m.stem == stem), None)
 
 
+def read_leg(directory: str | Path, number: int) -> Run:
+    """Read one leg, 1 for the first, of a run directory of several, as a run of its own."""
+    directory, notes = Path(directory), list[str]()
+    stem = f"leg{number}"
+    files = read_plan(directory, stem, _NEEDED)
+    motion = _with_records(directory, Motion("plan", files.arrays, files.record), notes, stem)
+    return Run(directory, files.scenario, [motion], notes=notes)
+
+
 def read_run(directory: str | Path) -> Run:
     """Read a run directory. Raises FileFormatError when it is none, or a file in it is damaged."""
     directory = Path(directory)
@@ -155,20 +164,24 @@ def read_run(directory: str | Path) -> Run:
     files = {stem: read_plan(directory, stem, _NEEDED) for stem in STEMS if (directory / f"{stem}.npz").is_file()}
     notes: list[str] = []
     motions = [_with_records(directory, Motion(stem, plan.arrays, plan.record), notes) for stem, plan in files.items()]
-    campaign, runs = _campaign(directory, notes)
+    campaign, runs = read_campaign(directory, notes)
     return Run(directory, files["plan"].scenario, motions, campaign, runs, notes)
 
 
-def _with_records(directory: Path, motion: Motion, notes: list[str]) -> Motion:
-    """The motion with its runs in the engine and on an arm; those of another plan are noted and left out."""
+def _with_records(directory: Path, motion: Motion, notes: list[str], stem: str = "") -> Motion:
+    """The motion with its runs in the engine and on an arm; those of another plan are noted and left out.
+
+    stem: under which they are, if not the motion's own.
+    """
     found: dict[str, Any] = {}
+    stem = stem or motion.stem
     for folder in RECORDS:
-        path = directory / folder / f"{motion.stem}.npz"
+        path = directory / folder / f"{stem}.npz"
         if not path.is_file():
             continue
         record = Record(*read_result(path, ("t",)))
         try:
-            check_digest(record.summary, path, directory, motion.stem)
+            check_digest(record.summary, path, directory, stem)
             if len(record.t) < 2:
                 raise FileFormatError(f"{path} ends before it begins. {record.summary.get('stopped', '')}".strip())
             found[folder] = record
@@ -177,7 +190,7 @@ def _with_records(directory: Path, motion: Motion, notes: list[str]) -> Motion:
     return replace(motion, **found)
 
 
-def _campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
+def read_campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | None, dict[str, np.ndarray]]:
     """Summary and table of runs (column name to values) of a campaign, if there is a finished one of these plans."""
     path = directory / "campaign" / "campaign.json"
     if not path.is_file() or not path.with_name("runs.parquet").is_file():

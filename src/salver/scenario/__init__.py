@@ -6,6 +6,7 @@ computed; each mistake is one sentence with the key, the value and what would be
 
 from salver.scenario.cell import Arm, ArmLimits, Obstacle, Physics, Tray
 from salver.scenario.files import SCENARIO_DIR, load, names
+from salver.scenario.legs import Leg
 from salver.scenario.liquid import LiquidIn
 from salver.scenario.model import Scenario, parse
 from salver.scenario.objects import (
@@ -23,7 +24,7 @@ from salver.scenario.task import Contact, Control, Motion, Objective, Pose
 
 __all__ = [
     "SCENARIO_DIR", "Arm", "ArmLimits", "Box", "CarriedObject", "Composite", "Contact", "Control", "Cylinder",
-    "LiquidIn", "Mesh",
+    "Leg", "LiquidIn", "Mesh",
     "Motion", "Objective", "Obstacle", "Part", "Physics", "Pose", "Prism", "Scenario", "Tray", "Uncertainty",
     "UncertaintySet", "load", "names", "parse",
 ]  # fmt: skip

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from copy import deepcopy
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -17,11 +19,14 @@ from salver.display import Shown
 from salver.errors import ScenarioError
 from salver.scenario.cell import Arm, Obstacle, Physics, Tray
 from salver.scenario.fields import Model, Text, Whole
+from salver.scenario.legs import Leg, fixed_to_tray, loads
 from salver.scenario.objects import CarriedObject, UncertaintySet
-from salver.scenario.task import Contact, Control, Motion, Objective
+from salver.scenario.task import Contact, Control, Motion, Objective, Pose
 from salver.validation import sentences
 
 if TYPE_CHECKING:
+    from salver.models.bodies import Body
+    from salver.models.parameters import UncertainSet
     from salver.models.payload import Payload
 
 MOST_COEFFICIENTS = 256  # of the friction cones of one object
@@ -46,6 +51,7 @@ class Scenario(Shown, Model):
     source: Text = ""
     seed: Annotated[Whole, Field(ge=0, le=2**63 - 1)] = 0
     motion: Motion
+    legs: list[Leg] = Field(default=[], max_length=20)
     objects: Annotated[list[CarriedObject], Field(min_length=1, max_length=20)]
     uncertainty: UncertaintySet = UncertaintySet()
     contact: Contact = Contact()
@@ -58,13 +64,14 @@ class Scenario(Shown, Model):
 
     def facts(self) -> dict[str, str]:
         """What a notebook shows of it."""
-        motion = self.motion
-        distance = float(np.linalg.norm(np.subtract(motion.goal.position, motion.start.position)))
-        uncertain = self.payload.uncertain
+        motion, uncertain = self.motion, self.uncertain
+        ends = [motion.start, *(leg.goal for leg in self.legs)] if self.legs else [motion.start, motion.goal]
+        distance = sum(math.dist(one.position, other.position) for one, other in pairwise(ends))
         return {
             "name": self.name,
             "carried": ", ".join(f"{o.name} {o.mass:g} kg, friction {o.friction:g}" for o in self.objects),
             "arm": Path(self.arm.model).stem if self.arm else "none",
+            **({"legs": str(len(self.legs))} if self.legs else {}),
             "way": f"{distance:.3g} m in {f'{motion.duration:g} s' if motion.duration else 'the shortest safe time'}",
             "uncertain": ", ".join(
                 f"{name} ±{half:.3g}" for name, half in zip(uncertain.names, uncertain.half_range, strict=True)
@@ -73,8 +80,43 @@ class Scenario(Shown, Model):
             "summary": self.summary,
         }
 
+    @model_validator(mode="before")
+    @classmethod
+    def _ends_with_its_last_leg(cls, data: Any) -> Any:
+        """motion.goal, left out, is the goal of the last leg."""
+        try:
+            motion, goal = data["motion"], data["legs"][-1]["goal"]
+            return data if "goal" in motion else {**data, "motion": {**motion, "goal": goal}}
+        except (KeyError, IndexError, TypeError):
+            return data
+
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
+        if not self.legs:
+            return self._consistent_leg()
+        if self.motion.goal != self.legs[-1].goal:
+            raise ValueError("motion.goal is not the goal of the last leg; leave it out, or make it the same")
+        if self.uncertainty.correlation:
+            raise ValueError("uncertainty.correlation is not known for a load that changes; leave it out, or the legs")
+        for k, leg in enumerate(self.each_leg):
+            try:
+                leg._consistent_leg()
+            except ValueError as error:
+                raise ValueError(f"legs[{k}]: {error}") from None
+        self._left_standing()
+        return self
+
+    def _left_standing(self) -> None:
+        """Raise ValueError when what is on the tray after the last leg does not stand there."""
+        last = self.each_leg[-1]
+        left = loads(self.objects, self.legs)[-1]
+        if left and left != last.objects:
+            try:
+                self._leg(last.name, last.motion.goal, self.motion.goal, left)._consistent_leg()
+            except ValueError as error:
+                raise ValueError(f"after legs[{len(self.legs) - 1}]: {error}") from None
+
+    def _consistent_leg(self) -> Scenario:
         self._bounded()
         self.payload.check()
         self._dry()
@@ -143,11 +185,66 @@ class Scenario(Shown, Model):
             )
 
     @cached_property
+    def each_leg(self) -> tuple[Scenario, ...]:
+        """The legs of the task, in order, each a scenario of its own with what is then on the tray; itself, when it has
+        one leg alone."""
+        if not self.legs:
+            return (self,)
+        found: list[Scenario] = []
+        poses = [self.motion.start, *(leg.goal for leg in self.legs)]
+        at: Body | None = None  # the body whose frame the poses are those of
+        for k, load in enumerate(loads(self.objects, self.legs)[:-1]):
+            begin, end = poses[k], poses[k + 1]
+            leg = self._leg(f"{self.name[:57]}-leg{k + 1}", begin, end, load)
+            if at is None:
+                at = leg.payload.first
+            elif fixed_to_tray(end, at, leg.payload.first) != end:
+                if self.motion.goal_yaw == "free":
+                    raise ValueError(
+                        f'motion.goal_yaw = "free": on legs[{k}] the first object is {load[0].name}, about which the '
+                        f'tray would turn instead of about {at.name}; give goal_yaw = "fixed", or list first what is '
+                        "carried on all legs"
+                    )
+                begin, end = (fixed_to_tray(pose, at, leg.payload.first) for pose in (begin, end))
+                leg = self._leg(leg.name, begin, end, load)
+            if k and leg.arm is not None:  # where the leg before it ends
+                leg = leg.model_copy(update={"arm": leg.arm.model_copy(update={"start_posture": None})})
+            found.append(leg)
+        return tuple(found)
+
+    def _leg(self, name: str, start: Pose, goal: Pose, load: list[CarriedObject]) -> Scenario:
+        motion = self.motion.model_copy(update={"start": start, "goal": goal, "duration": None})
+        return self.model_copy(update={"name": name, "motion": motion, "legs": [], "objects": load})
+
+    def check_one_leg(self, what: str) -> None:
+        """Raise ScenarioError when there are several legs, each with a load of its own; `what` is for one."""
+        if self.legs:
+            raise ScenarioError(
+                f"{self.name} is a task of {len(self.legs)} legs, each with a load of its own, and {what} is for one; "
+                "salver plan and sv.plan_legs plan them all, and --stem leg1 names one of a plan."
+            )
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """Everything that is carried on any leg, each where it stands when it is first carried."""
+        found: dict[str, Body] = {}
+        for leg in self.each_leg:
+            found = {body.name: body for body in leg.payload.bodies} | found
+        return tuple(found[item.name] for item in self.objects if item.name in found)
+
+    @cached_property
+    def uncertain(self) -> UncertainSet:
+        """Everything that is uncertain about any of the objects and the tray, on whatever leg."""
+        return self.uncertainty.around(self.objects, [item.loose() for item in self.objects])
+
+    @cached_property
     def payload(self) -> Payload:
-        """What is carried, as mechanics see it: bodies, who touches whom, what is uncertain."""
+        """What is carried, as mechanics see it: bodies, who touches whom, what is uncertain. Raises ScenarioError for a
+        task of several legs: each has its own."""
         from salver.models.bodies import bodies
         from salver.models.payload import Payload
 
+        self.check_one_leg("this")
         loose = [item.loose() for item in self.objects]
         standing = bodies(loose, self.contact.edges, float(np.deg2rad(self.contact.edge_phase_deg)))
         return Payload(standing, self.uncertainty.around(self.objects, loose), 0.5 * np.array(self.tray.size))
@@ -155,7 +252,8 @@ class Scenario(Shown, Model):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Pydantic's, without what was made of the old values. It checks nothing: prefer `with_changes`."""
         copy = super().model_copy(update=update, deep=deep)
-        copy.__dict__.pop("payload", None)
+        for made in ("payload", "uncertain", "each_leg"):
+            copy.__dict__.pop(made, None)
         return copy
 
     @property

@@ -6,7 +6,7 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from salver.scenario.fields import Degrees, Model, Number, Point, Turns, Whole
 
@@ -36,7 +36,12 @@ class Pose(Model):
 
 
 class Motion(Model):
-    """Rest to rest from `start` to `goal`, and how the reference trajectory is parameterised."""
+    """Rest to rest from `start` to `goal`, and how the reference trajectory is parameterised.
+
+    With legs, `goal` is that of the last, and may be left out.
+    """
+
+    model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("goal"))
 
     start: Pose
     goal: Pose

@@ -181,7 +181,7 @@ def judge(
             {
                 "name": name,
                 "outcome": next(
-                    (word for word, event in _WORST_FIRST.items() if events.get(event) is not None), "holds"
+                    (word for word, event in WORST_FIRST.items() if events.get(event) is not None), "holds"
                 ),
                 "peak_slip": _largest(slip),
                 "final_slip": float(slip[-1]) if len(slip) else None,
@@ -193,7 +193,7 @@ def judge(
                 "contact_lost": float(np.sum(~touches[moving, k]) * (t[1] - t[0])),
             }
         )
-    order = [*_WORST_FIRST, "holds"]
+    order = [*WORST_FIRST, "holds"]
     worst = min(objects, key=lambda o: order.index(str(o["outcome"])))
     return {
         "outcome": worst["outcome"],
@@ -204,7 +204,7 @@ def judge(
     }
 
 
-_WORST_FIRST = {
+WORST_FIRST = {
     "tips": "first_tip",
     "lifts": "first_lift",
     "lost": "lost_at",

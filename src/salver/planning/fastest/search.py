@@ -127,8 +127,20 @@ def plan_fastest(
     the search early, with the best so far.
     Raises ScenarioError when the scenario has no arm; a plan that could not be found has a status that says so.
     """
-    problem = transport_problem(scenario, robust=robust)
-    found = fastest(problem, options, watch=watch)
+    return plan_problem(transport_problem(scenario, robust=robust), robust=robust, options=options, watch=watch)
+
+
+def plan_problem(
+    problem: TransportProblem,
+    *,
+    robust: bool = True,
+    options: FastestOptions | None = None,
+    watch: Watch | None = None,
+    near: FastestMotion | None = None,
+) -> Plan:
+    """The plan of a problem, as `plan_fastest` makes it. near: a motion of a similar problem, tried first."""
+    scenario = problem.scenario
+    found = fastest(problem, options, near, watch)
     for rounds in range(MISSED + 1):
         more = _missed(found) if found.status.ok else None
         if more is None:

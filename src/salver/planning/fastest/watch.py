@@ -38,3 +38,20 @@ class Watch:
     def interrupt(self) -> None:
         """End the search at the next question."""
         self.ended = self.ended or INTERRUPTED
+
+    def part(self, first: float, size: float) -> Watch:
+        """The watch on a part of the search, which is this share of the whole and begins at `first`."""
+        return _Part(whole=self, first=first, size=size)
+
+
+@dataclass
+class _Part(Watch):
+    whole: Watch = field(default_factory=Watch)
+    first: float = 0.0
+    size: float = 1.0
+
+    def over(self) -> bool:
+        self.whole.share = self.first + self.size * self.share
+        over = self.whole.over()
+        self.ended = self.whole.ended
+        return over

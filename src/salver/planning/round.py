@@ -1,0 +1,143 @@
+"""A plan of several legs, each a plan of its own with what is then on the tray; one file, which checks itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.display import Shown
+from salver.errors import FileFormatError, Status
+from salver.files import provenance
+from salver.geometry import Array
+from salver.planning.plan import (
+    Plan,
+    leg_files,
+    load_plan,
+    plan_of,
+    read_files,
+    save_files,
+    status_from,
+    status_record,
+)
+from salver.scenario import Scenario
+
+SAME_POSTURE = 1e-9  # rad, m: by which a leg may begin elsewhere than the one before it ended
+
+
+@dataclass(frozen=True, repr=False)
+class Round(Shown):
+    """Legs (docs/howto/legs.md), in order: the arm rests between them, in the posture in which one ends and the next
+    begins, while objects are taken off the tray or put on it.
+
+    scenario: of the whole task. status: how planning ended. solver: what is kept of the search as a whole.
+    """
+
+    scenario: Scenario
+    legs: tuple[Plan, ...]
+    status: Status
+    solver: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def method(self) -> str:
+        return self.legs[0].method
+
+    @property
+    def duration(self) -> float:
+        """Of all motions together, s; without the time that is spent at stops."""
+        return sum(leg.duration for leg in self.legs)
+
+    @property
+    def apart(self) -> float:
+        """The most by which a leg begins in another posture than that in which the one before it ended; rad, m."""
+        joints = [leg.joint for leg in self.legs]
+        return max(
+            (
+                float(np.abs(one.q[-1] - other.q[0]).max()) if one is not None and other is not None else np.inf
+                for one, other in pairwise(joints)
+            ),
+            default=0.0,
+        )
+
+    @property
+    def ok(self) -> bool:
+        """Whether every leg is safe in its own model, the arm can follow it, and each begins where the last ended."""
+        return self.status.ok and all(leg.ok for leg in self.legs) and self.apart <= SAME_POSTURE
+
+    @property
+    def unchecked(self) -> tuple[str, ...]:
+        """What the verdict does not cover, in words; to be said before anything that is said to be safe."""
+        stops = ("what happens at the stops while objects are taken off and put on",) if len(self.legs) > 1 else ()
+        return tuple(dict.fromkeys((*stops, *(what for leg in self.legs for what in leg.unchecked))))
+
+    def facts(self) -> dict[str, str]:
+        """What a notebook shows of it."""
+        carried = (", ".join(item.name for item in leg.scenario.objects) for leg in self.legs)
+        return {
+            "scenario": self.scenario.name,
+            "method": self.method,
+            "duration": f"{self.duration:.4g} s, without its stops",
+            "ok": "yes" if self.ok else "no",
+            "status": self.status.sentence,
+            **{
+                f"leg {k}": f"{leg.duration:.4g} s with {load}: {leg.verification.sentence}"
+                for k, (leg, load) in enumerate(zip(self.legs, carried, strict=True), 1)
+            },
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """What `plan.json` holds: that of each leg under `legs`."""
+        return {
+            "method": self.method,
+            "ok": self.ok,
+            "unchecked": list(self.unchecked),
+            "status": status_record(self.status),
+            "duration": self.duration,
+            "apart": self.apart,
+            "solver": dict(self.solver),
+            "legs": [leg.summary() for leg in self.legs],
+            "provenance": provenance(self.scenario),
+        }
+
+    def arrays(self) -> dict[str, Array]:
+        """What `plan.npz` holds: the arrays of each leg, with "leg1." and so on in front."""
+        return {f"leg{k}.{name}": a for k, leg in enumerate(self.legs, 1) for name, a in leg.arrays().items()}
+
+    def save(self, directory: str | Path, stem: str = "plan") -> Path:
+        """Write plan.npz, plan.json and scenario.toml into a run directory, as `Plan.save` does."""
+        return save_files(self.scenario, self.arrays(), self.summary(), Path(directory), stem)
+
+
+def load_round(directory: str | Path) -> Round:
+    """Read a plan of several legs back. Raises FileFormatError or ScenarioError with a sentence; executes nothing."""
+    path = Path(directory) / "plan"
+    files = read_files(directory)
+    if not files.scenario.legs:
+        raise FileFormatError(f"{path}.npz is a plan of one leg.")
+    try:
+        legs = [plan_of(leg_files(files, k + 1), path) for k in range(len(files.scenario.legs))]
+        return Round(files.scenario, tuple(legs), status_from(files.record["status"]), files.record["solver"])
+    except (KeyError, TypeError, ValueError, IndexError):
+        raise FileFormatError(f"{path}.npz and .json are not those of a plan; plan again.") from None
+
+
+def load(directory: str | Path, stem: str = "plan") -> Plan | Round:
+    """A plan of a run directory, whether of one leg or of several. Raises FileFormatError or ScenarioError."""
+    return load_round(directory) if stem == "plan" and has_legs(directory) else load_plan(directory, stem)
+
+
+def has_legs(directory: str | Path) -> bool:
+    """Whether a run directory is of a task of several legs. Raises ScenarioError."""
+    from salver.scenario import load
+
+    path = Path(directory) / "scenario.toml"
+    return path.is_file() and bool(load(path).legs)
+
+
+def worst_of(statuses: Sequence[Status]) -> Status:
+    """The first that is not well, or the first."""
+    return next((status for status in statuses if not status.ok), statuses[0])

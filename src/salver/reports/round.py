@@ -1,0 +1,132 @@
+"""The pages of a plan of several legs: one of the task as a whole, and one of each leg."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from salver.files import write_atomic
+from salver.planning.plan import PlanFiles, read_files
+from salver.reports.cells import NOTHING, joined, outcome_cell, percent, table
+from salver.reports.page import filled, page
+from salver.reports.run import Run, read_campaign, read_leg
+from salver.reports.sections import Sections, tile_list
+from salver.reports.words import Verdict
+from salver.scenario import Scenario
+from salver.wording import listed
+
+
+def write_pages(directory: Path, target: Path, say: Callable[[str], None], *, keep: bool) -> Path:
+    """Write the page of the task to `target` and one of each leg beside it; returns the first. keep: what stood
+    there."""
+    files = read_files(directory)
+    count = len(files.scenario.legs)
+    runs = [read_leg(directory, k + 1) for k in range(count)]
+    notes = [note for run in runs for note in run.notes]
+    campaign, _ = read_campaign(directory, notes)
+    for note in notes:
+        say(note)
+    places = [target.with_name(f"{target.stem}-leg{k}{target.suffix}") for k in range(1, count + 1)]
+    for k, (run, place) in enumerate(zip(runs, places, strict=True)):
+        others = [("All legs", target), *((f"Leg {i + 1}", p) for i, p in enumerate(places) if i != k)]
+        links = joined(Markup('<a href="{}">{}</a>').format(path.name, name) for name, path in others)
+        write_atomic(place, page(run, links), keep=keep)
+    return write_atomic(target, whole(directory, files, runs, places, campaign, notes), keep=keep)
+
+
+def whole(
+    directory: Path,
+    files: PlanFiles,
+    runs: list[Run],
+    places: list[Path],
+    campaign: dict[str, Any] | None,
+    notes: list[str],
+) -> str:
+    """The page of the task as text."""
+    scenario, record = files.scenario, files.record
+    held = campaign["plans"]["plan"]["outcomes"] if campaign else {}
+    made = Sections()
+    rows = []
+    for k, (run, place, leg) in enumerate(zip(runs, places, scenario.legs, strict=True), 1):
+        x, y, z = leg.goal.position
+        seen = run.plan.simulation
+        rows.append(
+            (
+                Markup('<a href="{}">leg {}</a>').format(place.name, k),
+                listed([item.name for item in run.scenario.objects]),
+                f"({x:.3f}, {y:.3f}, {z:.3f}) m",
+                "; ".join(
+                    f"{listed(names)} {what}"
+                    for names, what in ((leg.taken, "taken off"), (leg.added, "put on"))
+                    if names
+                )
+                or "–",
+                f"{run.plan.duration:.3f} s",
+                percent(float(run.contact["plan"].worst.min())),
+                "yes" if run.plan.summary.get("ok") else "NO",
+                outcome_cell(seen.summary.get("outcome", "unknown")) if seen is not None else "not run",
+            )
+        )
+    head = ("", "on the tray", "to", "then", "duration", "left in the worst case", "safe, as far as checked", "engine")
+    made.titles.append(("legs", "Legs"))
+    made.html += Markup('<section id="legs"><h2>Leg by leg</h2>{}</section>\n').format(table(head, rows, (4, 5)))
+    if campaign:
+        found = [(outcome_cell(word), f"{rate['count']} of {rate['of']}") for word, rate in held.items()]
+        made.titles.append(("campaign", "Perturbed runs"))
+        made.html += Markup(
+            '<section id="campaign"><h2>Perturbed runs of all legs</h2><p>The same true objects on all legs of a run; '
+            "a run is called by its worst leg.</p>{}</section>\n"
+        ).format(table(("outcome", "runs"), found, (1,)))
+    told = [(f"leg {k}", part["status"]["sentence"]) for k, part in enumerate(record["legs"], 1)]
+    made.titles.append(("provenance", "What was found"))
+    made.html += Markup('<section id="provenance"><h2>What was found</h2>{}</section>\n').format(
+        table(("", "status"), [("all", record["status"]["sentence"]), *told])
+    )
+    least = min(float(run.contact["plan"].worst.min()) for run in runs)
+    tiles = tile_list(
+        (
+            ("Duration", f"{record['duration']:.2f} s", "of all legs, without stops"),
+            ("Legs", str(len(runs)), ""),
+            ("Left in the worst case", percent(least), "of the weight, on the leg with the least"),
+        )
+    )
+    return filled(
+        _verdict(record, runs, held),
+        made,
+        None,
+        name=scenario.name,
+        asked=_asked(scenario, record),
+        notes=notes,
+        tiles=tiles,
+        source=directory.name or str(directory),
+        others=NOTHING,
+    )
+
+
+def _verdict(record: dict[str, Any], runs: list[Run], held: dict[str, Any]) -> Verdict:
+    """Campaign before simulation before plan, as for one leg."""
+    if not record["ok"]:
+        return Verdict("bad", "No safe plan of all legs was found", record["status"]["sentence"])
+    blind = f"Not checked: {'; '.join(record['unchecked'])}." if record["unchecked"] else ""
+    if held:
+        count, of = held["holds"]["count"], held["holds"]["of"]
+        level = "good" if count == of else "warning" if 2 * count > of else "bad"
+        return Verdict(level, f"The load stayed put on all legs in {count} of {of} perturbed runs", blind)
+    seen = [run.plan.simulation.summary.get("outcome") if run.plan.simulation else None for run in runs]
+    wrong = [f"leg {k}: {word}" for k, word in enumerate(seen, 1) if word not in (None, "holds")]
+    if wrong:
+        return Verdict("bad", f"In simulation the load did not stay put ({listed(wrong)})", blind)
+    if all(seen):
+        return Verdict("good", "The load stays put on all legs, in theory and in simulation", blind)
+    return Verdict("good", "The load is predicted to stay put on all legs for every parameter assumed", blind)
+
+
+def _asked(scenario: Scenario, record: dict[str, Any]) -> str:
+    names = listed([item.name for item in scenario.objects])
+    return (
+        f"{scenario.summary + '. ' if scenario.summary else ''}{len(scenario.legs)} legs with {names}, from rest to "
+        f"rest, in {record['duration']:.2f} s together; stops take their time."
+    )

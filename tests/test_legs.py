@@ -1,0 +1,264 @@
+"""Tasks of several legs: the load changes at stops, and each leg begins where the one before it ended."""
+
+import numpy as np
+import pytest
+import tomli_w
+from hypothesis import given
+from hypothesis import strategies as st
+
+import salver as sv
+from run_files import rewrite
+from salver import scenario as scenarios
+from salver.campaigns import run_campaign
+from salver.cli import main
+from salver.errors import FileFormatError, SalverError, ScenarioError
+from salver.export import write_export
+from salver.geometry import matrix_from_quat_wxyz
+from salver.planning.plan import load_plan
+from salver.planning.round import load_round
+from salver.reports.page import write_report
+from salver.scenario.legs import Leg, loads
+
+CYLINDER = {"type": "cylinder", "radius": 0.03, "height": 0.1}
+
+
+def task(legs=None, **changes):
+    """A round with two cups on the tray and a plate with a bun on it."""
+    cup = {"shape": CYLINDER, "mass": 0.2, "friction": 0.4, "uncertainty": {"mass": "20%", "friction": "10%"}}
+    data = {
+        "name": "round",
+        "motion": {"start": {"position": [0.5, -0.2, 0.45]}, "orientation": "free"},
+        "legs": legs
+        or [
+            {"goal": {"position": [0.55, 0.0, 0.45], "rpy_deg": [0, 0, 30]}, "take": "first"},
+            {"goal": {"position": [0.5, 0.2, 0.45]}},
+        ],
+        "objects": [
+            {"name": "first", "at": [0.05, 0.02], **cup},
+            {"name": "second", "at": [-0.04, 0.05], **cup},
+            {"name": "plate", "at": [-0.03, -0.05], **cup, "shape": {**CYLINDER, "height": 0.02, "radius": 0.04}},
+            {"name": "bun", "on": "plate", "at": [-0.03, -0.05], **cup, "mass": 0.05},
+        ],
+        "contact": {"condition": "exact"},
+        "arm": {"model": "panda"},
+        "physics": {"settle_before": 0.2, "settle_after": 0.1},
+        **changes,
+    }
+    return data
+
+
+def parsed(**changes):
+    return scenarios.parse(task(**changes), "mine.toml")
+
+
+def leg(**more):
+    return {"goal": {"position": [0.5, 0.0, 0.45]}, **more}
+
+
+@pytest.mark.parametrize(
+    ("legs", "words"),
+    [
+        ([leg(take="third")], 'legs[0].take = "third": there is no such object; there are first, second, plate, bun'),
+        ([leg(take="first"), leg(take="first")], 'legs[1].take = "first": it is not on the tray there; on it: second'),
+        (
+            [leg(take="plate"), leg()],
+            'bun stands on "plate", which is not on the tray after legs[0]; take bun off before',
+        ),
+        ([leg(take="bun"), leg(put="bun"), leg(put="bun")], 'legs[2].put = "bun": it is on the tray already'),
+        ([leg(take="first", put="first"), leg()], 'legs[0].put = "first": it is named twice at this stop'),
+        ([leg(take=["first", "first"])], 'legs[0].take = "first": it is named twice at this stop'),
+        ([leg(put=["first", "second"], take=["plate", "bun"])], None),
+        (
+            [leg(take=["first", "second", "plate", "bun"]), leg()],
+            "legs[0].take leaves the tray empty, and a leg follows",
+        ),
+        ([leg(put=["first", "second", "plate", "bun"]), leg()], "the first leg begins with an empty tray"),
+        ([leg(put="plate"), leg()], 'bun stands on "plate", which is not on the tray when the first leg begins'),
+        ([leg(goal={"position": [0.5, 0, 0.45], "rpy_deg": [0, 40, 0]}), leg()], "legs[0]: motion.goal tilts the tray"),
+        ([leg(take=[])], "legs[0].take = []: must be the name of an object, or a list of names"),
+        ([leg(duration=1.0)], "unknown key legs[0].duration"),
+    ],
+)
+def test_what_cannot_be_taken_or_put_is_one_sentence(legs, words):
+    if words is None:
+        assert [o.name for o in parsed(legs=legs).each_leg[0].objects] == ["plate", "bun"]
+        return
+    with pytest.raises(ScenarioError) as error:
+        parsed(legs=legs)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"uncertainty": {"set": "ellipsoid", "correlation": {"first.mass,second.mass": 0.5}}}, "correlation"),
+        ({"motion": {"start": {"position": [0.5, -0.2, 0.45]}, "goal": {"position": [0, 0, 0]}}}, "motion.goal is not"),
+        ({"motion": {"start": {"position": [0.5, -0.2, 0.45]}, "goal_yaw": "free"}}, "goal_yaw"),
+    ],
+)
+def test_what_is_not_known_of_several_legs_is_refused(changes, words):
+    with pytest.raises(ScenarioError, match=words):
+        parsed(**changes)
+
+
+@given(st.lists(st.tuples(st.sets(st.sampled_from("abc")), st.sets(st.sampled_from("abc"))), max_size=4))
+def test_loads_are_what_was_there_less_what_was_taken_and_more_what_was_put(stops):
+    objects = [
+        scenarios.CarriedObject.model_validate({"name": name, "shape": CYLINDER, "mass": 0.2, "friction": 0.4})
+        for name in "abc"
+    ]
+    goal = {"position": [0.0, 0.0, 0.0]}
+    legs = [
+        Leg.model_validate({"goal": goal, "take": sorted(take) or None, "put": sorted(put) or None})
+        for take, put in stops
+    ]
+    try:
+        found = [{item.name for item in load} for load in loads(objects, legs)]
+    except ValueError:
+        return
+    assert len(found) == len(legs) + 1
+    for (take, put), before, after in zip(stops, found, found[1:], strict=False):
+        assert take <= before
+        assert not put & before
+        assert after == before - take | put
+    assert all(found[:-1])
+
+
+def test_poses_are_of_one_frame_on_the_tray_also_when_its_object_is_gone():
+    """The tray's centre is (-0.05, -0.02) m from the first cup, turned with it by 30 degrees; the second cup stands at
+    (-0.04, 0.05) m of it. Both cups are 0.1 m high, so their centres are at one height."""
+    first, second = parsed().each_leg
+    assert [item.name for item in second.objects] == ["second", "plate", "bun"]
+    angle = np.deg2rad(30)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    expected = np.array([0.55, 0.0]) + turn @ np.array([-0.09, 0.03])
+    np.testing.assert_allclose(second.motion.start.position, [*expected, 0.45], atol=1e-12)
+    np.testing.assert_allclose(second.motion.start.rotation[:2, :2], turn, atol=1e-12)
+    np.testing.assert_allclose(second.motion.goal.position, [0.41, 0.23, 0.45], atol=1e-12)
+    assert first.motion.goal.position == (0.55, 0.0, 0.45)
+    assert first.arm is not None
+
+
+def test_a_task_has_no_load_of_its_own():
+    case = parsed()
+    with pytest.raises(ScenarioError, match="round is a task of 2 legs, each with a load of its own"):
+        _ = case.payload
+    for call in (lambda: sv.plan(case), lambda: sv.fastest(case), lambda: sv.plan(case, "baseline")):
+        with pytest.raises(ScenarioError, match="2 legs, each with a load of its own"):
+            call()
+    assert scenarios.parse(case.model_dump(mode="json", exclude_none=True), "again").digest == case.digest
+
+
+@pytest.fixture(scope="module")
+def planned():
+    return sv.plan_legs(parsed(), spans=8, pairs=1)
+
+
+@pytest.fixture(scope="module")
+def directory(planned, tmp_path_factory):
+    return planned.save(tmp_path_factory.mktemp("legs") / "run")
+
+
+def test_each_leg_begins_where_the_last_one_ended_and_is_safe_with_its_own_load(planned):
+    assert planned.ok, planned.status
+    first, second = planned.legs
+    assert planned.apart == 0
+    assert first.joint.q[-1].tolist() == second.joint.q[0].tolist()
+    assert [len(leg.scenario.payload.bodies) for leg in planned.legs] == [4, 3]
+    assert planned.duration == first.duration + second.duration
+    assert {m.name for m in second.margins.interfaces} == {"second on tray", "plate on tray", "bun on plate"}
+    # The cup that was taken, were it still there, would stand where the first leg's goal had it.
+    end = first.reference.sample(np.array([first.duration]))
+    np.testing.assert_allclose(end.p_SB[0], [0.55, 0.0, 0.45], atol=1e-9)
+    assert "what happens at the stops" in planned.unchecked[0]
+
+
+def test_a_plan_comes_back_from_its_one_file_and_knows_when_a_leg_was_edited(planned, directory, tmp_path):
+    again = load_round(directory)
+    assert again.ok
+    assert again.status.sentence == planned.status.sentence
+    assert load_plan(directory, "leg2").joint.q.tolist() == planned.legs[1].joint.q.tolist()
+    with pytest.raises(FileFormatError, match="is a plan of 2 legs, and this is for one motion; name a leg: leg1 to"):
+        load_plan(directory)
+    with pytest.raises(FileFormatError, match="name a leg: leg1 to leg2"):
+        load_plan(directory, "leg3")
+    planned.save(tmp_path / "edited")
+    rewrite(tmp_path / "edited", arrays=lambda held: held["leg2.joint_q"].__iadd__(1e-9), certified=False)
+    for call in (load_round, lambda d: load_plan(d, "leg1")):
+        with pytest.raises(FileFormatError, match=r"array leg2\.joint_q is not what was judged"):
+            call(tmp_path / "edited")
+
+
+def test_legs_that_do_not_meet_are_not_ok(planned, tmp_path):
+    planned.save(tmp_path / "moved")
+
+    def moved(held):
+        for name in ("joint_q", "q"):
+            held[f"leg2.{name}"] += 1e-3
+
+    rewrite(tmp_path / "moved", arrays=moved)
+    found = load_round(tmp_path / "moved")
+    assert found.apart == pytest.approx(1e-3)
+    assert not found.ok
+
+
+def test_what_slid_begins_the_next_leg_where_it_was_left(planned):
+    """On ice the second cup slides on the first leg; the tray's motion of the second one begins with it there."""
+    run = sv.simulate_legs(planned, parameters={"second.friction": 0.2})
+    one, two = run.legs
+    slid = (one.slip_E - one.creep_E)[-1, one.object_names.index("second"), :2]
+    assert np.linalg.norm(slid) > 2e-3
+    k = two.object_names.index("second")
+    R_SE = matrix_from_quat_wxyz(two.quat_SE_wxyz[:1])[0]
+    p_EB = R_SE.T @ (two.p_SB[0, k] - two.p_SE[0])
+    nominal = planned.legs[1].scenario.payload.bodies[0].p_EB
+    np.testing.assert_allclose(p_EB[:2] - nominal[:2], slid, atol=3e-4)
+    assert run.outcome == "slides"
+    assert run.summary["leg"] in (1, 2)
+    with pytest.raises(ScenarioError, match=r'no parameter "third\.mass"'):
+        sv.simulate_legs(planned, parameters={"third.mass": 1.0})
+
+
+@pytest.mark.slow
+def test_commands_take_a_task_of_several_legs(directory, capsys):
+    """Simulated, run in a campaign, shown, exported leg by leg; what is for one motion says so."""
+    assert main_of("simulate", directory, "--set", "first.mass=0.22") == 0
+    assert "leg 2" in capsys.readouterr().out
+    run_campaign(directory, 1, jobs=1)
+    written = write_report(directory)
+    text = written.read_text()
+    assert "stayed put on all legs in 1 of 1 perturbed runs" in text
+    assert 'href="report-leg2.html"' in text
+    assert "second" in written.with_name("report-leg2.html").read_text()
+    assert [path.name for path in write_export(directory, "csv", stem="leg2")] == ["leg2.csv"]
+    for refused in (
+        ("export", directory, "--format", "csv"),
+        ("figures", directory),
+        ("render", directory),
+        ("execute", directory, "--dry-run"),
+        ("campaign", directory, "--stem", "leg1"),
+        ("simulate", directory, "--stop-at", "0.1"),
+    ):
+        assert main_of(*refused) == 2
+        assert "leg" in capsys.readouterr().err
+
+
+def test_options_that_are_not_for_several_legs_are_refused(tmp_path, capsys):
+    path = tmp_path / "round.toml"
+    path.write_text(tomli_w.dumps(task()))
+    for option in (("--beside", "nominal"), ("--safest",), ("--duration", "3"), ("--no-arm",)):
+        assert main_of("plan", path, "-o", tmp_path / "run", *option) == 2
+        assert "leg" in capsys.readouterr().err
+    with pytest.raises(SalverError, match="2 legs"):
+        sv.audit({"t": np.arange(9.0), **dict.fromkeys(("x", "y", "z", "qw", "qx", "qy", "qz"), np.full(9, 0.5))}, path)
+
+
+def main_of(*words):
+    """Exit code of a command."""
+    import sys
+    from unittest.mock import patch
+
+    with patch.object(sys, "argv", ["salver", *map(str, words)]), pytest.raises(SystemExit) as end:
+        main()
+    return end.value.code or 0
