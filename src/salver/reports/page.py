@@ -9,17 +9,20 @@ from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 from markupsafe import Markup, escape
 
 from salver.files import output_file, versions, write_atomic
+from salver.planning.plan import read_files
 from salver.planning.round import has_legs
 from salver.reports import sections
 from salver.reports.cells import NOTHING, joined
 from salver.reports.charts import thin
 from salver.reports.replay import replay_scene
-from salver.reports.run import Motion, Run, read_run
+from salver.reports.round import overview
+from salver.reports.run import Motion, Run, read_campaign, read_leg, read_run
 from salver.reports.sections import Sections
 from salver.reports.style import ROLE_COLOURS
 from salver.reports.words import Verdict, asked, outcome_in_words, true_parameters, verdict
@@ -39,13 +42,30 @@ def write_report(
     """
     target = output_file(path, (".html", ".htm")) if path is not None else Path(directory) / "report.html"
     if has_legs(directory):
-        from salver.reports.round import write_pages
-
-        return write_pages(Path(directory), target, say, keep=path is not None)
+        return _write_legs(Path(directory), target, say, keep=path is not None)
     run = read_run(directory)
     for note in run.notes:
         say(note)
     return write_atomic(target, page(run), keep=path is not None)
+
+
+def _write_legs(directory: Path, target: Path, say: Callable[[str], None], *, keep: bool) -> Path:
+    """The page of a task of several legs, and one of each leg beside it; returns the first."""
+    files = read_files(directory)
+    runs = [read_leg(directory, k + 1) for k in range(len(files.scenario.legs))]
+    notes = [note for run in runs for note in run.notes]
+    campaign, _ = read_campaign(directory, notes)
+    for note in notes:
+        say(note)
+    places = [target.with_name(f"{target.stem}-leg{k + 1}{target.suffix}") for k in range(len(runs))]
+    for k, (run, place) in enumerate(zip(runs, places, strict=True)):
+        others = [("All legs", target), *((f"Leg {i + 1}", p) for i, p in enumerate(places) if i != k)]
+        links = joined(Markup('<a href="{}">{}</a>').format(quote(path.name), name) for name, path in others)
+        write_atomic(place, page(run, links), keep=keep)
+    answer, made, task, shown = overview(files, runs, places, campaign)
+    name, source = files.scenario.name, directory.name or str(directory)
+    whole = filled(answer, made, None, name=name, asked=task, notes=notes, tiles=shown, source=source)
+    return write_atomic(target, whole, keep=keep)
 
 
 def page(run: Run, others: Markup = NOTHING) -> str:

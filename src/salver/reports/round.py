@@ -1,51 +1,27 @@
-"""The pages of a plan of several legs: one of the task as a whole, and one of each leg."""
+"""What the page of a task of several legs shows: the legs side by side; each has a page of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from markupsafe import Markup
 
-from salver.files import write_atomic
-from salver.planning.plan import PlanFiles, read_files
-from salver.reports.cells import NOTHING, joined, outcome_cell, percent, table
-from salver.reports.page import filled, page
-from salver.reports.run import Run, read_campaign, read_leg
+from salver.planning.plan import PlanFiles
+from salver.reports.cells import outcome_cell, percent, table
+from salver.reports.run import Run
 from salver.reports.sections import Sections, tile_list
 from salver.reports.words import Verdict
 from salver.scenario import Scenario
 from salver.wording import listed
 
 
-def write_pages(directory: Path, target: Path, say: Callable[[str], None], *, keep: bool) -> Path:
-    """Write the page of the task to `target` and one of each leg beside it; returns the first. keep: what stood
-    there."""
-    files = read_files(directory)
-    count = len(files.scenario.legs)
-    runs = [read_leg(directory, k + 1) for k in range(count)]
-    notes = [note for run in runs for note in run.notes]
-    campaign, _ = read_campaign(directory, notes)
-    for note in notes:
-        say(note)
-    places = [target.with_name(f"{target.stem}-leg{k}{target.suffix}") for k in range(1, count + 1)]
-    for k, (run, place) in enumerate(zip(runs, places, strict=True)):
-        others = [("All legs", target), *((f"Leg {i + 1}", p) for i, p in enumerate(places) if i != k)]
-        links = joined(Markup('<a href="{}">{}</a>').format(path.name, name) for name, path in others)
-        write_atomic(place, page(run, links), keep=keep)
-    return write_atomic(target, whole(directory, files, runs, places, campaign, notes), keep=keep)
-
-
-def whole(
-    directory: Path,
-    files: PlanFiles,
-    runs: list[Run],
-    places: list[Path],
-    campaign: dict[str, Any] | None,
-    notes: list[str],
-) -> str:
-    """The page of the task as text."""
+def overview(
+    files: PlanFiles, runs: Sequence[Run], places: Sequence[Path], campaign: dict[str, Any] | None
+) -> tuple[Verdict, Sections, str, Markup]:
+    """What the page of the task says: verdict, sections, what was asked, tiles. places: the pages of the legs."""
     scenario, record = files.scenario, files.record
     held = campaign["plans"]["plan"]["outcomes"] if campaign else {}
     made = Sections()
@@ -55,7 +31,7 @@ def whole(
         seen = run.plan.simulation
         rows.append(
             (
-                Markup('<a href="{}">leg {}</a>').format(place.name, k),
+                Markup('<a href="{}">leg {}</a>').format(quote(place.name), k),
                 listed([item.name for item in run.scenario.objects]),
                 f"({x:.3f}, {y:.3f}, {z:.3f}) m",
                 "; ".join(
@@ -93,20 +69,10 @@ def whole(
             ("Left in the worst case", percent(least), "of the weight, on the leg with the least"),
         )
     )
-    return filled(
-        _verdict(record, runs, held),
-        made,
-        None,
-        name=scenario.name,
-        asked=_asked(scenario, record),
-        notes=notes,
-        tiles=tiles,
-        source=directory.name or str(directory),
-        others=NOTHING,
-    )
+    return _verdict(record, runs, held), made, _asked(scenario, record), tiles
 
 
-def _verdict(record: dict[str, Any], runs: list[Run], held: dict[str, Any]) -> Verdict:
+def _verdict(record: dict[str, Any], runs: Sequence[Run], held: dict[str, Any]) -> Verdict:
     """Campaign before simulation before plan, as for one leg."""
     if not record["ok"]:
         return Verdict("bad", "No safe plan of all legs was found", record["status"]["sentence"])
