@@ -281,10 +281,10 @@ def liquid_charts(run: Run) -> list[Spec]:
         for m in run.motions:
             whole = run.waves(m)
             assert whole is not None
-            found = np.array([case.waves.crest for case in whole.worst[body.name]])
+            found = whole.worst[body.name][0].waves.crest
             x, low, high = thin(m.t, 1e3 * found.min(axis=0), 1e3 * found.max(axis=0))
             bands.append({"x": x, "low": low, "high": high, "colour": ROLE_COLOURS[m.stem]})
-            curves.append(series(m, f"{m.label}, nominal", m.t, 1e3 * whole.nominal[body.name][0].waves.crest))
+            curves.append(series(m, f"{m.label}, nominal", m.t, 1e3 * whole.nominal[body.name][0].waves.crest[0]))
             if m.simulation is not None and m.simulation.arrays.get("surface", np.zeros((0, 0))).shape[1]:
                 seen = m.simulation.arrays["surface"][:, k, 2]
                 curves.append(

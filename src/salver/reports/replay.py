@@ -131,9 +131,9 @@ def surfaces(motion: Motion, run: Run) -> list[DrawnSurface | None]:
     for k, body in enumerate(run.bodies):
         if body.liquid is not None:
             waves = planned.nominal[body.name][0].waves
-            over = waves.crest > (np.inf if body.liquid.sealed else body.liquid.brim - body.liquid.fill)
+            over = waves.crest[0] > (np.inf if body.liquid.sealed else body.liquid.brim - body.liquid.fill)
             spilt = float(motion.t[np.argmax(over)]) if np.any(over) else None
-            out[k] = DrawnSurface.of_heights(body, body.liquid.fill, waves.eta_B, spilt)
+            out[k] = DrawnSurface.of_heights(body, body.liquid.fill, waves.eta_B[0], spilt)
     return out
 
 

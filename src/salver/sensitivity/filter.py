@@ -30,15 +30,15 @@ _MOST_PIECES = 64  # of an interval, each as long as the filter's fastest time c
 
 @dataclass(frozen=True, eq=False)
 class LinearFilter:
-    """Steps of the filter between T nodes, for drives with Q samples.
+    """Steps of the filter between T nodes, for drives with Q samples; or of several (...) side by side.
 
-    step: (T - 1, 2, 2) takes (x, x') from one node to the next. gain: (T - 1, 2, J) of the J samples of the drive
-    that matter between them, whose indices are `samples` (T - 1, J); None when the samples of each step are its own.
-    kp: one number, or (T,) at the nodes.
+    step: (..., T - 1, 2, 2) takes (x, x') from one node to the next. gain: (..., T - 1, 2, J) of the J samples of the
+    drive that matter between them, whose indices are `samples` (T - 1, J); None when the samples of each step are its
+    own. kp: one number, or (..., T) at the nodes; kd: one number, or (...).
     """
 
     kp: float | Array
-    kd: float
+    kd: float | Array
     step: Array
     gain: Array
     samples: npt.NDArray[np.intp] | None
@@ -55,31 +55,30 @@ class LinearFilter:
         return cls(kp, kd, transition(kp, kd, h), np.einsum("tg,tgi,tgj->tij", weights, after, basis), samples)
 
     @classmethod
-    def stiffened(cls, t: Array, kp: Array, kd: Array, extra: Array) -> list[LinearFilter]:
-        """K filters for drives known at nodes t (T,), cubic between them, with kp (K,) + extra (K, T) instead of one
-        number; extra is cubic between the nodes too. Underdamped: kd (K,) < 2 sqrt(kp).
+    def stiffened(cls, t: Array, kp: Array, kd: Array, extra: Array) -> LinearFilter:
+        """Filters for drives known at nodes t (T,), cubic between them, with kp (...) + extra (..., T) instead of one
+        number; extra is cubic between the nodes too. Underdamped: kd (...) < 2 sqrt(kp).
 
         extra x is one more drive, with x in each step the cubic through both its ends and their rates; that makes the
         step implicit: (1 + F) X_(k+1) = (step - G) X_k + gain d.
         """
         h, fastest = np.diff(t), int(np.argmax(kp))
-        u, weights = _fine(float(kp[fastest]), float(kd[fastest]), h)
+        u, weights = _fine(float(kp.flat[fastest]), float(kd.flat[fastest]), h)
         samples, basis = _lagrange(t, 3, u)
-        sigma = 0.5 * kd[:, None, None]
-        omega = np.sqrt(kp[:, None, None] - sigma**2)
+        sigma = 0.5 * kd[..., None, None]
+        omega = np.sqrt(kp[..., None, None] - sigma**2)
         left = h[:, None] * (1 - u)
         fading, angle = np.exp(-sigma * left), omega * left
         pushed = fading * np.sin(angle) / omega
-        after = np.stack([pushed, fading * np.cos(angle) - sigma * pushed], axis=2)  # (K, T - 1, 2, G)
-        stiffer = weights * np.einsum("tgj,ktj->ktg", basis, extra[:, samples])
+        after = np.stack([pushed, fading * np.cos(angle) - sigma * pushed], axis=-2)  # (..., T - 1, 2, G)
+        stiffer = weights * np.einsum("tgj,...tj->...tg", basis, extra[..., samples])
         ends = [[(1 - u) ** 2 * (1 + 2 * u), u * (1 - u) ** 2], [u**2 * (3 - 2 * u), u**2 * (u - 1)]]
         scale = np.stack([np.ones_like(h), h], axis=1)[:, None, :]  # rates are per second, u per step
-        begin, end = ((after * stiffer[:, :, None]) @ np.stack(pair, axis=1) * scale for pair in ends)
-        back = np.linalg.inv(np.eye(2) + end)
-        plain = np.stack([transition(float(p), float(d), h) for p, d in zip(kp, kd, strict=True)])
-        steps, gains = back @ (plain - begin), back @ (after @ (weights[:, :, None] * basis))
-        each = zip(kp[:, None] + extra, kd.tolist(), steps, gains, strict=True)
-        return [cls(stiff, d, step, gain, samples) for stiff, d, step, gain in each]
+        begin, end = ((after * stiffer[..., None, :]) @ np.stack(pair, axis=1) * scale for pair in ends)
+        back = _inverse(np.eye(2) + end)
+        plain = _swinging(sigma, omega, kp[..., None, None], h[:, None])
+        gain = back @ (after @ (weights[:, :, None] * basis))
+        return cls(kp[..., None] + extra, kd, back @ (plain - begin), gain, samples)
 
     @classmethod
     def on_grid(cls, grid: QuadratureGrid, kp: float, kd: float) -> LinearFilter:
@@ -87,47 +86,81 @@ class LinearFilter:
         return _on_grid(kp, kd, float(grid.t[1] - grid.t[0]), len(grid.t) - 1, grid.substeps)
 
     def respond(self, drive: Array, start: Array | None = None) -> tuple[Array, Array]:
-        """x and x' at the nodes, each (T, ...), for a drive (Q, ...). start: (2, ...) at the first, 0 unless given."""
-        steps, _, width = self.gain.shape
-        shape = (steps + 1, *drive.shape[1:])
+        """x and x' at the nodes, each (..., T, c...), for a drive (..., Q, c...). start: (..., 2, c...) at the first, 0
+        unless given."""
+        *lead, steps, _, width = self.gain.shape
+        shape = (*lead, steps + 1, *drive.shape[len(lead) + 1 :])
         if drive.size == 0:  # no parameter or no variable: LAPACK writes out of bounds for no columns
             return np.zeros(shape), np.zeros(shape)
-        flat = drive.reshape(len(drive), -1)
-        state = np.zeros((steps + 1, 2, flat.shape[1]))
+        flat = drive.reshape(*lead, drive.shape[len(lead)], -1)
+        state = np.zeros((*lead, steps + 1, 2, flat.shape[-1]))
         if start is not None:
-            state[0] = start.reshape(2, -1)
-        np.matmul(self.gain, flat.reshape(steps, width, -1) if self.samples is None else flat[self.samples], state[1:])
+            state[..., 0, :, :] = start.reshape(*lead, 2, -1)
+        if self.samples is None:
+            state[..., 1:, :, :] = self.gain @ flat.reshape(*lead, steps, width, -1)
+        else:
+            state[..., 1:, :, :] = self.gain @ flat[..., self.samples, :]
         state = self._solved(state, "N")
-        return state[:, 0].reshape(shape), state[:, 1].reshape(shape)
+        return state[..., 0, :].reshape(shape), state[..., 1, :].reshape(shape)
 
     def acceleration(self, drive: Array, x: Array, rate: Array) -> Array:
-        """x'' (T, ...) at nodes at which the drive is known."""
-        kp = self.kp if np.ndim(self.kp) == 0 else np.reshape(self.kp, (-1, *(1,) * (x.ndim - 1)))
-        return drive - self.kd * rate - kp * x
+        """x'' (..., T, c...) at nodes at which the drive is known."""
+        over = x.ndim - (self.gain.ndim - 3) - 1
+        kp, kd = np.asarray(self.kp), np.asarray(self.kd)
+        kp = kp if kp.ndim == 0 else kp.reshape(*kp.shape, *(1,) * over)
+        kd = kd if kd.ndim == 0 else kd.reshape(*kd.shape, *(1,) * (over + 1))
+        return np.asarray(drive - kd * rate - kp * x)
 
     def gradient(self, by_x: Array, by_rate: Array) -> Array:
-        """Derivative (Q, ...) by the drive of a function with these derivatives (T, ...) by x and x' at the nodes."""
-        steps, _, width = self.gain.shape
-        flat = np.stack([by_x.reshape(steps + 1, -1), by_rate.reshape(steps + 1, -1)], axis=1)
-        pushed = np.swapaxes(self.gain, 1, 2) @ self._solved(flat, "T")[1:]
+        """Derivative (..., Q, c...) by the drive of a function with these derivatives (..., T, c...) by x and x' at the
+        nodes."""
+        *lead, steps, _, width = self.gain.shape
+        after = by_x.shape[len(lead) + 1 :]
+        flat = np.stack([by_x.reshape(*lead, steps + 1, -1), by_rate.reshape(*lead, steps + 1, -1)], axis=-2)
+        pushed = np.swapaxes(self.gain, -1, -2) @ self._solved(flat, "T")[..., 1:, :, :]
         if self.samples is None:
-            return pushed.reshape(steps * width, *by_x.shape[1:])
-        out = np.zeros((int(self.samples.max()) + 1, flat.shape[2]))
-        np.add.at(out, self.samples, pushed)
-        return out.reshape(-1, *by_x.shape[1:])
+            return pushed.reshape(*lead, steps * width, *after)
+        out = np.zeros((*lead, int(self.samples.max()) + 1, flat.shape[-1]))
+        first = self.samples[:, 0]
+        fresh = np.diff(first, prepend=-1) > 0  # steps at either end read the nodes that their neighbours read
+        for j in range(width):
+            out[..., first[fresh] + j, :] += pushed[..., fresh, j, :]
+        for k in np.flatnonzero(~fresh):
+            out[..., first[k] : first[k] + width, :] += pushed[..., k, :, :]
+        return out.reshape(*lead, -1, *after)
+
+    def only(self, which: tuple[npt.NDArray[np.intp] | slice, ...]) -> LinearFilter:
+        """Some of several."""
+        kp, kd = np.asarray(self.kp), np.asarray(self.kd)
+        return LinearFilter(kp[which], kd[which], self.step[which], self.gain[which], self.samples)
 
     @cached_property
     def _bands(self) -> Array:
-        """X_(k+1) - step_k X_k for all k, as a lower triangular band: (4, 2 T)."""
-        bands = np.zeros((4, 2 * len(self.step) + 2))
+        """X_(k+1) - step_k X_k for all k, filter after filter, as a lower triangular band: (4, 2 T ...)."""
+        *lead, steps = self.step.shape[:-2]
+        bands = np.zeros((4, *lead, steps + 1, 2))
         bands[0] = 1.0
-        bands[2, :-2:2], bands[3, :-2:2] = -self.step[:, 0, 0], -self.step[:, 1, 0]
-        bands[1, 1:-2:2], bands[2, 1:-2:2] = -self.step[:, 0, 1], -self.step[:, 1, 1]
-        return np.asfortranarray(bands)
+        bands[2, ..., :-1, 0], bands[3, ..., :-1, 0] = -self.step[..., 0, 0], -self.step[..., 1, 0]
+        bands[1, ..., :-1, 1], bands[2, ..., :-1, 1] = -self.step[..., 0, 1], -self.step[..., 1, 1]
+        return np.asfortranarray(bands.reshape(4, -1))
 
     def _solved(self, state: Array, trans: str) -> Array:
-        right = np.asfortranarray(state.reshape(2 * len(state), -1))
+        right = np.asfortranarray(state.reshape(-1, state.shape[-1]))
         return dtbtrs(self._bands, right, uplo="L", trans=trans, overwrite_b=True)[0].reshape(state.shape)
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of matrices (..., 2, 2)."""
+    (a, b), (c, d) = np.moveaxis(matrix, (-2, -1), (0, 1))
+    return np.moveaxis(np.array([[d, -b], [-c, a]]) / (a * d - b * c), (0, 1), (-2, -1))
+
+
+def _swinging(sigma: Array, omega: Array, kp: Array, h: Array) -> Array:
+    """(..., T - 1, 2, 2) as `transition`, of underdamped filters with these (..., 1, 1) over steps h (T - 1, 1)."""
+    fading = np.exp(-sigma * h)
+    cosine, sine = (fading * np.cos(omega * h))[..., 0], (fading * np.sin(omega * h) / omega)[..., 0]
+    own, stiff = sigma[..., 0] * sine, kp[..., 0] * sine
+    return np.moveaxis(np.array([[cosine + own, sine], [-stiff, cosine - own]]), (0, 1), (-2, -1))
 
 
 def _fine(kp: float, kd: float, h: Array) -> tuple[Array, Array]:

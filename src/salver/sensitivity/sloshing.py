@@ -3,30 +3,28 @@ to be held against the wrench of the slosh (`salver.sensitivity.waves` has the w
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
 from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
-from salver.sensitivity.waves import VERDICT_APART, Waves, along, cases
-
-Indices = npt.NDArray[np.intp]
+from salver.sensitivity.wave_gradients import wrench_by
+from salver.sensitivity.waves import VERDICT_APART, Indices, Waves, along, cases
 
 
 @dataclass(frozen=True, eq=False)
 class Slosh:
-    """What one case of a liquid does along a motion of T instants.
+    """What K cases of a liquid do along a motion of T instants.
 
-    wrench: (T, 6) of `Waves`. reaction: (T, 12) by which what the tray feels changes because the arm gives way to it.
-    spread: (T, 6, n_c) change of the wrench per half-range of each term of what is uncertain. higher: (T,) m, by which
-    the crest may be higher for all these, but for what a steeper free wave makes of it; freer: (T, 2) m, by which that
-    may be higher; more_left: what is left at the end.
+    wrench: (K, T, 6) of `Waves`. reaction: (K, T, 12) by which what the tray feels changes because the arm gives way to
+    it. spread: (K, T, 6, n_c) change of the wrench per half-range of each term of what is uncertain. higher: (K, T) m,
+    by which the crest may be higher for all these, but for what a steeper free wave makes of it; freer: (K, T, 2) m, by
+    which that may be higher; more_left: (K,) m, what is left at the end.
     """
 
     waves: Waves
@@ -35,40 +33,49 @@ class Slosh:
     spread: Array | None = None
     higher: Array | float = 0.0
     freer: Array | float = 0.0
-    more_left: float = 0.0
+    more_left: Array | float = 0.0
 
     @classmethod
     def of(cls, waves: Waves, reaction: Array | None = None, dw: Array | None = None) -> Slosh:
         """dw: (T, 12, n_c) change of what the tray feels."""
         if dw is None:
             return cls(waves, waves.wrench, reaction)
-        change, modes = waves.changed(dw), waves.case.modes
-        higher = (modes.highest(np.moveaxis(change.eta, 1, 2)) + np.abs(change.thrown)).sum(axis=1)
-        more = float(modes.highest(change.left.T).sum())
-        return cls(waves, waves.wrench, reaction, change.wrench, higher, np.abs(change.free).sum(axis=2), more)
+        change, highest = waves.changed(dw), waves.cases.highest
+        higher = (highest(np.moveaxis(change.eta, 2, 3)) + np.abs(change.thrown)).sum(axis=2)
+        more = highest(np.moveaxis(change.left, 1, 2)).sum(axis=1)
+        return cls(waves, waves.wrench, reaction, change.wrench, higher, np.abs(change.free).sum(axis=3), more)
 
     @property
     def crest(self) -> Array:
-        """(T,) m, at the worst of what is uncertain."""
+        """(K, T) m, at the worst of what is uncertain."""
         return self.waves.raised(self.higher, self.freer)
 
     @property
     def free_height(self) -> Array:
-        """(T,) m of the free wave, at the worst of what is uncertain."""
-        return self.waves.free_height + self.waves.case.modes.highest(self.freer + np.zeros((1, 2)))
+        """(K, T) m of the free wave, at the worst of what is uncertain."""
+        return self.waves.free_height + self.waves.cases.highest(self.freer + np.zeros((1, 1, 2)))
 
-    def left(self, seconds: float = 0.0) -> float:
-        """m, see `Waves.left`, at the worst of what is uncertain."""
+    def left(self, seconds: float = 0.0) -> Array:
+        """(K,) m, see `Waves.left`, at the worst of what is uncertain."""
         return self.waves.left(seconds, self.more_left)
 
     def at(self, index: Indices) -> Slosh:
         """The wrench at some instants."""
-        return replace(self, wrench=self.wrench[index])
+        return replace(self, wrench=self.wrench[:, index])
+
+    def only(self, k: int) -> Slosh:
+        """What becomes of the surface in one case."""
+        some = [k]
+        higher, freer, more = (
+            x if np.ndim(x) == 0 else np.asarray(x)[some] for x in (self.higher, self.freer, self.more_left)
+        )
+        return Slosh(self.waves.only(k), self.wrench[some], None, None, higher, freer, more)
 
 
 @dataclass(frozen=True, eq=False)
 class Sloshed:
-    """What liquids add to contact rows (T, n): each at its worst case. worst: by liquid, (T, n) which case that is."""
+    """What liquids add to contact rows (T, n): each at its worst case. worst: by liquid, (T, n) which case that is, of
+    all parts of it, one after the other."""
 
     rows: ContactRows
     liquids: list[tuple[int | None, tuple[Slosh, ...]]]
@@ -77,14 +84,18 @@ class Sloshed:
 
     @classmethod
     def of(cls, rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]]) -> Sloshed:
-        """sloshing: the cases of each liquid, by the name of its body."""
+        """sloshing: the cases of each liquid, in parts, by the name of its body."""
         index = {body.name: j for j, body in enumerate(rows.network.bodies)}
         total, chosen, liquids = np.zeros((1, 1)), [], []
         for name, sloshes in sloshing.items():
             j = index.get(name)
-            each = np.array([_added(case, rows, j) for case in sloshes])
-            worst = np.argmax(each, axis=0)
-            total = total + np.take_along_axis(each, worst[None], axis=0)[0]
+            each = (added for part in sloshes for added in _added(part, rows, j))
+            most = next(each)
+            worst = np.zeros(most.shape, dtype=np.intp)
+            for k, added in enumerate(each, start=1):
+                more = added > most
+                most[more], worst[more] = added[more], k
+            total = total + most
             chosen.append(worst)
             liquids.append((j, sloshes))
         return cls(rows, liquids, total, chosen)
@@ -95,27 +106,40 @@ class Sloshed:
         How the arm gives way is taken as given.
         """
         waves = self.liquids[0][1][0].waves
-        by_w, by_duration = np.zeros((len(node), *waves.w.shape)), np.zeros(len(node))
+        by_w, by_duration = np.zeros((len(node), *waves.w.shape[1:])), np.zeros(len(node))
         for (j, sloshes), worst in zip(self.liquids, self.worst, strict=True):
-            for k, case in enumerate(sloshes):
-                mine = np.flatnonzero(worst[node, row] == k)
-                if j is not None and len(mine):
-                    found = case.waves.wrench_by(node[mine], self.rows.wrench[j][row[mine]])
-                    by_w[mine] += found[0]
-                    by_duration[mine] += found[1]
+            if j is None:
+                continue
+            for part, case, mine in of_parts(sloshes, worst[node, row]):
+                found = wrench_by(part.waves, case, node[mine], self.rows.wrench[j][row[mine]])
+                by_w[mine] += found[0]
+                by_duration[mine] += found[1]
         return by_w, by_duration
 
 
-def _added(case: Slosh, rows: ContactRows, j: int | None) -> Array:
-    """(T, n); j: which body of the network the liquid is in, None for one that stands elsewhere."""
-    added = np.zeros((len(case.wrench), len(rows.nominal)))
-    if case.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
-        added += case.reaction @ rows.nominal.T
-    if j is not None:
-        added += case.wrench @ rows.wrench[j].T
-        if case.spread is not None:
-            added += np.abs(np.einsum("ni,tic->tnc", rows.wrench[j], case.spread, optimize=True)).sum(axis=2)
-    return added
+def of_parts(sloshes: Sequence[Slosh], which: Indices) -> Iterator[tuple[Slosh, Indices, Indices]]:
+    """Cases counted through all parts (m,), part by part: the part, which of its cases, and where in `which`."""
+    before = 0
+    for part in sloshes:
+        count = len(part.wrench)
+        mine = np.flatnonzero((which >= before) & (which < before + count))
+        if len(mine):
+            yield part, which[mine] - before, mine
+        before += count
+
+
+def _added(part: Slosh, rows: ContactRows, j: int | None) -> Iterator[Array]:
+    """(T, n) of each case; j: which body of the network the liquid is in, None for one that stands elsewhere."""
+    for k, wrench in enumerate(part.wrench):
+        added = np.zeros((len(wrench), len(rows.nominal)))
+        if part.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
+            added += part.reaction[k] @ rows.nominal.T
+        if j is not None:
+            added += wrench @ rows.wrench[j].T
+            if part.spread is not None:
+                spread = np.ascontiguousarray(np.moveaxis(part.spread[k], 2, 1))  # (T, n_c, 6)
+                added += np.abs(spread @ rows.wrench[j].T).sum(axis=1)
+        yield added
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +168,13 @@ class Liquids:
 
     def _found(self, uncertain: UncertainSet) -> dict[str, tuple[Slosh, ...]]:
         return {
-            body.name: tuple(Slosh.of(x) for x in along(cases(body, uncertain, VERDICT_APART), self.t, self.w))
+            body.name: (Slosh.of(along(cases(body, uncertain, VERDICT_APART), self.t, self.w)),)
             for body in self.payload.liquids
         }
 
     def _thinned(self, found: Mapping[str, tuple[Slosh, ...]]) -> dict[str, tuple[Slosh, ...]]:
         assert self.kept is not None
-        return {name: tuple(case.at(self.kept) for case in each) for name, each in found.items()}
+        return {name: tuple(part.at(self.kept) for part in parts) for name, parts in found.items()}
 
     def at(self, index: Indices) -> Liquids:
         """Of the wrenches those at some instants; what becomes of the surface stays that of the whole motion."""
@@ -186,19 +210,18 @@ class Spill:
     slack: Array
 
     @classmethod
-    def of(cls, name: str, each: Sequence[Slosh]) -> Spill:
-        waves = [case.waves for case in each]
-        liquid = waves[0].case.liquid
-        crest, room = np.array([x.crest for x in each]), np.array([x.case.room for x in waves])
-        left, after = room[:, None] - crest, room - np.array([x.left() for x in each])
-        steep = np.max([x.free_height / x.waves.case.steepest for x in each], axis=0)
-        settled = min(liquid.settled - x.left(liquid.within) for x in each)
+    def of(cls, name: str, parts: Sequence[Slosh]) -> Spill:
+        waves = parts[0].waves
+        which = [part.waves.cases for part in parts]
+        liquid, room = which[0].liquid, np.concatenate([x.room for x in which])
+        crest, rest = (np.concatenate(x) for x in ([p.crest for p in parts], [p.left() for p in parts]))
+        left, after = room[:, None] - crest, room - rest
+        steep = np.concatenate([p.free_height / p.waves.cases.steepest[:, None] for p in parts]).max(axis=0)
+        settled = liquid.settled - max(float(p.left(liquid.within).max()) for p in parts)
         slack = 1 - steep
         if np.isfinite(room).all():
             slack = np.minimum(slack, (left / room[:, None]).min(axis=0))
             slack[-1] = min(slack[-1], float((after / room).min()))
         if np.isfinite(settled):
             slack[-1] = min(slack[-1], settled / liquid.settled)
-        return cls(
-            name, waves[0].t, crest.max(axis=0), left.min(axis=0), float(after.min()), steep, float(settled), slack
-        )
+        return cls(name, waves.t, crest.max(axis=0), left.min(axis=0), float(after.min()), steep, float(settled), slack)

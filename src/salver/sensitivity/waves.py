@@ -2,14 +2,15 @@
 
 The modes of `salver.models.liquid` are filters with a memory (`salver.sensitivity.filter`), driven by the lateral
 specific force at each mode's height and stiffened by the vertical one. All is linear in the drive; the transposed
-filter gives the derivative of any function of the waves by what the tray felt at all earlier times.
+filter gives the derivative of any function of the waves by what the tray felt at all earlier times. All fills and
+dampings of a liquid are worked out side by side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -24,39 +25,17 @@ from salver.sensitivity.filter import LinearFilter
 
 Indices = npt.NDArray[np.intp]
 VERDICT_APART = 0.02  # of frequency, between the fills at which a verdict looks
-_TURNING = np.zeros(N_MOTION)
-_TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
+TURNING = np.zeros(N_MOTION)
+TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """The liquid of one body at one fill (m) and damping (of critical).
-
-    at_O (3, 12), at_mode (n_modes, 2, 12): w of the tray's E to the specific force at the centre of the surface, and
-    the lateral one at each mode. to_E (6, 6): wrench at O to that at E, in E.
-    """
+    """The liquid of one body at one fill (m) and damping (of critical)."""
 
     body: Body
     fill: float
     damping: float
-    modes: Modes
-    at_O: Array
-    at_mode: Array
-    to_E: Array
-
-    @classmethod
-    def of(cls, body: Body, fill: float, damping: float) -> Case:
-        assert body.liquid is not None
-        modes = body.liquid.modes(fill)
-
-        def felt(height: float) -> Array:
-            at = body.p_EB + body.R_EB @ (body.surface_B(fill) + np.array([0.0, 0.0, height]))
-            return frame_map(at, body.R_EB)
-
-        heights = modes.height
-        at_mode = np.array([[felt(z[0])[0], felt(z[1])[1]] for z in heights])
-        p_EO = body.p_EB + body.R_EB @ body.surface_B(fill)
-        return cls(body, fill, damping, modes, felt(0.0)[:3], at_mode, to_tray(p_EO, body.R_EB))
 
     @property
     def liquid(self) -> Liquid:
@@ -64,22 +43,101 @@ class Case:
         return self.body.liquid
 
     @property
+    def modes(self) -> Modes:
+        return self.liquid.modes(self.fill)
+
+    @property
     def room(self) -> float:
         """m to which the surface may rise."""
         return self.liquid.room(self.fill)
 
-    @property
-    def steepest(self) -> float:
-        """m, the largest free wave for which the model is valid."""
-        return STEEPEST * float(self.modes.half.min())
-
-    @property
-    def kd(self) -> Array:
-        return np.asarray(2 * self.damping * self.modes.omega)
-
     def along(self, t: Array, w: Array) -> Waves:
         """Its waves along a motion that begins at rest: what the tray feels, w (T, 12), at nodes t (T,), T >= 4."""
-        return along([self], t, w)[0]
+        return along((self,), t, w)
+
+
+@dataclass(frozen=True, eq=False)
+class Cases:
+    """K cases of the liquid of one body, as arrays.
+
+    at_O (K, 3, 12), at_mode (K, n_modes, 2, 12): w of the tray's E to the specific force at the centre of the surface,
+    and the lateral one at each mode. to_E (K, 6, 6): wrench at O to that at E, in E. omega, kd, mass, height, gain
+    (K, n_modes, 2), half, peaking, rest_rise (K, 2): as in `Modes`. damping, room, steepest (K,): the last is the
+    largest free wave for which the model is valid, m.
+    """
+
+    each: tuple[Case, ...]
+    at_O: Array
+    at_mode: Array
+    to_E: Array
+    omega: Array
+    kd: Array
+    mass: Array
+    height: Array
+    gain: Array
+    half: Array
+    peaking: Array
+    rest_rise: Array
+    damping: Array
+    room: Array
+    steepest: Array
+
+    @classmethod
+    @lru_cache(maxsize=64)
+    def of(cls, each: tuple[Case, ...]) -> Cases:
+        body, modes = each[0].body, [case.modes for case in each]
+        at_O, at_mode, to_E = [], [], []
+        for case, own in zip(each, modes, strict=True):
+            O_B = body.surface_B(case.fill)
+            at_O.append(frame_map(body.p_EB + body.R_EB @ O_B, body.R_EB)[:3])
+            felt = [
+                [frame_map(body.p_EB + body.R_EB @ (O_B + [0.0, 0.0, z]), body.R_EB)[axis] for axis, z in enumerate(zs)]
+                for zs in own.height
+            ]
+            at_mode.append(np.array(felt))
+            to_E.append(to_tray(body.p_EB + body.R_EB @ O_B, body.R_EB))
+        damping = np.array([case.damping for case in each])
+        omega, half = np.stack([m.omega for m in modes]), np.stack([m.half for m in modes])
+        return cls(
+            each,
+            np.stack(at_O),
+            np.stack(at_mode),
+            np.stack(to_E),
+            omega,
+            2 * damping[:, None, None] * omega,
+            np.stack([m.mass for m in modes]),
+            np.stack([m.height for m in modes]),
+            np.stack([m.gain for m in modes]),
+            half,
+            np.stack([m.peaking for m in modes]),
+            np.stack([m.rest_rise for m in modes]),
+            damping,
+            np.array([case.room for case in each]),
+            STEEPEST * half.min(axis=1),
+        )
+
+    @property
+    def liquid(self) -> Liquid:
+        return self.each[0].liquid
+
+    @property
+    def round(self) -> bool:
+        return self.liquid.round
+
+    @property
+    def wide(self) -> float:
+        """m, the larger of `half`."""
+        return float(self.half[0].max())
+
+    def highest(self, eta: Array) -> Array:
+        """As `Modes.highest`."""
+        return self.each[0].modes.highest(eta)
+
+    def steepest_by(self, eta: Array) -> Array:
+        """Derivative of `highest`."""
+        if self.round:
+            return np.asarray(eta / np.maximum(np.linalg.norm(eta, axis=-1, keepdims=True), 1e-12))
+        return np.sign(eta)
 
 
 def cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[Case, ...]:
@@ -92,359 +150,289 @@ def cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[Ca
     found = liquid.cases(liquid.fill - fill, liquid.fill + fill, apart)
     if Parameter(body.name, "damping") not in half:
         found = [(h, liquid.nominal_damping) for h in dict.fromkeys(h for h, _ in found)]
-    return tuple(Case.of(body, *each) for each in found)
+    return tuple(Case(body, *each) for each in found)
 
 
-def along(several: Sequence[Case], t: Array, w: Array) -> list[Waves]:
-    """The waves of each case; all their filters are made at once."""
-    upward = [_upward(w @ case.at_O[2]) for case in several]
-    kp, kd, extra = [], [], []
-    for case, up in zip(several, upward, strict=True):
-        own, brakes = (x[:, :1] if case.modes.round else x for x in (case.modes.omega**2, case.kd))
-        kp.append(own.ravel())
-        kd.append(brakes.ravel())
-        extra.append(own.ravel()[:, None] * (up / GRAVITY - 1))
-    made = iter(LinearFilter.stiffened(t, np.concatenate(kp), np.concatenate(kd), np.concatenate(extra)))
-    axes = [1 if case.modes.round else 2 for case in several]
-    filters = [
-        [[next(made) for _ in range(n)] * (3 - n) for _ in case.kd] for case, n in zip(several, axes, strict=True)
-    ]
-    return [Waves(*each, w) for each in zip(several, [t] * len(several), filters, upward, strict=True)]
+def along(several: Sequence[Case], t: Array, w: Array) -> Waves:
+    """The waves of cases of one body along a motion that begins at rest: what the tray feels, w (T, 12), at t (T,)."""
+    which = Cases.of(tuple(several))
+    felt = np.broadcast_to(w, (len(several), *w.shape))
+    upward = _upward(which, felt)
+    axes = 1 if which.round else 2
+    kp, kd = which.omega[..., :axes] ** 2, which.kd[..., :axes]
+    extra = kp[..., None] * (upward / GRAVITY - 1)[:, None, None]
+    filters = LinearFilter.stiffened(t, kp, kd, extra)
+    turning = LinearFilter.on_nodes(t, 0.0, 0.0, 3)
+    spin = _spin(which, turning, felt)
+    at_modes = _at_modes(which, felt, spin)
+    begun = Waves(which, t, filters, turning, felt, upward, spin, at_modes, at_modes, at_modes, at_modes)
+    force = at_modes[..., None]
+    moved = begun.respond(force, begun.level(force))
+    return begun.moved(*(x[..., 0] for x in moved))
 
 
-def _upward(force: Array) -> Array:
-    return np.maximum(force, LEAST_WEIGHT * GRAVITY)
+def _upward(which: Cases, w: Array) -> Array:
+    """(K, T) specific force that stiffens the waves."""
+    return np.maximum((w @ which.at_O[:, 2, :, None])[..., 0], LEAST_WEIGHT * GRAVITY)
+
+
+def _spin(which: Cases, turning: LinearFilter, w: Array) -> Array:
+    """(K, T) rad by which the container has turned about its axis."""
+    if not which.round:
+        return np.zeros(w.shape[:2])
+    if w.strides[0] == 0:  # the same for all
+        return np.broadcast_to(turning.respond(w[0, :, 5])[0], w.shape[:2])
+    return turning.respond(w[:, :, 5].T)[0].T
+
+
+def _at_modes(which: Cases, w: Array, spin: Array) -> Array:
+    """(K, T, n_modes, 2) lateral specific force at each mode, along axes that stand still."""
+    K, n = which.at_mode.shape[:2]
+    felt = (w @ np.swapaxes(which.at_mode.reshape(K, 2 * n, N_MOTION), 1, 2)).reshape(K, -1, n, 2)
+    return turned(felt, spin[..., None])
 
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """A liquid along a motion of T nodes.
+    """K cases of a liquid along a motion of T nodes.
 
     Vectors across the container have two components. In a round one, whose wall cannot take the liquid along, they are
     along axes that do not turn about the container's own: those that the container had at the beginning.
-    filters: one of each mode and axis, of a round container the same for both. upward: (T,) specific force that
-    stiffens them. near: waves to which these are a small change, and of what is felt.
+    filters: (K, n_modes, axes), of a round container one for both axes. turning: from the angular acceleration about
+    the axis to the angle, `spin` (K, T), rad. w (K, T, 12): what the tray feels. upward (K, T): specific force that
+    stiffens the waves. at_modes: lateral specific force at each mode; r, rate, second: place, m, speed and acceleration
+    of each moving mass; (K, T, n_modes, 2).
     """
 
-    case: Case
+    cases: Cases
     t: Array
-    filters: list[list[LinearFilter]]
-    upward: Array
+    filters: LinearFilter
+    turning: LinearFilter
     w: Array
-    near: tuple[Waves, Array] | None = None
+    upward: Array
+    spin: Array
+    at_modes: Array
+    r: Array
+    rate: Array
+    second: Array
+
+    def moved(self, r: Array, rate: Array, second: Array) -> Waves:
+        """The same with the masses elsewhere."""
+        return replace(self, r=r, rate=rate, second=second)
+
+    def only(self, k: int) -> Waves:
+        """One of the cases."""
+        some = np.array([k])
+        which, filters = Cases.of((self.cases.each[k],)), self.filters.only((some,))
+        names = ("w", "upward", "spin", "at_modes", "r", "rate", "second")
+        return replace(self, cases=which, filters=filters, **{name: getattr(self, name)[some] for name in names})
 
     def shifted(self, dw: Array) -> Waves:
-        """The waves of w + dw (T, 12), to first order in dw, which begins with the motion."""
-        return replace(self, w=self.w + dw, upward=_upward((self.w + dw) @ self.case.at_O[2]), near=(self, dw))
+        """The waves of w + dw (K, T, 12), to first order in dw, which begins with the motion."""
+        w, change = self.w + dw, self._pushed(dw[..., None], before=False)
+        spin = _spin(self.cases, self.turning, w)
+        other = replace(
+            self, w=w, upward=_upward(self.cases, w), spin=spin, at_modes=_at_modes(self.cases, w, spin)
+        )
+        return other.moved(*(x + dx[..., 0] for x, dx in zip((self.r, self.rate, self.second), change, strict=True)))
 
     @cached_property
     def force(self) -> Array:
-        """(T, 3) specific force at the centre of the surface, in the container's axes."""
-        return self.w @ self.case.at_O.T
-
-    @cached_property
-    def spin(self) -> Array:
-        """(T,) rad by which the container has turned about its axis."""
-        if not self.case.modes.round:
-            return np.zeros(len(self.t))
-        return self._turning.respond(self.w[:, 5])[0]
-
-    @cached_property
-    def _turning(self) -> LinearFilter:
-        """From the angular acceleration about the axis to the angle."""
-        return LinearFilter.on_nodes(self.t, 0.0, 0.0, 3)
-
-    def _still(self, x: Array) -> Array:
-        """Vectors (T, ..., 2) in the container's axes to those that do not turn with it."""
-        return _turned(x, self.spin)
-
-    @cached_property
-    def _at_modes(self) -> Array:
-        """(T, n_modes, 2) lateral specific force at each mode."""
-        return self._still(np.einsum("nak,tk->tna", self.case.at_mode, self.w))
+        """(K, T, 3) specific force at the centre of the surface, in the container's axes."""
+        return self.w @ np.swapaxes(self.cases.at_O, 1, 2)
 
     def respond(self, force: Array, start: Array | None = None) -> tuple[Array, Array, Array]:
-        """r, r' and r'' (T, n_modes, 2, c) to lateral specific forces (T, n_modes, 2, c) at the modes."""
-        shape = force.shape
-        r, rate, second = (np.empty(shape) for _ in range(3))
-        for n, each in enumerate(self.filters):
-            axes = [(each[0], slice(0, 2))] if each[0] is each[1] else [(each[0], slice(0, 1)), (each[1], slice(1, 2))]
-            for one, axis in axes:
-                drive = -force[:, n, axis]
-                begin = None if start is None else np.stack([start[n, axis], np.zeros_like(start[n, axis])])
-                r[:, n, axis], rate[:, n, axis] = one.respond(drive, begin)
-                second[:, n, axis] = one.acceleration(drive, r[:, n, axis], rate[:, n, axis])
-        return r, rate, second
+        """r, r' and r'' (K, T, n_modes, 2, c) to lateral specific forces (K, T, n_modes, 2, c) at the modes."""
+        drive = self._by_filter(-force)
+        begin = None
+        if start is not None:
+            begin = np.stack([start, np.zeros_like(start)], axis=1)  # (K, 2, n, 2, c)
+            begin = self._by_filter(begin)
+        x, rate = self.filters.respond(drive, begin)
+        second = self.filters.acceleration(drive, x, rate)
+        return self._by_mode(x), self._by_mode(rate), self._by_mode(second)
 
-    def _level(self, force: Array) -> Array:
-        """(n_modes, 2, c) r where a motion begins: the surface is level, whatever the tray is."""
-        return -force[0] / self.case.modes.omega[..., None] ** 2 * (GRAVITY / self.upward[0])
+    def _by_filter(self, x: Array) -> Array:
+        """(K, T, n_modes, 2, c) to (K, n_modes, axes, T, 2 c / axes)."""
+        K, T, n = x.shape[:3]
+        return np.ascontiguousarray(x.reshape(K, T, n, self.filters.gain.shape[2], -1).transpose(0, 2, 3, 1, 4))
+
+    def _by_mode(self, x: Array) -> Array:
+        """Back from `_by_filter`."""
+        K, n, _, T = x.shape[:4]
+        return x.transpose(0, 3, 1, 2, 4).reshape(K, T, n, 2, -1)
+
+    def level(self, force: Array) -> Array:
+        """(K, n_modes, 2, c) r where a motion begins: the surface is level, whatever the tray is."""
+        softer = (GRAVITY / self.upward[:, 0])[:, None, None, None]
+        return np.asarray(-force[:, 0] / self.cases.omega[..., None] ** 2 * softer)
 
     def _pushed(self, dw: Array, before: bool) -> tuple[Array, Array, Array]:
-        """r, r' and r'' (T, n_modes, 2, c), to first order, by changes dw (T, 12, c) of what the tray feels: pushed
-        aside, stiffened, and turned under the waves. before: whether what changes was so before the motion too."""
-        case = self.case
-        drive = np.moveaxis(self._still(np.einsum("nak,tkc->tcna", case.at_mode, dw)), 1, 3)
-        drive += (case.modes.omega**2 / GRAVITY * self.r)[..., None] * (case.at_O[2] @ dw)[:, None, None]
-        drive += _across(self._at_modes)[..., None] * self._spun(dw)[:, None, None]
-        return self.respond(drive, self._level(drive) if before else None)
+        """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of what the tray feels:
+        pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the motion
+        too."""
+        which = self.cases
+        K, n = which.at_mode.shape[:2]
+        pushed = which.at_mode.reshape(K, 1, 2 * n, N_MOTION) @ dw
+        drive = turned(np.moveaxis(pushed.reshape(K, -1, n, 2, dw.shape[-1]), 3, 4), self.spin[:, :, None, None])
+        drive = np.moveaxis(drive, 4, 3)
+        lifted = (which.at_O[:, None, None, 2] @ dw)[:, :, None]  # (K, T, 1, 1, c)
+        drive = drive + (which.omega[:, None] ** 2 / GRAVITY * self.r)[..., None] * lifted
+        if which.round:
+            drive += across(self.at_modes)[..., None] * self._spun(dw)[:, :, None, None]
+        return self.respond(drive, self.level(drive) if before else None)
 
     def _spun(self, dw: Array) -> Array:
-        """(T, c) change of `spin`."""
-        return self._turning.respond(dw[:, 5])[0] if self.case.modes.round else np.zeros((len(dw), dw.shape[2]))
-
-    @cached_property
-    def _moved(self) -> tuple[Array, Array, Array]:
-        if self.near is not None:
-            waves, dw = self.near
-            changes = waves._pushed(dw[:, :, None], before=False)
-            return (waves.r + changes[0][..., 0], waves.rate + changes[1][..., 0], waves.second + changes[2][..., 0])
-        force = self._at_modes[..., None]
-        r, rate, second = self.respond(force, self._level(force))
-        return r[..., 0], rate[..., 0], second[..., 0]
-
-    @property
-    def r(self) -> Array:
-        """(T, n_modes, 2) place of each moving mass, m."""
-        return self._moved[0]
-
-    @property
-    def rate(self) -> Array:
-        """(T, n_modes, 2) m/s."""
-        return self._moved[1]
-
-    @property
-    def second(self) -> Array:
-        """(T, n_modes, 2) m/s^2."""
-        return self._moved[2]
+        """(K or 1, T, c) change of `spin`."""
+        if not self.cases.round:
+            return np.zeros((1, 1, dw.shape[-1]))
+        return np.moveaxis(self.turning.respond(np.moveaxis(dw[:, :, 5], 1, 0))[0], 0, 1)
 
     @cached_property
     def slope(self) -> Array:
-        """(T, 2) of a surface at rest under the force: f / f_z."""
-        return self._still(self.force[:, :2] / self.upward[:, None])
+        """(K, T, 2) of a surface at rest under the force: f / f_z."""
+        return turned(self.force[..., :2] / self.upward[..., None], self.spin)
 
     @cached_property
     def eta(self) -> Array:
-        """(T, 2) m by which the surface stands at the wall, by linear theory."""
-        return np.asarray(
-            np.einsum("na,tna->ta", self.case.modes.gain, self.r) - self.case.modes.rest_rise * self.slope
-        )
+        """(K, T, 2) m by which the surface stands at the wall, by linear theory."""
+        which = self.cases
+        return np.asarray((which.gain[:, None] * self.r).sum(axis=2) - which.rest_rise[:, None] * self.slope)
 
     @property
     def eta_B(self) -> Array:
-        """(T, 2) the same along the container's own axes."""
-        return _turned(self.eta, -self.spin)
+        """(K, T, 2) the same along the container's own axes."""
+        return turned(self.eta, -self.spin)
 
     @cached_property
     def free(self) -> Array:
-        """(T, 2) m, the part of it that is a wave, not the incline of a surface at rest."""
-        return self.eta + self.case.modes.half * self.slope
+        """(K, T, 2) m, the part of it that is a wave, not the incline of a surface at rest."""
+        return self.eta + self.cases.half[:, None] * self.slope
 
     @cached_property
     def crest(self) -> Array:
-        """(T,) height of the highest point over the surface at rest, m, what is not linear included."""
-        return self.case.modes.crest(self.eta, self.slope, self.w @ _TURNING)
+        """(K, T) height of the highest point over the surface at rest, m, what is not linear included."""
+        which, turning = self.cases, self.w @ TURNING
+        steep = (which.peaking[:, None] / which.half[:, None] * self.free**2).sum(axis=-1)
+        return which.highest(self.eta) + steep + TILTING / GRAVITY * which.wide**2 * turning
 
     def raised(self, by: Array | float, freer: Array | float) -> Array:
-        """(T,) the crest, m, of waves that are higher by so much, (T,), of which the free wave by (T, 2) at most."""
-        modes, free = self.case.modes, np.abs(self.free)
-        return self.crest + by + (modes.peaking / modes.half * freer * (2 * free + freer)).sum(axis=1)
+        """(K, T) the crest, m, of waves that are higher by so much, (K, T), of which the free wave by (K, T, 2) at
+        most."""
+        which = self.cases
+        curve = (which.peaking / which.half)[:, None]
+        return self.crest + by + (curve * freer * (2 * np.abs(self.free) + freer)).sum(axis=-1)
 
     @property
     def free_height(self) -> Array:
-        """(T,) height of the free wave, by linear theory."""
-        return self.case.modes.highest(self.free)
-
-    @property
-    def _wide(self) -> float:
-        return float(self.case.modes.half.max())
+        """(K, T) height of the free wave, by linear theory."""
+        return self.cases.highest(self.free)
 
     @cached_property
     def tail(self) -> Array:
-        """(n_modes, 2) amplitude at the wall of the waves that are left at the end, when all is at rest, m."""
-        return np.asarray(self.case.modes.gain * np.hypot(*self._ending))
+        """(K, n_modes, 2) amplitude at the wall of the waves that are left at the end, when all is at rest, m."""
+        return np.asarray(self.cases.gain * np.hypot(*self.ending))
 
     @cached_property
-    def _ending(self) -> tuple[Array, Array]:
-        """(n_modes, 2) how far each mass is from its rest at the end, and its speed over the frequency there, m."""
-        case = self.case
-        softer = GRAVITY / self.upward[-1]
-        rest = self._at_modes[-1] / case.modes.omega**2 * softer
-        return self.r[-1] + rest, self.rate[-1] / case.modes.omega * np.sqrt(softer)
+    def ending(self) -> tuple[Array, Array]:
+        """(K, n_modes, 2) how far each mass is from its rest at the end, and its speed over the frequency there, m."""
+        omega, softer = self.cases.omega, (GRAVITY / self.upward[:, -1])[:, None, None]
+        rest = self.at_modes[:, -1] / omega**2 * softer
+        return self.r[:, -1] + rest, self.rate[:, -1] / omega * np.sqrt(softer)
 
-    def left(self, seconds: float = 0.0, more: float = 0.0) -> float:
-        """m, no crest is higher from so many seconds after the end on, the tray at rest: both modes at their best.
-        more: m by which the linear waves may be higher."""
-        modes, amplitude = self.case.modes, (self.tail * self._fading(seconds)).sum(axis=0) + more
-        highest = self.case.modes.highest(amplitude + modes.half * np.abs(self.slope[-1]))
-        over = LEFT_OVER * (self._peak[1] + more) ** 3 / float(modes.half.min()) ** 2
-        return float(highest + np.sum(modes.peaking / modes.half * amplitude**2) + over)
+    def left(self, seconds: float = 0.0, more: Array | float = 0.0) -> Array:
+        """(K,) m, no crest is higher from so many seconds after the end on, the tray at rest: both modes at their best.
+        more: (K,) m by which the linear waves may be higher."""
+        which, more = self.cases, np.broadcast_to(more, len(self.r))
+        amplitude = (self.tail * self.fading(seconds)).sum(axis=1) + more[:, None]
+        highest = which.highest(amplitude + which.half * np.abs(self.slope[:, -1]))
+        over = LEFT_OVER * (self.peak[1] + more) ** 3 / which.half.min(axis=1) ** 2
+        return np.asarray(highest + (which.peaking / which.half * amplitude**2).sum(axis=1) + over)
 
     @cached_property
-    def _peak(self) -> tuple[int, float]:
-        """When the linear wave is highest during the motion, and how high, m: how far its phase can have drifted."""
-        heights = self.case.modes.highest(self.eta)
-        k = int(np.argmax(heights))
-        return k, float(heights[k])
+    def peak(self) -> tuple[Indices, Array]:
+        """(K,) when the linear wave is highest during the motion, and how high, m: how far its phase can have
+        drifted."""
+        heights = self.cases.highest(self.eta)
+        k = np.argmax(heights, axis=1)
+        return k, heights[np.arange(len(k)), k]
 
-    def _fading(self, seconds: float) -> Array:
-        return np.asarray(np.exp(-self.case.damping * self.case.modes.omega * seconds))
+    def fading(self, seconds: float) -> Array:
+        """(K, n_modes, 2) share of the waves that is left after so many seconds of rest."""
+        return np.asarray(np.exp(-0.5 * self.cases.kd * seconds))
 
     @cached_property
     def wrench(self) -> Array:
-        """(T, 6) what the container must give at E beyond what the liquid would need if a lid lay on it, N and N m."""
-        modes, force = self.case.modes, self.force
-        r, second = _turned(self.r, -self.spin), _turned(self.second, -self.spin)
-        pushed = np.einsum("na,tna->ta", modes.mass, second)
-        turned = np.einsum("na,tna->ta", modes.mass * modes.height, second)
-        hung = np.einsum("na,tna->ta", modes.mass, r)
-        out = np.zeros((len(r), 6))
-        out[:, :2] = pushed
-        out[:, 3] = hung[:, 1] * force[:, 2] - turned[:, 1]
-        out[:, 4] = turned[:, 0] - hung[:, 0] * force[:, 2]
-        out[:, 5] = hung[:, 0] * force[:, 1] - hung[:, 1] * force[:, 0]
-        return out @ self.case.to_E.T
-
-    # What else the tray feels ------------------------------------------------------------------------------------
-
-    def changed(self, dw: Array) -> Change:
-        """To first order, by changes dw (T, 12, c) of what the tray feels, before the motion too."""
-        modes, case, spun = self.case.modes, self.case, self._spun(dw)[:, None]
-        r, rate, second = self._pushed(dw, before=True)
-        force = np.einsum("ik,tkc->tic", case.at_O, dw)
-        lateral = np.moveaxis(self._still(np.moveaxis(force[:, :2], 1, 2)), 1, 2)
-        slope = (lateral - self.slope[:, :, None] * force[:, None, 2]) / self.upward[:, None, None]
-        slope += _across(self.slope)[:, :, None] * spun
-        eta = np.einsum("na,tnac->tac", modes.gain, r) - modes.rest_rise[:, None] * slope
-        left = np.einsum("na,nac->ac", modes.gain, np.hypot(r[-1], rate[-1] / modes.omega[..., None]))
-
-        def weighed(x: Array, dx: Array, mass: Array) -> tuple[Array, Array]:
-            """Sums over the modes in the container's axes, (T, 2, 1), and their changes (T, 2, c)."""
-            own = _turned(np.einsum("na,tna->ta", mass, x), -self.spin)
-            moved = _turned(np.moveaxis(np.einsum("na,tnac->tac", mass, dx), 1, 2), -self.spin)
-            return own[:, :, None], np.moveaxis(moved, 2, 1) - _across(own)[:, :, None] * spun
-
-        pushed = weighed(self.second, second, modes.mass)[1]
-        turned = weighed(self.second, second, modes.mass * modes.height)[1]
-        hung, hangs = weighed(self.r, r, modes.mass)
-        f = self.force[:, :, None]
-        out = np.empty((len(r), 6, dw.shape[2]))
-        out[:, :2], out[:, 2] = pushed, 0.0
-        out[:, 3] = hangs[:, 1] * f[:, 2] + hung[:, 1] * force[:, 2] - turned[:, 1]
-        out[:, 4] = turned[:, 0] - hangs[:, 0] * f[:, 2] - hung[:, 0] * force[:, 2]
-        out[:, 5] = hangs[:, 0] * f[:, 1] - hangs[:, 1] * f[:, 0] + hung[:, 0] * force[:, 1] - hung[:, 1] * force[:, 0]
-        thrown = TILTING / GRAVITY * self._wide**2 * np.einsum("k,tkc->tc", _TURNING, dw)
-        wrench = np.einsum("ij,tjc->tic", case.to_E, out)
-        return Change(eta, eta + modes.half[:, None] * slope, thrown, wrench, left)
-
-    # Derivatives, of rows (m,) at nodes (m,): by w at all nodes (m, T, 12), and by log T of the duration (m,) --------
-
-    def crest_by(self, node: Indices) -> tuple[Array, Array]:
-        """Of the crest."""
-        modes = self.case.modes
-        by_free = 2 * modes.peaking / modes.half * self.free[node]
-        return self._surface_by(node, self._steepest(self.eta[node]), by_free, TILTING / GRAVITY * self._wide**2)
-
-    def free_by(self, node: Indices) -> tuple[Array, Array]:
-        """Of the height of the free wave."""
-        return self._surface_by(node, np.zeros((len(node), 2)), self._steepest(self.free[node]), 0.0)
-
-    def _surface_by(self, node: Indices, by_eta: Array, by_free: Array, thrown: float) -> tuple[Array, Array]:
-        case, modes = self.case, self.case.modes
-        both, up = by_eta + by_free, self.upward[node, None]
-        by_slope = (by_free * modes.half - both * modes.rest_rise) / up
-        lateral = _turned(by_slope, -self.spin[node])
-        by_force = np.column_stack([lateral, -(by_slope * self.slope[node]).sum(axis=1)])
-        by_spin = self.upward[node] * (by_slope * _across(self.slope[node])).sum(axis=1)
-        by_r = modes.gain * both[:, None, :]
-        return self._back(node, by_r, np.zeros_like(by_r), by_force @ case.at_O + thrown * _TURNING, by_spin)
-
-    def _steepest(self, eta: Array) -> Array:
-        """Derivative of `Modes.highest`."""
-        if self.case.modes.round:
-            return np.asarray(eta / np.maximum(np.linalg.norm(eta, axis=-1, keepdims=True), 1e-12))
-        return np.sign(eta)
-
-    def left_by(self, seconds: float = 0.0) -> tuple[Array, Array]:
-        """Of `left`, one row; the tray's posture at the end is taken as given."""
-        modes, fading = self.case.modes, self._fading(seconds)
-        amplitude = (self.tail * fading).sum(axis=0)
-        slope = self._steepest(amplitude + modes.half * np.abs(self.slope[-1]))
-        slope = fading * modes.gain * (slope + 2 * modes.peaking / modes.half * amplitude)
-        away, speed = self._ending
-        size = np.maximum(np.hypot(away, speed), 1e-12)
-        to_speed = np.sqrt(GRAVITY / self.upward[-1]) / modes.omega
-        last = np.array([len(self.t) - 1])
-        by_r, by_rate = slope * away / size, slope * speed / size * to_speed
-        by_w, by_duration = self._back(last, by_r[None], by_rate[None], np.zeros((1, N_MOTION)), np.zeros(1))
-        k, peak = np.array([self._peak[0]]), self._peak[1]
-        more, longer = self._surface_by(k, self._steepest(self.eta[k]), np.zeros((1, 2)), 0.0)
-        steep = 3 * LEFT_OVER * peak**2 / float(modes.half.min()) ** 2
-        return by_w + steep * more, by_duration + steep * longer
-
-    def wrench_by(self, node: Indices, weight: Array) -> tuple[Array, Array]:
-        """Of weight (m, 6) . wrench."""
-        case, modes, force, spin = self.case, self.case.modes, self.force[node], self.spin[node]
-        r, second = _turned(self.r[node], -spin), _turned(self.second[node], -spin)
-        weight = weight @ case.to_E
-        across = weight[:, [4, 3]] * [1.0, -1.0]  # what turns along x is a moment about y
-        by_second = modes.mass * (weight[:, None, :2] + modes.height * across[:, None])
-        hanging = -across * force[:, 2:] + weight[:, 5:] * force[:, [1, 0]] * [1.0, -1.0]
-        stiff = modes.omega**2 / GRAVITY
-        by_hung = modes.mass * hanging[:, None]
-        by_spin = -(by_second * _across(second) + by_hung * _across(r)).sum(axis=(1, 2))
-        hung = np.einsum("na,mna->ma", modes.mass, r)
-        by_force = np.column_stack(
-            [-weight[:, 5] * hung[:, 1], weight[:, 5] * hung[:, 0], -(across * hung).sum(axis=1)]
-        )
-        by_force[:, 2] -= np.einsum("mna,mna->m", by_second, stiff * r)
-        by_w = by_force @ case.at_O - np.einsum("mna,nak->mk", by_second, case.at_mode)
-        by_second = _turned(by_second, spin)
-        by_r = _turned(by_hung, spin) - stiff * self.upward[node, None, None] * by_second
-        by_spin -= (by_second * _across(self._at_modes[node])).sum(axis=(1, 2))
-        return self._back(node, by_r, -case.kd * by_second, by_w, by_spin)
+        """(K, T, 6) what the container must give at E beyond what the liquid would need if a lid lay on it, N and
+        N m."""
+        which, force = self.cases, self.force
+        back = -self.spin[..., None]
+        r, second = turned(self.r, back), turned(self.second, back)
+        mass = which.mass[:, None]
+        pushed, hung = (mass * second).sum(axis=2), (mass * r).sum(axis=2)
+        tilted = (mass * which.height[:, None] * second).sum(axis=2)
+        out = np.zeros((*force.shape[:2], 6))
+        out[..., :2] = pushed
+        out[..., 3] = hung[..., 1] * force[..., 2] - tilted[..., 1]
+        out[..., 4] = tilted[..., 0] - hung[..., 0] * force[..., 2]
+        out[..., 5] = hung[..., 0] * force[..., 1] - hung[..., 1] * force[..., 0]
+        return out @ np.swapaxes(which.to_E, 1, 2)
 
     @cached_property
-    def _slower(self) -> tuple[Array, Array]:
-        """(T, n_modes, 2) derivative of r and r' by log T, where what the tray feels is the same in each share of it.
+    def slower(self) -> tuple[Array, Array]:
+        """(K, T, n_modes, 2) derivative of r and r' by log T, where what the tray feels is the same in each share of
+        it.
 
         In shares of T the equation reads x'' / T^2 + kd x' / T + kp x = d.
         """
-        more = 2 * self.second + self.case.kd * self.rate
-        turned = 2 * self.spin[:, None, None] * _across(self._at_modes)
-        r, rate, _ = self.respond((turned - more)[..., None])
+        more = 2 * self.second + self.cases.kd[:, None] * self.rate
+        spun = 2 * self.spin[..., None, None] * across(self.at_modes)
+        r, rate, _ = self.respond((spun - more)[..., None])
         return r[..., 0], rate[..., 0] - self.rate
 
-    def _back(self, node: Indices, by_r: Array, by_rate: Array, by_w: Array, by_spin: Array) -> tuple[Array, Array]:
-        """From derivatives (m, n_modes, 2) by r and r', (m, 12) by w itself and (m,) by the spin, at the rows' own
-        nodes."""
-        case, count, row = self.case, len(node), np.arange(len(node))
-        out = np.zeros((count, len(self.t), N_MOTION))
-        out[row, node] = by_w
-        softened, turned = np.zeros((2, len(self.t), count))
-        turned[node, row] = by_spin
-        for n, each in enumerate(self.filters):
-            driven = np.empty((len(self.t), count, 2))
-            for axis in range(2):
-                x, rate = np.zeros((2, len(self.t), count))
-                x[node, row], rate[node, row] = by_r[:, n, axis], by_rate[:, n, axis]
-                driven[..., axis] = each[axis].gradient(x, rate)
-            out -= np.einsum("tma,ak->mtk", _turned(driven, -self.spin), case.at_mode[n])
-            softened += np.einsum("tma,ta->tm", driven, case.modes.omega[n] ** 2 / GRAVITY * self.r[:, n])
-            turned -= np.einsum("tma,ta->tm", driven, _across(self._at_modes[:, n]))
-        out -= softened.T[:, :, None] * case.at_O[2]
-        slower = [np.einsum("mna,mna->m", by, x[node]) for by, x in zip((by_r, by_rate), self._slower, strict=True)]
-        if case.modes.round:
-            out[:, :, 5] += self._turning.gradient(turned, np.zeros_like(turned)).T
-        return out, slower[0] + slower[1] + 2 * self.spin[node] * by_spin
+    def changed(self, dw: Array) -> Change:
+        """To first order, by changes dw (T, 12, c) of what the tray feels, before the motion too."""
+        which, dw = self.cases, dw[None]
+        spun = self._spun(dw)[:, :, None]  # (1, T, 1, c)
+        r, rate, second = self._pushed(dw, before=True)
+        force = which.at_O[:, None] @ dw  # (K, T, 3, c)
+
+        def last(x: Array) -> Array:
+            return np.moveaxis(x, -2, -1)
+
+        lateral = last(turned(last(force[:, :, :2]), self.spin[:, :, None]))
+        slope = (lateral - self.slope[..., None] * force[:, :, 2:]) / self.upward[:, :, None, None]
+        slope += across(self.slope)[..., None] * spun
+        eta = np.einsum("kna,ktnac->ktac", which.gain, r) - which.rest_rise[:, None, :, None] * slope
+        left = np.einsum("kna,knac->kac", which.gain, np.hypot(r[:, -1], rate[:, -1] / which.omega[..., None]))
+
+        def weighed(x: Array, dx: Array, mass: Array) -> tuple[Array, Array]:
+            """Sums over the modes in the container's axes, (K, T, 2, 1), and their changes (K, T, 2, c)."""
+            own = turned((mass[:, None] * x).sum(axis=2), -self.spin)
+            moved = last(np.einsum("kna,ktnac->ktac", mass, dx))
+            return own[..., None], last(turned(moved, -self.spin[:, :, None])) - across(own)[..., None] * spun
+
+        pushed = weighed(self.second, second, which.mass)[1]
+        tilted = weighed(self.second, second, which.mass * which.height)[1]
+        hung, hangs = weighed(self.r, r, which.mass)
+        f = self.force[..., None]
+        out = np.zeros((*r.shape[:2], 6, dw.shape[-1]))
+        out[:, :, :2] = pushed
+        out[:, :, 3] = hangs[:, :, 1] * f[:, :, 2] + hung[:, :, 1] * force[:, :, 2] - tilted[:, :, 1]
+        out[:, :, 4] = tilted[:, :, 0] - hangs[:, :, 0] * f[:, :, 2] - hung[:, :, 0] * force[:, :, 2]
+        out[:, :, 5] = hangs[:, :, 0] * f[:, :, 1] - hangs[:, :, 1] * f[:, :, 0]
+        out[:, :, 5] += hung[:, :, 0] * force[:, :, 1] - hung[:, :, 1] * force[:, :, 0]
+        thrown = TILTING / GRAVITY * which.wide**2 * (TURNING @ dw)
+        wrench = which.to_E[:, None] @ out
+        return Change(eta, eta + which.half[:, None, :, None] * slope, thrown, wrench, left)
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
     """What c changes of what the tray feels make of waves, to first order.
 
-    eta, free: (T, 2, c) of the waves' heights along both axes, m. thrown: (T, c) of what tilting throws up, m. wrench:
-    (T, 6, c) at E. left: (2, c) of what is left at the end, an amplitude, m.
+    eta, free: (K, T, 2, c) of the waves' heights along both axes, m. thrown: (1, T, c) of what tilting throws up, m.
+    wrench: (K, T, 6, c) at E. left: (K, 2, c) of what is left at the end, an amplitude, m.
     """
 
     eta: Array
@@ -454,13 +442,12 @@ class Change:
     left: Array
 
 
-def _turned(x: Array, angle: Array) -> Array:
-    """Vectors (T, ..., 2) turned by angles (T,), rad."""
-    shape = (-1, *(1,) * (x.ndim - 2))
-    c, s = np.cos(angle).reshape(shape), np.sin(angle).reshape(shape)
+def turned(x: Array, angle: Array) -> Array:
+    """Vectors (..., 2) turned by angles (...), rad."""
+    c, s = np.cos(angle), np.sin(angle)
     return np.stack([c * x[..., 0] - s * x[..., 1], s * x[..., 0] + c * x[..., 1]], axis=-1)
 
 
-def _across(x: Array) -> Array:
-    """Derivative of `_turned` by the angle: turned by a quarter."""
+def across(x: Array) -> Array:
+    """Derivative of `turned` by the angle: turned by a quarter."""
     return np.stack([-x[..., 1], x[..., 0]], axis=-1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -21,11 +21,11 @@ from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import AT_NODES, KeepOut
-from salver.sensitivity.sloshing import Sloshed
+from salver.sensitivity.sloshing import Sloshed, of_parts
+from salver.sensitivity.wave_gradients import Pulled, crest_by, free_by, left_by
 from salver.sensitivity.waves import Waves
 
 Gradient = Callable[[Indices, Indices], Array]
-Pulled = tuple[Array, Array]
 History = Callable[[Indices, Indices], Pulled]
 
 FINEST = 1e-4  # of a limit, for what may happen between the points of the check
@@ -35,6 +35,7 @@ REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves wha
 CONTACT_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
 JOINING = 3  # times as many may join, where a step led beyond rows that had been left out
 UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
+WAVE_ROWS = 2  # cases of a liquid at one node: those of a fill and a damping are much alike
 WAVE_MARGIN = 5e-3  # of the room of a liquid, kept at nodes: between them waves are driven by what was interpolated
 INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
 
@@ -281,47 +282,43 @@ class Brim(Constraint):
     body: Body
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
-        found = motion.sloshing[self.body.name]
-        waves, last = [case.waves for case in found], motion.nodes[-1:]
-        liquid = waves[0].case.liquid
+        parts, last = motion.sloshing[self.body.name], motion.nodes[-1:]
+        which = [part.waves.cases for part in parts]
+        liquid = which[0].liquid
 
-        def block(part: str, values: list[Array], scale: list[float], by: Callable[[int, Indices], Pulled]) -> Block:
+        def block(name: str, values: Array, scale: Array, by: Callable[[Waves, Indices, Indices], Pulled]) -> Block:
+            """values (K, N) and their scale (K,), cases part after part."""
+
             def history(i: Indices, f: Indices) -> Pulled:
                 by_w, by_duration = np.zeros((len(i), *motion.terms.w.shape)), np.zeros(len(i))
-                for k, size in enumerate(scale):
-                    mine = np.flatnonzero(f == k)
-                    if len(mine):
-                        by_w[mine], by_duration[mine] = (x / size for x in by(k, i[mine]))
-                return by_w, by_duration
+                for part, case, mine in of_parts(parts, f):
+                    by_w[mine], by_duration[mine] = by(part.waves, case, i[mine])
+                return by_w / scale[f, None, None], by_duration / scale[f]
 
-            rows = np.stack([x / size - 1 for x, size in zip(values, scale, strict=True)], axis=1)
-            points = last if len(rows) == 1 else motion.nodes
-            name = f"{part} in {self.body.name}"
-            return Block(name, rows, _nothing(motion.n), points, (WAVE_MARGIN, FINEST), history=history)
+            rows, ending = (values / scale[:, None] - 1).T, values.shape[1] == 1
+            margins = (WAVE_MARGIN, FINEST)
+            points = last if ending else motion.nodes
+            most = None if ending else WAVE_ROWS
+            return Block(name, rows, _nothing(motion.n), points, margins, history=history, most=most)
 
-        yield block(
-            "steepness",
-            [x.free_height for x in found],
-            [x.case.steepest for x in waves],
-            lambda k, i: waves[k].free_by(i),
-        )
-        room = [x.case.room for x in waves]
-        ends = [(0.0, "waves left", room), (liquid.within, "settled waves", [liquid.settled] * len(waves))]
+        def joined(values: Iterable[Array]) -> Array:
+            return np.concatenate(list(values))
+
+        name, room = self.body.name, joined(x.room for x in which)
+        steepest = joined(x.steepest for x in which)
+        yield block(f"steepness in {name}", joined(x.free_height for x in parts), steepest, free_by)
         if np.isfinite(room).all():
-            yield block("waves", [x.crest for x in found], room, lambda k, i: waves[k].crest_by(i))
-        for seconds, part, limit in ends:
+            yield block(f"waves in {name}", joined(x.crest for x in parts), room, crest_by)
+        ends = [(0.0, f"waves left in {name}", room)]
+        ends += [(liquid.within, f"settled waves in {name}", np.full(len(room), liquid.settled))]
+        for seconds, said, limit in ends:
             if np.isfinite(limit).all():
-                left = [np.array([x.left(seconds)]) for x in found]
-                yield block(part, left, limit, partial(_left_by, waves, seconds))
+                left = joined(x.left(seconds) for x in parts)[:, None]
+                yield block(said, left, limit, lambda waves, case, i, after=seconds: left_by(waves, case, after))
 
 
 def _nothing(n: int) -> Gradient:
     return lambda i, f: np.zeros((len(i), 4 * n))
-
-
-def _left_by(waves: list[Waves], seconds: float, k: int, i: Indices) -> Pulled:
-    by_w, by_duration = waves[k].left_by(seconds)
-    return np.repeat(by_w, len(i), axis=0), np.repeat(by_duration, len(i))
 
 
 @dataclass(frozen=True)

@@ -22,17 +22,16 @@ EASING = 0.25  # of a motion that begins moving: over this share of it margins g
 
 
 def sloshes(several: Sequence[Case], t: Array, w: Array, response: Deviation | None) -> tuple[Slosh, ...]:
-    """Cases along what the tray feels, w (T, 12), at t (T,): as planned, and with what the arm makes of it."""
-    found = [Slosh.of(waves) for waves in along(several, t, w)]
+    """Cases of one liquid along what the tray feels, w (T, 12), at t (T,): as planned, and with what the arm makes of
+    it."""
+    planned = Slosh.of(along(several, t, w))
     if response is None:
-        return tuple(found)
+        return (planned,)
     felt, drift = response.felt()
-    for planned in tuple(found):
-        # The arm gives way to what the waves push, and the waves are then others: twice round is enough.
-        reaction = response.reaction(planned.wrench)
-        reaction = response.reaction(planned.waves.shifted(felt - w + reaction).wrench)
-        found.append(Slosh.of(planned.waves.shifted(felt - w + reaction), reaction, drift.dw))
-    return tuple(found)
+    # The arm gives way to what the waves push, and the waves are then others: twice round is enough.
+    reaction = response.reaction(planned.wrench)
+    reaction = response.reaction(planned.waves.shifted(felt - w + reaction).wrench)
+    return planned, Slosh.of(planned.waves.shifted(felt - w + reaction), reaction, drift.dw)
 
 
 @dataclass(frozen=True, eq=False)

@@ -140,9 +140,9 @@ def with_missed_cases(problem: TransportProblem, motion: Evaluation) -> Transpor
     for known in problem.liquids:
         body, here = known[0].body, {(case.fill, case.damping) for case in known}
         others = [x for x in cases(body, uncertain, VERDICT_APART) if (x.fill, x.damping) not in here]
-        dry = sloshes(others, t, motion.terms.w, motion.response) if others else ()
-        wet = {x.waves.case for x in dry if Spill.of(body.name, [x]).slack.min() < SURELY_DRY}
-        found.append((*known, *(case for case in others if case in wet)))
+        parts = sloshes(others, t, motion.terms.w, motion.response) if others else ()
+        spilt = [Spill.of(body.name, [part.only(k) for part in parts]) for k in range(len(others))]
+        found.append((*known, *(c for c, x in zip(others, spilt, strict=True) if x.slack.min() < SURELY_DRY)))
     return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
 
 

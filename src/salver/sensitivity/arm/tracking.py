@@ -99,11 +99,11 @@ class Deviation:
     law: Law
 
     def reaction(self, wrench: Array) -> Array:
-        """(T, 12) how what the tray feels changes, to first order, when the load needs a wrench (T, 6) at E beyond what
-        the controller knows of."""
-        pushed = np.einsum("tij,ti->tj", self.terms.jacobian, wrench)
-        missing = np.linalg.solve(self.terms.mass_matrix, pushed[:, :, None])
-        return self.law(missing, np.zeros(1))[1].w[:, :, 0]
+        """(K, T, 12) how what the tray feels changes, to first order, when the load needs wrenches (K, T, 6) at E
+        beyond what the controller knows of."""
+        pushed = np.swapaxes(self.terms.jacobian, 1, 2) @ np.moveaxis(wrench, 0, 2)
+        missing = np.linalg.solve(self.terms.mass_matrix, pushed)
+        return np.moveaxis(self.law(missing, np.zeros(len(wrench)))[1].w, 2, 0)
 
     def felt(self, held: bool = True) -> tuple[Array, Drift]:
         """w (T, 12) at nominal parameters, and how the others change it."""
