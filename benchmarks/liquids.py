@@ -41,17 +41,17 @@ def rows() -> Iterator[str]:
     ):
         for fill in (0.035, 0.05, 0.065):
             for duration in (1.6, 1.4, 1.25, 1.1, 1.0):
-                case, t = Case.of(scenario.payload.first, fill, 0.005), np.linspace(0, duration, 201)
+                case, t = Case(scenario.payload.first, fill, 0.005), np.linspace(0, duration, 201)
                 w = np.tile(at_rest(), (len(t), 1))
                 w[:, 0] = [push(duration, x) for x in t]
                 waves, times = case.along(t, w), np.arange(0, duration + 0.5, 0.0015)
                 with np.errstate(all="ignore"):
                     seen = simulate(basis, fill, lambda x, T=duration: (push(T, x), 9.81), times, 0.005)
                 during, after = seen[times <= duration].max(), seen[times > duration].max()
-                cells = [waves.crest.max(), during, waves.left(), after]
+                cells = [waves.crest.max(), during, waves.left()[0], after]
                 shown = [f"{1e3 * x:.1f}" if np.isfinite(x) and x < 0.05 else "–" for x in cells]
                 ratio = f"{waves.crest.max() / during:.2f}" if shown[1] != "–" else "–"
-                steep = f"{0.3 * waves.free_height.max() / case.steepest:.2f}"
+                steep = f"{0.3 * waves.free_height.max() / waves.cases.steepest[0]:.2f}"
                 yield f"| {name}, {1e3 * fill:.0f} mm | {duration} | {steep} | {' | '.join(shown)} | {ratio} |"
 
 

@@ -17,7 +17,7 @@ from salver.models.liquid import Liquid, damping_of
 from salver.models.tray_motion import at_rest
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.sensitivity.sloshing import Liquids, Slosh, Spill
-from salver.sensitivity.wave_gradients import crest_by, free_by, left_by, wrench_by
+from salver.sensitivity.wave_gradients import wrench_by
 from salver.sensitivity.waves import Case, Cases, Waves, along, cases
 from salver.simulation import outcome
 
@@ -129,12 +129,12 @@ def test_filter_agrees_with_the_equations_integrated(coffee, yaw):
 
 
 def _functions(waves: Waves, node, weight):
-    case = np.arange(len(node)) % 2
+    case, dry = np.arange(len(node)) % 2, Slosh.of(waves)
     return {
-        "crest": (waves.crest[case, node], lambda: crest_by(waves, case, node)),
-        "free": (waves.free_height[case, node], lambda: free_by(waves, case, node)),
+        "crest": (waves.crest[case, node], lambda: dry.crest_by(case, node)),
+        "free": (waves.free_height[case, node], lambda: dry.free_by(case, node)),
         "wrench": (np.sum(weight * waves.wrench[case, node], axis=1), lambda: wrench_by(waves, case, node, weight)),
-        "left": (waves.left(0.2), lambda: left_by(waves, np.arange(2), 0.2)),
+        "left": (waves.left(0.2), lambda: dry.left_by(np.arange(2), 0.2)),
     }
 
 
@@ -216,7 +216,7 @@ def test_worst_case_bounds_waves_at_every_corner(coffee):
     """What is uncertain, as small as first order needs: no corner is higher, and some corner nearly is."""
     case, t = Case(coffee.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
     dw = 1e-3 * np.random.default_rng(3).normal(size=(12, 3)) * np.cos(np.outer(t, [2, 5, 9]))[:, None, :]
-    here = Slosh.of(case.along(t, shaken(t)), dw=dw)
+    here = Slosh.given_way(case.along(t, shaken(t)), None, np.zeros(0), dw)
     corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     crests = np.array([case.along(t, shaken(t) + dw @ corner).crest[0] for corner in corners]).max(axis=0)
     assert (crests < here.crest[0] + 2e-6).all()
@@ -373,3 +373,26 @@ def test_what_is_not_known_of_a_liquid_is_said_first(coffee):
     boxed = made.with_changes(**BOX).payload.unmodelled
     assert boxed[0].endswith("when it turns about its upright axis")
     assert not sv.load_scenario("panda-cube").payload.unmodelled
+
+
+def test_how_the_arm_gives_way_is_transposed_exactly(coffee):
+    """<h, R u> = <R' h, u> of what waves push, and of what a wrong load makes of w; single parameters, from rest."""
+    problem, rng = transport_problem(coffee), np.random.default_rng(4)
+    s = np.linspace(0, 1, 61)
+    q = problem.start_posture + np.outer(s**3 * (10 - 15 * s + 6 * s**2), [0.3, 0.2, 0.0, 0.2, 0.1, 0.0, 0.1])
+    rates = [np.gradient(q, s, axis=0)]
+    for _ in range(2):
+        rates.append(np.gradient(rates[-1], s, axis=0))
+    motion = problem.at(s, np.stack([q, *rates]), 1.0)
+    giving = motion.response
+    assert giving is not None
+    weight, pushed = rng.normal(size=(2, 61, 12)), rng.normal(size=(2, 61, 6))
+    by_wrench = giving.reaction_by(weight)
+    given = giving.reaction(pushed)
+    np.testing.assert_allclose(np.sum(by_wrench * pushed, axis=(1, 2)), np.sum(weight * given, axis=(1, 2)), rtol=1e-9)
+    n_p, dw = giving.load.uncertain.size, rng.normal(size=(61, 12))
+    share = rng.normal(size=(2, n_p))
+    each = giving.load.load_p[:n_p] * giving.load.half_range[:n_p, None, None]
+    made = giving.reaction(np.einsum("mp,pij,tj->mti", share, each, dw))
+    found = np.einsum("mtj,tj->m", giving.wrong_load_by(by_wrench, share), dw)
+    np.testing.assert_allclose(found, np.sum(weight * made, axis=(1, 2)), rtol=1e-9)

@@ -59,7 +59,8 @@ class InterfaceMargins:
         wrench_E = self.whole.w @ np.einsum("jik,jkw->iw", network.share[self.index], np.array(required)).T
         for j, body in enumerate(network.bodies):
             if self.whole.liquids is not None and body.liquid is not None:
-                wrench_E = wrench_E + self.whole.liquids.nominal[body.name][0].wrench[0] @ network.share[self.index, j].T
+                slosh = self.whole.liquids.nominal[body.name][0].wrench[0]
+                wrench_E = wrench_E + slosh @ network.share[self.index, j].T
         if not network.determinate:
             wrench_E = wrench_E + self.whole.nominal_values[self.network][1] @ network.internal[self.index].T
         upper = network.bodies[self.interface.upper]

@@ -11,39 +11,48 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
+from salver.models.liquid import GRAVITY, LEFT_OVER, TILTING
 from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
-from salver.sensitivity.wave_gradients import wrench_by
-from salver.sensitivity.waves import VERDICT_APART, Indices, Waves, along, cases
+from salver.models.tray_motion import N_MOTION
+from salver.sensitivity.arm.tracking import Deviation
+from salver.sensitivity.wave_gradients import Pulled, at_node, surface_by, wrench_by, wrenches_by
+from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Waves, along, cases
 
 
 @dataclass(frozen=True, eq=False)
 class Slosh:
     """What K cases of a liquid do along a motion of T instants.
 
-    wrench: (K, T, 6) of `Waves`. reaction: (K, T, 12) by which what the tray feels changes because the arm gives way to
-    it. spread: (K, T, 6, n_c) change of the wrench per half-range of each term of what is uncertain. higher: (K, T) m,
-    by which the crest may be higher for all these, but for what a steeper free wave makes of it; freer: (K, T, 2) m, by
-    which that may be higher; more_left: (K,) m, what is left at the end.
+    wrench: (K, T, 6) of `Waves`. giving: how the arm gives way, None for one that follows exactly; the rest is what
+    comes of that. reaction: (K, T, 12) by which what the tray feels changes. change: of the waves, per half-range of
+    each of n_c terms of what is uncertain. higher: (K, T) m, by which the crest may be higher for all these, but for
+    what a steeper free wave makes of it; freer: (K, T, 2) m, by which that may be higher; more_left: (K,) m, what is
+    left at the end.
     """
 
     waves: Waves
     wrench: Array
+    giving: Deviation | None = None
     reaction: Array | None = None
-    spread: Array | None = None
+    change: Change | None = None
     higher: Array | float = 0.0
     freer: Array | float = 0.0
     more_left: Array | float = 0.0
 
     @classmethod
-    def of(cls, waves: Waves, reaction: Array | None = None, dw: Array | None = None) -> Slosh:
+    def of(cls, waves: Waves) -> Slosh:
+        """On a tray that follows its motion exactly."""
+        return cls(waves, waves.wrench)
+
+    @classmethod
+    def given_way(cls, waves: Waves, giving: Deviation, reaction: Array, dw: Array) -> Slosh:
         """dw: (T, 12, n_c) change of what the tray feels."""
-        if dw is None:
-            return cls(waves, waves.wrench, reaction)
         change, highest = waves.changed(dw), waves.cases.highest
         higher = (highest(np.moveaxis(change.eta, 2, 3)) + np.abs(change.thrown)).sum(axis=2)
         more = highest(np.moveaxis(change.left, 1, 2)).sum(axis=1)
-        return cls(waves, waves.wrench, reaction, change.wrench, higher, np.abs(change.free).sum(axis=3), more)
+        freer = np.abs(change.free).sum(axis=3)
+        return cls(waves, waves.wrench, giving, reaction, change, higher, freer, more)
 
     @property
     def crest(self) -> Array:
@@ -69,7 +78,78 @@ class Slosh:
         higher, freer, more = (
             x if np.ndim(x) == 0 else np.asarray(x)[some] for x in (self.higher, self.freer, self.more_left)
         )
-        return Slosh(self.waves.only(k), self.wrench[some], None, None, higher, freer, more)
+        return Slosh(self.waves.only(k), self.wrench[some], higher=higher, freer=freer, more_left=more)
+
+    # Derivatives of rows (m,), as in `wave_gradients` ---------------------------------------------------------------
+
+    def crest_by(self, case: Indices, node: Indices) -> Pulled:
+        """Of the crest."""
+        waves, which = self.waves, self.waves.cases
+        curve, free = which.peaking[case] / which.half[case], waves.free[case, node]
+        freer = np.zeros_like(free) if self.change is None else np.asarray(self.freer)[case, node]
+        by_free = 2 * curve * (free + freer * np.sign(free))
+        found = surface_by(
+            waves, case, node, which.steepest_by(waves.eta[case, node]), by_free, TILTING / GRAVITY * which.wide**2
+        )
+        if self.change is None:
+            return found
+        each = np.moveaxis(self.change.eta[case, node], 1, 2)  # (m, n_c, 2)
+        sign = np.sign(np.moveaxis(self.change.free[case, node], 1, 2))
+        share = which.steepest_by(each) + (2 * curve * (np.abs(free) + freer))[:, None] * sign
+        return self._given_way(case, found, _along(share, which.steepest_by(waves.eta[case, node]) + by_free))
+
+    def free_by(self, case: Indices, node: Indices) -> Pulled:
+        """Of the height of the free wave."""
+        which, free = self.waves.cases, self.waves.free[case, node]
+        found = surface_by(self.waves, case, node, np.zeros((len(node), 2)), which.steepest_by(free), 0.0)
+        if self.change is None:
+            return found
+        freer = which.steepest_by(np.asarray(self.freer)[case, node])
+        share = freer[:, None] * np.sign(np.moveaxis(self.change.free[case, node], 1, 2))
+        return self._given_way(case, found, _along(share, which.steepest_by(free)))
+
+    def left_by(self, case: Indices, seconds: float = 0.0) -> Pulled:
+        """Of what is left; the tray's posture at the end is taken as given."""
+        waves, which, m = self.waves, self.waves.cases, len(case)
+        last, more = np.full(m, len(waves.t) - 1), np.broadcast_to(self.more_left, len(which.each))[case]
+        fading, half = waves.fading(seconds)[case], which.half[case]
+        amplitude = (waves.tail[case] * fading).sum(axis=1) + more[:, None]
+        by_amplitude = which.steepest_by(amplitude + half * np.abs(waves.slope[case, -1]))
+        by_amplitude = by_amplitude + 2 * which.peaking[case] / half * amplitude
+        to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
+        away, speed = (x[case] for x in waves.ending)
+        by_size = fading * which.gain[case] * by_amplitude[:, None] / np.maximum(np.hypot(away, speed), 1e-12)
+        nothing = np.zeros((m, N_MOTION))
+        ending = at_node(waves, case, last, by_size * away, by_size * speed * to_speed, nothing, nothing[:, 0])
+        k, peak = waves.peak[0][case], waves.peak[1][case]
+        steep = 3 * LEFT_OVER * (peak + more) ** 2 / half.min(axis=1) ** 2
+        steepest = which.steepest_by(waves.eta[case, k])
+        before = surface_by(waves, case, k, steepest, np.zeros((m, 2)), 0.0)
+        found = (ending[0] + steep[:, None, None] * before[0], ending[1] + steep * before[1])
+        if self.change is None:
+            return found
+        change = np.stack(self.change.ending, axis=1)[case]  # (m, 2, n_modes, 2, n_c): r and r' / omega
+        each = np.moveaxis(which.steepest_by(np.moveaxis(self.change.left[case], 1, 2)), 1, 2)  # (m, 2, n_c)
+        share = which.gain[case][:, None, :, :, None] * each[:, None, None] * change
+        share /= np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-12)
+        share *= (by_amplitude.sum(axis=1) + steep)[:, None, None, None, None]
+        own = np.stack([by_size * away, by_size * speed * to_speed * which.omega[case]], axis=1)
+        counted = np.swapaxes(share.reshape(m, -1, share.shape[-1]), 1, 2)
+        return self._given_way(case, found, _along(counted, own.reshape(m, -1)))
+
+    def _given_way(self, case: Indices, found: Pulled, share: Array) -> Pulled:
+        """With how the arm gives way: to the waves, once round, and to what is uncertain of its load, of which the
+        rows feel `share` (m, n_c) times as much as they feel of what is planned."""
+        assert self.giving is not None
+        by_wrench = self.giving.reaction_by(found[0])
+        by_w = found[0] + wrenches_by(self.waves, case, by_wrench) + self.giving.wrong_load_by(by_wrench, share)
+        return by_w, found[1]
+
+
+def _along(changes: Array, own: Array) -> Array:
+    """(m, n_c) share that changes (m, n_c, d) have along derivatives (m, d) by the same quantities: what lies across
+    those is left out of derivatives, for waves run mostly one way."""
+    return np.asarray((changes @ own[:, :, None])[..., 0] / np.maximum((own**2).sum(axis=1), 1e-12)[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +160,13 @@ class Sloshed:
     rows: ContactRows
     liquids: list[tuple[int | None, tuple[Slosh, ...]]]
     values: Array
-    worst: list[Array]
+    worst: list[Indices]
 
     @classmethod
     def of(cls, rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]]) -> Sloshed:
         """sloshing: the cases of each liquid, in parts, by the name of its body."""
         index = {body.name: j for j, body in enumerate(rows.network.bodies)}
-        total, chosen, liquids = np.zeros((1, 1)), [], []
+        total, chosen, liquids = np.zeros((1, 1)), list[Indices](), []
         for name, sloshes in sloshing.items():
             j = index.get(name)
             each = (added for part in sloshes for added in _added(part, rows, j))
@@ -136,8 +216,8 @@ def _added(part: Slosh, rows: ContactRows, j: int | None) -> Iterator[Array]:
             added += part.reaction[k] @ rows.nominal.T
         if j is not None:
             added += wrench @ rows.wrench[j].T
-            if part.spread is not None:
-                spread = np.ascontiguousarray(np.moveaxis(part.spread[k], 2, 1))  # (T, n_c, 6)
+            if part.change is not None:
+                spread = np.ascontiguousarray(np.moveaxis(part.change.wrench[k], 2, 1))  # (T, n_c, 6)
                 added += np.abs(spread @ rows.wrench[j].T).sum(axis=1)
         yield added
 

@@ -88,14 +88,11 @@ class Cases:
         body, modes = each[0].body, [case.modes for case in each]
         at_O, at_mode, to_E = [], [], []
         for case, own in zip(each, modes, strict=True):
-            O_B = body.surface_B(case.fill)
-            at_O.append(frame_map(body.p_EB + body.R_EB @ O_B, body.R_EB)[:3])
-            felt = [
-                [frame_map(body.p_EB + body.R_EB @ (O_B + [0.0, 0.0, z]), body.R_EB)[axis] for axis, z in enumerate(zs)]
-                for zs in own.height
-            ]
-            at_mode.append(np.array(felt))
-            to_E.append(to_tray(body.p_EB + body.R_EB @ O_B, body.R_EB))
+            O_E = body.p_EB + body.R_EB @ body.surface_B(case.fill)
+            at_O.append(frame_map(O_E, body.R_EB)[:3])
+            maps = [[frame_map(O_E + z * body.R_EB[:, 2], body.R_EB) for z in heights] for heights in own.height]
+            at_mode.append(np.array([[x[0], y[1]] for x, y in maps]))
+            to_E.append(to_tray(O_E, body.R_EB))
         damping = np.array([case.damping for case in each])
         omega, half = np.stack([m.omega for m in modes]), np.stack([m.half for m in modes])
         return cls(
@@ -231,9 +228,7 @@ class Waves:
         """The waves of w + dw (K, T, 12), to first order in dw, which begins with the motion."""
         w, change = self.w + dw, self._pushed(dw[..., None], before=False)
         spin = _spin(self.cases, self.turning, w)
-        other = replace(
-            self, w=w, upward=_upward(self.cases, w), spin=spin, at_modes=_at_modes(self.cases, w, spin)
-        )
+        other = replace(self, w=w, upward=_upward(self.cases, w), spin=spin, at_modes=_at_modes(self.cases, w, spin))
         return other.moved(*(x + dx[..., 0] for x, dx in zip((self.r, self.rate, self.second), change, strict=True)))
 
     @cached_property
@@ -404,7 +399,8 @@ class Waves:
         slope = (lateral - self.slope[..., None] * force[:, :, 2:]) / self.upward[:, :, None, None]
         slope += across(self.slope)[..., None] * spun
         eta = np.einsum("kna,ktnac->ktac", which.gain, r) - which.rest_rise[:, None, :, None] * slope
-        left = np.einsum("kna,knac->kac", which.gain, np.hypot(r[:, -1], rate[:, -1] / which.omega[..., None]))
+        ending = r[:, -1], rate[:, -1] / which.omega[..., None]
+        left = np.einsum("kna,knac->kac", which.gain, np.hypot(*ending))
 
         def weighed(x: Array, dx: Array, mass: Array) -> tuple[Array, Array]:
             """Sums over the modes in the container's axes, (K, T, 2, 1), and their changes (K, T, 2, c)."""
@@ -424,7 +420,7 @@ class Waves:
         out[:, :, 5] += hung[:, :, 0] * force[:, :, 1] - hung[:, :, 1] * force[:, :, 0]
         thrown = TILTING / GRAVITY * which.wide**2 * (TURNING @ dw)
         wrench = which.to_E[:, None] @ out
-        return Change(eta, eta + which.half[:, None, :, None] * slope, thrown, wrench, left)
+        return Change(eta, eta + which.half[:, None, :, None] * slope, thrown, wrench, left, ending)
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,7 +428,8 @@ class Change:
     """What c changes of what the tray feels make of waves, to first order.
 
     eta, free: (K, T, 2, c) of the waves' heights along both axes, m. thrown: (1, T, c) of what tilting throws up, m.
-    wrench: (K, T, 6, c) at E. left: (K, 2, c) of what is left at the end, an amplitude, m.
+    wrench: (K, T, 6, c) at E. left: (K, 2, c) of what is left at the end, an amplitude, m; ending: of
+    each mode (K, n_modes, 2, c), as in `Waves`.
     """
 
     eta: Array
@@ -440,6 +437,7 @@ class Change:
     thrown: Array
     wrench: Array
     left: Array
+    ending: tuple[Array, Array]
 
 
 def turned(x: Array, angle: Array) -> Array:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -21,9 +21,8 @@ from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import AT_NODES, KeepOut
-from salver.sensitivity.sloshing import Sloshed, of_parts
-from salver.sensitivity.wave_gradients import Pulled, crest_by, free_by, left_by
-from salver.sensitivity.waves import Waves
+from salver.sensitivity.sloshing import Slosh, Sloshed, of_parts
+from salver.sensitivity.wave_gradients import Pulled
 
 Gradient = Callable[[Indices, Indices], Array]
 History = Callable[[Indices, Indices], Pulled]
@@ -36,6 +35,8 @@ CONTACT_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone h
 JOINING = 3  # times as many may join, where a step led beyond rows that had been left out
 UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
 WAVE_ROWS = 2  # cases of a liquid at one node: those of a fill and a damping are much alike
+SLOSH_REACH = 0.05  # of the weight: nearer than this, contact rows have the derivatives of the slosh in them
+WAVE_REACH = 0.1  # of the room of a liquid: rows further from their edge are left out of a programme
 WAVE_MARGIN = 5e-3  # of the room of a liquid, kept at nodes: between them waves are driven by what was interpolated
 INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
 
@@ -53,11 +54,12 @@ class Block:
     by log T at fixed z, for rows in which the duration itself occurs.
     history: of rows that depend on what the tray felt at other nodes too: derivatives by w at all nodes of the motion,
     (r, T, 12), and by log T at fixed w, (r,); beside the gradient.
+    remembers: rows further than this from their edge are taken to have none: it is what costs most.
     slows: by how much longer a motion, relatively, is put right for each unit of excess.
     reach: rows further than this from their edge are never considered, because their derivatives are expensive.
     most: rows of one node that are considered; None for all. always: rows are considered however far away.
-    kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one. Such rows
-    depend on postures alone.
+    kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one, or turn
+    quickly, as those of the height of a wave that may come from any side.
     inherits: whether the first node's rows are of the state that the motion begins in, and so cannot be changed.
     """
 
@@ -70,6 +72,7 @@ class Block:
     following: Gradient | None = None
     by_duration: Array | None = None
     history: History | None = None
+    remembers: float = np.inf
     slows: float = 1.5
     reach: float = np.inf
     most: int | None = None
@@ -271,7 +274,9 @@ class Contact(Constraint):
         carried = " and ".join(body.name for body in self.rows.network.bodies)
         margins = (self.margin + 1e-3, max(self.margin, FINEST))
         name = f"contact of {carried}"
-        yield Block(name, values, gradient, motion.nodes, margins, most=CONTACT_ROWS, history=history)
+        yield Block(
+            name, values, gradient, motion.nodes, margins, most=CONTACT_ROWS, history=history, remembers=SLOSH_REACH
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,35 +291,39 @@ class Brim(Constraint):
         which = [part.waves.cases for part in parts]
         liquid = which[0].liquid
 
-        def block(name: str, values: Array, scale: Array, by: Callable[[Waves, Indices, Indices], Pulled]) -> Block:
+        def block(name: str, values: Array, scale: Array, by: Callable[[Slosh, Indices, Indices], Pulled]) -> Block:
             """values (K, N) and their scale (K,), cases part after part."""
 
             def history(i: Indices, f: Indices) -> Pulled:
                 by_w, by_duration = np.zeros((len(i), *motion.terms.w.shape)), np.zeros(len(i))
                 for part, case, mine in of_parts(parts, f):
-                    by_w[mine], by_duration[mine] = by(part.waves, case, i[mine])
+                    by_w[mine], by_duration[mine] = by(part, case, i[mine])
                 return by_w / scale[f, None, None], by_duration / scale[f]
 
-            rows, ending = (values / scale[:, None] - 1).T, values.shape[1] == 1
-            margins = (WAVE_MARGIN, FINEST)
-            points = last if ending else motion.nodes
-            most = None if ending else WAVE_ROWS
-            return Block(name, rows, _nothing(motion.n), points, margins, history=history, most=most)
+            rows, margins, nothing = (values / scale[:, None] - 1).T, (WAVE_MARGIN, FINEST), _nothing(motion.n)
+            if len(rows) == 1:
+                return Block(name, rows, nothing, last, margins, history=history, kinked=True)
+            whole = Block(name, rows, nothing, motion.nodes, margins, history=history, kinked=True)
+            return replace(whole, most=WAVE_ROWS, reach=WAVE_REACH)
 
         def joined(values: Iterable[Array]) -> Array:
             return np.concatenate(list(values))
 
         name, room = self.body.name, joined(x.room for x in which)
         steepest = joined(x.steepest for x in which)
-        yield block(f"steepness in {name}", joined(x.free_height for x in parts), steepest, free_by)
+        yield block(f"steepness in {name}", joined(x.free_height for x in parts), steepest, Slosh.free_by)
         if np.isfinite(room).all():
-            yield block(f"waves in {name}", joined(x.crest for x in parts), room, crest_by)
+            yield block(f"waves in {name}", joined(x.crest for x in parts), room, Slosh.crest_by)
         ends = [(0.0, f"waves left in {name}", room)]
         ends += [(liquid.within, f"settled waves in {name}", np.full(len(room), liquid.settled))]
         for seconds, said, limit in ends:
             if np.isfinite(limit).all():
                 left = joined(x.left(seconds) for x in parts)[:, None]
-                yield block(said, left, limit, lambda waves, case, i, after=seconds: left_by(waves, case, after))
+                yield block(said, left, limit, partial(_left_by, seconds))
+
+
+def _left_by(seconds: float, part: Slosh, case: Indices, node: Indices) -> Pulled:
+    return part.left_by(case, seconds)
 
 
 def _nothing(n: int) -> Gradient:

@@ -31,7 +31,7 @@ def sloshes(several: Sequence[Case], t: Array, w: Array, response: Deviation | N
     # The arm gives way to what the waves push, and the waves are then others: twice round is enough.
     reaction = response.reaction(planned.wrench)
     reaction = response.reaction(planned.waves.shifted(felt - w + reaction).wrench)
-    return planned, Slosh.of(planned.waves.shifted(felt - w + reaction), reaction, drift.dw)
+    return planned, Slosh.given_way(planned.waves.shifted(felt - w + reaction), response, reaction, drift.dw)
 
 
 @dataclass(frozen=True, eq=False)

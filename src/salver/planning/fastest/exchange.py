@@ -14,9 +14,9 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.planning.fastest.constraints import evaluate
 from salver.planning.fastest.curves import Curve, Grid
-from salver.planning.fastest.evaluation import Indices
+from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.objectives import Duration, Objective, Point, Scalar
-from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.problem import TransportProblem, with_missed_cases
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.sqp import Options, Programme, Solution, minimise
 from salver.planning.fastest.trust import Trust
@@ -34,6 +34,7 @@ HOPELESS_AT_NODES = 1e-2  # and nor will one that is broken at the nodes already
 REPAIR = 0.4  # damping of the first step after nodes were added: ever more mending, ever less search
 REPAIR_DEPTH = 0.05  # what is near enough to matter to such a step
 SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
+WAVES_PER_SPAN = 1  # nodes more, where liquids remember what was between them
 POINTS = 2  # from node to node, where joint limits are imposed
 CHECK_FACTOR = 6  # the check between nodes uses a grid this much finer
 POINTS_CHECKED = 5  # and where the joints' limits are, from one point of that grid to the next
@@ -47,10 +48,12 @@ CurveOf = Callable[[TransportProblem, Grid], Curve]
 class Checked:
     """Coefficients (size, m), duration and margin (as in `Point`) of a motion whose rows were checked on the fine grid.
 
+    problem: with all the cases of liquids that were looked at.
     worst: largest row of each block there, <= 0 when kept. binding: names of those blocks that hinder a shorter time:
     that depend on time, and come near their edge. iterations: of all rounds.
     """
 
+    problem: TransportProblem
     coefficients: Array
     duration: float
     margin: float
@@ -97,8 +100,9 @@ def optimise(
     """
     watch = watch or Watch()
     spline = start.spline
-    nodes = spline.nodes(nodes_per_span)
-    fine = curve_of(problem, Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s, POINTS_CHECKED))
+    nodes = spline.nodes(nodes_per_span + WAVES_PER_SPAN * bool(problem.liquids))
+    check = Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s, POINTS_CHECKED)
+    fine = curve_of(problem, check)
 
     def solve(at: SplineMotion, options: Options, trust: Trust) -> Solution:
         programme = programme_of(problem, curve_of, at, nodes, objective)
@@ -108,11 +112,16 @@ def optimise(
     done = solution.iterations
     for exchange in range(EXCHANGES + 1):
         point = solution.iterate.point
-        worst, binding, slower, peaks = _between(fine, objective, point)
+        seen = _seen(fine, point)
+        more = with_missed_cases(problem, seen)
+        if more is not None:  # fills and dampings that no row stood for
+            problem, fine = more, curve_of(more, check)
+            seen = _seen(fine, point)
+        worst, binding, slower, peaks = _between(fine, objective, point, seen)
         excess = max(worst.values())
         if 0.0 < excess < SMALL_EXCESS and objective.scalar is Scalar.DURATION:
             longer = replace(point, duration=point.duration * (1.0 + slower))
-            stretched, still, _, _ = _between(fine, objective, longer)
+            stretched, still, _, _ = _between(fine, objective, longer, _seen(fine, longer))
             if max(stretched.values()) <= 0.0:
                 worst, binding, excess, point = stretched, still, 0.0, longer
         late = watch.over()
@@ -125,7 +134,7 @@ def optimise(
         solution = solve(SplineMotion(spline, point.coefficients, point.duration), options, Trust(repair, REPAIR_DEPTH))
         done += solution.iterations
     status = _status(solution, worst, objective.sought, point.duration)
-    return Checked(point.coefficients, point.duration, point.margin, status, worst, binding, done)
+    return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done)
 
 
 def rough(
@@ -154,14 +163,18 @@ def _status(solution: Solution, worst: dict[str, float], sought: str, duration: 
     return Status("infeasible", sentence, False, worst)
 
 
+def _seen(fine: Curve, point: Point) -> Evaluation:
+    """The motion at a point, on the fine grid."""
+    z = fine.motion(point.coefficients, point.duration)
+    return fine.problem.at(fine.grid.s, z, point.duration, fine.grid.nodes, imposed=False)
+
+
 def _between(
-    fine: Curve, objective: Objective, point: Point
+    fine: Curve, objective: Objective, point: Point, motion: Evaluation
 ) -> tuple[dict[str, float], tuple[str, ...], float, Indices]:
     """Largest row of each block on the fine grid, the blocks that hinder a shorter time, by how much slower,
     relatively, the motion would keep them all, and the points where some row is broken at its peak."""
     grid, problem = fine.grid, fine.problem
-    z = fine.motion(point.coefficients, point.duration)
-    motion = problem.at(grid.s, z, point.duration, grid.nodes, imposed=False)
     blocks = objective.demanded(evaluate(problem.constraints, motion), point.margin)
     marked = np.zeros(len(grid.s), dtype=bool)
     for block in blocks:

@@ -135,6 +135,8 @@ class TransportProblem:
 def with_missed_cases(problem: TransportProblem, motion: Evaluation) -> TransportProblem | None:
     """The problem with those fills and dampings added at which a liquid spills, with what the arm makes of it; None for
     none."""
+    if not problem.liquids:
+        return None
     t, uncertain = motion.s[motion.nodes] * motion.duration, problem.payload.uncertain
     found = []
     for known in problem.liquids:

@@ -471,4 +471,4 @@ def _optimum(
     iterations = round(options.iterations * ITERATIONS)
     found = optimise(problem, FreeCurve, start, options.nodes_per_span, watch, damping, objective, iterations)
     wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
-    return FastestMotion(problem, start.spline, *result, found.binding, wall, found.iterations, found.margin)
+    return FastestMotion(found.problem, start.spline, *result, found.binding, wall, found.iterations, found.margin)

@@ -173,9 +173,11 @@ class Programme:
         if block.following is not None:
             matrix += self._chained(path, block.following(node, column), block.points[node + 1])
         if block.history is not None:
-            by_w, by_duration = block.history(node, column)
-            matrix += by_w.reshape(len(node), -1) @ path.felt
-            matrix[:, -1] += 0.5 * by_duration
+            near = np.flatnonzero(block.values[node, column] > -block.remembers)
+            if len(near):
+                by_w, by_duration = block.history(node[near], column[near])
+                matrix[near] += by_w.reshape(len(near), -1) @ path.felt
+                matrix[near, -1] += 0.5 * by_duration
         if self.objective.scalar is Scalar.DURATION:
             if block.by_duration is not None:
                 matrix[:, -1] += 0.5 * block.by_duration[node, column]
@@ -216,12 +218,15 @@ class Programme:
             scales.append(np.full(len(node), 1 + step[-1] * (free and block.scales)))
         return replace(rows, bound=rows.matrix @ step - np.concatenate(scales) * np.concatenate(values))
 
-    def beyond_kinks(self, path: Iterate, trial: Iterate) -> Linearised:
+    def beyond_kinks(self, path: Iterate, trial: Iterate, step: Array) -> Linearised:
         """Violated rows of a trial that have kinks, linearised there: beyond one the path's derivative is no help."""
         kinked = [(block.values > 0) & block.kinked for block in trial.blocks]
         found = self.linearised(trial, kinked)
-        moved = (trial.coefficients - path.coefficients).ravel()
-        return Linearised(found.matrix, found.bound + found.matrix[:, :-1] @ moved)
+        moved = np.append((trial.coefficients - path.coefficients).ravel(), step[-1])
+        matrix = found.matrix.copy()
+        if self.objective.scalar is Scalar.DURATION:  # its sigma is relative to the trial's
+            matrix[:, -1] /= 1 + step[-1]
+        return Linearised(matrix, found.bound + matrix @ moved)
 
     @cached_property
     def metric(self) -> Array:
@@ -381,7 +386,7 @@ def _attempt(programme: Programme, path: Iterate, masks: Sequence[Mask], trust: 
         # Rows that were thought to be far away join, linearised where the others were.
         unseen = tuple(b.joining(m) for b, m in zip(trial.blocks, masks, strict=True))
         rows = rows.and_also(programme.linearised(path, unseen))
-        bent = programme.corrected(rows, trial, step).and_also(programme.beyond_kinks(path, trial))
+        bent = programme.corrected(rows, trial, step).and_also(programme.beyond_kinks(path, trial, step))
         second = subproblem.solve(bent)
         programmes = 2
         trial, share = _along_arc(programme, path, trial, step, second, slack, predicted, trust.penalty)
