@@ -218,14 +218,16 @@ class Programme:
             scales.append(np.full(len(node), 1 + step[-1] * (free and block.scales)))
         return replace(rows, bound=rows.matrix @ step - np.concatenate(scales) * np.concatenate(values))
 
-    def beyond_kinks(self, path: Iterate, trial: Iterate, step: Array) -> Linearised:
+    def beyond_kinks(self, path: Iterate, trial: Iterate) -> Linearised:
         """Violated rows of a trial that have kinks, linearised there: beyond one the path's derivative is no help."""
         kinked = [(block.values > 0) & block.kinked for block in trial.blocks]
         found = self.linearised(trial, kinked)
-        moved = np.append((trial.coefficients - path.coefficients).ravel(), step[-1])
-        matrix = found.matrix.copy()
-        if self.objective.scalar is Scalar.DURATION:  # its sigma is relative to the trial's
-            matrix[:, -1] /= 1 + step[-1]
+        matrix, scalar = found.matrix.copy(), trial.point.margin - path.point.margin
+        if self.objective.scalar is Scalar.DURATION:  # sigma is relative to each one's own
+            ratio = (trial.duration / path.duration) ** 2
+            scalar = ratio - 1
+            matrix[:, -1] /= ratio
+        moved = np.append((trial.coefficients - path.coefficients).ravel(), scalar)
         return Linearised(matrix, found.bound + matrix @ moved)
 
     @cached_property
@@ -386,7 +388,7 @@ def _attempt(programme: Programme, path: Iterate, masks: Sequence[Mask], trust: 
         # Rows that were thought to be far away join, linearised where the others were.
         unseen = tuple(b.joining(m) for b, m in zip(trial.blocks, masks, strict=True))
         rows = rows.and_also(programme.linearised(path, unseen))
-        bent = programme.corrected(rows, trial, step).and_also(programme.beyond_kinks(path, trial, step))
+        bent = programme.corrected(rows, trial, step).and_also(programme.beyond_kinks(path, trial))
         second = subproblem.solve(bent)
         programmes = 2
         trial, share = _along_arc(programme, path, trial, step, second, slack, predicted, trust.penalty)
