@@ -81,3 +81,9 @@ def test_each_mutant_is_valid_and_changes_one_place():
 
 def test_lines_of_functions_and_methods():
     assert function_lines(SOURCE) == {"Thing.turn": range(8, 14)}
+
+
+@pytest.mark.parametrize("line", ["y = a + b", "y = a - b", "y = -x", "y = x[-1]", "y += x"])
+def test_a_sign_is_told_from_other_changes(line):
+    assert "sign" in {mutant.operator for mutant in mutants(Path("x.py"), f"{line}\n")}
+    assert "sign" not in {mutant.operator for mutant in mutants(Path("x.py"), "y = a * b ** 2 @ c[i, j].T > 0.5\n")}

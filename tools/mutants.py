@@ -141,12 +141,16 @@ def _binary(node: ast.BinOp) -> Iterator[tuple[ast.AST, str]]:
         if ast.unparse(node.left) != ast.unparse(node.right):
             yield _with(node, left=node.right, right=node.left), "factors swapped"
     elif type(node.op) in ARITHMETIC:
-        yield _with(node, op=ARITHMETIC[type(node.op)]()), "arithmetic"
+        yield _with(node, op=ARITHMETIC[type(node.op)]()), _kind(node.op)
+
+
+def _kind(operator: ast.operator) -> str:
+    return "sign" if isinstance(operator, ast.Add | ast.Sub) else "arithmetic"
 
 
 def _unary(node: ast.UnaryOp) -> Iterator[tuple[ast.AST, str]]:
     if not isinstance(node.op, ast.UAdd):
-        yield node.operand, "not dropped" if isinstance(node.op, ast.Not) else "sign dropped"
+        yield node.operand, "not dropped" if isinstance(node.op, ast.Not) else "sign"
 
 
 def _boolean(node: ast.BoolOp) -> Iterator[tuple[ast.AST, str]]:
@@ -219,7 +223,7 @@ def _return(node: ast.Return) -> Iterator[tuple[ast.AST, str]]:
 def _augmented(node: ast.AugAssign) -> Iterator[tuple[ast.AST, str]]:
     yield ast.Pass(), "statement dropped"
     if type(node.op) in ARITHMETIC:
-        yield _with(node, op=ARITHMETIC[type(node.op)]()), "arithmetic"
+        yield _with(node, op=ARITHMETIC[type(node.op)]()), _kind(node.op)
 
 
 def _assignment(node: ast.Assign) -> Iterator[tuple[ast.AST, str]]:

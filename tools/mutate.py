@@ -37,6 +37,9 @@ FOLDERS = [
     "campaigns",
     "auditing",
     "driver",
+    "live",
+    "learning",
+    "motion_files",
 ]
 EQUIVALENT = ROOT / "tools" / "equivalent.toml"
 
@@ -54,7 +57,7 @@ class Baseline:
 
     def trusts(self, test: str, tree: Path) -> bool:
         if test not in self.passes:
-            outcome = run_tests(tree, [file_of(test)], [test], limit=900, slowest=600)
+            outcome = run_tests(tree, [file_of(test)], [test], limit=7200, slowest=600)
             self.passes[test] = outcome.code == 0
             if outcome.code != 0:
                 print(f"{test} fails as it is and judges nothing", file=sys.stderr)
@@ -63,7 +66,7 @@ class Baseline:
     def loads(self, files: list[str], tree: Path) -> None:
         """Raise SystemExit if the tests cannot even be collected from the code as it is."""
         if not self.loaded.issuperset(files):
-            outcome = run_tests(tree, files, [], limit=900, slowest=600)
+            outcome = run_tests(tree, files, [], limit=7200, slowest=600)
             if outcome.code not in (0, 5):
                 raise SystemExit(f"{' '.join(files)}: pytest ends with {outcome.code} on the code as it is.")
             self.loaded.update(files)
@@ -99,7 +102,7 @@ def judge(mutant: Mutant, tree: Path, tests: TestMap, due: list[str], baseline: 
         _write(target, mutant.source)
         try:
             files = list(dict.fromkeys(map(file_of, batch)))
-            outcome = run_tests(tree, files, batch, limit=300 + 10 * tests.seconds(batch), slowest=300)
+            outcome = run_tests(tree, files, batch, limit=1800 + 60 * tests.seconds(batch), slowest=100)
         finally:
             _write(target, original)
         if outcome.code in (0, 5):  # all pass, or none is left
@@ -177,6 +180,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--tests", action="append", metavar="FILE", help="judge by these test files alone, not by all")
     parser.add_argument("--without", action="append", metavar="FILE", help="judge by all test files but these")
+    parser.add_argument(
+        "--operator", action="append", help="sign, constant ... as printed beside a mutant; default: all"
+    )
+    parser.add_argument("--everyday", action="store_true", help="judge by the tests of `make quick` alone")
     parser.add_argument("--patience", type=float, default=math.inf, help="seconds of tests after which one survives")
     parser.add_argument("-j", type=int, default=os.cpu_count(), help="mutants at a time")
     parser.add_argument("--keep", type=Path, default=MAP.parent, metavar="FOLDER", help="where map and journal are")
@@ -186,7 +193,7 @@ def main() -> int:
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
     modules = options.module or [f"salver.{folder}" for folder in FOLDERS]
-    population = all_mutants(modules)
+    population = [m for m in all_mutants(modules) if not options.operator or m.operator in options.operator]
     count = min(options.n or len(population), len(population))
     sample = drawn(population, count, options.seed)
     known = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8")).get("mutant", []) if EQUIVALENT.is_file() else []
@@ -200,7 +207,8 @@ def main() -> int:
     tests = tests.update(options.j, again=options.map, only=options.tests, without=options.without)
     judges: dict[str, list[str]] = {}
     for mutant in sample:
-        judges[mutant.key] = list(within(options.patience, tests, tests.tests_of(*mutant.place)))
+        order = tests.tests_of(*mutant.place, everyday=options.everyday)
+        judges[mutant.key] = list(within(options.patience, tests, order))
 
     def rests_now(mutant: Mutant, by: str | None) -> str:
         if by:

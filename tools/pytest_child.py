@@ -4,6 +4,7 @@ import contextlib
 import faulthandler
 import json
 import os
+import resource
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -35,8 +36,9 @@ def run_tests(
     """Run tests of some files of a copy of the repository, up to the first that fails.
 
     `order`: the tests (node ids) to run, one after the other; None is for all, as they are written.
-    `slowest`: seconds after which a single test counts as hanging; `limit`: for all together. With `coverage`, a
-    configuration file of coverage.py, the run is measured with the test as context, and goes on after a failure.
+    `slowest`: seconds of processor after which a single test counts as hanging, or ten times as many by the clock: a
+    busy machine kills nothing. `limit`: for all together, by the clock. With `coverage`, a configuration file of
+    coverage.py, the run is measured with the test as context, and goes on after a failure.
     """
     rank = None if order is None else {node: k for k, node in enumerate(order)}
     context = get_context("forkserver")
@@ -75,7 +77,10 @@ class _Plugin:
             self.note(nodeid)  # should the process die
             self.save()
             self.note(None)
-        faulthandler.dump_traceback_later(self.slowest, exit=True, file=sys.__stderr__)
+        faulthandler.dump_traceback_later(10 * self.slowest, exit=True, file=sys.__stderr__)
+        spent = resource.getrusage(resource.RUSAGE_SELF)
+        allowed = int(spent.ru_utime + spent.ru_stime + self.slowest) + 1
+        resource.setrlimit(resource.RLIMIT_CPU, (allowed, resource.RLIM_INFINITY))
         if self.measure is not None:
             _forget()  # what one test has cached would hide what the next one needs
             self.measure.switch_context(nodeid)

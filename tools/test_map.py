@@ -92,8 +92,8 @@ class TestMap:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_text(json.dumps(self.files, indent=0, sort_keys=True))
 
-    def tests_of(self, source: str, function: str) -> list[str]:
-        """The tests that a function may matter to, in the order in which to run them.
+    def tests_of(self, source: str, function: str, everyday: bool = False) -> list[str]:
+        """The tests that a function may matter to, in the order in which to run them, or those of `make quick` alone.
 
         First those of `make quick`, file by file, the quickest first; in each file first those that were seen to run
         it, then those that share a fixture with these.
@@ -108,7 +108,12 @@ class TestMap:
             tests = [*sorted(seen, key=entry["tests"].get), *(test for test in beside if test not in seen)]
             quick.append([test for test in tests if test not in entry["marked"]])
             slow.append([test for test in tests if test in entry["marked"]])
-        return [test for part in (quick, slow) for group in sorted(part, key=self.seconds) for test in group]
+        return [
+            test
+            for part in ([quick] if everyday else [quick, slow])
+            for group in sorted(part, key=self.seconds)
+            for test in group
+        ]
 
     def seconds(self, tests: Sequence[str]) -> float:
         """Of processor, for these tests."""
