@@ -104,6 +104,20 @@ def test_noise_of_a_turning_frame_is_no_motion():
     assert part.bandwidth.max() < 10
 
 
+def test_between_the_outermost_samples_a_curve_that_moves_bends_as_it_does_two_samples_inside():
+    """Nothing is known beyond the end. A sine cut while it swings; the other end begins at rest and is left alone."""
+    t = np.arange(0, 1.0, 0.01)
+    p = np.stack([0.1 * (1 - np.cos(5 * t)), 0 * t, 0 * t], axis=1)
+    p += np.random.default_rng(0).normal(scale=1e-5, size=p.shape)
+    quat = np.tile([1.0, 0, 0, 0], (len(t), 1))
+    (part,) = stretches(t, p, quat, sensor_of(t, p, quat), 50.0)
+    bend = part.motion.a_S[:, 0]
+    last = part.motion.t > t[-3]
+    assert last.sum() > 2
+    assert np.ptp(bend[last]) == 0
+    assert bend[last][0] == bend[~last][-1] != 0
+
+
 def test_a_violent_motion_is_not_taken_for_noise():
     # 71 m/s^2 at 6 Hz, at 25 Hz and as a chirp from 1 to 40 Hz: noise-free, so next to nothing is noise.
     t = np.arange(2001) / 1000

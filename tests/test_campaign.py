@@ -319,19 +319,19 @@ def test_directories_that_are_no_run_directory_are_refused(tmp_path):
 
 @pytest.mark.slow
 def test_on_a_ray_cluster_a_lost_worker_costs_nothing(finished, run_dir):
-    """Two worker nodes, one of which is lost while it works: the same table as at once on this machine."""
+    """Two nodes, one of which is lost while it works: the same table as at once on this machine."""
     ray = pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     try:
-        nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
+        node = cluster.add_node(num_cpus=1)
         lost = []
 
         def progress(done, total, _counts):
             if done >= total // 4 and not lost:
                 lost.append(done)
-                cluster.remove_node(nodes[0], allow_graceful=False)
+                cluster.remove_node(node, allow_graceful=False)
 
         run_campaign(run_dir, n=N, engine="closed-loop", ray=cluster.address, progress=progress)
     finally:

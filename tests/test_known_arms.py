@@ -7,6 +7,8 @@ import pytest
 
 from salver import scenario
 from salver.models.known_arms import KNOWN_ARMS
+from salver.planning.fastest import transport_problem
+from salver.planning.fastest.bound import least_duration
 from salver.planning.make import make_plan
 from salver.simulation.physics import simulate
 
@@ -31,6 +33,9 @@ def test_carries_as_fast_as_it_goes_and_keeps_it(name: str) -> None:
     details = plan.arm_status.details
     shares = [details[kind]["share"] for kind in ("position", "velocity", "acceleration", "torque")]
     assert max(*shares, 1 - plan.verification.slack) > 0.95  # something binds: it is as fast as it goes
+    bound = least_duration(transport_problem(case).limits, plan.joint.q[0], plan.joint.q[-1])
+    assert plan.solver["bound"] == pytest.approx(bound, rel=1e-12)
+    assert plan.solver["bound"] < plan.duration
     uncertain = plan.uncertain
     worst = {}
     for key, nominal, half in zip(uncertain.names, uncertain.nominal, uncertain.half_range, strict=True):

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     import pandas
 
 TABLE = "runs.parquet"
+FEW = 4  # runs, or blocks of them, that are made in this process: to load the engine in others takes as long
 Progress = Callable[[int, int, Counter[tuple[str, str]]], None]
 
 
@@ -80,10 +81,10 @@ def run_campaign(
 ) -> Campaign:
     """n runs of each plan of a run directory, all plans on the same samples; goes on where an earlier one stopped.
 
-    stems: plans to run (default: plan and baseline). jobs: processes (default: all cores). ray: address of a Ray
-    cluster to use instead. progress(done, total, outcomes by (stem, outcome)) is called after each run.
-    folder: in the run directory, "campaign" or with stops "stops" unless given. stops: stop each run by the plan's own
-    stops, at a random instant of its own; of plans that have stops.
+    stems: plans to run (default: plan and baseline). jobs: processes (default: all cores, but one for FEW runs).
+    ray: address of a Ray cluster to use instead. progress(done, total, outcomes by (stem, outcome)) is called after
+    each run. folder: in the run directory, "campaign" or with stops "stops" unless given. stops: stop each run by the
+    plan's own stops, at a random instant of its own; of plans that have stops.
     Raises SalverError when the folder holds another campaign: nothing is overwritten.
     """
     directory = Path(directory)
@@ -122,7 +123,7 @@ def run_campaign(
         if batches:
             head = {"complete": False, "definition": asdict(definition), "provenance": _provenance(directory)}
             write_json(place / SUMMARY, head)
-        with closing(_results(context, batches, jobs or _cores(), ray)) as results:
+        with closing(_results(context, batches, jobs or (_cores() if len(batches) > FEW else 1), ray)) as results:
             for records in results:
                 for record in records:
                     journal.append(record)

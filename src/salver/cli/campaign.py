@@ -26,7 +26,9 @@ def campaign(
     engine: Annotated[
         str, typer.Option(help="physics (arm, tray and objects with contact) or closed-loop (eqs 18, 19 alone).")
     ] = "physics",
-    jobs: Annotated[int | None, typer.Option("-j", "--jobs", help="Processes. Default: one for each core.")] = None,
+    jobs: Annotated[
+        int | None, typer.Option("-j", "--jobs", help="Processes. Default: one for each core, or one for few runs.")
+    ] = None,
     ray: Annotated[
         str | None,
         typer.Option(
