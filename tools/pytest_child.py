@@ -126,6 +126,8 @@ def _child(tree: str, files: list[str], rank: Mapping[str, int] | None, slowest:
     os.chdir(tree)
     sys.path.insert(0, f"{tree}/src")
     os.environ["PYTHONPATH"] = f"{tree}/src"
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False  # the next mutant of this tree changes one file
     sink = os.open(os.devnull if not coverage else f"{tree}/output.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(sink, 1)
     os.dup2(sink, 2)
