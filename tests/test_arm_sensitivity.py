@@ -260,6 +260,7 @@ def test_what_first_order_leaves_out_is_of_second_order(panda, space):
     assert np.diff(np.log2(errors)) == pytest.approx([-2, -2], abs=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("space", ["joint", "object"])
 def test_tray_and_what_it_feels(panda, space):
     """Pose and velocity of the tray and w, against differences of rollouts."""

@@ -52,6 +52,7 @@ def test_a_curve_at_rest_has_no_velocity_and_no_acceleration_at_its_end():
     assert np.allclose([value[1, 0], bend[1, 0]], [np.cos(6), -9 * np.cos(6)], atol=2e-2)
 
 
+@pytest.mark.slow
 def test_the_stated_error_of_the_acceleration_is_that_of_many_trials():
     t = np.linspace(0, 2, 1001)
     at = np.concatenate([[0.0, 0.01, 0.02, 0.04], np.linspace(0.9, 1.1, 41)])
@@ -76,6 +77,7 @@ def test_noise_is_measured_under_a_motion(noise, rate):
     assert sensor_of(s.t, p, s.quat_SB_wxyz).position.sizes.max() == pytest.approx(noise, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [60, 200, 2000])
 def test_the_level_of_noise_is_not_the_least_of_many_guesses(count):
     # What is taken for noise must not be less than it is, or noise becomes motion; nor more, or motion becomes noise.

@@ -107,6 +107,7 @@ def trajectory_message(t, q, dq=None, ddq=None, stamp=("sec", "nanosec")):
     return {"header": {"frame_id": ""}, "joint_names": list(JOINTS), "points": points}
 
 
+@pytest.mark.slow
 def test_ros_messages_as_json_and_yaml_give_the_motion_of_the_csv(tmp_path, arm):
     from ruamel.yaml import YAML
 

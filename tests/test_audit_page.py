@@ -39,6 +39,7 @@ def joint_file(tmp_path_factory):
     return write(Motion.of(samples), tmp_path_factory.mktemp("page") / "motion.yaml")[0]
 
 
+@pytest.mark.slow
 def test_the_verdict_of_the_page_is_that_of_the_audit(tray_file, joint_file):
     scenario = sv.load_scenario("panda-cube", objects__0__uncertainty=UNCERTAIN)
     for path, words, level in (

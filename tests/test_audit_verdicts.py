@@ -213,6 +213,7 @@ def test_beginning_and_ending_at_speed_is_said(tmp_path):
     assert slow.nominal.sentence.startswith("Everything holds;")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "value"),
     [("highest", np.nan), ("highest", np.inf), ("highest", 0.0), ("noise", -1.0), ("noise", 1e300), ("gap", -1.0)],

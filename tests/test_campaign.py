@@ -268,6 +268,7 @@ def test_the_directory_of_another_campaign_is_not_touched(finished, run_dir):
     assert before == {path.name: path.read_bytes() for path in (run_dir / "campaign").iterdir()}
 
 
+@pytest.mark.slow
 def test_a_campaign_is_not_finished_by_other_versions(run_dir):
     run_campaign(run_dir, n=4, engine="closed-loop", jobs=1)
     path = run_dir / "campaign" / "campaign.json"

@@ -88,6 +88,7 @@ def test_never_optimistic_against_a_hundred_thousand_densities() -> None:
         assert value.max() > bound[k].max() - 0.12  # random densities come near to it
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("load_of", [nasty.single, nasty.stack, nasty.pair])
 @pytest.mark.parametrize("kind", ["box", "ellipsoid"])
 def test_never_optimistic_with_places_tilt_and_stacks(load_of, kind: str) -> None:

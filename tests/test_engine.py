@@ -73,6 +73,7 @@ def test_linear_loop_with_integral_action_has_the_closed_form():
     np.testing.assert_allclose(result.input_sensitivity[:, 0], -4 * z[:, [5, 7]] - 3 * z[:, [6, 8]], atol=1e-10)
 
 
+@pytest.mark.slow
 def test_integral_action_cancels_a_constant_disturbance():
     result = sensitivity(pi_controlled(), [0.5, 0.0], [0.0, 15.0], [0.0], [0.0])
     np.testing.assert_allclose(result.state_sensitivity[-1, 0, 1], 0, atol=1e-9)

@@ -66,6 +66,7 @@ def test_dry_run_without_waiting_is_the_simulation(directory: Path, plan: Plan) 
         assert np.abs(mine[:k] - theirs[:k]).max() < 1e-6, name
 
 
+@pytest.mark.slow
 def test_a_dry_run_in_real_time_takes_the_time_of_the_motion(plan: Plan) -> None:
     """0.05 s + 1.4 s + 0.1 s of motion: every millisecond of it is commanded or counted as missed."""
     arm, carried, controller = _parts(plan)

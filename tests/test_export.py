@@ -32,6 +32,7 @@ def _stacked(table: dict[str, np.ndarray], prefix: str, parts: str) -> np.ndarra
     return np.stack([table[f"{prefix}_{c}"] for c in parts], axis=1)
 
 
+@pytest.mark.slow
 def test_csv_keeps_every_digit(directory: Path, tmp_path: Path) -> None:
     (path,) = write_export(directory, "csv", tmp_path / "motion.csv")
     with open(path, newline="") as file:

@@ -31,6 +31,7 @@ UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "fri
 # The optimum ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "level", "bar"), [(0.4, True, 0.745), (0.4, False, 0.667), (0.2, True, 0.975), (0.2, False, 0.775)]
 )
@@ -74,6 +75,7 @@ def test_contact_keeps_the_margin_that_the_scenario_asks_for(margin):
     assert margin - 1e-4 < left < margin + 5e-3
 
 
+@pytest.mark.slow
 def test_robust_plan_takes_longer_and_the_nominal_one_breaks_its_conditions():
     scenario = bottle(mass="40%", com=[0.005, 0.005, 0.005], friction="10%")
     robust, nominal = (transport_problem(scenario, robust=robust) for robust in (True, False))
@@ -194,6 +196,7 @@ def test_what_is_left_of_a_fastest_motion_is_fastest(on_the_way):
 # What is made small --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_margin_at_a_longer_duration_is_kept_between_the_nodes_and_beats_slowing_down():
     """On 400 points of another grid; the same path, only slower, is what anybody would do instead."""
     problem = transport_problem(cube(0.2, objects__0__uncertainty={}, motion__orientation="fixed"))
@@ -277,6 +280,7 @@ def test_more_robustness_takes_longer():
 # What a user can get wrong -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_with_no_margin_the_plan_and_its_own_check_agree():
     """What the check on another grid finds between the points of the search's own is less than what is kept there."""
     task = {"objects__0__friction": 0.33753377991514605, "motion__goal__position": (0.52008546, 0.19969177, 0.58228742)}

@@ -374,6 +374,7 @@ def safe(tmp_path_factory: pytest.TempPathFactory) -> Rig:
     return Rig(tmp_path_factory.mktemp("safe") / "run", every=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [20, 51, 120, 431, 777, 1295, 1330])
 def test_ctrl_c_takes_the_planned_stop_of_the_instant_and_the_load_stays(safe: Rig, period: int) -> None:
     outcome = one(safe, Fault("read", period, 1, "", signals=(signal.SIGINT,)))

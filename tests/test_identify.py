@@ -49,6 +49,7 @@ def drawn(plan: Plan, seed: int) -> Array:
     return values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrist", [True, False])
 def test_without_errors_the_load_comes_out(plan: Plan, wrist: bool) -> None:
     """Of phi, only what the prior still pulls at is missing."""

@@ -64,6 +64,7 @@ def test_no_sample_both_shapes_the_tubes_and_checks_them() -> None:
         assert 0 < sum(k < 16 for k in half) < 16
 
 
+@pytest.mark.slow
 def test_what_stands_beside_the_object_changes_nothing() -> None:
     other = {**CUBE.objects[0].model_dump(exclude_none=True), "name": "other", "at": [0.06, 0.0], "uncertainty": {}}
     data = with_com(0.002).model_dump(mode="json", exclude_none=True)

@@ -117,6 +117,7 @@ def test_redundancy_brings_speeds_down(cube):
     assert max(peak.share for peak in peaks(arm, motion)) < 1.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("duration", "order"), [(0.6, 0), (0.6, 1), (0.6, 2), (2.0, 0)])
 def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order):
     """The derivative by s, s', s'' of C q = s(t), where the tray's motion stays, against differences: of a motion near

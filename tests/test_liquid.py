@@ -107,6 +107,7 @@ def test_a_surface_at_rest_is_level_however_the_tray_is_pushed(coffee):
     assert waves.left()[0] == pytest.approx(0.04 * 2 / 9.81 * (1 + 1.8 * (2 / 9.81) ** 2), rel=2e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("yaw", [0.0, 25.0])
 def test_filter_agrees_with_the_equations_integrated(coffee, yaw):
     """In axes that do not turn, where the equations of the modes hold, to 1e-6 of the largest displacement."""
@@ -162,6 +163,7 @@ def pushed(duration: float, t: np.ndarray) -> np.ndarray:
     return 0.48 / duration**2 * (60 * x - 180 * x**2 + 120 * x**3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fill", "duration"), [(0.05, 1.4), (0.05, 1.1), (0.065, 0.95)])
 def test_waves_in_a_box_are_those_of_nonlinear_potential_flow(coffee, fill, duration):
     """Peak during the motion within 6 %; after it never higher than said. No pendulum, no small waves there."""

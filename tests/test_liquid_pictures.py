@@ -116,6 +116,7 @@ def spilling(coffee, tmp_path_factory):
     return directory, record, plan.scenario
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plain", [False, True])
 def test_the_brim_in_the_film_is_marked_from_the_spill_on(spilling, plain):
     _, record, scenario = spilling

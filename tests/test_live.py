@@ -50,6 +50,7 @@ def check(live, states):
     assert not np.any(states[2][-1])
 
 
+@pytest.mark.slow
 def test_a_goal_is_reached_and_changed_while_moving(cube):
     live = Live(cube, lead=LEAD)
     wishes = [(0.0, place(0.45, 0.1, 0.45)), (0.35, place(0.5, -0.3, 0.4)), (0.6, place(0.5, 0.0, 0.5))]
@@ -125,6 +126,7 @@ def test_a_planner_that_fails_or_dies_leaves_what_is_committed(cube, monkeypatch
     check(live, in_turn(states, more))
 
 
+@pytest.mark.slow
 def test_a_motion_that_comes_too_late_is_not_taken(cube, monkeypatch):
     """The loop goes on while one is sought, beyond where it would begin: the old one goes on, a later one comes."""
     live = Live(cube, lead=0.02)
@@ -188,6 +190,7 @@ class TestVerdict:
         lost = replace(quick, q=np.where(np.arange(len(quick.q))[:, None] == 3, np.nan, quick.q))
         assert "not numbers" in verified(moving.problem, lost, 0.0, None).sentence
 
+    @pytest.mark.slow
     def test_it_knows_what_a_wrong_load_has_brought_the_arm_into(self, bottle):
         """The deviation that goes on from motion to motion is that of all of them as one."""
         live = Live(bottle, lead=LEAD)
@@ -225,6 +228,7 @@ class TestVerdict:
         for mine, other in zip(parts.sample(t), motion.sample(t), strict=True):
             assert np.abs(mine - other).max() < 1e-9
 
+    @pytest.mark.slow
     def test_what_a_search_calls_safe_is_looked_at_all_the_same(self, cube, monkeypatch):
         """A search that answers with twice the speed, and says that it is safe."""
 
@@ -253,6 +257,7 @@ class TestCommand:
             assert np.array_equal(live.command(nonsense)[0], before)
         assert live.state.clock
 
+    @pytest.mark.slow
     def test_when_the_clock_jumps_the_motion_goes_on_where_it_was(self, cube):
         live, other = Live(cube, lead=LEAD), Live(cube, lead=LEAD)
         wishes = [(0.0, place(0.45, 0.1, 0.45))]

@@ -87,6 +87,7 @@ def test_a_smaller_set_never_has_a_smaller_margin(name: str, kind: str, seed: in
 # Symmetry ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), SOME)
 @FEW
 @given(seed=seeds, angle=st.floats(-3.0, 3.0))
@@ -139,6 +140,7 @@ def mirrored(made: Scenario) -> Scenario:
     return made.with_changes(**changes, uncertainty__correlation=correlation)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), SOME)
 @FEW
 @given(seed=seeds)
@@ -182,6 +184,7 @@ def larger(made: Scenario, length: float, mass: float) -> Scenario:
     return made.with_changes(**changes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), SOME)
 @FEW
 @given(seed=seeds, length=st.floats(0.3, 4.0), mass=st.floats(0.1, 20.0))
@@ -195,6 +198,7 @@ def test_margins_know_no_units(name: str, kind: str, seed: int, length: float, m
 # Order -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["box", "ellipsoid"])
 def test_the_order_of_objects_does_not_matter(kind: str) -> None:
     """The motion is that of the tray, whichever object comes first in the file."""
@@ -251,6 +255,7 @@ def test_zero_moment_point_by_hand() -> None:
         assert_allclose(m.tip_over, np.where(wrench[:, 2] > 0, distance, -np.inf), atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), SOME)
 def test_zero_moment_point_of_every_sample_is_within_the_worst_tip_over(name: str, kind: str) -> None:
     """The point where the pressure acts, by hand from the true wrench, against the edges of the base that is sure."""

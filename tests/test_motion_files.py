@@ -42,6 +42,7 @@ def joint_swing(count=60, duration=2.0):
     return JointSamples(duration * s[:, 0], JOINTS, q + q0, dq, ddq, "swing", commanded=True)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), form=st.sampled_from(FORMS))
 def test_joints_come_back_to_the_last_digit(tmp_path_factory, data, form):
@@ -180,6 +181,7 @@ def test_a_joint_beyond_its_speed_limit_is_no_yes():
     assert not found.ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_what_could_be_faster_is_written_in_the_format_it_came_in(tmp_path, form):
     path = named(form, tmp_path)
@@ -215,6 +217,7 @@ def test_simulate_takes_a_file_and_the_engine_agrees_with_the_audit(tmp_path):
         assert (sv.audit(path, "panda-cube").outcome == "holds") == (outcome == "holds")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accelerations", [True, False])
 def test_a_command_to_the_joints_moves_the_tray_as_forward_kinematics_says(tmp_path, accelerations):
     """Both sides of every waypoint are instants of a command: no curve may be led through both."""

@@ -24,6 +24,7 @@ def options(**changes):
     return [word for pair in {**ANSWERS, **{f"--{k}": v for k, v in changes.items()}}.items() for word in pair]
 
 
+@pytest.mark.slow
 def test_answers_become_a_scenario_that_plans(tmp_path):
     file = tmp_path / "my box.toml"
     done = RUNNER.invoke(app, ["new", str(file), *options(), "--json"])
@@ -36,6 +37,7 @@ def test_answers_become_a_scenario_that_plans(tmp_path):
     assert (made.motion.start.position, made.motion.goal.position) == ((0.5, -0.25, 0.4), (0.5, 0.25, 0.4))
 
 
+@pytest.mark.slow
 def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_path):
     file = tmp_path / "asked.toml"
     answers = ["ball 3", "cylinder 0.03 0.2", "heavy", "0.4 20%", "", "nope", "panda", ""]

@@ -53,6 +53,7 @@ def plain(fast):
     return simulate(fast)
 
 
+@pytest.mark.slow
 def test_the_papers_move_holds_and_creep_is_not_slip(nominal):
     """Raw displacement in the engine is 70 um; what the creep law leaves of it is below a tenth of a micrometre."""
     assert nominal.outcome == "holds"
@@ -263,6 +264,7 @@ def with_limit(plan, folder, joint, limit, value):
     return replace(plan, scenario=plan.scenario.with_changes(arm__model=str(path), arm__flange="panda_link8"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limit", "joint", "used", "step", "told"),
     [
@@ -369,6 +371,7 @@ def test_what_cannot_be_simulated_says_so(baseline):
         simulate(replace(baseline, scenario=scenario))
 
 
+@pytest.mark.slow
 def test_an_engine_that_diverged_under_an_arm_gives_an_error_and_no_verdict(fast, tmp_path, monkeypatch):
     """A joint without a torque limit and high gains on a state 20 ms old: the loop swings itself up."""
     monkeypatch.chdir(tmp_path)  # where MuJoCo writes its own log of it

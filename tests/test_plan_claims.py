@@ -119,6 +119,7 @@ def cost_at(problem: Problem, z: Array) -> float:
     return float(residual @ residual)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duration", [2.5, 1.3])
 def test_lower_bound_of_a_plan_is_the_least_cost_of_any_motion(duration: float) -> None:
     """Where the constraints bend, only the cost alone bounds it: no motion at all costs less, and one costs that."""

@@ -289,6 +289,7 @@ def _franka(plan: Plan, arm: ArmModel, joint: JointMotion) -> set[str]:
     return {c.name for c in check_franka(replace(plan, joint=joint), arm) if not c.ok}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_each_limit_of_the_research_3_is_checked(plan: Plan, arm: ArmModel, sign: float) -> None:
     """One joint at a time beyond one of the limits, the others well within; either way round."""

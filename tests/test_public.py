@@ -28,6 +28,7 @@ def run(plan):
     return sv.simulate(plan, parameters={"mass": 0.27})
 
 
+@pytest.mark.slow
 def test_every_name_is_a_function_after_everything_was_used():
     """A package of the same name would take its place once it is imported."""
     code = """

@@ -110,6 +110,7 @@ def test_derivatives_of_a_time_law_match_differences(problem):
     assert np.allclose(difference, predicted, rtol=1e-5, atol=1e-5 * np.abs(predicted).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robust", [False, True])
 def test_retimed_path_keeps_every_limit_and_the_contact(robust):
     uncertainty = {"mass": "20%", "com": [0.003, 0.003, 0.003], "friction": "10%"}

@@ -376,6 +376,7 @@ def test_ready_made_scenarios_are_valid_and_cite_their_source(name):
     assert item.source
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", scenario.names())
 def test_digest_survives_being_written_out(name):
     item = scenario.load(name)

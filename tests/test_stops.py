@@ -43,6 +43,7 @@ def test_a_stop_begins_in_the_plans_state_and_ends_at_rest(bottle):
     assert max(np.abs(stops.dq[:, -1]).max(), np.abs(stops.ddq[:, -1]).max()) < 1e-6
 
 
+@pytest.mark.slow
 def test_whenever_it_is_asked_for_the_arm_rests_no_later_than_with_the_plan(bottle):
     for now in np.linspace(1e-3, bottle.duration, 301):
         rests = bottle.stops.course(now).rests
@@ -56,6 +57,7 @@ def test_whenever_it_is_asked_for_the_arm_rests_no_later_than_with_the_plan(bott
     assert bottle.stops.longest < 0.7 * bottle.duration
 
 
+@pytest.mark.slow
 def test_before_it_begins_nothing_moves_and_near_its_end_it_is_finished(bottle):
     stops = bottle.stops
     for now in (-0.1, 0.0):
@@ -71,6 +73,7 @@ def test_before_it_begins_nothing_moves_and_near_its_end_it_is_finished(bottle):
     assert none.longest == pytest.approx(bottle.duration)
 
 
+@pytest.mark.slow
 def test_what_is_moved_keeps_every_condition_from_the_first_instant_to_rest(bottle):
     """Judged as one motion from the plan's own start, as arm and load go through it: nothing is carried over."""
     problem = transport_problem(bottle.scenario)
@@ -130,6 +133,7 @@ def test_stops_come_back_from_the_files_of_a_plan(bottle, tmp_path):
     assert written == ["plan-stop.json", "plan-stop.npz"]  # not what the page takes for a run of the plan
 
 
+@pytest.mark.slow
 def test_a_campaign_of_stops_goes_on_and_each_run_comes_again_alone(bottle, tmp_path):
     """Each run has its own instant, the same when it is made again; more runs keep the first three."""
     bottle.save(tmp_path)
@@ -169,6 +173,7 @@ def test_lost_and_beyond_a_limit_are_counted_from_what_became_of_the_load(tmp_pa
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -193,6 +198,7 @@ def test_nothing_moves_with_stops_that_are_not_what_they_should_be(bottle, chang
     assert told.required
 
 
+@pytest.mark.slow
 def test_what_has_no_stops_says_so_in_a_sentence(bottle):
     with pytest.raises(ScenarioError, match="has no stops"):
         stopped(replace(bottle, stops=None), 0.1)
@@ -210,6 +216,7 @@ def test_what_has_no_stops_says_so_in_a_sentence(bottle):
         StopLibrary.of_arrays(arrays, 1.0)
 
 
+@pytest.mark.slow
 def test_a_plan_in_object_space_stops_in_the_joints_and_keeps_its_load():
     """Its controller closes the loop on the cube's pose; the stop's on the joints, from the deviation as it then is."""
     plan = sv.plan(sv.load_scenario("panda-cube", motion__duration=1.25))
@@ -246,6 +253,7 @@ def test_a_path_of_ones_own_made_faster_can_be_stopped_too(tmp_path):
     assert np.abs(record.dq[record.t > rests + 0.3]).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_motion_of_ones_own_can_be_stopped_from_any_state(bottle):
     """Without a guess, and not on any plan: the bottle's, a tenth slower. It begins in that state."""
     problem = transport_problem(bottle.scenario)
@@ -258,6 +266,7 @@ def test_a_motion_of_ones_own_can_be_stopped_from_any_state(bottle):
     assert stop_from(problem, AtPosture(q, 3 * dq)) is None  # beyond the speed limit
 
 
+@pytest.mark.slow
 def test_a_time_law_that_begins_moving_has_the_derivatives_that_differences_give(bottle):
     """By every coefficient and by the duration, of every row of z; the start is that of the motion, to its speed."""
     path, spline = SplinePath.timed(bottle.joint), RestSpline(degree=5, spans=4)
@@ -281,6 +290,7 @@ def test_a_time_law_that_begins_moving_has_the_derivatives_that_differences_give
         assert np.allclose(columns[:, k], found, rtol=1e-4, atol=1e-5 * np.abs(columns).max())
 
 
+@pytest.mark.slow
 def test_stops_on_the_path_stay_on_it_and_are_no_sooner_than_free_ones():
     """Of a level cube, which need not lean: it can brake on its own path from some instants."""
     plan = sv.plan(sv.load_scenario("panda-cube", motion__duration=1.25))

@@ -131,6 +131,7 @@ def rows_along(made: Scenario, delay: float = AT_ONCE) -> tuple[Block, ...]:
 # The load ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stack", "pair"])
 def test_missing_acceleration_is_that_of_the_true_load(name: str) -> None:
     """M^-1 J^T dF of every parameter, dF by Newton and Euler, M and J^T by Pinocchio's inverse dynamics."""
@@ -152,6 +153,7 @@ def test_missing_acceleration_is_that_of_the_true_load(name: str) -> None:
     assert np.abs(nasty.torques(bare, q, dq, ddq)).max() > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["single", "stack"])
 def test_products_are_what_two_wrong_parameters_do_together(name: str) -> None:
     """M^-1 J^T of the load's second differences, and of what each parameter's load makes of the other's deviation."""
@@ -184,6 +186,7 @@ def test_products_are_what_two_wrong_parameters_do_together(name: str) -> None:
         assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max(), (a, b)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stack", "pair"])
 def test_terms_of_the_load_add_up_to_the_true_load(name: str) -> None:
     """Load, first object's wrench: at corners of the set, products of two parameters included."""
@@ -232,6 +235,7 @@ def test_fastest_plans_leave_room_for_the_torque_of_any_load(name: str, kind: st
     assert_allclose(room, expected, atol=5e-3 * expected.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("delay", [AT_ONCE, HELD])
 def test_fastest_plans_leave_room_for_where_and_how_fast_the_joints_stray(delay: float, order: int) -> None:
