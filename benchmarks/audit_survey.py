@@ -11,7 +11,8 @@ tests/test_physics_calibration.py holds it against a tray that is driven). Count
 
 - wrong "holds": it said so, and the engine lost the load;
 - among those that need less than 0.8 of the friction, with noise below a tenth of the motion (half its range): wrong
-  "does not hold", and "cannot tell".
+  "does not hold", and "cannot tell"; and of which of them the samples allow another motion that loses the load
+  (`audit_rivals`): nobody can tell those.
 
 Seeds below 100 were looked at while the audit was made; 100 and above were not.
 """
@@ -25,7 +26,7 @@ import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -33,6 +34,7 @@ from typing import Any
 
 import numpy as np
 
+from audit_rivals import loses
 from salver.auditing import audit
 from salver.auditing.motion import forward
 from salver.contact_margins import margin_model
@@ -67,6 +69,7 @@ class Case:
     reasons: str
     hidden: float
     engine: str
+    rival: bool = False
 
     @property
     def wrong(self) -> bool:
@@ -136,6 +139,26 @@ class Motion:
             np.outer(np.where(still, 0, parts[-1][2]), self.axis),
         )
         return MotionSamples(t, base.p_SB + value, base.v_S + rate, base.a_S + bend, exp(turn), spin, swing)
+
+    def coordinates(self, t: np.ndarray) -> np.ndarray:
+        """(T, 3) of the tray, or (T, 7) of the joints: what is sampled."""
+        return self.tray(t).p_SB if self.arm is None else self.joints(t)
+
+    def deviation(self, noise: float) -> float:
+        """Noise of what is sampled that moves the tray by `noise`, m, in the mean of its directions."""
+        if self.arm is None:
+            return noise
+        return float(noise * np.sqrt(3) / np.linalg.norm(self.arm.body_jacobian(Q0)[:3]))
+
+    def cheapest(self, u_S: np.ndarray, when: float) -> tuple[np.ndarray, np.ndarray]:
+        """Of all unit changes of what is sampled that which moves the tray furthest along u, and (3,) how far."""
+        if self.arm is None:
+            return u_S, u_S
+        q = self.joints(np.array([when]))[0]
+        jacobian = self.arm.tray_pose(q)[1] @ self.arm.body_jacobian(q)[:3]
+        line = jacobian.T @ u_S
+        line /= np.linalg.norm(line)
+        return line, jacobian @ line
 
     def joints(self, t: np.ndarray) -> np.ndarray:
         parts = [wave.at(t)[0] for wave in self.waves]
@@ -255,8 +278,7 @@ def write(rng: np.random.Generator, motion: Motion, rate: float, noise: float, f
     t = np.arange(int(motion.duration * rate) + 1) / rate
     digits = int(rng.choice([6, 7, 9]))
     if form in JOINTS:
-        gain = np.linalg.norm(motion.arm.body_jacobian(Q0)[:3]) / np.sqrt(3)
-        q = motion.joints(t) + noise / gain * rng.standard_normal((len(t), 7))
+        q = motion.joints(t) + motion.deviation(noise) * rng.standard_normal((len(t), 7))
         return _write_joints(t, q, form, folder, digits)
     s = motion.tray(t)
     p = s.p_SB + noise * rng.standard_normal(s.p_SB.shape)
@@ -341,7 +363,8 @@ def case(seed: int, index: int, engine: str = "lost") -> Case:
     seen = ""
     if need > 0.95 and (engine == "lost" or said == "holds" or reasons == "noise"):
         seen = simulate_tray(motion, scenario).outcome
-    return Case(kind, base, form, frequency, rate, noise, size, need, said, reasons, hidden, seen)
+    made = Case(kind, base, form, frequency, rate, noise, size, need, said, reasons, hidden, seen)
+    return replace(made, rival=made.counted and loses(scenario, motion, rate, noise))
 
 
 def report(cases: list[Case]) -> dict[str, Any]:
@@ -354,6 +377,7 @@ def report(cases: list[Case]) -> dict[str, Any]:
         "lost_said": dict(Counter(c.said for c in lost)),
         "gentle": len(gentle),
         "gentle_said": dict(Counter(c.said for c in gentle)),
+        "gentle_with_rival": dict(Counter(c.said for c in gentle if c.rival)),
         "gentle_reasons": dict(Counter(c.reasons for c in gentle if c.said == "cannot_tell")),
     }
 
@@ -371,14 +395,16 @@ def table(*reports: dict[str, Any]) -> str:
         ("gentle: need under 0.8 of the friction, noise under a tenth of the motion", lambda r: r["gentle"]),
         ("of these: holds", lambda r: _share(r, "holds")),
         ("of these: cannot be told", lambda r: _share(r, "cannot_tell")),
+        ("and another motion that the samples allow loses the load", lambda r: _share(r, "cannot_tell", True)),
         ("of these, wrong: does not hold", lambda r: _share(r, "does_not_hold")),
+        ("of these: holds, although another motion loses the load", lambda r: _share(r, "holds", True)),
     ]
     lines = ["| | looked at | held out |", "| --- | --- | --- |"]
     return "\n".join([*lines, *(f"| {name} | {' | '.join(str(of(r)) for r in reports)} |" for name, of in rows)])
 
 
-def _share(found: dict[str, Any], said: str) -> str:
-    count = found["gentle_said"].get(said, 0)
+def _share(found: dict[str, Any], said: str, rival: bool = False) -> str:
+    count = found.get("gentle_with_rival" if rival else "gentle_said", {}).get(said, 0)
     return f"{count} ({100 * count / max(1, found['gentle']):.1f} %)"
 
 

@@ -219,6 +219,17 @@ def test_noise_does_not_become_acceleration(noise):
     assert np.median(part.acceleration_error) < 0.2
 
 
+@pytest.mark.parametrize(("noise", "frequency", "length"), [(7e-4, 2.5, 1.0), (1e-4, 3.0, 1.0)])
+def test_an_end_that_is_bent_or_not_at_rest_is_within_the_stated_error(noise, frequency, length):
+    # 2.5 m/s^2 that are cut off while they last; noise hides that a curve at rest, or one polynomial, is none of them.
+    t, swing = np.arange(round(length * 362) + 1) / 362, 2 * np.pi * frequency
+    for k in range(12):
+        phase = np.pi * k / 6
+        part = one(t, 2.5 / swing**2 * np.sin(swing * t + phase), noise)
+        truth = -2.5 * np.sin(swing * part.motion.t + phase)
+        assert np.all(np.abs(part.motion.a_S[:, 1] - truth) < part.acceleration_error + 0.02)
+
+
 def test_a_short_jolt_is_followed_where_it_is_and_nowhere_else():
     t = np.arange(6001) / 1000
     inside = (t > 3) & (t < 3.1)

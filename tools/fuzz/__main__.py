@@ -4,8 +4,8 @@
     python tools/fuzz --case DOMAIN SEED NUMBER      # one case again, with its traceback
 
 A case is a domain, a seed and a number: nothing else goes into it, so that it can be made again alone. Cases run one
-after the other in a process of their own with at most 4 GB; one that takes over a minute is ended. What fails is kept
-in out/fuzz, and the exit code is 1.
+after the other in a process of their own with at most 4 GB; one that takes over a minute of processor time is ended,
+and one that waits for ten minutes. What fails is kept in out/fuzz, and the exit code is 1.
 
 Outcomes: refused (a sentence), accepted, DEFECT (any other exception), SLOW, MEMORY, CRASH, and WRONG:
 accepted although it should not have been.
@@ -18,6 +18,7 @@ import json
 import resource
 import select
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -29,6 +30,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 
 SECONDS, BYTES = 60, 4 * 10**9
+WAITING = 600  # s by the clock: a case that uses no processor time and does not end either
 KEPT = Path("out/fuzz")
 FAILURES = ("DEFECT", "SLOW", "MEMORY", "CRASH", "WRONG")
 
@@ -49,11 +51,18 @@ def one(domain: str, seed: int, number: int, folder: Path) -> str:
     return "accepted"
 
 
+def processor_time() -> float:
+    """s, of this process and of those that it has waited for: a busy machine makes no case slower."""
+    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + ended.ru_utime + ended.ru_stime
+
+
 def work(domain: str, seed: int, first: int, last: int, folder: Path) -> None:
     """In the child: cases of a domain, a line for each."""
     resource.setrlimit(resource.RLIMIT_DATA, (BYTES, BYTES))
     for number in range(first, last):
-        began, case = time.perf_counter(), folder / str(number)
+        began, case = processor_time(), folder / str(number)
+        resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + SECONDS + 1, resource.RLIM_INFINITY))
         case.mkdir()
         outcome, told = "accepted", ""
         try:
@@ -68,7 +77,7 @@ def work(domain: str, seed: int, first: int, last: int, folder: Path) -> None:
             (case / "traceback.txt").write_text(told, encoding="utf-8", errors="backslashreplace")
         else:
             shutil.rmtree(case)
-        seconds = round(time.perf_counter() - began, 3)
+        seconds = round(processor_time() - began, 3)
         print(json.dumps([number, outcome, seconds, told.strip().splitlines()[-1:]]), flush=True)
 
 
@@ -81,18 +90,17 @@ def run(domain: str, seed: int, count: int, until: float, counts: Counter, times
             command = [sys.executable, __file__, "--work", domain, str(seed), str(number), str(count), name]
             child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
             assert child.stdout is not None
-            starting = 120  # the imports of the first case count as well
             while number < count and time.time() < until:
-                ready, _, _ = select.select([child.stdout], [], [], SECONDS + starting)
+                ready, _, _ = select.select([child.stdout], [], [], WAITING)
                 line = child.stdout.readline() if ready else b""
-                starting = 0
                 if line:
                     _, outcome, seconds, told = json.loads(line)
                     times.append(seconds)
                     if seconds > SECONDS:
                         outcome = "SLOW"
                 else:
-                    outcome, told = ("CRASH" if ready else "SLOW"), []
+                    slow = not ready or child.wait() == -signal.SIGXCPU
+                    outcome, told = ("SLOW" if slow else "CRASH"), []
                 counts[outcome] += 1
                 if outcome in FAILURES:
                     kept = KEPT / f"{domain}-{seed}-{number}"

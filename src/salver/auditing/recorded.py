@@ -159,8 +159,8 @@ def _stretch(
             if not curve.rest[end] and not one_sided.all():
                 bend[one_sided] = bend[~one_sided][end]
     error = np.hypot(
-        sensor.position.whole * position.acceleration_error(grid, 1 / rate),
-        2 * LEVER * sensor.orientation.whole * turning.acceleration_error(grid, 1 / rate),
+        sensor.position.whole * position.acceleration_error(grid, 1 / rate, bent=True),
+        2 * LEVER * sensor.orientation.whole * turning.acceleration_error(grid, 1 / rate, bent=True),
     )
     # Near the sampling's own limit a spline misses some of the acceleration: a quarter at the limit, by trial.
     fast = np.interp(grid, t, np.maximum(bandwidth / most, agile / most))

@@ -49,10 +49,14 @@ class Fit:
         wide = np.diff(knots)
         return np.asarray(np.minimum.reduce([wide[np.clip(k + j, 0, len(wide) - 1)] for j in (-1, 0, 1)]))
 
-    def acceleration_error(self, t: Array, step: float) -> Array:
-        """(N,) standard deviation of the second derivative for samples of unit noise every `step` s."""
+    def acceleration_error(self, t: Array, step: float, bent: bool = False) -> Array:
+        """(N,) standard deviation of the second derivative for samples of unit noise every `step` s.
+
+        bent: as if the ends were free and no knots were left out there: noise hides that a motion was bent there, or
+        was not at rest.
+        """
         knots, h = self.spline.t[DEGREE:-DEGREE], self.spacing(t)
-        profiles = [_end_error(rest) for rest in self.rest]
+        profiles = [_end_error(False, 0) if bent else _end_error(rest, _END) for rest in self.rest]
         factor = np.maximum(np.interp((t - knots[0]) / h, *profiles[0]), np.interp((knots[-1] - t) / h, *profiles[1]))
         return np.asarray(factor * np.sqrt(step / h) / h**2)
 
@@ -108,12 +112,12 @@ def _merge(n: int, rest: Rest) -> Any:
     return sparse.csr_matrix((np.ones(n), (np.arange(n), columns)))
 
 
-@lru_cache(maxsize=2)
-def _end_error(rest: bool) -> tuple[Array, Array]:
+@lru_cache(maxsize=4)
+def _end_error(rest: bool, left_out: int) -> tuple[Array, Array]:
     """Standard deviation of the second derivative over the distance from an end, both in units of the spacing h and of
-    sqrt(step / h) / h^2 for unit noise: by dense algebra on a long uniform spline."""
+    sqrt(step / h) / h^2 for unit noise: by dense algebra on a long uniform spline without so many knots there."""
     intervals, each = 24, 12
-    inner = np.arange(1.0 + _END, intervals)
+    inner = np.arange(1.0 + left_out, intervals)
     knots = np.concatenate([np.zeros(DEGREE + 1), inner, np.full(DEGREE + 1, float(intervals))])
     t = (np.arange(intervals * each) + 0.5) / each
     merge = _merge(len(knots) - DEGREE - 1, (rest, False)).toarray()
