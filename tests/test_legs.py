@@ -1,5 +1,7 @@
 """Tasks of several legs: the load changes at stops, and each leg begins where the one before it ended."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import tomli_w
@@ -14,6 +16,12 @@ from salver.cli import main
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.export import write_export
 from salver.geometry import matrix_from_quat_wxyz
+from salver.planning.fastest import transport_problem
+from salver.planning.fastest.curves import Grid
+from salver.planning.fastest.exchange import SHORTEST
+from salver.planning.fastest.legs import chains
+from salver.planning.fastest.spline import RestSpline, min_jerk_blend
+from salver.planning.fastest.together import LegsCurve, LegsProgramme
 from salver.planning.plan import load_plan
 from salver.planning.round import load_round
 from salver.reports.page import write_report
@@ -262,3 +270,47 @@ def main_of(*words):
     with patch.object(sys, "argv", ["salver", *map(str, words)]), pytest.raises(SystemExit) as end:
         main()
     return end.value.code or 0
+
+
+def test_rows_of_all_legs_change_as_their_derivatives_say_with_the_shares_of_the_time_too():
+    """Nominal loads: what a wrong one does to the arm is left out of derivatives by design. Rows that depend on time
+    are those times the square of their leg's duration."""
+    case = parsed()
+    problems = [transport_problem(leg, robust=False) for leg in case.each_leg]
+    postures = chains(problems, np.random.default_rng(0))[0]
+    spline, s = RestSpline(5, 4), np.linspace(0, 1, 101)
+    grid = Grid.of(spline, spline.nodes(2))
+    curve = LegsCurve(tuple(problems), spline, grid.s, grid.nodes, np.array([0.4, 0.6]))
+    rng = np.random.default_rng(1)
+    at = np.zeros((curve.grid.basis.shape[2], curve.width))
+    for k, (one, other) in enumerate(pairwise(postures)):
+        at[curve.rows(k)] = spline.fit(s, one + min_jerk_blend(s)[:, None] * (other - one))
+    at[: curve.postures] += 0.02 * rng.normal(size=(curve.postures, curve.width))
+    at[curve.postures, :2] = 0.1, -0.05
+    programme = LegsProgramme(curve, (), SHORTEST, tuple(problem.constraints for problem in problems))
+    here, seen = programme.begin(at, 1.4), set()
+    step = np.zeros(at.size)
+    step[: curve.postures * curve.width] = 0.3 * rng.normal(size=curve.postures * curve.width)
+    step[curve.columns_of_shares] = 0.7, -1.1
+
+    def rows(number, node, column, h):
+        block = programme.begin(at + h * step.reshape(at.shape), 1.4).blocks[number]
+        longer = 2 * h * step[curve.columns_of_shares][block.points[node] // len(grid.s)]
+        return block.values[node, column] * (np.exp(longer) if block.scales else 1.0)
+
+    for number, block in enumerate(here.blocks):
+        if block.kinked:
+            continue
+        node, column = (rng.integers(0, size, 6) for size in block.values.shape)
+        claimed = programme.derivatives(here, block, node, column)[:, :-1] @ step
+        h = 1e-6
+        found = (rows(number, node, column, h) - rows(number, node, column, -h)) / (2 * h)
+        np.testing.assert_allclose(claimed, found, atol=2e-5 * max(1.0, np.abs(found).max()))
+        seen.add(block.name)
+    assert {"velocity", "torque", "contact of first", "contact of second"} <= seen
+    assert curve.durations(at, 1.4) == pytest.approx([1.4 * 0.4 * np.exp(0.1), 1.4 * 0.6 * np.exp(-0.05)])
+    again = curve.repaired(at)
+    assert again is not None
+    assert curve.durations(again, 1.4).sum() == pytest.approx(1.4)
+    for k, problem in enumerate(problems):
+        assert np.abs(problem.goal.residual(problem.arm, again[curve.rows(k)][-1])[0]).max() < 1e-10

@@ -1,19 +1,42 @@
-"""Fastest plans of several legs: each from rest to rest with its own load, joined in postures that are chosen."""
+"""Fastest plans of several legs: each from rest to rest with its own load, joined in postures that are chosen.
+
+Which branch of the inverse kinematics the arm takes is chosen for the task as a whole (`chains`), and so are the
+postures at its stops, by a rough optimum of all legs in one programme (`together`). Each leg is then optimised with all
+pieces between the two postures that were found.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
-from salver.errors import ScenarioError, Status
-from salver.geometry import quat_wxyz_from_matrix
-from salver.planning.fastest.problem import transport_problem
-from salver.planning.fastest.search import FastestOptions, plan_problem
+from salver.errors import ScenarioError, Status, UnreachableError
+from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.planning.fastest.ends import AtPosture
+from salver.planning.fastest.exchange import ROUGH_ITERATIONS
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.search import (
+    NEARLY,
+    FastestOptions,
+    few_pieces,
+    object_motion,
+    plan_problem,
+    refitted,
+)
+from salver.planning.fastest.spline import SplineMotion
+from salver.planning.fastest.starts import Ends, between, ends, straight
+from salver.planning.fastest.together import together
 from salver.planning.fastest.watch import WHY, Watch
 from salver.planning.plan import Plan, begun_at
 from salver.planning.round import Round, worst_of
 from salver.scenario import Scenario
+
+BEAM = 6  # chains of postures that are kept from leg to leg,
+BRANCHES = 3  # and goal postures that are tried from the end of each
+ROUGHS = 0.3  # share of the work that rough optima are, about
 
 
 def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> Round:
@@ -30,25 +53,100 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
         )
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
+    problems = [transport_problem(leg) for leg in scenario.each_leg]
     legs: list[Plan] = []
-    for k, leg in enumerate(scenario.each_leg):
-        posture: Any = None
-        if legs:
-            joint = legs[-1].joint
-            assert joint is not None
-            posture = joint.q[-1]
-            if leg.motion.goal_yaw == "free":
-                leg = _from_where(legs[-1], leg)
-        problem = transport_problem(leg, start_posture=posture)
-        part = watch.part(k / len(scenario.legs), 1 / len(scenario.legs))
-        legs.append(plan_problem(problem, options=options, watch=part))
+    for begin in _begins(problems, options, watch):
+        legs = _in_turn(problems, begin, options, watch)
+        if len(legs) == len(problems) and all(leg.ok for leg in legs):
+            break
     exact = scenario.with_changes(contact__condition="exact")
     seconds = sum(float(leg.solver["seconds"]) for leg in legs)
     record = {"name": legs[0].solver["name"], "seconds": seconds, "robust": True}
     return Round(exact, tuple(legs), _status(legs, watch), record)
 
 
-def _status(legs: list[Plan], watch: Watch) -> Status:
+def _begins(
+    problems: Sequence[TransportProblem], options: FastestOptions, watch: Watch
+) -> Iterator[list[SplineMotion] | None]:
+    """A first motion of every leg: the best of a few rough optima, then the others, and at last None: each leg then
+    chooses for itself where it ends."""
+    roughs: list[tuple[bool, float, list[SplineMotion]]] = []
+    few, rng = few_pieces(options), np.random.default_rng(options.seed)
+    iterations = round(options.iterations * ROUGH_ITERATIONS)
+    tried = chains(problems, rng)[: max(1, options.pairs // 2)]
+    for postures in tried:
+        pairs = [Ends(a, b, 0.0, True) for a, b in pairwise(postures)]
+        each = [between(problem, pair) for problem, pair in zip(problems, pairs, strict=True)]
+        begin = [straight(pair).motion(problem, few) for problem, pair in zip(each, pairs, strict=True)]
+        found, violation = together(each, begin, options.nodes_per_span, watch, iterations)
+        roughs.append((violation >= NEARLY, sum(motion.duration for motion in found), found))
+        watch.share = ROUGHS * len(roughs) / len(tried)
+        if watch.over():
+            break
+    roughs.sort(key=lambda rough: rough[:2])
+    yield from (found for far, _, found in roughs if not far)
+    yield None
+
+
+def chains(problems: Sequence[TransportProblem], rng: np.random.Generator) -> list[list[Array]]:
+    """Postures (n,) at the start and at the end of every leg, the most promising of them all first.
+
+    Raises UnreachableError when no posture reaches a stop.
+    """
+    found = [(pair.cost, [pair.start, pair.goal]) for pair in ends(problems[0], rng)]
+    for k, problem in enumerate(problems):
+        if k:
+            found = [
+                (cost + pair.cost, [*postures, pair.goal])
+                for cost, postures in found
+                for pair in ends(replace(problem, start=AtPosture(postures[-1])), rng)[:BRANCHES]
+            ]
+        if not found:
+            raise UnreachableError(
+                f"{problem.scenario.name}: no posture within the joint limits reaches its "
+                f"{'goal from its start' if k else 'start and its goal'}."
+            )
+        found = sorted(found, key=lambda chain: chain[0])[:BEAM]
+    return [postures for _, postures in found]
+
+
+def _in_turn(
+    problems: Sequence[TransportProblem], begin: list[SplineMotion] | None, options: FastestOptions, watch: Watch
+) -> list[Plan]:
+    """Plans of the legs, each from the posture in which the one before it ends; to that in which its motion of `begin`
+    does, if there are any: then no further than to the first leg that is not safe."""
+    legs: list[Plan] = []
+    for k, problem in enumerate(problems):
+        near = None if begin is None else refitted(begin[k], options.spans)
+        q_start = None if k == 0 else begin[k].coefficients[0] if begin is not None else _end_of(legs[-1])
+        if q_start is not None:
+            problem = _from(problem, q_start)
+        if near is not None:
+            q = near.coefficients
+            problem = between(replace(problem, goal=AtPosture(q[-1])), Ends(q[0], q[-1], 0.0, True))
+            problem = replace(problem, start=AtPosture(q[0]))
+        part = watch.part(ROUGHS + (1 - ROUGHS) * k / len(problems), (1 - ROUGHS) / len(problems))
+        legs.append(plan_problem(problem, options=options, watch=part, near=near))
+        if begin is not None and not legs[-1].ok and not watch.ended:
+            break
+    return legs
+
+
+def _end_of(plan: Plan) -> Array:
+    assert plan.joint is not None
+    return plan.joint.q[-1]
+
+
+def _from(problem: TransportProblem, q: Array) -> TransportProblem:
+    """The problem from a posture (n,) in which the leg before it ended: also in the heading that was chosen there."""
+    scenario = problem.scenario
+    if scenario.motion.goal_yaw == "free":
+        samples = object_motion(problem, np.zeros(1), q[None], np.zeros((1, problem.n)), np.zeros((1, problem.n)))
+        scenario = begun_at(scenario, samples.p_SB[0], quat_wxyz_from_matrix(samples.R_SB[0]))
+    return replace(problem, scenario=scenario, start=AtPosture(q))
+
+
+def _status(legs: Sequence[Plan], watch: Watch) -> Status:
     worst = worst_of([leg.status for leg in legs])
     if not worst.ok:
         number = next(k for k, leg in enumerate(legs, 1) if leg.status is worst)
@@ -57,9 +155,3 @@ def _status(legs: list[Plan], watch: Watch) -> Status:
     ended = f" The search was ended by {WHY[watch.ended]} before it was done." if watch.ended else ""
     sentence = f"The shortest safe motions found take {sum(leg.duration for leg in legs):.4f} s ({each}).{ended}"
     return Status(watch.ended or "optimal", sentence, True)
-
-
-def _from_where(before: Plan, leg: Scenario) -> Scenario:
-    """The leg from the pose in which the one before it ends."""
-    end = before.reference.sample(np.array([before.duration]))
-    return begun_at(leg, end.p_SB[0], quat_wxyz_from_matrix(end.R_SB[0]))

@@ -136,7 +136,7 @@ def plan_problem(
     robust: bool = True,
     options: FastestOptions | None = None,
     watch: Watch | None = None,
-    near: FastestMotion | None = None,
+    near: SplineMotion | None = None,
 ) -> Plan:
     """The plan of a problem, as `plan_fastest` makes it. near: a motion of a similar problem, tried first."""
     scenario = problem.scenario
@@ -234,7 +234,7 @@ def tracking_record(found: FastestMotion) -> dict[str, float]:
 def fastest(
     problem: TransportProblem,
     options: FastestOptions | None = None,
-    near: FastestMotion | None = None,
+    near: FastestMotion | SplineMotion | None = None,
     watch: Watch | None = None,
 ) -> FastestMotion:
     """Shortest safe motion that is found of a problem (see `transport_problem`). Never raises for numerical reasons:
@@ -379,9 +379,8 @@ class _Search:
 
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
         """The optimum with all pieces. Where nothing hinders a shorter time it is none: then on from there."""
-        spline, s = RestSpline(DEGREE, self.options.spans), np.linspace(0, 1, 201)
-        path = self._few.matrices(s)[0] @ found.coefficients
-        start = SplineMotion(spline, spline.fit(s, path), found.duration)
+        start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
+        spline = start.spline
         best = _optimum(problem, self.options, start, self.watch, REFINED)
         self.iterations += best.iterations
         for _ in range(AGAIN):
@@ -397,7 +396,18 @@ class _Search:
 
     @property
     def _few(self) -> RestSpline:
-        return RestSpline(DEGREE, max(4, self.options.spans // 3))
+        return few_pieces(self.options)
+
+
+def few_pieces(options: FastestOptions) -> RestSpline:
+    """Of rough optima."""
+    return RestSpline(DEGREE, max(4, options.spans // 3))
+
+
+def refitted(motion: SplineMotion, spans: int) -> SplineMotion:
+    """The same motion, as near as may be, with so many pieces."""
+    spline, s = RestSpline(DEGREE, spans), np.linspace(0, 1, 201)
+    return SplineMotion(spline, spline.fit(s, motion.spline.matrices(s)[0] @ motion.coefficients), motion.duration)
 
 
 def _merit(found: tuple[TransportProblem, Solution]) -> tuple[bool, float]:
