@@ -118,7 +118,7 @@ def test_a_planner_that_fails_or_dies_leaves_what_is_committed(cube, monkeypatch
     def broken(*_, **__):
         raise ArithmeticError("lost")
 
-    monkeypatch.setattr(type(live._replanner), "to", broken)
+    monkeypatch.setattr(type(live._planner._replanner), "to", broken)
     live.goto((0.5, -0.3, 0.4))
     assert "The planner failed (ArithmeticError: lost)" in live.plan(60.0).refused
     more = drive(live, 1.5, every=None, begins=0.4)
@@ -131,7 +131,7 @@ def test_a_motion_that_comes_too_late_is_not_taken(cube, monkeypatch):
     """The loop goes on while one is sought, beyond where it would begin: the old one goes on, a later one comes."""
     live = Live(cube, lead=0.02)
     states = drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
-    goal, seek, between_times = live.committed, live._replanner.to, []
+    goal, seek, between_times = live.committed, live._planner._replanner.to, []
 
     def slowly(self, *args):
         found = seek(*args)
@@ -139,7 +139,7 @@ def test_a_motion_that_comes_too_late_is_not_taken(cube, monkeypatch):
         return found
 
     with monkeypatch.context() as patched:
-        patched.setattr(type(live._replanner), "to", slowly)
+        patched.setattr(type(live._planner._replanner), "to", slowly)
         live.goto((0.5, -0.3, 0.4))
         live.plan(60.0)
     assert len(between_times) == 1

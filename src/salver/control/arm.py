@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -61,6 +61,14 @@ class Saturation:
     peak_share: float = 0.0
 
 
+class Course(Protocol):
+    """What the joints are to do, as a loop asks for it: `at(*instant(t))` is q, dq, ddq (n,) at time t, s."""
+
+    def instant(self, t: float) -> tuple[int, float]: ...
+
+    def at(self, index: int, offset: float) -> tuple[Array, Array, Array]: ...
+
+
 class JointTable:
     """A joint motion from time 0 at the multiples of a period, s; for a loop that has no time to evaluate splines."""
 
@@ -97,7 +105,8 @@ class ArmController:
     """Carries the first of `bodies` along `reference`; the others are a load that sticks to the tray.
 
     arm: with its tray. bodies: nominal; all that the controller knows of what it carries.
-    joint: joint motion that follows the reference; posture of the null space, or all there is to follow.
+    joint: joint motion that follows the reference; posture of the null space, or all there is to follow. One that is
+    not known beforehand is a `Course`, with space = "joint".
     reference: motion of the object; may be None with space = "joint".
     gains: of the object's loop, eq (19); in joint space, kp[0] and kd[0] of every joint.
     feedback: "joints": the object is where forward kinematics puts it, on its place on the tray; "object": its pose
@@ -114,7 +123,7 @@ class ArmController:
         self,
         arm: ArmModel,
         bodies: Sequence[Body],
-        joint: JointMotion,
+        joint: JointMotion | Course,
         reference: Reference | None,
         gains: Gains,
         *,
@@ -139,9 +148,11 @@ class ArmController:
         self._torque_step = arm.limits.torque_rate * period if limit_torque else np.full(arm.n, np.inf)
         self._previous: Array | None = None
 
-        self._joint = JointTable(joint, period)
+        self._joint = table = JointTable(joint, period) if isinstance(joint, JointMotion) else joint
         if reference is not None:
-            m = reference.sample(np.minimum(self._joint.t, reference.duration))
+            if not isinstance(table, JointTable):
+                raise ValueError("a controller in object space needs a motion that is known beforehand")
+            m = reference.sample(np.minimum(table.t, reference.duration))
             self._p, self._v, self._a = m.p_SB, m.v_S, m.a_S
             self._rotation, self._omega, self._alpha = m.R_SB, m.omega_B, m.alpha_B
             self._jerk, self._angular_jerk = (np.gradient(x, period, axis=0) for x in (m.a_S, m.alpha_B))
@@ -262,7 +273,7 @@ class Relay:
 
 def controller_for(
     scenario: Scenario,
-    joint: JointMotion,
+    joint: JointMotion | Course,
     reference: Reference | None,
     *,
     arm: ArmModel | None = None,

@@ -1,6 +1,7 @@
 """A motion that may be changed while it runs, and never drops what it carries: `Live`; and a worker that plans."""
 
+from salver.live.course import LiveCourse
 from salver.live.live import Live, State
 from salver.live.worker import Worker
 
-__all__ = ["Live", "State", "Worker"]
+__all__ = ["Live", "LiveCourse", "State", "Worker"]

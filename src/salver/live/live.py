@@ -13,6 +13,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,8 +25,8 @@ from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array
 from salver.live.motion import Committed, between, joined, resting
 from salver.live.reader import Pieces, Reader
-from salver.live.replan import Replanner
-from salver.live.steer import TICK, Steering
+from salver.live.planner import Answer, Job, Planner
+from salver.live.steer import TICK
 from salver.live.verify import verified
 from salver.live.wishes import (
     ACCEPTED,
@@ -40,11 +41,10 @@ from salver.live.wishes import (
     posture_goal,
     refused,
     twist_wish,
-    why_not,
 )
 from salver.models.arm import with_load
 from salver.models.arm_limits import POSITION
-from salver.planning.fastest import Anywhere, AtPosture, TransportProblem, transport_problem
+from salver.planning.fastest import AtPosture, TransportProblem, transport_problem
 from salver.scenario import Scenario, load
 from salver.trajectory import JointMotion
 
@@ -54,7 +54,7 @@ FIRST_TICK = 0.05  # s, the same of a tick
 CALMING = 0.3  # s of ticks after a twist or a chunk, in which the motion is calmed; then it runs out
 LEADS = 5  # plans from whose times the lead is taken
 SPARE = 1.3  # of the longest of them
-LEAST_LEAD = 0.02  # s
+LEAST_LEAD, MOST_LEAD = 0.02, 1.0  # s
 MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
 STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
 
@@ -140,9 +140,8 @@ class Live:
         rest = verified(problem, resting(posture), 0.0, None)
         if rest.committed is None:
             raise ScenarioError(f"{scenario.name}: the load is not safe at rest at q: {rest.sentence}.")
-        self._problem = problem
-        self._replanner = Replanner.of(problem)
-        self._steering = Steering.of(problem, self._replanner.sought)
+        self._problem, self._robust = problem, robust
+        self._planner = Planner(problem)
         self._lead = lead
         # How long planning took of late, s: of motions and of ticks.
         self._spent: dict[bool, deque[float]] = {steered: deque(maxlen=LEADS) for steered in (False, True)}
@@ -275,14 +274,37 @@ class Live:
         self._refused = f"{joint} is {away.max():.3f} rad from where it was told to be; the arm is stopped."
         return refused(self._refused)
 
+    def restart(self, q: npt.ArrayLike) -> Status:
+        """Go on from rest at q (n,), rad, where the arm was put by something else; what was wished is forgotten.
+
+        From the robot's loop, between two commands: what they say jumps to q. Refused while what is committed moves,
+        and where the load is not safe at rest.
+        """
+        posture = numbers(q, (self._problem.n,), "the posture")
+        if isinstance(posture, Status):
+            return self._refuse(posture.sentence, "A restart")
+        if self._now < self.committed.ends and not self.committed.at_rest:
+            return self._refuse(f"the arm is at rest only in {self.committed.ends - self._now:.2f} s", "A restart")
+        rest = verified(self._problem, resting(posture), self._now, None)
+        if rest.committed is None:
+            return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
+        self._wish, self._done, self._refused, self._attempts = None, None, "", 0
+        self._queue.clear()
+        self._heard.clear()
+        self._offer = self._offered = None
+        self._running = _Running.first(rest.committed)
+        self._reader.take(self._running.pieces)
+        self._reader.read(self._now)
+        return ACCEPTED
+
     # --- whoever plans
 
-    def plan(self, budget: float = 2.0) -> State:
+    def plan(self, budget: float = 2.0, answer: Callable[[Job], Answer] | None = None) -> State:
         """One step of planning towards what is wished, which may take up to about `budget`, s. From any thread, one at
-        a time; never raises."""
+        a time; never raises. answer: does the work, elsewhere; in this thread unless given."""
         if self._planning.acquire(blocking=False):
             try:
-                self._step(budget)
+                self._step(budget, answer or self._planner.answer)
             except Exception as error:  # the committed motion does not depend on it
                 self._refused = f"The planner failed ({type(error).__name__}: {error}); what was committed goes on."
                 self._done = self._wish
@@ -326,13 +348,18 @@ class Live:
         return self._problem
 
     @property
+    def robust(self) -> bool:
+        """Whether it is for the whole uncertain set."""
+        return self._robust
+
+    @property
     def lead(self) -> float:
         """s from the beginning of planning to the hand-over."""
         if self._lead is not None:
             return self._lead
         steered = isinstance(self._wish, Follow)
         first = FIRST_TICK if steered else FIRST_LEAD
-        return max(LEAST_LEAD, SPARE * max(self._spent[steered], default=first / SPARE))
+        return min(max(LEAST_LEAD, SPARE * max(self._spent[steered], default=first / SPARE)), MOST_LEAD)
 
     def _due(self) -> Wish | None:
         """What is to be planned for now."""
@@ -349,35 +376,24 @@ class Live:
             return self._wish
         return None
 
-    def _step(self, budget: float) -> None:
+    def _step(self, budget: float, answer: Callable[[Job], Answer]) -> None:
         wish = self._due()
         if wish is None or self._offer is not None:
             return
         running, began = self._running, time.perf_counter()
-        base = running.committed
-        steered = isinstance(wish, Follow)
+        base, steered = running.committed, isinstance(wish, Follow)
         begins = self._hand_over(base, steered)
-        if isinstance(wish, Follow):
-            heard = begins <= wish.until
-            if begins > wish.until + CALMING:
-                self._done = wish  # what is committed ends at rest
-                return
-            found, status = self._steering.tick(wish.wanted if heard else wish.then, base, begins)
-        elif isinstance(wish, Halt):
-            if begins >= base.ends:
-                self._done = wish
-                return
-            found, status = self._replanner.to(Anywhere(), base, begins, budget)
-            if found is not None and found.ends >= base.ends:
-                found = None
-                self._done = wish  # it is at rest no later as it is
-        else:
-            blocked = why_not(self._problem, wish)
-            if blocked:
-                found, status = None, Status("unreachable", blocked, False)
-            else:
-                found, status = self._replanner.to(wish.end, base, begins, budget)
+        if isinstance(wish, Follow) and begins > wish.until + CALMING:
+            self._done = wish  # what is committed ends at rest
+            return
+        if isinstance(wish, Halt) and begins >= base.ends:
+            self._done = wish
+            return
+        answered = answer(Job(wish, base, begins, budget))
+        found, status = answered.found, answered.status
         self._spent[steered].append(time.perf_counter() - began)
+        if answered.done:
+            self._done = wish
         if found is not None and found.begins < self._now and base.ends <= found.begins:
             # It came late, but the arm was at rest and is: the same motion, from a little later on.
             found = verified(self._problem, found.motion, self._hand_over(base, steered), base).committed

@@ -1,29 +1,44 @@
-"""A thread that plans for a live motion whenever there is something to plan."""
+"""Who plans for a live motion whenever there is something to plan: a thread, or a process of its own."""
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import threading
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Self
 
+from salver.errors import SalverError
 from salver.live.live import Live
+from salver.live.planner import Answer, Job, Planner
+from salver.planning.fastest import transport_problem
+from salver.scenario import Scenario
 
 PAUSE = 2e-3  # s between two looks for something to do
 SWITCH = 5e-4  # s for which Python lets one thread run when another wants to: the robot's loop must not wait for long
+PATIENCE = 20.0  # s beyond the budget, after which a process that does not answer is given up
+# Matrices here are small: threads of the linear algebra would only take the loop's core away.
+ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 
 
 class Worker:
     """Plans while it is entered: `with Worker(live): ...`, or `start` and `close`."""
 
-    def __init__(self, live: Live, budget: float = 2.0) -> None:
-        """budget: s that one step of planning may take, about."""
+    def __init__(self, live: Live, budget: float = 2.0, *, process: bool = False) -> None:
+        """budget: s that one step of planning may take, about. process: plan in a process of its own, so that the
+        loop's has its interpreter to itself; it takes a second to start."""
         self._live, self._budget = live, budget
         self._closing = threading.Event()
+        self._process = _Process(live) if process else None
         self._thread = threading.Thread(target=self._work, name="salver-live", daemon=True)
 
     def start(self) -> Self:
         sys.setswitchinterval(min(sys.getswitchinterval(), SWITCH))
+        if self._process is not None:
+            self._process.ready()  # or else the first lead would be that of a start
         self._thread.start()
         return self
 
@@ -31,6 +46,8 @@ class Worker:
         """Plan no more; what is committed is finished."""
         self._closing.set()
         self._thread.join()
+        if self._process is not None:
+            self._process.close()
 
     @property
     def alive(self) -> bool:
@@ -45,8 +62,77 @@ class Worker:
         self.close()
 
     def _work(self) -> None:
+        answer = None if self._process is None else self._process.answer
         while not self._closing.is_set():
             if self._live.idle:
                 self._closing.wait(PAUSE)
             else:
-                self._live.plan(self._budget)
+                self._live.plan(self._budget, answer)
+
+
+class _Process:
+    """A planner in another process. One that died is replaced when the next job comes."""
+
+    def __init__(self, live: Live) -> None:
+        self._about = (live.problem.scenario, live.robust)
+        self._running: subprocess.Popen[bytes] | None = None
+
+    def ready(self) -> None:
+        """Wait until it can be asked; raises SalverError when it cannot begin."""
+        if self._running is not None:
+            return
+        self._pipe, other = Pipe()
+        with other:
+            code = f"from salver.live.worker import serve; serve({other.fileno()})"
+            self._running = subprocess.Popen(
+                [sys.executable, "-c", code],
+                pass_fds=[other.fileno()],
+                env={**os.environ, **ONE_THREAD},
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is for the loop
+            )
+        self._told(self._about, PATIENCE)
+
+    def answer(self, job: Job) -> Answer:
+        """Raises SalverError when the process died or hangs."""
+        self.ready()
+        answered = self._told(job, job.budget + PATIENCE)
+        if isinstance(answered, Answer):
+            return answered
+        raise SalverError(str(answered))
+
+    def _told(self, what: object, seconds: float) -> object:
+        try:
+            self._pipe.send(what)
+            if not self._pipe.poll(seconds):
+                raise TimeoutError
+            return self._pipe.recv()
+        except (OSError, EOFError) as error:
+            self.close()
+            how = "did not answer" if isinstance(error, TimeoutError) else "died"
+            raise SalverError(f"the process that plans {how}; another one begins with the next wish") from None
+
+    def close(self) -> None:
+        running, self._running = self._running, None
+        if running is not None:
+            self._pipe.close()
+            running.kill()  # it holds nothing that could be lost
+            running.wait()
+
+
+def serve(descriptor: int) -> None:
+    """The other process: answers jobs until nobody is left who could ask."""
+    with Connection(descriptor) as pipe:
+        try:
+            scenario, robust = pipe.recv()
+            assert isinstance(scenario, Scenario)
+            planner = Planner(transport_problem(scenario, robust=robust))
+            pipe.send("ready")
+            while True:
+                job = pipe.recv()
+                try:
+                    pipe.send(planner.answer(job))
+                except Exception as error:  # one job that fails is no reason to end
+                    pipe.send(f"{type(error).__name__}: {error}")
+        except (EOFError, OSError):
+            return

@@ -1,0 +1,20 @@
+"""A live motion as what an arm's controller follows, in place of one that is known beforehand."""
+
+from __future__ import annotations
+
+from salver.geometry import Array
+from salver.live.live import Live
+
+
+class LiveCourse:
+    """A `salver.control.arm.Course`: reads what is commanded at the controller's times, and is alone in doing so."""
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+
+    def instant(self, t: float) -> tuple[int, float]:
+        self._q, self._dq, self._ddq, _ = self._live.command(t)
+        return 0, 0.0
+
+    def at(self, index: int, offset: float) -> tuple[Array, Array, Array]:
+        return self._q, self._dq, self._ddq
