@@ -1,4 +1,5 @@
-"""Makes the pictures of the report page: python docs/make_screenshots.py. Needs Chromium and chromedriver.
+"""Makes the pictures of the report page and the playground: python docs/make_screenshots.py [report | live]. Needs
+Chromium and chromedriver.
 
 Plans, simulates and reports the scenario SCENARIO afresh, opens the page in a headless browser and photographs it.
 """
@@ -15,6 +16,8 @@ from PIL import Image
 from salver import scenario
 from salver.planning.make import plan_pair
 from salver.planning.plan import load_plan
+from salver.playground import World
+from salver.playground.server import Playground
 from salver.reports.page import write_report
 from salver.simulation.physics import simulate
 
@@ -30,6 +33,25 @@ def main() -> None:
     reason = missing()
     if reason:
         raise SystemExit(f"No pictures: {reason}.")
+    asked = sys.argv[1:] or ["report", "live"]
+    if "report" in asked:
+        _report()
+    if "live" in asked:
+        _live()
+
+
+def _live() -> None:
+    """The bottle half way to a goal."""
+    world = World(scenario.load("panda-tall-bottle"))
+    with Playground(world) as playground, chromium(1280, 860) as browser:
+        browser.call("POST", "url", {"url": playground.url})
+        browser.wait_for("window.salver && salver.state.frames > 3")
+        world.say({"goto": [0.45, 0.15, 0.5]})
+        browser.wait_for("salver.state.frame.speed > 0.5")
+        _photograph(browser, "live.png", None)
+
+
+def _report() -> None:
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name) / SCENARIO
         plan, baseline = plan_pair(scenario.load(SCENARIO))
@@ -50,8 +72,9 @@ def main() -> None:
             _photograph(browser, "report-margins.png", 0.3, section="margins")
 
 
-def _photograph(browser: Browser, name: str, time: float, section: str | None = None) -> None:
-    browser.script("salver.setTime(arguments[0])", time)
+def _photograph(browser: Browser, name: str, time: float | None, section: str | None = None) -> None:
+    if time is not None:
+        browser.script("salver.setTime(arguments[0])", time)
     if section:
         browser.script("document.getElementById(arguments[0]).scrollIntoView({behavior: 'instant'})", section)
     picture = Image.open(io.BytesIO(browser.screenshot())).convert("RGB")

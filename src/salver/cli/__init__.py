@@ -39,6 +39,7 @@ COMMANDS = (
     "figures",
     "render",
     "export",
+    "live",
     "execute",
     "identify",
     "learn",

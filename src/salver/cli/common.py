@@ -51,7 +51,7 @@ def handled(command: Command) -> Command:
     """
 
     # Those that ask somebody, and the loop of 1 kHz, go without a bar.
-    alone = command.__name__ in ("new", "execute")
+    alone = command.__name__ in ("new", "execute", "live")
 
     @functools.wraps(command)
     def wrapper(*args: Any, **kwargs: Any) -> Any:

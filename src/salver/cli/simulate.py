@@ -69,7 +69,7 @@ def simulate(
 
     if stem not in (*STEMS, "both") and leg_number(stem) is None:
         raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both; or leg1, leg2, ...')
-    parameters = _parameters(set_ or [])
+    parameters = true_values(set_ or [])
     stopping = None  # seed of the instants of a campaign of stops
     if run is not None:
         from salver.campaigns import instant_of_run, parameters_of_run, read_definition
@@ -144,7 +144,7 @@ def _motion(path: Path, scenario: str, parameters: dict[str, float], topic: str 
         show({path.name: record})
 
 
-def _parameters(settings: list[str]) -> dict[str, float]:
+def true_values(settings: list[str]) -> dict[str, float]:
     values = {}
     for text in settings:
         name, equals, number = text.partition("=")

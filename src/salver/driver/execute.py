@@ -29,6 +29,12 @@ from salver.trajectory import JointMotion
 
 ROBOTS = ("franka",)
 APPROACH_SHARE = 0.1  # of the velocity limits on the way to the start posture
+# Of a simulated run, what is logged: figures and arrays.
+JUDGED = ("outcome", "objects", "e_p_peak", "e_o_peak")
+RECORDED = (
+    "t", "q", "dq", "tau", "p_SE", "quat_SE_wxyz", "p_SB", "quat_SB_wxyz", "slip_E", "slip", "lift", "tip_angle",
+    "contact_points_B", "contact_forces_B", "cone_coefficients", "e_p", "e_o", "tray_e_p", "tray_e_o",
+)  # fmt: skip
 STOP_ROOM = 3.0  # s that a stop may take in a dry run beyond the motion
 
 
@@ -82,16 +88,9 @@ def dry_run(
             summary["load"] = f"What became of the load was not measured ({named(error)})."
             arrays = arrays_of(plan, arm, carried[0], log_)
         else:
-            arrays = {name: np.asarray(getattr(record, name)) for name in _RECORDED}
-            summary |= {key: record.summary[key] for key in _JUDGED if key in record.summary}
+            arrays = {name: np.asarray(getattr(record, name)) for name in RECORDED}
+            summary |= {key: record.summary[key] for key in JUDGED if key in record.summary}
         return _kept(directory, stem, arrays, summary, checks)
-
-
-_JUDGED = ("outcome", "objects", "e_p_peak", "e_o_peak")
-_RECORDED = (
-    "t", "q", "dq", "tau", "p_SE", "quat_SE_wxyz", "p_SB", "quat_SB_wxyz", "slip_E", "slip", "lift", "tip_angle",
-    "contact_points_B", "contact_forces_B", "cone_coefficients", "e_p", "e_o", "tray_e_p", "tray_e_o",
-)  # fmt: skip
 
 
 def run_on_franka(

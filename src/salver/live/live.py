@@ -24,8 +24,8 @@ from salver.display import Shown
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array
 from salver.live.motion import Committed, between, joined, resting
-from salver.live.reader import Pieces, Reader
 from salver.live.planner import Answer, Job, Planner
+from salver.live.reader import Pieces, Reader
 from salver.live.steer import TICK
 from salver.live.verify import verified
 from salver.live.wishes import (

@@ -27,7 +27,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """found: a verified motion that goes on from the base, or None. done: what is committed fulfils the wish as well."""
+    """found: a verified motion that goes on from the base, or None. done: the base fulfils the wish as well."""
 
     found: Committed | None
     status: Status

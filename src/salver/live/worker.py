@@ -21,7 +21,7 @@ PAUSE = 2e-3  # s between two looks for something to do
 SWITCH = 5e-4  # s for which Python lets one thread run when another wants to: the robot's loop must not wait for long
 PATIENCE = 20.0  # s beyond the budget, after which a process that does not answer is given up
 # Matrices here are small: threads of the linear algebra would only take the loop's core away.
-ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class Worker:

@@ -100,13 +100,13 @@ def filled(
     """The template with everything in its place: what any page of salver is. shown: its replay; None for a page of
     words and tables alone."""
     data = {} if shown is None else {"replay": shown, "charts": made.specs}
-    script = "" if shown is None else _asset("viewer.js") + _asset("plots.js") + _asset("main.js")
-    return _fill(
-        _asset("page.html"),
+    script = "" if shown is None else asset("viewer.js") + asset("plots.js") + asset("main.js")
+    return fill(
+        asset("page.html"),
         title=f"{name}: {answer.headline}",
         name=name,
-        css=Markup(_asset("page.css")),
-        policy=_policy(script),
+        css=Markup(asset("page.css")),
+        policy=policy(script),
         level=answer.level,
         headline=answer.headline,
         detail=answer.detail,
@@ -114,7 +114,7 @@ def filled(
         notes=joined(Markup('<p class="note">{}</p>').format(note) for note in notes),
         tiles=tiles,
         navigation=others + joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in made.titles),
-        replay=NOTHING if shown is None else Markup(_asset("replay.html")),
+        replay=NOTHING if shown is None else Markup(asset("replay.html")),
         sections=made.html,
         version=versions()["salver"],
         directory=source,
@@ -124,13 +124,15 @@ def filled(
     )
 
 
-def _policy(script: str) -> Markup:
-    """What the page may do: run this very script, and none that came in with what it shows."""
+def policy(script: str, asks: str = "'none'") -> Markup:
+    """What the page may do: run this very script, and none that came in with what it shows. asks: whom it may ask."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return Markup("default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{}'; img-src data:").format(digest)
+    return Markup(
+        "default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{}'; img-src data:; connect-src "
+    ).format(digest) + Markup(asks)
 
 
-def _fill(template: str, **parts: str) -> str:
+def fill(template: str, **parts: str) -> str:
     """Each {{key}} of the template replaced, in one pass: what is put in is not searched again.
 
     What is not `Markup` is text.
@@ -143,8 +145,9 @@ def _fill(template: str, **parts: str) -> str:
     return "".join(out)
 
 
-def _asset(name: str) -> str:
-    return resources.files("salver.reports").joinpath("assets", name).read_text(encoding="utf-8")
+def asset(name: str, package: str = "salver.reports") -> str:
+    """A file of a page's template."""
+    return resources.files(package).joinpath("assets", name).read_text(encoding="utf-8")
 
 
 def _arm(run: Run) -> ArmModel | None:

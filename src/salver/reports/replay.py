@@ -22,6 +22,7 @@ from salver.simulation.loads import true_world
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
     from salver.reports.run import Motion, Run
+    from salver.scenario import Scenario
 
 FRAME_RATE = 60.0  # Hz; the viewer interpolates between frames
 CONE_HEIGHT = 0.03  # m, of a drawn friction cone
@@ -31,23 +32,22 @@ TRIANGLES_PER_OBJECT = 3000  # of a carried mesh, at most
 REST_FORCE_LENGTH = 0.024  # m, of the arrow of a contact force at rest
 
 
-def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
-    """Everything that the viewer draws, ready for JSON; arrays are float32 in base64, time first."""
-    first = run.bodies[0]
-    variants = [_variant(motion, run, arm) for motion in run.motions]
+def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> dict[str, Any]:
+    """What the viewer needs to know of arm, tray, objects and obstacles before anything moves, ready for JSON."""
+    first = bodies[0]
     return {
         "meshes": [pack(mesh) for mesh in link_meshes(arm)] if arm else [],
-        "obstacles": [pack(mesh) for mesh in _obstacles(run)],
+        "obstacles": [pack(mesh) for mesh in _obstacles(scenario)],
         "joints": arm.n + 1 if arm else 1,
         "tray": {
-            "size": list(run.scenario.tray.size),
-            "thickness": run.scenario.tray.thickness,
-            "height": run.scenario.tray.height,
+            "size": list(scenario.tray.size),
+            "thickness": scenario.tray.thickness,
+            "height": scenario.tray.height,
             "colour": rgb(TRAY_COLOUR),
         },
         "objects": [
             _outline(body, item.shape, OBJECT_COLOURS[i % len(OBJECT_COLOURS)])
-            for i, (body, item) in enumerate(zip(run.bodies, run.scenario.objects, strict=True))
+            for i, (body, item) in enumerate(zip(bodies, scenario.objects, strict=True))
         ],
         "contacts": {
             "normal": first.contacts.R_BC[0, :, 2].tolist(),
@@ -56,19 +56,27 @@ def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
         },
         "brim": {"dry": liquid_surface.BRIM_COLOUR, "spilt": liquid_surface.SPILT_COLOUR},
         "wallOpacity": liquid_surface.WALL_OPACITY,
+        "loadHeight": max(float(b.p_EB[2] - b.com_G[2] + b.solid.base_z + b.solid.height) for b in bodies),
+    }
+
+
+def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
+    """Everything that the viewer draws, ready for JSON; arrays are float32 in base64, time first."""
+    variants = [_variant(motion, run, arm) for motion in run.motions]
+    return {
+        **stage(run.scenario, run.bodies, arm),
         "variants": variants,
         "bounds": _bounds(run, arm),
         "azimuth": _azimuth(run, arm),
         "floor": _floor(run, arm),
-        "loadHeight": max(float(b.p_EB[2] - b.com_G[2] + b.solid.base_z + b.solid.height) for b in run.bodies),
         "start": min(float(v["t"][0]) for v in variants),
         "duration": max(float(v["t"][-1]) for v in variants),
     }
 
 
-def _obstacles(run: Run) -> list[LinkMesh]:
+def _obstacles(scenario: Scenario) -> list[LinkMesh]:
     red, green, blue = rgb(OBSTACLE_COLOUR)
-    return obstacle_meshes(run.scenario.obstacles, (red, green, blue))
+    return obstacle_meshes(scenario.obstacles, (red, green, blue))
 
 
 def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
@@ -100,7 +108,7 @@ def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
         "colour": rgb(ROLE_COLOURS[motion.stem]),
         "source": "plan" if record is None else "run",
         "t": np.round(t[keep], 5).tolist(),
-        "joints": _pack(_joint_poses(source["q"][keep], arm)) if arm else _pack(np.tile(_IDENTITY, (len(keep), 1))),
+        "joints": _pack(joint_poses(source["q"][keep], arm)) if arm else _pack(np.tile(_IDENTITY, (len(keep), 1))),
         "tray": _pack(tray),
         "objects": _pack(objects),
         "contactCount": len(points_B),
@@ -178,7 +186,7 @@ def _on_tray(p_SE: Array, R_SE: Array, objects: Sequence[Body]) -> Array:
     return np.stack(poses, axis=1)
 
 
-def _joint_poses(q: Array, arm: ArmModel) -> Array:
+def joint_poses(q: Array, arm: ArmModel) -> Array:
     """(T, n + 1, 7) poses in S of the frames that the link meshes are given in; the first is the world."""
     import pinocchio as pin
 
@@ -237,10 +245,10 @@ def _bounds(run: Run, arm: ArmModel | None) -> list[list[float]]:
     if arm:
         low = np.minimum(low, arm.base_position)
         joints = np.vstack(
-            [_joint_poses(m.arrays["q"][:: max(1, len(m.t) // 8)], arm)[..., :3].reshape(-1, 3) for m in run.motions]
+            [joint_poses(m.arrays["q"][:: max(1, len(m.t) // 8)], arm)[..., :3].reshape(-1, 3) for m in run.motions]
         )
         low, high = np.minimum(low, joints.min(axis=0)), np.maximum(high, joints.max(axis=0))
-    around = [mesh.vertices for mesh in _obstacles(run)]
+    around = [mesh.vertices for mesh in _obstacles(run.scenario)]
     if around:  # as much of them as is near
         corners = np.vstack(around)
         low = np.minimum(low, np.maximum(corners.min(axis=0), low - NEARBY))

@@ -14,7 +14,7 @@ impratio 300 (at 1000 sticking contacts creep a third of it, at half the speed),
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -40,8 +40,8 @@ DAMPING_WIDTH = 0.95  # d_max of solimp: with solref it sets the contact's dampi
 DAMPING_RATIO = 3.0  # of the contact's spring: below 2 feet chatter near the friction limit, at 10 they sink visibly
 SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
 ARM_PREFIX = "arm/"
-TRAY_BODY = "salver:tray"
-OBSTACLE = "salver:obstacle:"
+TRAY_BODY = TRAY_GEOM = "salver:tray"
+OBSTACLE, FOOT, HULL = "salver:obstacle:", "salver:foot:", "salver:hull:"
 _REFUSED_LINK = re.compile(f"Element name '{ARM_PREFIX}([^']*)'")  # in the engine's sentence
 
 
@@ -123,9 +123,20 @@ class Swing:
     sensor: int
 
 
-def build(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False) -> Scene:
-    """Compile the scene of one run. visual: with meshes, floor and light, for pictures; physics is the same."""
-    return _compiled(specify(scenario, world, arm, visual=visual), arm, world, 2 * scenario.physics.timestep)
+def build(
+    scenario: Scenario,
+    world: TrueWorld,
+    arm: ArmModel | None = None,
+    *,
+    visual: bool = False,
+    also: Callable[[Any], None] | None = None,
+) -> Scene:
+    """Compile the scene of one run. visual: with meshes, floor and light, for pictures; physics is the same. also: adds
+    to the mujoco.MjSpec what else there is."""
+    spec = specify(scenario, world, arm, visual=visual)
+    if also is not None:
+        also(spec)
+    return _compiled(spec, arm, world, 2 * scenario.physics.timestep)
 
 
 def specify(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False) -> Any:
@@ -146,7 +157,7 @@ def specify(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *
     x, y = scenario.tray.size
     thickness = scenario.tray.thickness
     parent.add_geom(
-        name=_tray_geom(),
+        name=TRAY_GEOM,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=[x / 2, y / 2, thickness / 2],
         pos=[0, 0, -thickness / 2],
@@ -269,16 +280,12 @@ def _add_meshes(spec: Any, arm: ArmModel) -> None:
             geom.group = 0
 
 
-def _tray_geom() -> str:
-    return "salver:tray"
-
-
 def _foot(k: int, number: int) -> str:
-    return f"salver:foot:{k}:{number}"
+    return f"{FOOT}{k}:{number}"
 
 
 def _hull(k: int) -> str:
-    return f"salver:hull:{k}"
+    return f"{HULL}{k}"
 
 
 def _swing(k: int, mode: int) -> str:
@@ -408,14 +415,14 @@ def _add_pairs(spec: Any, loads: tuple[Load, ...], obstacles: list[str], contact
     index = {load.name: k for k, load in enumerate(loads)}
     for k, load in enumerate(loads):
         for number, support in _foot_supports(load):
-            pair(_tray_geom() if support == TRAY else _hull(index[support]), _foot(k, number), load.friction)
-        pair(_tray_geom(), _hull(k), load.friction)
+            pair(TRAY_GEOM if support == TRAY else _hull(index[support]), _foot(k, number), load.friction)
+        pair(TRAY_GEOM, _hull(k), load.friction)
         for j in range(k):
             pair(_hull(j), _hull(k), min(load.friction, loads[j].friction))
         for obstacle in obstacles:
             pair(obstacle, _hull(k), load.friction)
     for obstacle in obstacles:
-        pair(obstacle, _tray_geom(), 0.5)
+        pair(obstacle, TRAY_GEOM, 0.5)
 
 
 def _foot_supports(load: Load) -> Iterable[tuple[int, str]]:

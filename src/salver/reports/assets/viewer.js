@@ -260,6 +260,7 @@ function createViewer(canvas, scene) {
   const refill = (shape, data) => {
     gl.bindBuffer(gl.ARRAY_BUFFER, shape.buffer);
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.DYNAMIC_DRAW);
+    shape.count = data.length / 6;
   };
 
   const half = scene.tray.size.map((x) => x / 2), [hx, hy] = half, thick = scene.tray.thickness;
@@ -301,6 +302,8 @@ function createViewer(canvas, scene) {
     gl.drawArrays(gl.TRIANGLES, 0, shape.count);
   }
 
+  const marks = [];  // of the page that shows it: {shape, model, colour, flat}
+  let seen = null;  // the camera of the last picture
   const identity = Mat.pose([0, 0, 0, 1, 0, 0, 0]);
   const light = Vec.unit([0.35, -0.45, 0.85]);
   const [sx, sy] = [light[0] / light[2], light[1] / light[2]], ground = scene.floor + 0.001;
@@ -398,6 +401,7 @@ function createViewer(canvas, scene) {
     gl.viewport(x, y, width, height);
     gl.scissor(x, y, width, height);
     const aspect = width / height, { eye, target, distance } = camera(pane, t, aspect);
+    seen = { eye, target, aspect };
     const matrix = Mat.multiply(Mat.perspective(FOV, aspect, 0.02 * distance, 20 * distance), Mat.lookAt(eye, target));
     gl.uniformMatrix4fv(where.viewProjection, false, matrix);
     gl.uniform3fv(where.eye, eye);
@@ -447,6 +451,7 @@ function createViewer(canvas, scene) {
       gl.disable(gl.CULL_FACE);
       gl.depthMask(true);
     }
+    for (const mark of marks) draw(mark.shape, mark.model, mark.colour, mark.flat ? 1 : 0);
     gl.enable(gl.CULL_FACE);  // last, and seen through: nothing hides behind an obstacle
     for (const o of obstacles) draw(o.shape, identity, [...o.colour, 0.55]);
     gl.disable(gl.CULL_FACE);
@@ -477,7 +482,15 @@ function createViewer(canvas, scene) {
     return { stacked, shown: list.map((pane) => pane.map(({ variant }) => variant.key)) };
   }
 
-  return { options, orbit, render, reset: () => Object.assign(orbit, home, { pan: [0, 0, 0] }) };
+  // Where a point of the picture (0 to 1 from the left, from the top) lies: a point and a direction from it, unit.
+  function ray(x, y) {
+    const forward = Vec.unit(Vec.sub(seen.target, seen.eye)), right = Vec.unit(Vec.cross(forward, [0, 0, 1])), up = Vec.cross(right, forward);
+    const h = Math.tan(FOV / 2), [a, b] = [(2 * x - 1) * h * seen.aspect, (1 - 2 * y) * h];
+    return [seen.eye, Vec.unit(Vec.add(forward, Vec.add(Vec.scale(right, a), Vec.scale(up, b))))];
+  }
+
+  const reset = () => Object.assign(orbit, home, { pan: [0, 0, 0] });
+  return { options, orbit, render, reset, ray, variants, marks, upload, refill };
 }
 
 function compile(gl) {

@@ -1,0 +1,51 @@
+"""`salver live`: a motion steered by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salver.cli.common import say
+
+
+def live(
+    scenario: Annotated[str, typer.Argument(help="A ready-made scenario, or a .toml file, with an arm.")],
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 for one that is free.")] = 0,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="True value of a parameter, as mass=0.3 (SI units); repeat for several."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Run directory for a recording; an earlier one there is kept.")
+    ] = Path("runs/live"),
+    browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
+) -> None:
+    """Steer an arm with its load by hand, in the physics engine, on a page in your browser.
+
+    Drag the goal, steer with keys, press stop: what is committed was verified and ends at rest with the load in place,
+    whatever you do. Switch the protection off and see the load fall. Time is real, and planning is in a process of
+    its own; where the machine is too slow the page says so. Only this machine can see the page, and nothing is asked of
+    a network. Ctrl-C ends it.
+
+    Example: `salver live panda-tall-bottle`
+    """
+    import time
+    import webbrowser
+
+    from salver.cli.simulate import true_values
+    from salver.playground import World
+    from salver.playground.server import Playground
+    from salver.scenario import load
+
+    world = World(load(scenario), true_values(set_ or []), keep_in=out)
+    with Playground(world, port) as playground:
+        say(f"salver: {world.scenario.name} is live at {playground.url} ; Ctrl-C ends it.")
+        if browser:
+            webbrowser.open(playground.url)
+        try:
+            while True:
+                time.sleep(1.0)
+        except KeyboardInterrupt:
+            say("salver: ended.")

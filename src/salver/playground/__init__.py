@@ -1,0 +1,5 @@
+"""A page on which a live motion is steered by hand, with the load in the physics engine."""
+
+from salver.playground.world import World
+
+__all__ = ["World"]

@@ -1,0 +1,108 @@
+"""What was steered, kept as a run directory: what was commanded is its plan, what the engine did the log of it.
+
+So all that is there for plans is there for it: `salver report`, `salver export`, `salver simulate`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from salver.driver.execute import JUDGED, RECORDED
+from salver.driver.logs import RECORD_RATE, keep
+from salver.errors import Status
+from salver.files import provenance
+from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.models.arm import load_arm
+from salver.planning.fastest import joint_plan, transport_problem
+from salver.planning.plan import Plan, make_way
+from salver.scenario import Scenario
+from salver.simulation import creep
+from salver.simulation.physics import Options, Run, measure
+from salver.simulation.scene import Scene
+from salver.simulation.trace import Recorder
+from salver.trajectory import JointMotion
+
+AT_REST = 1e-2  # rad/s, rad/s^2
+LONGEST = 120.0  # s of one recording
+
+
+class Recording:
+    """Samples of one session; begun and ended at rest."""
+
+    def __init__(self, scenario: Scenario, parameters: Mapping[str, float], scene: Scene, since: float) -> None:
+        self.scenario, self.parameters, self.scene, self.since = scenario, dict(parameters), scene, since
+        self.every = max(1, round(1 / (RECORD_RATE * scenario.physics.command_period)))
+        room = int(LONGEST / (self.every * scenario.physics.command_period)) + 1
+        self._recorder = Recorder(scene, room)
+        self._wanted = np.empty((3, room, scene.n))
+        self._room, self._due = room, 0
+
+    @property
+    def seconds(self) -> float:
+        return self._recorder.count * self.every * self.scenario.physics.command_period
+
+    @property
+    def full(self) -> bool:
+        return self._recorder.count == self._room
+
+    @property
+    def rests(self) -> bool:
+        """Whether what was commanded last is to rest."""
+        last = self._recorder.count - 1
+        return last >= 0 and bool(np.abs(self._wanted[1:, last]).max() < AT_REST)
+
+    def due(self) -> bool:
+        """Whether this period is one that is kept; asked once in each."""
+        self._due += 1
+        return (self._due - 1) % self.every == 0 and not self.full
+
+    def joints(self, t: float, q: Array, dq: Array, tau: Array, wanted: tuple[Array, Array, Array]) -> None:
+        """The state at time t, the torque, and q, dq, ddq as they were commanded; `took` follows."""
+        self._wanted[:, self._recorder.count] = wanted
+        self._recorder.joints(t - self.since, q, dq, tau)
+
+    def took(self, data: object) -> None:
+        """After the engine's next step."""
+        self._recorder.take(data)
+
+    def commanded(self) -> Plan:
+        """What was commanded, judged like any motion of the joints from rest to rest."""
+        count = self._recorder.count
+        q, dq, ddq = self._wanted[:, :count].copy()
+        joint = JointMotion(self._recorder.t[:count] - self._recorder.t[0], q, dq, ddq)
+        first, arm = self.scenario.payload.bodies[0], load_arm(self.scenario.arm, self.scenario.tray)  # type: ignore[arg-type]
+        ends = {}
+        for name, posture in (("start", q[0]), ("goal", q[-1])):
+            p, R = arm.object_pose(posture, first.p_EB, first.R_EB)
+            ends[f"motion__{name}"] = {"position": p.tolist(), "quat_wxyz": quat_wxyz_from_matrix(R).tolist()}
+        scenario = self.scenario.with_changes(**ends)
+        status = Status("recorded", "Steered by hand; this is what was commanded.", True)
+        return joint_plan(scenario, transport_problem(scenario), joint, status, {}, method="live")
+
+    def save(self, directory: Path, unprotected: bool) -> Path:
+        """Write the run directory; what stood there is kept. Returns the path of the log."""
+        began, plan = time.perf_counter(), self.commanded()
+        trace, arm = self._recorder.trace(), load_arm(self.scenario.arm, self.scenario.tray)  # type: ignore[arg-type]
+        bias = creep.tray_bias(arm, trace.q, trace.dq, self.scene.world.R_tilt)
+        options = Options(record_rate=1 / self.scenario.physics.command_period)  # all of what was kept
+        wanted = plan.reference.sample(trace.t)
+        run = Run(plan.scenario, self.parameters, options, plan.reference, self.scene, wanted)
+        record = measure(run, trace, bias, (trace.p_XE, trace.R_XE), {"with_arm": True}, began)
+        assert plan.joint is not None
+        error = np.abs(trace.q - plan.joint.sample(trace.t)[0])
+        summary = {
+            "source": "simulated arm, by hand" + (", at times without protection" if unprotected else ""),
+            "method": plan.method,
+            "stopped": "",
+            "joint_error_peak": float(error.max()),
+            "parameters": self.parameters,
+            "provenance": provenance(plan.scenario),
+            **{key: record.summary[key] for key in JUDGED if key in record.summary},
+        }
+        make_way(plan.scenario, directory, force=True)
+        plan.save(directory)
+        return keep(directory, "plan", {name: np.asarray(getattr(record, name)) for name in RECORDED}, summary)

@@ -1,0 +1,54 @@
+"""The same hand without protection: a servo that keeps the arm's own limits and knows nothing of what it carries.
+
+It is what jogging usually is: a velocity of the tray, by the damped pseudo-inverse of the Jacobian, cut to the joints'
+velocities and accelerations. The tray is kept level.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models.arm import ArmModel
+
+RESPONSE = 0.02  # s in which a velocity is taken up, where accelerations allow
+DAMPING = 1e-2
+LEVELLING = 10.0  # 1/s
+APPROACH = 8.0  # m/s^2 by which it brakes towards a goal
+FASTEST = 2.0  # m/s towards a goal
+ROOM = 0.02  # rad before a joint's end
+
+
+class Unprotected:
+    """From a state q, dq (n,); `step` moves it on."""
+
+    def __init__(self, arm: ArmModel, q: Array, dq: Array) -> None:
+        self._arm = arm
+        self.q, self.dq, self.ddq = q.copy(), dq.copy(), np.zeros_like(q)
+
+    def towards(self, p_SE: Array) -> Array:
+        """The velocity (3,), m/s, of the tray's centre with which it makes for p_SE (3,)."""
+        away = p_SE - self._arm.tray_pose(self.q)[0]
+        distance = float(np.linalg.norm(away))
+        if distance < 1e-6:
+            return np.zeros(3)
+        speed = min(FASTEST, np.sqrt(2 * APPROACH * distance), distance / (2 * RESPONSE))
+        return np.asarray(away * (speed / distance))
+
+    def step(self, v_S: Array, omega_S: Array, dt: float) -> None:
+        """dt, s, on, with the tray at v_S, m/s, and turning at omega_S, rad/s, as far as the arm can."""
+        arm, limits = self._arm, self._arm.limits
+        _, R_SE = arm.tray_pose(self.q)
+        jacobian = arm.body_jacobian(self.q)
+        level_E = LEVELLING * np.cross([0.0, 0.0, 1.0], R_SE[2])  # R_SE[2]: the vertical, in E
+        twist_E = np.concatenate([R_SE.T @ v_S, R_SE.T @ omega_S + level_E])
+        dq = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(6), twist_E)
+        dq = dq / max(1.0, float((np.abs(dq) / limits.velocity).max()))
+        # So fast at most that it can still brake before a joint's end.
+        most = np.where(np.isfinite(limits.acceleration), limits.acceleration, 1e3)
+        up = np.sqrt(2 * most * np.maximum(limits.q_max - ROOM - self.q, 0.0))
+        down = np.sqrt(2 * most * np.maximum(self.q - limits.q_min - ROOM, 0.0))
+        dq = np.clip(dq, -down, up)
+        self.ddq = np.clip((dq - self.dq) / RESPONSE, -most, most)
+        self.q = self.q + dt * self.dq + 0.5 * dt**2 * self.ddq
+        self.dq = self.dq + dt * self.ddq

@@ -1,0 +1,322 @@
+"""The arm with its load in the physics engine, a live motion that moves it, and a hand that may do without.
+
+Time is that of the engine. Whoever steps it may be late; planning then has more time than it would have, never less.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.control.arm import ArmState, controller_for
+from salver.errors import Status
+from salver.geometry import Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.live import Live, LiveCourse
+from salver.live.wishes import numbers
+from salver.models.arm import load_arm
+from salver.playground.recording import LONGEST, Recording
+from salver.playground.surroundings import FLOOR, with_floor
+from salver.playground.unprotected import Unprotected
+from salver.scenario import Scenario
+from salver.simulation.engine import mujoco
+from salver.simulation.loads import true_world
+from salver.simulation.scene import build
+
+FALLEN = float(np.deg2rad(10.0))  # rad out of its resting orientation
+GONE = 5e-3  # m from its place, from where on a load is not where a plan takes it to be
+SILENCE = 0.1  # s after a twist at which an unprotected hand counts no more
+ENOUGH = 5.0  # s in which any motion comes to rest
+SETTLING = 50  # periods after which what was put down bears its weight
+STILL = 1e-3  # rad/s; an arm that is slower rests
+PATH_POINTS = 40  # of what is committed, as it is drawn
+
+
+class World:
+    """The world of a scenario; one thread steps it, others may speak to it."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        parameters: Mapping[str, float] | None = None,
+        *,
+        keep_in: Path | None = None,
+        lead: float | None = None,
+    ) -> None:
+        """parameters: true values by name, where not nominal. keep_in: directory for recordings. lead: see `Live`.
+
+        Raises ScenarioError when there is no arm, or the load is not safe at rest where the motion begins.
+        """
+        self.scenario, self.live = scenario, Live(scenario, lead=lead)
+        assert scenario.arm is not None  # a live motion has one
+        self.arm = load_arm(scenario.arm, scenario.tray)
+        self.scene = build(
+            scenario, true_world(scenario, parameters), self.arm, also=lambda spec: with_floor(spec, self.arm)
+        )
+        self.period = scenario.physics.command_period
+        self._steps = round(self.period / scenario.physics.timestep)
+        self._data = mujoco.MjData(self.scene.model)
+        self._lock = threading.RLock()
+        self._course = LiveCourse(self.live)
+        self._controller = controller_for(scenario, self, None, arm=self.arm, space="joint")
+        self.begin = self.live.command(0.0)[0].copy()
+        self._free: Unprotected | None = None
+        self._goal: Array | None = None  # p_SB
+        self._hand = (-np.inf, np.zeros(3), np.zeros(3))  # when it spoke last, v_S, omega_S
+        self.t = 0.0
+        self.note = ""
+        self._parameters, self._keep_in = dict(parameters or {}), keep_in
+        self._recording: Recording | None = None
+        self._ending = self._was_free = False
+        self._torque = np.zeros(self.arm.n)
+        self._placed()
+
+    # --- what the controller follows: `salver.control.arm.Course`
+
+    def instant(self, t: float) -> tuple[int, float]:
+        index, offset = self._course.instant(t)  # its clock goes on, also when nobody listens
+        if self._free is not None:
+            self._moved_freely(self._free)
+        return index, offset
+
+    def at(self, index: int, offset: float) -> tuple[Array, Array, Array]:
+        free = self._free
+        return self._course.at(index, offset) if free is None else (free.q, free.dq, free.ddq)
+
+    def _moved_freely(self, free: Unprotected) -> None:
+        heard, v, omega = self._hand
+        if self.t - heard > SILENCE:
+            v = omega = np.zeros(3)
+            if self._goal is not None:
+                first = self.scenario.payload.bodies[0]
+                v = free.towards(self._goal - self.arm.tray_pose(free.q)[1] @ first.p_EB)
+        free.step(v, omega, self.period)
+
+    # --- the loop
+
+    def advance(self) -> None:
+        """One control period."""
+        with self._lock:
+            data, n = self._data, self.arm.n
+            state = ArmState(data.qpos[:n].copy(), data.qvel[:n].copy())
+            self._torque = self._controller.step(state, self.t)
+            data.qfrc_applied[:n] = self._torque
+            recording, steps = self._recording, self._steps
+            if recording is not None and recording.due():
+                recording.joints(self.t, state.q, state.dq, self._torque, self.at(0, 0.0))
+                mujoco.mj_step(self.scene.model, data)
+                recording.took(data)
+                steps -= 1
+            if steps:
+                mujoco.mj_step(self.scene.model, data, nstep=steps)
+            self.t += self.period
+            if recording is not None:
+                self._was_free |= self._free is not None
+                self._watch(recording)
+
+    @property
+    def protected(self) -> bool:
+        return self._free is None
+
+    # --- who speaks to it
+
+    def say(self, message: Any) -> Status:
+        """What the page says, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz, turn]}, m/s
+        and rad/s about the vertical; {"stop": true}; {"protected": bool}; {"again": true};
+        {"record": bool}."""
+        if not isinstance(message, dict) or len(message) != 1:
+            return Status("refused", "A message has one key.", False)
+        ((key, value),) = message.items()
+        with self._lock:
+            match key:
+                case "goto":
+                    return self._goto(value)
+                case "twist":
+                    return self._twist(value)
+                case "stop":
+                    self._goal, self._hand = None, (-np.inf, np.zeros(3), np.zeros(3))
+                    return self.live.stop()
+                case "protected" if isinstance(value, bool):
+                    return self._protect(value)
+                case "again":
+                    return self._again()
+                case "record" if isinstance(value, bool):
+                    return self._record(value)
+        return Status("refused", f"Nobody knows what {str(key)[:40]} means.", False)
+
+    def _goto(self, value: Any) -> Status:
+        p = numbers(value, (3,), "the goal")
+        if isinstance(p, Status):
+            return p
+        self._goal = p
+        return self.live.goto(p) if self.protected else Status("accepted", "", True)
+
+    def _twist(self, value: Any) -> Status:
+        twist = numbers(value, (4,), "the twist")
+        if isinstance(twist, Status):
+            return twist
+        v, omega = twist[:3], np.array([0.0, 0.0, twist[3]])
+        self._goal = None
+        self._hand = (self.t, v, omega)
+        return self.live.twist(v, omega) if self.protected else Status("accepted", "", True)
+
+    def _protect(self, wanted: bool) -> Status:
+        if wanted == self.protected:
+            return Status("accepted", "", True)
+        self._goal = None
+        if not wanted:
+            q, dq, _ = self._course.at(0, 0.0)
+            self._free = Unprotected(self.arm, q, dq)
+            self.live.stop()
+            return Status("accepted", "Without protection.", True)
+        assert self._free is not None
+        if np.abs(self._free.dq).max() > STILL:
+            return Status("refused", "The arm moves; press stop first.", False)
+        if any(self._displaced()):
+            return Status("refused", "The load is not where it stood; begin again.", False)
+        status = self.live.restart(self._free.q)
+        if status.ok:
+            self._free = None
+        return status
+
+    @property
+    def _resting(self) -> bool:
+        if self._free is not None:
+            return bool(np.abs(self._free.dq).max() < STILL)
+        return self.live.committed.at_rest or self.live.now >= self.live.committed.ends
+
+    def _record(self, wanted: bool) -> Status:
+        if wanted == (self._recording is not None):
+            return Status("accepted", "", True)
+        if wanted and self._keep_in is None:
+            return Status("refused", "There is no directory for recordings; begin with -o DIRECTORY.", False)
+        if wanted and not self._resting:
+            return Status("refused", "A recording begins at rest; press stop first.", False)
+        if wanted:
+            self._was_free = self._ending = False
+            self._recording = Recording(self.scenario, self._parameters, self.scene, self.t)
+            return Status("accepted", "", True)
+        self._ending = True
+        return self.say({"stop": True})
+
+    def _watch(self, recording: Recording) -> None:
+        """A recording that is to end, does so at rest; one that is too long is to end."""
+        if recording.seconds > LONGEST - ENOUGH and not self._ending:
+            self._record(False)
+        if (self._ending and recording.rests) or recording.full:
+            self._recording = None
+            self.note = "The recording is being written."
+            threading.Thread(target=self._kept, args=(recording, self._was_free), name="recording").start()
+
+    def _kept(self, recording: Recording, unprotected: bool) -> None:
+        assert self._keep_in is not None
+        try:
+            path = recording.save(self._keep_in, unprotected)
+            self.note = f"The recording is in {path.parent.parent}; salver report {path.parent.parent} shows it."
+        except Exception as error:  # a recording that cannot be kept is no reason to end
+            self.note = f"The recording could not be kept ({type(error).__name__}: {error})."
+
+    def _again(self) -> Status:
+        """The arm where it began, everything in its place."""
+        if self._recording is not None:
+            return Status("refused", "It is being recorded; end the recording first.", False)
+        while not self.live.committed.at_rest and self.live.now < self.live.committed.ends:
+            self.t += self.period
+            self.live.command(self.t)
+        status = self.live.restart(self.begin)
+        self._free = self._goal = None
+        self._placed()
+        return status
+
+    def _placed(self) -> None:
+        self.scene.place(self._data, self.begin)
+        self._data.qacc_warmstart[:] = 0
+        self._controller.reset()
+        self._course.instant(self.t)
+        for _ in range(SETTLING):
+            self.advance()
+        self._rest = self._on_tray()
+
+    # --- what is seen
+
+    def _on_tray(self) -> tuple[Array, Array]:
+        """(m, 3) and (m, 3, 3): poses of the objects relative to the tray."""
+        p_SE, R_SE = self.scene.tray_pose(self._data)
+        qpos = self._data.qpos
+        p = np.array([qpos[i : i + 3] for i in self.scene.qpos_ids])
+        R = np.array([matrix_from_quat_wxyz(qpos[i + 3 : i + 7]) for i in self.scene.qpos_ids])
+        return (p - p_SE) @ R_SE, R_SE.T @ R
+
+    def _displaced(self) -> list[str]:
+        """What became of each object: nothing, or a word."""
+        (p, R), (p0, R0) = self._on_tray(), self._rest
+        words = []
+        half = 0.5 * np.array(self.scenario.tray.size)
+        for k in range(len(p)):
+            tip = float(np.arccos(np.clip((R0[k].T @ R[k])[2, 2], -1.0, 1.0)))
+            off = p[k, 2] < 0 or bool(np.any(np.abs(p[k, :2]) > half))
+            slid = float(np.linalg.norm((p[k] - p0[k])[:2]))
+            words.append("lost" if off else "fallen" if tip > FALLEN else "slid" if slid > GONE else "")
+        return words
+
+    def friction_used(self) -> list[float]:
+        """Of each object: tangential force on its feet over what friction holds on its support; 1 slides, infinite
+        when it does not stand there."""
+        scene, data = self.scene, self._data
+        pull = np.zeros((len(scene.loads), 3))
+        held = np.zeros(len(scene.loads))
+        force = np.empty(6)
+        for i in range(data.ncon):
+            contact = data.contact[i]
+            foot = max(contact.geom, key=lambda geom: scene.foot_object[geom])
+            k = scene.foot_object[foot]
+            if k < 0 or FLOOR in (scene.model.geom(geom).name for geom in contact.geom):
+                continue
+            mujoco.mj_contactForce(scene.model, data, i, force)
+            tangents = contact.frame.reshape(3, 3)[1:]
+            sign = 1.0 if foot == contact.geom[1] else -1.0
+            pull[k] += sign * force[1:3] @ tangents
+            held[k] += contact.friction[0] * force[0]
+        return [float(np.linalg.norm(x) / y) if y > 0 else np.inf for x, y in zip(pull, held, strict=True)]
+
+    def frame(self) -> dict[str, Any]:
+        """What the page shows of this instant, ready for JSON."""
+        from salver.reports.replay import joint_poses
+
+        with self._lock:
+            data, scene = self._data, self.scene
+            q = data.qpos[: self.arm.n].copy()
+            p_SE, R_SE = scene.tray_pose(data)
+            v = (R_SE @ (self.arm.body_jacobian(q) @ data.qvel[: self.arm.n])[:3]).tolist()
+            state, words = self.live.state, self._displaced()
+            used = self.friction_used()
+            return {
+                "t": round(self.t, 3),
+                "joints": np.round(joint_poses(q[None], self.arm)[0], 5).ravel().tolist(),
+                "tray": np.round([*p_SE, *quat_wxyz_from_matrix(R_SE)], 5).tolist(),
+                "objects": [np.round(data.qpos[i : i + 7], 5).tolist() for i in scene.qpos_ids],
+                "speed": round(float(np.linalg.norm(v)), 4),
+                "friction": [round(min(x, 9.99), 4) for x in used],
+                "load": [{"name": load.name, "became": word} for load, word in zip(scene.loads, words, strict=True)],
+                "goal": None if self._goal is None else self._goal.tolist(),
+                "protected": self.protected,
+                "doing": state.doing if self.protected else "unprotected",
+                "restsIn": round(state.rests_in, 3),
+                "limit": state.limit,
+                "margin": round(state.margin, 4),
+                "said": " ".join(filter(None, (state.refused, self.note))),
+                "lead": round(state.lead, 3),
+                "recording": None if self._recording is None else round(self._recording.seconds, 2),
+                "path": self._path(),
+            }
+
+    def _path(self) -> list[list[float]]:
+        """Where the tray's centre goes by what is committed, until it rests."""
+        committed, now = self.live.committed, self.live.now
+        if not self.protected or now >= committed.ends:
+            return []
+        t = np.linspace(max(now - committed.begins, 0.0), committed.motion.duration, PATH_POINTS)
+        return [np.round(self.arm.tray_pose(q)[0], 4).tolist() for q in committed.motion.sample(t)[0]]

@@ -1,0 +1,179 @@
+"""The playground: a wild hand, with and without protection; its page in a real browser; what it keeps of a session."""
+
+import http.client
+import json
+import time
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+import salver as sv
+from browser import chromium, missing
+from salver.live import Worker
+from salver.models.arm import load_arm
+from salver.planning.plan import load_plan
+from salver.playground import World
+from salver.playground.server import Playground
+from salver.playground.unprotected import Unprotected
+from salver.reports.run import read_run
+
+
+def run(world, seconds, every=None):
+    """In simulated time; planning takes none of it."""
+    for k in range(round(seconds / world.period)):
+        world.advance()
+        if every and k % every == 0:
+            world.live.plan(60.0)
+
+
+def wild(world, seconds, every=None):
+    """Twists that change their mind; the top speed, m/s."""
+    top = 0.0
+    for k in range(round(seconds / 0.06)):
+        world.say({"twist": [1.2 * (-1) ** (k // 4), 1.0 * (-1) ** (k // 3), 0.0, 0.0]})
+        run(world, 0.06, every)
+        top = max(top, world.frame()["speed"])
+    return top
+
+
+def became(world):
+    return [item["became"] for item in world.frame()["load"]]
+
+
+@pytest.mark.slow
+def test_a_wild_hand_drops_nothing_until_the_protection_is_off_and_all_of_it_is_kept(tmp_path):
+    world = World(sv.load_scenario("panda-tall-bottle"), {"friction": 0.36}, lead=0.02, keep_in=tmp_path / "kept")
+    run(world, 0.02)
+    assert world.friction_used()[0] < 0.01
+    assert world.say({"record": True}).ok
+    assert wild(world, 0.48, 60) > 0.2
+    assert world.say({"record": False}).ok
+    run(world, 1.2, 120)
+    assert became(world) == [""]
+    end = time.monotonic() + 60
+    while "salver report" not in world.note and time.monotonic() < end:
+        time.sleep(0.05)
+    plan = load_plan(tmp_path / "kept")
+    assert plan.ok, (plan.verification.sentence, plan.arm_status.sentence)
+    log = json.loads((tmp_path / "kept" / "execution" / "plan.json").read_text())
+    assert log["outcome"] == "holds"
+    assert log["joint_error_peak"] < 5e-3
+    assert read_run(tmp_path / "kept").motions[0].execution is not None  # what `salver report` shows
+
+    assert world.say({"protected": False}).ok
+    wild(world, 0.6)
+    assert became(world) != [""]
+    assert "The arm moves" in world.say({"protected": True}).sentence
+    run(world, 1.5)
+    assert world.say({"protected": True}).sentence == "The load is not where it stood; begin again."
+    assert world.say({"again": True}).ok
+    assert world.protected
+    assert became(world) == [""]
+
+
+def test_without_protection_the_arm_keeps_its_own_limits():
+    scenario = sv.load_scenario("panda-cube")
+    arm = load_arm(scenario.arm, scenario.tray)
+    world_q = sv.Live(scenario).problem.start.q
+    free, rng, limits = Unprotected(arm, world_q, np.zeros(7)), np.random.default_rng(1), arm.limits
+    for k in range(1500):
+        if k % 100 == 0:
+            v, omega = rng.uniform(-2, 2, 3), rng.uniform(-2, 2, 3)
+        free.step(v, omega, 1e-3)
+        assert np.all(np.abs(free.dq) <= limits.velocity * (1 + 1e-9))
+        assert np.all(np.abs(free.ddq) <= limits.acceleration * (1 + 1e-9))
+        assert np.all((free.q >= limits.q_min) & (free.q <= limits.q_max))
+
+
+def test_what_nobody_can_mean_is_refused_and_changes_nothing():
+    world = World(sv.load_scenario("panda-cube"))
+    for message in (
+        None, [], 3, {}, {"goto": 1, "stop": 2}, {"goto": [1, 2]}, {"goto": [0, 0, float("nan")]}, {"goto": "there"},
+        {"twist": [9, 9, 9, 9]}, {"twist": [1, 2, 3]}, {"protected": "no"}, {"record": 1}, {"record": True}, {"fly": 1},
+        {"twist": {"x": 1}}, {"goto": [[1], [2], [3]]},
+    ):  # fmt: skip
+        status = world.say(message)
+        assert not status.ok, message
+        assert status.sentence
+    assert world.live.idle
+    assert world.protected
+
+
+def asked(playground, method, path, body=None, host=None):
+    place = urlsplit(playground.url)
+    line = http.client.HTTPConnection(place.hostname, place.port, timeout=20)
+    line.request(method, path, body, {"Host": host} if host else {})
+    answer = line.getresponse()
+    return answer.status, answer.read()
+
+
+@pytest.mark.slow
+def test_the_page_is_for_who_knows_its_address_on_this_machine_alone():
+    with Playground(World(sv.load_scenario("panda-cube")), process=False) as playground:
+        place = urlsplit(playground.url)
+        assert place.hostname == "127.0.0.1"
+        assert asked(playground, "GET", place.path)[0] == 200
+        for path, host in (("/", None), ("/wrong/", None), (place.path, "evil.example:80"), (place.path + "x", None)):
+            assert asked(playground, "GET", path, host=host)[0] == 404
+        assert asked(playground, "POST", "/wrong/say", b'{"stop": true}')[0] == 404
+        assert asked(playground, "POST", place.path + "say", b"{")[0] == 400
+        assert asked(playground, "POST", place.path + "say", b"[" * 9000)[0] == 400
+        assert asked(playground, "POST", place.path + "say", b"x" * 20_000)[0] == 413
+        status, answer = asked(playground, "POST", place.path + "say", b'{"goto": [9, 9]}')
+        assert (status, json.loads(answer)["ok"]) == (200, False)
+
+
+@pytest.mark.slow
+def test_a_process_that_plans_may_die_and_another_one_goes_on():
+    live = sv.Live("panda-cube", lead=0.2)
+    with Worker(live, process=True) as worker:
+
+        def until(done):
+            end, t = time.monotonic() + 60, 0.0
+            while not done() and time.monotonic() < end:
+                live.command(t := t + 1e-3)
+                time.sleep(1e-3)
+            assert done()
+
+        live.command(0.0)
+        worker._process._running.kill()
+        live.goto((0.5, -0.25, 0.45))
+        until(lambda: "died" in live.state.refused)
+        assert live.committed.at_rest
+        live.goto((0.5, -0.25, 0.45))
+        until(lambda: not live.committed.at_rest)
+    assert not worker.alive
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(missing() is not None, reason=str(missing()))
+def test_in_a_browser_the_goal_is_dragged_and_nothing_is_asked_of_others():
+    with Playground(World(sv.load_scenario("panda-cube")), process=False) as playground, chromium(900, 800) as browser:
+        browser.call("POST", "url", {"url": playground.url})
+        browser.wait_for("window.salver && salver.state.frames > 1")
+        browser.script(
+            """
+            const canvas = document.getElementById("canvas"), box = canvas.getBoundingClientRect();
+            const [eye, p] = [salver.viewer.ray(0.5, 0.5)[0], salver.state.frame.objects[0]];
+            let best = null;  // the point of the picture where the load is
+            for (let x = 0; x <= 1; x += 0.01) for (let y = 0; y <= 1; y += 0.01) {
+              const way = salver.viewer.ray(x, y)[1], to = [0, 1, 2].map((i) => p[i] - eye[i]);
+              const off = 1 - to.reduce((s, v, i) => s + v * way[i], 0) / Math.hypot(...to);
+              if (best === null || off < best[0]) best = [off, x, y];
+            }
+            const at = (x, y) => ({ clientX: box.left + x * box.width, clientY: box.top + y * box.height });
+            canvas.setPointerCapture = () => {};
+            const send = (kind, x, y) => canvas.dispatchEvent(new PointerEvent(kind, at(x, y)));
+            send("pointerdown", best[1], best[2]);
+            send("pointermove", best[1] + 0.04, best[2]);
+            send("pointerup", best[1] + 0.04, best[2]);
+            """
+        )
+        browser.wait_for("salver.state.frame.doing === 'following'")
+        browser.wait_for("salver.state.frame.doing === 'resting'")
+        assert became(playground.world) == [""]
+        goal, p = playground.world.frame()["goal"], playground.world.frame()["objects"][0][:3]
+        assert np.linalg.norm(np.subtract(goal, p)) < 1e-3
+        assert [entry for entry in browser.log("browser") if entry["level"] == "SEVERE"] == []
+        assert {urlsplit(url).netloc for url in browser.requests()} <= {urlsplit(playground.url).netloc, ""}
