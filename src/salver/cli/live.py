@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salver.cli.common import say
+from salver.cli.common import Json, print_json, say
 
 
 def live(
@@ -21,13 +21,14 @@ def live(
         Path, typer.Option("--out", "-o", help="Run directory for a recording; an earlier one there is kept.")
     ] = Path("runs/live"),
     browser: Annotated[bool, typer.Option(help="Open the page in a browser.")] = True,
+    json: Json = False,
 ) -> None:
     """Steer an arm with its load by hand, in the physics engine, on a page in your browser.
 
     Drag the goal, steer with keys, press stop: what is committed was verified and ends at rest with the load in place,
     whatever you do. Switch the protection off and see the load fall. Time is real, and planning is in a process of
     its own; where the machine is too slow the page says so. Only this machine can see the page, and nothing is asked of
-    a network. Ctrl-C ends it.
+    a network. Ctrl-C ends it. --json prints the page's address.
 
     Example: `salver live panda-tall-bottle`
     """
@@ -41,7 +42,10 @@ def live(
 
     world = World(load(scenario), true_values(set_ or []), keep_in=out)
     with Playground(world, port) as playground:
-        say(f"salver: {world.scenario.name} is live at {playground.url} ; Ctrl-C ends it.")
+        if json:
+            print_json({"scenario": world.scenario.name, "url": playground.url})
+        else:
+            say(f"salver: {world.scenario.name} is live at {playground.url} ; Ctrl-C ends it.")
         if browser:
             webbrowser.open(playground.url)
         try:
