@@ -276,6 +276,11 @@ def browser() -> Iterator[Browser]:
         yield made
 
 
+@pytest.fixture(scope="module")
+def page(full: Path) -> Path:
+    return write_report(full)
+
+
 def _open(browser: Browser, page: Path) -> None:
     browser.requests()
     browser.log("browser")
@@ -283,21 +288,20 @@ def _open(browser: Browser, page: Path) -> None:
     browser.wait_for("window.salver && window.salver.state.viewer")
 
 
-def test_in_a_browser_it_loads_quietly_and_asks_for_nothing(browser: Browser, full: Path, plan_only: Path) -> None:
-    for folder in (plan_only, full):
-        page = write_report(folder)
-        _open(browser, page)
+def test_in_a_browser_it_loads_quietly_and_asks_for_nothing(browser: Browser, page: Path, plan_only: Path) -> None:
+    for shown in (write_report(plan_only), page):
+        _open(browser, shown)
         charts = browser.script("return document.querySelectorAll('.plot > svg').length")
-        assert charts == len(_data(page)["charts"]) >= 12
+        assert charts == len(_data(shown)["charts"]) >= 12
         assert browser.log("browser") == []
         asked_for = [url for url in browser.requests() if not url.startswith("data:")]
-        assert asked_for == [page.resolve().as_uri()]
+        assert asked_for == [shown.resolve().as_uri()]
         overflow = browser.script("return document.documentElement.scrollWidth - document.documentElement.clientWidth")
         assert overflow <= 0
 
 
-def test_in_a_browser_the_controls_work(browser: Browser, full: Path) -> None:
-    _open(browser, write_report(full))
+def test_in_a_browser_the_controls_work(browser: Browser, page: Path) -> None:
+    _open(browser, page)
     start = _picture(browser)
     assert np.ptp(start, axis=(0, 1)).min() > 60  # something is drawn
     assert len(np.unique(start.reshape(-1, 3), axis=0)) > 200
@@ -336,8 +340,8 @@ def test_in_a_browser_the_controls_work(browser: Browser, full: Path) -> None:
     assert browser.log("browser") == []
 
 
-def test_in_a_browser_a_chart_moves_the_time_of_all(browser: Browser, full: Path) -> None:
-    _open(browser, write_report(full))
+def test_in_a_browser_a_chart_moves_the_time_of_all(browser: Browser, full: Path, page: Path) -> None:
+    _open(browser, page)
     run = read_run(full)
     browser.script(
         "const s = document.querySelector('[data-chart=margins-1] svg'), r = s.getBoundingClientRect();"
@@ -353,9 +357,9 @@ def test_in_a_browser_a_chart_moves_the_time_of_all(browser: Browser, full: Path
     assert float(shown.split()[0]) == pytest.approx(expected, rel=6e-3)
 
 
-def test_in_a_browser_it_is_usable_on_a_phone(browser: Browser, full: Path) -> None:
+def test_in_a_browser_it_is_usable_on_a_phone(browser: Browser, page: Path) -> None:
     browser.resize(390, 844)
-    _open(browser, write_report(full))
+    _open(browser, page)
     box = "const r = document.querySelector(arguments[0]).getBoundingClientRect(); return [r.left, r.right, r.height]"
     left, right, _ = browser.script(box, "#scrub")
     assert right - left > 300
@@ -373,11 +377,10 @@ def test_in_a_browser_it_is_usable_on_a_phone(browser: Browser, full: Path) -> N
     browser.resize(1400, 900)
 
 
-def test_in_a_browser_it_is_legible_in_the_dark(browser: Browser, full: Path) -> None:
-    page = write_report(full)
+def test_in_a_browser_it_is_legible_in_the_dark(browser: Browser, page: Path) -> None:
+    _open(browser, page)
     for scheme in ("dark", "light"):
         browser.devtools("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
-        _open(browser, page)
         for selector in ("body", ".verdict p", ".tiles dt", "nav a", "figcaption", "svg .tick", "svg .label"):
             contrast = browser.script(CONTRAST, selector)
             assert contrast >= 4.5, f"{scheme}: {selector} has a contrast of {contrast:.2f}"  # WCAG 2.1, AA
@@ -398,8 +401,8 @@ return (Math.max(text, page) + 0.05) / (Math.min(text, page) + 0.05);
 """
 
 
-def test_in_a_browser_it_prints(browser: Browser, full: Path) -> None:
-    _open(browser, write_report(full))
+def test_in_a_browser_it_prints(browser: Browser, page: Path) -> None:
+    _open(browser, page)
     document = browser.pdf()
     assert document.startswith(b"%PDF")
     assert 3 <= len(re.findall(rb"/Type\s*/Page\b", document)) <= 9

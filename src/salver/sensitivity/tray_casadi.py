@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from salver import trajectory
 from salver.control.object import Gains
 from salver.geometry import GRAVITY_S, Array
 from salver.models.parameters import INERTIAL, inertial_vector
@@ -84,7 +85,9 @@ def tray_sensitivity(
     """Pi (T, 12, n_p) and Theta (T, n_lambda, n_p) along a reference by the general engine, at increasing times t."""
     loop = tray_loop(body, grasp_map, gains, names)
     nominal = inertial_vector(body)[[INERTIAL.index(name) for name in names]]
-    corners = (reference.duration,)
+    corners = [reference.duration]
+    if isinstance(reference, trajectory.SampledReference):  # its jerk jumps at each
+        corners = reference.samples.t.tolist()
     return sensitivity(loop, nominal, t, np.zeros(12), (), sampled(reference), tolerance=tolerance, corners=corners)
 
 
