@@ -107,6 +107,23 @@ def test_the_least_clearance_is_never_above_a_dense_search(seed: int) -> None:
         assert dense < 1e-3
 
 
+@pytest.mark.parametrize("arm", ["panda", "ur5"])
+def test_distances_that_are_asked_for_up_to_a_bound_are_exact_below_it_and_never_too_long(arm: str) -> None:
+    """A path on which pairs come near and part again, more often than distances are taken."""
+    parts = arm_geometry(load_arm(scenario.Arm(model=arm), TRAY))
+    u, rng = np.linspace(0, 1, 45)[:, None], np.random.default_rng(5)
+    limits = parts.arm.limits
+    ends = np.clip(rng.uniform(-1.5, 1.5, (2, parts.arm.n)), limits.q_min, limits.q_max)
+    q = ends[0] + u * (ends[1] - ends[0]) + 0.2 * np.sin(25 * u)
+    exact, bounded = parts.clearance(q), parts.clearance(q, 0.06)
+    near = exact < 0.06
+    assert near.any()
+    assert not near.all()
+    assert np.abs(bounded - exact)[near].max() < 2e-6  # Coal's own tolerance is 1e-6
+    assert (bounded - exact).max() < 2e-6
+    assert bounded[~near].min() > 0.06 - 2e-6
+
+
 def test_travel_bounds_what_joints_do_and_is_near_it() -> None:
     rng = np.random.default_rng(0)
     t = np.sort(np.concatenate([[0.0, 1.0], rng.uniform(0, 1, 6)]))

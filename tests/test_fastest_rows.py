@@ -19,8 +19,10 @@ from salver.planning.fastest.objectives import Duration, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
 from salver.planning.fastest.sqp import Programme
+from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
+from salver.trajectory import SampledReference
 from transport import bottle, cube, line
 
 UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "friction": "10%"}
@@ -166,6 +168,24 @@ def test_linearised_rows_match_differences_in_coefficients_and_squared_duration(
     # Where the nearest points of two hulls jump, a distance has only one-sided derivatives.
     assert error[names != "clearance"].max() < 1e-5
     assert np.quantile(error[names == "clearance"], 0.9) < 1e-2
+
+
+def test_contact_of_an_arm_that_follows_exactly_is_what_the_check_of_a_plan_looks_at():
+    """Independent of the rows' own way: the object's motion from its poses, and the conditions of an object's plan."""
+    scenario = cube(motion__orientation="free")
+    problem = transport_problem(scenario)
+    spline, duration = RestSpline(5, 6), 0.8
+    coefficients = line(problem, spline)
+    s = np.linspace(0, 1, 61)
+    z = FreeCurve(problem, Grid.of(spline, s)).motion(coefficients, duration)
+    motion = problem.at(s, z, duration, imposed=False)
+    (rows,) = problem.contacts
+    exactly, allowing = (next(iter(Contact(rows, exactly=x).blocks(motion))) for x in (True, False))
+    reference = SampledReference(object_motion(problem, s * duration, *z[:3]))
+    slack = evaluate(scenario.with_changes(contact__condition="exact"), reference, len(s)).slack
+    assert exactly.values == pytest.approx(-slack, abs=1e-9)
+    assert np.abs(exactly.values - allowing.values).max() > 1e-3
+    assert not exactly.gradient(np.array([20]), np.array([3]))[:, 3 * problem.n :].any()  # jerk is for held commands
 
 
 def test_putting_the_goal_right_does_not_jolt_the_arm():

@@ -171,3 +171,13 @@ def test_a_search_that_is_interrupted_says_so_and_keeps_what_it_has(behind_a_pos
     assert "ended by an interruption" in found.status.sentence
     assert shares == sorted(shares)
     assert 0 < shares[-1] < 1
+
+
+@pytest.mark.slow
+def test_a_thin_post_does_not_fit_between_the_nodes_of_a_rough_motion(behind_a_post):
+    """With few pieces there are ten centimetres from node to node, and the post is six thick."""
+    found = fastest(behind_a_post, FastestOptions(spans=8))
+    assert found.status.ok
+    assert found.duration < 0.95  # 0.83 s with many pieces
+    q = found.sample(np.linspace(0, found.duration, 800))[0]
+    assert behind_a_post.keep_out.parts.first_touch(q) is None

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import BPoly
 
 from salver import trajectory
 from salver.geometry import exp, hat, log
@@ -130,3 +131,14 @@ def test_joint_motion_interpolates_position_rate_and_acceleration():
     assert dq[:, 1] == pytest.approx(2 * np.cos(fine), abs=1e-8)
     assert ddq[:, 0] == pytest.approx(-np.sin(fine), abs=1e-6)
     assert motion.jerk(fine)[:, 0] == pytest.approx(-np.cos(fine), abs=1e-3)
+
+
+def test_piecewise_quintics_are_those_of_scipy_with_derivatives_and_at_breaks_too():
+    rng = np.random.default_rng(0)
+    breaks = np.sort(rng.uniform(-1, 2, 9))
+    coefficients = rng.normal(size=(6, 8, 3))
+    t = np.concatenate([breaks, rng.uniform(breaks[0], breaks[-1], 60)])
+    ours, theirs = trajectory.Quintics(breaks, coefficients), BPoly(coefficients, breaks)
+    for order in range(4):
+        expected = (theirs.derivative(order) if order else theirs)(t)
+        assert ours.at(t, order) == pytest.approx(expected, rel=1e-12, abs=1e-12 * np.abs(expected).max())

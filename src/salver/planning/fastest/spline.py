@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from salver.geometry import Array
 
@@ -51,6 +50,8 @@ class RestSpline:
 
     def matrices(self, s: Array) -> Array:
         """(4, len(s), size): the basis at s in [0, 1] and its first three derivatives with respect to s."""
+        from scipy.interpolate import BSpline  # a quarter of a second
+
         full = BSpline(self.knots(), np.eye(self.spans + self.degree), self.degree)
         rows = np.stack([full.derivative(k)(s) if k else full(s) for k in range(DERIVATIVES)])
         merged = rows[:, :, 2:-2].copy()

@@ -25,7 +25,7 @@ from salver.planning.fastest.constraints import Block, Constraint, evaluate, wor
 from salver.planning.fastest.curves import Curve
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.objectives import Objective, Point, Scalar
-from salver.planning.fastest.trust import Trust
+from salver.planning.fastest.trust import SHALLOWEST, Trust
 from salver.planning.fastest.watch import Watch
 
 Mask = npt.NDArray[np.bool_]
@@ -38,11 +38,13 @@ SCALAR_RIDGE = 1e-6  # of scalar and slack, which have no metric
 PROGRAMME_TOLERANCE = 1e-5  # of rows: a fiftieth of the violation at which an iterate counts as converged
 LONGEST_STRETCH = 0.5  # of sigma, or of the margin, in one iteration: 22 % of T
 LARGEST_MOVE = 1.0  # rad of a coefficient in one iteration
-LARGEST_SLACK = 1e3
 KEPT = -0.3  # a row that has joined stays in until it is further away than this
 BENT = 2e-4  # violation of a trial, beyond the programme's own, that is worth a correction
+STILL_NEAR = 3.0  # times the violation of a trial: rows that are further from their edge are not for its correction
 POOR, GOOD = 0.8, 0.3  # shares of what was hoped for: below, a correction is tried; above, a step is taken as it is
 LEAST_RATIO = 0.01  # of what was hoped for that a step must bring
+FUTILE = 6  # iterations in turn of which none promises less violation, by ...
+LESS = 0.05  # ... this share, than one before did: another start is better
 
 
 @dataclass(frozen=True)
@@ -209,14 +211,17 @@ class Programme:
         return Linearised(np.vstack(matrices), np.concatenate(bounds), tuple(where))
 
     def corrected(self, rows: Linearised, trial: Iterate, step: Array) -> Linearised:
-        """The rows with bounds that make the linear model exact at the trial point, which a step led to."""
+        """The rows with bounds that make the linear model exact at the trial point, which a step led to; without those
+        that are far from their edge there, as a correction is small."""
         values, scales = [np.zeros(0)], [np.zeros(0)]
         free = self.objective.scalar is Scalar.DURATION
         for k, node, column in rows.where:
             block = trial.blocks[k]
             values.append(block.values[node, column])
             scales.append(np.full(len(node), 1 + step[-1] * (free and block.scales)))
-        return replace(rows, bound=rows.matrix @ step - np.concatenate(scales) * np.concatenate(values))
+        value = np.concatenate(scales) * np.concatenate(values)
+        near = value > -max(SHALLOWEST, STILL_NEAR * trial.violation)
+        return Linearised(rows.matrix[near], rows.matrix[near] @ step - value[near])
 
     def beyond_kinks(self, path: Iterate, trial: Iterate) -> Linearised:
         """Violated rows of a trial that have kinks, linearised there: beyond one the path's derivative is no help."""
@@ -250,7 +255,7 @@ class Programme:
         hessian[range(count + 2), range(count + 2)] += np.r_[np.full(count, RIDGE), SCALAR_RIDGE, SCALAR_RIDGE]
         cost = np.concatenate([model.slope, [model.by_scalar, trust.penalty]])
         low, high = np.full(count + 2, -LARGEST_MOVE), np.full(count + 2, LARGEST_MOVE)
-        low[-2:], high[-2:] = (-trust.largest_shrink, 0.0), (LONGEST_STRETCH, LARGEST_SLACK)
+        low[-2:], high[-2:] = (-trust.largest_shrink, 0.0), (LONGEST_STRETCH, np.inf)
         first, last = self.curve.fixed()
         scalar = [] if self.objective.scalar is Scalar.NONE else [count]
         free = np.r_[first : count - last, scalar, count + 1].astype(int)
@@ -306,13 +311,14 @@ class Subproblem:
 @dataclass(frozen=True)
 class Attempt:
     """What an iteration came to. trial: where it leads, None if nowhere. predicted: improvement of the merit that was
-    hoped for, gained: that it brought, hoped: of the objective alone. share: of the step that was taken. unseen: rows
-    that were left out and came near. programmes: that were solved."""
+    hoped for, gained: that it brought, hoped: of the objective alone. slack: violation that was to be left. share: of
+    the step that was taken. unseen: rows that were left out and came near. programmes: that were solved."""
 
     trial: Iterate | None
     predicted: float
     gained: float
     hoped: float
+    slack: float
     share: float
     unseen: tuple[Mask, ...]
     programmes: int
@@ -327,11 +333,13 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
     begun = time.perf_counter()
     trust = replace(trust or Trust(), penalty=options.penalty, least_damping=options.least_damping)
     path, forced = start, tuple(np.zeros(block.values.shape, dtype=bool) for block in start.blocks)
-    idle = programmes = done = 0
+    idle = programmes = done = futile = 0
+    least = np.inf
     code = "iteration_limit"
     while done < options.iterations:
         done += 1
-        masks = [block.near(trust.depth) | more for block, more in zip(path.blocks, forced, strict=True)]
+        depth = np.broadcast_to(trust.depth, len(path.blocks))
+        masks = [block.near(d) | more for block, d, more in zip(path.blocks, depth, forced, strict=True)]
         attempt = _attempt(programme, path, masks, trust)
         if attempt is None:
             programmes += 1
@@ -341,6 +349,8 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
                 break
             continue
         programmes += attempt.programmes
+        futile = futile + 1 if attempt.slack > max(options.violation, (1 - LESS) * least) else 0
+        least = min(least, attempt.slack)
         enough = options.gain * programme.objective.scale(path.point, path.cost)
         forced = tuple(mask | more for mask, more in zip(forced, attempt.unseen, strict=True))
         if attempt.trial is not None and attempt.ratio > LEAST_RATIO:
@@ -348,11 +358,16 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
             forced = tuple(mask & (b.values > KEPT) for mask, b in zip(forced, path.blocks, strict=True))
             trust.accepted(attempt.ratio, attempt.share, _change(before, path))
             idle = idle + 1 if attempt.gained < enough else 0
-            if path.violation <= options.violation and (options.mending or attempt.hoped < 3 * enough):
-                idle = 2
+            mended = options.mending
         else:
             trust.rejected()
             idle += attempt.predicted < enough
+            mended = False
+        if path.violation <= options.violation and (mended or attempt.hoped < 3 * enough):
+            idle = 2
+        if futile >= FUTILE:
+            code = "stalled"
+            break
         if idle >= 2 or trust.hopeless:
             if path.violation > options.violation and trust.dearer():
                 idle = 0
@@ -393,7 +408,7 @@ def _attempt(programme: Programme, path: Iterate, masks: Sequence[Mask], trust: 
         programmes = 2
         trial, share = _along_arc(programme, path, trial, step, second, slack, predicted, trust.penalty)
     gained = -np.inf if trial is None else merit - trial.merit(trust.penalty)
-    return Attempt(trial, predicted, gained, hoped, share, unseen, programmes)
+    return Attempt(trial, predicted, gained, hoped, slack, share, unseen, programmes)
 
 
 def _along_arc(
@@ -425,10 +440,10 @@ def _along_arc(
     return trial, 1.0
 
 
-def _change(before: Iterate, after: Iterate) -> float:
-    """Largest change of a row that was not far from its edge."""
+def _change(before: Iterate, after: Iterate) -> Array:
+    """(B,) largest change of a row of each block that was not far from its edge."""
     pairs = zip(before.blocks, after.blocks, strict=True)
-    return max(float(np.abs(b.values - a.values)[a.values > -min(1.0, a.reach)].max(initial=0.0)) for a, b in pairs)
+    return np.array([np.abs(b.values - a.values)[a.values > -min(1.0, a.reach)].max(initial=0.0) for a, b in pairs])
 
 
 def _status(code: str, path: Iterate, options: Options, sought: str) -> Status:

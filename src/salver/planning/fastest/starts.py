@@ -68,12 +68,13 @@ class Start:
         return SplineMotion(spline, spline.fit(s, q), duration)
 
 
-def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False) -> list[Ends]:
+def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False, few: int | None = None) -> list[Ends]:
     """Pairs of end postures, the most promising first; without any that touch something, unless there are no others.
 
     With the start posture given: its goal posture is the one nearest to it, then others. With none given: nearby
     postures that are clear of joint limits and of one another's parts. Where none of them is free, or more are wanted,
     both ends are sought independently of one another too, which takes longer.
+    few: with the start posture given, so many are enough; then nothing random decides of the first.
     """
     found: list[Ends] = []
     limits, n, given = problem.limits, problem.n, problem.start_posture
@@ -110,6 +111,8 @@ def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False
         else:
             spread = attempt / OTHERS
             add(given, problem.goal.nearest(problem.arm, limits, (1 - spread) * (given + coasting) + spread * guess))
+            if few is not None and len(found) >= few and found[0].free:
+                break
     if more or not any(pair.free for pair in found):
         starts = _free_postures(problem, problem.start, [e.start for e in found], rng) if given is None else [given]
         for goal in _free_postures(problem, problem.goal, [e.goal for e in found], rng):

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from salver.geometry import Array
+
 DEEPEST = 0.2  # rows further than this from their edge are left out of a programme ...
 SHALLOWEST = 0.02  # ... or than this, when steps have become small
 LARGEST_SHRINK = 0.36  # of sigma in one iteration: 20 % of T
@@ -17,11 +19,12 @@ LEAST_PENALTY = 1.0  # s, or the objective's unit, per unit of violation
 @dataclass
 class Trust:
     """damping: of the proximal term; small for a start that is near the optimum. depth: rows further than this from
-    their edge are left out. penalty: of a unit of violation. largest_shrink: of the scalar in one iteration.
+    their edge are left out, for all blocks or for each (B,). penalty: of a unit of violation. largest_shrink: of the
+    scalar in one iteration.
     """
 
     damping: float = 1.0
-    depth: float = DEEPEST
+    depth: float | Array = DEEPEST
     penalty: float = 0.0
     largest_shrink: float = LARGEST_SHRINK
     least_damping: float = 0.0
@@ -47,10 +50,10 @@ class Trust:
         self.penalty, self.damping = 10 * self.penalty, 1.0
         return True
 
-    def accepted(self, ratio: float, share: float, change: float) -> None:
+    def accepted(self, ratio: float, share: float, change: Array) -> None:
         """After a step that brought `ratio` of what was hoped for, of which a `share` was taken, and which changed
-        rows by `change` at most."""
-        self.depth = float(np.clip(2 * change, SHALLOWEST, DEEPEST))
+        rows of each block by `change` (B,) at most."""
+        self.depth = np.clip(2 * change, SHALLOWEST, DEEPEST)
         if share < 1.0:
             factor = min(1 / share, 4.0)
         else:

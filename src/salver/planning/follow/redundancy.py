@@ -19,7 +19,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import minimize
 
 from salver.geometry import Array, invert, log
 from salver.models.arm import ArmModel
@@ -264,6 +263,8 @@ def first_choice(arm: ArmModel, parts: ArmGeometry, path: TrayPath, postures: Ar
 
 def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, free_start: bool) -> Choice:
     """Improve the coefficients of s(t), and where it starts if that is free, by BFGS on `Usage`."""
+    from scipy.optimize import minimize  # a quarter of a second
+
     rows = start.rows
     free = len(rows)
     if free == 0:
