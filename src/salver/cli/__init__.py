@@ -43,6 +43,8 @@ COMMANDS = (
     "execute",
     "identify",
     "learn",
+    "track",
+    "tune",
 )
 
 for _name in COMMANDS:

@@ -246,6 +246,29 @@ class ArmController:
         return torque
 
 
+class PositionController(ArmController):
+    """A robot's own position control, as it looks from outside: each joint follows what it is told, `delay` s late,
+    like
+
+        q'' + 2 damping rate q' + rate^2 q = rate^2 told(t - delay),
+
+    with a rate (n,) rad/s and a damping (n,) of critical of each joint. It knows the arm and `bodies`, nothing else.
+    """
+
+    def __init__(
+        self, arm: ArmModel, bodies: Sequence[Body], told: JointMotion, rate: Array, damping: Array, delay: float,
+        *, period: float = 1e-3,
+    ) -> None:  # fmt: skip
+        super().__init__(arm, bodies, told, None, Gains((1.0, 1.0), (1.0, 1.0)), space="joint", period=period)
+        self._rate, self._damping, self._delay = rate, damping, delay
+
+    def step(self, state: ArmState, t: float) -> Array:
+        """Joint torques (n,), N m, for a state at time t, s."""
+        told = self._joint.at(*self._joint.instant(t - self._delay))[0]
+        ddq = self._rate * (self._rate * (told - state.q) - 2 * self._damping * state.dq)
+        return self._limited(pin.rnea(self._model, self._data, state.q, state.dq, ddq))
+
+
 @dataclass
 class Relay:
     """One controller after another: `first` until the time `at`, s, then `second`, whose own time begins there."""
@@ -278,16 +301,18 @@ def controller_for(
     *,
     arm: ArmModel | None = None,
     space: Literal["object", "joint"] = "object",
+    bodies: Sequence[Body] | None = None,
 ) -> ArmController:
     """The controller of a scenario: its arm, objects, gains, feedback and command period.
 
+    bodies: what it believes to carry, unless the scenario's nominal objects.
     Raises ScenarioError when the scenario has no arm.
     """
     if scenario.arm is None:
         raise ScenarioError(f"The scenario {scenario.name} has no arm; give it a table [arm] to control one.")
     return ArmController(
         load_arm(scenario.arm, scenario.tray) if arm is None else arm,
-        scenario.payload.bodies,
+        scenario.payload.bodies if bodies is None else bodies,
         joint,
         reference,
         Gains(scenario.control.kp, scenario.control.kd),

@@ -74,6 +74,14 @@ def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> list[Check]
             'be "joints".',
         ),
         _stops(plan, arm, bodies),
+        Check(
+            "command",
+            plan.command is None,
+            "The plan is what is sent."
+            if plan.command is None
+            else "The plan has a command that was tuned for a robot's own control, which this loop does not send; "
+            "write it with salver export.",
+        ),
     ]
 
 

@@ -1,4 +1,4 @@
-"""The motion of a plan as the motion files know it."""
+"""The motion of a plan as the motion files know it; of a plan that was tuned, the joints as the robot is told."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from salver.errors import SalverError
 from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.motion_files import Motion
-from salver.planning.plan import Plan, plan_of, read_plan
+from salver.planning.plan import COMMAND_LEAD, Plan, plan_of, read_plan
 
 MOST_SAMPLES = 1e6
 
@@ -32,13 +32,16 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
             f"{rate:g} samples per second make {rate * plan.duration:.2g} samples of this motion; at most "
             f"{MOST_SAMPLES:.2g} are written."
         )
-    ns = _instants(files.arrays["t"], plan.duration, rate)
+    t, duration, lead = files.arrays["t"], plan.duration, 0.0
+    if plan.command is not None:  # it begins before the plan, and goes on until the arm is where it should be
+        t, duration, lead = np.union1d(t, plan.command.t), plan.command.duration, COMMAND_LEAD
+    ns = _instants(t, duration, rate)
     t = ns * 1e-9
-    samples = plan.reference.sample(t)
+    samples = plan.reference.sample(t - lead)
     first = plan.scenario.payload.first
     R_SE = samples.R_SB @ first.R_EB.T
     p_SE = samples.p_SB - np.einsum("tij,j->ti", R_SE, first.p_EB)
-    names, (q, dq, ddq), tau = _joints(plan, t)
+    names, (q, dq, ddq), tau = _joints(plan, t, lead)
     return Motion(
         ns=ns,
         joint_names=names,
@@ -70,10 +73,10 @@ def _instants(t: Array, duration: float, rate: float | None) -> Array:
     return np.unique(np.round(t * 1e9).astype(np.int64))
 
 
-def _joints(plan: Plan, t: Array) -> tuple[tuple[str, ...], tuple[Array, Array, Array], Array]:
+def _joints(plan: Plan, t: Array, lead: float) -> tuple[tuple[str, ...], tuple[Array, Array, Array], Array]:
     """Joint names, (q, dq, ddq), and feed-forward torque, between its samples by straight lines."""
     none = np.zeros((len(t), 0))
-    if plan.joint is None or plan.scenario.arm is None:
+    if plan.told is None or plan.scenario.arm is None:
         return (), (none, none, none), none
     from salver.models.arm import load_arm
 
@@ -81,5 +84,5 @@ def _joints(plan: Plan, t: Array) -> tuple[tuple[str, ...], tuple[Array, Array, 
     if plan.tau is None:
         tau = none
     else:
-        tau = np.stack([np.interp(t, plan.t, column) for column in plan.tau.T], axis=1)
-    return arm.joint_names, plan.joint.sample(t), tau
+        tau = np.stack([np.interp(t - lead, plan.t, column) for column in plan.tau.T], axis=1)
+    return arm.joint_names, plan.told.sample(t), tau

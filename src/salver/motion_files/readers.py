@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import FileFormatError
+from salver.files import load_npz
 from salver.geometry import Array
 from salver.motion_files.motion import QUANTITIES
 from salver.motion_files.samples import FEWEST, JointSamples, Samples, joint_samples, reordered, tray_samples
@@ -54,11 +55,12 @@ def read(
 ) -> Samples:
     """A motion of the tray (or the object), or of the arm's joints, from a file.
 
-    By its ending: .csv or .txt; .yaml, .yml or .json with a trajectory_msgs/JointTrajectory (also in a MoveIt
-    RobotTrajectory) or a nav_msgs/Path; .json as salver writes it; a bag (.bag, .mcap, .db3, or a directory with
-    metadata.yaml). joint_names: gives the arm's names, called only when they are needed to understand a table. topic:
-    which one of a bag. as_path: only the way matters, not the time: joints go before the tray where a table has both,
-    and two samples are enough. Raises FileFormatError, one sentence for each mistake.
+    By its ending: .csv or .txt; .npz with t and q, as `salver execute` and `salver simulate` log joints; .yaml, .yml or
+    .json with a trajectory_msgs/JointTrajectory (also in a MoveIt RobotTrajectory) or a nav_msgs/Path; .json as salver
+    writes it; a bag (.bag, .mcap, .db3, or a directory with metadata.yaml). joint_names: gives the arm's names, called
+    only when they are needed to understand a table. topic: which one of a bag. as_path: only the way matters, not the
+    time: joints go before the tray where a table has both, and two samples are enough. Raises FileFormatError, one
+    sentence for each mistake.
     """
     path = Path(path)
     if not _exists(path):
@@ -79,12 +81,25 @@ def read(
         if isinstance(document, Mapping) and document.get("format") == FORMAT:
             return replace(_of_json(document, str(path), joint_names, as_path), form="json")
         return samples_of(document, path, as_path)
+    if ending == ".npz":
+        return _of_arrays(path)
     if ending in (".csv", ".txt", ".tsv"):
         return of_table(*_table(path), str(path), joint_names, as_path)
     raise FileFormatError(
         f'{path} ends in "{path.suffix}"; accepted are .csv, .txt, .tsv, .yaml, .yml, .json, .bag, .mcap, .db3 and '
         "directories of ROS 2 bags."
     )
+
+
+def _of_arrays(path: Path) -> JointSamples:
+    found = load_npz(path, ("t", "q"))
+    t, q = found["t"], found["q"]
+    if t.ndim != 1 or q.ndim != 2 or q.shape[0] != len(t) or not q.shape[1] or not len(t):
+        raise FileFormatError(
+            f"{path}: t has the shape {t.shape} and q {q.shape}; a log of joints has (K,) and (K, n)."
+        )
+    names = tuple(f"q{k + 1}" for k in range(q.shape[1]))
+    return replace(joint_samples(t, names, q.astype(float), None, None, str(path)), form="npz")
 
 
 def _exists(path: Path) -> bool:

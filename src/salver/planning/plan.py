@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from salver.sensitivity.arm import ArmChain
 
 FINER = 10  # the check's grid against the planner's
+COMMAND_LEAD = 0.1  # s by which a corrected command begins before the motion that it is for
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
 
 
@@ -96,6 +97,8 @@ class Plan(Shown, Tabular):
     iterations, times.
     tau: (T, n) feed-forward torque at `t`, or None. Arrays have the time axis first (docs/conventions.md).
     stops: ways to rest on the way that keep the load (`salver.planning.stops`), or None.
+    command: what the joints of one robot are told so that they do `joint` (`salver tune`), from `COMMAND_LEAD` s before
+    it on; None: `joint` itself.
     """
 
     scenario: Scenario
@@ -107,6 +110,12 @@ class Plan(Shown, Tabular):
     tau: Array | None = None
     solver: Mapping[str, Any] = field(default_factory=dict)
     stops: StopLibrary | None = None
+    command: JointMotion | None = None
+
+    @property
+    def told(self) -> JointMotion | None:
+        """What the joints are told to do."""
+        return self.joint if self.command is None else self.command
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -298,6 +307,8 @@ class Plan(Shown, Tabular):
             out["q"], out["dq"], out["ddq"] = self.joint.sample(s.t)
             out["joint_t"], out["joint_q"] = self.joint.t, self.joint.q
             out["joint_dq"], out["joint_ddq"] = self.joint.dq, self.joint.ddq
+        if self.command is not None:
+            out |= dict(zip(_COMMAND, (getattr(self.command, x) for x in ("t", "q", "dq", "ddq")), strict=True))
         if self.tau is not None:
             out["tau"] = self.tau
         if self.stops is not None:
@@ -477,12 +488,14 @@ def plan_of(files: PlanFiles, path: Path) -> Plan:
             arrays.get("tau"),
             record["solver"],
             StopLibrary.of_arrays(arrays, float(arrays["t"][-1])),
+            JointMotion(*(arrays[key] for key in _COMMAND)) if "command_t" in arrays else None,
         )
     except (KeyError, TypeError, ValueError, IndexError):
         raise FileFormatError(f"{path}.npz and .json are not those of a plan; plan again.") from None
 
 
 _JOINT = ("joint_t", "joint_q", "joint_dq", "joint_ddq")
+_COMMAND = ("command_t", "command_q", "command_dq", "command_ddq")
 
 
 def _reference(arrays: Mapping[str, Array]) -> Reference:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from salver.models.arm_limits import PLANNING_SHARES
@@ -22,6 +23,7 @@ from salver.scenario.fields import (
     Turns,
     Whole,
 )
+from salver.scenario.task import grows
 
 
 class Tray(Model):
@@ -132,6 +134,41 @@ class Obstacle(Model):
 
 
 Settling = Annotated[Number, Field(ge=0, le=60)]  # s
+_RUBBING = Annotated[Number, Field(ge=0, le=1000)]
+Friction = Annotated[
+    _RUBBING | Annotated[list[_RUBBING], Field(max_length=MOST_JOINTS)],
+    Field(description="a number at least 0 and at most 1000, or a list of such numbers, one for each joint"),
+]
+
+
+class Robot(Model):
+    """How the simulated robot follows what it is told.
+
+    control: "torque": by salver's own controller; "position": by the robot's own, into which nobody sees: each joint
+    follows its command like a second-order lag of this bandwidth (Hz, natural frequency) and damping (of critical;
+    either one number, or one for each joint), and `delay` s late. payload_error: kg by which the load that was told to
+    the robot is heavier than the nominal one, at its place.
+    """
+
+    control: Literal["torque", "position"] = "torque"
+    bandwidth: EachJoint = 12.0
+    damping: EachJoint = 0.7
+    delay: Annotated[Number, Field(ge=0, le=0.2)] = 0.0
+    payload_error: Annotated[Number, Field(ge=-100, le=100)] = 0.0
+
+    def check_held(self, period: float) -> None:
+        """Raise ValueError when the robot's loop grows because each torque is held for a period (s)."""
+        if self.control == "torque":
+            return
+        rates = [x if isinstance(x, list) else [x] for x in (self.bandwidth, self.damping)]
+        count = max(map(len, rates))
+        for hertz, damping in zip(*(x * (count if len(x) == 1 else 1) for x in rates), strict=False):
+            rate = 2 * np.pi * hertz
+            if grows(rate**2, 2 * damping * rate, period):
+                raise ValueError(
+                    f"physics.robot.bandwidth = {hertz:g} Hz with damping = {damping:g} is unstable when commands are "
+                    f"held for physics.command_period = {period:g} s; give a smaller one"
+                )
 
 
 class Physics(Model):
@@ -144,7 +181,8 @@ class Physics(Model):
     position_noise: Annotated[Number, Field(ge=0, le=1)] = 0.0
     velocity_noise: Annotated[Number, Field(ge=0, le=10)] = 0.0
     delay_steps: Annotated[Whole, Field(ge=0, le=20)] = 0
-    joint_friction: Annotated[Number, Field(ge=0, le=1000)] = 0.0
+    joint_friction: Friction = 0.0
+    robot: Robot = Robot()
     feedback: Literal["joints", "object"] = "joints"
 
     def steps(self, duration: float) -> float:

@@ -177,6 +177,7 @@ class Scenario(Shown, Model):
                 )
         if self.arm is not None:
             self.control.check_held(self.physics.command_period)
+            self.physics.robot.check_held(self.physics.command_period)
         steps = self.physics.steps(self.motion.duration or LONGEST)
         if steps > MOST_STEPS:
             raise ValueError(

@@ -72,6 +72,13 @@ class Contact(Model):
     margin: Annotated[Number, Field(ge=0, le=1000)] = 1e-3
 
 
+def grows(kp: float, kd: float, period: float) -> bool:
+    """Whether e'' + kd e' + kp e = 0 grows when what it asks for is held for a period (s)."""
+    # Over one period e'' is what the gains made of e and e' at its beginning.
+    step = np.array([[1 - 0.5 * kp * period**2, period - 0.5 * kd * period**2], [-kp * period, 1 - kd * period]])
+    return bool(np.abs(np.linalg.eigvals(step)).max() >= 1)
+
+
 Stiffness = Annotated[Number, Field(ge=1e-3, le=1e5)]  # 1/s^2
 Damping = Annotated[Number, Field(ge=1e-3, le=1e3)]  # 1/s
 
@@ -85,11 +92,7 @@ class Control(Model):
     def check_held(self, period: float) -> None:
         """Raise ValueError when the error dynamics grow because each command is held for a period (s)."""
         for kp, kd in zip(self.kp, self.kd, strict=True):
-            # Over one period e'' is what the gains made of e and e' at its beginning.
-            step = np.array(
-                [[1 - 0.5 * kp * period**2, period - 0.5 * kd * period**2], [-kp * period, 1 - kd * period]]
-            )
-            if np.abs(np.linalg.eigvals(step)).max() >= 1:
+            if grows(kp, kd, period):
                 raise ValueError(
                     f"control.kp = {kp:g} 1/s^2 with control.kd = {kd:g} 1/s is unstable when commands are held for "
                     f"physics.command_period = {period:g} s; give smaller gains, or kd nearer to 2 sqrt(kp)"

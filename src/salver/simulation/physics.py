@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.interpolate import interp1d
 
-from salver.control.arm import ArmController, ArmState, Relay, Saturation, controller_for
+from salver.control.arm import ArmController, ArmState, Relay, Saturation
 from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.files import provenance
 from salver.geometry import Array, invert, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
@@ -29,6 +29,7 @@ from salver.simulation.engine import mujoco
 from salver.simulation.loads import true_world
 from salver.simulation.outcome import Thresholds, behaviour, judge, liquid_room, surfaces
 from salver.simulation.record import SimulationRecord
+from salver.simulation.robots import robot_for
 from salver.simulation.scene import Scene, build
 from salver.simulation.trace import Recorder, Trace, net_contact_wrench
 from salver.trajectory import JointMotion, MotionSamples, Reference
@@ -106,10 +107,11 @@ class Experiment:
         plan, stops = self.plan, self.plan.stops
         course = None if stops is None or self.stop_at is None else stops.course(self.stop_at)
         if stops is None or course is None or course.stop is None:
-            return controller_for(plan.scenario, self.joint, plan.reference, arm=self.arm, space=plan.space)
+            told = plan.command if self.stop_at is None and plan.command is not None else self.joint
+            return robot_for(plan.scenario, told, plan.reference, self.arm, plan.space)
         assert plan.joint is not None
-        first = controller_for(plan.scenario, plan.joint, plan.reference, arm=self.arm, space=plan.space)
-        stop = controller_for(plan.scenario, stops.motion(course.stop), None, arm=self.arm, space="joint")
+        first = robot_for(plan.scenario, plan.joint, plan.reference, self.arm, plan.space)
+        stop = robot_for(plan.scenario, stops.motion(course.stop), None, self.arm, "joint")
         return Relay(first, stop, course.leaves)
 
     @cached_property
@@ -125,11 +127,8 @@ class Experiment:
                 raise ScenarioError(f"{scenario.name} has no arm; stops are motions of an arm.")
             return simulate_tray(plan.reference, scenario, parameters, options)
         began = time.perf_counter()
-        q_start = self.joint.sample(0.0)[0][0]
-        scene = build(scenario, true_world(scenario, parameters), self.arm)
-        run = Run(scenario, dict(parameters or {}), options, self.moved.reference, scene, self.wanted)
-        self.controller.reset()
-        trace = _run_arm(run, self.controller, q_start, np.random.default_rng(seed))
+        run, trace = self._carried(parameters, seed)
+        scene = run.scene
         bias = creep.tray_bias(self.arm, trace.q, trace.dq, scene.world.R_tilt)
         summary = {
             "method": plan.method,
@@ -146,6 +145,22 @@ class Experiment:
             told = {"stop_at": self.stop_at, "stop_takes": course.rests - self.stop_at, "finishes": course.stop is None}
             record.summary.update(told)  # type: ignore[attr-defined]
         return record
+
+    def joint_log(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> tuple[Array, Array]:
+        """t (N,), q (N, n): what encoders log, command by command, when the load is strapped to the tray."""
+        _, trace = self._carried(parameters, seed, strapped=True)
+        noise = self.plan.scenario.physics.position_noise * np.random.default_rng([seed, 1]).standard_normal(
+            trace.q.shape
+        )
+        return trace.t, trace.q + noise
+
+    def _carried(self, parameters: Mapping[str, float] | None, seed: int, strapped: bool = False) -> tuple[Run, Trace]:
+        scenario = self.plan.scenario
+        scene = build(scenario, true_world(scenario, parameters), self.arm, strapped=strapped)
+        run = Run(scenario, dict(parameters or {}), self.options, self.moved.reference, scene, self.wanted)
+        self.controller.reset()
+        q_start = self.joint.sample(0.0)[0][0]
+        return run, _run_arm(run, self.controller, q_start, np.random.default_rng(seed))
 
 
 def simulate(

@@ -31,6 +31,7 @@ from salver.scenario import Cylinder, Obstacle, Scenario
 from salver.simulation.engine import mujoco
 from salver.simulation.liquid_surface import WALL_OPACITY
 from salver.simulation.loads import Load, TrueWorld
+from salver.simulation.robots import each_joint
 
 FOOT_RADIUS = 5e-4  # m
 SMALL_POINT = 1e-6  # of m L^2: the inertia about itself of a mass that stands for a point
@@ -129,17 +130,20 @@ def build(
     arm: ArmModel | None = None,
     *,
     visual: bool = False,
+    strapped: bool = False,
     also: Callable[[Any], None] | None = None,
 ) -> Scene:
-    """Compile the scene of one run. visual: with meshes, floor and light, for pictures; physics is the same. also: adds
-    to the mujoco.MjSpec what else there is."""
-    spec = specify(scenario, world, arm, visual=visual)
+    """Compile the scene of one run. visual: with meshes, floor and light, for pictures; physics is the same. strapped:
+    objects are fixed to the tray, and touch nothing. also: adds to the mujoco.MjSpec what else there is."""
+    spec = specify(scenario, world, arm, visual=visual, strapped=strapped)
     if also is not None:
         also(spec)
     return _compiled(spec, arm, world, 2 * scenario.physics.timestep)
 
 
-def specify(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False) -> Any:
+def specify(
+    scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *, visual: bool = False, strapped: bool = False
+) -> Any:
     """The same, not yet compiled: a mujoco.MjSpec that can be changed or written as a file."""
     spec = mujoco.MjSpec()
     if visual:
@@ -147,7 +151,7 @@ def specify(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *
     _options(spec, scenario.physics.timestep, with_arm=arm is not None)
     root = spec.worldbody
     if arm is not None:
-        parent = _add_arm(spec, arm, scenario.physics.joint_friction, visual)
+        parent = _add_arm(spec, arm, each_joint(scenario.physics.joint_friction, arm, "physics.joint_friction"), visual)
         parent = parent.add_body(name=TRAY_BODY, pos=arm.p_FE, quat=quat_wxyz_from_matrix(world.R_tilt))
         com_E = world.R_tilt.T @ (arm.tray_com_F - arm.p_FE)
         inertia = world.R_tilt.T @ np.diag(scenario.tray.inertia) @ world.R_tilt
@@ -170,8 +174,20 @@ def specify(scenario: Scenario, world: TrueWorld, arm: ArmModel | None = None, *
     if arm is not None:
         for k, obstacle in enumerate(scenario.obstacles):
             obstacles += _add_obstacle(spec, obstacle, k)
-    _add_pairs(spec, world.loads, obstacles, 2 * scenario.physics.timestep)
+    if strapped:
+        for k, load in enumerate(world.loads):
+            _strap(spec, load, k, 2 * scenario.physics.timestep)
+    else:
+        _add_pairs(spec, world.loads, obstacles, 2 * scenario.physics.timestep)
     return spec
+
+
+def _strap(spec: Any, load: Load, k: int, contact_time: float) -> None:
+    weld = spec.add_equality(type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY)
+    weld.name1, weld.name2 = TRAY_BODY, f"salver:object:{k}"
+    weld.solref, weld.solimp = [contact_time, 1.0], [0.999, 0.9999, 0.001, 0.5, 2.0]
+    # Anchor in the object, its pose on the tray, weight of the rotation, and what MuJoCo does not read.
+    weld.data[:11] = [0.0, 0.0, 0.0, *load.p_EB, *quat_wxyz_from_matrix(load.R_EB), 1.0]
 
 
 # Geoms meet only through explicit pairs, and add no mass of their own.
@@ -207,7 +223,7 @@ def _set_inertia(body: Any, mass: float, com: Array, inertia: Array) -> None:
     body.explicitinertial = True
 
 
-def _add_arm(spec: Any, arm: ArmModel, friction: float, visual: bool) -> Any:
+def _add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
     """Attach the arm's URDF at its base; returns the flange's body."""
     root = ElementTree.fromstring(arm.urdf)
     for link in root.iter("link"):
@@ -225,7 +241,7 @@ def _add_arm(spec: Any, arm: ArmModel, friction: float, visual: bool) -> Any:
             joint.range = [arm.limits.q_min[k], arm.limits.q_max[k]]
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.damping = np.zeros(3)  # what friction there is comes from the scenario; the URDF's is not in eq (20)
-        joint.frictionloss = friction
+        joint.frictionloss = friction[k]
     half = 0.5 * arm.base_yaw
     base = spec.worldbody.add_frame(pos=arm.base_position, quat=[np.cos(half), 0, 0, np.sin(half)])
     spec.attach(robot, frame=base, prefix=ARM_PREFIX)

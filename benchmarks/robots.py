@@ -1,0 +1,136 @@
+"""Robots that are not their model: what they cost the tall bottle, tuned and untuned, counted in the engine.
+
+python benchmarks/robots.py -n 100 [--docs] [--only lag]
+
+Each robot is tuned with the nominal load strapped to its tray; then the same loose loads, drawn from the ranges, are
+carried by the untuned and by the tuned plan. A second table has the excess found from noisy logs against the true one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import salver as sv
+from salver.errors import SalverError
+from salver.learning.track import Judge, track
+from salver.learning.tune import engine_robot, tune
+from salver.models.arm import load_arm
+from salver.motion_files.samples import joint_samples
+from salver.planning.plan import Plan
+from salver.sampling import draw
+from salver.simulation.physics import Experiment
+
+PAGE = Path(__file__).parents[1] / "docs" / "learning.md"
+SPREAD = (1.2, 0.8, 1.0, 1.1, 0.9, 1.2, 0.8)
+
+
+def position(hertz: float, spread: bool = False, **more: float) -> dict[str, object]:
+    bandwidth = [hertz * x for x in SPREAD] if spread else hertz
+    return {"physics__robot": {"control": "position", "bandwidth": bandwidth, **more}}
+
+
+RESTED = {"physics__settle_before": 1.0}  # the arm has sagged under its load before it moves
+ROBOTS: dict[str, dict[str, object]] = {
+    "2 ms of delay": {"physics__delay_steps": 2},
+    "payload set 0.3 kg too heavy": {"physics__robot": {"payload_error": 0.3}, **RESTED},
+    "friction 0.2 N m, not compensated": {"physics__joint_friction": 0.2, **RESTED},
+    "friction 0.5 N m": {"physics__joint_friction": 0.5, **RESTED},
+    "lag of 8 Hz in all joints": position(8.0),
+    "lag of 15 Hz in all joints": position(15.0),
+    "lag of 12 Hz +-20 % between joints": position(12.0, spread=True),
+    "the same, damping 0.4": position(12.0, spread=True, damping=0.4),
+    "as a UR10e by servoj: 7.7 Hz, 5 ms late": position(7.7, delay=0.005),
+}
+
+
+def counted(plan: Plan, n: int, seed: int) -> int:
+    """Of n loose loads from the ranges, how many stay."""
+    uncertain, experiment = plan.scenario.payload.uncertain, Experiment(plan)
+    loads = draw(uncertain, n, seed, bodies=plan.scenario.payload.bodies)
+    runs = [dict(zip(uncertain.names, map(float, row), strict=True)) for row in loads]
+    return sum(experiment.run(run, k).outcome == "holds" for k, run in enumerate(runs))
+
+
+def robots(plan: Plan, n: int, only: str) -> str:
+    rows = ["| robot | first excess | cure | price | untuned | tuned |", "|---|---|---|---|---|---|"]
+    for name, changes in ROBOTS.items():
+        if only not in name:
+            continue
+        real = replace(plan, scenario=plan.scenario.with_changes(**changes))
+        try:
+            rounds = list(tune(real, engine_robot))
+        except SalverError as error:  # so far astray that it is not this plan's log
+            rows.append(f"| {name} | | refused | | {counted(real, n, 1)} of {n} | |")
+            print(rows[-1], error, file=sys.stderr, flush=True)
+            continue
+        last, margins = rounds[-1], sum(r.next == "margin" for r in rounds)
+        untuned = counted(real, n, 1)
+        if last.next == "done":
+            commands = sum(r.next == "command" for r in rounds)
+            cure = f"{commands} corrections, {margins} margins" if commands or margins else "none needed"
+            price, tuned = (
+                f"{100 * (last.plan.duration / plan.duration - 1):+.1f} %",
+                f"{counted(last.plan, n, 1)} of {n}",
+            )
+        else:
+            cure, price, tuned = "refused", "", ""
+        rows.append(
+            f"| {name} | {100 * rounds[0].tracking.excess:.1f} % | {cure} | {price} | {untuned} of {n} | {tuned} |"
+        )
+        print(rows[-1], last.sentence, file=sys.stderr, flush=True)
+    return "\n".join(rows)
+
+
+def logs(plan: Plan, seeds: int, only: str) -> str:
+    rows = ["| robot | true | 0 | 2e-5 rad | 1e-4 rad |", "|---|---|---|---|---|"]
+    for name, changes in ROBOTS.items():
+        if only not in name:
+            continue
+        real = replace(plan, scenario=plan.scenario.with_changes(**changes))
+        judge = Judge.of(real.scenario)
+        assert real.scenario.arm is not None
+        names = tuple(load_arm(real.scenario.arm, real.scenario.tray).joint_names)
+        t, q = Experiment(real).joint_log()
+        assert real.joint is not None
+        if np.abs(q - real.joint.sample(t)[0]).max() > 0.2:
+            continue  # the robot does not do the plan at all
+        dq = np.gradient(q, t, axis=0)
+        terms = judge.terms(q, dq, np.gradient(dq, t, axis=0))
+        moving = t > -0.2
+        true = max(0.0, float(judge.rows(terms.w, judge.drift(t, terms))[0][moving].max()))
+        cells = []
+        for noise in (0.0, 2e-5, 1e-4):
+            rng, found = np.random.default_rng(5), []
+            for _ in range(seeds if noise else 1):
+                seen = track(
+                    real, joint_samples(t, names, q + noise * rng.standard_normal(q.shape), None, None, "log"), judge
+                )
+                found.append((100 * (seen.excess - true), 100 * seen.uncertainty))
+            off, known = np.array(found).T
+            cells.append(f"{off.min():+.1f} to {off.max():+.1f} (told +- {np.median(known):.1f})")
+        rows.append(f"| {name} | {100 * true:.1f} | {' | '.join(cells)} |")
+        print(rows[-1], file=sys.stderr, flush=True)
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-n", type=int, default=100, help="loose loads of each robot")
+    parser.add_argument("--seeds", type=int, default=4, help="noisy logs of each robot")
+    parser.add_argument("--only", default="", help="robots whose name holds this")
+    parser.add_argument("--docs", action="store_true", help="write the tables into docs/learning.md")
+    chosen = parser.parse_args()
+    made = sv.plan(sv.load_scenario("panda-tall-bottle"), "fastest")
+    tables = {"track": logs(made, chosen.seeds, chosen.only), "robots": robots(made, chosen.n, chosen.only)}
+    for name, table in tables.items():
+        print(table, end="\n\n")
+        if chosen.docs:
+            sys.path.insert(0, str(PAGE.parent))
+            import blocks
+
+            blocks.replace(PAGE, name, table)

@@ -1,0 +1,117 @@
+"""`salver track`: was it the plan that the robot did, and what does the difference cost?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from salver.cli.audit import Topic
+from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console
+
+if TYPE_CHECKING:
+    from salver.learning.track import Tracking
+
+UNSEEN = "what joint encoders do not see: how arm and tray bend, and where the load stands"
+
+
+def track(
+    directory: Annotated[Path, typer.Argument(help="Run directory whose plan was carried out.")],
+    log: Annotated[Path, typer.Argument(help="What the joints did: .npz, CSV, JSON, YAML (MoveIt), ROS bag.")],
+    stem: Annotated[str, typer.Option(help="Which plan of the directory.")] = "plan",
+    topic: Topic = None,
+    json: Json = False,
+) -> None:
+    """Compare what a robot did with the plan, and tell what the difference takes from the load's hold.
+
+    The log holds joint positions (rad) over time (s), 90 samples a second or more, from rest to rest; its clock may
+    begin anywhere. The time by which all joints together are late is taken off: it costs nothing. What the tray really
+    felt is then judged as the plan was, for every load of the scenario's ranges: the excess is what is missing, as a
+    share of the weight. Tells which joint causes most of it, and the cures in their order.
+
+    Example: `salver track runs/panda-tall-bottle runs/panda-tall-bottle/execution/plan.npz`
+
+    Ends with 0 when nothing is missing on what was executed, with 3 when something is.
+    """
+    from salver.learning.executed import read_joints
+    from salver.learning.track import Judge
+    from salver.learning.track import track as compare
+    from salver.planning.plan import load_plan
+
+    plan = load_plan(directory, stem)
+    judge = Judge.of(plan.scenario)
+    found = compare(plan, read_joints(log, judge.arm, topic), judge)
+    if json:
+        print_json(record(found))
+    else:
+        _show(found, directory)
+    if not found.ok:
+        raise typer.Exit(NO_SAFE_PLAN)
+
+
+def record(found: Tracking) -> dict[str, Any]:
+    """For machines. Rows as shares of the weight."""
+    return {
+        "not_checked": UNSEEN,
+        "ok": found.ok,
+        "row": found.row,
+        "uncertainty": found.uncertainty,
+        "planned": found.planned,
+        "excess": found.excess,
+        "time": found.time,
+        "interface": found.interface,
+        "shift": found.done.shift,
+        "cause": found.cause,
+        "margin_that_pays": found.margin,
+        "joints": [vars(joint) for joint in found.joints],
+    }
+
+
+def verdict(found: Tracking) -> str:
+    """In one sentence."""
+    where = f"({found.interface}, at {found.time:.3f} s)"
+    known = f"+- {100 * found.uncertainty:.1f} %"
+    if found.ok:
+        return f"What was executed keeps {-100 * found.row:.1f} {known} of the weight in the worst case {where}."
+    if found.excess > 0:
+        return (
+            f"What was executed exceeds what holds in the worst case by {100 * found.row:.1f} {known} of the weight "
+            f"{where}."
+        )
+    return (
+        f"Whether what was executed holds in the worst case cannot be told: it keeps {-100 * found.row:.1f} {known} of "
+        f"the weight {where}."
+    )
+
+
+def _show(found: Tracking, directory: Path) -> None:
+    from rich.table import Table
+
+    console = result_console()
+    console.print(headed("not checked", UNSEEN + "."))
+    console.print(headed("executed", verdict(found)))
+    console.print(
+        f"The log's clock is {found.done.shift:.4f} s ahead of the plan's; the plan keeps {-100 * found.planned:.1f} %."
+    )
+    table = Table(box=None, padding=(0, 3, 0, 0))
+    for title in ("joint", "off the plan", "later than all", "friction", "noise", "alone"):
+        table.add_column(title, justify="left" if title == "joint" else "right")
+    for joint in found.joints:
+        table.add_row(
+            joint.name,
+            f"{1e3 * joint.peak:.3f} mrad",
+            f"{1e3 * joint.lag:.2f} ms",
+            f"{1e3 * joint.friction:.3f} mrad",
+            f"{1e6 * joint.noise:.1f} urad",
+            f"{100 * joint.row:.1f} %",
+        )
+    console.print(table)
+    if found.ok:
+        return
+    console.print(headed("cause", f"{found.cause}."))
+    console.print(headed("cure 1", f"correct the command: salver tune {directory} --log LOG -o DIRECTORY."))
+    console.print(headed("cure 2", f"buy a margin for the rest: contact.margin = {found.margin:.4f}, and plan again."))
+    console.print(
+        headed("cure 3", "if that is too slow: another robot, or this one with its friction and payload put right.")
+    )

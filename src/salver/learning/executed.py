@@ -1,0 +1,267 @@
+"""What the joints did, on the plan's clock: a log with its time shift and its noise taken off.
+
+Two differentiations of a joint angle turn 20 micro-radians of noise at 1 kHz into tens of rad/s^2. So not the angle is
+smoothed, but the *deviation* from the plan, and of that only what does not follow from the plan: first each joint's is
+fitted (least squares) with the answers of second-order lags to what the plan asks of that joint, its velocity, its
+acceleration and its direction (friction); their derivatives are exact. What is left is smoothed in the cosine
+transform by 1 / (1 + (f / f_c)^6), f_c of each joint by generalised cross-validation (Craven and Wahba 1979; in this
+transform Garcia 2010, "Robust smoothing of gridded data"). What is left over then is the noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.fft import dct, dst, idct
+from scipy.optimize import minimize_scalar
+
+from salver.errors import FileFormatError
+from salver.geometry import Array
+from salver.models.arm import ArmModel
+from salver.motion_files import JointSamples, read
+from salver.motion_files.samples import reordered
+from salver.sensitivity.filter import LinearFilter
+from salver.trajectory import JointMotion
+
+ORDER = 6  # of the smoother: noise falls faster than two differentiations raise it
+SLOWEST = 2.0  # Hz, cut-off
+FASTEST = 0.4  # of the sampling rate,
+OFTEN = 400.0  # samples a second that are enough
+SEEN = 80.0  # Hz, and at most: what is faster moves a joint, and the load, by next to nothing
+LAGS = (4.0, 6.0, 9.0, 13.0, 20.0, 30.0)  # Hz, of lags whose answers are fitted,
+DAMPINGS = (0.4, 0.7, 1.0)  # and of critical
+ALIKE = 1e-6  # shapes that differ by less are one
+STILL = 0.02  # rad/s around standstill over which friction changes its sign
+CUTS = 40  # cut-offs tried
+SPARSE = 90.0  # samples a second; with fewer nothing is known of what shakes a load
+LONGEST = 600.0  # s of a log
+GAP = 0.03  # s
+ASTRAY = 0.5  # rad that a joint may be off the plan: beyond, it is another motion
+ALIEN, FAR = 0.3, 0.3  # of its way that a joint may be off, and rad that count as a way
+EXACT = 1e-7  # rad from the plan: no arm does that
+PACE = 0.03  # by which a run may be slower than planned
+RESTS = 0.06  # rad/s at which the arm rests
+RESTING = 0.04  # s at the end
+AFTER = 0.6  # s after the motion that are looked at
+BEFORE = 0.3
+UNSEEN = 1e-3  # rad of the motion that may lie beyond an end of the log
+MOVES = 0.02  # rad that some joint must move, for a motion
+
+
+@dataclass(frozen=True, eq=False)
+class Executed:
+    """K instants t (K,), s on the plan's clock. q, dq, ddq (K, n): smoothed. off (K, n): smoothed deviation from the
+    plan, rad. noise (n,): standard deviation of a sample of noisy, rad. cut (n,): Hz, up to which it was followed.
+
+    shift: s by which the log is later than the plan. noisy (K, n): the deviation as it was
+    logged, means of `each` samples where there were more than are needed.
+    """
+
+    source: str
+    t: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    off: Array
+    noise: Array
+    cut: Array
+    shift: float
+    noisy: Array
+    plan: JointMotion
+    answers: tuple[Answers, ...]
+    each: int
+
+    @property
+    def step(self) -> float:
+        return float(self.t[1] - self.t[0])
+
+    def again(self, noisy: Array) -> Executed:
+        """The same with another logged deviation (K, n), smoothed anew."""
+        return _smoothed(self.source, self.t, noisy, self.shift, self.plan, self.answers, self.each)
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What each joint would deviate if it were a lag: (3, n, K, m) m shapes with first and second derivatives; and the
+    least squares by them (n, m, K)."""
+
+    shapes: Array
+    solve: Array
+
+    @classmethod
+    def along(cls, t: Array, plan: JointMotion) -> tuple[Answers, ...]:
+        """No lag, and each of some lags, without and with friction: which it is, is found for each joint."""
+        here = np.stack(plan.sample(t))
+        out = [cls.of([], here)]
+        for hertz in LAGS:
+            for damping in DAMPINGS:
+                rate, both = 2 * np.pi * hertz, []
+                lag = LinearFilter.on_nodes(t, rate**2, 2 * damping * rate, 3)
+                # Of a lag that was asked so much earlier that it is late by nothing.
+                q, dq, ddq = plan.sample(t + 2 * damping / rate)
+                for drive in (-ddq - 2 * damping * rate * dq, np.tanh(here[1] / STILL)):
+                    x, v = lag.respond(drive)
+                    both.append(np.stack([x, v, lag.acceleration(drive, x, v)]))
+                z = np.stack([q, dq, ddq]) + both[0]
+                jerk = rate**2 * (dq - z[1]) - 2 * damping * rate * z[2]
+                snap = rate**2 * (ddq - z[2]) - 2 * damping * rate * jerk
+                lags = [z - here, np.stack([z[1], z[2], jerk]), np.stack([z[2], jerk, snap])]
+                out += [cls.of(lags, here), cls.of([*lags, both[1]], here)]
+        return tuple(out)
+
+    @classmethod
+    def of(cls, found: list[Array], like: Array) -> Answers:
+        shapes = np.moveaxis(np.stack(found, axis=3) if found else like[..., None][..., :0], 1, 2)
+        size = np.linalg.norm(shapes[0], axis=1)[None, :, None]
+        shapes = shapes / np.where(size > 0, size, 1.0)
+        count, width = shapes.shape[2:]
+        solve = np.linalg.pinv(shapes[0], rcond=ALIKE) if width else np.zeros((len(shapes[0]), 0, count))
+        return cls(shapes, solve)
+
+    def fitted(self, off: Array) -> Array:
+        """(3, K, n) of a deviation (K, n) what these shapes make of it."""
+        return np.einsum("djkm,jm->dkj", self.shapes, np.einsum("jmk,kj->jm", self.solve, off))
+
+
+def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> JointSamples:
+    """A log of an arm's joints from any motion file. Raises FileFormatError."""
+    samples = read(path, lambda: arm.joint_names, topic)
+    if not isinstance(samples, JointSamples):
+        raise FileFormatError(f"{path} holds a motion of the tray; the joints' is needed: columns q1 to q{arm.n}, rad.")
+    if samples.q.shape[1] < arm.n:
+        raise FileFormatError(f"{path} has {samples.q.shape[1]} joints; {arm.name} has {arm.n}.")
+    return reordered(samples, tuple(arm.joint_names))
+
+
+def executed(plan: JointMotion, samples: JointSamples) -> Executed:
+    """What a log (in the arm's order of joints) says was done of a plan. Raises FileFormatError, one sentence."""
+    t, q, source = samples.t, samples.q, samples.source
+    _check(t, q, plan, source)
+    shift = _shift(t, q, plan)
+    off = q - plan.sample(t - shift)[0]
+    first, last = shift, shift + plan.duration
+    step = float(np.median(np.diff(t)))
+    seen = plan.sample(np.array([0.0, t[0] - shift, t[-1] - shift, plan.duration]))[0]
+    for k, missing in ((0, f"begins {t[0] - first:.3f} s after"), (2, f"ends {last - t[-1]:.3f} s before")):
+        if np.abs(seen[k + 1] - seen[k]).max() > UNSEEN:
+            raise FileFormatError(
+                f"{source} {missing} the motion does; it must hold the whole motion, with rest around it."
+            )
+    moving = (t >= first) & (t <= last)
+    _is_of(plan, t[moving] - shift, off[moving], source)
+    kept = (t >= first - BEFORE) & (t <= last + AFTER)
+    t, off = t[kept] - shift, off[kept]
+    even = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-6) + 1)
+    if len(even) != len(t) or np.abs(even - t).max() > 0.05 * step:
+        off, t = np.stack([np.interp(even, t, column) for column in off.T], axis=1), even
+    last_ones = t > t[-1] - RESTING
+    speed = float(np.abs(np.polyfit(t[last_ones], off[last_ones] + plan.sample(t[last_ones])[0], 1)[0]).max())
+    if speed > RESTS:
+        raise FileFormatError(
+            f"{source} ends while a joint still moves at {speed:.2g} rad/s; record until the arm rests, some 0.3 s on."
+        )
+    every = max(1, int(1 / (OFTEN * step)))
+    if every > 1:  # means of some samples: what is slower than SEEN stays as it is
+        whole = len(t) // every * every
+        t, off = t[:whole].reshape(-1, every).mean(axis=1), off[:whole].reshape(-1, every, off.shape[1]).mean(axis=1)
+    return _smoothed(source, t, off, shift, plan, Answers.along(t, plan), every)
+
+
+def _is_of(plan: JointMotion, t: Array, off: Array, source: str) -> None:
+    """Whether a deviation (K, n) from the plan is that of a robot which did it, as planned."""
+    worst, each = float(np.abs(off).max()), np.abs(off).max(axis=0)
+    if worst > ASTRAY or (each > ALIEN * np.maximum(np.ptp(plan.q, axis=0), FAR)).any():
+        raise FileFormatError(
+            f"{source}: a joint is {worst:.3g} rad from the plan, and at most {ASTRAY:g} and a third of its way are "
+            "accepted: another motion, another speed, another order of joints, or a robot that is not controlled."
+        )
+    if worst < EXACT:
+        raise FileFormatError(
+            f"{source} is the plan itself to {worst:.1g} rad: these are joints as commanded; they must be as measured."
+        )
+    late = plan.sample(t)[1]
+    # A slower run is later the longer it lasts.
+    rows = [np.einsum("k,kj->kj", (t - t.mean()), late).ravel(), *(_only(late, j) for j in range(late.shape[1]))]
+    slower = -float(np.linalg.lstsq(np.stack(rows, axis=1), off.ravel(), rcond=1e-9)[0][0])
+    if abs(slower) > PACE:
+        raise FileFormatError(
+            f"{source} is of a run {100 * abs(slower):.0f} % {'slower' if slower > 0 else 'quicker'} than planned; "
+            "carry the plan out at its own speed (no speed override)."
+        )
+
+
+def _only(values: Array, j: int) -> Array:
+    out = np.zeros_like(values)
+    out[:, j] = values[:, j]
+    return out.ravel()
+
+
+def _check(t: Array, q: Array, plan: JointMotion, source: str) -> None:
+    if t[-1] > LONGEST:
+        raise FileFormatError(f"{source} is {t[-1]:.0f} s long; at most {LONGEST:.0f} are accepted: cut it.")
+    if (len(t) - 1) / t[-1] < SPARSE:
+        raise FileFormatError(
+            f"{source} has {(len(t) - 1) / t[-1]:.0f} samples a second; at least {SPARSE:.0f} are needed to see what "
+            "shakes a load."
+        )
+    step = np.diff(t)
+    if step.max() > GAP:
+        k = int(np.argmax(step))
+        raise FileFormatError(f"{source} has no samples for {step[k]:.3g} s after t = {t[k]:.3f} s; at most {GAP:g}.")
+    if np.ptp(q, axis=0).max() < MOVES:
+        raise FileFormatError(f"{source} has no motion in it: no joint moves by {MOVES:g} rad.")
+    if np.abs(q).max() > 12 and np.abs(np.ptp(np.deg2rad(q), axis=0) - np.ptp(plan.q, axis=0)).max() < ASTRAY:
+        raise FileFormatError(f"{source}: its joint positions are in degrees; they must be in rad.")
+
+
+def _shift(t: Array, q: Array, plan: JointMotion) -> float:
+    """By how much the log is later, least squares of all joints; the arm is held still beyond both ends."""
+    at = np.linspace(0.0, plan.duration, 60)
+    wanted = plan.sample(at)[0]
+
+    def miss(shifts: Array) -> Array:
+        when = at[:, None] + shifts
+        return np.asarray(
+            sum(np.sum((np.interp(when, t, x) - y[:, None]) ** 2, axis=0) for x, y in zip(q.T, wanted.T, strict=True))
+        )
+
+    tried = np.arange(t[0] - 0.5 * plan.duration, t[-1] - 0.5 * plan.duration, 0.005)
+    best = float(
+        tried[int(np.argmin(np.concatenate([miss(part) for part in np.array_split(tried, 1 + len(tried) // 4000)])))]
+    )
+    found = minimize_scalar(
+        lambda s: float(miss(np.array([s]))[0]), bounds=(best - 0.01, best + 0.01), method="bounded"
+    )
+    return float(found.x)
+
+
+def _smoothed(
+    source: str, t: Array, noisy: Array, shift: float, plan: JointMotion, answers: tuple[Answers, ...], each: int
+) -> Executed:
+    count, step = len(t), float(t[1] - t[0])
+    f = np.arange(count) / (2 * count * step)
+    cuts = np.geomspace(SLOWEST, min(FASTEST / step, SEEN), CUTS)
+    gains = 1 / (1 + (f / cuts[:, None]) ** ORDER)  # (cuts, K)
+    fits = np.stack([answer.fitted(noisy) for answer in answers])  # (models, 3, K, n)
+    coefficients = dct(noisy - fits[:, 0], axis=1, norm="ortho")
+    left = (1 - gains) ** 2 @ coefficients**2  # (models, cuts, n)
+    taken = np.array([answer.shapes.shape[3] for answer in answers])[:, None] + gains.sum(axis=1)
+    free = np.maximum(count - taken, 1.0)[..., None]
+    joint = np.arange(noisy.shape[1])
+    model, cut = np.unravel_index(np.argmin((left / free**2).reshape(-1, len(joint)), axis=0), left.shape[:2])
+    noise = np.sqrt(left[model, cut, joint] / free[model, cut, 0])
+    kept = gains[cut].T * coefficients[model, :, joint].T
+    omega = 2 * np.pi * f[:, None]
+    rate = np.zeros_like(kept)
+    rate[:-1] = (-omega * kept)[1:]
+    off = np.moveaxis(fits[model, :, :, joint], 0, 2) + np.stack(
+        [
+            idct(kept, axis=0, norm="ortho"),
+            dst(rate, type=3, axis=0) / np.sqrt(2 * count),
+            idct(-(omega**2) * kept, axis=0, norm="ortho"),
+        ]
+    )
+    q, dq, ddq = plan.sample(t) + off
+    return Executed(source, t, q, dq, ddq, off[0], noise, cuts[cut], shift, noisy, plan, answers, each)
