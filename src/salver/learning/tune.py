@@ -170,8 +170,10 @@ def refusal(seen: Tracking, margin: float, again: Plan | None, replans: int) -> 
 
 
 def corrected(seen: Tracking) -> Plan:
-    """The plan with the next command: what was missed is added to what was told. The command begins `COMMAND_LEAD` s before
-    the plan does, so that a correction may begin before it is needed, and goes on until the arm is where it should be.
+    """The plan with the next command: what was missed is added to what was told.
+
+    The command begins `COMMAND_LEAD` s before the plan does, so that a correction may begin before it is needed, and
+    goes on until the arm is where it should be.
     """
     plan, done = seen.plan, seen.done
     joint, before = plan.joint, plan.command
