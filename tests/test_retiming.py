@@ -17,7 +17,7 @@ from salver.motion_files import read_path
 from salver.planning.fastest import FastestOptions, fastest, object_motion
 from salver.planning.fastest.curves import Grid, PathCurve
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.retiming import SplinePath, plan_retimed, reachable_law, retime
+from salver.planning.fastest.retiming import PATH_TOLERANCE, SplinePath, plan_retimed, reachable_law, retime
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.follow.limits import peaks
 from salver.planning.plan import load_plan
@@ -59,6 +59,26 @@ def test_two_waypoints_make_a_straight_path():
     assert np.allclose(q, np.linspace([0, 1], [2, -1], 11))
     assert np.allclose(first, [2, -2])
     assert np.abs(second).max() < 1e-8
+
+
+def test_a_dense_path_with_corners_is_followed_or_it_is_said_by_how_much():
+    t = np.linspace(0, 1, 2001)[:, None]
+    few, many = (np.abs((t * turns) % 1 - 0.5) * np.ones(7) + t for turns in (4, 60))
+    for q in (few, many):
+        path = SplinePath.through(q)
+        curve = path.derivatives(np.linspace(0, 1, 20_001), 0)[0]
+        passed = max(np.linalg.norm(curve - point, axis=1).min() for point in q[::10])
+        assert passed <= np.sqrt(7) * max(path.missed, PATH_TOLERANCE)
+    assert SplinePath.through(few).missed < 0.01
+    assert SplinePath.through(many).missed > PATH_TOLERANCE
+
+
+def test_waypoints_that_are_told_twice_do_not_bend_the_path():
+    q = np.linspace(0, 1, 6)[:, None] * np.ones(7)
+    rough = np.repeat(q, 2, axis=0) + 1e-5 * np.random.default_rng(0).standard_normal((12, 7))
+    curve = SplinePath.through(rough).derivatives(np.linspace(0, 1, 401), 0)[0]
+    assert np.ptp(curve, axis=1).max() < 1e-3
+    assert np.array_equal(curve[[0, -1]], rough[[0, -1]])
 
 
 def test_fewer_than_two_waypoints_are_refused():

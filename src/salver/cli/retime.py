@@ -62,7 +62,7 @@ def retime(
     from salver import scenario as scenarios
     from salver.given import read_waypoints
     from salver.motion_files import form_of
-    from salver.planning.fastest.retiming import plan_retimed
+    from salver.planning.fastest.retiming import PATH_TOLERANCE, plan_retimed
     from salver.run_directory import SCENARIO, check_free
 
     if scenario is None:
@@ -103,6 +103,10 @@ def retime(
         if plan.stops is not None:
             tell(plan.stops.sentence)
         tell(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
+        if plan.solver["waypoints_missed"] > PATH_TOLERANCE:
+            tell(
+                f"The path passes the waypoints by up to {plan.solver['waypoints_missed']:.2g} rad: they are too many."
+            )
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)
@@ -119,7 +123,7 @@ def _at_pace(
 ) -> None:
     """Write the motion at another pace, and say what becomes of the load."""
     from salver.given import at_pace
-    from salver.motion_files import Motion, write
+    from salver.motion_files import JointSamples, Motion, form_of, write
 
     try:
         factor = None if pace == "least" else float(pace)
@@ -149,5 +153,7 @@ def _at_pace(
             tell(f"The arm cannot follow: {found.too_fast}.")
         for file in files:
             say(f"Wrote {file}")
+        if isinstance(found.samples, JointSamples) and found.samples.commanded and form_of(target) == "csv":
+            say("Judged as a command. A table is a recording: salver audit does not join its rows by their velocities.")
     if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)

@@ -33,16 +33,21 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 PATH_DEGREE = 5
-PATH_POINTS = 60  # to which a dense path is thinned out, evenly along its length
+PATH_POINTS = (60, 120, 240, 480)  # to which a dense path is thinned out, evenly along its length: as few as will do
+PATH_TOLERANCE = 1e-3  # rad: by which that may pass the waypoints; nearer ones are taken for the same
 LAW_DEGREE = 5
 TIMED_POINTS = 401  # of the path of a motion whose timing is kept
 
 
 @dataclass(frozen=True, eq=False)
 class SplinePath:
-    """q(u), u in [0, 1] in proportion to the length in joint space; four times continuously differentiable."""
+    """q(u), u in [0, 1] in proportion to the length in joint space; four times continuously differentiable.
+
+    missed: rad, by which it passes the waypoints at most.
+    """
 
     spline: BSpline
+    missed: float = 0.0
 
     def derivatives(self, u: Array, order: int) -> Array:
         """(order + 1, N, n): q and its derivatives by u."""
@@ -51,20 +56,23 @@ class SplinePath:
 
     @classmethod
     def through(cls, q: Array) -> SplinePath:
-        """Through waypoints (K, n), each different from the one before, of any number.
+        """Through waypoints (K, n), of any number.
 
-        More than `PATH_POINTS` are thinned out. Raises ScenarioError for fewer than two different ones.
+        Very many are thinned out to some that meet the others within `PATH_TOLERANCE`, if `PATH_POINTS` are enough.
+        Raises ScenarioError for fewer than two different ones.
         """
-        q = np.asarray(q, dtype=float)
-        kept = np.concatenate([[True], np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-9])
-        q = q[kept]
+        q = _apart(np.asarray(q, dtype=float))
         if len(q) < 2:
             raise ScenarioError("A path needs at least two different waypoints.")
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
-        if len(q) > PATH_POINTS:
-            wanted = np.linspace(0.0, length[-1], PATH_POINTS)
-            q = make_interp_spline(length, q, 3)(wanted)
-            length = wanted
+        for points in PATH_POINTS:
+            if len(q) <= points:
+                break
+            wanted = np.linspace(0.0, length[-1], points)
+            path = cls(make_interp_spline(wanted / length[-1], make_interp_spline(length, q, 3)(wanted), PATH_DEGREE))
+            path = replace(path, missed=float(np.abs(path.spline(length / length[-1]) - q).max()))
+            if path.missed < PATH_TOLERANCE or points == PATH_POINTS[-1]:
+                return path
         if len(q) <= PATH_DEGREE:  # too few for the degree: fill up along straight pieces
             wanted = np.unique(np.concatenate([length, np.linspace(0.0, length[-1], PATH_DEGREE + 3)]))
             q = np.column_stack([np.interp(wanted, length, column) for column in q.T])
@@ -82,6 +90,17 @@ class SplinePath:
     def of(cls, motion: JointMotion) -> SplinePath:
         """The path of a motion, whatever its timing."""
         return cls.through(motion.sample(np.linspace(0.0, motion.duration, 2001))[0])
+
+
+def _apart(q: Array) -> Array:
+    """Of waypoints (K, n) those that are not the one before within `PATH_TOLERANCE`; the first and the last always."""
+    kept = [0]
+    for k in range(1, len(q)):
+        if np.abs(q[k] - q[kept[-1]]).max() >= PATH_TOLERANCE:
+            kept.append(k)
+    if kept[-1] != len(q) - 1 and np.abs(q[-1] - q[kept[-1]]).max() > 1e-9:
+        kept = [*(kept[:-1] if len(kept) > 1 else kept), len(q) - 1]
+    return q[kept]
 
 
 @dataclass(frozen=True)
@@ -165,6 +184,7 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
         "seconds": found.wall_time,
         "lower_bound": found.lower_bound,
         "worst": found.worst,
+        "waypoints_missed": path.missed,
     }
     moved = given.with_changes(**changes, motion__duration=None)
     return joint_plan(moved, problem, found.joint_motion(), found.status, record)
@@ -221,5 +241,6 @@ def reachable_law(problem: TransportProblem, path: SplinePath, count: int = 201)
     if result.x is None:
         return None
     rate = np.sqrt(np.maximum(result.x, 0.0))
-    steps = 2 * du / np.maximum(rate[1:] + rate[:-1], 1e-9)
+    both = rate[1:] + rate[:-1]
+    steps = np.where(both > 1e-6, 2 * du / np.maximum(both, 1e-6), 0.0)  # where these points allow no speed: no bound
     return np.concatenate([[0.0], np.cumsum(steps)]), u
