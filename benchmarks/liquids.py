@@ -1,26 +1,46 @@
-"""How high a liquid rises, as predicted and as nonlinear potential flow shows it (tests/potential_flow.py).
+"""What docs/liquids.md says in numbers, written into that page: one command, two tables.
 
-The straight min-jerk line over 0.48 m, level, in a box 80 mm wide and in a cup of 80 mm; prints the table of
-docs/liquids.md. The flow of a cup is unstable in steep waves (its points are few): where it ends, a dash.
+    python benchmarks/liquids.py [--only flow|runs] [-n 100]
 
-python benchmarks/liquids.py
+flow: how high a liquid rises, as predicted and as nonlinear potential flow shows it (tests/potential_flow.py), on the
+straight min-jerk line over 0.48 m, level, in a box 80 mm wide and in a cup of 80 mm. The flow of a cup is unstable in
+steep waves (its points are few): where it ends, a dash.
+runs: each ready-made scenario with a liquid in the physics engine, n random draws of all that is uncertain: its fastest
+plan, the fastest plan of somebody who takes the liquid for a solid, and the straight line in the same time.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
-from collections.abc import Iterator
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-import salver as sv
 from salver.models.tray_motion import at_rest
+from salver.planning.fastest import plan_fastest
+from salver.planning.fastest.problem import transport_problem
+from salver.planning.fastest.search import fastest, joint_plan
+from salver.planning.make import plan_baseline
+from salver.planning.plan import Plan
+from salver.sampling import draw
+from salver.scenario import Scenario, load
 from salver.sensitivity.waves import Case
+from salver.simulation.physics import simulate, simulate_tray
+from salver.simulation.record import SimulationRecord
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from potential_flow import cylinder, rectangle, simulate
+sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests", "docs")]
+from blocks import replace as written
 
+from potential_flow import cylinder, rectangle
+from potential_flow import simulate as flow
+
+PAGE = Path(__file__).parents[1] / "docs" / "liquids.md"
+SCENARIOS, SEED = ("panda-coffee", "panda-four-glasses", "ur10-beaker"), 1
 BOX = {
     "objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]},
     "objects__0__liquid": {"kind": "water", "size": [0.08, 0.06], "fill": 0.05, "brim": 0.08},
@@ -32,9 +52,11 @@ def push(duration: float, t: float) -> float:
     return 0.48 / duration**2 * (60 * x - 180 * x**2 + 120 * x**3)
 
 
-def rows() -> Iterator[str]:
+def flow_rows() -> Iterator[str]:
     """One for each motion."""
-    cup = sv.load_scenario("panda-coffee")
+    yield "| liquid | s | steepest a/R | predicted, mm | seen | after, bound | seen | predicted / seen |"
+    yield "|---|---|---|---|---|---|---|---|"
+    cup = load("panda-coffee")
     for name, scenario, basis in (
         ("box", cup.with_changes(**BOX), rectangle(0.08, 10)),
         ("cup", cup, cylinder(0.04)),
@@ -46,7 +68,7 @@ def rows() -> Iterator[str]:
                 w[:, 0] = [push(duration, x) for x in t]
                 waves, times = case.along(t, w), np.arange(0, duration + 0.5, 0.0015)
                 with np.errstate(all="ignore"):
-                    seen = simulate(basis, fill, lambda x, T=duration: (push(T, x), 9.81), times, 0.005)
+                    seen = flow(basis, fill, lambda x, T=duration: (push(T, x), 9.81), times, 0.005)
                 during, after = seen[times <= duration].max(), seen[times > duration].max()
                 cells = [waves.crest.max(), during, waves.left()[0], after]
                 shown = [f"{1e3 * x:.1f}" if np.isfinite(x) and x < 0.05 else "–" for x in cells]
@@ -55,8 +77,67 @@ def rows() -> Iterator[str]:
                 yield f"| {name}, {1e3 * fill:.0f} mm | {duration} | {steep} | {' | '.join(shown)} | {ratio} |"
 
 
+def taken_for_solid(scenario: Scenario) -> Plan:
+    """The fastest plan of somebody who does not know that a liquid moves."""
+    problem = replace(transport_problem(scenario), liquids=())
+    found = fastest(problem)
+    return joint_plan(scenario, problem, found.joint_motion(), found.status, {})
+
+
+Run = Callable[[Mapping[str, float]], SimulationRecord]
+
+
+def counted(run: Run, draws: list[dict[str, float]]) -> str:
+    """How many runs hold, and what the others do; how high the waves came, of those that hold."""
+    ended, highest = Counter[str](), 0.0
+    for parameters in draws:
+        record = run(parameters)
+        ended[record.outcome] += 1
+        if record.outcome == "holds":
+            items = record.summary["objects"]
+            highest = max(highest, *(x["peak_wave"] / x["room"] for x in items if x.get("room")))
+    others = ", ".join(f"{count} {how}" for how, count in ended.most_common() if how != "holds")
+    said = f"**{ended['holds']} of {len(draws)}**" + (f" ({others})" if others else "")
+    return f"{said} | {highest:.2f}" if highest else f"{said} | –"
+
+
+def run_rows(n: int) -> Iterator[str]:
+    yield "| scenario | s | CPU, s | motion | holds | highest wave / room |"
+    yield "|---|---|---|---|---|---|"
+    for name in SCENARIOS:
+        scenario = load(name)
+        began = time.process_time()
+        plan = plan_fastest(scenario)
+        spent = time.process_time() - began
+        solid = taken_for_solid(scenario)
+        line = plan_baseline(scenario.with_changes(motion__duration=plan.duration)).reference
+        uncertain = scenario.payload.uncertain
+        values = draw(uncertain, n, seed=SEED, bodies=scenario.payload.bodies)
+        draws = [dict(zip(uncertain.names, row.tolist(), strict=True)) for row in values]
+        motions: list[tuple[str, float, str, Run]] = [
+            (
+                "planned with the liquid",
+                plan.duration,
+                f"{spent:.1f}",
+                lambda p, plan=plan: simulate(plan, parameters=p),
+            ),
+            ("liquid taken for a solid", solid.duration, "", lambda p, plan=solid: simulate(plan, parameters=p)),
+            ("straight line, no arm", plan.duration, "", lambda p, r=line, s=scenario: simulate_tray(r, s, p)),
+        ]
+        for said, duration, cpu, run in motions:
+            yield f"| `{name}` | {duration:.3f} | {cpu} | {said} | {counted(run, draws)} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=["flow", "runs"])
+    parser.add_argument("-n", type=int, default=100)
+    options = parser.parse_args()
+    if options.only != "runs":
+        written(PAGE, "flow", "\n".join(flow_rows()))
+    if options.only != "flow":
+        written(PAGE, "runs", "\n".join(run_rows(options.n)))
+
+
 if __name__ == "__main__":
-    print("| liquid | s | steepest a/R | predicted, mm | seen | after, bound | seen | predicted / seen |")
-    print("|---|---|---|---|---|---|---|---|")
-    for row in rows():
-        print(row, flush=True)
+    main()

@@ -355,6 +355,21 @@ def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee, tmp_path):
     assert "Fastest, in the engine" in page
 
 
+@pytest.mark.slow
+def test_a_beaker_is_still_when_it_should_be():
+    """Half a second after the arm stands no wave of the engine is higher than was asked for, at either end of the
+    fill; two kinds of condition, of the motion and of what comes after it, on another arm."""
+    made = sv.load_scenario("ur10-beaker", physics__settle_after=0.9)
+    plan, liquid = sv.fastest(made), made.payload.first.liquid
+    assert plan.ok, plan.verification.sentence
+    for fill in (0.0385, 0.0715):
+        record = sv.simulate(plan, parameters={"fill": fill, "damping": liquid.damping[0], "mass": 0.09})
+        assert record.outcome == "holds"
+        after = record.surface[record.t > plan.duration + liquid.within, 0, 2]
+        assert len(after) > 10
+        assert np.nanmax(after) < liquid.settled
+
+
 def test_audit_knows_that_a_line_spills(coffee):
     """The straight line in 0.9 s slides and spills; with enough friction it spills; in 2.5 s it does neither."""
     sticky = coffee.with_changes(objects__0__friction=2.0)
