@@ -1,6 +1,6 @@
 """Tasks of several legs: the load changes at stops, and each leg begins where the one before it ended."""
 
-from itertools import pairwise
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,14 +15,17 @@ from salver.campaigns import run_campaign
 from salver.cli import main
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.export import write_export
-from salver.geometry import matrix_from_quat_wxyz
+from salver.geometry import log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.planning.fastest import transport_problem
-from salver.planning.fastest.curves import Grid
+from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.exchange import SHORTEST
 from salver.planning.fastest.legs import chains
+from salver.planning.fastest.passing import Passing
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
+from salver.planning.fastest.sqp import Programme
 from salver.planning.fastest.together import LegsCurve, LegsProgramme
 from salver.planning.plan import load_plan
+from salver.planning.postures import PoseTarget
 from salver.planning.round import load_round
 from salver.reports.page import write_report
 from salver.scenario.legs import Leg, loads
@@ -39,7 +42,7 @@ def task(legs=None, **changes):
         "legs": legs
         or [
             {"goal": {"position": [0.55, 0.0, 0.45], "rpy_deg": [0, 0, 30]}, "take": "first"},
-            {"goal": {"position": [0.5, 0.2, 0.45]}},
+            {"goal": {"position": [0.5, 0.2, 0.45]}, "through": [{"position": [0.5, 0.1, 0.5]}]},
         ],
         "objects": [
             {"name": "first", "at": [0.05, 0.02], **cup},
@@ -103,6 +106,10 @@ def test_what_cannot_be_taken_or_put_is_one_sentence(legs, words):
         ({"uncertainty": {"set": "ellipsoid", "correlation": {"first.mass,second.mass": 0.5}}}, "correlation"),
         ({"motion": {"start": {"position": [0.5, -0.2, 0.45]}, "goal": {"position": [0, 0, 0]}}}, "motion.goal is not"),
         ({"motion": {"start": {"position": [0.5, -0.2, 0.45]}, "goal_yaw": "free"}}, "goal_yaw"),
+        (
+            {"motion": {"start": {"position": [0.5, -0.2, 0.45]}, "through": [{"position": [0, 0, 0]}]}},
+            r"legs\[0\]\.thr",
+        ),
     ],
 )
 def test_what_is_not_known_of_several_legs_is_refused(changes, words):
@@ -144,6 +151,7 @@ def test_poses_are_of_one_frame_on_the_tray_also_when_its_object_is_gone():
     np.testing.assert_allclose(second.motion.start.position, [*expected, 0.45], atol=1e-12)
     np.testing.assert_allclose(second.motion.start.rotation[:2, :2], turn, atol=1e-12)
     np.testing.assert_allclose(second.motion.goal.position, [0.41, 0.23, 0.45], atol=1e-12)
+    np.testing.assert_allclose(second.motion.through[0].position, [0.41, 0.13, 0.5], atol=1e-12)
     assert first.motion.goal.position == (0.55, 0.0, 0.45)
     assert first.arm is not None
 
@@ -276,14 +284,14 @@ def test_rows_of_all_legs_change_as_their_derivatives_say_with_the_shares_of_the
     """Nominal loads: what a wrong one does to the arm is left out of derivatives by design. Rows that depend on time
     are those times the square of their leg's duration."""
     case = parsed()
-    problems = [transport_problem(leg, robust=False) for leg in case.each_leg]
+    problems = [transport_problem(leg, robust=False, passing=True) for leg in case.each_leg]
     postures = chains(problems, np.random.default_rng(0))[0]
     spline, s = RestSpline(5, 4), np.linspace(0, 1, 101)
     grid = Grid.of(spline, spline.nodes(2))
     curve = LegsCurve(tuple(problems), spline, grid.s, grid.nodes, np.array([0.4, 0.6]))
     rng = np.random.default_rng(1)
     at = np.zeros((curve.grid.basis.shape[2], curve.width))
-    for k, (one, other) in enumerate(pairwise(postures)):
+    for k, (one, *_, other) in enumerate(postures):
         at[curve.rows(k)] = spline.fit(s, one + min_jerk_blend(s)[:, None] * (other - one))
     at[: curve.postures] += 0.02 * rng.normal(size=(curve.postures, curve.width))
     at[curve.postures, :2] = 0.1, -0.05
@@ -299,7 +307,7 @@ def test_rows_of_all_legs_change_as_their_derivatives_say_with_the_shares_of_the
         return block.values[node, column] * (np.exp(longer) if block.scales else 1.0)
 
     for number, block in enumerate(here.blocks):
-        if block.kinked:
+        if block.kinked or isinstance(block.of, Passing):  # of which those far from the pose are not exact
             continue
         node, column = (rng.integers(0, size, 6) for size in block.values.shape)
         claimed = programme.derivatives(here, block, node, column)[:, :-1] @ step
@@ -314,3 +322,57 @@ def test_rows_of_all_legs_change_as_their_derivatives_say_with_the_shares_of_the
     assert curve.durations(again, 1.4).sum() == pytest.approx(1.4)
     for k, problem in enumerate(problems):
         assert np.abs(problem.goal.residual(problem.arm, again[curve.rows(k)][-1])[0]).max() < 1e-10
+
+
+def test_a_pose_on_the_way_is_passed_whole_in_order_without_a_stop(planned):
+    """Looked for in the motion itself, in steps of its own."""
+    second = planned.legs[1]
+    t = np.linspace(0, second.duration, 20001)
+    samples = second.reference.sample(t)
+    (pose,) = second.scenario.motion.through
+    away = np.linalg.norm(samples.p_SB - pose.position, axis=1)
+    nearest = int(np.argmin(away))
+    assert away[nearest] <= 1e-3
+    assert np.linalg.norm(log(samples.R_SB[nearest].T @ pose.rotation)) <= 5e-3
+    assert np.linalg.norm(samples.v_S[nearest]) > 0.2
+    assert second.verification.passes == pytest.approx(away[nearest], abs=1e-3)
+
+    def judged(*poses):
+        motion = second.scenario.motion.model_copy(update={"through": list(poses)})
+        return replace(second, scenario=second.scenario.model_copy(update={"motion": motion})).verification
+
+    moved = pose.model_copy(update={"position": (pose.position[0], pose.position[1], pose.position[2] + 2e-3)})
+    assert not judged(moved).ok
+    assert "misses a pose to pass by" in judged(moved).sentence
+    half = samples.p_SB[nearest // 2], quat_wxyz_from_matrix(samples.R_SB[nearest // 2])
+    earlier = scenarios.Pose.model_validate({"position": half[0].tolist(), "quat_wxyz": half[1].tolist()})
+    assert judged(earlier, pose).ok
+    assert not judged(pose, earlier).ok
+
+
+def test_rows_of_a_pose_to_pass_need_no_unknown_for_the_time_of_passing():
+    """By differences, coefficients and duration both changed, of a motion that passes at 0.3 mm between two nodes."""
+    leg = parsed().each_leg[0]
+    problem = transport_problem(leg, robust=False)
+    one, other = chains([problem], np.random.default_rng(0))[0][0]
+    spline, s = RestSpline(5, 6), np.linspace(0, 1, 101)
+    grid = Grid.of(spline, spline.nodes(2))
+    path = one + min_jerk_blend(s)[:, None] * (other - one)
+    path += 0.1 * np.sin(np.pi * s)[:, None] ** 2 * np.linspace(-1, 1, problem.n)
+    at = spline.fit(s, path)
+    p_SE, R_SE = problem.arm.tray_pose((spline.matrices(np.array([0.437]))[0] @ at)[0])
+    constraint = Passing(problem.arm, PoseTarget(p_SE + 3e-4, R_SE), "pose 1 to pass")
+    programme = Programme(FreeCurve(problem, grid), (constraint,), SHORTEST)
+    here = programme.begin(at, 0.8)
+    rng, h = np.random.default_rng(2), 1e-5
+    step = np.append(rng.normal(size=at.size), 0.7)
+    rows = np.arange(12)
+    claimed = programme.derivatives(here, here.blocks[0], np.zeros(12, dtype=int), rows) @ step
+
+    def values(sign):
+        moved = at + sign * h * step[:-1].reshape(at.shape)
+        return programme.begin(moved, 0.8 * np.sqrt(1 + sign * h * step[-1])).blocks[0].values[0]
+
+    found = (values(1) - values(-1)) / (2 * h)
+    assert np.abs(found).max() > 1.0
+    np.testing.assert_allclose(claimed, found, atol=5e-3 * np.abs(found).max())

@@ -169,6 +169,7 @@ def make_plan(
 
 
 def _need_duration(scenario: Scenario) -> None:
+    scenario.check_one_leg("this plan")
     if scenario.motion.duration is None:
         raise ScenarioError(
             f"{scenario.name}: motion.duration is missing; give it in seconds, or ask for the fastest plan instead."

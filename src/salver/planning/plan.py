@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 FINER = 10  # the check's grid against the planner's
 COMMAND_LEAD = 0.1  # s by which a corrected command begins before the motion that it is for
+NEAR_ENOUGH = 1e-3  # m: a pose is passed when a motion comes as near; turns count by `passing.LEVER`
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
 
 
@@ -56,6 +58,8 @@ class Verification:
     boundary_error: largest miss of pose, twist and acceleration at both ends (SI units).
     slack: least contact condition minus its tube, in `unit`; at time `time`, for object or interface `body`.
     violation: how far that is below zero; 0 when the condition holds everywhere.
+    passes: the most by which a pose to pass is missed, m (`salver.planning.passing`); infinite when the order is not
+    theirs.
     """
 
     instants: int
@@ -64,6 +68,7 @@ class Verification:
     time: float
     body: str
     unit: str
+    passes: float = 0.0
 
     @property
     def violation(self) -> float:
@@ -71,7 +76,7 @@ class Verification:
 
     @property
     def ok(self) -> bool:
-        return self.violation == 0 and self.boundary_error <= BOUNDARY_TOLERANCE
+        return self.violation == 0 and self.boundary_error <= BOUNDARY_TOLERANCE and self.passes <= NEAR_ENOUGH
 
     @property
     def sentence(self) -> str:
@@ -83,8 +88,11 @@ class Verification:
             return f"The {what} is missed by {self.violation:.3g} {self.unit} ({where})."
         if self.boundary_error > BOUNDARY_TOLERANCE:
             return f"The motion misses its start or goal by {self.boundary_error:.2g} (SI units)."
+        if self.passes > NEAR_ENOUGH:
+            return f"The motion misses a pose to pass by {1e3 * self.passes:.2g} mm, or passes them in another order."
         kept = f"the contact condition keeps {self.slack:.3g} {self.unit} over its tube"
-        return f"Checked at {self.instants} instants: {kept} (least for {where})."
+        passed = f" Every pose to pass is passed within {1e3 * self.passes:.2g} mm." if self.passes else ""
+        return f"Checked at {self.instants} instants: {kept} (least for {where}).{passed}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -194,7 +202,20 @@ class Plan(Shown, Tabular):
         still = [x[ends] for x in (samples.v_S, samples.a_S, samples.omega_B, samples.alpha_B)]
         error = max(float(np.abs(x).max()) for x in (samples.p_SB[ends] - goals, turn, *still))
         slack, when, body = self.evaluation.worst()
-        return Verification(len(self.t), error, slack, when, body, unit_of(self.scenario, body))
+        unit = unit_of(self.scenario, body)
+        return Verification(len(self.t), error, slack, when, body, unit, self._passes())
+
+    def _passes(self) -> float:
+        """The most by which a pose to pass is missed, m; infinite when they are passed in another order."""
+        motion = self.scenario.motion
+        if not motion.through:
+            return 0.0
+        from salver.planning.passing import passed
+
+        free = motion.goal_yaw == "free"
+        found = passed(self.reference, [(np.array(p.position), p.rotation) for p in motion.through], free)
+        in_order = all(one < other for (one, _), (other, _) in pairwise(found))
+        return max(away for _, away in found) if in_order else float("inf")
 
     @cached_property
     def margins(self) -> Margins:
@@ -257,6 +278,7 @@ class Plan(Shown, Tabular):
                 "time": check.time,
                 "unit": check.unit,
                 "object": check.body,
+                **({"passes": check.passes} if self.scenario.motion.through else {}),
             },
             "margins": {m.name: _margin_record(m) for m in self.margins.interfaces},
             "least_cone_coefficient": float(self.cone_coefficients.min()),

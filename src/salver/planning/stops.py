@@ -75,7 +75,7 @@ def stop_problem(plan: Plan) -> TransportProblem:
     """
     assert plan.joint is not None
     q = plan.joint.sample(np.linspace(0.0, plan.joint.duration, STATES))[0]
-    free = plan.scenario.with_changes(arm__start_posture=None)
+    free = plan.scenario.with_changes(arm__start_posture=None, motion__through=[])
     problem = transport_problem(free)
     tilt = max(float(np.arccos(np.clip(problem.arm.tray_pose(x)[1][2, 2], -1.0, 1.0))) for x in q)
     if tilt > max(problem.max_tilt, LEVEL_TOLERANCE):

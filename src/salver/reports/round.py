@@ -33,7 +33,7 @@ def overview(
             (
                 Markup('<a href="{}">leg {}</a>').format(quote(place.name), k),
                 listed([item.name for item in run.scenario.objects]),
-                f"({x:.3f}, {y:.3f}, {z:.3f}) m",
+                f"({x:.3f}, {y:.3f}, {z:.3f}) m" + (f", through {len(leg.through)} poses" if leg.through else ""),
                 "; ".join(
                     f"{listed(names)} {what}"
                     for names, what in ((leg.taken, "taken off"), (leg.added, "put on"))

@@ -21,11 +21,13 @@ _NAMES = "the name of an object, or a list of names"
 class Leg(Model):
     """A motion from rest to rest in `goal`, where objects are then taken off the tray and others put on it.
 
+    through: poses that are passed on the way, in this order, without a stop.
     All poses of a task are those of one frame that is fixed to the tray: frame B of the first object of the first leg,
     also when that object is no longer there.
     """
 
     goal: Pose
+    through: list[Pose] = Field(default=[], max_length=10)
     take: Some | None = Field(default=None, description=_NAMES)
     put: Some | None = Field(default=None, description=_NAMES)
 

@@ -94,6 +94,8 @@ class Scenario(Shown, Model):
     def _consistent(self) -> Scenario:
         if not self.legs:
             return self._consistent_leg()
+        if self.motion.through:
+            raise ValueError("motion.through is given with legs; say on which leg it is: legs[0].through")
         if self.motion.goal != self.legs[-1].goal:
             raise ValueError("motion.goal is not the goal of the last leg; leave it out, or make it the same")
         if self.uncertainty.correlation:
@@ -112,7 +114,7 @@ class Scenario(Shown, Model):
         left = loads(self.objects, self.legs)[-1]
         if left and left != last.objects:
             try:
-                self._leg(last.name, last.motion.goal, self.motion.goal, left)._consistent_leg()
+                self._leg(last.name, last.motion.goal, [], self.motion.goal, left)._consistent_leg()
             except ValueError as error:
                 raise ValueError(f"after legs[{len(self.legs) - 1}]: {error}") from None
 
@@ -195,8 +197,8 @@ class Scenario(Shown, Model):
         poses = [self.motion.start, *(leg.goal for leg in self.legs)]
         at: Body | None = None  # the body whose frame the poses are those of
         for k, load in enumerate(loads(self.objects, self.legs)[:-1]):
-            begin, end = poses[k], poses[k + 1]
-            leg = self._leg(f"{self.name[:57]}-leg{k + 1}", begin, end, load)
+            begin, *through, end = (poses[k], *self.legs[k].through, poses[k + 1])
+            leg = self._leg(f"{self.name[:57]}-leg{k + 1}", begin, through, end, load)
             if at is None:
                 at = leg.payload.first
             elif fixed_to_tray(end, at, leg.payload.first) != end:
@@ -206,19 +208,26 @@ class Scenario(Shown, Model):
                         f'tray would turn instead of about {at.name}; give goal_yaw = "fixed", or list first what is '
                         "carried on all legs"
                     )
-                begin, end = (fixed_to_tray(pose, at, leg.payload.first) for pose in (begin, end))
-                leg = self._leg(leg.name, begin, end, load)
+                begin, *through, end = (fixed_to_tray(pose, at, leg.payload.first) for pose in (begin, *through, end))
+                leg = self._leg(leg.name, begin, through, end, load)
             if k and leg.arm is not None:  # where the leg before it ends
                 leg = leg.model_copy(update={"arm": leg.arm.model_copy(update={"start_posture": None})})
             found.append(leg)
         return tuple(found)
 
-    def _leg(self, name: str, start: Pose, goal: Pose, load: list[CarriedObject]) -> Scenario:
-        motion = self.motion.model_copy(update={"start": start, "goal": goal, "duration": None})
+    def _leg(self, name: str, start: Pose, through: list[Pose], goal: Pose, load: list[CarriedObject]) -> Scenario:
+        ends = {"start": start, "through": through, "goal": goal, "duration": None}
+        motion = self.motion.model_copy(update=ends)
         return self.model_copy(update={"name": name, "motion": motion, "legs": [], "objects": load})
 
     def check_one_leg(self, what: str) -> None:
-        """Raise ScenarioError when there are several legs, each with a load of its own; `what` is for one."""
+        """Raise ScenarioError when there are several legs, each with a load of its own, or poses to pass; `what` is for
+        one leg from start to goal."""
+        if self.motion.through:
+            raise ScenarioError(
+                f"{self.name}: motion.through has poses to pass, which {what} does not know; give one of [[legs]] with "
+                "goal and through, as many as there are legs."
+            )
         if self.legs:
             raise ScenarioError(
                 f"{self.name} is a task of {len(self.legs)} legs, each with a load of its own, and {what} is for one; "
@@ -245,7 +254,8 @@ class Scenario(Shown, Model):
         from salver.models.bodies import bodies
         from salver.models.payload import Payload
 
-        self.check_one_leg("this")
+        if self.legs:
+            self.check_one_leg("this")
         loose = [item.loose() for item in self.objects]
         standing = bodies(loose, self.contact.edges, float(np.deg2rad(self.contact.edge_phase_deg)))
         return Payload(standing, self.uncertainty.around(self.objects, loose), 0.5 * np.array(self.tray.size))

@@ -45,6 +45,7 @@ class Motion(Model):
 
     start: Pose
     goal: Pose
+    through: list[Pose] = Field(default=[], max_length=10)
     duration: Annotated[Number, Field(ge=0.01, le=120)] | None = None
     degree: Annotated[Whole, Field(ge=5, le=30)] = 9
     nodes: Annotated[Whole, Field(ge=11, le=2001)] = 61

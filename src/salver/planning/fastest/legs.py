@@ -27,7 +27,7 @@ from salver.planning.fastest.search import (
     refitted,
 )
 from salver.planning.fastest.spline import SplineMotion
-from salver.planning.fastest.starts import Ends, between, ends, straight
+from salver.planning.fastest.starts import Ends, Start, between, ends
 from salver.planning.fastest.together import together
 from salver.planning.fastest.watch import WHY, Watch
 from salver.planning.plan import Plan, begun_at
@@ -53,10 +53,10 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
         )
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
-    problems = [transport_problem(leg) for leg in scenario.each_leg]
+    problems = [transport_problem(leg, passing=True) for leg in scenario.each_leg]
     legs: list[Plan] = []
     for begin in _begins(problems, options, watch):
-        legs = _in_turn(problems, begin, options, watch)
+        legs = in_turn(problems, begin, options, watch)
         if len(legs) == len(problems) and all(leg.ok for leg in legs):
             break
     exact = scenario.with_changes(contact__condition="exact")
@@ -74,10 +74,9 @@ def _begins(
     few, rng = few_pieces(options), np.random.default_rng(options.seed)
     iterations = round(options.iterations * ROUGH_ITERATIONS)
     tried = chains(problems, rng)[: max(1, options.pairs // 2)]
-    for postures in tried:
-        pairs = [Ends(a, b, 0.0, True) for a, b in pairwise(postures)]
-        each = [between(problem, pair) for problem, pair in zip(problems, pairs, strict=True)]
-        begin = [straight(pair).motion(problem, few) for problem, pair in zip(each, pairs, strict=True)]
+    for chain in tried:
+        each = [between(p, Ends(q[0], q[-1], 0.0, True)) for p, q in zip(problems, chain, strict=True)]
+        begin = [Start("straight", q).motion(problem, few) for problem, q in zip(each, chain, strict=True)]
         found, violation = together(each, begin, options.nodes_per_span, watch, iterations)
         roughs.append((violation >= NEARLY, sum(motion.duration for motion in found), found))
         watch.share = ROUGHS * len(roughs) / len(tried)
@@ -89,28 +88,30 @@ def _begins(
 
 
 def chains(problems: Sequence[TransportProblem], rng: np.random.Generator) -> list[list[Array]]:
-    """Postures (n,) at the start and at the end of every leg, the most promising of them all first.
+    """For every leg postures (N, n): at its start, where it passes a pose, and at its end. The most promising first.
 
     Raises UnreachableError when no posture reaches a stop.
     """
-    found = [(pair.cost, [pair.start, pair.goal]) for pair in ends(problems[0], rng)]
-    for k, problem in enumerate(problems):
+    stages = [replace(problem, goal=end) for problem in problems for end in (*problem.through, problem.goal)]
+    found = [(pair.cost, [pair.start, pair.goal]) for pair in ends(stages[0], rng)]
+    for k, stage in enumerate(stages):
         if k:
             found = [
                 (cost + pair.cost, [*postures, pair.goal])
                 for cost, postures in found
-                for pair in ends(replace(problem, start=AtPosture(postures[-1])), rng)[:BRANCHES]
+                for pair in ends(replace(stage, start=AtPosture(postures[-1])), rng)[:BRANCHES]
             ]
         if not found:
             raise UnreachableError(
-                f"{problem.scenario.name}: no posture within the joint limits reaches its "
-                f"{'goal from its start' if k else 'start and its goal'}."
+                f"{stage.scenario.name}: no posture within the joint limits reaches "
+                f"{'what it leads to from where it begins' if k else 'its start and what it leads to'}."
             )
         found = sorted(found, key=lambda chain: chain[0])[:BEAM]
-    return [postures for _, postures in found]
+    ends_at = np.cumsum([0, *(len(problem.through) + 1 for problem in problems)])
+    return [[np.stack(postures[a : b + 1]) for a, b in pairwise(ends_at)] for _, postures in found]
 
 
-def _in_turn(
+def in_turn(
     problems: Sequence[TransportProblem], begin: list[SplineMotion] | None, options: FastestOptions, watch: Watch
 ) -> list[Plan]:
     """Plans of the legs, each from the posture in which the one before it ends; to that in which its motion of `begin`

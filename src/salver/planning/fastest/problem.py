@@ -33,6 +33,7 @@ from salver.planning.fastest.constraints import (
 from salver.planning.fastest.ends import AtPose, AtPosture, End
 from salver.planning.fastest.evaluation import Evaluation, Indices, sloshes
 from salver.planning.fastest.obstacles import KeepOut
+from salver.planning.fastest.passing import Passing
 from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
 from salver.scenario import Scenario
@@ -55,7 +56,7 @@ class TransportProblem:
     tracking: what a wrong load and held commands do to the arm; None when nothing is uncertain.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     extra: constraints beside those that follow from all this. liquids: for each, the cases that stand for all there
-    are.
+    are. through: poses that are passed on the way.
     """
 
     scenario: Scenario
@@ -72,6 +73,7 @@ class TransportProblem:
     keep_out: KeepOut | None
     extra: tuple[Constraint, ...] = ()
     liquids: tuple[tuple[Case, ...], ...] = ()
+    through: tuple[AtPose, ...] = ()
 
     @property
     def items(self) -> tuple[Body, ...]:
@@ -119,6 +121,7 @@ class TransportProblem:
         if self.moving:
             self.check_from_rest("a motion that begins moving")
         found += [Brim(each[0].body) for each in self.liquids]
+        found += [Passing(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
         return (*found, *self.extra)
@@ -164,12 +167,13 @@ def transport_problem(
     start_posture: Array | None = None,
     arm: ArmModel | None = None,
     extra: Sequence[Constraint] = (),
+    passing: bool = False,
 ) -> TransportProblem:
     """The problem a scenario poses. Arguments that are given override the scenario.
 
     level: tray level all along (as motion.orientation says); otherwise it may tilt, up to motion.max_tilt_deg.
     robust: keep the contact for the whole uncertain set, or only for nominal parameters.
-    extra: constraints of one's own.
+    extra: constraints of one's own. passing: whether whoever asks knows of motion.through.
     Raises ScenarioError when the scenario has no arm, a start posture of the wrong length or of another pose, or an end
     that tilts the tray further than the motion may.
     """
@@ -177,13 +181,16 @@ def transport_problem(
         raise ScenarioError(
             f'{scenario.name}: a fastest plan needs an arm; add an [arm] table, for example model = "panda".'
         )
+    if not passing:
+        scenario.check_one_leg("this plan")
     arm = load_arm(scenario.arm, scenario.tray) if arm is None else arm
     payload = scenario.payload if robust else scenario.payload.nominal
     if level is None:
         level = not scenario.motion.may_turn
     tilt = scenario.motion.max_tilt_deg
     max_tilt = 0.0 if level else float(np.deg2rad(tilt)) if tilt is not None else np.inf
-    for key, pose in (("start", scenario.motion.start), ("goal", scenario.motion.goal)):
+    on_the_way = [(f"through[{k}]", pose) for k, pose in enumerate(scenario.motion.through)]
+    for key, pose in (("start", scenario.motion.start), *on_the_way, ("goal", scenario.motion.goal)):
         leans = float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))
         if leans > max(max_tilt, LEVEL_TOLERANCE):
             raise ScenarioError(
@@ -214,4 +221,8 @@ def transport_problem(
         keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
         extra=tuple(extra),
         liquids=tuple(cases(body, payload.uncertain) for body in payload.liquids),
+        through=tuple(
+            AtPose(PoseTarget(np.array(pose.position), pose.rotation, first.p_EB, first.R_EB, yaw_free))
+            for pose in scenario.motion.through
+        ),
     )

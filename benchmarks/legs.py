@@ -1,0 +1,120 @@
+"""Random tasks of several legs: as a whole against one leg after the other, and in the engine at corners of the set.
+
+    python benchmarks/legs.py [-n 12] [--seed 0] [--corners 4]
+
+Poses, objects (off-centre, taken and put on) and ranges are drawn; the arms take turns. For each task the duration of all
+legs as they are planned, that of legs of which each chooses for itself where it ends, CPU time of the first, and how
+many runs in the engine held on all legs, with true parameters at corners of the set, the same on all legs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import numpy as np
+
+from salver import sampling
+from salver.errors import SalverError
+from salver.planning.fastest import FastestOptions, transport_problem
+from salver.planning.fastest.legs import in_turn, plan_legs
+from salver.planning.fastest.watch import Watch
+from salver.planning.round import Round
+from salver.scenario import Scenario, parse
+from salver.simulation.round import RoundExperiment
+
+# Least and largest distance from the base, lowest and highest place, m.
+WHERE = {"panda": (0.35, 0.6, 0.3, 0.6), "ur10": (0.5, 0.85, 0.3, 0.8), "xarm7": (0.35, 0.55, 0.25, 0.5)}
+PLACES = ((0.055, 0.055), (-0.055, 0.055), (-0.055, -0.055), (0.055, -0.055))
+
+
+def task(seed: int, number: int) -> dict[str, Any]:
+    """A scenario of 2 to 4 legs, as a file would give it."""
+    rng = np.random.default_rng([seed, number])
+    arm = list(WHERE)[number % len(WHERE)]
+    near, far, low, high = WHERE[arm]
+
+    def pose() -> dict[str, Any]:
+        r, angle, z = rng.uniform(near, far), rng.uniform(-1.2, 1.2), rng.uniform(low, high)
+        turned = float(rng.uniform(-60, 60)) if rng.random() < 0.5 else 0.0
+        return {"position": [float(r * np.cos(angle)), float(r * np.sin(angle)), float(z)], "rpy_deg": [0, 0, turned]}
+
+    count = int(rng.integers(2, 5))
+    objects = []
+    for k, at in enumerate(rng.permutation(PLACES)[: min(count, 4)]):
+        height = float(rng.uniform(0.05, 0.2))
+        round_ = {"type": "cylinder", "radius": float(rng.uniform(0.025, 0.04)), "height": height}
+        box = {"type": "box", "size": [0.06, 0.05, height]}
+        objects.append(
+            {
+                "name": f"o{k}",
+                "shape": round_ if rng.random() < 0.6 else box,
+                "mass": float(rng.uniform(0.1, 0.6)),
+                "friction": float(rng.uniform(0.25, 0.6)),
+                "at": at.tolist(),
+                "support_inset": 0.003,
+                "uncertainty": {"mass": "15%", "com": [0.002, 0.002, 0.005], "friction": "10%"},
+            }
+        )
+    here, legs = [item["name"] for item in objects], []
+    late = here.pop() if count > 2 and rng.random() < 0.5 else None
+    for k in range(count):
+        leg: dict[str, Any] = {"goal": pose()}
+        if late is not None and k == 0:
+            leg["put"] = late
+            here.append(late)
+        elif len(here) > 1 and rng.random() < 0.8:
+            leg["take"] = here.pop(int(rng.integers(len(here))))
+        legs.append(leg)
+    return {
+        "name": f"task-{seed}-{number}",
+        "motion": {"start": pose(), "orientation": "free"},
+        "legs": legs,
+        "objects": objects,
+        "contact": {"condition": "exact"},
+        "tray": {"size": [0.22, 0.22], "height": 0.05, "mass": 0.2, "inertia": [3e-4, 3e-4, 6e-4]},
+        "arm": {"model": arm},
+    }
+
+
+def held(plan: Round, corners: int) -> int:
+    """Runs at corners of the set in which everything holds on all legs."""
+    case, experiment = plan.scenario, RoundExperiment(plan)
+    drawn = sampling.draw(case.uncertain, corners, 0, "corners", case.bodies)
+    runs = (experiment.run(dict(zip(case.uncertain.names, map(float, row), strict=True))) for row in drawn)
+    return sum(run.outcome == "holds" for run in runs)
+
+
+def row(case: Scenario, corners: int) -> str:
+    began = time.process_time()
+    assert case.arm is not None
+    name = f"{case.name} | {case.arm.model} | {len(case.legs)}"
+    try:
+        whole = plan_legs(case)
+    except SalverError as error:
+        return f"| {name} | {error} |"
+    spent = time.process_time() - began
+    if not whole.ok:
+        return f"| {name} | {whole.status} | | | {spent:.1f} |"
+    problems = [transport_problem(leg, passing=True) for leg in case.each_leg]
+    single = in_turn(problems, None, FastestOptions(), Watch())
+    safe = all(leg.ok for leg in single)
+    greedy = f"{sum(leg.duration for leg in single):.4f}" if safe else "not found"
+    return f"| {name} | {whole.duration:.4f} | {greedy} | {held(whole, corners)} of {corners} | {spent:.1f} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-n", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--corners", type=int, default=4)
+    args = parser.parse_args()
+    print("| task | arm | legs | as a whole, s | in turn, s | corner runs that held | CPU, s |")
+    print("|---|---|---|---|---|---|---|")
+    for number in range(args.n):
+        print(row(parse(task(args.seed, number), "a random task"), args.corners), flush=True)
+
+
+if __name__ == "__main__":
+    main()
