@@ -2,7 +2,7 @@
 
     python benchmarks/legs.py [-n 12] [--seed 0] [--corners 4]
 
-Poses, objects (off-centre, taken and put on) and ranges are drawn; the arms take turns. For each task the duration of all
+Poses, objects (off-centre, taken and put on) and ranges are drawn; arms take turns. For each task the duration of all
 legs as they are planned, that of legs of which each chooses for itself where it ends, CPU time of the first, and how
 many runs in the engine held on all legs, with true parameters at corners of the set, the same on all legs.
 """
