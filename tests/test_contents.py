@@ -236,3 +236,12 @@ def test_samples_of_any_contents_are_contents_that_can_be(method: str) -> None:
     assert realisable(payload.first, inertial_values).all()
     assert np.all(np.ptp(values[:, 3:6:2], axis=0) > 0.005)  # kg m^2: they are filled in different ways
     assert values[:, [3, 5, 8]].min() > 0
+
+
+def test_a_shape_of_very_many_corners_counts_as_its_bounding_box() -> None:
+    way = np.random.default_rng(2).normal(size=(400, 3))
+    hull = Hull.of(np.array([0.1, 0.2, 0.3]) + way / np.linalg.norm(way, axis=1)[:, None] * [0.03, 0.04, 0.05])
+    assert hull.corners == 8
+    assert sorted(map(tuple, hull.foot[:8])) == sorted((x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1))
+    assert [len(basis) for basis in hull.basis] == [12, 6, 1]
+    np.testing.assert_allclose(hull.half, [0.03, 0.04, 0.05], rtol=0.02)  # 400 points nearly reach the ends

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -237,7 +238,7 @@ def test_distance_to_a_motion_is_least_at_that_motion_and_its_model_is_exact():
 @pytest.mark.parametrize("share", [1.0, 0.05])
 def test_a_motion_that_keeps_every_condition_is_found_again(share):
     """From 0.24 rad away in the mean, and from 0.012: what is near is not taken for found."""
-    problem = transport_problem(cube(objects__0__friction=1.0), robust=False)
+    problem, begun = transport_problem(cube(objects__0__friction=1.0), robust=False), time.perf_counter()
     quickest = fastest(problem)
     longer = SplineMotion(quickest.spline, quickest.coefficients, 2 * quickest.duration)
     nodes = quickest.spline.nodes(FastestOptions().nodes_per_span)
@@ -250,6 +251,7 @@ def test_a_motion_that_keeps_every_condition_is_found_again(share):
     begin = programme.begin(longer.coefficients, longer.duration)
     found = minimise(programme, begin, Options())
     assert found.status.ok
+    assert 0 < quickest.wall_time + found.wall_time < time.perf_counter() - begun
     assert np.sqrt(2 * begin.cost) == pytest.approx(0.2435 * share, rel=0.01)
     # 1 mrad: rows are solved to 1e-5 of their scale, and that violation has a price of 1 to 20 rad^2.
     assert np.sqrt(2 * found.iterate.cost) < 1.5e-3

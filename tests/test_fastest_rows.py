@@ -15,6 +15,7 @@ from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import object_motion
 from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
@@ -335,3 +336,23 @@ def test_tracking_starts_sagged_after_long_rest():
     expected = np.linalg.solve(terms.mass_matrix[0], extra * point_jacobian[2]) / tracking.kp
     assert np.allclose(-found.q[0, :, 0], expected, rtol=1e-4, atol=1e-9)
     assert np.abs(found.dq[0]).max() < 1e-9
+
+
+# The curve ------------------------------------------------------------------------------------------------------
+
+
+def test_when_its_ends_are_put_right_a_motion_follows_each_the_less_the_further_away():
+    line_problem = transport_problem(cube(0.2))
+    spline = RestSpline(5, 9)
+    start, goal = np.linspace(0.1, 0.7, 7), np.linspace(-0.5, 0.4, 7)
+    problem = replace(line_problem, start=AtPosture(start), goal=AtPosture(goal))
+    curve = FreeCurve(problem, Grid.of(spline, np.linspace(0, 1, 9)))
+    shares = np.linspace(0, 1, spline.size)[:, None]
+    asked = start + shares * (goal - start)
+    off_start, off_goal = np.full(7, 0.02), np.full(7, -0.05)
+    assert np.allclose(curve.repaired(asked + off_start) - asked, 0.0, atol=1e-15)  # both by the same: all by that
+    moved = curve.repaired(asked + (1 - shares) * off_start + shares * off_goal) - (
+        asked + (1 - shares) * off_start + shares * off_goal
+    )
+    assert np.allclose(moved[[0, -1]], np.stack([-off_start, -off_goal]), atol=1e-15)
+    assert np.all(np.diff(moved, axis=0) > 0)  # from -0.02 to 0.05, without a jolt in between

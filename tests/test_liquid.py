@@ -15,6 +15,7 @@ from potential_flow import cylinder, rectangle, simulate
 from salver.errors import ScenarioError
 from salver.models.liquid import Liquid, damping_of
 from salver.models.tray_motion import at_rest
+from salver.models.wrench_cone import facets
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.sensitivity.sloshing import Liquids, Slosh, Spill
 from salver.sensitivity.wave_gradients import wrench_by
@@ -413,3 +414,14 @@ def test_how_the_arm_gives_way_is_transposed_exactly(coffee):
     made = giving.reaction(np.einsum("mp,pij,tj->mti", share, each, dw))
     found = np.einsum("mtj,tj->m", giving.wrong_load_by(by_wrench, share), dw)
     np.testing.assert_allclose(found, np.sum(weight * made, axis=(1, 2)), rtol=1e-9)
+
+
+def test_what_the_support_gives_holds_the_waves_as_contact_rows_count_them(coffee):
+    """The facets of the cup's cone, applied to the wrench that friction and tip-over are told from."""
+    line = sv.plan(coffee.with_changes(motion__duration=2.0), "baseline", arm=False)
+    (cup,) = line.margins.interfaces
+    waves = line.margins.liquids.nominal["cup"][0].wrench[0]
+    assert np.abs(waves[:, :2]).max() > 0.01  # N
+    rows = facets(cup.interface.contacts)
+    share = cup.exact / (-cup.wrench_B @ rows.T).min(axis=1)  # rows of one length there, of another here
+    assert np.ptp(share) < 1e-6 * share.mean()

@@ -22,7 +22,7 @@ from salver.planning.make import make_plan
 from salver.scenario import parse
 from salver.simulation.physics import Experiment, Options, simulate, simulate_tray
 from salver.simulation.record import load_record
-from salver.simulation.render import NoOpenGLError, painter, snapshots
+from salver.simulation.render import NoOpenGLError, View, painter, snapshots
 
 G = 9.81
 
@@ -414,6 +414,12 @@ def test_pictures_fall_back_when_there_is_no_opengl(nominal, baseline, monkeypat
     assert "OpenGL" in pictures.note
     assert pictures.images.shape == (1, 240, 320, 3)
     assert len(np.unique(pictures.images)) > 2
+    from_above = View(nominal.p_SE[0], 1.0, azimuth=90.0, elevation=-90.0)
+    (image,) = snapshots(nominal, baseline.scenario, [0.0], width=300, height=300, view=from_above).images
+    edge = np.all(image == 89, axis=2)  # the grey of the tray's edges
+    width, depth = (np.ptp(np.flatnonzero(edge.sum(axis=k) > 20)) for k in (0, 1))
+    assert width > 30
+    assert width == pytest.approx(depth, abs=2)  # a square tray is a square
 
 
 @pytest.mark.slow

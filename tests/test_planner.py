@@ -140,6 +140,7 @@ def test_free_orientation_and_uncertain_centre_of_mass_end_in_verified_plans(nam
     assert plan.verification.ok
     assert plan.verification.boundary_error < 1e-9
     assert plan.cost <= plan_baseline(load(name)).cost
+    assert plan.solver["programmes"] >= 1
 
 
 @pytest.mark.slow

@@ -308,3 +308,15 @@ def test_stops_on_the_path_stay_on_it_and_are_no_sooner_than_free_ones():
         assert np.abs(motion.dq[-1]).max() < 1e-9
     for now in np.linspace(0.01, plan.duration, 60):
         assert stops.course(now).rests >= free.course(now).rests - 0.02  # a local optimum each
+
+
+def test_the_longest_stop_is_asked_for_just_after_an_instant_from_which_one_begins():
+    """Of stops at 0.1, 0.2 and 0.5 s that take 0.3, 0.25 and 0.1 s, in a plan of 1 s: by hand."""
+    none = np.zeros((3, 2, 7))
+    library = StopLibrary(
+        np.array([0.1, 0.2, 0.5]), np.array([0.3, 0.25, 0.1]), np.array([0.0, 1.0]), none, none, none, none[:, 0], 1.0
+    )
+    assert [library.course(now).stop for now in (0.05, 0.1, 0.15, 0.3, 0.5, 0.6)] == [0, 0, 1, 2, 2, None]
+    assert library.longest == pytest.approx(0.5, abs=1e-6)  # after 0.5 s it can only be finished
+    assert library.finishing == pytest.approx(0.5, abs=1e-6)
+    assert replace(library, end=0.8).longest == pytest.approx(0.4, abs=1e-6)  # from 0.2 s on, to 0.6 s

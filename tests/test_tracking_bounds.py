@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
@@ -307,3 +308,24 @@ def test_fastest_plans_keep_clear_by_the_safety_distance_and_by_what_the_arm_str
     column = names.pairs.index((names.names.index("tray"), names.names.index("ball")))
     found = -0.1 * block.values[::FINER, column]
     assert_allclose(found, np.array(free) - 5e-3 - stray, atol=1e-4)
+
+
+def test_the_tray_turns_as_far_as_the_joints_deviations_turn_it() -> None:
+    """By Pinocchio's Jacobian of the tray in E, about each of its three axes."""
+    problem = transport_problem(load("panda-cube"))
+    s = np.linspace(0, 1, 21)
+    blend = (s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s))
+    q, dq, ddq = (x[:, None] * SWING for x in blend)
+    response = problem.at(s, np.stack([POSTURE + q, dq, ddq, 0 * q]), 1.0).response
+    assert response is not None
+    data = problem.model.createData()
+    jacobian = np.stack(
+        [pin.computeFrameJacobian(problem.model, data, x, problem.arm.tray_id, pin.LOCAL)[3:] for x in POSTURE + q]
+    )
+    turned = response.load.radius(jacobian @ response.joints.q) + np.abs(
+        np.einsum("tij,tj->ti", jacobian, response.held.q)
+    )
+    position, turn = response.tray_radius()
+    assert position.shape == turn.shape == (21, 3)
+    assert turn.max() > 1e-4
+    assert_allclose(turn, turned, atol=1e-9)

@@ -238,3 +238,17 @@ def test_rectangle_whose_cone_defeats_the_hulls_merging() -> None:
         wrench = grasp_map @ rng.exponential(size=grasp_map.shape[1])
         direction = rng.normal(size=6) * [1, 1, 1, 0.05, 0.05, 0.05]
         assert_allclose(reach_by_facets(rows, wrench, direction), reach_lp(contacts, wrench, direction), rtol=1e-6)
+
+
+def test_facets_of_a_wide_cone_with_uneven_rays_whichever_way_it_opens() -> None:
+    """Three rays 2 degrees above a plane, one of them counted ten times: their mean is no direction inside."""
+    turns = np.deg2rad([0, 120, 240])
+    rays = np.column_stack([np.cos(turns), np.sin(turns), np.full(3, np.tan(np.deg2rad(2)))])
+    normals = np.cross(rays[[1, 2, 0]], rays)  # out of the cone
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    for turn in np.random.default_rng(5).normal(size=(12, 3)):
+        R = exp(turn)
+        rows = hull_facets(np.vstack([rays, np.repeat(rays[:1], 9, axis=0)]) @ R.T)
+        assert rows.shape == (3, 3)
+        assert_allclose(np.sort((rows @ R) @ normals.T, axis=1)[:, -1], 1.0, atol=1e-9)  # each is one of the three
+        assert np.linalg.matrix_rank(rows) == 3
