@@ -13,7 +13,7 @@ from salver.planning.fastest import FastestOptions, fastest, transport_problem
 from salver.planning.fastest.around import LEAN, STEP, way_around
 from salver.planning.fastest.bound import least_duration, least_time
 from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.starts import between, ends, straight, touches, tray_line
+from salver.planning.fastest.starts import bent, between, ends, straight, touches, tray_line
 from salver.planning.fastest.watch import Watch
 
 POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
@@ -181,3 +181,13 @@ def test_a_thin_post_does_not_fit_between_the_nodes_of_a_rough_motion(behind_a_p
     assert found.duration < 0.95  # 0.83 s with many pieces
     q = found.sample(np.linspace(0, found.duration, 800))[0]
     assert behind_a_post.keep_out.parts.first_touch(q) is None
+
+
+def test_a_bend_leaves_the_ends_where_they_are_and_is_widest_half_way(behind_a_post):
+    pair = ends(behind_a_post, np.random.default_rng(0))[0]
+    start = bent(pair, np.random.default_rng(1)).postures
+    u = np.linspace(0, 1, len(start))[:, None]
+    beside = start - (pair.start + u * (pair.goal - pair.start))
+    assert np.abs(beside[[0, -1]]).max() < 1e-12
+    assert np.array_equal(np.abs(beside).argmax(axis=0), np.full(7, len(start) // 2))
+    assert 0.02 < np.abs(beside).max() < 2.0  # rad

@@ -180,6 +180,15 @@ def test_what_lies_between_samples_counts(arm: ArmModel) -> None:
     assert found.value == pytest.approx(1.875 * 0.8, rel=1e-12)
 
 
+def test_of_limits_that_are_broken_the_worst_is_told_first(arm: ArmModel) -> None:
+    """Twice the speed and thrice the acceleration that are allowed."""
+    d, T = 0.8, 1.7
+    allowed = limits(velocity=0.5 * 1.875 * d / T, acceleration=10 * d / np.sqrt(3) / T**2 / 3)
+    said = verdict(replace(arm, planning_limits=allowed), min_jerk(d, T)).sentence
+    assert "200 % over its limit" in said
+    assert 0 < said.index("the acceleration of panda_joint1") < said.index("the velocity of panda_joint1")
+
+
 @pytest.mark.parametrize("of", ["q", "dq", "ddq"])
 def test_what_is_no_number_is_within_no_limit(arm: ArmModel, of: str) -> None:
     motion = min_jerk(0.1, 2.0, 9)

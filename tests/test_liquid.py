@@ -16,6 +16,7 @@ from salver.errors import ScenarioError
 from salver.models.liquid import Liquid, damping_of
 from salver.models.tray_motion import at_rest
 from salver.models.wrench_cone import facets
+from salver.planning.fastest.evaluation import sloshes
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.sensitivity.sloshing import Liquids, Slosh, Spill
 from salver.sensitivity.wave_gradients import wrench_by
@@ -425,3 +426,17 @@ def test_what_the_support_gives_holds_the_waves_as_contact_rows_count_them(coffe
     rows = facets(cup.interface.contacts)
     share = cup.exact / (-cup.wrench_B @ rows.T).min(axis=1)  # rows of one length there, of another here
     assert np.ptp(share) < 1e-6 * share.mean()
+
+
+def test_waves_that_an_arm_with_a_known_load_feels_are_nearly_those_that_were_planned(coffee):
+    """It gives way to the waves alone, by less than a sixth of them; gravity would be a hundred times as much."""
+    problem = transport_problem(coffee)
+    problem = replace(problem, tracking=replace(problem.tracking, delay=0.0))
+    s = np.linspace(0, 1, 101)[:, None]
+    swing = np.array([0.35, 0.25, 0.0, 0.15, 0.0, 0.1, 0.0])
+    blend = (s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s))
+    rates = [x * swing for x in blend]
+    motion = problem.at(s[:, 0], np.stack([problem.start_posture + rates[0], *rates[1:], 0 * rates[0]]), 1.0)
+    planned, given = sloshes(problem.liquids[0], s[:, 0], motion.terms.w, motion.response)
+    assert np.abs(planned.waves.eta).max() > 1e-3  # m
+    np.testing.assert_allclose(given.waves.eta, planned.waves.eta, atol=0.15 * np.abs(planned.waves.eta).max())

@@ -6,11 +6,14 @@ from scipy.optimize import minimize
 
 import nasty
 from salver.errors import ScenarioError
+from salver.planning import qp
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.conditions import conditions_for
 from salver.planning.object.cost import integration_weights, row_scale
 from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import solve, solve_convex
+from salver.planning.object.subproblem import _dual_value
+from salver.planning.qp import Optimum, Quadratic
 from salver.scenario import load
 
 PAPER = load("panda-cube")
@@ -267,3 +270,15 @@ def test_a_high_degree_finds_no_less_than_a_low_one(name):
     assert high.ok, high.status
     assert high.verification.ok
     assert high.cost <= low.cost * (1 + 1e-6)
+
+
+def test_value_of_the_dual_bounds_every_choice_and_is_met_at_the_bounds_of_the_step():
+    """Of min 1/2 |x - a|^2 over a box, a beyond both kinds of its faces: by hand."""
+    a, free = np.array([2.0, -3.0, 0.2]), np.zeros((0, 3))
+    programme = Quadratic(np.eye(3), -a, free, np.zeros(0), free, np.zeros(0), np.full(3, -1.0), np.full(3, 1.0))
+    found = qp.solve(programme, 1e-10)
+    assert found.x == pytest.approx([1.0, -1.0, 0.2], abs=1e-7)
+    least = 0.5 * (1.0 + 4.0) - 0.5 * a @ a
+    assert _dual_value(programme, found) == pytest.approx(least, abs=1e-6)
+    hasty = Optimum(found.x, found.rows, found.equal, 0.5 * found.low, 0.9 * found.high)
+    assert _dual_value(programme, hasty) < least - 1e-3  # still a bound where the multipliers are not the right ones

@@ -252,3 +252,12 @@ def test_facets_of_a_wide_cone_with_uneven_rays_whichever_way_it_opens() -> None
         assert rows.shape == (3, 3)
         assert_allclose(np.sort((rows @ R) @ normals.T, axis=1)[:, -1], 1.0, atol=1e-9)  # each is one of the three
         assert np.linalg.matrix_rank(rows) == 3
+
+
+def test_the_cone_of_a_single_ray_is_that_ray() -> None:
+    ray = np.array([1.0, -2.0, 2.0]) / 3
+    rows = hull_facets(np.array([2.0 * ray, 5.0 * ray]))
+    assert (rows @ ray).max() < 1e-12
+    assert (rows @ -ray).max() > 0.1  # not the other way,
+    for aside in np.linalg.svd(ray[None, :])[2][1:]:
+        assert (rows @ (ray + 0.1 * aside)).max() > 1e-3  # nor beside it
