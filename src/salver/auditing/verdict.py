@@ -6,7 +6,7 @@ two it cannot be told, and the verdict says what would tell.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from salver.auditing.motion import HIGHEST, Recording, TrayMotion, tray_motion
-from salver.auditing.slip import HIDDEN, NOTICED, Slip, hidden, left_over, slide
+from salver.auditing.doubts import CANNOT_TELL, Borne, Doubt, cannot_tell
+from salver.auditing.motion import HIGHEST, TrayMotion, tray_motion
+from salver.auditing.pace import Pace, pace, pace_of_liquids
+from salver.auditing.slip import NOTICED, Slip, slide
 from salver.contact_margins import MarginModel, Margins, margin_model
 from salver.display import Shown
 from salver.errors import Status
@@ -34,25 +36,9 @@ if TYPE_CHECKING:
 EDGES = 16  # of the friction pyramids: at most 2 % short of the round cone
 
 AT_ONCE = 4096  # instants whose margins are in memory together
-CANNOT_TELL = "cannot_tell"
 SPILLS = ("spills", "unsettled")
 SURELY_SPILT = 0.5  # of the room by which waves must be higher, for a recording to say that they are
 AT_REST = 1e-3  # m/s or rad/s
-PACES = 1.03 ** np.arange(60)  # at which a motion with a liquid is looked at: up to 5.7 times slower
-SLOWEST = 100.0  # times the duration: a path that needs more is called impossible
-FASTEST = 0.2
-
-
-@dataclass(frozen=True)
-class Pace:
-    """Uniform time scaling of the same path, at which it just holds.
-
-    factor: of the duration; above 1 it must be run slower, below 1 it could be run faster. None when no pace
-    would do, because gravity alone fails somewhere on the path: status says where.
-    """
-
-    factor: float | None
-    status: Status
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,54 +116,45 @@ class Audit(Shown, Tabular):
 
     def reserve(self, worst: bool = False) -> Array:
         """(T,) m/s^2: acceleration, in any direction, that would still be borne beyond the motion's own."""
-        return 9.81 * self.reserves[worst]
+        return self._borne[worst].reserve
+
+    @cached_property
+    def _borne(self) -> tuple[Borne, Borne]:
+        """Nominal, and in the worst case."""
+        still = Margins(self._model, np.zeros(1), at_rest()[None])
+        resting = (still.exact, still.exact_worst)
+        nominal, worst = (
+            Borne(self.motion, 9.81 * margin, 9.81 * float(rest[0]))
+            for margin, rest in zip(self.reserves, resting, strict=True)
+        )
+        return nominal, worst
 
     def _verdict(self, worst: bool) -> Status:
-        reserve = self.reserve(worst)
-        error = np.broadcast_to(self.motion.acceleration_error + self.motion.missed, reserve.shape)
+        borne = self._borne[worst]
         status = self.margins.verdict(worst)
-        unsure = (reserve < 0) & (reserve + error > 0)
-        clause = ""
-        if not status.ok and unsure.any():
-            at = self._decisive[~unsure[self._decisive]]
+        doubts: list[Doubt] = []
+        if not status.ok and borne.unsure.any():
+            at = self._decisive[~borne.unsure[self._decisive]]
             if not len(at):
-                return _cannot_tell([("edge", self._edge(reserve, error))], worst)
+                return cannot_tell([borne.edge()], worst)
             status = self._margins_at(at).verdict(worst)
-            if np.isinf(error[unsure]).any() or slide(self.motion.samples.t, reserve) > NOTICED:
-                clause = self._edge(reserve, error)
+            if np.isinf(borne.error[borne.unsure]).any() or slide(self.motion.samples.t, borne.reserve) > NOTICED:
+                doubts = [borne.edge()]
         if status.code in SPILLS and self.motion.recording is not None and self._least_room(worst) > -SURELY_SPILT:
-            return _cannot_tell(self._waves(), worst)
+            return cannot_tell(self._waves(), worst)
         if not status.ok:
             return status
-        doubts = [*([("edge", clause)] if clause else []), *self.motion.doubts, *self._unseen(worst), *self._waves()]
-        return _cannot_tell(doubts, worst) if doubts else self._limited(status, worst)
-
-    def _limited(self, status: Status, worst: bool) -> Status:
-        """The verdict, and before it what it leaves out or takes for granted."""
-        seen = self.motion.recording
-        if seen is None:
-            return status
-        first = [f"Not judged: {clause}. " for _, clause in _ends(seen, self._resting(worst))]
-        if seen.highest < HIGHEST:
-            first.append(f"Taken for granted: nothing shakes the tray faster than {seen.highest:g} Hz. ")
-        return replace(status, sentence="".join([*first, status.sentence]))
-
-    def _edge(self, reserve: Array, error: Array) -> str:
-        """Where the motion passes what is borne by less than its acceleration is uncertain."""
-        k = int(np.argmin(reserve))
-        known = (
-            "there are no samples"
-            if np.isinf(error[k])
-            else f"it passes what is borne by {-reserve[k]:.2g} m/s^2, and is known to {error[k]:.2g} m/s^2"
-        )
-        return f"at {self.motion.samples.t[k]:.3f} s the motion may or may not be too much: {known}"
+        doubts += [*self.motion.doubts, *borne.unseen(), *self._waves()]
+        if doubts:
+            return cannot_tell(doubts, worst)
+        return replace(status, sentence=borne.left_out() + status.sentence)
 
     def _least_room(self, worst: bool) -> float:
         """Share of its room that is left to the liquid that has the least; negative where it spills."""
         assert self._liquids is not None
         return min(float(spill.slack.min()) for spill in self._liquids.spills(worst))
 
-    def _waves(self) -> list[tuple[str, str]]:
+    def _waves(self) -> list[Doubt]:
         """What is not known of liquids: how they move at the beginning, and what a recording leaves in the dark."""
         if self._liquids is None:
             return []
@@ -191,59 +168,9 @@ class Audit(Shown, Tabular):
             doubts.append(("waves", clause))
         return doubts
 
-    def _unseen(self, worst: bool) -> list[tuple[str, str]]:
-        """What a recording does not show, where it could slide a load; (code, clause)."""
-        recording, t, reserve = self.motion.recording, self.motion.samples.t, self.reserve(worst)
-        rest = self._resting(worst)
-        if recording is None:
-            return []
-        # Where it comes from rest to such a speed within the recording, or from such a speed to rest, it can have done
-        # so before or after: that is said (`_limited`), and no doubt.
-        doubts = _ends(recording, rest, [_jerked(v, rest) > HIDDEN for v in recording.slowest])
-        by_noise, harmless = self.hidden(worst)
-        if by_noise.distance > HIDDEN:
-            doubts.append(("noise", _noise_clause(by_noise, harmless, recording)))
-        short = reserve - self.motion.missed
-        if slide(t, short) > NOTICED and slide(t, reserve) <= NOTICED:
-            k = int(np.argmin(short))
-            doubts.append(
-                (
-                    "unresolved",
-                    f"at {t[k]:.3f} s the motion is so fast that {recording.rate:.3g} samples a second show its "
-                    f"acceleration only to {np.broadcast_to(self.motion.missed, t.shape)[k]:.2g} m/s^2: twice as many "
-                    "would tell",
-                )
-            )
-        fast = left_over(t, reserve, rest, recording.unseen)
-        if fast.distance > NOTICED:
-            doubts.append(
-                (
-                    "unresolved",
-                    f"the recording holds {_shake(fast)}, too fast for {recording.rate:.3g} samples a second to show "
-                    f"its acceleration: {6 * fast.frequency:.0f} a second would",
-                )
-            )
-        mirrored = left_over(t, reserve, rest, recording.mirrored, recording.rate)
-        if mirrored.distance > NOTICED:
-            doubts.append(
-                (
-                    "mirrored",
-                    f"what looks like {recording.rate - mirrored.frequency:.2g} Hz may be {_shake(mirrored)}: at "
-                    f"{recording.rate:.3g} samples a second the two look alike, at {2.5 * recording.highest:.0f} they "
-                    "would not",
-                )
-            )
-        return doubts
-
     def hidden(self, worst: bool = False) -> tuple[Slip, float]:
         """How far noise and resolution could hide a slide, and up to which frequency (Hz) they hide none."""
-        assert self.motion.recording is not None
-        return hidden(self.motion.samples.t, self.reserve(worst), self._resting(worst), self.motion.recording)
-
-    def _resting(self, worst: bool) -> float:
-        """Reserve at rest on a level tray, m/s^2."""
-        margins = Margins(self._model, np.zeros(1), at_rest()[None])
-        return 9.81 * float((margins.exact_worst if worst else margins.exact)[0])
+        return self._borne[worst].hidden()
 
     @property
     def ok(self) -> bool:
@@ -261,75 +188,17 @@ class Audit(Shown, Tabular):
     @cached_property
     def pace(self) -> Pace:
         """At nominal parameters."""
-        return self._pace("exact")
+        return self._pace(worst=False)
 
     @cached_property
     def pace_worst(self) -> Pace:
-        return self._pace("exact_worst")
+        return self._pace(worst=True)
 
-    def _pace(self, which: str) -> Pace:
-        """Run s times slower, accelerations and products of velocities fall by s^2 and gravity stays:
-        w = w_rest + (w_1 - w_rest) / s^2. The margin is concave in 1/s^2, so what holds at one pace holds at all
-        slower ones that gravity allows."""
-        if self._liquids is not None:
-            return self._pace_of_liquids(which == "exact_worst")
-        w, rest = self.margins.w, self._at_rest
-        least = self._margin(rest, which)
-        if least.min() < 0:
-            k = int(np.argmin(least))
-            when = float(self.margins.t[k])
-            case = " in the worst case" if which == "exact_worst" else ""
-            sentence = f"The tray is tilted too far at {when:.3f} s: even at rest there nothing would hold{case}."
-            return Pace(None, Status("tilted", sentence, False, {"time": when}))
-        slowest, fastest = 1 / SLOWEST**2, 1 / FASTEST**2  # of 1/s^2
-
-        def margin(share: float, at: slice | npt.NDArray[np.intp] = slice(None)) -> Array:
-            return self._margin(rest[at] + share * (w[at] - rest[at]), which)
-
-        if margin(slowest).min() < 0:
-            return Pace(None, Status("tilted", f"Even {SLOWEST:g} times slower the path would not hold.", False))
-        here = getattr(self.margins, which)
-        low, high = (slowest, 1.0) if here.min() < 0 else (1.0, fastest)
-        beyond = here if high == 1 else margin(fastest)
-        if beyond.min() < 0:
-            failing = np.flatnonzero(beyond < 0)  # concave: the others hold at every pace in between
-            low = _root(lambda share: float(margin(share, failing).min()), low, high)
-        else:
-            low = fastest
-        factor = float(1 / np.sqrt(low))
-        return Pace(
-            factor, Status("found", f"It just holds at {factor:.3f} times the duration.", True, {"factor": factor})
-        )
-
-    def _pace_of_liquids(self, worst: bool) -> Pace:
-        """The least slowing, from the motion's own pace on, at which nothing spills or slides: waves keep time of their
-        own, so that slower is not always calmer, and paces are tried one by one."""
-        t, at_rest = self.motion.samples.t, self._resting_all
-        for factor in PACES:
-            w = at_rest + (self._w - at_rest) / factor**2
-            slower = factor * (t - t[0])
-            liquids = Liquids.along(self._model.payload, slower, w)
-            if Margins(self._model, slower, w, None, liquids).verdict(worst).ok:
-                sentence = f"It holds at {factor:.3f} times the duration, and at no less that was tried."
-                return Pace(float(factor), Status("found", sentence, True, {"factor": float(factor)}))
-        sentence = f"Up to {PACES[-1]:.3g} times slower the path would not hold."
-        return Pace(None, Status("tilted", sentence, False))
-
-    @property
-    def _resting_all(self) -> Array:
+    def _pace(self, worst: bool) -> Pace:
         R_SB = self.motion.samples.R_SB
-        zero = np.zeros((len(R_SB), 3))
-        return motion_vector(R_SB, zero, zero, zero)
-
-    @property
-    def _at_rest(self) -> Array:
-        R_SB = self.motion.samples.R_SB[self._decisive]
-        zero = np.zeros((len(R_SB), 3))
-        return motion_vector(R_SB, zero, zero, zero)
-
-    def _margin(self, w: Array, which: str) -> Array:
-        margin: Array = getattr(Margins(self.margins.model, np.arange(float(len(w))), w), which)
-        return margin
+        if self._liquids is not None:
+            return pace_of_liquids(self._model, self.motion.samples.t, self._w, R_SB, worst)
+        return pace(self.margins, R_SB[self._decisive], worst)
 
     def _recording(self) -> dict[str, Any] | None:
         seen = self.motion.recording
@@ -423,58 +292,6 @@ class Audit(Shown, Tabular):
             },
             "provenance": provenance(self.scenario),
         }
-
-
-def _cannot_tell(doubts: list[tuple[str, str]], worst: bool) -> Status:
-    case = " in the worst case of the uncertain parameters" if worst else ""
-    reasons = "; ".join(dict.fromkeys(clause for _, clause in doubts))
-    codes = list(dict.fromkeys(code for code, _ in doubts))
-    return Status(
-        CANNOT_TELL, f"It cannot be told whether everything holds{case}: {reasons}.", False, {"reasons": codes}
-    )
-
-
-def _shake(slip: Slip) -> str:
-    return f"{1e3 * slip.amplitude:.2g} mm at {slip.frequency:.2g} Hz around {slip.time:.3f} s"
-
-
-def _jerked(speed: float, rest: float) -> float:
-    """How far a load slides whose tray comes to a speed (m/s) at once, m. rest: reserve at rest, m/s^2."""
-    return speed**2 / (2 * rest)
-
-
-def _ends(seen: Recording, rest: float, which: Sequence[bool] = (True, True)) -> list[tuple[str, str]]:
-    """Of a recording that begins or ends at speed, that it does not show how the tray comes to it: (code, clause)."""
-    words = ("begins", "came before"), ("ends", "comes after")
-    fast = [
-        (f"{word} at {v:.2g} m/s", missing)
-        for (word, missing), v, asked in zip(words, seen.ends, which, strict=True)
-        if asked and _jerked(v, rest) > HIDDEN
-    ]
-    if not fast:
-        return []
-    speeds, missing = (" and ".join(parts) for parts in zip(*fast, strict=True))
-    return [("speed", f"the recording {speeds}, and what {missing} is not in it")]
-
-
-def _noise_clause(slip: Slip, harmless: float, seen: Recording) -> str:
-    """What noise could hide, and what would show it: the slide grows with noise^2 / rate."""
-    better = HIDDEN / slip.distance
-    noise = 1e3 * seen.sensor.displacement
-    known = f", or the knowledge that nothing on the arm is faster than {np.floor(10 * harmless) / 10:g} Hz (--highest)"
-    return (
-        f"noise of {noise:.2g} mm could hide a shake of {_shake(slip)}, which would slide the load by up to "
-        f"{1e3 * slip.distance:.2g} mm; noise below {noise * better**0.5:.2g} mm, {seen.rate / better:.2g} samples a "
-        f"second{known if harmless else ''} would tell"
-    )
-
-
-def _root(f: Callable[[float], float], low: float, high: float) -> float:
-    """Where f turns negative between low (not negative) and high, to 1e-6, on the side where it has not."""
-    from scipy.optimize import brentq
-
-    root = float(brentq(f, low, high, rtol=1e-7))
-    return max(low, root * (1 - 1e-6))
 
 
 def _status(status: Status) -> dict[str, Any]:

@@ -1,0 +1,97 @@
+"""How much slower or faster the same path could be run so that everything just holds.
+
+Run s times slower, accelerations and products of velocities fall by s^2 and gravity stays:
+w = w_rest + (w_1 - w_rest) / s^2. The margin is concave in 1/s^2, so what holds at one pace holds at all slower ones
+that gravity allows. Waves keep time of their own, so that with a liquid slower is not always calmer, and paces are
+tried one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salver.contact_margins import MarginModel, Margins
+from salver.errors import Status
+from salver.geometry import Array
+from salver.models.tray_motion import motion_vector
+from salver.sensitivity.sloshing import Liquids
+
+PACES = 1.03 ** np.arange(60)  # at which a motion with a liquid is looked at: up to 5.7 times slower
+SLOWEST = 100.0  # times the duration: a path that needs more is called impossible
+FASTEST = 0.2
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Uniform time scaling of the same path, at which it just holds.
+
+    factor: of the duration; above 1 it must be run slower, below 1 it could be run faster. None when no pace
+    would do, because gravity alone fails somewhere on the path: status says where.
+    """
+
+    factor: float | None
+    status: Status
+
+
+def pace(margins: Margins, R_SB: Array, worst: bool) -> Pace:
+    """Of a motion with these margins, at whose instants the tray is turned by R_SB (T, 3, 3)."""
+    w, rest = margins.w, _resting(R_SB)
+    least = _margin(margins.model, rest, worst)
+    if least.min() < 0:
+        when = float(margins.t[int(np.argmin(least))])
+        case = " in the worst case" if worst else ""
+        sentence = f"The tray is tilted too far at {when:.3f} s: even at rest there nothing would hold{case}."
+        return Pace(None, Status("tilted", sentence, False, {"time": when}))
+    slowest, fastest = 1 / SLOWEST**2, 1 / FASTEST**2  # of 1/s^2
+
+    def margin(share: float, at: slice | npt.NDArray[np.intp] = slice(None)) -> Array:
+        return _margin(margins.model, rest[at] + share * (w[at] - rest[at]), worst)
+
+    if margin(slowest).min() < 0:
+        return Pace(None, Status("tilted", f"Even {SLOWEST:g} times slower the path would not hold.", False))
+    here = margins.exact_worst if worst else margins.exact
+    low, high = (slowest, 1.0) if here.min() < 0 else (1.0, fastest)
+    beyond = here if high == 1 else margin(fastest)
+    if beyond.min() < 0:
+        failing = np.flatnonzero(beyond < 0)  # concave: the others hold at every pace in between
+        low = _root(lambda share: float(margin(share, failing).min()), low, high)
+    else:
+        low = fastest
+    factor = float(1 / np.sqrt(low))
+    return Pace(factor, Status("found", f"It just holds at {factor:.3f} times the duration.", True, {"factor": factor}))
+
+
+def pace_of_liquids(model: MarginModel, t: Array, w: Array, R_SB: Array, worst: bool) -> Pace:
+    """The least slowing, from the motion's own pace on, at which nothing spills or slides; of w (T, ...) at t (T,)."""
+    rest = _resting(R_SB)
+    for factor in PACES:
+        felt = rest + (w - rest) / factor**2
+        slower = factor * (t - t[0])
+        liquids = Liquids.along(model.payload, slower, felt)
+        if Margins(model, slower, felt, None, liquids).verdict(worst).ok:
+            sentence = f"It holds at {factor:.3f} times the duration, and at no less that was tried."
+            return Pace(float(factor), Status("found", sentence, True, {"factor": float(factor)}))
+    sentence = f"Up to {PACES[-1]:.3g} times slower the path would not hold."
+    return Pace(None, Status("tilted", sentence, False))
+
+
+def _resting(R_SB: Array) -> Array:
+    zero = np.zeros((len(R_SB), 3))
+    return motion_vector(R_SB, zero, zero, zero)
+
+
+def _margin(model: MarginModel, w: Array, worst: bool) -> Array:
+    margins = Margins(model, np.arange(float(len(w))), w)
+    return margins.exact_worst if worst else margins.exact
+
+
+def _root(f: Callable[[float], float], low: float, high: float) -> float:
+    """Where f turns negative between low (not negative) and high, to 1e-6, on the side where it has not."""
+    from scipy.optimize import brentq
+
+    root = float(brentq(f, low, high, rtol=1e-7))
+    return max(low, root * (1 - 1e-6))
