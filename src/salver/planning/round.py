@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -136,8 +136,3 @@ def has_legs(directory: str | Path) -> bool:
 
     path = Path(directory) / "scenario.toml"
     return path.is_file() and bool(load(path).legs)
-
-
-def worst_of(statuses: Sequence[Status]) -> Status:
-    """The first that is not well, or the first."""
-    return next((status for status in statuses if not status.ok), statuses[0])

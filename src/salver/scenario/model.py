@@ -198,6 +198,11 @@ class Scenario(Shown, Model):
         at: Body | None = None  # the body whose frame the poses are those of
         for k, load in enumerate(loads(self.objects, self.legs)[:-1]):
             begin, *through, end = (poses[k], *self.legs[k].through, poses[k + 1])
+            if any(one.same_as(other) for one, other in pairwise((begin, *through, end))):
+                raise ValueError(
+                    f"legs[{k}] leads to the pose in which it is already; leave that pose out (what is taken and put "
+                    "at one place is one stop)"
+                )
             leg = self._leg(f"{self.name[:57]}-leg{k + 1}", begin, through, end, load)
             if at is None:
                 at = leg.payload.first

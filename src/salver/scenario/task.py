@@ -34,6 +34,11 @@ class Pose(Model):
             return matrix_from_quat_wxyz(self.quat_wxyz)
         return matrix_from_rpy(np.deg2rad(self.rpy_deg if self.rpy_deg is not None else (0.0, 0.0, 0.0)))
 
+    def same_as(self, other: Pose) -> bool:
+        """Whether both are one pose, but for rounding."""
+        near = np.allclose(self.position, other.position, rtol=0, atol=1e-6)
+        return near and np.allclose(self.rotation, other.rotation, rtol=0, atol=1e-6)
+
 
 class Motion(Model):
     """Rest to rest from `start` to `goal`, and how the reference trajectory is parameterised.

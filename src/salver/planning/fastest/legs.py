@@ -31,7 +31,7 @@ from salver.planning.fastest.starts import Ends, Start, between, ends
 from salver.planning.fastest.together import together
 from salver.planning.fastest.watch import WHY, Watch
 from salver.planning.plan import Plan, begun_at
-from salver.planning.round import Round, worst_of
+from salver.planning.round import Round
 from salver.scenario import Scenario
 
 BEAM = 6  # chains of postures that are kept from leg to leg,
@@ -148,10 +148,11 @@ def _from(problem: TransportProblem, q: Array) -> TransportProblem:
 
 
 def _status(legs: Sequence[Plan], watch: Watch) -> Status:
-    worst = worst_of([leg.status for leg in legs])
-    if not worst.ok:
-        number = next(k for k, leg in enumerate(legs, 1) if leg.status is worst)
-        return Status(worst.code, f"Leg {number}: {worst.sentence}", False, worst.details)
+    for number, leg in enumerate(legs, 1):
+        follows = leg.arm_status or leg.status
+        if not leg.ok:
+            worst = leg.status if not leg.status.ok else follows
+            return Status(worst.code, f"Leg {number}: {worst.sentence}", False, worst.details)
     each = ", ".join(f"{leg.duration:.4f} s" for leg in legs)
     ended = f" The search was ended by {WHY[watch.ended]} before it was done." if watch.ended else ""
     sentence = f"The shortest safe motions found take {sum(leg.duration for leg in legs):.4f} s ({each}).{ended}"

@@ -168,7 +168,7 @@ def plan_problem(
         )
         if again.status.ok and _missed(again) is None:
             plan = _planned(scenario, again, robust)
-    if robust and plan.status.ok and plan.verification.violation > 0:
+    if robust and plan.status.ok and not plan.verification.ok:
         said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
         plan = replace(plan, status=Status("unsafe", said, False))
     return plan
