@@ -194,6 +194,15 @@ def test_waypoints_of_another_arm_are_refused():
         plan_retimed(cube(), np.zeros((3, 6)))
 
 
+def test_a_waypoint_beyond_a_limit_is_named():
+    q = np.array([[0.08, 1.04, -0.78, -1.68, -2.2, 0.84, 1.12]] * 2)
+    q[1] = np.rad2deg(q[1])
+    with pytest.raises(
+        ScenarioError, match=r"waypoint 2 has panda_joint1 at 4\.584; it must be from -2\.\d+ to 2\.\d+"
+    ):
+        plan_retimed(load("panda-cube"), q)
+
+
 def test_command_reads_waypoints_and_writes_a_run(problem, tmp_path):
     q = swing(problem, 0.6).derivatives(np.linspace(0, 1, 4), 0)[0]
     file = tmp_path / "waypoints.csv"

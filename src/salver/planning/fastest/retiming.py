@@ -170,6 +170,7 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
             f"The waypoints are an array of shape {waypoints.shape}; {problem.arm.name} needs rows of {problem.n} "
             "finite joint angles, in rad."
         )
+    _within_limits(scenario, problem, waypoints)
     path = SplinePath.through(waypoints)
     found = retime(problem, path)
     if not np.isfinite(found.duration):
@@ -188,6 +189,18 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
     }
     moved = given.with_changes(**changes, motion__duration=None)
     return joint_plan(moved, problem, found.joint_motion(), found.status, record)
+
+
+def _within_limits(scenario: Scenario, problem: TransportProblem, waypoints: Array) -> None:
+    """Raise ScenarioError that names the waypoint and the joint that is beyond its limits, if one is."""
+    low, high = problem.limits.q_min, problem.limits.q_max
+    beyond = np.argwhere((waypoints < low - PATH_TOLERANCE) | (waypoints > high + PATH_TOLERANCE))
+    if len(beyond):
+        k, joint = beyond[0]
+        raise ScenarioError(
+            f"{scenario.name}: waypoint {k + 1} has {problem.arm.joint_names[joint]} at {waypoints[k, joint]:.4g}; it "
+            f"must be from {low[joint]:.4g} to {high[joint]:.4g} (rad; m where it slides)."
+        )
 
 
 def reachable_law(problem: TransportProblem, path: SplinePath, count: int = 201) -> tuple[Array, Array] | None:
