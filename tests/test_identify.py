@@ -60,6 +60,21 @@ def test_without_errors_the_load_comes_out(plan: Plan, wrist: bool) -> None:
         assert found.phi[1:3] / found.phi[0] == pytest.approx(load_[1:3], abs=1e-3)
 
 
+def test_the_empty_run_may_do_something_else(plan: Plan) -> None:
+    """What the tray needs along the empty run's own motion is taken off: 12 mrad at 2 Hz there change nothing."""
+    assert plan.joint is not None
+    arm, load_ = SensedArm(plan, 0, QUIET, joints=False), drawn(plan, 1)
+    t = np.arange(0.0, plan.duration + 0.0025, 0.005)
+    q, dq, ddq = plan.joint.sample(t)
+    rate, joints = 4 * np.pi, np.arange(7) % 2  # every other joint
+    wave = 0.012 * np.sin(rate * t)[:, None] * joints
+    slope = 0.012 * rate * np.cos(rate * t)[:, None] * joints
+    other = (t, q + wave, dq + slope, ddq - rate**2 * wave)
+    found = [identify(plan, [arm.log(load_)], arm.log(None, "empty", done)).phi for done in (None, other)]
+    assert found[1][0] == pytest.approx(found[0][0], abs=1e-3)
+    assert found[1][1:3] == pytest.approx(found[0][1:3], abs=1e-4)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("wrist", [True, False])
 @pytest.mark.parametrize("times", [1.0, 2.0])

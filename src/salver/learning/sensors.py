@@ -1,4 +1,4 @@
-"""Logs as an arm's sensors would write them, of a plan carried with any load or none; no engine, nothing slides.
+"""Logs as an arm's sensors would write them, of a plan carried with any load or none, or of what an engine's arm did.
 
 Errors are made as sensors make them, not as `salver.learning.noise` has them: noise through a second-order filter, a
 bias, a drift that wanders, links that are heavier than the model says, joint friction that differs from run to run.
@@ -18,6 +18,8 @@ from salver.models.rigid_body import inertia_entries
 from salver.models.tray_motion import frame_map, wrench_map
 from salver.planning.plan import Plan
 from salver.sensitivity.arm.terms import motion_terms
+
+Done = tuple[Array, Array, Array, Array]  # t (K,), q, dq, ddq (K, n)
 
 
 @dataclass(frozen=True)
@@ -68,11 +70,16 @@ class SensedArm:
             body.mass, body.inertia = share * body.mass, share * body.inertia
             self.model.inertias[k] = body
 
-    def log(self, inertial: Array | None, source: str = "log") -> Log:
-        """A run with a load of values (10,) of `parameters.INERTIAL` in B, or with the empty tray."""
+    def log(self, inertial: Array | None, source: str = "log", done: Done | None = None) -> Log:
+        """A run with a load of values (10,) of `parameters.INERTIAL` in B, or with the empty tray.
+
+        done: what the arm did; unless given, the plan itself, `Sensors.rate` times a second.
+        """
         s, rng, n = self.sensors, self.rng, self.arm.n
-        t = np.arange(0.0, self.plan.duration + 0.5 / s.rate, 1 / s.rate)
-        q, dq, ddq = self.joint.sample(t)[:3]
+        if done is None:
+            t = np.arange(0.0, self.plan.duration + 0.5 / s.rate, 1 / s.rate)
+            done = (t, *self.joint.sample(t)[:3])
+        t, q, dq, ddq = done
         terms = motion_terms(self.model, self.arm.tray_id, q, dq, ddq)
         tau, body, tray = terms.torque.copy(), self.plan.scenario.payload.first, self.plan.scenario.tray
         com_E = self.arm.tray_com_F - self.arm.p_FE

@@ -4,8 +4,9 @@ Each trip's plan is safe for all loads within the ranges of its scenario, and th
 the load is meant to stay on every trip. A plan that is slower than the one before is not taken: that one was safe for
 wider ranges.
 
-Here the load is carried in the physics engine, which alone knows the true one, and judged there. What the arm's sensors
-say of it is made along the planned motion (`salver.learning.sensors`): the engine's tracking error is not in the logs.
+Here the load is carried in the physics engine, which alone knows the true one, and judged there. What the arm's
+sensors say (`salver.learning.sensors`) is made along what the engine's arm does with the load strapped to the tray, and
+with the empty tray: what loose contacts of the engine do to an arm is no property of a load.
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ import numpy as np
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
 from salver.learning.identify import Identified, identify
-from salver.learning.sensors import SensedArm
+from salver.learning.sensors import Done, SensedArm
 from salver.models.parameters import INERTIAL, inertial_vector
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
 from salver.sampling import draw
 from salver.scenario import Scenario
-from salver.simulation.physics import simulate
+from salver.simulation.physics import Experiment, simulate
 
 SENSORS = ("wrist", "torques")
+RATE = 200.0  # samples of the sensors a second
 Sensor = Literal["wrist", "torques"]
 
 
@@ -92,12 +94,33 @@ def trips(scenario: Scenario, count: int, seed: int = 0, sensor: Sensor = "wrist
         arm = SensedArm(seen, 1000 * seed + number, wrist=sensor == "wrist", joints=sensor == "torques")
         load = np.array(_in_frame(known, true))
         try:
-            learnt = identify(seen, [arm.log(load, f"trip {number}")], arm.log(None, f"trip {number}, empty"))
+            logs = (
+                arm.log(load, f"trip {number}", _done(plan, named, seed)),
+                arm.log(None, f"trip {number}, empty", _done(*_empty(plan, named), seed)),
+            )
+            learnt = identify(seen, [logs[0]], logs[1])
         except SalverError as error:
             yield Trip(number, plan, outcome, not better, None, str(error))
             continue
         known = learnt.learnt_scenario()
         yield Trip(number, plan, outcome, not better, learnt)
+
+
+def _empty(plan: Plan, named: dict[str, float]) -> tuple[Plan, dict[str, float]]:
+    """The plan with nothing on the tray, but a millionth of the load, and a controller that knows it."""
+    mass, robot = plan.scenario.payload.first.inertial.mass, plan.scenario.physics.robot
+    knowing = robot.model_dump() | {"payload_error": -mass}
+    nothing = {name: (1e-6 if name == "mass" or name.startswith("inertia") else 1.0) * x for name, x in named.items()}
+    return replace(plan, scenario=plan.scenario.with_changes(physics__robot=knowing)), nothing
+
+
+def _done(plan: Plan, named: dict[str, float], seed: int) -> Done:
+    """What the engine's arm does, `RATE` times a second."""
+    trace = Experiment(plan).strapped(named, seed)
+    ddq = np.gradient(trace.dq, trace.t, axis=0)
+    every = max(1, round(1 / (RATE * (trace.t[1] - trace.t[0]))))
+    kept = slice(int(np.argmax(trace.t > -1e-9)), None, every)
+    return trace.t[kept], trace.q[kept], trace.dq[kept], ddq[kept]
 
 
 def _in_frame(scenario: Scenario, true: Array) -> list[float]:

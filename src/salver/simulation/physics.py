@@ -148,11 +148,15 @@ class Experiment:
 
     def joint_log(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> tuple[Array, Array]:
         """t (N,), q (N, n): what encoders log, command by command, when the load is strapped to the tray."""
-        _, trace = self._carried(parameters, seed, strapped=True)
+        trace = self.strapped(parameters, seed)
         noise = self.plan.scenario.physics.position_noise * np.random.default_rng([seed, 1]).standard_normal(
             trace.q.shape
         )
         return trace.t, trace.q + noise
+
+    def strapped(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> Trace:
+        """The same run with the load fixed to the tray: without what loose contacts do to the arm."""
+        return self._carried(parameters, seed, strapped=True)[1]
 
     def _carried(self, parameters: Mapping[str, float] | None, seed: int, strapped: bool = False) -> tuple[Run, Trace]:
         scenario = self.plan.scenario
