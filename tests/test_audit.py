@@ -471,3 +471,16 @@ def test_a_joint_file_of_the_scenarios_arm(tmp_path):
     result = audit(path, scenarios.load("panda-cube"))
     assert result.nominal.ok
     assert result.summary()["motion"]["peak_tilt"] > 0.05
+
+
+def test_inside_a_gap_nothing_is_known_and_outside_of_it_all_that_was():
+    t = np.arange(0, 1.0005, 0.005)
+    there = (t < 0.42) | (t > 0.58)
+    p = np.stack([0.2 * t**3 * (10 - 15 * t + 6 * t**2), 0 * t, 0 * t], axis=1)
+    quat = np.tile([1.0, 0, 0, 0], (len(t), 1))
+    found = tray_motion(TraySamples(t[there], p[there], quat[there], "E", "seen.csv"), None, AT_B, NO_TURN)
+    begin, end = t[there][t[there] < 0.5].max(), t[there][t[there] > 0.5].min()
+    inside = (found.samples.t > begin) & (found.samples.t < end)
+    assert inside.any()
+    assert np.isinf(found.acceleration_error[inside]).all()
+    assert np.isfinite(found.acceleration_error[~inside]).all()

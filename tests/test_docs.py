@@ -5,8 +5,8 @@
     ```toml     written to the file that its first line names: # file: mine.toml
     ```text     right after one of these: the output it must give; `...` stands for anything, numbers may differ by 5 %
 
-A block that needs hardware is preceded by a comment: <!-- not run: reason -->. How-to pages start from the run directory
-of the README: a block of commands that it shows too is run there alone, unless its output is promised.
+A block that needs hardware is preceded by a comment: <!-- not run: reason -->. How-to pages start from a run directory
+as the README makes it: a block of commands that it shows too is run there alone, unless its output is promised.
 """
 
 import contextlib

@@ -251,6 +251,7 @@ def test_a_motion_that_keeps_every_condition_is_found_again(share):
     begin = programme.begin(longer.coefficients, longer.duration)
     found = minimise(programme, begin, Options())
     assert found.status.ok
+    assert quickest.binding  # something hinders a shorter time
     assert 0 < quickest.wall_time + found.wall_time < time.perf_counter() - begun
     assert np.sqrt(2 * begin.cost) == pytest.approx(0.2435 * share, rel=0.01)
     # 1 mrad: rows are solved to 1e-5 of their scale, and that violation has a price of 1 to 20 rad^2.

@@ -13,7 +13,7 @@ from salver.models.arm import with_load
 from salver.models.parameters import Parameter, inertial_vector
 from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import object_motion
-from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.constraints import Contact, Tilt
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
@@ -356,3 +356,13 @@ def test_when_its_ends_are_put_right_a_motion_follows_each_the_less_the_further_
     )
     assert np.allclose(moved[[0, -1]], np.stack([-off_start, -off_goal]), atol=1e-15)
     assert np.all(np.diff(moved, axis=0) > 0)  # from -0.02 to 0.05, without a jolt in between
+
+
+def test_tilt_counts_in_shares_of_what_is_allowed():
+    """A level tray has the whole of 1 - cos(largest) left; one that leans by 90 degrees has gone far beyond."""
+    problem = transport_problem(cube(0.2))
+    s = np.linspace(0, 1, 5)
+    motion = problem.at(s, np.stack([np.tile(problem.start_posture, (5, 1)), *[np.zeros((5, 7))] * 3]), 1.0)
+    for largest in np.deg2rad([8.0, 45.0]):
+        (block,) = Tilt(largest).blocks(motion)
+        assert np.allclose(block.values, -1.0, atol=1e-6)
