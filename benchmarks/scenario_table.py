@@ -2,7 +2,7 @@
 
     python benchmarks/scenario_table.py [docs/scenarios.md]
 
-For each scenario, on the straight min-jerk line with the tray held level: the shortest duration at which
+For each scenario with a duration, on the straight min-jerk line with the tray held level: the shortest one at which
 everything holds at nominal parameters, and over the whole uncertain set (exact contact condition, pyramids of 16
 edges). Then the engine, with the tray moved exactly and without an arm: the motion of the robust duration with
 nominal objects and with the worst ones of the set; and the motion 5 % shorter than the nominal limit.
@@ -131,6 +131,19 @@ COLUMNS = (
 )
 
 
+FREE = """
+## Liquids
+
+`panda-coffee`, `panda-four-glasses` and `ur10-beaker` have no duration of their own: the shortest safe one is planned.
+[Liquids](liquids.md) says how long they take, and what the physics engine says of them.
+
+## Several legs
+
+`waiters-round` is a task of [several legs](howto/legs.md): three glasses are taken off one by one. Its shortest safe
+duration is planned too.
+"""
+
+
 def tall_boxes(path: Path) -> str:
     """The section on the grid of tall boxes, from what `benchmarks/tall_boxes.py` recorded."""
     if not path.is_file():
@@ -155,12 +168,12 @@ the shortest duration that holds for the nominal box.
 def main() -> None:
     path = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/scenarios.md")
     rows = []
-    for name in names():
+    for name in (n for n in names() if load(n).motion.duration is not None):
         began = time.perf_counter()
         rows.append(row(name))
         print(f"{rows[-1].strip()}  ({time.perf_counter() - began:.1f} s)", file=sys.stderr, flush=True)
     grid = tall_boxes(path.parent / "data" / "tall-boxes.json")
-    write_atomic(path, HEADER + table(COLUMNS) + table("---" for _ in COLUMNS) + "".join(rows) + grid)
+    write_atomic(path, HEADER + table(COLUMNS) + table("---" for _ in COLUMNS) + "".join(rows) + FREE + grid)
 
 
 if __name__ == "__main__":
