@@ -26,7 +26,8 @@ from salver.models.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
 
 TRAY = "tray"
-_LOOKED_AT = 8  # every so many postures of a path all distances are taken; between them, those that may be short
+_STRIDES = (64, 16, 4, 1)  # from coarse to fine, distances along a path are taken where they may be short
+_FEW = 4  # pairs up to which all distances are taken
 _POSTURES = 200  # at which links that touch at every one are taken to touch always
 
 Pair = tuple[int, int]
@@ -80,29 +81,28 @@ class ArmGeometry:
         """
         arm, data, place = self.arm.pin_model, self.arm.data, (self.model, self.data)
         results = list(self.data.distanceResults)  # views of what each call fills; making them takes longer than it
-        distances = np.empty((len(q), len(self.pairs)))
-        due = np.ones(distances.shape, dtype=bool)
-        if np.isfinite(within) and len(q):
-            known = np.unique(np.r_[np.arange(0, len(q), _LOOKED_AT), len(q) - 1])
-            for k in known:
-                pin.computeDistances(arm, data, *place, q[k])
-                distances[k] = [result.min_distance for result in results]
-            before = known[np.searchsorted(known, np.arange(len(q)), side="right") - 1]
-            after = known[np.searchsorted(known, np.arange(len(q)))]
-            levers = self.levers(q).T
-            distances = np.maximum(*(distances[near] - np.abs(q - q[near]) @ levers for near in (before, after)))
-            due = distances < within
-            due[known] = False
-        for k in np.flatnonzero(due.any(axis=1)):
-            if due[k].all():
-                pin.computeDistances(arm, data, *place, q[k])
-                distances[k] = [result.min_distance for result in results]
-                continue
-            pin.updateGeometryPlacements(arm, data, *place, q[k])
-            for pair in np.flatnonzero(due[k]).tolist():
-                pin.computeDistance(*place, pair)
-                distances[k, pair] = results[pair].min_distance
-        return distances
+        low = np.full((len(q), len(self.pairs)), -np.inf)
+        bounded = np.isfinite(within) and len(self.pairs) > _FEW
+        levers = self.levers(q).T if bounded else None
+        known = np.zeros(0, dtype=int)
+        for stride in _STRIDES if bounded else (1,):
+            nodes = np.union1d(np.arange(0, len(q), stride), len(q) - 1) if bounded else np.arange(len(q))
+            new = np.setdiff1d(nodes, known, assume_unique=True)
+            if len(known) and len(new):
+                at = np.searchsorted(known, new)
+                bounds = (low[near] - np.abs(q[new] - q[near]) @ levers for near in (known[at - 1], known[at]))
+                low[new] = np.maximum(*bounds)
+            for k, due in zip(new.tolist(), low[new] < within, strict=True):
+                if due.all():
+                    pin.computeDistances(arm, data, *place, q[k])
+                    low[k] = [result.min_distance for result in results]
+                elif due.any():
+                    pin.updateGeometryPlacements(arm, data, *place, q[k])
+                    for pair in due.nonzero()[0].tolist():
+                        pin.computeDistance(*place, pair)
+                        low[k, pair] = results[pair].min_distance
+            known = nodes
+        return low
 
     def levers(self, q: Array) -> Array:
         """(pairs, n) at most how far a pair moves against one another when a joint moves by 1 (rad, or m), at postures

@@ -135,18 +135,19 @@ def motion_terms(model: Any, frame_id: int, q: Array, dq: Array, ddq: Array) -> 
     (count, n), data, frame = q.shape, model.createData(), model.frames[frame_id]
     p, rotation = np.empty((count, 3)), np.empty((count, 3, 3))  # of the last joint, as twist and acceleration first
     twist, spatial, torque = np.empty((count, 6)), np.empty((count, 6)), np.empty((count, n))
-    placement, velocity, acceleration = (x[frame.parentJoint] for x in (data.oMi, data.v, data.a))
+    placement, velocity, acceleration = (x[frame.parentJoint] for x in (data.oMi, data.v, data.a_gf))
     p_now, rotation_now = placement.translation, placement.rotation  # what each call fills anew
     for i, state in enumerate(zip(q, dq, ddq, strict=True)):
-        pin.forwardKinematics(model, data, *state)
+        torque[i] = pin.rnea(model, data, *state)
+        pin.updateGlobalPlacements(model, data)
         p[i], rotation[i] = p_now, rotation_now
         twist[i], spatial[i] = velocity.vector, acceleration.vector
-        torque[i] = pin.rnea(model, data, *state)
     to_frame = frame.placement.inverse().action  # both are of the last link, seen from its joint
-    twist, spatial = twist @ to_frame.T, spatial @ to_frame.T
+    twist, felt = twist @ to_frame.T, spatial @ to_frame.T
     p_SE, R_SE = p + rotation @ frame.placement.translation, rotation @ frame.placement.rotation
     v, omega = twist[:, :3], twist[:, 3:]
-    up = -np.einsum("tji,j->ti", R_SE, GRAVITY_S)
-    felt = spatial[:, :3] + np.cross(omega, v) + up
+    spatial = felt.copy()
+    spatial[:, :3] += GRAVITY_S @ R_SE  # Pinocchio's acceleration is that against free fall
+    felt = felt[:, :3] + (hat(omega) @ v[:, :, None])[:, :, 0]
     w = np.concatenate([felt, spatial[:, 3:], omega[:, _FIRST] * omega[:, _SECOND]], axis=1)
     return MotionTerms(model, frame_id, q, dq, ddq, p_SE, R_SE, twist, spatial, torque, w)
