@@ -2,17 +2,18 @@
 
     python docs/make_performance.py [NAME ...]
 
-Names are those of the blocks in the page; by default all but those that need a package which salver does not (toppra).
+Names are those of the blocks in the page; by default all but toppra, which needs that
+package, and against, which needs the history in git.
 Run it on an idle machine.
 """
 
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import blocks
@@ -30,7 +31,10 @@ COMMANDS = {
     "physics": ["physics.py", "--quick"],
     "campaign": ["campaign.py"],
 }
-PEERS = {"toppra": ["peers.py", "--agreement", "--only", "cube, friction 0.4", "tall bottle"]}
+PEERS = {
+    "toppra": ["peers.py", "--agreement", "--only", "cube, friction 0.4", "tall bottle"],
+    "against": ["against.py", "fd9b03a"],
+}
 PROCESSES = (
     "salver --help",
     "salver scenarios",
@@ -49,20 +53,28 @@ def printed(name: str) -> str:
 
 
 def processes(runs: int = 5) -> str:
-    """Wall time of whole processes, after one that is not counted."""
+    """Processor time of whole processes, after one that is not counted."""
     salver = Path(sys.executable).with_name("salver")
-    lines = [f"{os.cpu_count()} cores; least and median of {runs} processes, after one that is not counted"]
+    lines = [
+        f"{os.cpu_count()} cores; least and median of {runs} processes, after one that is not counted; processor time"
+    ]
     for command in PROCESSES:
         seconds = []
         for _ in range(runs + 1):
             with tempfile.TemporaryDirectory() as folder:
                 words = [str(salver), *command.replace("DIR", folder).split()[1:]]
-                began = time.perf_counter()
+                began = _spent()
                 subprocess.run(words, capture_output=True, check=True)
-                seconds.append(time.perf_counter() - began)
+                seconds.append(_spent() - began)
         counted = sorted(seconds[1:])
         lines.append(f"  {command:42s} {counted[0]:.2f} s, {counted[runs // 2]:.2f} s")
     return "\n".join(lines)
+
+
+def _spent() -> float:
+    """Processor time of all processes that were waited for, s."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def main() -> None:

@@ -65,14 +65,17 @@ class PoseTarget:
         placement = pin.updateFramePlacement(model, data, arm.tray_id)
         jacobian = self._to_frame @ pin.getFrameJacobian(model, data, arm.tray_id, pin.LOCAL)
         R_SE = placement.rotation
-        p_SB, R_SB = placement.translation + R_SE @ self.p_EB, R_SE @ self.R_EB
-        turn = pin.log3(R_SB.T @ self.R_SB)
+        R_SB = R_SE @ self.R_EB
+        error = np.empty(6)
+        error[:3] = self.p_SB - placement.translation - R_SE @ self.p_EB
         if self.yaw_free:
             up = R_SB.T @ self.R_SB[:, 2]
-            turn = np.array([-up[1], up[0], 0.0])
+            error[3:] = -up[1], up[0], 0.0
+        else:
+            error[3:] = pin.log3(R_SB.T @ self.R_SB)
+        jacobian[:3] = R_SB @ jacobian[:3]
         rows = 5 if self.yaw_free else 6
-        error = np.concatenate([self.p_SB - p_SB, turn])[:rows]
-        return error, np.vstack([R_SB @ jacobian[:3], jacobian[3:]])[:rows]
+        return error[:rows], jacobian[:rows]
 
 
 def posture_at(
@@ -93,20 +96,30 @@ def posture_at(
     middle = arm.limits.range(POSITION)[0] if centring else q
     low, high = (limits.q_min + INSIDE, limits.q_max - INSIDE) if limits is not None else (-np.inf, np.inf)
     error, jacobian = target.residual(arm, q)
+    diagonal = slice(None, None, len(error) + 1)
     for iteration in range(iterations):
         size = float(np.abs(error).max())
         if size < REACHED:
             return q, size
-        damping = 1e-2 * min(1e-2, size) * np.eye(len(error))
-        step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error)
-        stuck = ((q <= low) & (step < 0)) | ((q >= high) & (step > 0))
-        if stuck.any():
-            jacobian = jacobian * ~stuck
-            step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error)
+
+        def least(jacobian: Array, wanted: Array, damping: float = 1e-2 * min(1e-2, size)) -> Array:
+            """The least step that brings what is wanted of the pose."""
+            normal = jacobian @ jacobian.T
+            normal.ravel()[diagonal] += damping
+            return np.asarray(jacobian.T @ np.linalg.solve(normal, wanted))
+
+        step = least(jacobian, error)
+        if limits is not None:
+            stuck = ((q <= low) & (step < 0)) | ((q >= high) & (step > 0))
+            if stuck.any():
+                jacobian = jacobian * ~stuck
+                step = least(jacobian, error)
         if centring and iteration < _MIDDLE_STEPS:
             pull = centring * (middle - q)
-            step += pull - jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, jacobian @ pull)
-        q = np.clip(q + step * min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-12)), low, high)
+            step += pull - least(jacobian, jacobian @ pull)
+        q = q + step * min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+        if limits is not None:
+            q = np.minimum(np.maximum(q, low), high)
         error, jacobian = target.residual(arm, q)
     return q, float(np.abs(error).max())
 

@@ -14,7 +14,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, hat
 from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows
@@ -368,7 +368,7 @@ class Tilt(Constraint):
 def _vertical_q(motion: Evaluation) -> Array:
     """(N, 3, n) derivative by q of the vertical in E."""
     up = motion.terms.R_SE[:, 2, :]
-    return np.cross(up[:, :, None], motion.terms.jacobian[:, 3:], axisa=1, axisb=1, axisc=1)
+    return np.asarray(hat(up) @ motion.terms.jacobian[:, 3:])
 
 
 @dataclass(frozen=True, eq=False)

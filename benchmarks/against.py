@@ -1,0 +1,90 @@
+"""The fastest motion of this checkout against that of another commit: processor times, the two taking turns.
+
+    python benchmarks/against.py COMMIT [-n 5]
+
+The four cases of fastest_solve.py, each solved by a process of either checkout in turn, so that what else the machine
+does slows both. The other commit is unpacked from git into a temporary folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tarfile
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+WORKER = """
+import runpy, sys, time
+names = runpy.run_path(sys.argv[1])
+for line in sys.stdin:
+    friction, orientation = line.split()
+    began = time.process_time()
+    found = names["fastest"](names["transport_problem"](names["cube"](float(friction), orientation)))
+    print(time.process_time() - began, found.duration, found.status.ok, flush=True)
+"""
+
+
+@contextmanager
+def worker(checkout: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that solves cases with the code of a checkout."""
+    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", WORKER, str(checkout / "benchmarks" / "fastest_solve.py")]
+    environment = {**os.environ, **one_thread, "PYTHONPATH": str(checkout / "src")}
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        yield process
+        assert process.stdin is not None
+        process.stdin.close()
+
+
+def solve(process: subprocess.Popen[str], case: str) -> tuple[float, float]:
+    """Processor time, s, and duration, s, of a case."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(f"{case}\n")
+    process.stdin.flush()
+    seconds, duration, ok = process.stdout.readline().split()
+    if ok != "True":
+        raise SystemExit(f"{case}: not solved")
+    return float(seconds), float(duration)
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    options.add_argument("commit", help="what to compare with")
+    options.add_argument("-n", type=int, default=5, help="times that each of the four cases is solved by either")
+    chosen = options.parse_args()
+    packed = subprocess.run(["git", "-C", str(ROOT), "archive", chosen.commit], check=True, capture_output=True).stdout
+    ratios = []
+    with tempfile.TemporaryDirectory() as folder:
+        with tarfile.open(fileobj=BytesIO(packed)) as archive:
+            archive.extractall(folder, filter="data")
+        print(f"processor times, N = {chosen.n}, in turns: {chosen.commit}, and this checkout")
+        with worker(Path(folder)) as other, worker(ROOT) as this:
+            for friction in (0.4, 0.2):
+                for orientation, name in (("fixed", "level"), ("free", "tilting")):
+                    case = f"{friction} {orientation}"
+                    runs = [(solve(other, case), solve(this, case)) for _ in range(chosen.n + 1)]
+                    times, durations = np.moveaxis(np.array(runs), 2, 0)
+                    before, now = np.median(times[1:], axis=0)
+                    ratios.append(before / now)
+                    print(
+                        f"friction {friction}, {name:8s} {durations[0, 0]:.4f} s, {durations[0, 1]:.4f} s; median "
+                        f"{before:.2f} s, {now:.2f} s: {before / now:.2f} times as quick",
+                        flush=True,
+                    )
+    print(f"geometric mean of the four ratios: {np.exp(np.mean(np.log(ratios))):.2f}")
+
+
+if __name__ == "__main__":
+    main()
