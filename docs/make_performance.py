@@ -2,9 +2,8 @@
 
     python docs/make_performance.py [NAME ...]
 
-Names are those of the blocks in the page; by default all but toppra, which needs that
-package, and against, which needs the history in git.
-Run it on an idle machine.
+Names are those of the blocks in the page; by default all but toppra, which needs that package,
+and against, which needs the history in git. Run it on an idle machine.
 """
 
 from __future__ import annotations
