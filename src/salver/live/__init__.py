@@ -2,6 +2,7 @@
 
 from salver.live.course import LiveCourse
 from salver.live.live import Live, State
+from salver.live.obstacles import Moving
 from salver.live.worker import Worker
 
-__all__ = ["Live", "LiveCourse", "State", "Worker"]
+__all__ = ["Live", "LiveCourse", "Moving", "State", "Worker"]

@@ -13,7 +13,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,12 +24,14 @@ from salver.display import Shown
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array
 from salver.live.motion import Committed, between, joined, resting
+from salver.live.obstacles import Moving, Predicted, predicted
 from salver.live.planner import Answer, Job, Planner
 from salver.live.reader import Pieces, Reader
 from salver.live.steer import TICK
 from salver.live.verify import verified
 from salver.live.wishes import (
     ACCEPTED,
+    Evade,
     Follow,
     Goal,
     Halt,
@@ -56,6 +58,7 @@ LEADS = 5  # plans from whose times the lead is taken
 SPARE = 1.3  # of the longest of them
 LEAST_LEAD, MOST_LEAD = 0.02, 1.0  # s
 MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
+EVADE = Evade()
 STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
 
 
@@ -64,7 +67,8 @@ class State(Shown):
     """What is going on. doing: "resting", "following" or "stopping". rests_in: s until the arm is at rest. limit: which
     row is nearest to its edge now, and margin, how near, as a share of what it limits. refused: the last wish that was
     not granted, and why; clock: what was wrong with the times that were asked for. Both are empty when nothing was.
-    lead: s from now to the next hand-over.
+    lead: s from now to the next hand-over. passing: what is to be expected of obstacles that move, when nothing was
+    found that keeps clear of them.
     """
 
     doing: str
@@ -74,14 +78,15 @@ class State(Shown):
     refused: str
     clock: str
     lead: float
+    passing: str = ""
 
     def facts(self) -> dict[str, str]:
         told = {"live": self.doing, "at rest in": f"{self.rests_in:.2f} s", "limited by": self.limit}
-        return {**told, **{name: text for name in ("refused", "clock") if (text := getattr(self, name))}}
+        return {**told, **{name: text for name in ("refused", "passing", "clock") if (text := getattr(self, name))}}
 
     def __str__(self) -> str:
         sentence = "The arm rests." if self.doing == "resting" else f"It is {self.doing}, limited by {self.limit}."
-        return " ".join([sentence, *filter(None, (self.refused, self.clock))])
+        return " ".join([sentence, *filter(None, (self.passing, self.refused, self.clock))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +167,9 @@ class Live:
         self._done: Wish | None = None
         self._attempts = 0
         self._refused = ""
+        self._around: tuple[Predicted, ...] = ()
+        self._minded: tuple[Predicted, ...] | None = ()  # of which it was looked whether what is committed keeps clear
+        self._touched = ""
         self._reader.read(0.0)
 
     # --- the robot's loop
@@ -259,6 +267,18 @@ class Live:
         self._wish = wish
         return ACCEPTED
 
+    def obstacles(self, seen: Sequence[Moving]) -> Status:
+        """What moves around the arm, all of it, as it is seen now; to be said again whenever something is seen to move
+        otherwise. What is not, counts as gone when its prediction ends."""
+        found = []
+        for one in seen:
+            prediction = predicted(one, self._now)
+            if isinstance(prediction, Status):
+                return self._refuse(prediction.sentence, "What was seen")
+            found.append(prediction)
+        self._around = tuple(found)
+        return ACCEPTED
+
     def measured(self, q: npt.ArrayLike) -> Status:
         """Where the arm is, (n,) rad, as its loop sees it: when that is too far from where it was told to be, it is
         stopped."""
@@ -330,7 +350,7 @@ class Live:
             if isinstance(self._wish, Halt)
             else "following"
         )
-        return State(doing, rests_in, limit, margin, self._refused, self._clock, self.lead)
+        return State(doing, rests_in, limit, margin, self._refused, self._clock, self.lead, self._touched)
 
     @property
     def now(self) -> float:
@@ -364,9 +384,14 @@ class Live:
     def _due(self) -> Wish | None:
         """What is to be planned for now."""
         wish, offered = self._wish, self._offered
+        if self._minded is not self._around and self._offer is None:
+            return EVADE
         if offered is not None and self._offer is None:
             self._offered = None
-            if self._running is offered and not isinstance(offered.wish, Follow):
+            if isinstance(offered.wish, Evade):
+                if self._running is not offered:
+                    self._minded = None  # it came late: once more
+            elif self._running is offered and not isinstance(offered.wish, Follow):
                 self._done, self._attempts = offered.wish, 0
         if wish is not self._done:
             early = isinstance(wish, Follow) and self._hand_over(self.committed, True) <= self.committed.begins + 1e-9
@@ -389,8 +414,16 @@ class Live:
         if isinstance(wish, Halt) and begins >= base.ends:
             self._done = wish
             return
-        answered = answer(Job(wish, base, begins, budget))
+        around = self._around
+        answered = answer(Job(wish, base, begins, budget, around))
         found, status = answered.found, answered.status
+        if isinstance(wish, Evade):
+            self._minded, self._touched = around, answered.touched
+            if found is not None:
+                self._offered = running.then(found, wish, self._now)
+                self._offer = self._offered
+                self._done = None if isinstance(self._wish, Goal) else self._wish
+            return
         self._spent[steered].append(time.perf_counter() - began)
         if answered.done:
             self._done = wish

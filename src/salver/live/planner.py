@@ -5,33 +5,47 @@ What it gives was verified (`salver.live.verify`); whoever asked decides whether
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from salver.errors import Status
-from salver.live.motion import Committed
+from salver.live.motion import SHORTEST, Committed, between
+from salver.live.obstacles import Passing, Predicted, nearest
 from salver.live.replan import Replanner
 from salver.live.steer import Steering
-from salver.live.wishes import Follow, Halt, Wish, why_not
-from salver.planning.fastest import Anywhere, TransportProblem
+from salver.live.verify import instants
+from salver.live.wishes import Evade, Follow, Halt, Wish, why_not
+from salver.planning.fastest import Anywhere, AtPose, AtPosture, End, TransportProblem, evaluate
+from salver.planning.postures import PoseTarget
+from salver.trajectory import JointMotion
+
+ASIDE, ASIDE_STEP = (0.15, 0.25, 0.4), 0.02  # m to which the load is put aside; s between looks at what passes it
+BESIDE = 0.03  # m that are free there
+TRIED = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """wish: what for. base: what is committed; begins: live time, s, at which it may be left. budget: s."""
+    """wish: what for. base: what is committed; begins: live time, s, at which it may be left. budget: s. obstacles:
+    what is predicted to pass."""
 
     wish: Wish
     base: Committed
     begins: float
     budget: float
+    obstacles: tuple[Predicted, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """found: a verified motion that goes on from the base, or None. done: the base fulfils the wish as well."""
+    """found: a verified motion that goes on from the base, or None. done: the base fulfils the wish as well. touched:
+    when nothing was found that keeps clear of what passes: what is to be expected, in words."""
 
     found: Committed | None
     status: Status
     done: bool = False
+    touched: str = ""
 
 
 class Planner:
@@ -44,13 +58,95 @@ class Planner:
 
     def answer(self, job: Job) -> Answer:
         wish, base, begins = job.wish, job.base, job.begins
+        problem = self._among(job)
+        replanner = self._replanner if problem is self.problem else Replanner.of(problem)
+        if isinstance(wish, Evade):
+            return self._evading(job, problem, replanner)
         if isinstance(wish, Follow):
-            return Answer(*self._steering.tick(wish.wanted if begins <= wish.until else wish.then, base, begins))
+            wanted = wish.wanted if begins <= wish.until else wish.then
+            steering = replace(self._steering, problem=problem, sought=replanner.sought)
+            return Answer(*steering.tick(wanted, base, begins))
         if isinstance(wish, Halt):
-            found, status = self._replanner.to(Anywhere(), base, begins, job.budget)
+            found, status = replanner.to(Anywhere(), base, begins, job.budget)
             late = found is not None and found.ends >= base.ends  # it is at rest no later as it is
             return Answer(None if late else found, status, late)
         blocked = why_not(self.problem, wish)
         if blocked:
             return Answer(None, Status("unreachable", blocked, False))
-        return Answer(*self._replanner.to(wish.end, base, begins, job.budget))
+        return Answer(*replanner.to(wish.end, base, begins, job.budget))
+
+    def _among(self, job: Job) -> TransportProblem:
+        """The problem with what is predicted to pass, in the time of a motion from the hand-over on."""
+        problem = self.problem
+        if not job.obstacles or problem.keep_out is None:
+            return problem
+        passing = Passing(problem.keep_out.parts, job.obstacles, job.begins)
+        return replace(problem, extra=(*problem.extra, passing))
+
+    def _evading(self, job: Job, problem: TransportProblem, replanner: Replanner) -> Answer:
+        """Nothing, when what is committed keeps clear; else the shortest motion found to a rest that does; else what of
+        both goes further from what passes, for the load is kept by both."""
+        base, begins = job.base, job.begins
+        fine = Status("optimal", "", True)
+        if problem is self.problem:
+            return Answer(None, fine, True)
+        own = begins - base.begins
+        left = between(base.motion, own, max(base.motion.duration, own + SHORTEST))
+        if self._clear(job, left):
+            return Answer(None, fine, True)
+        for end in [*self._asides(job)[:TRIED], Anywhere()]:
+            found, status = replanner.to(end, base, begins, job.budget, around=False)
+            if found is not None:
+                return Answer(found, status)
+        stop, _ = self._replanner.to(Anywhere(), base, begins, job.budget, around=False)
+        motions = {"goes on": left} | ({} if stop is None else {"stops": stop.motion})
+        comes = {how: self._nearest(job, motion) for how, motion in motions.items()}
+        best = max(comes, key=lambda how: comes[how][0])
+        distance, when, name = comes[best]
+        near = f"{name} would come to within {1e3 * max(distance, 0.0):.0f} mm at {when:.2f} s"
+        touched = f"Nothing was found that keeps clear of {name}: it {best}, and {near}."
+        return Answer(stop if best == "stops" else None, status, best != "stops", touched)
+
+    def _asides(self, job: Job) -> list[End]:
+        """Postures beside the way of what passes, in which the arm may rest; the nearest first."""
+        problem, first = self.problem, self.problem.items[0]
+        assert problem.keep_out is not None
+        q, limits = job.base.state(job.begins)[0], problem.limits
+        p_SB = problem.arm.object_pose(q, first.p_EB, first.R_EB)[0]
+        until = np.arange(job.begins, max(x.until for x in job.obstacles), ASIDE_STEP)
+        found: list[tuple[float, End]] = []
+        ways = [np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])]
+        for obstacle in job.obstacles:
+            v = obstacle.at(until)[1].mean(axis=0) if len(until) else np.zeros(3)
+            across = np.cross(v, [0.0, 0.0, 1.0])
+            ways += [sign * x / np.linalg.norm(x) for x in (across, v * [1, 1, 0]) if x.any() for sign in (1.0, -1.0)]
+        for way in ways:
+            for far in ASIDE:
+                target = PoseTarget(p_SB + far * way, first.R_EB, first.p_EB, first.R_EB, yaw_free=True)
+                posture = AtPose(target).nearest(problem.arm, limits, q)
+                if posture is None:
+                    continue
+                still = np.repeat(posture[None], len(until), axis=0)
+                if nearest(problem.keep_out.parts, job.obstacles, still, until)[0] > BESIDE:
+                    found.append((float(np.abs(posture - q).max()), AtPosture(posture)))
+                    break
+        return [end for _, end in sorted(found, key=lambda pair: pair[0])]
+
+    def _clear(self, job: Job, motion: JointMotion) -> bool:
+        """Whether a motion from the hand-over on keeps clear of what passes."""
+        problem, before = self.problem, job.base.deviation_at(job.begins, self.problem)
+        if problem.tracking is not None and before is not None:
+            problem = replace(problem, tracking=problem.tracking.begun(before))
+        s, nodes = instants(motion)
+        z = np.stack([*motion.sample(s * motion.duration), motion.jerk(s * motion.duration)])
+        assert problem.keep_out is not None
+        passing = Passing(problem.keep_out.parts, job.obstacles, job.begins)
+        rows = evaluate([passing], problem.at(s, z, motion.duration, nodes, imposed=False))
+        return max(float(block.values.max()) for block in rows) <= 0.0
+
+    def _nearest(self, job: Job, motion: JointMotion) -> tuple[float, float, str]:
+        assert self.problem.keep_out is not None
+        until = max(x.until for x in job.obstacles) - job.begins
+        t = np.linspace(0.0, max(until, motion.duration), 200)
+        q = motion.sample(np.minimum(t, motion.duration))[0]
+        return nearest(self.problem.keep_out.parts, job.obstacles, q, job.begins + t)

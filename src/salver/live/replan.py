@@ -84,8 +84,11 @@ class Replanner:
     def of(cls, problem: TransportProblem) -> Replanner:
         return cls(problem, Sought.of(problem))
 
-    def to(self, end: End, before: Committed, begins: float, time_limit: float) -> tuple[Committed | None, Status]:
-        """The shortest motion found from the committed one at live time `begins` to an end."""
+    def to(
+        self, end: End, before: Committed, begins: float, time_limit: float, *, around: bool = True
+    ) -> tuple[Committed | None, Status]:
+        """The shortest motion found from the committed one at live time `begins` to an end. around: whether, from rest,
+        there is time to look for ways around what is in the way."""
         began = time.perf_counter()
         start = AtPosture(*before.state(begins))
         at = replace(self.sought, start=start, goal=end)
@@ -98,8 +101,7 @@ class Replanner:
         found: Checked | FastestMotion = optimise(at, FreeCurve, guess, NODES_PER_SPAN, Watch(time_limit), gain=GAIN)
         finding = self._judged(at, guess.spline, found, before, begins)
         left = time_limit - (time.perf_counter() - began)
-        if finding.committed is None and not start.moving and left > 0:
-            # There is time to look for ways around.
+        if around and finding.committed is None and not start.moving and left > 0:
             searched = fastest(at, FastestOptions(time_limit=left))
             if searched.status.ok:
                 found, finding = searched, self._judged(at, searched.spline, searched, before, begins)

@@ -46,7 +46,12 @@ class Follow:
     then: Wanted
 
 
-Wish = Goal | Halt | Follow
+@dataclass(frozen=True, eq=False)
+class Evade:
+    """To keep clear of what is predicted to pass: nothing, where what is committed does; else rest elsewhere."""
+
+
+Wish = Goal | Halt | Follow | Evade
 
 MOST_SPEED, MOST_TURN = 5.0, 20.0  # m/s, rad/s; what is beyond is in another unit
 SILENCE = 0.1  # s after a twist at which it counts no more

@@ -18,8 +18,9 @@ from salver.geometry import Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.wishes import numbers
 from salver.models.arm import load_arm
+from salver.playground.ball import Ball
 from salver.playground.recording import LONGEST, Recording
-from salver.playground.surroundings import FLOOR, with_floor
+from salver.playground.surroundings import FLOOR, RADIUS, furnish
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
 from salver.simulation.engine import mujoco
@@ -54,11 +55,12 @@ class World:
         assert scenario.arm is not None  # a live motion has one
         self.arm = load_arm(scenario.arm, scenario.tray)
         self.scene = build(
-            scenario, true_world(scenario, parameters), self.arm, also=lambda spec: with_floor(spec, self.arm)
+            scenario, true_world(scenario, parameters), self.arm, also=lambda spec: furnish(spec, self.arm)
         )
         self.period = scenario.physics.command_period
         self._steps = round(self.period / scenario.physics.timestep)
         self._data = mujoco.MjData(self.scene.model)
+        self.ball = Ball(self.scene.model, self.arm, scenario.payload)
         self._lock = threading.RLock()
         self._course = LiveCourse(self.live)
         self._controller = controller_for(scenario, self, None, arm=self.arm, space="joint")
@@ -113,6 +115,9 @@ class World:
             if steps:
                 mujoco.mj_step(self.scene.model, data, nstep=steps)
             self.t += self.period
+            seen = self.ball.step(data, self.t)
+            if seen is not None:
+                self.live.obstacles(seen)
             if recording is not None:
                 self._was_free |= self._free is not None
                 self._watch(recording)
@@ -126,7 +131,7 @@ class World:
     def say(self, message: Any) -> Status:
         """What the page says, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz, turn]}, m/s
         and rad/s about the vertical; {"stop": true}; {"protected": bool}; {"again": true};
-        {"record": bool}."""
+        {"record": bool}; {"throw": true}."""
         if not isinstance(message, dict) or len(message) != 1:
             return Status("refused", "A message has one key.", False)
         ((key, value),) = message.items()
@@ -141,6 +146,9 @@ class World:
                     return self.live.stop()
                 case "protected" if isinstance(value, bool):
                     return self._protect(value)
+                case "throw" if value is True:
+                    self.ball.throw(self._data, self.t, self.scene.tray_pose(self._data)[0])
+                    return Status("accepted", "", True)
                 case "again":
                     return self._again()
                 case "record" if isinstance(value, bool):
@@ -282,6 +290,11 @@ class World:
             held[k] += contact.friction[0] * force[0]
         return [float(np.linalg.norm(x) / y) if y > 0 else np.inf for x, y in zip(pull, held, strict=True)]
 
+    def measure(self) -> None:
+        """Note how near the ball is to what moves of arm, tray and load."""
+        with self._lock:
+            self.ball.measure(self._data, self._data.qpos[: self.arm.n].copy())
+
     def frame(self) -> dict[str, Any]:
         """What the page shows of this instant, ready for JSON."""
         from salver.reports.replay import joint_poses
@@ -293,6 +306,8 @@ class World:
             v = (R_SE @ (self.arm.body_jacobian(q) @ data.qvel[: self.arm.n])[:3]).tolist()
             state, words = self.live.state, self._displaced()
             used = self.friction_used()
+            self.measure()
+            ball = [{"p": np.round(self.ball.state(data)[0], 4).tolist(), "r": RADIUS}] if self.ball.flies else []
             return {
                 "t": round(self.t, 3),
                 "joints": np.round(joint_poses(q[None], self.arm)[0], 5).ravel().tolist(),
@@ -307,10 +322,12 @@ class World:
                 "restsIn": round(state.rests_in, 3),
                 "limit": state.limit,
                 "margin": round(state.margin, 4),
-                "said": " ".join(filter(None, (state.refused, self.note))),
+                "said": " ".join(filter(None, (state.passing, state.refused, self.note))),
                 "lead": round(state.lead, 3),
                 "recording": None if self._recording is None else round(self._recording.seconds, 2),
                 "path": self._path(),
+                "balls": ball,
+                "passed": round(self.ball.passed, 4) if np.isfinite(self.ball.passed) else None,
             }
 
     def _path(self) -> list[list[float]]:

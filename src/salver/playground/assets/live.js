@@ -78,7 +78,7 @@ function tell() {
     : frame.doing === "following" || frame.doing === "stopping"
       ? `${WORDS[frame.doing]}: at rest in ${frame.restsIn.toFixed(2)} s, limited by ${frame.limit}.`
       : `${WORDS[frame.doing]}.`;
-  byId("detail").textContent = [state.answer, frame.said].filter(Boolean).join(" ");
+  byId("detail").textContent = [state.answer, frame.said, frame.balls.length && frame.passed !== null ? `The ball has come to ${(1000 * frame.passed).toFixed(0)} mm.` : ""].filter(Boolean).join(" ");
   byId("protected").checked = frame.protected;
   byId("limit").textContent = frame.protected ? `${(100 * frame.margin).toFixed(1)} % at ${frame.limit}` : "nothing is committed";
   byId("friction-shown").textContent = frame.load.map((item, i) => `${item.name} ${frame.friction[i].toFixed(2)}`).join(" · ");
@@ -198,6 +198,7 @@ byId("again").addEventListener("click", () => {
   state.goal = null;
   say({ again: true });
 });
+byId("throw").addEventListener("click", () => say({ throw: true }));
 byId("record").addEventListener("click", () => say({ record: state.frame.recording === null }));
 byId("protected").addEventListener("change", (event) => say({ protected: event.target.checked }));
 byId("speed").addEventListener("input", () => (byId("speed-shown").textContent = `${Number(byId("speed").value).toFixed(2)} m/s`));

@@ -1,0 +1,86 @@
+"""A ball that is thrown at the load: where the engine has it, and what is told of it to the live motion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from salver.geometry import GRAVITY_S, Array
+from salver.live import Moving
+from salver.live.obstacles import Passing, predicted
+from salver.models.arm import ArmModel
+from salver.models.arm_geometry import arm_geometry
+from salver.models.payload import Payload
+from salver.playground.surroundings import BALL, RADIUS
+
+FLIGHT = 1.2  # s until it would be at the tray
+AWAY = 1.8  # m from there
+ASIDE = (1.1, 1.9)  # rad to either side of the way in which the arm reaches: from there it flies on past the arm
+SEEN_EVERY = 0.1  # s between looks at it
+OVER = 2.0  # s after which a ball is put away
+UNCERTAINTY, GROWTH = 0.01, 0.05  # m, m/s
+
+
+class Ball:
+    """Of one scene; away until it is thrown."""
+
+    def __init__(self, model: Any, arm: ArmModel, payload: Payload) -> None:
+        joint = model.joint(BALL).id
+        self._qpos, self._qvel = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        self._away = model.qpos0[self._qpos : self._qpos + 7].copy()
+        self._parts, self._base = arm_geometry(arm, payload.bodies), arm.base_position
+        self._rng = np.random.default_rng(0)
+        self._since: float | None = None
+        self._seen = -np.inf
+        self.passed = np.inf  # m, the least distance from what moves of arm, tray and load
+
+    def throw(self, data: Any, t: float, p_SE: Array) -> None:
+        """At what stands on the tray, from the side."""
+        out = p_SE[:2] - self._base[:2]
+        bearing = np.arctan2(out[1], out[0]) + self._rng.choice([-1.0, 1.0]) * self._rng.uniform(*ASIDE)
+        target = p_SE + np.array([0.0, 0.0, 0.08])
+        begin = target + np.array([AWAY * np.cos(bearing), AWAY * np.sin(bearing), 0.2])
+        data.qpos[self._qpos : self._qpos + 7] = [*begin, 1.0, 0.0, 0.0, 0.0]
+        data.qvel[self._qvel : self._qvel + 6] = 0.0
+        data.qvel[self._qvel : self._qvel + 3] = (target - begin) / FLIGHT - 0.5 * FLIGHT * GRAVITY_S
+        self._since, self._seen, self.passed = t, -np.inf, np.inf
+
+    def thrown_by(self, rng: np.random.Generator) -> None:
+        """From where it is thrown, is drawn by `rng` from now on."""
+        self._rng = rng
+
+    @property
+    def flies(self) -> bool:
+        return self._since is not None
+
+    def state(self, data: Any) -> tuple[Array, Array]:
+        return data.qpos[self._qpos : self._qpos + 3].copy(), data.qvel[self._qvel : self._qvel + 3].copy()
+
+    def step(self, data: Any, t: float) -> list[Moving] | None:
+        """After each period. What is to be told of it now; None for nothing new."""
+        if self._since is None:
+            data.qpos[self._qpos : self._qpos + 7] = self._away
+            data.qvel[self._qvel : self._qvel + 6] = 0.0
+            return None
+        p, v = self.state(data)
+        if t - self._since > OVER:
+            self._since = None
+            return []
+        if t - self._seen < SEEN_EVERY:
+            return None
+        self._seen = t
+        if p[2] < self._base[2] + 2 * RADIUS:
+            return []  # it lies on the floor
+        return [
+            Moving("ball", "sphere", p, v, GRAVITY_S, radius=RADIUS, uncertainty=UNCERTAINTY, growth=GROWTH, lasts=1.5)
+        ]
+
+    def measure(self, data: Any, q: Array) -> None:
+        """Note how near it is."""
+        if self._since is None:
+            return
+        p, _ = self.state(data)
+        here = predicted(Moving("ball", "sphere", p, radius=RADIUS), 0.0)
+        distances = Passing(self._parts, (), 0.0).distances(q[None], here, p[None])  # type: ignore[arg-type]
+        self.passed = min(self.passed, float(distances.min()))
