@@ -62,7 +62,7 @@ def _with(motion: Any, waves: list[Hidden], lines: np.ndarray) -> Any:
 
 def _shake(scenario: Scenario, motion: Any, rate: float, noise: float) -> Any:
     mu = float(scenario.objects[0].friction)
-    fine, sampled = (np.arange(0, motion.duration + h, h) for h in (_FINE, 1 / rate))
+    fine = np.arange(0, motion.duration + _FINE, _FINE)
     t = np.arange(0, motion.duration, _STEP)
     s = motion.sample(t)
     felt = np.einsum("tji,tj->ti", s.R_SB, _GRAVITY - s.a_S)
@@ -78,7 +78,7 @@ def _shake(scenario: Scenario, motion: Any, rate: float, noise: float) -> Any:
             first = int(np.argmax(mean))
             middle, R = t[first] + 0.5 * length, s.R_SB[first + window // 2]
             wave = _burst(fine, frequency, length, middle)
-            energy = np.sum(_burst(sampled, frequency, length, middle) ** 2)
+            energy = rate * _FINE * np.sum(wave**2)  # whatever its phase: not seen at its zeros only
             push = felt[first : first + window, :2].mean(axis=0)
             along = np.arctan2(push[1], push[0])
             bend = np.gradient(np.gradient(wave, _FINE), _FINE)

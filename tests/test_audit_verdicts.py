@@ -229,6 +229,12 @@ def test_what_is_taken_for_granted_is_said_first(tmp_path):
     assert of(tmp_path, t, move(t), highest=20.0).worst.sentence.startswith(
         "Taken for granted: nothing shakes the tray faster than 20 Hz. Everything holds"
     )
+    # A shake of 40 Hz, seen at its zeros only, is there in none of 80 samples a second.
+    t = np.arange(201) / 80
+    shaken = of(tmp_path, t, move(t) + 1e-3 * np.sin(2 * np.pi * 40 * t))
+    assert shaken.nominal.sentence.startswith(
+        "Taken for granted: nothing shakes the tray in step with the samples, at 40 Hz; 110 a second would show it. "
+    )
 
 
 @pytest.mark.slow

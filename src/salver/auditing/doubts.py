@@ -14,6 +14,7 @@ from salver.errors import Status
 from salver.geometry import Array
 
 CANNOT_TELL = "cannot_tell"
+CLEAR = 2.2  # samples a period, below which a shake may have been seen at its zeros only, for a tenth of a second
 
 Doubt = tuple[str, str]  # a code, and a clause that says what would tell
 
@@ -103,6 +104,11 @@ class Borne:
         first = [f"Not judged: {clause}. " for _, clause in self._ends()]
         if seen.highest < HIGHEST:
             first.append(f"Taken for granted: nothing shakes the tray faster than {seen.highest:g} Hz. ")
+        if seen.rate < CLEAR * seen.highest:
+            first.append(
+                f"Taken for granted: nothing shakes the tray in step with the samples, at {0.5 * seen.rate:.3g} Hz; "
+                f"{CLEAR * seen.highest:.0f} a second would show it. "
+            )
         return "".join(first)
 
     def _ends(self, which: Sequence[bool] = (True, True)) -> list[Doubt]:
