@@ -23,8 +23,8 @@ HEAD = """\
 # {name}: {duration:.4g} s, {samples} joint positions at {rate:g} Hz. Written by salver {version} from a plan.
 # Speed slider at 100 %, payload set to tray and load: the controller slows a motion down otherwise, and no longer
 # follows the plan.
-# servoj follows {lag:.0f} ms late and smooths: what the tray feels is not quite what was planned, and salver does not
-# know by how much. Record a run (RTDE) and let `salver audit` judge it before you put a load on the tray.
+# servoj follows {lag:.0f} ms late or more and smooths: what the tray feels is not quite what was planned. Record a run
+# with the load strapped to the tray (RTDE), and let `salver track` tell what that costs before you carry it loose.
 def salver_motion():
   local start = {start}
   local q = get_actual_joint_positions()
