@@ -142,7 +142,7 @@ def save_plans(directory: Path, plans: Mapping[str, Plan | Round], force: bool =
     another scenario is left alone: the plans go beside it, so that they are not lost, and the command ends as wrong
     use, because nothing stands where the next command would look for it.
     """
-    from salver.planning.plan import make_way
+    from salver.planning.plan_files import make_way
     from salver.run_directory import EARLIER
 
     before = set(directory.glob(f"{EARLIER}/*"))

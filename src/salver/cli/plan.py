@@ -90,7 +90,7 @@ def plan(
     """
     from salver import scenario as scenarios
     from salver.planning.make import plan_pair
-    from salver.planning.plan import check_place
+    from salver.planning.plan_files import check_place
     from salver.run_directory import check_free
 
     if watch:

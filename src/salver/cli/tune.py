@@ -45,7 +45,8 @@ def tune(
     from salver.learning.tune import engine_robot, step
     from salver.learning.tune import tune as rounds
     from salver.models.arm import load_arm
-    from salver.planning.plan import check_place, load_plan
+    from salver.planning.plan import load_plan
+    from salver.planning.plan_files import check_place
 
     plan = load_plan(directory, stem)
     if out.resolve() == directory.resolve() or (out / f"{stem}.npz").exists():

@@ -11,7 +11,8 @@ from salver.errors import SalverError
 from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.motion_files import Motion
-from salver.planning.plan import COMMAND_LEAD, Plan, plan_of, read_plan
+from salver.planning.plan import COMMAND_LEAD, Plan, plan_of
+from salver.planning.plan_files import read_plan
 
 MOST_SAMPLES = 1e6
 

@@ -14,16 +14,8 @@ from salver.display import Shown
 from salver.errors import FileFormatError, Status
 from salver.files import provenance
 from salver.geometry import Array
-from salver.planning.plan import (
-    Plan,
-    leg_files,
-    load_plan,
-    plan_of,
-    read_files,
-    save_files,
-    status_from,
-    status_record,
-)
+from salver.planning.plan import Plan, load_plan, plan_of, status_from, status_record
+from salver.planning.plan_files import leg_files, read_files, save_files
 from salver.scenario import Scenario
 
 SAME_POSTURE = 1e-9  # rad, m: by which a leg may begin elsewhere than the one before it ended

@@ -18,7 +18,8 @@ from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.models.arm import load_arm
 from salver.planning.fastest import joint_plan, transport_problem
-from salver.planning.plan import Plan, make_way
+from salver.planning.plan import Plan
+from salver.planning.plan_files import make_way
 from salver.scenario import Scenario
 from salver.simulation import creep
 from salver.simulation.physics import Options, Run, measure

@@ -15,7 +15,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from salver.files import output_file, versions, write_atomic
-from salver.planning.plan import read_files
+from salver.planning.plan_files import read_files
 from salver.planning.round import has_legs
 from salver.reports import sections
 from salver.reports.cells import NOTHING, joined

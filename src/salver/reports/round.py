@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
-from salver.planning.plan import PlanFiles
+from salver.planning.plan_files import PlanFiles
 from salver.reports.cells import outcome_cell, percent, table
 from salver.reports.run import Run
 from salver.reports.sections import Sections, tile_list

@@ -17,7 +17,7 @@ from salver.files import read_result, read_sealed
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.bodies import Body
 from salver.models.parameters import Parameter
-from salver.planning.plan import read_plan
+from salver.planning.plan_files import read_plan
 from salver.reports.contact import ContactCurves, contact_curves
 from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest
 

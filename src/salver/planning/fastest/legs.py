@@ -30,7 +30,8 @@ from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.starts import Ends, Start, between, ends
 from salver.planning.fastest.together import together
 from salver.planning.fastest.watch import WHY, Watch
-from salver.planning.plan import Plan, begun_at
+from salver.planning.plan import Plan
+from salver.planning.plan_files import begun_at
 from salver.planning.round import Round
 from salver.scenario import Scenario
 

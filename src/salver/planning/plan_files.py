@@ -1,0 +1,151 @@
+"""The files of a plan: where they may be written, how they are certified, read back and checked.
+
+Scenario, arrays and record, as a run directory holds them; what a `Plan` makes of them is its own affair.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from salver.errors import FileFormatError, ScenarioError
+from salver.files import load_npz, npz_bytes, read_json, to_json, write_atomic, write_json
+from salver.geometry import Array
+from salver.planning import certificate
+from salver.run_directory import CERTIFICATE, SCENARIO, check_free, file_stem, known_stems, leg_number, make_room
+from salver.scenario import Pose, Scenario
+
+NEEDED = ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B")
+
+
+def save_files(
+    scenario: Scenario, arrays: Mapping[str, Array], summary: Mapping[str, Any], directory: Path, stem: str
+) -> Path:
+    """Write a plan's files, certified, as `Plan.save` says; returns the directory."""
+    record = json.loads(to_json(summary))
+    check_place(scenario, directory)
+    write_scenario(scenario, directory)
+    content, path = npz_bytes(arrays), directory / f"{stem}.npz"
+    if path.is_file() and path.read_bytes() != content:
+        make_room(directory, stem)
+    write_atomic(path, content)
+    certified = certificate.certificate(scenario, arrays, record)
+    write_json(directory / f"{stem}.json", {**record, CERTIFICATE: certified})
+    return directory
+
+
+def check_place(scenario: Scenario, directory: Path, *, edited: bool = False, force: bool = False) -> bool:
+    """Raise ScenarioError when the directory belongs to another scenario, SalverError when it is not free.
+
+    edited: plans of a scenario of the same name may be replaced (`make_way`); force: those of any. True when they must.
+    Ask before planning, so that no plan is made in vain.
+    """
+    from salver.scenario import load
+
+    check_free(directory)
+    path = directory / SCENARIO
+    if not path.is_file():
+        return False
+    planned = bool(known_stems(directory))
+    try:
+        existing = load(path)
+    except ScenarioError:
+        if force and planned:
+            return True
+        raise
+    if existing.digest == scenario.digest:
+        return False
+    if planned and (force or (edited and existing.name == scenario.name)):
+        return True
+    ways = " replace its plans with --force," if edited and planned else ""
+    raise ScenarioError(
+        f"{directory} holds the plan of another scenario ({existing.name}, {existing.digest}; this one is "
+        f"{scenario.name}, {scenario.digest}); choose another directory with -o,{ways} or remove that one."
+    )
+
+
+def make_way(scenario: Scenario, directory: Path, *, force: bool = False) -> None:
+    """Move the plans of an earlier version of the scenario, with it and all results, to DIRECTORY/earlier/N.
+
+    force: those of any other scenario. Raises as `check_place`.
+    """
+    if check_place(scenario, directory, edited=True, force=force):
+        make_room(directory, "plan", with_scenario=True)
+
+
+def write_scenario(scenario: Scenario, directory: Path) -> None:
+    """Write the resolved scenario, unless the directory has it already: somebody's own file is not rewritten."""
+    import tomli_w
+
+    path = directory / "scenario.toml"
+    if not path.is_file():
+        write_atomic(path, tomli_w.dumps(scenario.model_dump(mode="json", exclude_none=True)))
+
+
+@dataclass(frozen=True)
+class PlanFiles:
+    """What the files of a plan hold, checked against their certificate. record: plan.json."""
+
+    scenario: Scenario
+    arrays: dict[str, Array]
+    record: dict[str, Any]
+
+
+def read_plan(directory: str | Path, stem: str = "plan", required: tuple[str, ...] = NEEDED) -> PlanFiles:
+    """Read a plan's files; of a plan of several legs, those of the leg that `stem` names ("leg2"). Raises
+    FileFormatError or ScenarioError: none there, damaged, edited since."""
+    found = read_files(directory, stem, required)
+    legs = found.record.get("legs")
+    if legs is None:
+        return found
+    number = leg_number(stem)
+    if number is None or number > len(legs):
+        raise FileFormatError(
+            f"{Path(directory) / 'plan'}.npz is a plan of {len(legs)} legs, and this is for one motion; name a leg: "
+            f"leg1 to leg{len(legs)} (with --stem, where there is one)."
+        )
+    return leg_files(found, number)
+
+
+def leg_files(whole: PlanFiles, number: int) -> PlanFiles:
+    """One leg, 1 for the first, of the files of a plan of several."""
+    prefix = f"leg{number}."
+    arrays = {name.removeprefix(prefix): a for name, a in whole.arrays.items() if name.startswith(prefix)}
+    scenario = whole.scenario.each_leg[number - 1]
+    if number > 1 and scenario.motion.goal_yaw == "free":  # it begins in the heading that was chosen
+        scenario = begun_at(scenario, arrays["p_SB"][0], arrays["quat_SB_wxyz"][0])
+    return PlanFiles(scenario, arrays, whole.record["legs"][number - 1])
+
+
+def begun_at(scenario: Scenario, p_SB: Array, quat_SB_wxyz: Array) -> Scenario:
+    """The scenario of a leg that begins in another pose."""
+    start = Pose.model_validate({"position": p_SB.tolist(), "quat_wxyz": quat_SB_wxyz.tolist()})
+    return scenario.model_copy(update={"motion": scenario.motion.model_copy(update={"start": start})})
+
+
+def read_files(directory: str | Path, stem: str = "plan", required: tuple[str, ...] = ()) -> PlanFiles:
+    """Read a plan's files as they are, also of several legs, all in one. Raises as `read_plan`."""
+    from salver.scenario import load
+
+    directory = Path(directory)
+    if not (directory / "scenario.toml").is_file():
+        raise FileFormatError(
+            f"{directory} is not a run directory: it holds no scenario.toml; "
+            "make one with `salver plan SCENARIO -o DIR`."
+        )
+    scenario = load(directory / "scenario.toml")
+    stem = file_stem(directory, stem)
+    if scenario.legs:
+        required = tuple(f"leg{k + 1}.{name}" for k in range(len(scenario.legs)) for name in required)
+    arrays = load_npz(directory / f"{stem}.npz", required)
+    record = read_json(directory / f"{stem}.json")
+    if not isinstance(record, dict):
+        raise FileFormatError(f"{directory / stem}.json is no record of a plan; write it again with `salver plan`.")
+    certificate.check(directory, stem, scenario, arrays, record)
+    legs = record.get("legs")
+    if (legs is not None) != bool(scenario.legs) or len(legs or ()) != len(scenario.legs):
+        raise FileFormatError(f"{directory / stem}.json is not of as many legs as scenario.toml has; plan again.")
+    return PlanFiles(scenario, arrays, record)
