@@ -219,6 +219,7 @@ def test_noise_does_not_become_acceleration(noise):
     assert np.median(part.acceleration_error) < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "frequency", "length"), [(7e-4, 2.5, 1.0), (1e-4, 3.0, 1.0)])
 def test_an_end_that_is_bent_or_not_at_rest_is_within_the_stated_error(noise, frequency, length):
     # 2.5 m/s^2 that are cut off while they last; noise hides that a curve at rest, or one polynomial, is none of them.
@@ -230,6 +231,7 @@ def test_an_end_that_is_bent_or_not_at_rest_is_within_the_stated_error(noise, fr
         assert np.all(np.abs(part.motion.a_S[:, 1] - truth) < part.acceleration_error + 0.02)
 
 
+@pytest.mark.slow
 def test_a_short_jolt_is_followed_where_it_is_and_nowhere_else():
     t = np.arange(6001) / 1000
     inside = (t > 3) & (t < 3.1)
@@ -414,6 +416,7 @@ def test_what_holds_nominally_may_not_hold_in_the_worst_case():
     assert next(iter(result.costs)) == "friction"
 
 
+@pytest.mark.slow
 def test_what_passes_the_edge_by_less_than_its_acceleration_is_known_cannot_be_told():
     """Half a m/s^2 beyond friction times gravity at two peaks: known to 0.2 m/s^2 it slides, to 1 not."""
     duration = np.sqrt(PEAK / (0.3 * 9.81 + 0.5))

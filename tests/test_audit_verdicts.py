@@ -105,6 +105,7 @@ def test_a_jump_between_two_samples(tmp_path):
         assert rate == 10 or found.outcome == "does_not_hold"
 
 
+@pytest.mark.slow
 def test_joints_are_judged_as_poses_are(tmp_path):
     # The first joint, upright, swings by a sin: the tray at distance r needs r a omega^2.
     arm = load_arm(CUBE.arm, CUBE.tray)

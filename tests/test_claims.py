@@ -317,6 +317,7 @@ def test_contacts_with_too_many_facets_are_refused() -> None:
 # Numbers at their ends ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("condition", ["exact", "paper"])
 @pytest.mark.parametrize(
     "changes",

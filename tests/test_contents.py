@@ -227,6 +227,7 @@ def test_what_cannot_be_is_refused(change: dict, said: str) -> None:
         load("panda-cube").with_changes(**change)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_samples_of_any_contents_are_contents_that_can_be(method: str) -> None:
     payload = load("any-box-56").payload

@@ -186,6 +186,7 @@ def test_a_stop_from_the_middle_of_a_motion_keeps_every_condition(on_the_way, t)
     assert np.abs(np.diff(z[0], axis=0) / steps - 0.5 * (z[1, 1:] + z[1, :-1])).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_what_is_left_of_a_fastest_motion_is_fastest(on_the_way):
     """Bellman: planned anew from the middle, a motion to the same goal takes as long as the rest of the first one."""
     t = 0.35

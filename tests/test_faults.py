@@ -81,6 +81,7 @@ def test_one_bad_sample_is_bridged_and_the_motion_goes_on(rig: Rig, name: str, v
     assert outcome.result.arrays["tray_e_p"].max() < 5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("franka", [False, True])
 @pytest.mark.parametrize("lasts", [10, 11, 10**6])
 def test_the_model_bridges_ten_periods_and_not_eleven(rig: Rig, lasts: int, franka: bool) -> None:
@@ -345,6 +346,7 @@ class _Careful:
         return self.inner.reference(s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fails", [False, True])
 def test_another_stop_can_be_given_and_the_cool_one_stands_behind_it(rig: Rig, fails: bool) -> None:
     plan, arm, carried = rig.plan, rig.arm, rig.carried

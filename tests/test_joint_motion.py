@@ -188,6 +188,7 @@ def test_scenario_brings_its_posture_and_its_load(panda, cube):
         follow_scenario(CUBE.with_changes(arm=None), line())
 
 
+@pytest.mark.slow
 def test_scenario_brings_the_seed_of_its_start(panda, cube):
     free, _ = follow_scenario(CUBE.with_changes(arm__start_posture=None, seed=1), line())
     same, other = (follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], seed=seed)[0] for seed in (1, 0))

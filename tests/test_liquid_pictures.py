@@ -59,6 +59,7 @@ def upward_S(poses, slope):
     return np.einsum("tij,tj->ti", matrix_from_quat_wxyz(poses[:, 3:]), normal)
 
 
+@pytest.mark.slow
 def test_in_a_tilted_cup_the_surface_of_the_engine_is_level(coffee, tmp_path):
     """Whatever the cup does: at rest a surface is horizontal. 0.1 mm in 0.6 s is 0.0016 m/s^2, 2e-4 rad."""
     run = tilting(coffee, tmp_path)

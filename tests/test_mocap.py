@@ -90,6 +90,7 @@ def _logged(plan: Plan) -> dict[str, np.ndarray]:
     return {"t": t, "p_SE": np.array([p for p, _ in poses]), "quat_SE_wxyz": turned}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quaternions", [False, True])
 def test_motion_capture_of_a_faithful_cube_shows_no_error(plan: Plan, tmp_path: Path, quaternions: bool) -> None:
     _capture(plan, tmp_path / "vicon.csv", quaternions=quaternions)
@@ -159,6 +160,7 @@ def _moved(name: str, by: Callable[[Array], Array]) -> Callable[[Tracks], Tracks
     return change
 
 
+@pytest.mark.slow
 def test_a_load_that_stayed_is_said_to_hold_and_one_that_slid_to_slide(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "vicon.csv"
     _capture(plan, path)

@@ -107,6 +107,7 @@ def test_mass_alone_does_not_make_a_body_slide_that_follows_its_tray():
     assert max(light.slip.max(), heavy.slip.max()) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_tall_object_tips_where_moments_say():
     """A bottle of radius r, centre of mass h up, tips first about the front of its base when a > g r / h."""
     scenario = bottle()

@@ -59,6 +59,7 @@ def test_same_scenario_gives_identical_arrays(plan):
         assert np.array_equal(array, again[name]), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("maker", [plan_object, plan_baseline])
 @pytest.mark.parametrize("name", ["panda-cube", "panda-cube-yaw"])
 def test_a_saved_plan_loads_as_it_was(tmp_path, maker, name):
@@ -99,6 +100,7 @@ def test_unsafe_baseline_is_reported_as_unsafe():
     assert "not safe" in baseline.status.sentence
 
 
+@pytest.mark.slow
 def test_arm_follows_the_plan(tmp_path):
     plan = make_plan(PAPER)
     assert plan.arm_status.ok

@@ -207,6 +207,7 @@ def test_tilt_stays_below_its_limit_and_less_freedom_costs_more():
     assert plans[0].cost < plans[1].cost < plans[2].cost
 
 
+@pytest.mark.slow
 def test_shortest_tilting_plans_are_found_from_the_waiters_tilt():
     plan = plan_object(changed(motion__orientation="free", motion__duration=0.6))
     assert plan.ok

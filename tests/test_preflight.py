@@ -68,6 +68,7 @@ def test_good_plans_pass_every_check(plan: Plan, arm: ArmModel) -> None:
     demand(checks + check_franka(plan, arm))
 
 
+@pytest.mark.slow
 def test_a_plan_that_tilts_the_tray_passes_every_check(arm: ArmModel) -> None:
     """Poses are compared where the tray is neither level nor straight."""
     tilting = make_plan(scenario.load("panda-cube"), "fastest")

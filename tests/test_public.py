@@ -117,6 +117,7 @@ def test_a_run_as_tables(run):
     assert len(frame) == len(run.t)
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_page_of_a_plan_that_was_never_saved(plan, run, tmp_path):
     shown = sv.report(plan, run)
     assert shown.path is None

@@ -203,6 +203,7 @@ def test_a_waypoint_beyond_a_limit_is_named():
         plan_retimed(load("panda-cube"), q)
 
 
+@pytest.mark.slow
 def test_command_reads_waypoints_and_writes_a_run(problem, tmp_path):
     q = swing(problem, 0.6).derivatives(np.linspace(0, 1, 4), 0)[0]
     file = tmp_path / "waypoints.csv"

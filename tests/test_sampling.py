@@ -28,6 +28,7 @@ def cube(**uncertainty):
     return base
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("uncertain", [BOX, ELLIPSOID], ids=["box", "ellipsoid"])
 def test_samples_lie_in_the_set_and_come_again_with_the_same_seed(method, uncertain):

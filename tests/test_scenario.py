@@ -368,6 +368,7 @@ def test_unknown_name_lists_the_known_ones():
         assert name in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", scenario.names())
 def test_ready_made_scenarios_are_valid_and_cite_their_source(name):
     item = scenario.load(name)
