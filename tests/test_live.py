@@ -15,10 +15,13 @@ from live_runs import drive, executed, in_turn, jolts, rows_of
 from salver.errors import ScenarioError
 from salver.live import Live, Worker
 from salver.live.motion import between, joined, resting
+from salver.live.replan import straight
 from salver.live.verify import instants, verified
 from salver.planning.fastest import fastest, joint_plan
 from salver.planning.fastest.constraints import Contact, evaluate
+from salver.planning.fastest.ends import AtPose, AtPosture
 from salver.planning.fastest.exchange import optimise
+from salver.planning.postures import PoseTarget
 from salver.trajectory import JointMotion
 
 LEAD = 0.1  # s: in simulated time planning takes none, and hand-overs are where they would be
@@ -371,3 +374,12 @@ def test_resting_is_a_motion_too(cube):
     live = Live(cube)
     motion = resting(live.problem.start.q)
     assert verified(live.problem, motion, 3.0, live.committed).committed is not None
+
+
+def test_the_first_guess_of_a_way_ends_in_the_posture_that_is_nearest(cube):
+    """A redundant arm reaches a pose in many ways: to where the tray is already it takes none at all."""
+    problem = Live(cube).problem
+    begun = replace(problem, start=AtPosture(problem.start.q))
+    p, R = problem.arm.tray_pose(problem.start.q)
+    guess = straight(replace(begun, goal=AtPose(PoseTarget(p, R))))
+    assert np.abs(guess.coefficients - problem.start.q).max() < 1e-3
