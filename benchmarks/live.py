@@ -213,7 +213,7 @@ def main() -> None:
     if asked.docs:
         rows, worst = "\n".join(tally.row() for tally in tallies), max(tally.worst for tally in tallies)
         page = HEAD.format(
-            n=asked.n, rows=rows, median=median, most=most, worst=worst, balls="; ".join(thrown), evading=EVADING
+            n=asked.n, rows=rows, median=median, most=most, worst=worst, balls=";\n".join(thrown), evading=EVADING
         )
         PAGE.write_text(page, encoding="utf-8")
 
