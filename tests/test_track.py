@@ -19,7 +19,7 @@ from salver.export.motion import read_motion
 from salver.geometry import Array
 from salver.learning.executed import executed, read_joints
 from salver.learning.track import Judge, track
-from salver.learning.tune import corrected, engine_robot, step, tune, with_margin
+from salver.learning.tune import beyond_limits, corrected, engine_robot, step, tune, with_margin
 from salver.models.arm import load_arm
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import joint_samples
@@ -27,6 +27,7 @@ from salver.planning.plan import Plan, load_plan
 from salver.scenario import load
 from salver.simulation.physics import Experiment
 from salver.simulation.robots import robot_for
+from salver.trajectory import JointMotion
 
 UNEQUAL = [14.4, 9.6, 12.0, 13.2, 10.8, 14.4, 9.6]  # Hz: 12 and a fifth more or less
 
@@ -260,6 +261,16 @@ def test_commands_tell_and_keep_to_their_codes(plan: Plan, directory: Path, tmp_
     quiet = run.invoke(app, ["tune", str(directory), "-o", str(tmp_path / "ideal")])
     assert quiet.exit_code == 0
     assert load_plan(tmp_path / "ideal").command is None
+
+
+def test_a_command_beyond_the_makers_limits_is_said(plan: Plan) -> None:
+    """The plan itself keeps them; a command that bends four times as hard does not."""
+    joint = plan.joint
+    assert joint is not None
+    assert beyond_limits(plan) == ""
+    assert beyond_limits(replace(plan, command=joint)) == ""
+    hard = JointMotion(joint.t, joint.q, joint.dq, 4 * joint.ddq)
+    assert "of acceleration" in beyond_limits(replace(plan, command=hard))
 
 
 def test_what_cannot_be_tracked_or_tuned_is_said(plan: Plan, tmp_path: Path) -> None:

@@ -50,10 +50,15 @@ def track(
         raise typer.Exit(NO_SAFE_PLAN)
 
 
+def unseen(found: Tracking) -> str:
+    """What the verdict does not cover, in words."""
+    return f"{UNSEEN}; what shakes faster than {found.done.fastest:.0f} Hz"
+
+
 def record(found: Tracking) -> dict[str, Any]:
     """For machines. Rows as shares of the weight."""
     return {
-        "not_checked": UNSEEN,
+        "not_checked": unseen(found),
         "ok": found.ok,
         "row": found.row,
         "uncertainty": found.uncertainty,
@@ -89,7 +94,7 @@ def _show(found: Tracking, directory: Path) -> None:
     from rich.table import Table
 
     console = result_console()
-    console.print(headed("not checked", UNSEEN + "."))
+    console.print(headed("not checked", f"{unseen(found)}."))
     console.print(headed("executed", verdict(found)))
     console.print(
         f"The log's clock is {found.done.shift:.4f} s ahead of the plan's; the plan keeps {-100 * found.planned:.1f} %."

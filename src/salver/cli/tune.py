@@ -9,7 +9,7 @@ import typer
 
 from salver.cli.audit import Topic
 from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, say
-from salver.cli.track import UNSEEN, record, verdict
+from salver.cli.track import record, unseen, verdict
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def _show(made: list[Round], first: float) -> None:
     from rich.table import Table
 
     console = result_console()
-    console.print(headed("not checked", f"{UNSEEN}; runs that differ from each other."))
+    console.print(headed("not checked", f"{unseen(made[-1].tracking)}; runs that differ from each other."))
     table = Table(box=None, padding=(0, 3, 0, 0))
     for title in ("round", "duration", "worst row", "of the plan", "late by", "then"):
         table.add_column(title, justify="left" if title == "then" else "right")

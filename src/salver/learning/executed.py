@@ -77,6 +77,11 @@ class Executed:
     def step(self) -> float:
         return float(self.t[1] - self.t[0])
 
+    @property
+    def fastest(self) -> float:
+        """Hz, above which nothing was looked for."""
+        return min(FASTEST / self.step, SEEN)
+
     def again(self, noisy: Array) -> Executed:
         """The same with another logged deviation (K, n), smoothed anew."""
         return _smoothed(self.source, self.t, noisy, self.shift, self.plan, self.answers, self.each)

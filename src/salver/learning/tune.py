@@ -113,7 +113,20 @@ def step(plan: Plan, log: JointSamples) -> Round:
 
 
 def _done(number: int, seen: Tracking) -> Round:
-    return Round(number, seen, "done", "What was executed keeps the load for every load of the ranges.", seen.plan)
+    told = f"What was executed keeps the load for every load of the ranges. {beyond_limits(seen.plan)}".rstrip()
+    return Round(number, seen, "done", told, seen.plan)
+
+
+def beyond_limits(plan: Plan) -> str:
+    """Which of the maker's limits the command of a plan oversteps, in words; empty for none, or without a command."""
+    if plan.command is None or plan.scenario.arm is None:
+        return ""
+    limits, told = load_arm(plan.scenario.arm, plan.scenario.tray).limits, plan.command
+    t = np.arange(0.0, told.duration, 1e-3)
+    q, dq, ddq = told.sample(t)
+    shares = limits.shares({"position": q, "velocity": dq, "acceleration": ddq, "jerk": told.jerk(t)})
+    over = [f"{100 * float(np.abs(x).max()):.0f} % of {key}" for key, x in shares.items() if np.abs(x).max() > 1]
+    return f"The command asks for {', '.join(over)} that the maker allows: the robot may not take it." if over else ""
 
 
 def _commanded(number: int, seen: Tracking) -> Round:
