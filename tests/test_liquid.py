@@ -18,6 +18,7 @@ from salver.models.tray_motion import at_rest
 from salver.models.wrench_cone import facets
 from salver.planning.fastest.evaluation import sloshes
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
+from salver.planning.object.problem import Problem
 from salver.sensitivity.sloshing import Liquids, Slosh, Spill
 from salver.sensitivity.wave_gradients import wrench_by
 from salver.sensitivity.waves import Case, Cases, Waves, along, cases
@@ -315,6 +316,35 @@ def test_a_lid_keeps_the_liquid_in_and_its_force(coffee):
     spill = whole.spills(True)[0]
     assert np.isinf(spill.left).all()
     assert np.abs(whole.nominal["cup"][0].wrench).max() > 0.1
+
+
+LEVEL = {"motion__orientation": "fixed", "motion__goal_yaw": "fixed"}
+
+
+@pytest.mark.slow
+def test_a_level_plan_of_a_given_duration_keeps_the_coffee(coffee):
+    """In 1 s, in which the straight line does not: over all fills and dampings, on the finer grid of the check."""
+    made = coffee.with_changes(motion__duration=1.0, motion__degree=12, **LEVEL)
+    line, plan = sv.plan(made, "baseline", arm=False), sv.plan(made, arm=False)
+    assert not line.verification.ok
+    assert plan.status.ok, plan.status.sentence
+    assert plan.verification.ok, plan.verification.sentence
+    assert plan.margins.verdict(worst=True).ok
+
+
+def test_tangents_of_a_level_plan_agree_with_differences(coffee):
+    """Of the room that waves leave, of their steepness, of what is left at the end, and of contact with the slosh."""
+    problem = Problem(coffee.with_changes(motion__duration=1.1, **LEVEL), 61)
+    rows = problem.linearise(np.zeros(problem.size)).rows
+    rng = np.random.default_rng(5)
+    step, move = 1e-2 * rng.normal(size=problem.size), rng.normal(size=problem.size)
+    for part, columns in ((rows[0], [0, 7, 30]), (rows[1], [0, 3, 5, 7, 9])):
+        slack, terms = part.slack(step)
+        instant, row = np.repeat([20, 41, 60], len(columns)), np.tile(columns, 3)
+        offset, slope = part.cuts(instant, row, terms[instant, row])
+        np.testing.assert_allclose(offset + slope @ step, slack[instant, row], atol=1e-12)
+        up, down = (part.slack(step + sign * 1e-6 * move)[0][instant, row] for sign in (1, -1))
+        np.testing.assert_allclose(slope @ move, (up - down) / 2e-6, atol=1e-4 * np.abs(slope @ move).max())
 
 
 def test_what_does_not_know_liquids_says_so(coffee):

@@ -33,10 +33,11 @@ def plan_object(scenario: Scenario) -> Plan:
     Where that asks too much, at last at all instants of the check and with no more margin than the scenario's.
     """
     _need_duration(scenario)
-    if scenario.payload.liquids:
+    if scenario.payload.liquids and scenario.motion.may_turn:
         raise ScenarioError(
-            f"{scenario.name}: the robust plan of a given duration does not know liquids, and there is one in "
-            f"{scenario.payload.liquids[0].name}; plan with --fastest."
+            f"{scenario.name}: the robust plan of a given duration knows liquids on a tray that keeps its orientation, "
+            f"and {scenario.payload.liquids[0].name} holds one; plan with --fastest, or give "
+            'motion.orientation = "fixed".'
         )
     began = time.perf_counter()
     problem, finest = Problem(scenario, scenario.motion.nodes), FINER * (scenario.motion.nodes - 1) + 1

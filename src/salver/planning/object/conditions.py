@@ -9,6 +9,7 @@ the uncertain set (`salver.models.contact_rows`), as a share of the normal force
 tray needs Y(t) phi whatever its phi, so this worst case is not first order.
 
 Both are a linear value minus a norm of linear terms, concave: at fixed orientation, concave in the plan's variables.
+Liquids add to the exact one what `salver.planning.object.liquid_rows` says.
 """
 
 from __future__ import annotations
@@ -29,12 +30,15 @@ from salver.models.parameters import Parameter
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, PRODUCTS, frame_map, wrench_map
 from salver.models.worst_case import UncertainRows
+from salver.planning.object.liquid_rows import BrimRows, SloshingRows, Wet
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
 from salver.sensitivity.sloshing import Liquids, Sloshed, Spill
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
+from salver.sensitivity.waves import Case, cases
 
 Indices = npt.NDArray[np.intp]
+Known = dict[str, tuple[Case, ...]]  # cases of each liquid, by its body
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
 LIQUID = "liquid in "  # and whose it is
@@ -75,7 +79,10 @@ def conditions_for(scenario: Scenario) -> list[Condition]:
     """
     limit = scenario.motion.max_tilt_deg
     tilt = [] if limit is None else [_tilt(float(np.deg2rad(limit)))]
-    return [*_contact_conditions(scenario), *(_brim(body) for body in scenario.payload.liquids), *tilt]
+    payload = scenario.payload
+    known = {body.name: cases(body, payload.uncertain) for body in payload.liquids}
+    brims = [_brim(body, payload.first, known) for body in payload.liquids]
+    return [*_contact_conditions(scenario, known), *brims, *tilt]
 
 
 def unit_of(scenario: Scenario, owner: str) -> str:
@@ -90,12 +97,12 @@ def apart(owner: str) -> bool:
     return owner == TILT or owner.startswith(LIQUID)
 
 
-def _contact_conditions(scenario: Scenario) -> list[Condition]:
+def _contact_conditions(scenario: Scenario, known: Known) -> list[Condition]:
     payload = scenario.payload
     first = payload.first
     payload.check_places()
     if scenario.contact.condition == "exact":
-        return [_exact(rows.seen_from(first.p_EB, first.R_EB)) for rows in contact_rows(payload)]
+        return [_exact(rows, first, known) for rows in contact_rows(payload)]
     if payload.liquids:
         raise ScenarioError(
             f'{scenario.name}: contact.condition = "paper" knows no liquids, and there is one in '
@@ -226,13 +233,16 @@ class MotionRows:
         return np.einsum("mi,mi->m", rows, self.w[instant]), np.einsum("mi,miz->mz", rows, self.w_jacobian[instant])
 
 
-def _exact(rows: ContactRows) -> Condition:
+def _exact(rows: ContactRows, first: Body, known: Known) -> Condition:
     owner = tuple(rows.network.interfaces[int(e)].name for e in rows.interface)
+    of_B = rows.seen_from(first.p_EB, first.R_EB)
 
-    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> MotionRows:
+    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> Rows:
         del loop  # a body that follows its tray needs the same wrench whatever the controller does
+        if liquids is not None and n_z:
+            return SloshingRows(owner, rows, _wet(known, liquids, motion, n_z, first))
         sloshed = 0.0 if liquids is None else Sloshed.of(rows, liquids.worst).values
-        return MotionRows(owner, rows, *motion_vector(motion, n_z), sloshed)
+        return MotionRows(owner, of_B, *motion_vector(motion, n_z), sloshed)
 
     return along
 
@@ -257,7 +267,7 @@ def motion_vector(motion: BodyMotion, n_z: int) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class BrimRows:
+class RoomLeft:
     """Share of the room that a liquid leaves (T,), at its worst case, what it does after the motion at the end."""
 
     owner: tuple[str, ...]
@@ -273,12 +283,21 @@ class BrimRows:
         raise NotImplementedError
 
 
-def _brim(body: Body) -> Condition:
-    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> BrimRows:
+def _brim(body: Body, first: Body, known: Known) -> Condition:
+    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> Rows:
         assert liquids is not None
-        return BrimRows((LIQUID + body.name,), Spill.of(body.name, liquids.worst[body.name]).slack)
+        if n_z:
+            only = {body.name: known[body.name]}
+            return BrimRows(LIQUID + body.name, body.name, _wet(only, liquids, motion, n_z, first))
+        return RoomLeft((LIQUID + body.name,), Spill.of(body.name, liquids.worst[body.name]).slack)
 
     return along
+
+
+def _wet(known: Known, liquids: Liquids, motion: BodyMotion, n_z: int, first: Body) -> Wet:
+    w, w_jacobian = motion_vector(motion, n_z)
+    to_E = frame_map(*invert(first.p_EB, first.R_EB))
+    return Wet(known, liquids.t, w @ to_E.T, to_E @ w_jacobian)
 
 
 # The limit on tilt -------------------------------------------------------------------------------------------

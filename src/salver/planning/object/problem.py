@@ -22,11 +22,13 @@ import numpy as np
 from salver.geometry import Array, hat, log, right_jacobian_inverse
 from salver.models.bodies import Body
 from salver.models.parameters import UncertainSet
+from salver.models.tray_motion import N_MOTION
 from salver.planning.object.conditions import Condition, Rows, conditions_for
 from salver.planning.object.cost import column_scale, integration_weights, row_scale, tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.filter import QuadratureGrid, fastest_rate
+from salver.sensitivity.sloshing import Liquids
 from salver.sensitivity.tray import BodyMotion, TrayLoop, TraySensitivity
 from salver.trajectory import (
     MotionSamples,
@@ -120,11 +122,16 @@ class Problem:
     def is_affine(self) -> bool:
         """Whether cost residuals and constraints are affine in z, so that one convex solve is the answer.
 
+        Waves on a tray that lifts are stiffer, which is a product of two things that depend on z.
         In the closed loop an uncertain centre of mass turns the object against the reference, and the force it
         feels is then turned: a product of two things that depend on z.
         """
         turned = any(parameter.kind == "com" for parameter in self.uncertain.parameters)
-        return not self.rotates and not (turned and self.scenario.contact.condition == "paper")
+        return (
+            not self.rotates
+            and not self.scenario.payload.liquids
+            and not (turned and self.scenario.contact.condition == "paper")
+        )
 
     # Variables -------------------------------------------------------------------------------------------
 
@@ -275,7 +282,8 @@ class Problem:
         residual = np.concatenate([residual, smooth + smooth_jacobian @ z])
         jacobian = np.concatenate([jacobian, smooth_jacobian])
         motion, sensitivity = motion.thinned(self.every), sensitivity.thinned(self.every)
-        rows = tuple(condition(motion, sensitivity, self.size, None) for condition in self.conditions)
+        liquids = Liquids.along(self.scenario.payload, self.grid.t[:: self.every], np.zeros((0, N_MOTION)))
+        rows = tuple(condition(motion, sensitivity, self.size, liquids) for condition in self.conditions)
         goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
         if theta is not None:
             goal, goal_jacobian = self._goal(on_grid.R_SB[-1], theta[-1])

@@ -8,7 +8,7 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import GRAVITY_S, Array, exp, log
-from salver.planning.object.conditions import TILT, unit_of
+from salver.planning.object.conditions import apart, unit_of
 from salver.planning.object.problem import Linearisation, Problem
 from salver.planning.object.subproblem import TOLERANCE, Step, solve_model
 
@@ -149,7 +149,7 @@ def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: 
     k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
     short, t, owner = problem.margin - float(slack[k, i]), float(problem.grid.t[k * problem.every]), worst.owner[i]
     what = "cone coefficient" if contact.condition == "paper" else "facet of the contact wrench cone"
-    where = owner if owner == TILT else f"{owner} ({what} {i})"
+    where = owner if apart(owner) else f"{owner} ({what} {i})"
     shown = "No reference of this degree and duration is safe" if proven else "No safe reference was found"
     unit = unit_of(problem.scenario, owner)
     if short <= problem.margin:
