@@ -197,10 +197,10 @@ class Case:
 
 
 def pack() -> Iterator[Case]:
-    """Every ready scenario without a liquid: its own line at its own duration (or in a second), in .8 and .6 of it."""
+    """Every ready scenario of one leg without a liquid, in its own duration (or a second), in .8 and .6 of it."""
     for name in names():
         scenario = load(name)
-        if any(item.liquid for item in scenario.objects):
+        if scenario.legs or any(item.liquid for item in scenario.objects):
             continue
         ends = scenario.motion.start, scenario.motion.goal
         (p_start, R_start), (p_goal, R_goal) = ((np.array(end.position), end.rotation) for end in ends)
