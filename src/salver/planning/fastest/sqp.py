@@ -43,7 +43,7 @@ BENT = 2e-4  # violation of a trial, beyond the programme's own, that is worth a
 STILL_NEAR = 3.0  # times the violation of a trial: rows that are further from their edge are not for its correction
 POOR, GOOD = 0.8, 0.3  # shares of what was hoped for: below, a correction is tried; above, a step is taken as it is
 LEAST_RATIO = 0.01  # of what was hoped for that a step must bring
-FUTILE = 6  # iterations in turn of which none promises less violation, by ...
+FUTILE = 6  # iterations in turn of which none promises or reaches less violation, by ...
 LESS = 0.05  # ... this share, than one before did: another start is better
 
 
@@ -334,7 +334,7 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
     trust = replace(trust or Trust(), penalty=options.penalty, least_damping=options.least_damping)
     path, forced = start, tuple(np.zeros(block.values.shape, dtype=bool) for block in start.blocks)
     idle = programmes = done = futile = 0
-    least = np.inf
+    least = lowest = np.inf
     code = "iteration_limit"
     while done < options.iterations:
         done += 1
@@ -349,8 +349,10 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
                 break
             continue
         programmes += attempt.programmes
-        futile = futile + 1 if attempt.slack > max(options.violation, (1 - LESS) * least) else 0
-        least = min(least, attempt.slack)
+        # Far from every edge a programme promises too much: that what was reached gets less is progress as well.
+        nearer = path.violation < (1 - LESS) * lowest
+        futile = futile + 1 if attempt.slack > max(options.violation, (1 - LESS) * least) and not nearer else 0
+        least, lowest = min(least, attempt.slack), min(lowest, path.violation)
         enough = options.gain * programme.objective.scale(path.point, path.cost)
         forced = tuple(mask | more for mask, more in zip(forced, attempt.unseen, strict=True))
         if attempt.trial is not None and attempt.ratio > LEAST_RATIO:
