@@ -35,6 +35,7 @@ from salver.simulation.robots import each_joint
 
 FOOT_RADIUS = 5e-4  # m
 SMALL_POINT = 1e-6  # of m L^2: the inertia about itself of a mass that stands for a point
+LEAST_INERTIA = 1e-12  # kg m^2; the engine takes less for none, and a gram swings on a few millimetres in a thin glass
 DOWN = np.array([0.0, 0.0, -1.0])
 HULL_GAP = 3e-4  # m between the hull's base and the feet: closed once an object tips
 DAMPING_WIDTH = 0.95  # d_max of solimp: with solref it sets the contact's damping 2 / (d_max timeconst)
@@ -379,7 +380,8 @@ def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
                 axis=axis,
                 damping=np.array([2 * damping * omega * mass * length**2, 0.0, 0.0]),
             )
-        _set_inertia(bob, mass, np.array([0.0, 0.0, -length]), SMALL_POINT * mass * length**2 * np.eye(3))
+        own = max(SMALL_POINT * mass * length**2, LEAST_INERTIA)
+        _set_inertia(bob, mass, np.array([0.0, 0.0, -length]), own * np.eye(3))
     site = f"salver:surface:{k}"
     body.add_site(name=site, pos=load.surface_B, group=5)
     for name, kind in (("velocity", mujoco.mjtSensor.mjSENS_VELOCIMETER), ("turn", mujoco.mjtSensor.mjSENS_GYRO)):
