@@ -210,12 +210,11 @@ def pack() -> Iterator[Case]:
 
 
 def demand(item: Load, reference: Reference) -> float:
-    """Of one object on a level tray that does not turn. Friction: |a_h| of mu (g + a_z). Tipping: where the resultant
-    of weight and inertia meets the tray, against each edge of the base."""
+    """Of one object on a level tray that does not turn, B along S. Friction: |a_h| of mu (g + a_z). Tipping: where the
+    resultant of weight and inertia meets the tray, against each edge of the base."""
     a = reference.sample(np.linspace(0, reference.duration, 2001)).a_S
     level, weight = a[:, :2], GRAVITY + a[:, 2]
-    com = item.R_EB @ item.inertial.com_B
-    corners = (item.R_EB @ item.outline_B.T).T - com
+    corners = item.outline_B - item.inertial.com_B
     height = -corners[:, 2].mean()
     sliding = np.linalg.norm(level, axis=1) / (item.friction * weight)
     base = corners[np.argsort(np.arctan2(corners[:, 1], corners[:, 0])), :2]
