@@ -23,6 +23,8 @@ from salver.sensitivity.sloshing import Liquids, Slosh, Spill
 from salver.sensitivity.wave_gradients import wrench_by
 from salver.sensitivity.waves import Case, Cases, Waves, along, cases
 from salver.simulation import outcome
+from salver.simulation.physics import simulate_tray
+from salver.trajectory import min_jerk_line
 
 CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
 BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
@@ -404,6 +406,19 @@ def test_a_beaker_is_still_when_it_should_be():
         after = record.surface[record.t > plan.duration + liquid.within, 0, 2]
         assert len(after) > 10
         assert np.nanmax(after) < liquid.settled
+
+
+def test_a_thin_glass_of_oil_stands_in_the_engine_with_all_its_weight(coffee):
+    """What moves of its second mode is under a gram on millimetres: an inertia that is nothing to the engine."""
+    shape = {"type": "cylinder", "radius": 0.022, "height": 0.11}
+    oil = {"kind": "oil", "radius": 0.018, "fill": 0.07, "brim": 0.105}
+    glass = {"objects__0__shape": shape, "objects__0__liquid": oil, "objects__0__mass": 0.1}
+    made = coffee.with_changes(arm=None, physics__settle_before=0.3, physics__settle_after=0.0, **glass)
+    at = np.array(made.motion.start.position)
+    record = simulate_tray(min_jerk_line(0.3, at, at, np.eye(3), np.eye(3)), made)
+    weight = 9.81 * (0.1 + made.payload.first.liquid.density * np.pi * 0.018**2 * 0.07)
+    assert record.outcome == "holds"
+    np.testing.assert_allclose(record.contact_force_E[-1, 0], [0, 0, weight], atol=2e-3 * weight)
 
 
 def test_audit_knows_that_a_line_spills(coffee):
