@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from salver.errors import SalverError
 from salver.scenario import Scenario
 from salver.simulation.physics import simulate_tray
 
@@ -53,7 +54,15 @@ def rivals(scenario: Scenario, motion: Any, rate: float, noise: float) -> list[A
 
 def loses(scenario: Scenario, motion: Any, rate: float, noise: float) -> bool:
     """Whether the engine loses the load of one of them."""
-    return any(simulate_tray(other, scenario).outcome != "holds" for other in rivals(scenario, motion, rate, noise))
+    return any(outcome_of(other, scenario) != "holds" for other in rivals(scenario, motion, rate, noise))
+
+
+def outcome_of(motion: Any, scenario: Scenario) -> str:
+    """What the physics engine says of it; a load that is thrown so hard that the engine diverges is lost."""
+    try:
+        return simulate_tray(motion, scenario).outcome
+    except SalverError:
+        return "diverges"
 
 
 def _with(motion: Any, waves: list[Hidden], lines: np.ndarray) -> Any:

@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from audit_rivals import loses
+from audit_rivals import loses, outcome_of
 from salver.auditing import audit
 from salver.auditing.motion import forward
 from salver.contact_margins import margin_model
@@ -42,7 +42,6 @@ from salver.geometry import exp, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel, load_arm
 from salver.models.tray_motion import motion_vector
 from salver.scenario import Scenario, load
-from salver.simulation.physics import simulate_tray
 from salver.trajectory import MotionSamples, min_jerk_line
 
 ROOT = Path(__file__).parent.parent
@@ -362,7 +361,7 @@ def case(seed: int, index: int, engine: str = "lost") -> Case:
     hidden = result.hidden()[0].distance
     seen = ""
     if need > 0.95 and (engine == "lost" or said == "holds" or reasons == "noise"):
-        seen = simulate_tray(motion, scenario).outcome
+        seen = outcome_of(motion, scenario)
     made = Case(kind, base, form, frequency, rate, noise, size, need, said, reasons, hidden, seen)
     return replace(made, rival=made.counted and loses(scenario, motion, rate, noise))
 
