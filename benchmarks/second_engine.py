@@ -309,7 +309,7 @@ def compare(cases: Iterator[Case], title: str) -> list[str]:
             f" Of the {below} that ask for less than there is, MuJoCo keeps {right['MuJoCo']}, Drake {right['Drake']}. "
             "What asks for more slides or rocks, and is called lost from half a millimetre or two degrees on:"
         )
-    return [sentence, *rows]
+    return [sentence, *(["", *rows] if rows else [])]
 
 
 def main() -> None:

@@ -130,6 +130,7 @@ class Drive:
         self.stop: Stop | None = None
         self.gate: TorqueGate | None = None
         self.stopped, self.since, self.interruptions, self.unsure = "", 0.0, 0, False
+        self.stopping = 0  # periods of the stop
         self.renewals, self.seen = 0, True  # all along the stop
         # Time never advances by less than half a period, so this is enough.
         self.book = _Book(2 * int((self.end - self.start + STOP_ROOM) / self.period), self.arm.n)
@@ -190,6 +191,7 @@ class Drive:
             self.seen &= self.stop is None or not sensed.wrong
             # After a write of which nobody knows whether it was done, the same torque again: no rate is overstepped.
             self.torque = gate(self.torque if self.unsure else demanded)
+            self.stopping += self.stop is not None
             last = self.over(sensed.state)
             self.unsure = True
             self.robot.write(self.torque, sensed, last=last)
@@ -257,7 +259,7 @@ class Drive:
 
     def brake(self, state: ArmState, why: str) -> None:
         self.stopped = " ".join([*filter(None, [self.stopped]), why])
-        self.since = self.t
+        self.since, self.stopping = self.t, 0
         while self.stops:
             try:
                 self.stop = self.stops.pop(0)(state, self.t)
@@ -280,7 +282,9 @@ class Drive:
     def over(self, state: ArmState) -> bool:
         if self.stop is None:
             return self.t >= self.end - 0.5 * self.period
-        rests = np.abs(state.dq).max() < AT_REST or self.s >= self.stop.duration + LONGEST_WAIT
+        # Waited for in periods: a robot's clock that runs ahead does not end a stop while the arm still turns.
+        waited = self.stopping * self.period >= self.stop.duration + LONGEST_WAIT
+        rests = np.abs(state.dq).max() < AT_REST or waited
         return self.s >= self.stop.duration and bool(rests)
 
     def leave(self) -> None:
