@@ -1,5 +1,6 @@
 """Tasks of several legs: the load changes at stops, and each leg begins where the one before it ended."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -246,6 +247,8 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
     run_campaign(directory, 1, jobs=1)
     written = write_report(directory)
     text = written.read_text()
+    for anchor in re.findall(r'<a href="#([^"]+)"', text):
+        assert f'id="{anchor}"' in text, anchor
     assert "stayed put on all legs in 1 of 1 perturbed runs" in text
     assert 'href="report-leg2.html"' in text
     assert "second" in written.with_name("report-leg2.html").read_text()

@@ -100,6 +100,7 @@ def filled(
     """The template with everything in its place: what any page of salver is. shown: its replay; None for a page of
     words and tables alone."""
     data = {} if shown is None else {"replay": shown, "charts": made.specs}
+    titles = made.titles if shown is not None else [title for title in made.titles if title[0] != "replay"]
     script = "" if shown is None else asset("viewer.js") + asset("plots.js") + asset("main.js")
     return fill(
         asset("page.html"),
@@ -113,7 +114,7 @@ def filled(
         asked=asked,
         notes=joined(Markup('<p class="note">{}</p>').format(note) for note in notes),
         tiles=tiles,
-        navigation=others + joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in made.titles),
+        navigation=others + joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in titles),
         replay=NOTHING if shown is None else Markup(asset("replay.html")),
         sections=made.html,
         version=versions()["salver"],
