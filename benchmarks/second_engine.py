@@ -46,10 +46,11 @@ from pydrake.systems.framework import DiagramBuilder
 from salver.models.bodies import TRAY
 from salver.scenario import Scenario, load, names
 from salver.simulation import creep
+from salver.simulation.elements import FOOT_RADIUS
 from salver.simulation.loads import Load, TrueWorld, true_world
 from salver.simulation.outcome import Thresholds, behaviour, judge
 from salver.simulation.physics import simulate_tray
-from salver.simulation.scene import FOOT_RADIUS, build
+from salver.simulation.scene import build
 from salver.simulation.trace import Trace
 from salver.trajectory import Reference, min_jerk_line
 

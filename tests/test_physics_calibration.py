@@ -14,9 +14,10 @@ from salver.geometry import exp
 from salver.models.arm import load_arm
 from salver.scenario import parse
 from salver.simulation import creep
+from salver.simulation.elements import DAMPING_WIDTH
 from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate_tray
-from salver.simulation.scene import DAMPING_WIDTH, build
+from salver.simulation.scene import build
 from salver.trajectory import min_jerk_line
 
 G = 9.81

@@ -99,8 +99,8 @@ def _convex_stl(points: Array) -> bytes:
 
 def _add_servos(spec: Any, arm: ArmModel) -> None:
     """A position servo on every joint, within the maker's torque, and weight compensated as in a real arm."""
+    from salver.simulation.elements import ARM_PREFIX, TRAY_BODY
     from salver.simulation.engine import mujoco
-    from salver.simulation.scene import ARM_PREFIX, TRAY_BODY
 
     for body in spec.bodies:
         if body.name.startswith(ARM_PREFIX) or body.name == TRAY_BODY:

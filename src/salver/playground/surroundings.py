@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from salver.models.arm import ArmModel
+from salver.simulation.elements import FOOT, HULL, TRAY_GEOM
 from salver.simulation.engine import mujoco
-from salver.simulation.scene import FOOT, HULL, TRAY_GEOM
 
 FLOOR, BALL = "playground:floor", "playground:ball"
 RADIUS, MASS = 0.05, 0.1  # m, kg, of the ball

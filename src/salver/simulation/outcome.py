@@ -14,8 +14,9 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY, LEAST_WEIGHT
 from salver.simulation import creep
+from salver.simulation.elements import DAMPING_WIDTH
 from salver.simulation.loads import Load
-from salver.simulation.scene import DAMPING_WIDTH, Scene
+from salver.simulation.scene import Scene
 from salver.simulation.trace import Trace
 
 
