@@ -22,7 +22,7 @@ from salver.models.arm_limits import JointLimits, joint_limits, read_joint_limit
 from salver.models.contact import ContactSet
 from salver.models.described import ArmDescription, TrayDescription
 from salver.models.known_arms import KNOWN_ARMS, robot_file
-from salver.models.urdf import SUFFIXES, read_chain, read_disabled_pairs
+from salver.models.urdf import SUFFIXES, installed_chain, read_chain, read_disabled_pairs
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
@@ -158,7 +158,7 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
     flange = arm.flange or (known.flange if known else None)
     if flange is None:
         raise ScenarioError(f"arm.flange is missing; with the URDF {path} it must name the link that carries the tray.")
-    chain = read_chain(path, flange, _folders(arm.package_dirs))
+    chain = (installed_chain if known else read_chain)(path, flange, _folders(arm.package_dirs))
     model = _build(chain.urdf, path)
     yaw = float(np.deg2rad(arm.base_yaw_deg))
     _move_base(model, np.array(arm.base_position), yaw)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import coal
@@ -27,6 +27,7 @@ from salver.wording import listed
 
 TRAY = "tray"
 _STRIDES = (64, 16, 4, 1)  # from coarse to fine, distances along a path are taken where they may be short
+_REMEMBERED = 4  # paths of different numbers of postures of which distances are remembered
 _FEW = 4  # pairs up to which all distances are taken
 _POSTURES = 200  # at which links that touch at every one are taken to touch always
 
@@ -77,32 +78,49 @@ class ArmGeometry:
         """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap.
 
         within: distances larger than this (m) need not be exact, only no larger than the true ones: a pair that is
-        far away is not looked at again before the joints have turned far enough to bring it near.
+        far away is not looked at again before the joints have turned far enough to bring it near; from a neighbour, or
+        from the posture in its place when as many were asked for last.
         """
+        low = np.full((len(q), len(self.pairs)), -np.inf)
+        if not np.isfinite(within):
+            self._measure(q, low, np.arange(len(q)), within)
+            return low
+        levers = self.levers(q).T
+        if len(q) in self._last:
+            before, there = self._last.pop(len(q))
+            low = there - np.abs(q - before) @ levers
+            self._measure(q, low, np.arange(len(q)), within)
+        else:
+            for new, *known in _passes(len(q), len(self.pairs) > _FEW):
+                if known:
+                    low[new] = np.maximum(*(low[near] - np.abs(q[new] - q[near]) @ levers for near in known))
+                self._measure(q, low, new, within)
+        self._last[len(q)] = q.copy(), low.copy()
+        if len(self._last) > _REMEMBERED:
+            del self._last[next(iter(self._last))]
+        return low
+
+    def _measure(self, q: Array, low: Array, nodes: npt.NDArray[np.intp], within: float) -> None:
+        """Put exact distances where those in `low` (N, pairs) are below `within`, at some of the postures (N, n)."""
         arm, data, place = self.arm.pin_model, self.arm.data, (self.model, self.data)
         results = list(self.data.distanceResults)  # views of what each call fills; making them takes longer than it
-        low = np.full((len(q), len(self.pairs)), -np.inf)
-        bounded = np.isfinite(within) and len(self.pairs) > _FEW
-        levers = self.levers(q).T if bounded else None
-        known = np.zeros(0, dtype=int)
-        for stride in _STRIDES if bounded else (1,):
-            nodes = np.union1d(np.arange(0, len(q), stride), len(q) - 1) if bounded else np.arange(len(q))
-            new = np.setdiff1d(nodes, known, assume_unique=True)
-            if len(known) and len(new):
-                at = np.searchsorted(known, new)
-                bounds = (low[near] - np.abs(q[new] - q[near]) @ levers for near in (known[at - 1], known[at]))
-                low[new] = np.maximum(*bounds)
-            for k, due in zip(new.tolist(), low[new] < within, strict=True):
-                if due.all():
-                    pin.computeDistances(arm, data, *place, q[k])
-                    low[k] = [result.min_distance for result in results]
-                elif due.any():
-                    pin.updateGeometryPlacements(arm, data, *place, q[k])
-                    for pair in due.nonzero()[0].tolist():
-                        pin.computeDistance(*place, pair)
-                        low[k, pair] = results[pair].min_distance
-            known = nodes
-        return low
+        due = low[nodes] < within
+        whole = due.all(axis=1)
+        for k in nodes[whole].tolist():
+            pin.computeDistances(arm, data, *place, q[k])
+            low[k] = [result.min_distance for result in results]
+        for k, some in zip(nodes[~whole].tolist(), due[~whole], strict=True):
+            pairs = some.nonzero()[0].tolist()
+            if pairs:
+                pin.updateGeometryPlacements(arm, data, *place, q[k])
+            for pair in pairs:
+                pin.computeDistance(*place, pair)
+                low[k, pair] = results[pair].min_distance
+
+    @cached_property
+    def _last(self) -> dict[int, tuple[Array, Array]]:
+        """By their number N: postures (N, n) that were asked for last, and what is known of them, (N, pairs)."""
+        return {}
 
     def levers(self, q: Array) -> Array:
         """(pairs, n) at most how far a pair moves against one another when a joint moves by 1 (rad, or m), at postures
@@ -206,6 +224,20 @@ class ArmGeometry:
                 axis = placement.rotation[2]
                 low = min(low, placement.translation[2] + axis @ centre - np.abs(axis) @ half)
         return float(low - self.arm.base_position[2])
+
+
+@lru_cache(maxsize=64)
+def _passes(count: int, several: bool) -> list[tuple[npt.NDArray[np.intp], ...]]:
+    """In which order `count` postures are looked at: which ones at a time, and the known ones before and after each."""
+    passes: list[tuple[npt.NDArray[np.intp], ...]] = []
+    known = np.zeros(0, dtype=int)
+    for stride in _STRIDES if several else (1,):
+        nodes = np.union1d(np.arange(0, count, stride), count - 1)
+        new = np.setdiff1d(nodes, known, assume_unique=True)
+        at = np.searchsorted(known, new)
+        passes.append((new, known[at - 1], known[at]) if len(known) else (new,))
+        known = nodes
+    return passes
 
 
 def arm_geometry(

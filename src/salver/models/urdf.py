@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import metadata
 from itertools import islice
 from pathlib import Path
@@ -89,6 +90,16 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
     return Chain(ElementTree.tostring(root, encoding="unicode"), tuple(links), names, all_joints)
 
 
+def installed_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Chain:
+    """`read_chain`, once for all, of a URDF that a package brought: such a file does not change while it is in use."""
+    return _read_once(path, flange, tuple(package_dirs), tuple(_ros_folders()))
+
+
+@lru_cache(maxsize=8)
+def _read_once(path: Path, flange: str, package_dirs: tuple[Path, ...], ros_folders: tuple[Path, ...]) -> Chain:
+    return read_chain(path, flange, package_dirs)
+
+
 def read_disabled_pairs(path: Path, links: Collection[str]) -> frozenset[tuple[str, str]]:
     """Pairs of links that an SRDF (MoveIt's semantic description) says need not be compared, names in order.
 
@@ -130,6 +141,7 @@ def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
     return name
 
 
+@lru_cache(maxsize=1)
 def shared_folder() -> Path | None:
     """Where the packages of robot models that pip installs keep their files; None when there are none."""
     try:

@@ -15,8 +15,9 @@ from salver.geometry import Array
 from salver.models.arm_geometry import ArmGeometry
 
 SAFETY = 5e-3  # m that are kept free
-EXACT = 0.03  # m up to which distances are exact
 AT_NODES = 1e-3  # m more at the nodes of a programme, for what may happen between them
+REACH = 5e-3  # m; pairs that are further apart than this and what they must be are left out of a programme
+EXACT = 1.5 * REACH + AT_NODES  # m up to which distances are exact: what comes to within reach from there came far
 ENOUGH_AT_ENDS = 1.5e-3  # m beyond what is required, at which an end posture needs no exception
 NEAR = 0.05  # m; pairs that are nowhere nearer along a path are left out until they are
 
@@ -50,9 +51,10 @@ class KeepOut:
         required = dict(zip(self.parts.pairs, self.required, strict=True))
         return KeepOut(parts, np.array([required[pair] for pair in parts.pairs]))
 
-    def distances(self, q: Array) -> Array:
-        """(N, pairs) free distance beyond what is required, m; where it is more than `EXACT`, no more than it is."""
-        return np.asarray(self.parts.clearance(q, EXACT + SAFETY) - self.required)
+    def distances(self, q: Array, stray: float = 0.0) -> Array:
+        """(N, pairs) free distance beyond what is required, m; where it is more than `EXACT` and what the arm may
+        stray, m, no more than it is."""
+        return np.asarray(self.parts.clearance(q, EXACT + SAFETY + stray) - self.required)
 
     def gradient(self, q: Array, node: npt.NDArray[np.intp], pair: npt.NDArray[np.intp]) -> Array:
         """(r, n) derivatives of the distances at postures q[node] for pairs (r,)."""

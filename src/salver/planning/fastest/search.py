@@ -393,7 +393,9 @@ class _Search:
         for turn in (0.5 * np.pi, -0.5 * np.pi):
             coefficients = found.iterate.coefficients.copy()
             coefficients[:, -1] += turn * ramp
-            if problem.limits.q_min[-1] < coefficients[-1, -1] < problem.limits.q_max[-1]:
+            within = problem.limits.q_min[-1] < coefficients[-1, -1] < problem.limits.q_max[-1]
+            longer = least_duration(problem.limits, coefficients[0], coefficients[-1]) > found.iterate.duration
+            if within and not (longer and found.iterate.violation < NEARLY and not problem.moving):
                 yield self._rough_from(problem, SplineMotion(few, coefficients, found.iterate.duration), TURNED)
 
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:

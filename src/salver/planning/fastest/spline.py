@@ -7,6 +7,7 @@ the other coefficients are; inside, the motion of degree p has p - 1 continuous 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,14 +51,7 @@ class RestSpline:
 
     def matrices(self, s: Array) -> Array:
         """(4, len(s), size): the basis at s in [0, 1] and its first three derivatives with respect to s."""
-        from scipy.interpolate import BSpline  # a quarter of a second
-
-        full = BSpline(self.knots(), np.eye(self.spans + self.degree), self.degree)
-        rows = np.stack([full.derivative(k)(s) if k else full(s) for k in range(DERIVATIVES)])
-        merged = rows[:, :, 2:-2].copy()
-        merged[:, :, 0] += rows[:, :, 0] + rows[:, :, 1]
-        merged[:, :, -1] += rows[:, :, -1] + rows[:, :, -2]
-        return merged
+        return _matrices(self, np.asarray(s, dtype=float).tobytes())
 
     def fit(self, s: Array, q: Array) -> Array:
         """(size, n) coefficients closest, in least squares, to postures q (len(s), n), exact at both ends."""
@@ -66,6 +60,21 @@ class RestSpline:
         rest = q - basis[:, [0, -1]] @ ends
         inner = np.linalg.lstsq(basis[:, 1:-1], rest, rcond=None)[0]
         return np.vstack([ends[:1], inner, ends[1:]])
+
+
+@lru_cache(maxsize=16)
+def _matrices(spline: RestSpline, points: bytes) -> Array:
+    """`RestSpline.matrices`: searches ask for the same ones again and again."""
+    from scipy.interpolate import BSpline  # a quarter of a second
+
+    s = np.frombuffer(points)
+    full = BSpline(spline.knots(), np.eye(spline.spans + spline.degree), spline.degree)
+    rows = np.stack([full.derivative(k)(s) if k else full(s) for k in range(DERIVATIVES)])
+    merged = rows[:, :, 2:-2].copy()
+    merged[:, :, 0] += rows[:, :, 0] + rows[:, :, 1]
+    merged[:, :, -1] += rows[:, :, -1] + rows[:, :, -2]
+    merged.setflags(write=False)
+    return merged
 
 
 @dataclass(frozen=True)

@@ -284,18 +284,19 @@ class Subproblem:
     def solve(self, rows: Linearised) -> tuple[Array, float, float] | None:
         """The step (coefficients, scalar), the slack that is left, and the sum of the rows' multipliers: what a unit
         of violation is worth. None when the solver gives up."""
-        matrix = np.zeros((len(rows.bound) + len(self.extra), len(self.cost)))
-        matrix[: len(rows.bound), :-1], matrix[: len(rows.bound), -1] = rows.matrix, -1.0
-        matrix[len(rows.bound) :, :-2] = self.extra
-        equal = np.zeros((len(self.target), len(self.cost)))
-        equal[:, :-2] = self.equal
-        free = self.free
+        free, count = self.free, len(rows.bound)
+        matrix = np.zeros((count + len(self.extra), len(free)))
+        matrix[:count, :-1], matrix[:count, -1] = rows.matrix[:, free[:-1]], -1.0
+        known = free[free < self.extra.shape[1]]  # of the coefficients, which come first
+        matrix[count:, : len(known)] = self.extra[:, known]
+        equal = np.zeros((len(self.target), len(free)))
+        equal[:, : len(known)] = self.equal[:, known]
         programme = qp.Quadratic(
             self.hessian[np.ix_(free, free)],
             self.cost[free],
-            matrix[:, free],
+            matrix,
             np.concatenate([rows.bound, self.extra_bound]),
-            equal[:, free],
+            equal,
             self.target,
             self.low[free],
             self.high[free],
