@@ -5,9 +5,10 @@ load, less what they read along the same motion with the empty tray, is
 
     torques:  J_E^T Y phi + Z n + noise        wrist:  Y phi + noise,
 
-with Z n what joint friction changed in between. The arm's own model errs the same in both runs, and cancels; of each
-run its inverse dynamics at its own state is taken off first. Noise is coloured (`salver.learning.noise`): generalised
-least squares, each channel scaled up when its residual is larger than told. The middle of the scenario's ranges is the
+with Z n what joint friction is in one run and not in the other: it changes in between, and acts at each run's own
+velocity. The arm's own model errs the same in both runs, and cancels; of each run its inverse dynamics at its own state
+is taken off first. Noise is coloured (`salver.learning.noise`), as large as the log shows it: generalised least
+squares. The middle of the scenario's ranges is the
 prior, with their half-ranges as standard deviations. Ranges are `WIDTH` standard deviations, of the centre of mass (a
 ratio) by Fieller (1954), and the scenario's own where those are narrower.
 """
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -38,7 +40,9 @@ if TYPE_CHECKING:
 WIDTH = 3.0  # standard deviations
 BANDWIDTH = 10.0  # Hz, of what is believed of a measured deviation from the plan
 ENDS = 0.08  # s at each end, where smoothing has only one side
-BLOCK = 0.005  # s over which samples are averaged
+BLOCK = 0.005  # s over which samples are averaged,
+BLOCKS = 400  # and not more of them
+RUNS = 2  # of which a difference is
 MOVES = 0.02  # rad that some joint must move, for a motion
 SAME = 0.02  # rad by which the empty run may differ from the loaded one
 SLIPPED = 3.5  # standard deviations by which the centres of mass of a run's halves differ when the load slid
@@ -113,10 +117,41 @@ class _State:
     to_tau: Array
     to_wrench: Array
 
-    def only(self, part: slice) -> _State:
-        """Some of the instants."""
-        tau, wrench = (None if x is None else x[part] for x in (self.tau, self.wrench))
-        return _State(self.t[part], self.samples, self.dq[part], tau, wrench, self.to_tau[part], self.to_wrench[part])
+    @cached_property
+    def times(self) -> noise.Times:
+        return noise.Times.of(self.t, self.samples)
+
+
+@dataclass(frozen=True, eq=False)
+class _Channel:
+    """One sensor at N instants: values (N,) beyond what the prior's load makes, rows (N, 10) per unit of phi, their
+    covariance (N, N). residual: by how much it is noisier than was told."""
+
+    name: str
+    values: Array
+    rows: Array
+    covariance: Array
+    residual: float
+
+    @classmethod
+    def of(
+        cls, name: str, values: Array, rows: Array, told: noise.Noise, nuisance: Array, state: _State, spread: Array
+    ) -> _Channel:
+        """nuisance (N, m): other effects, per standard deviation. spread (10,): of phi. The noise is found."""
+        found = state.times.found(told, values, np.hstack([rows * spread, nuisance]), RUNS)
+        covariance = RUNS * found.covariance(state.t, state.samples) + nuisance @ nuisance.T
+        made = cls(name, values, rows, covariance, 1.0)
+        white, left = made.white(slice(None))
+        left = left - white @ np.linalg.lstsq(white, left, rcond=1e-8)[0]
+        size = max(1.0, float(np.sqrt(np.sum(left**2) / max(1, len(left) - 10))))
+        residual = size * found.share(told, state.samples)
+        return cls(name, values, rows, size**2 * covariance, residual)
+
+    def white(self, part: slice) -> tuple[Array, Array]:
+        """Whitened rows and values of some of the instants."""
+        root = np.linalg.cholesky(self.covariance[part, part])
+        both = np.linalg.solve(root, np.column_stack([self.values[part], self.rows[part]]))
+        return both[:, 1:], both[:, 0]
 
 
 def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
@@ -139,30 +174,30 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
     without = _state(plan, arm, empty)
     prior, spread = _prior(scenario)
     information, pull = np.diag(1 / spread**2), np.zeros(10)
-    residual, sensors, chi, shift = 0.0, set[str](), [], np.zeros(3)
+    used, shift = list[_Channel](), np.zeros(3)
     for log in loaded:
         state = _state(plan, arm, log)
         _same_motion(log, empty)
-        moved = _moved(state, without, log, empty, (prior, spread))
-        shift = np.maximum(shift, np.maximum(np.abs(moved[0]) - moved[1], 0.0))
-        for name, rows, values, scale in _channels(state, without, log, empty):
-            sensors.add(name)
-            left = values - rows @ prior
-            information += scale * rows.T @ rows
-            pull += scale * rows.T @ left
-            residual = max(residual, 1 / np.sqrt(scale))
-            chi.append((name, 1 / np.sqrt(scale)))
-    worst = max(chi, key=lambda item: item[1])
-    if worst[1] > STRANGE:
+        channels = _channels(state, without, log, empty, (prior, spread))
+        moved, error = _moved(state.t, channels, log, (prior, spread))
+        shift = np.maximum(shift, np.maximum(np.abs(moved) - error, 0.0))
+        for channel in channels:
+            rows, left = channel.white(slice(None))
+            information += rows.T @ rows
+            pull += rows.T @ left
+        used += channels
+    worst = max(used, key=lambda channel: channel.residual)
+    if worst.residual > STRANGE:
         raise FileFormatError(
-            f"{', '.join(log.source for log in loaded)}: {worst[0]} differ from those of one rigid load by "
-            f"{worst[1]:.0f} times the noise: something slid, or the arm or the empty tray is another."
+            f"{', '.join(log.source for log in loaded)}: {worst.name} differ from those of one rigid load by "
+            f"{worst.residual:.0f} times the noise: something slid, or the arm or the empty tray is another."
         )
+    sensors = {channel.name for channel in used}
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
     phi = prior + covariance @ pull
     ranges = _ranges(scenario, phi, covariance, shift)
     told = _not_identified(ranges, sensors)
-    return Identified(scenario, ranges, phi, covariance, residual, tuple(sorted(sensors)), told)
+    return Identified(scenario, ranges, phi, covariance, worst.residual, tuple(sorted(sensors)), told)
 
 
 def _prior(scenario: Scenario) -> tuple[Array, Array]:
@@ -193,7 +228,7 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> _State:
     if np.ptp(log.q, axis=0).max() < MOVES:
         raise FileFormatError(f"{log.source} has no motion in it: no joint moves by {MOVES:g} rad.")
     q, dq, ddq = (a + b for a, b in zip(wanted[:3], _smooth(off, step), strict=True))
-    every = max(1, round(BLOCK / step))
+    every = max(1, round(max(BLOCK, plan.duration / BLOCKS) / step))
     inside = (log.t > max(log.t[0], 0.0) + ENDS) & (log.t < min(log.t[-1], plan.duration) - ENDS)
     index = np.flatnonzero(inside)
     blocks = index[: len(index) // every * every].reshape(-1, every)
@@ -212,7 +247,8 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> _State:
     to_tau = np.einsum("tij,tik->tjk", terms.jacobian, at_E)
     tau = None if log.tau is None else mean(log.tau) - terms.torque
     wrench = None if log.wrench_F is None else mean(log.wrench_F) - _tray_wrench(plan, arm, terms.w)
-    return _State(mean(log.t), every, mean(dq), tau, wrench, to_tau, at_F)
+    t = mean(log.t)
+    return _State(t, every, mean(dq), tau, wrench, to_tau, at_F)
 
 
 def _tray_wrench(plan: Plan, arm: ArmModel, w: Array) -> Array:
@@ -249,18 +285,19 @@ def _same_motion(log: Log, empty: Log) -> None:
         )
 
 
-def _moved(state: _State, without: _State, log: Log, empty: Log, prior: tuple[Array, Array]) -> tuple[Array, Array]:
+def _moved(t: Array, channels: Sequence[_Channel], log: Log, prior: tuple[Array, Array]) -> tuple[Array, Array]:
     """By how much the centre of mass moved between the halves of a run, with standard deviations (3,), m.
 
     Raises FileFormatError when it surely did: something slid.
     """
     phi_0, spread = prior
-    found, middle = [], len(state.t) // 2
+    found, middle = [], len(t) // 2
     for part in (slice(0, middle), slice(middle, None)):
         information, pull = np.diag(1 / (3 * spread) ** 2), np.zeros(10)
-        for _, rows, values, scale in _channels(state.only(part), without, log, empty):
-            information += scale * rows.T @ rows
-            pull += scale * rows.T @ (values - rows @ phi_0)
+        for channel in channels:
+            rows, left = channel.white(part)
+            information += rows.T @ rows
+            pull += rows.T @ left
         covariance = np.linalg.inv(information)
         phi = phi_0 + covariance @ pull
         com = phi[1:4] / phi[0]
@@ -280,36 +317,32 @@ def _moved(state: _State, without: _State, log: Log, empty: Log, prior: tuple[Ar
     return moved, error
 
 
-def _channels(state: _State, without: _State, log: Log, empty: Log) -> list[tuple[str, Array, Array, float]]:
-    """Whitened rows (N, 10), differences (N,) of every channel, and the weight of both."""
-    found: list[tuple[str, Array, Array, float]] = []
+def _channels(state: _State, without: _State, log: Log, empty: Log, prior: tuple[Array, Array]) -> list[_Channel]:
+    """What every sensor says more than along the empty run."""
+    found: list[_Channel] = []
+    (phi_0, spread), nothing = prior, np.zeros((len(state.t), 0))
 
     def at(values: Array) -> Array:
         """(N, m) of the empty run at the loaded run's instants."""
         return np.stack([np.interp(state.t, without.t, column) for column in values.T], axis=1)
 
-    def add(name: str, values: Array, rows: Array, told: noise.Noise, nuisance: Array | None) -> None:
-        covariance = 2 * told.covariance(state.t, state.samples)
-        if nuisance is not None:
-            covariance += nuisance @ nuisance.T
-        root = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(root, np.column_stack([values, rows]))
-        fitted = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=1e-8)[0]
-        left = white[:, 0] - white[:, 1:] @ fitted
-        size = float(np.sqrt(np.sum(left**2) / max(1, len(left) - 10)))
-        found.append((name, white[:, 1:], white[:, 0], 1 / max(1.0, size) ** 2))
+    def add(name: str, values: Array, rows: Array, told: noise.Noise, nuisance: Array) -> None:
+        found.append(_Channel.of(name, values - rows @ phi_0, rows, told, nuisance, state, 3 * spread))
 
     if state.tau is not None and without.tau is not None:
-        difference = state.tau - at(without.tau)
+        difference, before = state.tau - at(without.tau), at(without.dq)
+        coulomb, viscous = noise.FRICTION
         for j in range(difference.shape[1]):
-            speed = state.dq[:, j]
-            nuisance = np.column_stack([np.tanh(speed / noise.STILL), speed]) * noise.FRICTION
+            here, there = state.dq[:, j], before[:, j]
+            changed = [coulomb * np.tanh(here / noise.STILL[1]), viscous * here]
+            other = [np.tanh(here / still) - np.tanh(there / still) for still in noise.STILL]
+            nuisance = np.column_stack([*changed, *(noise.ALL_FRICTION * x for x in (*other, here - there))])
             add("joint torques", difference[:, j], state.to_tau[:, j], noise.TORQUE, nuisance)
     if state.wrench is not None and without.wrench is not None:
         difference = state.wrench - at(without.wrench)
         for j in range(6):
             told, name = (noise.FORCE, "wrist forces") if j < 3 else (noise.MOMENT, "wrist torques")
-            add(name, difference[:, j], state.to_wrench[:, j], told, None)
+            add(name, difference[:, j], state.to_wrench[:, j], told, nothing)
     if not found:
         raise FileFormatError(
             f"{log.source} and {empty.source} share no sensor; both must hold tau, or both wrench_F (fx to tz)."

@@ -19,6 +19,7 @@ from salver.models.tray_motion import frame_map, wrench_map
 from salver.planning.plan import Plan
 from salver.sensitivity.arm.terms import motion_terms
 
+COLOURED = 10.0  # Hz, of the second-order filter through which slow noise went: it forgets in 34 ms
 Done = tuple[Array, Array, Array, Array]  # t (K,), q, dq, ddq (K, n)
 
 
@@ -26,10 +27,10 @@ Done = tuple[Array, Array, Array, Array]  # t (K,), q, dq, ddq (K, n)
 class Sensors:
     """Sizes (standard deviations unless said), in N, N m, rad.
 
-    torque, force, moment: of noise, half of it coloured; _bias: of a channel in a run; torque_drift: in a second; that
-    of a wrist sensor is as large as its bias. links: share by which each link's mass is wrong, in all runs. friction:
-    (low, high) N m of joints, of which a share `friction_change` is new in each run. rate: samples a second. times: of
-    all noises.
+    torque, force, moment: of noise, of which a share of the variance (`coloured`, `wrist_coloured`) is not white;
+    _bias: of a channel in a run; torque_drift: in a second; that of a wrist sensor is as large as its bias. links:
+    share by which each link's mass is wrong, in all runs. friction: (low, high) N m of joints, of which a share
+    `friction_change` is new in each run. rate: samples a second. times: of all noises.
     """
 
     torque: float = 0.08
@@ -45,6 +46,8 @@ class Sensors:
     friction_change: float = 0.1
     rate: float = 200.0
     times: float = 1.0
+    coloured: float = 0.5
+    wrist_coloured: float = 0.5
 
 
 class SensedArm:
@@ -96,23 +99,30 @@ class SensedArm:
         wrench[:, 3:] += np.cross(self.arm.p_FE, at_E[:, :3])
         each = np.array([s.force] * 3 + [s.moment] * 3)
         bias = np.array([s.force_bias] * 3 + [s.moment_bias] * 3)
-        tau += self._errors(len(t), np.full(n, s.torque), np.full(n, s.torque_bias), np.full(n, s.torque_drift))
-        wrench += self._errors(len(t), each, bias, bias)
+        tau += self._errors(
+            len(t), np.full(n, s.torque), np.full(n, s.torque_bias), np.full(n, s.torque_drift), s.coloured
+        )
+        wrench += self._errors(len(t), each, bias, bias, s.wrist_coloured)
         seen = q + s.times * s.encoder * rng.standard_normal(q.shape)
         return Log(source, t, seen, tau if self.joints else None, wrench if self.wrist else None)
 
-    def _errors(self, count: int, noise: Array, bias: Array, drift: Array) -> Array:
-        """(count, m): white noise, noise around 8 Hz, a bias, a random walk that leads `drift` away in a second."""
+    def _errors(self, count: int, noise: Array, bias: Array, drift: Array, share: float) -> Array:
+        """(count, m): white noise, slower noise (`share` of the variance), a bias, a random
+        walk that leads `drift` away in a second."""
         from scipy.signal import lfilter
 
         s, rng, m = self.sensors, self.rng, len(noise)
         white = rng.standard_normal((count, m))
-        pole = np.exp(-2 * np.pi * 6 / s.rate)
-        driven = rng.standard_normal((count + 400, m))
-        coloured = lfilter([1.0], [1.0, -1.4 * pole, 0.5 * pole**2], driven, axis=0)[400:]
-        coloured /= coloured.std(axis=0)
+        pole = np.exp(-2 * np.pi * COLOURED / s.rate)
+        driven = rng.standard_normal((count + round(s.rate), m))
+        coloured = lfilter([1.0], [1.0, -2 * pole, pole**2], driven, axis=0)[-count:]
+        coloured *= np.sqrt((1 - pole**2) ** 3 / (1 + pole**2))
         walk = np.cumsum(rng.standard_normal((count, m)), axis=0) / np.sqrt(s.rate)
-        out = np.sqrt(0.5) * noise * (white + coloured) + bias * rng.standard_normal(m) + drift * walk
+        out = (
+            noise * (np.sqrt(1 - share) * white + np.sqrt(share) * coloured)
+            + bias * rng.standard_normal(m)
+            + drift * walk
+        )
         return np.asarray(s.times * out)
 
 

@@ -29,7 +29,7 @@ from salver.scenario import Scenario
 from salver.simulation.physics import Experiment, simulate
 
 SENSORS = ("wrist", "torques")
-RATE = 200.0  # samples of the sensors a second
+RATE = 1000.0  # samples of the sensors a second
 Sensor = Literal["wrist", "torques"]
 
 
