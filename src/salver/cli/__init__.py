@@ -41,6 +41,7 @@ COMMANDS = (
     "export",
     "live",
     "execute",
+    "calibrate",
     "identify",
     "learn",
     "track",
