@@ -74,25 +74,6 @@ def test_polynomials_between_nodes_of_any_spacing_are_exact(kp, kd, order):
     )
 
 
-@pytest.mark.parametrize("order", [1, 3])
-@pytest.mark.parametrize(("kp", "kd"), GAINS)
-def test_gradient_is_the_transpose(kp, kd, order):
-    rng = np.random.default_rng(0)
-    response = LinearFilter.on_nodes(NODES, kp, kd, order)
-    drive, by_x, by_rate = rng.normal(size=(3, len(NODES), 4))
-    x, rate = response.respond(drive)
-    assert (response.gradient(by_x, by_rate) * drive).sum() == pytest.approx((by_x * x + by_rate * rate).sum())
-
-
-def test_gradient_by_a_drive_at_gauss_points():
-    rng = np.random.default_rng(1)
-    grid = QuadratureGrid.for_gains(np.linspace(0, 1, 11), [(500.0, 25.0)])
-    response = LinearFilter.on_grid(grid, 500.0, 25.0)
-    drive, (by_x, by_rate) = rng.normal(size=(len(grid.times), 3)), rng.normal(size=(2, 11, 3))
-    x, rate = response.respond(drive)
-    assert (response.gradient(by_x, by_rate) * drive).sum() == pytest.approx((by_x * x + by_rate * rate).sum())
-
-
 def test_a_motion_that_begins_moving_goes_on_from_its_state():
     """The first half and, from the state at its end, the second are the whole."""
     t = np.linspace(0, 1, 41)

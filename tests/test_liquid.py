@@ -14,13 +14,14 @@ import salver as sv
 from potential_flow import cylinder, rectangle, simulate
 from salver.errors import ScenarioError
 from salver.models.liquid import Liquid, damping_of
+from salver.models.parameters import Parameter
 from salver.models.tray_motion import at_rest
 from salver.models.wrench_cone import facets
-from salver.planning.fastest.evaluation import sloshes
+from salver.planning.fastest.evaluation import of_cases, sloshes
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.planning.object.problem import Problem
 from salver.sensitivity.sloshing import Liquids, Slosh, Spill
-from salver.sensitivity.wave_gradients import wrench_by
+from salver.sensitivity.wave_gradients import Unknowns, wrench_by
 from salver.sensitivity.waves import Case, Cases, Waves, along, cases
 from salver.simulation import outcome
 from salver.simulation.physics import simulate_tray
@@ -135,12 +136,15 @@ def test_filter_agrees_with_the_equations_integrated(coffee, yaw):
 
 
 def _functions(waves: Waves, node, weight):
-    case, dry = np.arange(len(node)) % 2, Slosh.of(waves)
+    case, dry, both = np.arange(len(node)) % 2, Slosh.of(waves), np.arange(2)
     return {
-        "crest": (waves.crest[case, node], lambda: dry.crest_by(case, node)),
-        "free": (waves.free_height[case, node], lambda: dry.free_by(case, node)),
-        "wrench": (np.sum(weight * waves.wrench[case, node], axis=1), lambda: wrench_by(waves, case, node, weight)),
-        "left": (waves.left(0.2), lambda: dry.left_by(np.arange(2), 0.2)),
+        "crest": (waves.crest[case, node], lambda by: dry.crest_by(case, node, by)),
+        "free": (waves.free_height[case, node], lambda by: dry.free_by(case, node, by)),
+        "wrench": (
+            np.sum(weight * waves.wrench[case, node], axis=1),
+            lambda by: wrench_by(waves, by, case, node, weight),
+        ),
+        "left": (waves.left(0.2), lambda by: dry.left_by(both, by, 0.2)),
     }
 
 
@@ -155,9 +159,9 @@ def test_derivatives_agree_with_differences(coffee, changes):
     here = _functions(along(both, t, w), node, weight)
     up, down = (_functions(along(both, t, w + sign * step * move), node, weight) for sign in (1, -1))
     longer, shorter = (_functions(along(both, t * (1 + sign * step), w), node, weight) for sign in (1, -1))
+    both_ways = Unknowns(np.stack([move, np.zeros_like(move)], axis=2), np.array([0.0, 1.0]))
     for name, (_, derivative) in here.items():
-        by_w, by_duration = derivative()
-        for ends, found in (((up, down), np.einsum("mtk,tk->m", by_w, move)), ((longer, shorter), by_duration)):
+        for ends, found in zip(((up, down), (longer, shorter)), derivative(both_ways).T, strict=True):
             difference = (ends[0][name][0] - ends[1][name][0]) / (2 * step)
             np.testing.assert_allclose(found, difference, atol=2e-5 * np.abs(difference).max(), err_msg=name)
 
@@ -205,7 +209,7 @@ def test_changes_are_first_order_differences(coffee, shape):
     here, step = case.along(t, shaken(t)), 1e-5
     dw = np.random.default_rng(2).normal(size=12) * np.cos(3 * t)[:, None]
     dw = np.stack([dw, dw * np.sin(np.pi * t / 0.9)[:, None]], axis=2)
-    change = here.changed(dw)
+    change = here.changed(dw[None])
     for k in range(2):
         more, less = (case.along(t, shaken(t) + sign * step * dw[:, :, k]) for sign in (1, -1))
         for name in ("eta", "free", "wrench"):
@@ -223,7 +227,8 @@ def test_worst_case_bounds_waves_at_every_corner(coffee):
     """What is uncertain, as small as first order needs: no corner is higher, and some corner nearly is."""
     case, t = Case(coffee.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
     dw = 1e-3 * np.random.default_rng(3).normal(size=(12, 3)) * np.cos(np.outer(t, [2, 5, 9]))[:, None, :]
-    here = Slosh.given_way(case.along(t, shaken(t)), None, np.zeros(0), dw)
+    waves = case.along(t, shaken(t))
+    here = Slosh.given_way(waves, waves, np.zeros(0), dw[None])
     corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     crests = np.array([case.along(t, shaken(t) + dw @ corner).crest[0] for corner in corners]).max(axis=0)
     assert (crests < here.crest[0] + 2e-6).all()
@@ -443,27 +448,25 @@ def test_what_is_not_known_of_a_liquid_is_said_first(coffee):
     assert not sv.load_scenario("panda-cube").payload.unmodelled
 
 
-def test_how_the_arm_gives_way_is_transposed_exactly(coffee):
-    """<h, R u> = <R' h, u> of what waves push, and of what a wrong load makes of w; single parameters, from rest."""
+def test_a_case_knows_what_its_fill_weighs(coffee):
+    """Mass and fill away from nominal at once: what is sure of a fill, with what a mass still may do, is all of both,
+    but for the square of the mass."""
     problem, rng = transport_problem(coffee), np.random.default_rng(4)
-    s = np.linspace(0, 1, 61)
-    q = problem.start_posture + np.outer(s**3 * (10 - 15 * s + 6 * s**2), [0.3, 0.2, 0.0, 0.2, 0.1, 0.0, 0.1])
-    rates = [np.gradient(q, s, axis=0)]
-    for _ in range(2):
-        rates.append(np.gradient(rates[-1], s, axis=0))
-    motion = problem.at(s, np.stack([q, *rates]), 1.0)
-    giving = motion.response
-    assert giving is not None
-    weight, pushed = rng.normal(size=(2, 61, 12)), rng.normal(size=(2, 61, 6))
-    by_wrench = giving.reaction_by(weight)
-    given = giving.reaction(pushed)
-    np.testing.assert_allclose(np.sum(by_wrench * pushed, axis=(1, 2)), np.sum(weight * given, axis=(1, 2)), rtol=1e-9)
-    n_p, dw = giving.load.uncertain.size, rng.normal(size=(61, 12))
-    share = rng.normal(size=(2, n_p))
-    each = giving.load.load_p[:n_p] * giving.load.half_range[:n_p, None, None]
-    made = giving.reaction(np.einsum("mp,pij,tj->mti", share, each, dw))
-    found = np.einsum("mtj,tj->m", giving.wrong_load_by(by_wrench, share), dw)
-    np.testing.assert_allclose(found, np.sum(weight * made, axis=(1, 2)), rtol=1e-9)
+    assert problem.tracking is not None
+    load, body = problem.tracking.load, problem.items[0]
+    dw, mass, fill = rng.normal(size=(5, 12, len(load.terms))), Parameter("cup", "mass"), Parameter("cup", "fill")
+    for share in (-1.0, 0.3, 1.0):
+        case = Case(body, 0.05 + share * 0.015, 0.01)
+        sure, unsure = of_cases([case], load, dw)
+        others = [p for p in load.uncertain.parameters if p != fill]
+        assert unsure.shape == (1, 5, 12, len(others))
+        values = {mass: -0.7, fill: share}
+        whole = sum(
+            dw[:, :, k] * np.prod([values.get(p, 0.0) for p in factors])
+            for k, factors in enumerate(load.terms)
+            if factors != (mass, mass)
+        )
+        np.testing.assert_allclose(sure[0] - 0.7 * unsure[0, ..., others.index(mass)], whole, atol=1e-12)
 
 
 def test_what_the_support_gives_holds_the_waves_as_contact_rows_count_them(coffee):

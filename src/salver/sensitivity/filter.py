@@ -6,7 +6,7 @@ is the error dynamics of the object's loop and of the arm's joints, driven by wh
 stiffness kp that changes over time, a liquid's waves on a tray that lifts or tilts. Each step of a
 grid is exact for a drive that is a polynomial there: linear between nodes, the cubic through the four nearest nodes
 (both of any spacing), or, where it can be had at any instant, given at Gauss points of each interval (sixth order).
-All steps together are one banded triangular system; its transpose gives gradients by the drive.
+All steps together are one banded triangular system.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class LinearFilter:
             state[..., 1:, :, :] = self.gain @ flat.reshape(*lead, steps, width, -1)
         else:
             state[..., 1:, :, :] = self.gain @ flat[..., self.samples, :]
-        state = self._solved(state, "N")
+        state = self._solved(state)
         return state[..., 0, :].reshape(shape), state[..., 1, :].reshape(shape)
 
     def acceleration(self, drive: Array, x: Array, rate: Array) -> Array:
@@ -110,24 +110,6 @@ class LinearFilter:
         kp = kp if kp.ndim == 0 else kp.reshape(*kp.shape, *(1,) * over)
         kd = kd if kd.ndim == 0 else kd.reshape(*kd.shape, *(1,) * (over + 1))
         return np.asarray(drive - kd * rate - kp * x)
-
-    def gradient(self, by_x: Array, by_rate: Array) -> Array:
-        """Derivative (..., Q, c...) by the drive of a function with these derivatives (..., T, c...) by x and x' at the
-        nodes."""
-        *lead, steps, _, width = self.gain.shape
-        after = by_x.shape[len(lead) + 1 :]
-        flat = np.stack([by_x.reshape(*lead, steps + 1, -1), by_rate.reshape(*lead, steps + 1, -1)], axis=-2)
-        pushed = np.swapaxes(self.gain, -1, -2) @ self._solved(flat, "T")[..., 1:, :, :]
-        if self.samples is None:
-            return pushed.reshape(*lead, steps * width, *after)
-        out = np.zeros((*lead, int(self.samples.max()) + 1, flat.shape[-1]))
-        first = self.samples[:, 0]
-        fresh = np.diff(first, prepend=-1) > 0  # steps at either end read the nodes that their neighbours read
-        for j in range(width):
-            out[..., first[fresh] + j, :] += pushed[..., fresh, j, :]
-        for k in np.flatnonzero(~fresh):
-            out[..., first[k] : first[k] + width, :] += pushed[..., k, :, :]
-        return out.reshape(*lead, -1, *after)
 
     def only(self, which: tuple[npt.NDArray[np.intp] | slice, ...]) -> LinearFilter:
         """Some of several."""
@@ -144,9 +126,9 @@ class LinearFilter:
         bands[1, ..., :-1, 1], bands[2, ..., :-1, 1] = -self.step[..., 0, 1], -self.step[..., 1, 1]
         return np.asfortranarray(bands.reshape(4, -1))
 
-    def _solved(self, state: Array, trans: str) -> Array:
+    def _solved(self, state: Array) -> Array:
         right = np.asfortranarray(state.reshape(-1, state.shape[-1]))
-        return dtbtrs(self._bands, right, uplo="L", trans=trans, overwrite_b=True)[0].reshape(state.shape)
+        return dtbtrs(self._bands, right, uplo="L", overwrite_b=True)[0].reshape(state.shape)
 
 
 def _inverse(matrix: Array) -> Array:

@@ -14,9 +14,7 @@ from salver.models.contact_rows import ContactRows
 from salver.models.liquid import GRAVITY, LEFT_OVER, TILTING
 from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
-from salver.models.tray_motion import N_MOTION
-from salver.sensitivity.arm.tracking import Deviation
-from salver.sensitivity.wave_gradients import Pulled, at_node, surface_by, wrench_by, wrenches_by
+from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by, wrench_by
 from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Waves, along, cases
 
 
@@ -24,16 +22,16 @@ from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Waves, alon
 class Slosh:
     """What K cases of a liquid do along a motion of T instants.
 
-    wrench: (K, T, 6) of `Waves`. giving: how the arm gives way, None for one that follows exactly; the rest is what
-    comes of that. reaction: (K, T, 12) by which what the tray feels changes. change: of the waves, per half-range of
-    each of n_c terms of what is uncertain. higher: (K, T) m, by which the crest may be higher for all these, but for
-    what a steeper free wave makes of it; freer: (K, T, 2) m, by which that may be higher; more_left: (K,) m, what is
-    left at the end.
+    wrench: (K, T, 6) of `Waves`. planned: the waves on a tray that follows its motion exactly; the rest is what comes
+    of an arm that gives way. reaction: (K, T, 12) by which what the tray feels changes. change: of the waves, per
+    half-range of each of n_c terms of what is uncertain. higher: (K, T) m, by which the crest may be higher for all
+    these, but for what a steeper free wave makes of it; freer: (K, T, 2) m, by which that may be higher; more_left:
+    (K,) m, what is left at the end.
     """
 
     waves: Waves
     wrench: Array
-    giving: Deviation | None = None
+    planned: Waves
     reaction: Array | None = None
     change: Change | None = None
     higher: Array | float = 0.0
@@ -43,16 +41,16 @@ class Slosh:
     @classmethod
     def of(cls, waves: Waves) -> Slosh:
         """On a tray that follows its motion exactly."""
-        return cls(waves, waves.wrench)
+        return cls(waves, waves.wrench, waves)
 
     @classmethod
-    def given_way(cls, waves: Waves, giving: Deviation, reaction: Array, dw: Array) -> Slosh:
-        """dw: (T, 12, n_c) change of what the tray feels."""
+    def given_way(cls, waves: Waves, planned: Waves, reaction: Array, dw: Array) -> Slosh:
+        """dw: (K or 1, T, 12, n_c) change of what the tray feels."""
         change, highest = waves.changed(dw), waves.cases.highest
         higher = (highest(np.moveaxis(change.eta, 2, 3)) + np.abs(change.thrown)).sum(axis=2)
-        more = highest(np.moveaxis(change.left, 1, 2)).sum(axis=1)
+        left = np.einsum("kna,knac->kca", waves.cases.gain, np.hypot(*change.ending))
         freer = np.abs(change.free).sum(axis=3)
-        return cls(waves, waves.wrench, giving, reaction, change, higher, freer, more)
+        return cls(waves, waves.wrench, planned, reaction, change, higher, freer, highest(left).sum(axis=1))
 
     @property
     def crest(self) -> Array:
@@ -78,37 +76,26 @@ class Slosh:
         higher, freer, more = (
             x if np.ndim(x) == 0 else np.asarray(x)[some] for x in (self.higher, self.freer, self.more_left)
         )
-        return Slosh(self.waves.only(k), self.wrench[some], higher=higher, freer=freer, more_left=more)
+        waves = self.waves.only(k)
+        return Slosh(waves, self.wrench[some], waves, higher=higher, freer=freer, more_left=more)
 
-    # Derivatives of rows (m,), as in `wave_gradients` ---------------------------------------------------------------
+    # Derivatives (m, c) of rows (m,), each of one case at one node, by unknowns of the motion (c,). How the arm gives
+    # way is taken as given, for what it makes of the waves changes little.
 
-    def crest_by(self, case: Indices, node: Indices) -> Pulled:
+    def crest_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Of the crest."""
-        waves, which = self.waves, self.waves.cases
-        curve, free = which.peaking[case] / which.half[case], waves.free[case, node]
-        freer = np.zeros_like(free) if self.change is None else np.asarray(self.freer)[case, node]
-        by_free = 2 * curve * (free + freer * np.sign(free))
-        found = surface_by(
-            waves, case, node, which.steepest_by(waves.eta[case, node]), by_free, TILTING / GRAVITY * which.wide**2
-        )
-        if self.change is None:
-            return found
-        each = np.moveaxis(self.change.eta[case, node], 1, 2)  # (m, n_c, 2)
-        sign = np.sign(np.moveaxis(self.change.free[case, node], 1, 2))
-        share = which.steepest_by(each) + (2 * curve * (np.abs(free) + freer))[:, None] * sign
-        return self._given_way(case, found, _along(share, which.steepest_by(waves.eta[case, node]) + by_free))
-
-    def free_by(self, case: Indices, node: Indices) -> Pulled:
-        """Of the height of the free wave."""
         which, free = self.waves.cases, self.waves.free[case, node]
-        found = surface_by(self.waves, case, node, np.zeros((len(node), 2)), which.steepest_by(free), 0.0)
-        if self.change is None:
-            return found
-        freer = which.steepest_by(np.asarray(self.freer)[case, node])
-        share = freer[:, None] * np.sign(np.moveaxis(self.change.free[case, node], 1, 2))
-        return self._given_way(case, found, _along(share, which.steepest_by(free)))
+        freer = np.zeros_like(free) if self.change is None else np.asarray(self.freer)[case, node]
+        by_free = 2 * which.peaking[case] / which.half[case] * (free + freer * np.sign(free))
+        by_eta = which.steepest_by(self.waves.eta[case, node])
+        return surface_by(self.planned, unknowns, case, node, by_eta, by_free, TILTING / GRAVITY * which.wide**2)
 
-    def left_by(self, case: Indices, seconds: float = 0.0) -> Pulled:
+    def free_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+        """Of the height of the free wave."""
+        by_free = self.waves.cases.steepest_by(self.waves.free[case, node])
+        return surface_by(self.planned, unknowns, case, node, np.zeros_like(by_free), by_free, 0.0)
+
+    def left_by(self, case: Indices, unknowns: Unknowns, seconds: float = 0.0) -> Array:
         """Of what is left; the tray's posture at the end is taken as given."""
         waves, which, m = self.waves, self.waves.cases, len(case)
         last, more = np.full(m, len(waves.t) - 1), np.broadcast_to(self.more_left, len(which.each))[case]
@@ -119,37 +106,11 @@ class Slosh:
         to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
         away, speed = (x[case] for x in waves.ending)
         by_size = fading * which.gain[case] * by_amplitude[:, None] / np.maximum(np.hypot(away, speed), 1e-12)
-        nothing = np.zeros((m, N_MOTION))
-        ending = at_node(waves, case, last, by_size * away, by_size * speed * to_speed, nothing, nothing[:, 0])
+        ending = at_node(unknowns, self.planned, case, last, by_size * away, by_size * speed * to_speed)
         k, peak = waves.peak[0][case], waves.peak[1][case]
         steep = 3 * LEFT_OVER * (peak + more) ** 2 / half.min(axis=1) ** 2
-        steepest = which.steepest_by(waves.eta[case, k])
-        before = surface_by(waves, case, k, steepest, np.zeros((m, 2)), 0.0)
-        found = (ending[0] + steep[:, None, None] * before[0], ending[1] + steep * before[1])
-        if self.change is None:
-            return found
-        change = np.stack(self.change.ending, axis=1)[case]  # (m, 2, n_modes, 2, n_c): r and r' / omega
-        each = np.moveaxis(which.steepest_by(np.moveaxis(self.change.left[case], 1, 2)), 1, 2)  # (m, 2, n_c)
-        share = which.gain[case][:, None, :, :, None] * each[:, None, None] * change
-        share /= np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-12)
-        share *= (by_amplitude.sum(axis=1) + steep)[:, None, None, None, None]
-        own = np.stack([by_size * away, by_size * speed * to_speed * which.omega[case]], axis=1)
-        counted = np.swapaxes(share.reshape(m, -1, share.shape[-1]), 1, 2)
-        return self._given_way(case, found, _along(counted, own.reshape(m, -1)))
-
-    def _given_way(self, case: Indices, found: Pulled, share: Array) -> Pulled:
-        """With how the arm gives way: to the waves, once round, and to what is uncertain of its load, of which the
-        rows feel `share` (m, n_c) times as much as they feel of what is planned."""
-        assert self.giving is not None
-        by_wrench = self.giving.reaction_by(found[0])
-        by_w = found[0] + wrenches_by(self.waves, case, by_wrench) + self.giving.wrong_load_by(by_wrench, share)
-        return by_w, found[1]
-
-
-def _along(changes: Array, own: Array) -> Array:
-    """(m, n_c) share that changes (m, n_c, d) have along derivatives (m, d) by the same quantities: what lies across
-    those is left out of derivatives, for waves run mostly one way."""
-    return np.asarray((changes @ own[:, :, None])[..., 0] / np.maximum((own**2).sum(axis=1), 1e-12)[:, None])
+        highest = which.steepest_by(waves.eta[case, k]) * steep[:, None]
+        return ending + surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,21 +141,18 @@ class Sloshed:
             liquids.append((j, sloshes))
         return cls(rows, liquids, total, chosen)
 
-    def history(self, node: Indices, row: Indices) -> tuple[Array, Array]:
-        """Derivatives of rows at nodes (m,) by w at all nodes (m, T, 12), and by log T at fixed w (m,).
+    def history(self, node: Indices, row: Indices, unknowns: Unknowns) -> Array:
+        """(m, c) derivatives of what liquids add to rows at nodes (m,), by unknowns of the motion.
 
         How the arm gives way is taken as given.
         """
-        waves = self.liquids[0][1][0].waves
-        by_w, by_duration = np.zeros((len(node), *waves.w.shape[1:])), np.zeros(len(node))
+        found = np.zeros((len(node), unknowns.felt.shape[2]))
         for (j, sloshes), worst in zip(self.liquids, self.worst, strict=True):
             if j is None:
                 continue
             for part, case, mine in of_parts(sloshes, worst[node, row]):
-                found = wrench_by(part.waves, case, node[mine], self.rows.wrench[j][row[mine]])
-                by_w[mine] += found[0]
-                by_duration[mine] += found[1]
-        return by_w, by_duration
+                found[mine] += wrench_by(part.planned, unknowns, case, node[mine], self.rows.wrench[j][row[mine]])
+        return found
 
 
 def of_parts(sloshes: Sequence[Slosh], which: Indices) -> Iterator[tuple[Slosh, Indices, Indices]]:

@@ -1,9 +1,9 @@
 """How a liquid moves in its container along a motion of the tray.
 
 The modes of `salver.models.liquid` are filters with a memory (`salver.sensitivity.filter`), driven by the lateral
-specific force at each mode's height and stiffened by the vertical one. All is linear in the drive; the transposed
-filter gives the derivative of any function of the waves by what the tray felt at all earlier times. All fills and
-dampings of a liquid are worked out side by side.
+specific force at each mode's height and stiffened by the vertical one. All is linear in the drive: what small changes
+of the motion make of the waves goes through the same filters. All fills and dampings of a liquid are worked out side by
+side.
 """
 
 from __future__ import annotations
@@ -238,14 +238,15 @@ class Waves:
 
     def respond(self, force: Array, start: Array | None = None) -> tuple[Array, Array, Array]:
         """r, r' and r'' (K, T, n_modes, 2, c) to lateral specific forces (K, T, n_modes, 2, c) at the modes."""
-        drive = self._by_filter(-force)
-        begin = None
-        if start is not None:
-            begin = np.stack([start, np.zeros_like(start)], axis=1)  # (K, 2, n, 2, c)
-            begin = self._by_filter(begin)
+        drive, begin = self._drives(force, start)
         x, rate = self.filters.respond(drive, begin)
         second = self.filters.acceleration(drive, x, rate)
         return self._by_mode(x), self._by_mode(rate), self._by_mode(second)
+
+    def _drives(self, force: Array, start: Array | None) -> tuple[Array, Array | None]:
+        """Drive and first state of the filters."""
+        begin = None if start is None else np.stack([start, np.zeros_like(start)], axis=1)  # (K, 2, n, 2, c)
+        return self._by_filter(-force), None if begin is None else self._by_filter(begin)
 
     def _by_filter(self, x: Array) -> Array:
         """(K, T, n_modes, 2, c) to (K, n_modes, axes, T, 2 c / axes)."""
@@ -266,16 +267,34 @@ class Waves:
         """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of what the tray feels:
         pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the motion
         too."""
-        which = self.cases
-        K, n = which.at_mode.shape[:2]
-        pushed = which.at_mode.reshape(K, 1, 2 * n, N_MOTION) @ dw
-        drive = turned(np.moveaxis(pushed.reshape(K, -1, n, 2, dw.shape[-1]), 3, 4), self.spin[:, :, None, None])
-        drive = np.moveaxis(drive, 4, 3)
-        lifted = (which.at_O[:, None, None, 2] @ dw)[:, :, None]  # (K, T, 1, 1, c)
-        drive = drive + (which.omega[:, None] ** 2 / GRAVITY * self.r)[..., None] * lifted
-        if which.round:
-            drive += across(self.at_modes)[..., None] * self._spun(dw)[:, :, None, None]
+        drive, _ = self._driven(dw)
         return self.respond(drive, self.level(drive) if before else None)
+
+    def swung(self, dw: Array, before: bool) -> tuple[Array, Array, Array]:
+        """As `_pushed` r and r', and the change (K or 1, T, c) of `spin`."""
+        force, spun = self._driven(dw)
+        x, rate = self.filters.respond(*self._drives(force, self.level(force) if before else None))
+        return self._by_mode(x), self._by_mode(rate), spun
+
+    def _driven(self, dw: Array) -> tuple[Array, Array]:
+        """(K, T, n_modes, 2, c) by which changes dw (K or 1, T, 12, c) change the force that drives each mode; and what
+        they change of `spin`."""
+        force, spun = self._drive_map @ dw, self._spun(dw)
+        if self.cases.round:
+            force += across(self.at_modes).reshape(*force.shape[:3], 1) * spun[:, :, None]
+        return force.reshape(*self.r.shape, -1), spun
+
+    @cached_property
+    def _drive_map(self) -> Array:
+        """(K, T, 2 n_modes, 12) from what the tray feels to the force that drives each mode, at a spin that is
+        given."""
+        which, (K, T, n, _) = self.cases, self.r.shape
+        c, s = (f(self.spin)[:, :, None, None] for f in (np.cos, np.sin))
+        x, y = which.at_mode[:, None, :, 0], which.at_mode[:, None, :, 1]
+        found = np.stack([c * x - s * y, s * x + c * y], axis=3)  # (K, T, n, 2, 12)
+        stiffer = which.omega[:, None] ** 2 / GRAVITY * self.r
+        found += stiffer[..., None] * which.at_O[:, None, None, None, 2]
+        return np.asarray(found.reshape(K, T, 2 * n, -1))
 
     def _spun(self, dw: Array) -> Array:
         """(K or 1, T, c) change of `spin`."""
@@ -386,10 +405,10 @@ class Waves:
         return r[..., 0], rate[..., 0] - self.rate
 
     def changed(self, dw: Array) -> Change:
-        """To first order, by changes dw (T, 12, c) of what the tray feels, before the motion too."""
-        which, dw = self.cases, dw[None]
-        spun = self._spun(dw)[:, :, None]  # (1, T, 1, c)
+        """To first order, by changes dw (K or 1, T, 12, c) of what the tray feels, before the motion too."""
+        which = self.cases
         r, rate, second = self._pushed(dw, before=True)
+        spun = self._spun(dw)[:, :, None]  # (K or 1, T, 1, c)
         force = which.at_O[:, None] @ dw  # (K, T, 3, c)
 
         def last(x: Array) -> Array:
@@ -400,7 +419,6 @@ class Waves:
         slope += across(self.slope)[..., None] * spun
         eta = np.einsum("kna,ktnac->ktac", which.gain, r) - which.rest_rise[:, None, :, None] * slope
         ending = r[:, -1], rate[:, -1] / which.omega[..., None]
-        left = np.einsum("kna,knac->kac", which.gain, np.hypot(*ending))
 
         def weighed(x: Array, dx: Array, mass: Array) -> tuple[Array, Array]:
             """Sums over the modes in the container's axes, (K, T, 2, 1), and their changes (K, T, 2, c)."""
@@ -420,23 +438,22 @@ class Waves:
         out[:, :, 5] += hung[:, :, 0] * force[:, :, 1] - hung[:, :, 1] * force[:, :, 0]
         thrown = TILTING / GRAVITY * which.wide**2 * (TURNING @ dw)
         wrench = which.to_E[:, None] @ out
-        return Change(eta, eta + which.half[:, None, :, None] * slope, thrown, wrench, left, ending)
+        return Change(eta, eta + which.half[:, None, :, None] * slope, thrown, wrench, ending)
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
     """What c changes of what the tray feels make of waves, to first order.
 
-    eta, free: (K, T, 2, c) of the waves' heights along both axes, m. thrown: (1, T, c) of what tilting throws up, m.
-    wrench: (K, T, 6, c) at E. left: (K, 2, c) of what is left at the end, an amplitude, m; ending: of
-    each mode (K, n_modes, 2, c), as in `Waves`.
+    eta, free: (K, T, 2, c) of the waves' heights along both axes, m. thrown: (K or 1, T, c) of what tilting throws up,
+    m. wrench: (K, T, 6, c) at E. ending: of each mode, (K, n_modes, 2, c) of its place and of its speed over its
+    frequency, m.
     """
 
     eta: Array
     free: Array
     thrown: Array
     wrench: Array
-    left: Array
     ending: tuple[Array, Array]
 
 

@@ -22,10 +22,10 @@ from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import AT_NODES, REACH, KeepOut
 from salver.sensitivity.sloshing import Slosh, Sloshed, of_parts
-from salver.sensitivity.wave_gradients import Pulled
+from salver.sensitivity.wave_gradients import Unknowns
 
 Gradient = Callable[[Indices, Indices], Array]
-History = Callable[[Indices, Indices], Pulled]
+History = Callable[[Indices, Indices, Unknowns], Array]
 
 FINEST = 1e-4  # of a limit, for what may happen between the points of the check
 LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is judged on the true motion
@@ -38,6 +38,7 @@ WAVE_ROWS = 2  # cases of a liquid at one node: those of a fill and a damping ar
 SLOSH_REACH = 0.05  # of the weight: nearer than this, contact rows have the derivatives of the slosh in them
 WAVE_REACH = 0.1  # of the room of a liquid: rows further from their edge are left out of a programme
 WAVE_MARGIN = 5e-3  # of the room of a liquid, kept at nodes: between them waves are driven by what was interpolated
+LEFT_MARGIN = 0.03  # and of what may be left at the end, which all of that adds up to
 INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
 
 
@@ -52,8 +53,8 @@ class Block:
     scales: whether the rows depend on time, and so become nearly linear in T^2 when multiplied by it.
     following: derivatives by z at the next node, for rows that couple two neighbours. by_duration: (N, m) derivative
     by log T at fixed z, for rows in which the duration itself occurs.
-    history: of rows that depend on what the tray felt at other nodes too: derivatives by w at all nodes of the motion,
-    (r, T, 12), and by log T at fixed w, (r,); beside the gradient.
+    history: of rows that depend on what the tray felt at other nodes too: derivatives (r, c) by c unknowns of the
+    motion, beside the gradient.
     remembers: rows further than this from their edge are taken to have none: it is what costs most.
     slows: by how much longer a motion, relatively, is put right for each unit of excess.
     reach: rows further than this from their edge are never considered, because their derivatives are expensive.
@@ -305,18 +306,19 @@ class Brim(Constraint):
         which = [part.waves.cases for part in parts]
         liquid = which[0].liquid
 
-        def block(name: str, values: Array, scale: Array, by: Callable[[Slosh, Indices, Indices], Pulled]) -> Block:
+        def block(name: str, values: Array, scale: Array, by: Callable[..., Array]) -> Block:
             """values (K, N) and their scale (K,), cases part after part."""
 
-            def history(i: Indices, f: Indices) -> Pulled:
-                by_w, by_duration = np.zeros((len(i), *motion.terms.w.shape)), np.zeros(len(i))
+            def history(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
+                found = np.zeros((len(i), unknowns.felt.shape[2]))
                 for part, case, mine in of_parts(parts, f):
-                    by_w[mine], by_duration[mine] = by(part, case, i[mine])
-                return by_w / scale[f, None, None], by_duration / scale[f]
+                    found[mine] = by(part, case, i[mine], unknowns)
+                return found / scale[f, None]
 
-            rows, margins, nothing = (values / scale[:, None] - 1).T, (WAVE_MARGIN, FINEST), _nothing(motion.n)
+            rows, nothing = (values / scale[:, None] - 1).T, _nothing(motion.n)
             if len(rows) == 1:
-                return Block(name, rows, nothing, last, margins, history=history, kinked=True)
+                return Block(name, rows, nothing, last, (LEFT_MARGIN, FINEST), history=history, kinked=True)
+            margins = (WAVE_MARGIN, FINEST)
             whole = Block(name, rows, nothing, motion.nodes, margins, history=history, kinked=True)
             return replace(whole, most=WAVE_ROWS, reach=WAVE_REACH)
 
@@ -336,8 +338,8 @@ class Brim(Constraint):
                 yield block(said, left, limit, partial(_left_by, seconds))
 
 
-def _left_by(seconds: float, part: Slosh, case: Indices, node: Indices) -> Pulled:
-    return part.left_by(case, seconds)
+def _left_by(seconds: float, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+    return part.left_by(case, unknowns, seconds)
 
 
 def _nothing(n: int) -> Gradient:

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
+from salver.models.parameters import Parameter
+from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop
 from salver.sensitivity.sloshing import Slosh
@@ -28,10 +30,34 @@ def sloshes(several: Sequence[Case], t: Array, w: Array, response: Deviation | N
     if response is None:
         return (planned,)
     felt, drift = response.felt()
+    known, unknown = of_cases(several, response.load, drift.dw)
+    known += felt - w
     # The arm gives way to what the waves push, and the waves are then others: twice round is enough.
     reaction = response.reaction(planned.wrench)
-    reaction = response.reaction(planned.waves.shifted(felt - w + reaction).wrench)
-    return planned, Slosh.given_way(planned.waves.shifted(felt - w + reaction), response, reaction, drift.dw)
+    reaction = response.reaction(planned.waves.shifted(known + reaction).wrench)
+    return planned, Slosh.given_way(planned.waves.shifted(known + reaction), planned.waves, reaction, unknown)
+
+
+def of_cases(several: Sequence[Case], load: LoadChange, dw: Array) -> tuple[Array, Array]:
+    """What changes dw (T, 12, n_c), per half-range of each term of a load, are at the fills of K cases: (K, T, 12) what
+    is sure there, and (K, T, 12, n) what else may be.
+
+    A case knows its own fill, and with it what that weighs. Products of two others are left out: they are a
+    hundredth of what single ones do to waves.
+    """
+    body = several[0].body
+    own, half = Parameter(body.name, "fill"), load.uncertain.ranges
+    others = [p for p in load.uncertain.parameters if p != own]
+    share = np.array([(case.fill - case.liquid.fill) / half[own] if own in half else 0.0 for case in several])
+    sure, free = np.zeros((len(several), len(load.terms))), np.zeros((len(several), len(load.terms), len(others)))
+    for k, factors in enumerate(load.terms):
+        rest = [p for p in factors if p != own]
+        power = share ** (len(factors) - len(rest))
+        if not rest:
+            sure[:, k] = power
+        elif len(rest) == 1:
+            free[:, k, others.index(rest[0])] = power
+    return np.moveaxis(dw @ sure.T, 2, 0), dw @ free[:, None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -135,7 +135,9 @@ def optimise(
         hopeless = excess > HOPELESS or solution.iterate.violation > HOPELESS_AT_NODES
         if excess <= 0.0 or hopeless or exchange == EXCHANGES or late:
             break
-        nodes = np.union1d(nodes, fine.grid.s[peaks])
+        before, nodes = nodes, np.union1d(nodes, fine.grid.s[peaks])
+        if len(nodes) == len(before):  # what is broken is driven by what was between them: waves
+            nodes = np.union1d(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
         repair = REPAIR * 4.0**exchange
         options = Options(REPAIR_ITERATIONS, watch, gain=gain, least_damping=repair, mending=True)
         solution = solve(SplineMotion(spline, point.coefficients, point.duration), options, Trust(repair, REPAIR_DEPTH))

@@ -27,6 +27,7 @@ from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.objectives import Objective, Point, Scalar
 from salver.planning.fastest.trust import SHALLOWEST, Trust
 from salver.planning.fastest.watch import Watch
+from salver.sensitivity.wave_gradients import Unknowns
 
 Mask = npt.NDArray[np.bool_]
 
@@ -83,8 +84,8 @@ class Iterate:
         return self.point.duration
 
     @cached_property
-    def felt(self) -> Array:
-        """(T 12, size m + 1) derivatives of what the tray feels at all nodes by the coefficients and by log T / 2."""
+    def unknowns(self) -> Unknowns:
+        """What the coefficients and log T / 2 make of what the tray feels at the nodes."""
         motion, point = self.motion, self.point
         slope = motion.terms.w_z
         parts = np.zeros((slope.shape[0] * slope.shape[1], 4, motion.n))
@@ -92,7 +93,8 @@ class Iterate:
         at = np.repeat(motion.nodes, slope.shape[1])
         columns = self.curve.columns(point.coefficients, point.duration, parts, at)
         slower = self.curve.by_duration(point.coefficients, point.duration, motion.z)
-        return np.column_stack([columns, 0.5 * np.einsum("rkn,krn->r", parts, slower[:, at])])
+        felt = np.column_stack([columns, 0.5 * np.einsum("rkn,krn->r", parts, slower[:, at])])
+        return Unknowns(felt.reshape(*slope.shape[:2], -1), np.append(np.zeros(columns.shape[1]), 0.5))
 
     @cached_property
     def worst(self) -> tuple[float, str]:
@@ -177,9 +179,7 @@ class Programme:
         if block.history is not None:
             near = np.flatnonzero(block.values[node, column] > -block.remembers)
             if len(near):
-                by_w, by_duration = block.history(node[near], column[near])
-                matrix[near] += by_w.reshape(len(near), -1) @ path.felt
-                matrix[near, -1] += 0.5 * by_duration
+                matrix[near] += block.history(node[near], column[near], path.unknowns)
         if self.objective.scalar is Scalar.DURATION:
             if block.by_duration is not None:
                 matrix[:, -1] += 0.5 * block.by_duration[node, column]

@@ -18,10 +18,11 @@ from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import N_MOTION
 from salver.sensitivity.sloshing import Slosh, Sloshed
+from salver.sensitivity.wave_gradients import Unknowns
 from salver.sensitivity.waves import Case, along
 
 Indices = npt.NDArray[np.intp]
-Kind = tuple[Array, Array, Callable[[Indices, Indices], tuple[Array, Array]]]
+Kind = tuple[Array, Array, Callable[[Indices, Indices, Unknowns], Array]]
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,10 @@ class Wet:
         n_z = self.w_jacobian.shape[2]
         return np.broadcast_to(np.zeros(n_z) if step is None else step, (*shape, n_z))
 
-    def chained(self, by_w: Array) -> Array:
-        """(m, n_z) of derivatives (m, T, 12) by w."""
-        return np.tensordot(by_w, self.w_jacobian, axes=([1, 2], [0, 1]))
+    @property
+    def unknowns(self) -> Unknowns:
+        """The plan's own."""
+        return Unknowns(self.w_jacobian)
 
 
 @dataclass(frozen=True)
@@ -74,13 +76,13 @@ class BrimRows:
     def cuts(self, instant: Indices, row: Indices, terms: Array) -> tuple[Array, Array]:
         step = terms[0]
         (part,) = self.wet.after(step)[self.name]
-        found, count = _conditions(part), len(part.wrench)
+        found, count, unknowns = _conditions(part), len(part.wrench), self.wet.unknowns
         offset, slope = np.empty(len(row)), np.empty((len(row), len(step)))
         for kind, (values, scale, by) in enumerate(found):
             mine = np.flatnonzero(row // count == kind)
             if len(mine):
                 case = row[mine] % count
-                slope[mine] = self.wet.chained(-by(case, instant[mine])[0] / scale[case, None, None])
+                slope[mine] = -by(case, instant[mine], unknowns) / scale[case, None]
                 offset[mine] = 1 - values[instant[mine], case] / scale[case]
         return offset - slope @ step, slope
 
@@ -100,9 +102,9 @@ def _conditions(part: Slosh) -> list[Kind]:
     return found
 
 
-def _left_by(part: Slosh, seconds: float, case: Indices, node: Indices) -> tuple[Array, Array]:
+def _left_by(part: Slosh, seconds: float, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
     del node  # the last
-    return part.left_by(case, seconds)
+    return part.left_by(case, unknowns, seconds)
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,6 @@ class SloshingRows:
         sloshed = Sloshed.of(self.rows, self.wet.after(step))
         own = -self.rows.slope(felt, row)
         slope = np.einsum("mi,miz->mz", own, self.wet.w_jacobian[instant])
-        slope -= self.wet.chained(sloshed.history(instant, row)[0])
+        slope -= sloshed.history(instant, row, self.wet.unknowns)
         value = np.einsum("mi,mi->m", own, felt) - sloshed.values[instant, row]
         return value - slope @ step, slope

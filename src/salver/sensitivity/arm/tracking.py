@@ -63,10 +63,6 @@ class TrayDeviation:
     w: Array
 
 
-Pull = Callable[[Array], Array]
-"""Of a loop, transposed: from derivatives (m, T, 3 n) by the joints' deviation (q, dq, ddq) to those (m, T, n) by the
-missing acceleration that made it; that it was missing before the motion too is left out."""
-
 Law = Callable[[Array, Array], tuple[JointDeviation, TrayDeviation]]
 """What a loop makes of a missing acceleration (T, n, n_c); (n_c,) 1 where it was missing before the motion too."""
 
@@ -91,8 +87,7 @@ class Held:
 class Deviation:
     """What a wrong load makes of a motion at T instants, per unit of each of its n_c terms; and held commands.
 
-    terms: the motion as planned. joints, tray: deviations. torque: (T, n, n_c) commanded, N m. law: of the loop; pull:
-    the same transposed, where derivatives are wanted.
+    terms: the motion as planned. joints, tray: deviations. torque: (T, n, n_c) commanded, N m. law: of the loop.
     """
 
     load: LoadChange
@@ -102,7 +97,6 @@ class Deviation:
     torque: Array
     held: Held
     law: Law
-    pull: Pull | None = None
 
     def reaction(self, wrench: Array) -> Array:
         """(K, T, 12) how what the tray feels changes, to first order, when the load needs wrenches (K, T, 6) at E
@@ -110,20 +104,6 @@ class Deviation:
         pushed = np.asarray(np.swapaxes(self.terms.jacobian, 1, 2) @ np.moveaxis(wrench, 0, 2), dtype=float)
         missing = np.linalg.solve(self.terms.mass_matrix, pushed)
         return np.moveaxis(self.law(missing, np.zeros(len(wrench)))[1].w, 2, 0)
-
-    def reaction_by(self, by_w: Array) -> Array:
-        """(m, T, 6) derivatives by the wrench at E of functions of `reaction` with derivatives (m, T, 12) by it."""
-        assert self.pull is not None
-        by_state = np.swapaxes(np.swapaxes(by_w, 0, 1) @ self.terms.w_z, 0, 1)
-        given = np.linalg.solve(self.terms.mass_matrix, np.swapaxes(self.terms.jacobian, 1, 2))  # (T, n, 6)
-        return np.swapaxes(np.swapaxes(self.pull(by_state), 0, 1) @ given, 0, 1)
-
-    def wrong_load_by(self, by_wrench: Array, share: Array) -> Array:
-        """(m, T, 12) derivatives by w as planned, through what each term of the load makes of it; by_wrench: as from
-        `reaction_by`, of which a share (m, n_c) is felt of each term. Of second order is left out."""
-        n_p = self.load.uncertain.size
-        single = self.load.load_p[:n_p] * self.load.half_range[:n_p, None, None]
-        return np.asarray(by_wrench @ np.tensordot(share[:, :n_p], single, axes=1))
 
     def felt(self, held: bool = True) -> tuple[Array, Drift]:
         """w (T, 12) at nominal parameters, and how the others change it."""
@@ -189,12 +169,7 @@ class JointLoop:
             joints = JointDeviation(-e, -rate, -response.acceleration(missing, e, rate), missing)
             return joints, tray_of_joints(terms, joints)
 
-        def pull(by_state: Array) -> Array:
-            by_q, by_dq, by_ddq = np.split(np.moveaxis(by_state, 0, -1), 3, axis=1)  # (T, n, m)
-            by_drive = response.gradient(self.kp * by_ddq - by_q, self.kd * by_ddq - by_dq)
-            return np.moveaxis(by_drive - by_ddq, -1, 0)
-
-        return replace(deviation(self.load, terms, late(terms, rates, self.delay), law), pull=pull)
+        return deviation(self.load, terms, late(terms, rates, self.delay), law)
 
 
 def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
