@@ -5,15 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from scipy.optimize import linprog
 
 from salver import scenario
 from salver.models.urdf import shared_folder
-from salver.planning.fastest import FastestOptions, fastest, transport_problem
+from salver.planning.fastest import FastestOptions, fastest, plan_fastest, transport_problem
 from salver.planning.fastest.around import LEAN, STEP, way_around
-from salver.planning.fastest.bound import least_duration, least_time
+from salver.planning.fastest.bound import least_by_friction, least_duration, least_time
 from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.starts import bent, between, ends, straight, touches, tray_line
+from salver.planning.fastest.starts import Start, bendable, bent, between, ends, open_to, straight, touches, tray_line
 from salver.planning.fastest.watch import Watch
 
 POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
@@ -72,6 +74,93 @@ def test_ends_that_touch_something_are_slid_free_where_the_arm_can():
             assert np.abs(end.residual(problem.arm, q)[0]).max() < 1e-9
 
 
+def test_in_no_two_pairs_of_ends_the_arm_stands_and_moves_alike():
+    """An arm with a spherical shoulder and wrist: each posture has three twins with the same elbow. The elbow and the
+    wrist, or the time that the joints need, tell the pairs apart."""
+    case = scenario.load("panda-cube").with_changes(
+        arm__model="gen3", arm__start_posture=None, arm__gains=None, motion__duration=None, objects__0__uncertainty={}
+    )
+    problem = transport_problem(case)
+    pairs = ends(problem, np.random.default_rng(0))
+    model, data = problem.arm.pin_model, problem.arm.data
+
+    def joints(q: np.ndarray) -> np.ndarray:
+        pin.forwardKinematics(model, data, q)
+        return np.array([placement.translation for placement in data.oMi.tolist()])
+
+    assert len(pairs) > 1
+    for k, one in enumerate(pairs):
+        for other in pairs[:k]:
+            apart = max(
+                np.abs(joints(a) - joints(b)).max() for a, b in ((one.start, other.start), (one.goal, other.goal))
+            )
+            assert apart > 0.02 or abs(one.cost - other.cost) > 0.02 * one.cost
+
+
+def test_a_path_that_tips_the_load_off_is_not_open_and_nor_is_one_through_a_post(behind_a_post):
+    problem = behind_a_post
+    pair = ends(problem, np.random.default_rng(0))[0]
+    assert not open_to(problem, straight(pair))
+    bare = replace(problem, keep_out=None)
+    assert open_to(bare, straight(pair))
+    friction = problem.items[0].friction
+    for share, is_open in ((0.9, True), (1.1, False)):
+        middle = pair.start.copy()
+        middle[5] += share * np.arctan(friction)  # the wrist, about an axis that lies level
+        lean = np.arccos(problem.arm.tray_pose(middle)[1][2, 2])
+        assert lean == pytest.approx(share * np.arctan(friction), abs=0.01)
+        assert open_to(bare, Start("nod", np.stack([pair.start, middle, pair.start]))) == is_open
+
+
+def test_ways_over_a_post_and_before_it_cannot_be_bent_into_one_another(behind_a_post):
+    """It is 0.7 m tall."""
+    problem = behind_a_post
+    pair = ends(problem, np.random.default_rng(0))[0]
+    found = [way_around(problem, [pair.start], [pair.goal], np.random.default_rng(seed), 20_000) for seed in (0, 2, 5)]
+    ways = [Start("way", way) for way in found if way is not None]
+
+    def over(way: Start) -> bool:
+        p = np.array([problem.arm.tray_pose(q)[0] for q in way.path(np.linspace(0, 1, 60))])
+        return bool(p[np.abs(p[:, 1] + 0.02).argmin(), 2] > 0.7)
+
+    assert sorted(over(way) for way in ways) == [False, False, True]
+    for way in ways:
+        for other in ways:
+            assert bendable(problem, way, other) == (over(way) == over(other))
+
+
+@pytest.mark.slow
+def test_where_one_pair_of_postures_has_no_way_another_has():
+    """Three balls between start and goal of a tall turn (task 21 of the survey): no way was found between any of the
+    most promising postures, and one is found at once from any to any."""
+    case = scenario.parse(
+        {
+            "name": "balls",
+            "motion": {
+                "start": {"position": [0.2177, 0.3087, 0.4188]},
+                "goal": {"position": [0.2139, -0.5032, 0.2907]},
+                "goal_yaw": "free",
+            },
+            "objects": [{"shape": {"type": "box", "size": [0.097, 0.097, 0.063]}, "mass": 0.3, "friction": 0.29}],
+            "contact": {"condition": "exact"},
+            "tray": {"size": [0.18, 0.18], "mass": 0.2, "height": 0.05},
+            "obstacles": [
+                {"type": "sphere", "radius": 0.04, "position": [0.207, 0.0097, 0.3324]},
+                {"type": "sphere", "radius": 0.04, "position": [0.2825, -0.2335, 0.2989]},
+                {"type": "sphere", "radius": 0.04, "position": [0.2156, -0.0276, 0.455]},
+            ],
+            "arm": {"model": "panda"},
+        },
+        "balls",
+    )
+    problem = transport_problem(case)
+    found = fastest(problem)
+    assert found.status.ok
+    assert found.duration < 2.3
+    q = found.sample(np.linspace(0, found.duration, 800))[0]
+    assert problem.keep_out.parts.first_touch(q) is None
+
+
 def test_an_end_that_is_too_near_keeps_what_it_can(behind_a_post):
     problem = behind_a_post
     pair = ends(problem, np.random.default_rng(0))[0]
@@ -100,6 +189,47 @@ def test_an_end_that_is_too_near_keeps_what_it_can(behind_a_post):
 )
 def test_least_time_of_a_joint(distance, velocity, acceleration, jerk, time):
     assert least_time(distance, velocity, acceleration, jerk) == pytest.approx(time)
+
+
+def test_no_force_within_a_cone_carries_a_mass_farther():
+    """As a linear programme: pushes (x, z) at 41 instants of 1 s, within a cone about the vertical of slope 1/2, of a
+    point mass that begins and ends at rest; how far can it come? The bound's distance, and hardly less."""
+    count, slope, g = 41, 0.5, 9.81
+    t = np.linspace(0.0, 1.0, count)
+    x, z = np.eye(2 * count)[:count], np.eye(2 * count)[count:]  # impulses by mass, m/s
+    far = (1 - t) @ x
+    at_rest = np.stack([x.sum(axis=0), z.sum(axis=0)])  # both stop, z against gravity
+    found = linprog(
+        -far,
+        A_ub=np.vstack([x - slope * z, -x - slope * z]),
+        b_ub=np.zeros(2 * count),
+        A_eq=at_rest,
+        b_eq=[0.0, g],
+        bounds=(None, None),
+    )
+    assert -found.fun == pytest.approx(slope * g / 2)
+    problem = transport_problem(scenario.load("panda-cube").with_changes(objects__0__uncertainty={}))
+    pair = ends(problem, np.random.default_rng(0))[0]
+    body = problem.items[0]
+    p_0, p_1 = (problem.arm.object_pose(q, body.p_EB, body.R_EB)[0] for q in (pair.start, pair.goal))
+    distance = np.linalg.norm((p_1 - p_0)[:2])
+    time = least_by_friction(problem.arm, problem.payload, 0.0, pair.start, pair.goal)
+    assert body.friction * g * time**2 / 2 == pytest.approx(distance)
+    leaning = least_by_friction(problem.arm, problem.payload, 0.2, pair.start, pair.goal)
+    assert np.tan(np.arctan(body.friction) + 0.2) * g * leaning**2 / 2 == pytest.approx(distance)
+    assert least_by_friction(problem.arm, problem.payload, np.inf, pair.start, pair.goal) == 0.0
+
+
+def test_a_slippery_load_has_its_bound_by_friction():
+    case = scenario.load("panda-cube").with_changes(motion__duration=None, motion__orientation="fixed")
+    case = case.with_changes(objects__0__friction=0.15, objects__0__uncertainty={"friction": "20%"})
+    plan = plan_fastest(case, options=FastestOptions(spans=8))
+    assert plan.ok
+    assert "friction alone takes" in plan.status.sentence
+    distance = np.hypot(*(np.array(case.motion.goal.position) - case.motion.start.position)[:2])
+    slope = np.tan(np.arctan(0.12) + np.sqrt(2) * 1e-3)  # level, to a milliradian about each axis
+    assert plan.solver["bound"] == pytest.approx(np.sqrt(2 * distance / (slope * 9.81)), rel=1e-6)
+    assert plan.solver["bound"] < plan.duration
 
 
 def test_no_motion_is_faster_than_its_joints_alone(behind_a_post):

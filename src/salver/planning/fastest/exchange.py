@@ -19,6 +19,7 @@ from salver.planning.fastest.objectives import Duration, Objective, Point, Scala
 from salver.planning.fastest.problem import TransportProblem, with_missed_cases
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.sqp import Iterate, Options, Programme, Solution, minimise
+from salver.planning.fastest.starts import TOUCHES
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
 
@@ -31,7 +32,6 @@ HASTE = 0.8  # of a duration at which a path keeps its rows, that is tried next
 HASTENED = 0.03  # damping of the first step from the shortest of these
 ROUGH_EXCHANGES = 2  # rounds of adding nodes to a rough optimum,
 LOOKS = 4  # that is looked at so often from one node to the next,
-TOUCHES = 5e-3  # m; where something is touched by more than this
 BINDING = 0.02  # rows nearer than this to their edge, in their unit, bind
 EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes

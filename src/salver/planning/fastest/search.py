@@ -16,8 +16,8 @@ import numpy as np
 
 from salver.errors import Status, UnreachableError
 from salver.geometry import Array
-from salver.planning.fastest.bound import least_duration
-from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.bound import least_by_friction, least_duration
+from salver.planning.fastest.constraints import LEVEL_TOLERANCE, Contact
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.exchange import ITERATIONS, ROUGH_ITERATIONS, SHORTEST, optimise, rough
@@ -25,7 +25,20 @@ from salver.planning.fastest.objectives import Objective
 from salver.planning.fastest.problem import TransportProblem, transport_problem, with_missed_cases
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Iterate, Solution
-from salver.planning.fastest.starts import Ends, Start, around, bent, between, ends, straight, touches, tray_line
+from salver.planning.fastest.starts import (
+    FEW_LOOKS,
+    LOOKS,
+    Ends,
+    Start,
+    around,
+    bendable,
+    bent,
+    between,
+    ends,
+    open_to,
+    straight,
+    tray_line,
+)
 from salver.planning.fastest.watch import INTERRUPTED, WHY, Watch
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import blocked_end
@@ -59,8 +72,8 @@ class FastestOptions:
 
     spans: int = 20
     nodes_per_span: int = 2
-    pairs: int = 4
-    ways: int = 1
+    pairs: int = 2
+    ways: int = 2
     starts: int = 1
     iterations: float = 1.0
     seed: int = 0
@@ -72,7 +85,7 @@ class FastestOptions:
 
 
 EFFORTS = {
-    "quick": FastestOptions(pairs=2),
+    "quick": FastestOptions(pairs=1, ways=1),
     "normal": FastestOptions(),
     "thorough": FastestOptions(pairs=12, ways=3, starts=4, iterations=3.0),
 }
@@ -176,20 +189,24 @@ def plan_problem(
 
 def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
     """The plan of a motion that was found, with what hinders a shorter one."""
-    bound = least_duration(found.problem.limits, found.coefficients[0], found.coefficients[-1])
-    status = found.status
+    problem, ends = found.problem, (found.coefficients[0], found.coefficients[-1])
+    by_joints = least_duration(problem.limits, *ends)
+    tilt = max(problem.max_tilt, np.sqrt(2) * LEVEL_TOLERANCE)  # about each of two axes
+    by_friction = 0.0 if problem.moving else least_by_friction(problem.arm, problem.payload, tilt, *ends)
+    bound, status = max(by_joints, by_friction), found.status
     if status.ok:
-        status = replace(status, sentence=f"{status.sentence} {_held_by(found, bound)}")
+        what = "friction alone takes" if by_friction > by_joints else "the joints' limits alone take"
+        status = replace(status, sentence=f"{status.sentence} {_held_by(found, bound, what)}")
     record = {**solver_record(found, robust), "bound": bound}
     return joint_plan(scenario, found.problem, found.joint_motion(), status, record)
 
 
-def _held_by(found: FastestMotion, bound: float) -> str:
-    """What hinders a shorter time, and a time that nothing can beat."""
+def _held_by(found: FastestMotion, bound: float, what: str) -> str:
+    """What hinders a shorter time, and a time that nothing can beat, by `what`."""
     held = f"What hinders a shorter one: {listed(found.binding)}. " if found.binding else ""
     above = 100 * (found.duration / bound - 1)
     return (
-        f"{held}Between its two end postures the joints' limits alone take {bound:.4f} s: it is at most {above:.1f} % "
+        f"{held}Between its two end postures {what} {bound:.4f} s: it is at most {above:.1f} % "
         "above the shortest between these."
     )
 
@@ -269,7 +286,7 @@ def fastest(
             return found
     blocked = _blocked(problem)
     rng = np.random.default_rng(options.seed)
-    pairs = [] if blocked is not None else ends(problem, rng, few=options.first(problem))
+    pairs = [] if blocked is not None else ends(problem, rng, few=2 * options.first(problem))
     if not pairs:
         spline = RestSpline(DEGREE, options.spans)
         unreached = "No posture within the joint limits reaches the start or the goal pose."
@@ -296,7 +313,7 @@ class _Search:
     def best(self) -> FastestMotion:
         """The best of the first few rough optima is refined; when none is feasible, the next that is; at last the
         others."""
-        first, further = list(self._first()), self._further()
+        first, further = self._first(), self._further()
         steps = len(first) + self.options.starts
         roughs: list[tuple[TransportProblem, Solution]] = []
         for done, begin in enumerate(first, 1):
@@ -337,43 +354,49 @@ class _Search:
             best = mended if mended.status.ok else best
         return replace(best, status=_ended(best.status, self.watch), iterations=self.iterations)
 
-    def _first(self) -> Iterator[Begin]:
-        """Straight paths between the most promising ends, and ways around what is in them."""
-        few = self.pairs[: self.options.first(self.problem)]
-        ways = []
-        for pair in few:
-            problem, line = between(self.problem, pair), straight(pair)
-            yield problem, line
-            if touches(problem, line):
-                ways.append((problem, pair))
-        for problem, pair in ways[: max(1, len(few) // 2)]:
-            yield from self._around(problem, pair, self.options.ways)
+    def _first(self) -> list[Begin]:
+        """Straight paths between the most promising ends, or, where those cannot be gone along, the shortest of the
+        ways around that are found."""
+        count = self.options.first(self.problem)
+        lines = [(between(self.problem, pair), straight(pair)) for pair in self.pairs[: 2 * count]]
+        free = [open_to(problem, line) for problem, line in lines]
+        if all(free[:count]):
+            return lines[:count]
+        found = [line for (_, line), is_free in zip(lines, free, strict=True) if is_free]
+        found += self._ways([pair for pair, is_free in zip(self.pairs, free, strict=False) if not is_free])
+        return self._promising(found)[: self.options.pairs + 1]
+
+    def _ways(self, pairs: list[Ends]) -> list[Start]:
+        """Ways around between the ends of each of some pairs, and from any start to any goal that is known."""
+        found = [around(self.problem, [pair], self.rng, FEW_LOOKS) for pair in pairs]
+        found += [around(self.problem, self.pairs, self.rng, LOOKS) for _ in range(self.options.ways)]
+        return [way for way in found if way is not None]
+
+    def _promising(self, found: list[Start]) -> list[Begin]:
+        """Paths with the problem between their ends, the shortest first; without those that can be bent into one that
+        is shorter."""
+        kept: list[Begin] = []
+        for start in sorted(found, key=lambda start: start.least(self.problem)):
+            problem = between(self.problem, Ends(start.postures[0], start.postures[-1], 0.0, True))
+            if not any(bendable(problem, start, other) for _, other in kept):
+                kept.append((problem, start))
+        return kept
 
     def _further(self) -> Iterator[Begin]:
         """What is tried when those fail."""
         if self.problem.start_posture is not None:  # so far only the first of them were sought
             self.pairs = ends(self.problem, self.rng)
-        few = self.pairs[: max(2, self.options.pairs // 2)]
+        few = self.pairs[: max(2, self.options.pairs)]
         for pair in few:
             line = tray_line(self.problem, pair)
             if line is not None:
                 yield between(self.problem, pair), line
-        for pair in few:
-            yield from self._around(between(self.problem, pair), pair, self.options.ways)
-        for pair in ends(self.problem, self.rng, more=True)[: self.options.pairs]:
-            problem, line = between(self.problem, pair), straight(pair)
-            if not touches(problem, line):
-                yield problem, line
-            else:
-                yield from self._around(problem, pair, self.options.ways)
+        self.pairs = ends(self.problem, self.rng, more=True)
+        yield from self._promising(self._ways(self.pairs[: len(few)]))
+        for pair in self.pairs[: 2 * len(few)]:
+            yield between(self.problem, pair), straight(pair)
         for _ in range(BENDS):
             yield between(self.problem, self.pairs[0]), bent(self.pairs[0], self.rng)
-
-    def _around(self, problem: TransportProblem, pair: Ends, count: int) -> Iterator[Begin]:
-        for _ in range(count):
-            way = around(problem, [pair], self.rng)
-            if way is not None:
-                yield problem, way
 
     def _rough(self, problem: TransportProblem, start: Start) -> tuple[TransportProblem, Solution]:
         """A first optimum with few spline pieces, from a comfortable duration."""

@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import GRAVITY_S, Array
 from salver.models.arm_limits import POSITION
 from salver.planning.fastest.around import way_around
+from salver.planning.fastest.bound import least_duration, least_time
 from salver.planning.fastest.ends import AtPose, AtPosture, End
 from salver.planning.fastest.obstacles import ENOUGH_AT_ENDS
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.postures import postures_along
 
-ATTEMPTS = 40  # random postures from which the ends are sought,
+ATTEMPTS, BATCHES = 120, 3  # random postures from which the ends are sought, no more than are needed,
 MORE_ATTEMPTS = 100  # and from which each of them is when more are wanted,
 ENOUGH = 6  # until there are so many different ones in which nothing touches
 OTHERS = 6  # goal postures that are sought from a start posture that is given
 SLIDES, SLIDE = 12, 0.15  # steps, rad, by which an end posture that touches something is slid free
-APART = 0.3  # rad between pairs of ends that count as different
+APART = 0.3  # rad between pairs of ends that count as different,
+AT_LIMITS = 0.1  # s that a posture at the limit of a joint counts for
+TOO_NEAR = 3.0  # s/m, that it counts for to be nearer than 3 cm to something
+NEAR_BY, ALIKE = 0.03, 0.03  # m and share of the cost by which the arm stands and moves otherwise
+LEVER = 0.1  # m, at which the tray's heading counts
 ALONG = 31  # postures by which a path is looked at
-LOOKS = 6000  # postures that are looked at for one way around
+LOOKS, FEW_LOOKS = 6000, 1500  # postures that are looked at for a way around, and for one between two given ones
+TOUCHES = 5e-3  # m; where something is touched by more than this
+OTHERWISE = 1.0  # rad; ends that are further apart are never of the same way
 BEND = 0.25  # rad; standard deviation of what a bent path strays
 
 
@@ -57,6 +65,14 @@ class Start:
         u = min_jerk_blend(s)
         return np.stack([np.interp(u, self._length, joint) for joint in self.postures.T], axis=1)
 
+    def least(self, problem: TransportProblem) -> float:
+        """About how long a motion along it takes, s: what the joints take to go as far, and friction lets the tray."""
+        far = np.abs(np.diff(self.postures, axis=0)).sum(axis=0)
+        p_SE = np.array([problem.arm.tray_pose(q)[0] for q in self.path(np.linspace(0, 1, ALONG))])
+        way = float(np.linalg.norm(np.diff(p_SE, axis=0), axis=1).sum())
+        by_contact = least_time(way, np.inf, _friction(problem) * -GRAVITY_S[2], np.inf)
+        return float(np.hypot(least_duration(problem.limits, np.zeros_like(far), far), by_contact))
+
     def motion(self, problem: TransportProblem, spline: RestSpline) -> SplineMotion:
         """Along it, in a comfortable time."""
         s = np.linspace(0, 1, 201)
@@ -74,53 +90,116 @@ def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False
     With the start posture given: its goal posture is the one nearest to it, then others. With none given: nearby
     postures that are clear of joint limits and of one another's parts. Where none of them is free, or more are wanted,
     both ends are sought independently of one another too, which takes longer.
-    few: with the start posture given, so many are enough; then nothing random decides of the first.
+    few: so many are enough. With the start posture given nothing random decides of the first.
     """
-    found: list[Ends] = []
-    limits, n, given = problem.limits, problem.n, problem.start_posture
+    given = problem.start_posture
+    found = _Found(problem)
+    if given is None:
+        for attempt in range(0, ATTEMPTS, ATTEMPTS // BATCHES):
+            new = found.nearby(_sought(problem, rng, attempt), few)
+            if not new or few is None or sum(pair.free for pair in found.pairs) >= few:
+                break
+    else:
+        coasting = np.zeros(problem.n)  # a moving start goes on for a while
+        if isinstance(problem.start, AtPosture) and problem.start.moving:
+            coasting = 0.5 * problem.start.rates[0] * braking_time(problem)
+        for attempt in range(OTHERS):
+            guess, spread = _guess(problem, rng, attempt), attempt / OTHERS
+            found.add(
+                given,
+                problem.goal.nearest(problem.arm, problem.limits, (1 - spread) * (given + coasting) + spread * guess),
+            )
+            if few is not None and len(found.pairs) >= few and found.pairs[0].free:
+                break
+    pairs = found.pairs
+    if more or not any(pair.free for pair in pairs):
+        starts = _free_postures(problem, problem.start, [e.start for e in pairs], rng) if given is None else [given]
+        for goal in _free_postures(problem, problem.goal, [e.goal for e in pairs], rng):
+            for start in starts:
+                found.add(start, goal)
+    if given is None or not all(pair.free for pair in pairs[:1]):
+        pairs.sort(key=lambda pair: pair.cost)
+    return [pair for pair in pairs if pair.free] or pairs
+
+
+def _guess(problem: TransportProblem, rng: np.random.Generator, attempt: int) -> Array:
+    """The middle of the joints' ranges, then random postures around it."""
+    centre, half = problem.limits.range(POSITION)
+    half = np.where(np.isfinite(half), half, np.pi)
+    return np.asarray(centre + (0.7 * half * rng.uniform(-1, 1, problem.n) if attempt else 0.0))
+
+
+def _sought(problem: TransportProblem, rng: np.random.Generator, first: int) -> list[tuple[float, Array, Array]]:
+    """Costs and pairs of postures, the goal's near the start's, the cheapest first: of those in which the arm stands
+    and moves alike only the cheapest."""
+    arm, limits = problem.arm, problem.limits
+    found: list[tuple[float, Array, Array]] = []
+    for attempt in range(first, first + ATTEMPTS // BATCHES):
+        start = problem.start.nearest(arm, limits, _guess(problem, rng, attempt))
+        goal = None if start is None else problem.goal.nearest(arm, limits, start)
+        if start is not None and goal is not None:
+            found.append((_cost(problem, start, goal), start, goal))
+    found.sort(key=lambda pair: pair[0])
+    shapes = [np.stack([_shape(problem, q) for q in pair[1:]]) for pair in found]
+    kept: list[int] = []
+    for k, (cost, _, _) in enumerate(found):
+        alike = (cost < (1 + ALIKE) * found[j][0] and np.abs(shapes[k] - shapes[j]).max() < NEAR_BY for j in kept)
+        if not any(alike):
+            kept.append(k)
+    return [found[k] for k in kept]
+
+
+def _shape(problem: TransportProblem, q: Array) -> Array:
+    """(joints + 1, 3) where the joints are, and which way the tray points, m: a posture of which a shoulder or a wrist
+    is flipped over has the same."""
+    arm = problem.arm
+    heading = arm.tray_pose(q)[1][:, 0]
+    return np.array([*(placement.translation for placement in arm.data.oMi.tolist()[1:]), LEVER * heading])
+
+
+def _cost(problem: TransportProblem, start: Array, goal: Array) -> float:
+    """About how long a motion between two postures takes, s; dearer near joint limits."""
+    limits = problem.limits
     centre, half = limits.range(POSITION)
     half = np.where(np.isfinite(half), half, np.pi)
-    coasting = np.zeros(n)  # a moving start goes on for a while
-    if isinstance(problem.start, AtPosture) and problem.start.moving:
-        coasting = 0.5 * problem.start.rates[0] * braking_time(problem)
+    near = float(np.max(np.abs((np.stack([start, goal]) - centre) / half)) ** 8)
+    return least_duration(limits, start, goal) + AT_LIMITS * near
 
-    def add(start: Array, goal: Array | None) -> None:
+
+@dataclass(eq=False)
+class _Found:
+    """Pairs that were found so far."""
+
+    problem: TransportProblem
+    pairs: list[Ends] = field(default_factory=list)
+
+    def nearby(self, sought: list[tuple[float, Array, Array]], few: int | None) -> bool:
+        """Add those of the pairs that can be slid free, until `few` are that nothing that follows is cheaper than.
+        Whether one is new."""
+        problem, before = self.problem, len(self.pairs)
+        for cost, start, goal in sought:
+            if few is not None and sum(pair.free and pair.cost <= cost for pair in self.pairs) >= few:
+                break
+            free = _slid_free(problem, problem.start, start)
+            self.add(free, goal if free is start else problem.goal.nearest(problem.arm, problem.limits, free))
+        return len(self.pairs) > before
+
+    def add(self, start: Array, goal: Array | None) -> None:
+        """A pair, its goal slid free where it can be, unless one that hardly differs is there."""
+        problem = self.problem
         goal = None if goal is None else _slid_free(problem, problem.goal, goal)
         if goal is None:
             return
-        others = (_apart(problem, goal, e.goal) + _apart(problem, start, e.start) for e in found)
+        others = (_apart(problem, goal, e.goal) + _apart(problem, start, e.start) for e in self.pairs)
         if min(others, default=np.inf) <= APART:
             return
-        both = np.stack([start, goal])
-        cost = float(np.max(np.abs(goal - start) / limits.velocity))
-        cost += float(np.max(np.abs((both - centre) / half)) ** 8)
-        free = True
+        cost, free = _cost(problem, start, goal), True
         if problem.keep_out is not None:
-            distance = problem.keep_out.parts.clearance(both)
+            distance = problem.keep_out.parts.clearance(np.stack([start, goal]))
             free = bool(distance.min() > 0.0)
-            cost += 20 * max(0.0, 0.03 - float((distance - problem.keep_out.required).min()))
-        found.append(Ends(start, goal, cost, free))
-
-    for attempt in range(ATTEMPTS if given is None else OTHERS):
-        guess = centre + (0.7 * half * rng.uniform(-1, 1, n) if attempt else 0.0)
-        if given is None:
-            start = problem.start.nearest(problem.arm, limits, guess)
-            if start is not None:
-                start = _slid_free(problem, problem.start, start)
-                add(start, problem.goal.nearest(problem.arm, limits, start))
-        else:
-            spread = attempt / OTHERS
-            add(given, problem.goal.nearest(problem.arm, limits, (1 - spread) * (given + coasting) + spread * guess))
-            if few is not None and len(found) >= few and found[0].free:
-                break
-    if more or not any(pair.free for pair in found):
-        starts = _free_postures(problem, problem.start, [e.start for e in found], rng) if given is None else [given]
-        for goal in _free_postures(problem, problem.goal, [e.goal for e in found], rng):
-            for start in starts:
-                add(start, goal)
-    if given is None or not all(pair.free for pair in found[:1]):
-        found.sort(key=lambda pair: pair.cost)
-    return [pair for pair in found if pair.free] or found
+            near = float((distance - problem.keep_out.required).min())
+            cost += TOO_NEAR * max(0.0, 0.03 - near)
+        self.pairs.append(Ends(start, goal, cost, free))
 
 
 def _free_postures(problem: TransportProblem, end: End, known: list[Array], rng: np.random.Generator) -> list[Array]:
@@ -205,10 +284,42 @@ def tray_line(problem: TransportProblem, pair: Ends) -> Start | None:
     return Start("tray line", postures)
 
 
-def around(problem: TransportProblem, pairs: list[Ends], rng: np.random.Generator) -> Start | None:
-    """A way that touches nothing, between the ends of one of the pairs; None when none was found."""
-    way = way_around(problem, [p.start for p in pairs], [p.goal for p in pairs], rng, LOOKS)
+def around(problem: TransportProblem, pairs: list[Ends], rng: np.random.Generator, looks: int = LOOKS) -> Start | None:
+    """A way that touches nothing, from a start to a goal of the pairs; None when none was found."""
+    starts, goals = (
+        _different(problem, postures) for postures in zip(*((p.start, p.goal) for p in pairs), strict=True)
+    )
+    way = way_around(problem, starts, goals, rng, looks)
     return None if way is None else Start("way around", way)
+
+
+def _different(problem: TransportProblem, postures: Iterable[Array]) -> list[Array]:
+    """Those of postures (n,) that differ."""
+    found: list[Array] = []
+    for q in postures:
+        if all(_apart(problem, q, other) > APART for other in found):
+            found.append(q)
+    return found
+
+
+def bendable(problem: TransportProblem, start: Start, other: Start) -> bool:
+    """Whether one of two paths can be bent into the other, as far as half way between them tells."""
+    u = np.linspace(0, 1, ALONG)
+    one, two = start.path(u), other.path(u)
+    if np.abs(one[[0, -1]] - two[[0, -1]]).max() > OTHERWISE:
+        return False
+    return not touches(problem, Start("between", 0.5 * (one + two)))
+
+
+def open_to(problem: TransportProblem, start: Start) -> bool:
+    """Whether a path can be gone along slowly, or nearly so: nothing touches, and no tray leans so far that its load
+    slides."""
+    ups = [problem.arm.tray_pose(q)[1][2, 2] for q in start.path(np.linspace(0, 1, ALONG))]
+    return touches(problem, start) < TOUCHES and np.arccos(np.clip(min(ups), -1, 1)) < np.arctan(_friction(problem))
+
+
+def _friction(problem: TransportProblem) -> float:
+    return min(body.friction for body in problem.items)
 
 
 def touches(problem: TransportProblem, start: Start) -> float:
