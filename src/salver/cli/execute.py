@@ -14,11 +14,14 @@ CANNOT_TELL = 3  # as of an audit
 
 if TYPE_CHECKING:
     from salver.driver.execute import Execution
+    from salver.driver.execution import Watchdog
     from salver.driver.preflight import Check
 
 
 def execute(
-    directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it.")],
+    directory: Annotated[
+        Path, typer.Argument(help="A run directory, as `salver plan` makes it; with --live, a scenario or its run.")
+    ],
     robot: Annotated[str, typer.Option(help="Which arm: franka.")] = "franka",
     address: Annotated[str | None, typer.Option(help="Network address of the arm's control interface.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="The simulated arm, in real time.")] = False,
@@ -32,6 +35,13 @@ def execute(
     realtime: Annotated[
         bool, typer.Option(help="Refuse a kernel without real-time priority (a dry run: keep real time).")
     ] = True,
+    live: Annotated[
+        str | None,
+        typer.Option(help="Do what these lines say while it moves: a file of timed wishes, or - for standard input."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="With --live: run directory for what was commanded, and the log.")
+    ] = Path("runs/live"),
     mocap: Annotated[
         Path | None, typer.Option(help="Do not move; merge this motion capture (CSV) into the log of the last run.")
     ] = None,
@@ -50,6 +60,9 @@ def execute(
     to DIR/execution; `salver report DIR` shows it. Stop with Ctrl-C: by the plan's own stops the load stays
     (`salver plan --stops`); a plan without them brakes smoothly, and what it carries may fall.
 
+    With --live nothing is planned beforehand: what the lines say is planned while the arm moves, every motion is
+    verified before it is committed and ends at rest with the load in place; what was commanded is kept as a plan.
+
     Ends with 0 when the motion ran to its end (with --mocap: and the load held as far as it was seen), with 1 when it
     did not, with 3 when motion capture cannot tell.
 
@@ -63,7 +76,11 @@ def execute(
         raise SalverError(f'There is no robot "{robot}"; known are {", ".join(ROBOTS)}.')
     if not 0 < watchdog < 1:
         raise SalverError(f"--watchdog is {watchdog:g} rad; it must be above 0 and below 1.")
-    if mocap is not None:
+    if live is not None:
+        if mocap is not None or move_to_start or stem != "plan":
+            raise SalverError("--live goes with none of --mocap, --move-to-start and --stem.")
+        result = _told(directory, live, out, address, dry_run, Watchdog(watchdog), realtime, yes, json)
+    elif mocap is not None:
         result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
     elif dry_run:
         result = run_dry(directory, stem, Watchdog(watchdog), realtime, confirm=_warned)
@@ -85,6 +102,50 @@ def execute(
         _tell(result)
     if not result.achieved:
         raise typer.Exit(CANNOT_TELL if result.summary["outcome"] == "cannot_tell" else NOT_ACHIEVED)
+
+
+def _told(
+    scenario: Path,
+    lines: str,
+    out: Path,
+    address: str | None,
+    dry: bool,
+    watchdog: Watchdog,
+    realtime: bool,
+    yes: bool,
+    json: bool,
+) -> Execution:
+    """A live motion, told by lines."""
+    import sys
+
+    from salver.driver.live import dry_run_live, run_live_on_franka
+    from salver.run_directory import SCENARIO
+    from salver.scenario import load
+
+    case = load(str(scenario / SCENARIO if (scenario / SCENARIO).is_file() else scenario))
+    listen = lines == "-"
+    try:
+        wishes = sys.stdin if listen else Path(lines).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise SalverError(f"{lines} cannot be read: {getattr(error, 'strerror', None) or 'it is no text'}.") from None
+    source = "standard input" if listen else lines
+    if dry:
+        return dry_run_live(case, wishes, out, watchdog, realtime, source=source, listen=listen, confirm=_warned)
+    if address is None:
+        raise SalverError("Give the arm's --address, as in --address 172.16.0.2, or try --dry-run first.")
+    if listen and not yes:
+        raise SalverError("With --live - standard input is for the wishes; give --yes to let the arm move.")
+    return run_live_on_franka(
+        case,
+        wishes,
+        address,
+        out,
+        watchdog,
+        realtime=realtime,
+        source=source,
+        listen=listen,
+        confirm=_assent(yes, json),
+    )
 
 
 def _warned(checks: list[Check]) -> bool:
@@ -146,7 +207,10 @@ def _tell(result: Execution) -> None:
         tell("The way to rest was not one that surely keeps the load: it may have moved or fallen.")
     elif summary["load_kept_in_stop"]:
         tell("It was brought to rest by a planned stop, and was where that is safe for the load all along.")
-    for key in ("load", "log_elsewhere"):
-        if key in summary:
+    for note in summary.get("wishes", ()):
+        if not str(note["answer"]).startswith("Accepted"):
+            tell(f"At {note['t']:.2f} s: {note['answer']}")
+    for key in ("load", "unjudged", "log_elsewhere"):
+        if summary.get(key):
             tell(str(summary[key]))
     tell(f"Log: {result.path}")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.control.arm import ArmController, ArmState, JointTable
+from salver.control.arm import ArmController, ArmState, Course, JointTable
 from salver.driver.gate import TorqueGate
 from salver.driver.sensing import Sensed, Senses
 from salver.driver.signals import Signals, noted_signals
@@ -21,13 +21,13 @@ from salver.driver.stops import Stop, StopFrom, cool_stops
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
+from salver.trajectory import JointMotion
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from salver.driver.robots import Robot
     from salver.models.bodies import Body
-    from salver.trajectory import JointMotion
 
 STOP_ROOM = 60.0  # s that the log has for a stop
 AT_REST = 0.02  # rad/s; torque control is not left at more, unless it takes longer than
@@ -112,7 +112,7 @@ class Drive:
 
     robot: Robot
     controller: ArmController
-    joint: JointMotion
+    joint: JointMotion | Course
     arm: ArmModel
     bodies: Sequence[Body]
     start: float
@@ -124,7 +124,8 @@ class Drive:
     def __post_init__(self) -> None:
         self.loaded, self.period = with_load(self.arm, self.bodies), self.controller.period
         self.t = self.start  # s of the motion
-        self.wanted = JointTable(self.joint, self.period)
+        joint = self.joint
+        self.wanted: Course = JointTable(joint, self.period) if isinstance(joint, JointMotion) else joint
         # Tried in this order, each when the one before it fails.
         self.stops = [self.stop_from, cool_stops(self.arm, self.bodies)]
         self.stop: Stop | None = None
@@ -218,7 +219,7 @@ class Drive:
         """Where the arm should be now, by the motion or by the stop."""
         if self.stop is not None:
             return self.stop.reference(self.s)[0]
-        return self.wanted.q[self.wanted.instant(self.t)[0]]
+        return self.wanted.at(*self.wanted.instant(self.t))[0]
 
     def complaint(self, sensed: Sensed) -> str:
         """Why to stop, or to stop otherwise; empty for going on."""

@@ -264,6 +264,11 @@ def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
     return checks + (_within(FR3, arm, looked_at(plan.joint)) if right_arm else [])
 
 
+def within_fr3(arm: ArmModel, motion: JointMotion) -> str:
+    """What of a motion the Franka Research 3 would not do, in a sentence; nothing when it would."""
+    return next((check.sentence for check in _within(FR3, arm, looked_at(motion)) if not check.ok), "")
+
+
 def _within(limits: JointLimits, arm: ArmModel, motion: JointMotion) -> list[Check]:
     q, dq, ddq, jerk = motion.q, motion.dq, motion.ddq, motion.jerk(motion.t)
     low, high = velocity_range(q)

@@ -261,13 +261,15 @@ class SimulatedRobot:
         recorder.take(data)
         self._engine.mj_step(self._run.scene.model, data, nstep=self._steps - 1)
 
-    def record(self, summary: dict[str, Any], began: float) -> SimulationRecord:
-        """What happened to arm and objects, as of any simulation."""
+    def record(self, summary: dict[str, Any], began: float, plan: Plan | None = None) -> SimulationRecord:
+        """What happened to arm and objects, as of any simulation. plan: what was wanted, where that was not known
+        beforehand."""
         from salver.simulation import creep, physics
 
         trace = self._recorder.trace()
         bias = creep.tray_bias(self._arm, trace.q, trace.dq, self._run.scene.world.R_tilt)
-        run = replace(self._run, wanted=self._plan.reference.sample(trace.t))
+        reference = (plan or self._plan).reference
+        run = replace(self._run, reference=reference, wanted=reference.sample(trace.t))
         return physics.measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Protocol
 
@@ -135,63 +136,108 @@ class PlannedStops:
         return PlannedStop(self, state, t, course.leaves, course.stop, course.rests)
 
 
-class PlannedStop:
-    """The plan until it is left, then one of its stops, then rest.
+class Along(ABC):
+    """To rest along a motion that keeps the load.
 
-    The plan's controller goes on until the plan is left, so nothing jumps when a stop begins. An arm that is far off
-    its reference is not drawn back to it, which would be a jolt: the way to rest begins where it is, and its speed
-    beyond the plan's fades.
+    Who follows it goes on, so nothing jumps when a stop begins. An arm that is far off its reference is not drawn back
+    to it, which would be a jolt: the way to rest begins where it is, and its speed beyond the reference's fades.
     """
 
-    def __init__(
-        self, stops: PlannedStops, state: ArmState, begun: float, leaves: float, k: int | None, rests: float
-    ) -> None:
-        """begun: s of the plan's time, now. k: which stop; None: to the plan's end, or where it begins before it."""
-        self._stops, self._begun, self._leaves, self._k, self._rests = stops, begun, leaves, k, rests
-        library = stops.library
-        self._allowed = library.stray[-1 if k is None else k] + SENSED
-        q, dq, _ = self._planned(0.0)
+    def __init__(self, loaded: ArmModel, gains: tuple[float, float], state: ArmState) -> None:
+        """loaded: the arm with what it carries. gains: 1/s^2, 1/s of the loop in the joints."""
+        self._loaded, self._gains = loaded, gains
+        q, dq, _ = self.course(0.0)
         off, faster = state.q - q, state.dq - dq
         self._beside: Fading | None = None
         if not (np.abs(off).max() <= FAR[0] and np.abs(faster).max() <= FAR[1]):
-            self._beside = Fading(off, faster, STOP_SHARE * stops.loaded.limits.acceleration)
+            self._beside = Fading(off, faster, STOP_SHARE * loaded.limits.acceleration)
         self.keeps_load = True
         self._watch(state, 0.0)
+
+    @abstractmethod
+    def course(self, s: float) -> tuple[Array, Array, Array]:
+        """(q, dq, ddq) of the motion that keeps the load, a time s after the stop began."""
+
+    @property
+    @abstractmethod
+    def allowed(self) -> Array:
+        """(n,) rad off that motion within which the load surely stays."""
+
+    @property
+    @abstractmethod
+    def rests(self) -> float:
+        """s after the stop began, when that motion is at rest."""
+
+    @abstractmethod
+    def following(self, state: ArmState, s: float) -> Array | None:
+        """Torque (n,) of who follows the motion anyway, while it does."""
+
+    @abstractmethod
+    def renewed(self, state: ArmState, s: float) -> Stop:
+        """As `Stop` has it."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether it is that motion itself that is followed, not one beside it."""
+        return self._beside is None
 
     @property
     def duration(self) -> float:
         beside = 0.0 if self._beside is None else self._beside.duration
-        return max(self._rests - self._begun, beside) + HOLD_AFTER_STOP
+        return max(self.rests, beside) + HOLD_AFTER_STOP
 
     def reference(self, s: float) -> tuple[Array, Array, Array]:
-        planned = self._planned(s)
+        course = self.course(s)
         if self._beside is None:
-            return planned
-        q, dq, ddq = (a + b for a, b in zip(planned, self._beside.at(s), strict=True))
+            return course
+        q, dq, ddq = (a + b for a, b in zip(course, self._beside.at(s), strict=True))
         return q, dq, ddq
 
     def step(self, state: ArmState, s: float) -> Array:
         self._watch(state, s)
-        if self._beside is None and not self._left(s):
-            return self._stops.controller.step(state, min(self._begun + s, self._leaves))
-        return _torque(self._stops.loaded, state, self.reference(s), self._stops.gains)
+        if self._beside is None and (torque := self.following(state, s)) is not None:
+            return torque
+        return _torque(self._loaded, state, self.reference(s), self._gains)
+
+    def _watch(self, state: ArmState, s: float) -> None:
+        """The load is sure to stay only while the arm is where it was checked to be."""
+        self.keeps_load &= bool((np.abs(state.q - self.course(s)[0]) <= self.allowed + SENSED).all())
+
+
+class PlannedStop(Along):
+    """The plan until it is left, then one of its stops, then rest; the plan's controller goes on until it is left."""
+
+    def __init__(
+        self, stops: PlannedStops, state: ArmState, begun: float, leaves: float, k: int | None, rests: float
+    ) -> None:
+        """begun: s of the plan's time, now. k: which stop; None: to the plan's end, or where it begins before it.
+        rests: s of the plan's time."""
+        self._stops, self._begun, self._leaves, self._k, self._rests = stops, begun, leaves, k, rests
+        super().__init__(stops.loaded, stops.gains, state)
+
+    @property
+    def allowed(self) -> Array:
+        return self._stops.library.stray[-1 if self._k is None else self._k]
+
+    @property
+    def rests(self) -> float:
+        return self._rests - self._begun
+
+    def following(self, state: ArmState, s: float) -> Array | None:
+        return None if self._left(s) else self._stops.controller.step(state, min(self._begun + s, self._leaves))
 
     def renewed(self, state: ArmState, s: float) -> Stop:
         return PlannedStop(self._stops, state, self._begun + s, self._leaves, self._k, self._rests)
 
-    def _left(self, s: float) -> bool:
-        return self._k is not None and self._begun + s >= self._leaves - 1e-9
-
-    def _planned(self, s: float) -> tuple[Array, Array, Array]:
+    def course(self, s: float) -> tuple[Array, Array, Array]:
         t = self._begun + s
         table, now = self._stops.plan, min(t, self._leaves)
         if self._k is not None and self._left(s):
             table, now = self._stops.tables[self._k], t - self._leaves
         return table.at(*table.instant(now))
 
-    def _watch(self, state: ArmState, s: float) -> None:
-        """The load is sure to stay only while the arm is where it was checked to be."""
-        self.keeps_load &= bool((np.abs(state.q - self._planned(s)[0]) <= self._allowed).all())
+    def _left(self, s: float) -> bool:
+        return self._k is not None and self._begun + s >= self._leaves - 1e-9
 
 
 def _torque(

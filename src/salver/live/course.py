@@ -11,8 +11,10 @@ class LiveCourse:
 
     def __init__(self, live: Live) -> None:
         self._live = live
+        self.t = 0.0  # s, the last time that was asked for
 
     def instant(self, t: float) -> tuple[int, float]:
+        self.t = t
         self._q, self._dq, self._ddq, _ = self._live.command(t)
         return 0, 0.0
 

@@ -14,7 +14,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +23,11 @@ import numpy.typing as npt
 from salver.display import Shown
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array
-from salver.live.motion import Committed, between, joined, resting
+from salver.live.motion import Committed, resting
 from salver.live.obstacles import Moving, Predicted, predicted
 from salver.live.planner import Answer, Job, Planner
-from salver.live.reader import Pieces, Reader
+from salver.live.reader import Reader
+from salver.live.running import Running
 from salver.live.steer import TICK
 from salver.live.verify import verified
 from salver.live.wishes import (
@@ -59,6 +60,8 @@ SPARE = 1.3  # of the longest of them
 LEAST_LEAD, MOST_LEAD = 0.02, 1.0  # s
 MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
 EVADE = Evade()
+STOPS_EVERY = 0.1  # s between instants from which stops are kept ready
+EARLY = 2e-3  # s by which a stop that is ready must be ahead of the loop
 STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
 
 
@@ -89,30 +92,6 @@ class State(Shown):
         return " ".join([sentence, *filter(None, (self.passing, self.refused, self.clock))])
 
 
-@dataclass(frozen=True, eq=False)
-class _Running:
-    """A committed motion with what leads to it: path, from live time `since` on. after: what it replaces from the
-    beginning of the committed motion on. wish: what it is for."""
-
-    committed: Committed
-    path: JointMotion
-    since: float
-    pieces: Pieces
-    after: _Running | None = None
-    wish: Wish | None = None
-
-    @classmethod
-    def first(cls, rest: Committed) -> _Running:
-        return cls(rest, rest.motion, rest.begins, Pieces(rest.motion, rest.begins))
-
-    def then(self, found: Committed, wish: Wish, now: float) -> _Running:
-        """This until the beginning of another committed motion, and then that one; what is over is forgotten."""
-        first = self.path.t[max(int(np.searchsorted(self.path.t, now - self.since, side="right")) - 1, 0)]
-        path = joined(between(self.path, float(first), found.begins - self.since), found.motion)
-        since = self.since + float(first)
-        return _Running(found, path, since, Pieces(path, since), self, wish)
-
-
 class Live:
     """The live motion of a scenario's arm and load; see the module."""
 
@@ -123,10 +102,12 @@ class Live:
         *,
         robust: bool = True,
         lead: float | None = None,
+        permit: Callable[[JointMotion], str] | None = None,
     ) -> None:
         """q: (n,) where the arm is, at rest; the scenario's start posture unless given. robust: for the whole uncertain
         set, not only for nominal parameters. lead: s from the beginning of planning to the hand-over; learned from how
-        long planning takes unless given.
+        long planning takes unless given. permit: says of a motion that was verified why it is not to be done all the
+        same, by what only whoever drives the arm knows; nothing when it may be.
 
         Raises ScenarioError when the load is not safe there at rest, or the scenario has no arm.
         """
@@ -145,22 +126,29 @@ class Live:
         rest = verified(problem, resting(posture), 0.0, None)
         if rest.committed is None:
             raise ScenarioError(f"{scenario.name}: the load is not safe at rest at q: {rest.sentence}.")
-        self._problem, self._robust = problem, robust
+        self._problem, self._robust, self._permit = problem, robust, permit
+        # The same for the loop's thread: planners have work space that two threads must not share.
+        out = problem.keep_out
+        self._beside = replace(problem, keep_out=None if out is None else replace(out, parts=out.parts.apart()))
         self._planner = Planner(problem)
         self._lead = lead
         # How long planning took of late, s: of motions and of ticks.
         self._spent: dict[bool, deque[float]] = {steered: deque(maxlen=LEADS) for steered in (False, True)}
         self._planning = threading.Lock()
         # Written by the loop alone.
-        self._running = _Running.first(rest.committed)
+        self._running = Running.first(rest.committed, problem)
         self._reader = Reader(with_load(problem.arm, problem.items).pin_model, self._running.pieces)
         self._now = 0.0  # live time of the last command
         self._last: float | None = None  # the clock then
         self._clock = ""
         # Written by whoever plans, taken by the loop.
-        self._offer: _Running | None = None
-        self._offered: _Running | None = None
+        self._offer: Running | None = None
+        self._offered: Running | None = None
+        self._ready: tuple[Running, ...] = ()  # stops that can be taken without planning
+        self._ready_from: Committed | None = None
+        self._ready_until = 0.0  # live time of the last instant that was looked at
         # Written by whoever wishes.
+        self._halt: Running | None = None
         self._wish: Wish | None = None
         self._queue: deque[Goal] = deque()
         self._heard: deque[tuple[float, Array]] = deque(maxlen=200)
@@ -193,12 +181,17 @@ class Live:
                 if 0.0 <= step <= LONGEST_GAP:
                     self._last = t
                     now = self._now + step
-                    offer = self._offer
+                    offer = self._halt or self._offer
                     if offer is not None:
-                        if offer.after is self._running and self._now <= offer.committed.begins:
+                        wanted = isinstance(offer.wish, (Halt, Evade)) or not isinstance(self._wish, Halt)
+                        in_time = offer.after is self._running.committed and self._now <= offer.committed.begins
+                        if wanted and in_time:
                             reader.take(offer.pieces)
                             self._running = offer
-                        self._offer = None
+                        if offer is self._halt:
+                            self._halt = None
+                        else:
+                            self._offer = None
                     reader.read(now)
                     self._now = now
                 elif t - t == 0.0:
@@ -232,10 +225,14 @@ class Live:
         return ACCEPTED
 
     def stop(self) -> Status:
-        """To come to rest as soon as the load allows."""
+        """To come to rest as soon as the load allows: by a stop that is ready (`prepare`) in the next period, else by
+        one that is planned now. What was committed ends at rest in any case."""
         self._refused = ""
         self._queue.clear()
         self._wish = Halt()
+        base = self.committed
+        ready = [x for x in self._ready if x.after is base and x.committed.begins > self._now + EARLY]
+        self._halt = min(ready, key=lambda x: x.committed.ends, default=None)
         return ACCEPTED
 
     def twist(self, v: npt.ArrayLike, omega: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Status:
@@ -276,7 +273,7 @@ class Live:
             if isinstance(prediction, Status):
                 return self._refuse(prediction.sentence, "What was seen")
             found.append(prediction)
-        self._around = tuple(found)
+        self._around, self._ready, self._ready_from = tuple(found), (), None
         return ACCEPTED
 
     def measured(self, q: npt.ArrayLike) -> Status:
@@ -305,14 +302,14 @@ class Live:
             return self._refuse(posture.sentence, "A restart")
         if self._now < self.committed.ends and not self.committed.at_rest:
             return self._refuse(f"the arm is at rest only in {self.committed.ends - self._now:.2f} s", "A restart")
-        rest = verified(self._problem, resting(posture), self._now, None)
+        rest = verified(self._beside, resting(posture), self._now, None)
         if rest.committed is None:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
         self._wish, self._done, self._refused, self._attempts = None, None, "", 0
         self._queue.clear()
         self._heard.clear()
         self._offer = self._offered = None
-        self._running = _Running.first(rest.committed)
+        self._running = Running.first(rest.committed, self._problem)
         self._reader.take(self._running.pieces)
         self._reader.read(self._now)
         return ACCEPTED
@@ -331,6 +328,46 @@ class Live:
             finally:
                 self._planning.release()
         return self.state
+
+    def prepare(self, budget: float = 2.0, answer: Callable[[Job], Answer] | None = None) -> bool:
+        """Plan one more stop from an instant ahead, which `stop` then takes without planning; for when nothing else is
+        to be planned. False when there is none left to plan. From where `plan` is called; never raises."""
+        if not self._planning.acquire(blocking=False):
+            return False
+        try:
+            return self._prepare(budget, answer or self._planner.answer)
+        except Exception:  # a stop less; what is committed does not depend on it
+            return False
+        finally:
+            self._planning.release()
+
+    def _prepare(self, budget: float, answer: Callable[[Job], Answer]) -> bool:
+        running, base = self._running, self.committed
+        if self._ready_from is not base:
+            self._ready_from, self._ready, self._ready_until = base, (), base.begins - STOPS_EVERY
+        begins = self._hand_over(base, False, max(self._now + self.lead, self._ready_until + STOPS_EVERY))
+        if self._offer is not None or isinstance(self._wish, Follow | Halt) or begins >= base.ends - STOPS_EVERY:
+            return False
+        self._ready_until = begins
+        found = answer(Job(Halt(), base, begins, budget, self._around)).found
+        if found is not None and not self._denied(found) and self._ready_from is base:
+            self._ready += (running.then(found, Halt(), self._now, self._problem),)
+        return True
+
+    def _denied(self, found: Committed) -> str:
+        """Why a motion is not to be done though it was verified; nothing when it is."""
+        return "" if self._permit is None else self._permit(found.motion)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the arm rests and nothing is left of what was wished."""
+        idle = self._wish is self._done and not self._queue and self._offer is None and self._halt is None
+        return idle and self._now >= self.committed.ends
+
+    @property
+    def stray(self) -> Array:
+        """(n,) rad, the most by which each joint may be off what is commanded under the uncertain set."""
+        return self._running.allowed
 
     @property
     def idle(self) -> bool:
@@ -353,6 +390,11 @@ class Live:
         return State(doing, rests_in, limit, margin, self._refused, self._clock, self.lead, self._touched)
 
     @property
+    def refused(self) -> str:
+        """The last wish that was not granted, and why; nothing when it was."""
+        return self._refused
+
+    @property
     def now(self) -> float:
         """Live time of the last command, s: that of the loop's clock that was commanded, from its first command on."""
         return self._now
@@ -361,6 +403,11 @@ class Live:
     def committed(self) -> Committed:
         """What is committed."""
         return self._running.committed
+
+    @property
+    def path(self) -> tuple[JointMotion, float]:
+        """What is commanded from now to rest, and the live time of its own beginning, s, which is past."""
+        return self._running.path, self._running.since
 
     @property
     def problem(self) -> TransportProblem:
@@ -384,6 +431,8 @@ class Live:
     def _due(self) -> Wish | None:
         """What is to be planned for now."""
         wish, offered = self._wish, self._offered
+        if isinstance(wish, Halt) and (self._halt is not None or isinstance(self._running.wish, Halt)):
+            self._done = wish  # by a stop that was ready
         if self._minded is not self._around and self._offer is None:
             return EVADE
         if offered is not None and self._offer is None:
@@ -417,10 +466,12 @@ class Live:
         around = self._around
         answered = answer(Job(wish, base, begins, budget, around))
         found, status = answered.found, answered.status
+        if found is not None and (denied := self._denied(found)):
+            found, status = None, Status("refused", denied, False)
         if isinstance(wish, Evade):
             self._minded, self._touched = around, answered.touched
             if found is not None:
-                self._offered = running.then(found, wish, self._now)
+                self._offered = running.then(found, wish, self._now, self._problem)
                 self._offer = self._offered
                 self._done = None if isinstance(self._wish, Goal) else self._wish
             return
@@ -432,7 +483,7 @@ class Live:
             found = verified(self._problem, found.motion, self._hand_over(base, steered), base).committed
         if found is not None:
             self._refused = ""
-            self._offered = running.then(found, wish, self._now)
+            self._offered = running.then(found, wish, self._now, self._problem)
             self._offer = self._offered
         elif wish is not self._done and not steered:
             self._attempts += 1
@@ -442,9 +493,9 @@ class Live:
                 what = f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop"
                 self._refuse(status.sentence, what)
 
-    def _hand_over(self, base: Committed, steered: bool) -> float:
+    def _hand_over(self, base: Committed, steered: bool, earliest: float | None = None) -> float:
         """Live time of the next hand-over: the next tick, or where the base's deviation is known exactly."""
-        begins = max(self._now + self.lead, base.begins)
+        begins = max(self._now + self.lead if earliest is None else earliest, base.begins)
         if steered:
             return TICK * float(np.ceil(begins / TICK - 1e-9))
         k = int(np.searchsorted(base.nodes, begins))

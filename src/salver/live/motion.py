@@ -67,6 +67,14 @@ class Committed:
         """Whether it does not move at all."""
         return bool(np.all(self.motion.q == self.motion.q[0]))
 
+    def stray(self, problem: TransportProblem) -> Array:
+        """(n,) rad, the most by which each joint may be off the motion under the uncertain set."""
+        if self.deviation is None or problem.tracking is None:
+            return np.zeros(problem.n)
+        e = self.deviation[:, 0]
+        off = problem.tracking.load.radius(e[:, :, :-1]) + np.abs(e[:, :, -1])
+        return np.asarray(off.max(axis=0))
+
     def deviation_at(self, t: float, problem: TransportProblem) -> Array | None:
         """(2, n, k) the deviation at live time t; None where nothing is uncertain."""
         if self.deviation is None or problem.tracking is None:

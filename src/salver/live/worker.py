@@ -27,10 +27,11 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 class Worker:
     """Plans while it is entered: `with Worker(live): ...`, or `start` and `close`."""
 
-    def __init__(self, live: Live, budget: float = 2.0, *, process: bool = False) -> None:
+    def __init__(self, live: Live, budget: float = 2.0, *, process: bool = False, stops: bool = False) -> None:
         """budget: s that one step of planning may take, about. process: plan in a process of its own, so that the
-        loop's has its interpreter to itself; it takes a second to start."""
-        self._live, self._budget = live, budget
+        loop's has its interpreter to itself; it takes a second to start. stops: when nothing else is to be planned,
+        plan stops that are then ready in the loop's process."""
+        self._live, self._budget, self._stops = live, budget, stops
         self._closing = threading.Event()
         self._process = _Process(live) if process else None
         self._thread = threading.Thread(target=self._work, name="salver-live", daemon=True)
@@ -64,10 +65,10 @@ class Worker:
     def _work(self) -> None:
         answer = None if self._process is None else self._process.answer
         while not self._closing.is_set():
-            if self._live.idle:
-                self._closing.wait(PAUSE)
-            else:
+            if not self._live.idle:
                 self._live.plan(self._budget, answer)
+            elif not (self._stops and self._live.prepare(self._budget, answer)):
+                self._closing.wait(PAUSE)
 
 
 class _Process:

@@ -65,6 +65,11 @@ class ArmGeometry:
     unchecked: tuple[str, ...]
     left_out: dict[str, list[tuple[str, str]]]
 
+    def apart(self) -> ArmGeometry:
+        """The same with work space of its own, for another thread."""
+        arm = replace(self.arm, data=self.arm.pin_model.createData())
+        return replace(self, arm=arm, data=self.model.createData())
+
     def first_touch(self, q: Array) -> Touch | None:
         """The first of postures (N, n) at which two parts touch, or None."""
         for k, posture in enumerate(q):

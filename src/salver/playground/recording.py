@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from salver.driver.execute import JUDGED, RECORDED
+from salver.driver.live import commanded
 from salver.driver.logs import RECORD_RATE, keep
-from salver.errors import Status
 from salver.files import provenance
-from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.geometry import Array
 from salver.models.arm import load_arm
-from salver.planning.fastest import joint_plan, transport_problem
 from salver.planning.plan import Plan
 from salver.planning.plan_files import make_way
 from salver.scenario import Scenario
@@ -74,15 +73,7 @@ class Recording:
         """What was commanded, judged like any motion of the joints from rest to rest."""
         count = self._recorder.count
         q, dq, ddq = self._wanted[:, :count].copy()
-        joint = JointMotion(self._recorder.t[:count] - self._recorder.t[0], q, dq, ddq)
-        first, arm = self.scenario.payload.bodies[0], load_arm(self.scenario.arm, self.scenario.tray)  # type: ignore[arg-type]
-        ends = {}
-        for name, posture in (("start", q[0]), ("goal", q[-1])):
-            p, R = arm.object_pose(posture, first.p_EB, first.R_EB)
-            ends[f"motion__{name}"] = {"position": p.tolist(), "quat_wxyz": quat_wxyz_from_matrix(R).tolist()}
-        scenario = self.scenario.with_changes(**ends)
-        status = Status("recorded", "Steered by hand; this is what was commanded.", True)
-        return joint_plan(scenario, transport_problem(scenario), joint, status, {}, method="live")
+        return commanded(self.scenario, JointMotion(self._recorder.t[:count] - self._recorder.t[0], q, dq, ddq))
 
     def save(self, directory: Path, unprotected: bool) -> Path:
         """Write the run directory; what stood there is kept. Returns the path of the log."""

@@ -192,7 +192,7 @@ def transport_problem(
     on_the_way = [(f"through[{k}]", pose) for k, pose in enumerate(scenario.motion.through)]
     for key, pose in (("start", scenario.motion.start), *on_the_way, ("goal", scenario.motion.goal)):
         leans = float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))
-        if leans > max(max_tilt, LEVEL_TOLERANCE):
+        if leans > max(max_tilt, np.sqrt(2) * LEVEL_TOLERANCE):  # about each of two axes: a stop may end so
             raise ScenarioError(
                 f"motion.{key} tilts the tray by {np.rad2deg(leans):.3g} deg, and the motion may tilt it by at most "
                 f'{np.rad2deg(max_tilt):.3g} deg; give motion.orientation = "free" and a max_tilt_deg that allows it.'

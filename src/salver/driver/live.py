@@ -1,0 +1,347 @@
+"""`salver execute --live`: an arm that does what it is told while it moves, real or simulated.
+
+The loop, its watchdog, the gate and the log are those of a plan (`salver.driver.execution`). What is followed is a live
+motion: planned in another process, committed and held in this one, with the stops that are ready. When anything is
+wrong the load is brought to rest by what is here, whoever else has died.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from contextlib import nullcontext
+from dataclasses import dataclass, field, fields
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver.control.arm import ArmController, ArmState, controller_for
+from salver.driver.execute import JUDGED, RECORDED, Execution
+from salver.driver.execution import Drive, Log, Watchdog, named
+from salver.driver.franka_limits import FR3
+from salver.driver.gate import TorqueGate
+from salver.driver.logs import arrays_of, check_place, keep, summary_of
+from salver.driver.preflight import Check, check_franka, check_plan, check_posture, demand, within_fr3
+from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
+from salver.driver.signals import Signals, noted_signals
+from salver.driver.stops import Along, Stop
+from salver.errors import SalverError, Status
+from salver.files import provenance
+from salver.geometry import Array, quat_wxyz_from_matrix
+from salver.live import Live, LiveCourse, Worker
+from salver.live.motion import SAME, between, joined
+from salver.live.script import Prompter, script
+from salver.models.arm import ArmModel, load_arm, with_load
+from salver.models.arm_limits import JointLimits
+from salver.planning import plan_files
+from salver.planning.fastest import joint_plan, transport_problem
+from salver.planning.plan import Plan
+from salver.scenario import Scenario
+from salver.scenario.cell import ArmLimits
+from salver.trajectory import JointMotion
+
+LONGEST = 120.0  # s of one run
+RESTING = 0.5  # s of the motion that stands for the arm before it is told anything
+LEAD = 0.1  # s to a hand-over, and
+EVERY = 20  # periods from one look at what is to be planned to the next, where time waits for the planner
+NO_HURRY = 60.0  # s that planning may take then: on a busy machine no clock is to decide what is done
+TOO_LONG = 10.0  # s after the last wish, at rest, in which the planner may find what it asks for
+
+
+def commanded(scenario: Scenario, joint: JointMotion) -> Plan:
+    """What was commanded, from rest to rest, as a plan: judged like any motion of the joints."""
+    q = joint.q
+    assert scenario.arm is not None
+    first, arm = scenario.payload.bodies[0], load_arm(scenario.arm, scenario.tray)
+    ends = {}
+    for name, posture in (("start", q[0]), ("goal", q[-1])):
+        p, R = arm.object_pose(posture, first.p_EB, first.R_EB)
+        ends[f"motion__{name}"] = {"position": p.tolist(), "quat_wxyz": quat_wxyz_from_matrix(R).tolist()}
+    moved = scenario.with_changes(**ends)
+    status = Status("recorded", "This is what was commanded.", True)
+    return joint_plan(moved, transport_problem(moved), joint, status, {}, method="live")
+
+
+class LiveStop(Along):
+    """What is committed to its end, or the soonest stop from it that is ready or found."""
+
+    def __init__(self, live: Live, course: LiveCourse, controller: ArmController, loaded: ArmModel, state: ArmState,
+                 begun: float) -> None:  # fmt: skip
+        """begun: s of the loop's time, now."""
+        self._live, self._course, self._controller, self._begun = live, course, controller, begun
+        super().__init__(loaded, (controller.gains.kp[0], controller.gains.kd[0]), state)
+
+    @property
+    def allowed(self) -> Array:
+        return self._live.stray
+
+    @property
+    def rests(self) -> float:
+        live = self._live
+        return live.committed.ends - live.now + self._course.t - self._begun
+
+    def following(self, state: ArmState, s: float) -> Array | None:
+        return self._controller.step(state, self._begun + s)
+
+    def renewed(self, state: ArmState, s: float) -> Stop:
+        return LiveStop(self._live, self._course, self._controller, self._loaded, state, self._begun + s)
+
+    def course(self, s: float) -> tuple[Array, Array, Array]:
+        return self._course.at(*self._course.instant(self._begun + s))
+
+
+@dataclass(eq=False)
+class LiveDrive(Drive):
+    """The loop, with somebody who says what is wished, and what was commanded for it.
+
+    rest_after: s at rest after which it is over. planned_here: what plans in the loop itself, where time waits.
+    """
+
+    live: Live = field(kw_only=True)
+    prompter: Prompter = field(kw_only=True)
+    rest_after: float = field(kw_only=True)
+    planned_here: Callable[[], Any] | None = field(kw_only=True, default=None)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        room = int(LONGEST / self.period) + 1
+        self.told_at, self.told = np.empty(room), np.empty((3, room, self.arm.n))
+        self.paths: list[tuple[float, JointMotion, float]] = []  # from which live time on, what, begun when
+        self.offset: float | None = None  # of the live clock
+        self.as_planned = True
+        self.count, self.periods, self.rested, self.patience = 0, 0, 0.0, TOO_LONG
+
+    def one_period(self, gate: TorqueGate) -> bool:
+        if self.stop is None:
+            self.prompter.period(self.t)  # there is time before the next sample comes
+        self.periods += 1
+        if self.planned_here is not None and self.periods % EVERY == 0:
+            self.planned_here()
+        last = super().one_period(gate)
+        if self.count < len(self.told_at) and self.t >= 0:
+            now = self.wanted.at(*self.wanted.instant(self.t)) if self.stop is None else self.stop.reference(self.s)
+            self.told_at[self.count] = self.t
+            for kept, value in zip(self.told[:, self.count], now, strict=True):
+                kept[:] = value
+            self.count += 1
+            self.noted()
+        if self.stop is None and self.t > LONGEST - self.rest_after - 5.0:
+            self.signals.note(f"It was told what to do for {self.t:.0f} s, which is the most that one run may take")
+        return last
+
+    def noted(self) -> None:
+        """Which motion is followed, when it is another one."""
+        live = self.live
+        path, since = live.path
+        if self.offset is None:
+            self.offset = live.now - self.t
+        beside = self.stop is not None and not (isinstance(self.stop, LiveStop) and self.stop.exact)
+        self.as_planned &= not beside and abs(live.now - self.t - self.offset) < SAME
+        if not self.paths or self.paths[-1][1] is not path:
+            self.paths.append((live.now, path, since))
+
+    @property
+    def commanded(self) -> JointMotion:
+        """From the first period after 0 to the last: as it was committed, or, where that was left, as it was told."""
+        if not self.as_planned:
+            at = self.told_at[: self.count]
+            later = np.append(True, np.diff(at) > SAME)
+            return JointMotion(at[later] - at[0], *self.told[:, : self.count][:, later])
+        until = [*(now for now, *_ in self.paths[1:]), self.live.now]
+        parts = [
+            between(path, now - since, end - since)
+            for (now, path, since), end in zip(self.paths, until, strict=True)
+            if end - now > SAME
+        ]
+        return reduce(joined, parts)
+
+    def over(self, state: ArmState) -> bool:
+        if self.stop is not None:
+            return super().over(state)
+        if not (self.prompter.over and self.live.now >= self.live.committed.ends):
+            self.rested, self.patience = 0.0, TOO_LONG
+            return False
+        if not self.live.settled:  # somebody still looks for a way
+            self.patience -= self.period
+            return self.patience < 0
+        self.rested += self.period
+        return self.rested >= self.rest_after
+
+
+def dry_run_live(
+    scenario: Scenario,
+    wishes: Iterable[str],
+    directory: str | Path,
+    watchdog: Watchdog | None = None,
+    realtime: bool = True,
+    *,
+    source: str = "the script",
+    listen: bool = False,
+    signals: Signals | None = None,
+    confirm: Callable[[list[Check]], bool] = lambda checks: True,
+) -> Execution:
+    """A live motion on the simulated arm, told by lines of a script (`salver.live.script`), into a run directory: what
+    was commanded is its plan, with a log in `execution`.
+
+    realtime: keep real time, with a planner in a process of its own; otherwise time waits for the planner, and a script
+    gives the same run again. listen: the lines come while it moves. signals: through which the caller may ask for a
+    stop. confirm: asked with the checks after all of them passed, before anything moves.
+    Raises SalverError when the script or a check fails, ScenarioError when there is no arm or the load is not safe.
+    """
+    live = Live(scenario, lead=None if realtime else LEAD)
+    arm = live.problem.arm
+    plan = _resting(scenario, live)
+    robot = SimulatedRobot(plan, arm, LONGEST, realtime)
+    return _run(live, plan, robot, robot.start_time, wishes, source, listen, Path(directory), watchdog, realtime,
+                signals, confirm, [])  # fmt: skip
+
+
+def run_live_on_franka(
+    scenario: Scenario,
+    wishes: Iterable[str],
+    address: str,
+    directory: str | Path,
+    watchdog: Watchdog | None = None,
+    *,
+    realtime: bool = True,
+    source: str = "the script",
+    listen: bool = False,
+    signals: Signals | None = None,
+    confirm: Callable[[list[Check]], bool] = lambda checks: True,
+) -> Execution:
+    """The same on a Franka arm, from where it stands with the load in its place on the tray, within the limits of the
+    Franka Research 3; of those that change along a joint's range, what is not within them is not committed.
+
+    Raises what `dry_run_live` does, MissingDependencyError without pylibfranka.
+    """
+    tray = scenario.tray
+    if scenario.arm is None:
+        raise SalverError(f"{scenario.name} has no arm; give the scenario a table [arm] to execute it.")
+    arm = load_arm(scenario.arm, tray)
+    scenario = scenario.with_changes(arm__limits=slower(arm.limits, FR3))
+    robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
+    state = robot.look()
+    live = Live(scenario, state.q, permit=lambda motion: within_fr3(arm, motion))
+    plan = _resting(scenario, live)
+    checks = check_franka(plan, arm)
+    return _run(live, plan, robot, -scenario.physics.settle_before, wishes, source, listen, Path(directory), watchdog,
+                True, signals, confirm, checks)  # fmt: skip
+
+
+def slower(limits: JointLimits, others: JointLimits) -> dict[str, list[float]]:
+    """For a scenario's arm.limits: of each limit the smaller one."""
+    names = [field.name for field in fields(limits) if field.name in ArmLimits.model_fields]
+    least = {name: np.minimum(getattr(limits, name), getattr(others, name)) for name in names}
+    return {name: values.tolist() for name, values in least.items() if np.all(np.isfinite(values))}
+
+
+def _resting(scenario: Scenario, live: Live) -> Plan:
+    """The arm where it is, as a plan."""
+    q = live.committed.motion.q[0]
+    still = np.zeros((2, len(q)))
+    return commanded(scenario, JointMotion(np.array([0.0, RESTING]), np.tile(q, (2, 1)), still, still))
+
+
+def _run(
+    live: Live,
+    plan: Plan,
+    robot: Robot,
+    start: float,
+    wishes: Iterable[str],
+    source: str,
+    listen: bool,
+    directory: Path,
+    watchdog: Watchdog | None,
+    realtime: bool,
+    signals: Signals | None,
+    confirm: Callable[[list[Check]], bool],
+    checks: list[Check],
+) -> Execution:
+    scenario, arm, carried = plan.scenario, live.problem.arm, plan.scenario.payload.bodies
+    prompter = Prompter(live)
+    if not listen:
+        prompter.of(list(script(wishes, source)))
+    plan_files.check_place(scenario, directory, edited=True, force=True)
+    about = [c for c in check_plan(plan, arm, carried) if c.name not in ("stops", "command", "rest")]
+    checks = [*about, *checks]
+    demand(checks)
+    checks.append(check_place(directory))
+    joint = plan.joint
+    assert joint is not None
+    checks += check_posture(joint, arm, robot.look())
+    demand(checks)
+    if not confirm(checks):
+        raise SalverError("Not moved: it was not confirmed.")
+    watchdog, course = watchdog or Watchdog(), LiveCourse(live)
+    controller = controller_for(scenario, course, None, arm=arm, space="joint")
+    loaded = with_load(arm, carried)
+
+    def stop_from(state: ArmState, t: float) -> Stop:
+        live.stop()
+        return LiveStop(live, course, controller, loaded, state, t)
+
+    for _ in range(50):  # first calls load code; they must not happen in the loop
+        controller.step(ArmState(joint.q[0], joint.dq[0]), start)
+        LiveStop(live, course, controller, loaded, ArmState(joint.q[0], joint.dq[0]), start).reference(0.0)
+    controller.reset()
+    if listen:
+        prompter.listening(wishes, source)
+
+    def plan_here() -> None:
+        if not live.idle:
+            live.plan(NO_HURRY)
+        else:
+            live.prepare(NO_HURRY)
+
+    began = time.perf_counter()
+    with noted_signals():  # nothing may come between the run and its log
+        with Worker(live, process=True, stops=True) if realtime else nullcontext():
+            drive = LiveDrive(
+                robot, controller, course, arm, carried, start, LONGEST, watchdog, stop_from, signals or Signals(),
+                live=live, prompter=prompter, rest_after=scenario.physics.settle_after,
+                planned_here=None if realtime else plan_here,
+            )  # fmt: skip
+            log_ = drive.run()
+        return _kept(drive, log_, plan, robot, directory, checks, watchdog, realtime, began)
+
+
+def _kept(
+    drive: LiveDrive,
+    log_: Log,
+    resting: Plan,
+    robot: Robot,
+    directory: Path,
+    checks: list[Check],
+    watchdog: Watchdog,
+    realtime: bool,
+    began: float,
+) -> Execution:
+    """What was commanded as a plan, what was done as its log."""
+    scenario = resting.scenario
+    plan, unjudged = resting, ""
+    try:
+        plan = commanded(scenario, drive.commanded)
+    except Exception as error:  # a run that ended as none should: the log comes first
+        unjudged = f"What was commanded is no motion from rest to rest ({named(error)}); the plan is where it began."
+    arm = drive.arm
+    summary = {
+        **summary_of(plan, robot.source, log_, checks, watchdog),
+        "realtime": realtime,
+        "wishes": drive.prompter.notes,
+        "unjudged": unjudged,
+        "provenance": provenance(plan.scenario),
+    }
+    arrays = arrays_of(plan, arm, drive.bodies[0], log_)
+    if isinstance(robot, SimulatedRobot):
+        try:
+            record = robot.record({"with_arm": True}, began, plan)
+        except BaseException as error:  # an engine that diverged: the log comes first
+            summary["load"] = f"What became of the load was not measured ({named(error)})."
+        else:
+            arrays = {name: np.asarray(getattr(record, name)) for name in RECORDED}
+            summary |= {key: record.summary[key] for key in JUDGED if key in record.summary}
+    plan_files.make_way(plan.scenario, directory, force=True)
+    plan.save(directory)
+    return Execution(arrays, summary, checks, keep(directory, "plan", arrays, summary))

@@ -1,0 +1,275 @@
+"""`salver execute --live`: the driver's loop on a live motion, its stops, and what is kept of it."""
+
+import io
+import json
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import salver as sv
+from pylibfranka_stand_in import Library
+from salver.cli import app
+from salver.driver.execution import Watchdog
+from salver.driver.live import dry_run_live, run_live_on_franka
+from salver.driver.preflight import within_fr3
+from salver.driver.robots import SimulatedRobot
+from salver.driver.signals import Signals
+from salver.errors import SalverError
+from salver.live import Live
+from salver.live.script import Prompter, script
+from salver.planning.plan import load_plan
+from salver.trajectory import JointMotion
+
+# On a machine with other work, hundreds of periods may pass.
+PATIENT = Watchdog(joint_error=3.0, velocity_share=100.0, late_periods=10**6)
+SHORT = {"physics__settle_before": 0.05, "physics__settle_after": 0.1}
+GOAL = {"t": 0, "goto": [0.45, 0.1, 0.45]}
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return sv.load_scenario("panda-cube").with_changes(**SHORT)
+
+
+def lines(*wishes):
+    return [json.dumps(wish) for wish in wishes]
+
+
+class Interrupting(Signals):
+    """Asks for a stop at a time of the motion."""
+
+    def __init__(self, at):
+        super().__init__()
+        self.at = at
+
+    def wish(self, t):
+        if t >= self.at - 1e-9:
+            self.note("Protective stop")
+        return super().wish(t)
+
+
+@pytest.mark.slow
+def test_what_is_told_is_done_and_kept_as_a_plan_that_can_be_simulated_and_exported(cube, tmp_path):
+    told = lines(
+        GOAL,
+        {"t": 0.3, "goto": [0.5, -0.3, 0.4]},
+        {"t": 0.7, "twist": [0.1, 0.1, 0.0, 0.0], "for": 0.2},
+        {"t": 1.3, "goto": [9.0, 0.0, 0.5]},
+    )
+    result = dry_run_live(cube, told, tmp_path, realtime=False)
+    assert result.achieved
+    assert result.summary["objects"][0]["peak_slip"] < 1e-4
+    answers = [note["answer"] for note in result.summary["wishes"]]
+    assert answers[:3] == ["Accepted."] * 3
+    assert answers[-1].endswith("is refused: no posture of the arm within its limits reaches it.")
+    plan = load_plan(tmp_path)
+    assert plan.ok
+    # What the arm did, at 200 Hz, is what was commanded, but for the controller's error.
+    t, q = result.arrays["t"], result.arrays["q"]
+    assert np.abs(plan.joint.sample(t)[0] - q)[t >= 0].max() < 1e-3
+    table = tmp_path / "commanded.csv"
+    assert (
+        CliRunner()
+        .invoke(app, ["export", str(tmp_path), "--format", "csv", "--rate", "1000", "-o", str(table)])
+        .exit_code
+        == 0
+    )
+    kept = np.genfromtxt(table, delimiter=",", names=True)
+    columns = np.stack([kept[f"q_panda_joint{j}"] for j in range(1, 8)], axis=1)
+    assert len(kept) >= 1000 * plan.duration
+    assert np.abs(columns - plan.joint.sample(kept["t"])[0]).max() < 1e-9
+    assert sv.simulate(plan).outcome == "holds"
+
+
+@pytest.mark.slow
+def test_the_same_script_gives_the_same_run(cube, tmp_path):
+    runs = [dry_run_live(cube, lines(GOAL), tmp_path / name, realtime=False) for name in "ab"]
+    assert np.array_equal(runs[0].arrays["q"], runs[1].arrays["q"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("planner", ["plans", "is dead"])
+def test_a_stop_is_sooner_than_finishing_also_when_the_planner_is_dead(cube, tmp_path, planner, monkeypatch):
+    """Stops that are ready are held by the loop: who planned them may be gone."""
+    cube = cube.with_changes(arm__velocity_scale=0.3)  # so that there is something to stop for long enough
+    far = {"t": 0, "goto": [0.45, 0.2, 0.5]}
+    whole = dry_run_live(cube, lines(far), tmp_path / "whole", realtime=False)
+    end = load_plan(tmp_path / "whole").duration - 0.1
+
+    signals = Interrupting(0.45)
+    if planner == "is dead":
+        plan, prepare = Live.plan, Live.prepare
+        monkeypatch.setattr(Live, "plan", lambda live, *a: plan(live, *a) if not signals.seen else live.state)
+        monkeypatch.setattr(Live, "prepare", lambda live, *a: not signals.seen and prepare(live, *a))
+    result = dry_run_live(cube, lines(far), tmp_path / "stopped", realtime=False, signals=signals)
+    assert result.summary["stopped"] == "Protective stop at t = 0.450 s."
+    assert result.summary["load_kept_in_stop"] is True
+    assert result.summary["objects"][0]["outcome"] == "holds"
+    assert not result.achieved
+    stopped = load_plan(tmp_path / "stopped")
+    assert stopped.ok
+    moving = np.flatnonzero(np.abs(stopped.joint.dq).max(axis=1) > 1e-6)
+    rests = stopped.joint.t[moving[-1]]
+    assert rests < end - 0.2
+    assert rests < 0.45 + 0.4  # the stops of the cube's fastest plan take 0.3 s at most; one begins every 0.1 s
+    assert whole.achieved
+    # Until it was asked for nothing was different.
+    same = stopped.joint.t < 0.45
+    assert np.array_equal(stopped.joint.q[same], load_plan(tmp_path / "whole").joint.q[: same.sum()])
+
+
+@pytest.mark.slow
+def test_states_that_stay_false_end_in_a_stop_that_may_not_keep_the_load(cube, tmp_path, monkeypatch):
+    """A joint's reading that jumps and stays there: the arm is braked, and nobody says that the load surely stays."""
+    look = SimulatedRobot.look
+
+    def false(self):
+        state = look(self)
+        if self._recorder.count > 400:
+            state.q[3] += 0.15
+        return state
+
+    monkeypatch.setattr(SimulatedRobot, "look", false)
+    result = dry_run_live(cube, lines(GOAL), tmp_path, realtime=False)
+    assert result.summary["stopped"]
+    assert result.summary["load_kept_in_stop"] is False
+    assert np.abs(result.arrays["dq"][-1]).max() < 0.02
+
+
+@pytest.mark.slow
+def test_on_a_franka_what_its_own_limits_forbid_is_not_committed(cube, tmp_path, monkeypatch):
+    """The Research 3 accelerates its joints by 10 rad/s^2, the Panda some by 20, and near the end of its range it turns
+    them more slowly than in the middle."""
+    dry_run_live(cube, [], tmp_path / "still", realtime=False)
+    still = load_plan(tmp_path / "still")
+    fake = Library(still, inner=SimulatedRobot(still, sv.Live(cube).problem.arm, 60.0, realtime=True))
+    monkeypatch.setitem(sys.modules, "pylibfranka", fake)
+    told = lines({"t": 0, "goto": [0.5, -0.35, 0.5]})
+    result = run_live_on_franka(cube, told, "arm", tmp_path / "run", PATIENT)
+    assert result.summary["stopped"] == ""
+    assert fake.calls[-1] == ("stopped",)
+    joint = load_plan(tmp_path / "run").joint
+    assert np.abs(joint.q[-1] - joint.q[0]).max() > 0.1
+    assert within_fr3(sv.Live(cube).problem.arm, joint) == ""
+    assert np.abs(joint.ddq).max() > 8.0
+
+
+def test_what_the_research_3_does_not_do_is_said():
+    arm = sv.Live("panda-cube").problem.arm
+    t = np.linspace(0, 1, 101)[:, None]
+    q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0]) + 0.5 * 12.0 * np.array([1.0, *[0.0] * 6]) * (t - 0.5) ** 2
+    dq, ddq = np.zeros((101, 7)), np.zeros((101, 7))
+    dq[:, 0], ddq[:, 0] = 12.0 * (t[:, 0] - 0.5), 12.0
+    words = within_fr3(arm, JointMotion(t[:, 0], q, dq, ddq))
+    assert words.startswith("panda_joint1 uses 120 % of the Franka Research 3's acceleration limit")
+    rest = JointMotion(np.array([0.0, 1.0]), q[50:52] * [[1], [1]], np.zeros((2, 7)), np.zeros((2, 7)))
+    assert within_fr3(arm, JointMotion(rest.t, np.tile(q[50], (2, 1)), rest.dq, rest.ddq)) == ""
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("goto 1 2 3", "is no JSON"),
+        ("[1, 2]", "it is no object of JSON"),
+        ('{"t": 1}', "it has none of goto, posture, twist, chunk, stop; a line has one of them"),
+        ('{"stop": true, "goto": [1, 2, 3]}', "it has goto and stop of"),
+        ('{"t": -1, "stop": true}', "t is -1; it must be a number of seconds from 0 on"),
+        ('{"t": "now", "stop": true}', "t is now;"),
+        ('{"goto": [1, 2, 3], "for": 2}', 'nobody knows what "for" means beside goto'),
+        ('{"twist": [1, 2], "for": 2}', "twist must be three numbers"),
+        ('{"twist": [1, 2, 3], "for": -1}', "for is -1; it must be a number of seconds, at least 0"),
+    ],
+)
+def test_a_line_that_cannot_be_understood_is_named(line, words):
+    with pytest.raises(SalverError) as told:
+        list(script(["# what follows is wrong", "", line], "wishes.jsonl"))
+    assert str(told.value).startswith("wishes.jsonl, line 3: ")
+    assert words in str(told.value)
+
+
+def test_times_that_go_back_are_refused():
+    with pytest.raises(SalverError, match=r"line 2: t is 0\.5; it must be a number of seconds from 1 on"):
+        list(script(lines({"t": 1, "stop": True}, {"t": 0.5, "stop": True}), "wishes"))
+
+
+class Heard:
+    """Stands where a live motion would be told, and notes what it is told when."""
+
+    refused = ""
+
+    def __init__(self):
+        self.told = []
+
+    def __getattr__(self, name):
+        def told(*given, **named):
+            self.told.append((name, given, named))
+            return sv.errors.Status("accepted", "Accepted.", True)
+
+        return told
+
+
+def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
+    heard = Heard()
+    prompter = Prompter(heard).of(
+        script(
+            lines(
+                {"t": 0.01, "goto": [0.4, 0.0, 0.5]},
+                {"posture": [0.0] * 7, "queued": True},
+                {"t": 0.03, "twist": [0.1, 0.2, 0.3, 0.4], "for": 0.1},
+                {"t": 0.2, "chunk": [0.1, 0.2], "postures": [[0.0] * 7] * 2},
+                {"t": 0.25, "stop": True},
+            ),
+            "wishes",
+        )
+    )
+    for k in range(-50, 400):
+        before = len(heard.told)
+        prompter.period(k * 1e-3)
+        assert len(heard.told) <= before + 1
+    names = [name for name, *_ in heard.told]
+    assert names == ["goto", "goto"] + ["twist"] * 6 + ["chunk", "stop"]
+    assert heard.told[0] == ("goto", ([0.4, 0.0, 0.5],), {"queued": False})
+    assert heard.told[1] == ("goto", (), {"q": [0.0] * 7, "queued": True})
+    assert heard.told[2][1] == ([0.1, 0.2, 0.3], (0.0, 0.0, 0.4))
+    assert prompter.over
+    assert [note["t"] for note in prompter.notes] == pytest.approx([0.01, 0.011, 0.03, 0.2, 0.25])
+
+
+def test_lines_may_come_while_it_moves_and_a_wrong_one_is_only_noted():
+    heard = Heard()
+    prompter = Prompter(heard).listening(io.StringIO('nonsense\n{"stop": true}\n'), "standard input")
+    for k in range(5000):
+        prompter.period(k * 1e-3)
+        if prompter.over:
+            break
+    assert [name for name, *_ in heard.told] == ["stop"]
+    assert "standard input, line 1: 'nonsense" in prompter.notes[0]["answer"]
+
+
+def test_commands_that_cannot_be(tmp_path):
+    run = CliRunner().invoke
+    script_file = tmp_path / "s.jsonl"
+    script_file.write_text('{"stop": true}\n')
+    for args, words in (
+        (["panda-cube", "--live", str(tmp_path / "none")], "cannot be read"),
+        (["panda-cube", "--live", str(script_file)], "Give the arm's --address"),
+        (["panda-cube", "--live", str(script_file), "--move-to-start"], "--live goes with none of"),
+        (["panda-cube", "--live", "-", "--address", "arm"], "give --yes"),
+        (["tall-box-40", "--live", str(script_file), "--dry-run"], "arm"),
+    ):
+        result = run(app, ["execute", *args, "-o", str(tmp_path / "out")])
+        assert result.exit_code == 2, args
+        assert words in result.stderr
+
+
+def test_a_restart_leaves_the_planners_work_space_alone(cube):
+    """What the loop asks while a planner computes distances must not be computed with the planner's own data."""
+    live = sv.Live(cube)
+    parts = live.problem.keep_out.parts
+    q = live.committed.motion.q[0]
+    parts.clearance(q[None] + 0.1)
+    placed = [np.array(parts.data.oMg[k].homogeneous) for k in range(len(parts.names))]
+    assert live.restart(q).ok
+    assert all(np.array_equal(a, parts.data.oMg[k].homogeneous) for k, a in enumerate(placed))
