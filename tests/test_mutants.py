@@ -1,6 +1,7 @@
 """The wrong changes that `make mutate` makes: each changes what the code means, and nothing else of the file."""
 
 import ast
+import subprocess
 import sys
 from pathlib import Path
 
@@ -10,7 +11,7 @@ TOOLS = Path(__file__).parents[1] / "tools"
 sys.path.insert(0, str(TOOLS))
 
 from mutants import mutants  # noqa: E402
-from test_map import function_lines  # noqa: E402
+from test_map import RECORDER, instrumented  # noqa: E402
 
 sys.path.remove(str(TOOLS))
 
@@ -67,6 +68,28 @@ class Thing:
 '''
 
 
+NESTED = '''
+
+def outer():
+    "Words."
+    @staticmethod
+    def inner(x):
+        return 3 * x
+    return inner.__func__
+
+
+def one(): return 1
+
+
+class Kept:
+    @property
+    def name(self):
+        """What it is called."""
+        if True:
+            return "a"
+'''
+
+
 def test_each_mutant_is_valid_and_changes_one_place():
     found = mutants(Path("x.py"), SOURCE)
     assert len({mutant.source for mutant in found}) == len(found) >= 7
@@ -79,8 +102,33 @@ def test_each_mutant_is_valid_and_changes_one_place():
     assert any(mutant.becomes == "if False:" for mutant in found)
 
 
-def test_lines_of_functions_and_methods():
-    assert function_lines(SOURCE) == {"Thing.turn": range(8, 14)}
+def test_functions_say_that_they_run_and_do_what_they_did(tmp_path, monkeypatch):
+    source = SOURCE.replace("LIMIT = 2", "from __future__ import annotations\n\nLIMIT = 2") + NESTED
+    (tmp_path / "salver").mkdir()
+    (tmp_path / "salver" / "__init__.py").touch()
+    (tmp_path / "salver" / "_recorder.py").write_text(RECORDER.format(path=str(tmp_path / "ran.txt")))
+    (tmp_path / "salver" / "changed.py").write_text(instrumented(source, "x.py"))
+    program = """
+import os
+os.environ["SALVER_TEST"] = "first"
+from salver import _recorder, changed
+assert changed.outer.__doc__ == "Words."
+inner = changed.outer()
+_recorder.begin("second")
+assert inner(2) == 6 and changed.one() == 1
+if os.fork() == 0:
+    changed.Kept().name
+    os._exit(0)
+os.wait()
+"""
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    subprocess.run([sys.executable, "-c", program], check=True)
+    assert (tmp_path / "ran.txt").read_text().splitlines() == [
+        "first\tx.py:outer",
+        "second\tx.py:outer",
+        "second\tx.py:one",
+        "second\tx.py:Kept.name",
+    ]
 
 
 @pytest.mark.parametrize("line", ["y = a + b", "y = a - b", "y = -x", "y = x[-1]", "y += x"])

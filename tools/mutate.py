@@ -134,6 +134,15 @@ def first_of(tests: list[str], known: TestMap, seconds: float = 4.0, share: floa
     return tests
 
 
+def likely_first(mutant: Mutant, order: list[str], verdicts: dict[str, dict[str, Any]], known: TestMap) -> list[str]:
+    """Everyday tests still before the others: first the one that noticed the mutant before, then those that noticed
+    others of its file, the most often first."""
+    last = verdicts.get(mutant.key, {}).get("by")
+    beside = [entry["by"] for key, entry in verdicts.items() if key.startswith(f"{mutant.path.as_posix()}:")]
+    times = {test: beside.count(test) + len(beside) * (test == last) for test in order}
+    return sorted(order, key=lambda test: (known.is_marked(test), -times[test]))
+
+
 def within(seconds: float, known: TestMap, tests: list[str]) -> Iterator[str]:
     """Those that take no longer together."""
     for test in tests:
@@ -158,10 +167,12 @@ def equivalent(mutant: Mutant, known: list[dict[str, str]]) -> str | None:
     return None
 
 
-def rests(mutant: Mutant, test_files: Iterable[str], patience: float | None = None) -> str:
-    """Digest of what a verdict rests on: the module, and the file of the test that failed, or all files that passed."""
+def rests(mutant: Mutant, test_files: Iterable[str], passed: Iterable[str] = ()) -> str:
+    """Digest of what a verdict rests on: the module, and the file of the test that failed, or all tests that passed and
+    their files."""
     files = [mutant.path.as_posix(), *sorted(test_files)]
-    return _digest(f"{patience} {' '.join(_digest((ROOT / name).read_text(encoding='utf-8')) for name in files)}")
+    texts = [_digest((ROOT / name).read_text(encoding="utf-8")) for name in files]
+    return _digest(" ".join([*texts, *sorted(passed)]))
 
 
 def _digest(text: str) -> str:
@@ -204,7 +215,7 @@ def main() -> int:
         return 0
 
     tests = TestMap(options.keep / "map.json")
-    tests = tests.update(options.j, again=options.map, only=options.tests, without=options.without)
+    tests = tests.update(options.j, options.map, options.tests, options.without, options.everyday)
     judges: dict[str, list[str]] = {}
     for mutant in sample:
         order = tests.tests_of(*mutant.place, everyday=options.everyday)
@@ -213,7 +224,8 @@ def main() -> int:
     def rests_now(mutant: Mutant, by: str | None) -> str:
         if by:
             return rests(mutant, [file_of(by)])
-        return rests(mutant, {file_of(test) for test in judges[mutant.key]}, options.patience)
+        passed = judges[mutant.key]
+        return rests(mutant, {file_of(test) for test in passed}, passed)
 
     before: dict[str, dict[str, Any]] = {}
     journal_file = options.keep / "journal.jsonl"
@@ -236,9 +248,7 @@ def main() -> int:
 
         def work(mutant: Mutant) -> None:
             order, tree = judges[mutant.key], trees.get()
-            last = before.get(mutant.key, {}).get("by")  # what noticed it before is likely to notice it again
-            if last in order:
-                order = [last, *(test for test in order if test != last)]
+            order = likely_first(mutant, order, before | verdicts, tests)
             try:
                 entry = {"key": mutant.key, **judge(mutant, tree, tests, order, baseline)}
             finally:

@@ -31,21 +31,21 @@ class Outcome:
 
 
 def run_tests(
-    tree: Path, files: Sequence[str], order: Sequence[str] | None, *, limit: float, slowest: float, coverage: str = ""
+    tree: Path, files: Sequence[str], order: Sequence[str] | None, *, limit: float, slowest: float, marker: str = ""
 ) -> Outcome:
     """Run tests of some files of a copy of the repository, up to the first that fails.
 
     `order`: the tests (node ids) to run, one after the other; None is for all, as they are written.
     `slowest`: seconds of processor after which a single test counts as hanging, or ten times as many by the clock: a
-    busy machine kills nothing. `limit`: for all together, by the clock. With `coverage`, a configuration file of
-    coverage.py, the run is measured with the test as context, and goes on after a failure.
+    busy machine kills nothing. `limit`: for all together, by the clock. With `marker` ("slow", "not slow") only those
+    are measured in a copy that records (`test_map.recording`), to the end, and what they print is kept.
     """
     rank = None if order is None else {node: k for k, node in enumerate(order)}
     context = get_context("forkserver")
     context.set_forkserver_preload(LIBRARIES)
     result = tree / "outcome.json"
     result.unlink(missing_ok=True)
-    process = context.Process(target=_child, args=(str(tree), list(files), rank, slowest, coverage))
+    process = context.Process(target=_child, args=(str(tree), list(files), rank, slowest, marker))
     process.start()
     process.join(limit)
     late = process.is_alive()
@@ -57,9 +57,9 @@ def run_tests(
 
 
 class _Plugin:
-    """Orders the tests, stops those that hang, notes the first that fails, and tells coverage which test runs."""
+    """Orders the tests, stops those that hang, notes the first that fails, and tells the recorder which test runs."""
 
-    def __init__(self, tree: str, rank: Mapping[str, int] | None, slowest: float, measure: Any) -> None:
+    def __init__(self, tree: str, rank: Mapping[str, int] | None, slowest: float, measure: bool) -> None:
         self.result, self.rank, self.slowest, self.measure = Path(tree, "outcome.json"), rank, slowest, measure
         self.outcome, self.begun = Outcome(0), 0.0
 
@@ -81,11 +81,11 @@ class _Plugin:
         spent = resource.getrusage(resource.RUSAGE_SELF)
         allowed = int(spent.ru_utime + spent.ru_stime + self.slowest) + 1
         resource.setrlimit(resource.RLIMIT_CPU, (allowed, resource.RLIM_INFINITY))
-        if self.measure is not None:
+        if self.measure:
             _forget()  # what one test has cached would hide what the next one needs
-            self.measure.switch_context(nodeid)
-            self.measure.set_option("run:context", nodeid)  # and of the processes that it starts
-            os.environ["COVERAGE_PROCESS_CONFIG"] = self.measure.config.serialize()
+            os.environ["SALVER_TEST"] = nodeid  # for the processes that it starts
+            if "salver._recorder" in sys.modules:
+                sys.modules["salver._recorder"].begin(nodeid)
         self.begun = sum(os.times()[:4])  # with the processes that it has waited for
 
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
@@ -121,30 +121,20 @@ def _forget() -> None:
                     value.cache_clear()
 
 
-def _child(tree: str, files: list[str], rank: Mapping[str, int] | None, slowest: float, coverage: str) -> None:
+def _child(tree: str, files: list[str], rank: Mapping[str, int] | None, slowest: float, marker: str) -> None:
     os.setsid()
     os.chdir(tree)
     sys.path.insert(0, f"{tree}/src")
     os.environ["PYTHONPATH"] = f"{tree}/src"
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False  # the next mutant of this tree changes one file
-    sink = os.open(os.devnull if not coverage else f"{tree}/output.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    sink = os.open(os.devnull if not marker else f"{tree}/output.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(sink, 1)
     os.dup2(sink, 2)
-    measure = None
-    if coverage:
-        import coverage as library
-
-        measure = library.Coverage(config_file=coverage)
-        measure.start()
     import pytest
 
     arguments = ["-q", "-p", "no:faulthandler", "-p", "no:cacheprovider", "--rootdir", tree, *files]
-    if measure is None:
-        arguments += ["-x"]
-    code = pytest.main(arguments, plugins=[_Plugin(tree, rank, slowest, measure)])
-    if measure is not None:
-        measure.stop()
-        measure.save()
+    arguments += ["-m", marker] if marker else ["-x"]
+    code = pytest.main(arguments, plugins=[_Plugin(tree, rank, slowest, bool(marker))])
     sys.stdout.flush()
     os._exit(int(code))

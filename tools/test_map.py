@@ -1,8 +1,10 @@
-"""Which tests run which function of salver, and how long they take: measured with coverage.py, kept in out/.
+"""Which tests run which function of salver, and how long they take: measured in a copy in which every function says so
+the first time that a test runs it, in whichever process. Kept in out/.
 
 Each test file is measured in a process of its own, and functions forget what they have cached before each test. Tests
 that share a fixture share what it holds too, so that they stand together. The map is measured again for the test files
-that changed; a function that it does not know yet is taken to be run by all tests that run its module.
+that changed; a function that it does not know yet is taken to be run by all tests that run its module. For everyday
+tests alone the others need not be measured.
 """
 
 import ast
@@ -22,13 +24,23 @@ from pytest_child import run_tests
 
 ROOT = Path(__file__).resolve().parents[1]
 MAP = ROOT / "out" / "mutation" / "map.json"
-SETTINGS = """\
-[run]
-source = {tree}/src/salver
-data_file = {tree}/.coverage
-parallel = true
-patch = subprocess, fork, _exit
-sigterm = true
+RECORDER = """\
+import os
+
+_file = os.open({path!r}, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+_test, _seen = os.environ.get("SALVER_TEST", ""), set()
+
+
+def begin(test):
+    global _test
+    _test = test
+    _seen.clear()
+
+
+def ran(function):
+    if function not in _seen:
+        _seen.add(function)
+        os.write(_file, f"{{_test}}\\t{{function}}\\n".encode())
 """
 
 
@@ -51,7 +63,12 @@ class TestMap:
         self.files: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.is_file() else {}
 
     def update(
-        self, workers: int, again: bool = False, only: list[str] | None = None, without: list[str] | None = None
+        self,
+        workers: int,
+        again: bool = False,
+        only: list[str] | None = None,
+        without: list[str] | None = None,
+        everyday: bool = False,
     ) -> "TestMap":
         """Measure test files that are new or have changed, or all of them `again`; the map of these test files."""
         present = {path.relative_to(ROOT).as_posix(): _digest(path) for path in sorted(ROOT.glob("tests/**/test_*.py"))}
@@ -60,29 +77,34 @@ class TestMap:
                 raise SystemExit(f"There is no test file {name}; give it as in tests/test_geometry.py.")
         wanted = [name for name in only or present if name not in (without or [])]
         self.files = {name: entry for name, entry in self.files.items() if name in present}
-        due = [name for name in wanted if again or self.files.get(name, {}).get("digest") != present[name]]
-        if due:
-            self._measure_all(due, present, workers)
+        for name in wanted:
+            if again or self.files.get(name, {}).get("digest") != present[name]:
+                self.files.pop(name, None)
+        for marker in ["not slow"] if everyday else ["not slow", "slow"]:
+            due = [name for name in wanted if marker not in self.files.get(name, {}).get("measured", [])]
+            if due:
+                self._measure_all(due, present, workers, marker)
         part = TestMap(self.path)
         part.files = {name: self.files[name] for name in wanted if name in self.files}
         return part
 
-    def _measure_all(self, due: list[str], digests: dict[str, str], workers: int) -> None:
-        print(f"measuring which functions {len(due)} test files run", file=sys.stderr)
+    def _measure_all(self, due: list[str], digests: dict[str, str], workers: int, marker: str) -> None:
+        print(f"measuring which functions {len(due)} test files run ({marker})", file=sys.stderr)
         due.sort(key=lambda name: -(ROOT / name).stat().st_size)
         with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(workers) as pool:
             trees: Queue[Path] = Queue()
             for k in range(workers):
-                trees.put(copy_of_the_tree(Path(scratch, str(k))))
+                trees.put(recording(copy_of_the_tree(Path(scratch, str(k)))))
 
             def measure(name: str) -> None:
                 tree = trees.get()
                 try:
-                    found = _measure(tree, name)
+                    found = _measure(tree, name, marker)
                 finally:
                     trees.put(tree)
                 if found is not None:
-                    self.files[name] = {"digest": digests[name], **found}
+                    known = self.files.setdefault(name, {"digest": digests[name], "measured": [], **NOTHING})
+                    self.files[name] = _merged(known, found, marker)
                     self.save()
                     print(f"{name}: {sum(found['tests'].values()):.1f} s", file=sys.stderr)
 
@@ -115,6 +137,10 @@ class TestMap:
             for test in group
         ]
 
+    def is_marked(self, test: str) -> bool:
+        """Whether `make quick` leaves it out."""
+        return test in self.files[file_of(test)]["marked"]
+
     def seconds(self, tests: Sequence[str]) -> float:
         """Of processor, for these tests."""
         return sum(self.files[file_of(test)]["tests"][test] for test in tests)
@@ -128,49 +154,86 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
-def _measure(tree: Path, name: str) -> dict[str, Any] | None:
-    """What the tests of a file take and run; None, said on standard error, when they fail as they are."""
-    import coverage
+NOTHING: dict[str, Any] = {"tests": {}, "marked": [], "shares": {}, "covers": {}}
 
-    (tree / "output.txt").unlink(missing_ok=True)
-    settings = tree / "coverage.ini"
-    settings.write_text(SETTINGS.format(tree=tree))
-    outcome = run_tests(tree, [name], None, limit=3600, slowest=900, coverage=str(settings))
-    if outcome.code != 0:
-        output = (tree / "output.txt").read_text()[-3000:]
-        print(f"{output}\n{name} fails at {outcome.failed}: no mutant is judged by it", file=sys.stderr)
+
+def _measure(tree: Path, name: str, marker: str) -> dict[str, Any] | None:
+    """What the tests of a file take and run; None, said on standard error, when they fail as they are."""
+    output, record = tree / "output.txt", tree / "ran.txt"
+    output.unlink(missing_ok=True)
+    record.write_text("")
+    outcome = run_tests(tree, [name], None, limit=3600, slowest=900, marker=marker)
+    if outcome.code not in (0, 5):
+        said = output.read_text()[-3000:]
+        print(f"{said}\n{name} fails at {outcome.failed}: no mutant is judged by it", file=sys.stderr)
         return None
-    combined = coverage.CoverageData(str(tree / ".coverage"))
-    for part in tree.glob(".coverage.*"):
-        data = coverage.CoverageData(str(part))
-        data.read()
-        combined.update(data)
-        part.unlink()
-    covers: dict[str, dict[str, list[str]]] = {}
-    for file in combined.measured_files():
-        source = Path(file).relative_to(tree).as_posix()
-        contexts = combined.contexts_by_lineno(file)
-        covers[source] = {}
-        for function, lines in function_lines(Path(file).read_text()).items():
-            tests = {test for line in lines for test in contexts.get(line, [])}
+    ran: dict[str, dict[str, set[str]]] = {}
+    for line in record.read_text().splitlines():
+        test, place = line.split("\t")
+        source, _, function = place.partition(":")
+        ran.setdefault(source, {}).setdefault(function, set()).add(test)
+    for functions in ran.values():
+        everyone = set().union(*functions.values())
+        for function, tests in functions.items():
             if "" in tests:  # when the module is imported: it may matter to all tests that use the module
-                tests.update(test for every in contexts.values() for test in every)
-            if tests:
-                covers[source][function] = sorted(tests - {""})
-    combined.erase()
+                functions[function] = everyone
+    covers = {source: {f: sorted(tests - {""}) for f, tests in found.items()} for source, found in ran.items()}
     return {"tests": outcome.seconds, "marked": outcome.marked, "shares": outcome.shares, "covers": covers}
 
 
-def function_lines(text: str) -> dict[str, range]:
-    """Lines of the body of each function "f" and method "Class.f" of a file."""
-    found = {}
+def _merged(known: dict[str, Any], found: dict[str, Any], marker: str) -> dict[str, Any]:
+    covers = {source: dict(functions) for source, functions in known["covers"].items()}
+    for source, functions in found["covers"].items():
+        before = covers.setdefault(source, {})
+        for function, tests in functions.items():
+            before[function] = sorted({*before.get(function, []), *tests})
+    both = {key: known[key] | found[key] for key in ("tests", "shares")}
+    return known | both | {"measured": [*known["measured"], marker], "marked": found["marked"], "covers": covers}
 
-    def visit(body: list[ast.stmt], prefix: str) -> None:
-        for node in body:
-            if isinstance(node, ast.ClassDef):
-                visit(node.body, f"{prefix}{node.name}.")
-            elif isinstance(node, ast.FunctionDef):
-                found[f"{prefix}{node.name}"] = range(node.body[0].lineno, (node.end_lineno or 0) + 1)
 
-    visit(ast.parse(text).body, "")
-    return found
+def recording(tree: Path) -> Path:
+    """Let each function of a copy of the repository say that it runs."""
+    for path in sorted(tree.glob("src/salver/**/*.py")):
+        source = path.relative_to(tree).as_posix()
+        path.write_text(instrumented(path.read_text(encoding="utf-8"), source), encoding="utf-8")
+    (tree / "src" / "salver" / "_recorder.py").write_text(RECORDER.format(path=str(tree / "ran.txt")))
+    return tree
+
+
+def instrumented(text: str, source: str) -> str:
+    """A module whose functions call `_ran("source:function")` first; functions within a function say its name."""
+    lines = text.splitlines(keepends=True)
+    module, added = ast.parse(text), []  # (line, column, what to insert)
+
+    def visit(node: ast.AST, inside: str, prefix: str) -> None:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.ClassDef) and not inside:
+                visit(child, "", f"{prefix}{child.name}.")
+            elif isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+                name = inside or f"{prefix}{child.name}"
+                added.append((*_first(child.body), f'_ran("{source}:{name}")'))
+                visit(child, name, prefix)
+            else:
+                visit(child, inside, prefix)
+
+    visit(module, "", "")
+    if not added:
+        return text
+    imports = [node for node in module.body if isinstance(node, ast.ImportFrom) and node.module == "__future__"]
+    begin = imports[-1].lineno + 1 if imports else _first(module.body)[0]
+    added.append((begin, 0, "from salver._recorder import ran as _ran"))
+    for line, column, call in sorted(added, reverse=True):
+        old = lines[line - 1] if line <= len(lines) else ""
+        before, after = old.encode()[:column].decode(), old.encode()[column:].decode()
+        lines[line - 1 : line] = [
+            f"{before}{call}\n{before}{after}" if not before.strip() else f"{before}{call}; {after}"
+        ]
+    return "".join(lines)
+
+
+def _first(body: list[ast.stmt]) -> tuple[int, int]:
+    """Line and column at which the first statement after the documentation begins."""
+    words = isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant) and len(body) > 1
+    first = body[1] if words else body[0]
+    lines = [first.lineno, *(decorator.lineno for decorator in getattr(first, "decorator_list", []))]
+    return min(lines), first.col_offset
