@@ -269,6 +269,25 @@ def test_what_may_be_mirrored_at_the_sampling_rate_is_told():
     assert not any(np.any(cells.amplitude > 3e-5) for cells in slow.mirrored)
 
 
+def test_what_is_mirrored_into_the_slow_of_a_long_recording_is_told():
+    # At 72 Hz a shake of 67 Hz and one of 5 Hz have the same samples, and up to 70 Hz it may shake.
+    t = np.arange(20 * 72 + 1) / 72.0
+    seen = one(t, 1e-3 * np.sin(2 * np.pi * 67 * t), highest=70.0)
+    assert any(np.any((np.abs(cells.frequency - 5) < 1) & (cells.amplitude > 5e-4)) for cells in seen.mirrored)
+    slow = one(t, 1e-3 * np.sin(2 * np.pi * 1.0 * t), highest=70.0)
+    assert not any(np.any(cells.amplitude > 3e-5) for cells in slow.mirrored)
+
+
+@pytest.mark.parametrize("rate", [20, 100, 1000])
+def test_a_step_between_two_samples_is_told_whatever_it_does_to_the_load(rate):
+    t = np.arange(2 * rate + 1) / rate
+    p = np.zeros((len(t), 3))
+    p[t > 1, 1] = 0.02
+    seen = TraySamples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "E", "seen.csv")
+    doubts = dict(tray_motion(seen, None, AT_B, NO_TURN).doubts)
+    assert doubts["jump"] == f"the position jumps by 20 mm from 1.000 s to {1 + 1 / rate:.3f} s"
+
+
 def test_noise_that_is_stated_of_joints_reaches_the_tray_through_the_jacobian(arm):
     """Independent noise s in all joints has the covariance s^2 J J^T at the tray: s |J| / sqrt(3) of each component; a
     quaternion's components move by half the angle. J by differences of the tray's pose."""

@@ -205,6 +205,9 @@ def test_a_mesh_counts_as_the_hulls_of_its_pieces(tmp_path: Path) -> None:
     assert np.sort([g.pos[2] for g in geoms]) == pytest.approx([0.5, 1.1], abs=1e-6)
 
 
+TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+
+
 @pytest.mark.parametrize(
     ("content", "words_"),
     [
@@ -212,7 +215,9 @@ def test_a_mesh_counts_as_the_hulls_of_its_pieces(tmp_path: Path) -> None:
         (b"hello", "holds no triangles"),
         (b"solid x\nendsolid x\n", "holds no triangles"),
         (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "has 3 corners"),
-        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n", "holds no triangles"),
+        (b"v 0 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n", "no finite numbers"),
+        # A tetrahedron and a triangle more: without that the obstacle would be less than it is.
+        (TETRAHEDRON + b"v inf 0 0\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\nf 2 3 5\n", "no finite numbers"),
     ],
 )
 def test_bad_meshes_of_obstacles(tmp_path: Path, content: bytes | None, words_: str) -> None:

@@ -10,8 +10,10 @@ import salver as sv
 from live_runs import drive, executed, in_turn, rows_of
 from salver.live import Live, Moving
 from salver.live.obstacles import Passing, nearest, predicted
+from salver.live.verify import few
 from salver.models.arm_geometry import arm_geometry
 from salver.planning.fastest import evaluate
+from salver.planning.fastest.obstacles import NEAR
 
 G = (0.0, 0.0, -9.81)
 
@@ -81,6 +83,19 @@ def test_derivatives_by_posture_and_duration_match_differences(problem):
         assert np.abs((up - down)[i, f] / 2e-6 - slope[:, joint]).max() < 0.02
     up, down = (rows(z, duration * np.exp(sign * 1e-5))["clearance of ball"].values for sign in (1, -1))
     assert np.abs((up - down)[i, f] / 2e-5 - here.by_duration[i, f]).max() < 0.02
+
+
+def test_between_the_postures_that_are_looked_at_no_pair_moves_unseen(problem):
+    """Whichever way the joints turn."""
+    parts, turn = problem.keep_out.parts, np.array([1, -1, 1, -1, 1, -1, 1.0])
+    for span in (1e-3, 0.1, 0.4, 2.0):
+        q = problem.start.q + np.linspace(0, span, 65)[:, None] * turn
+        looked = few(parts, q)
+        steps = np.abs(np.diff(looked, axis=0)) @ parts.levers(q).T
+        assert steps.max() < NEAR or len(looked) == len(q)
+        assert np.array_equal(few(parts, q[::-1]), looked[::-1])
+        assert np.array_equal(looked[[0, -1]], q[[0, -1]])
+    assert len(few(parts, problem.start.q + np.zeros((65, 1)))) == 9
 
 
 def test_a_ball_that_would_hit_is_evaded_and_one_that_misses_is_not(cube):

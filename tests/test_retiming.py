@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -232,6 +233,18 @@ def test_a_first_posture_with_a_mistake_is_no_heading(tmp_path):
     file.write_text("0.3,0.2,0.1\n0,0\n")
     with pytest.raises(FileFormatError, match="line 2: 2 values"):
         read_path(file, names)
+
+
+def test_a_way_may_have_two_postures_whatever_file_it_is_in(tmp_path):
+    names = ("joint1", "joint2")
+    message = {
+        "joint_names": ["joint2", "joint1"],
+        "points": [{"positions": [0.2, 0.1], "time_from_start": 0.0}, {"positions": [0.4, 0.3], "time_from_start": 1.0}],
+    }
+    (tmp_path / "way.json").write_text(json.dumps(message))
+    (tmp_path / "way.csv").write_text("t,joint1,joint2\n0,0.1,0.2\n1,0.3,0.4\n")
+    for name in ("way.json", "way.csv"):
+        assert read_path(tmp_path / name, names).tolist() == [[0.1, 0.2], [0.3, 0.4]]
 
 
 @pytest.mark.parametrize("text", ["1,2\n3", "", "a,b\nc,d"])

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
@@ -28,10 +30,17 @@ def read_mesh_file(file: str | Path) -> Trimesh:
         raise ValueError(f"has {size / 1e6:.0f} MB; at most {LARGEST / 1e6:.0f} MB are read: simplify it")
     try:
         with path.open("rb") as content:
-            mesh = trimesh.load(content, file_type=path.suffix.lower()[1:], force="mesh")
+            scene = trimesh.load(content, file_type=path.suffix.lower()[1:], force="scene", process=False)
+            parts = [part for part in scene.geometry.values() if isinstance(part, trimesh.Trimesh)]
+            finite = all(np.isfinite(part.vertices).all() for part in parts)
+            for part in parts:  # what has a corner that is no number is left out here without a word
+                part.process()
+            mesh = scene.to_mesh() if parts else None
     except Exception as error:  # each of the library's readers raises whatever it meets
         raise ValueError(f"cannot be read ({type(error).__name__}: {str(error)[:200]})") from None
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+    if not finite:
+        raise ValueError("has corners that are no finite numbers")
+    if mesh is None or len(mesh.faces) == 0:
         raise ValueError("holds no triangles")
     if len(mesh.faces) > MOST_FACES:
         raise ValueError(f"has {len(mesh.faces)} triangles; at most {MOST_FACES} are accepted: simplify it")

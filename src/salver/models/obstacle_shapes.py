@@ -50,8 +50,8 @@ def _pieces(file: str) -> tuple[Array, ...]:
     mesh = read_mesh_file(file)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     points = np.asarray(mesh.vertices, dtype=float)
-    if len(points) < 4 or not np.isfinite(points).all():
-        raise ValueError(f"has {len(points)} corners, all of which must be finite and at least 4")
+    if len(points) < 4:
+        raise ValueError(f"has {len(points)} corners; at least 4 are needed")
     edges = np.asarray(mesh.edges)
     graph = coo_matrix((np.ones(len(edges)), edges.T), shape=(len(points), len(points)))
     labels = connected_components(graph, directed=False)[1]

@@ -134,8 +134,6 @@ def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
         surface = read_mesh_file(path)
     except ValueError as error:
         raise ValueError(f'the mesh file "{file}" {error}; give an STL, OBJ or PLY file of a closed surface') from None
-    if not np.isfinite(surface.vertices).all():
-        raise ValueError(f'the mesh file "{file}" has corners that are not finite')
     if not surface.is_watertight or surface.volume <= 0:
         raise ValueError(
             f'the mesh in "{file}" is not a closed surface with outward normals, so it has no volume and no inertia; '

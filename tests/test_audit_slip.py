@@ -1,0 +1,74 @@
+"""How far a load could slide by what noise hides: against a block integrated by hand and the engine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from salver import scenario as scenarios
+from salver.auditing.motion import Recording
+from salver.auditing.noise import Level
+from salver.auditing.recorded import Sensor
+from salver.auditing.slip import SEEN, hidden, per_cycle
+from salver.simulation.physics import simulate_tray
+from salver.trajectory import MotionSamples
+
+CUBE = scenarios.load("panda-cube")  # friction 0.5: it slides at 4.905 m/s^2
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.3, 0.5, 0.8, 0.95])
+def test_the_slide_of_a_cycle_is_that_of_newmarks_block(share):
+    amplitude, frequency = 1e-3, 5.0
+    size = amplitude * (2 * np.pi * frequency) ** 2
+    steps = 20_000
+    h, v, moved = 1 / frequency / steps, 0.0, [0.0]
+    for _ in range(4):
+        x = 0.0
+        for k in range(steps):
+            v = max(0.0, v + h * size * (np.sin(2 * np.pi * k / steps) - share))
+            x += h * v
+        moved.append(x)
+    bound = float(per_cycle(np.array(amplitude), np.array(frequency), np.array(share * size)))
+    assert 0.7 * bound < moved[-1] < 1.001 * bound
+
+
+def test_the_engine_slides_no_further_than_the_bound(tmp_path):
+    # Ten cycles of 50 Hz, 0.06 mm, at the peak of a sway that needs half of the friction.
+    case = CUBE.with_changes(objects__0__uncertainty={}, physics__settle_after=0.1)
+    frequency, cycles, sway = 50.0, 10, 0.5 * 4.905
+    size = 3 * 0.5 * 4.905
+    begin = 0.25 - 0.5 * cycles / frequency
+
+    class Shaken:
+        duration = 0.5
+
+        def sample(self, t):
+            t = np.atleast_1d(np.asarray(t, dtype=float))
+            inside = (t >= 0) & (t <= self.duration)
+            shake = (t > begin) & (t < begin + cycles / frequency)
+            a = np.where(inside, sway * np.sin(2 * np.pi * t), 0.0)
+            a = a + np.where(shake, size * np.sin(2 * np.pi * frequency * (t - begin)), 0.0)
+            zero, still = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
+            return MotionSamples(t, zero, zero, np.stack([0 * t, a, 0 * t], axis=1), still, zero, zero)
+
+    slip = float(simulate_tray(Shaken(), case).slip.max())
+    u = np.linspace(begin, begin + cycles / frequency, 1001)
+    amplitude = np.full(1001, size / (2 * np.pi * frequency) ** 2)
+    each = per_cycle(amplitude, np.array(frequency), 4.905 - sway * np.sin(2 * np.pi * u))
+    bound = cycles * float(each.mean())
+    assert 0.6 * bound < slip < bound
+
+
+def test_a_hidden_shake_slides_only_where_the_reserve_is_small():
+    """0.1 mm of noise at 500 Hz, and a reserve of 0.5 m/s^2 at t = 2 s alone: a cycle of 50 Hz has an amplitude of
+    7 sigma sqrt(2 f / rate), and in 0.04 s there are two of them."""
+    noise, rate, highest, still = 1e-4, 500.0, 50.0, (0.0, 0.0)
+    recording = Recording(Sensor(Level.even(noise), Level.even(0.0)), rate, highest, (5.0, 5.0), still, still, (), ())
+    t = np.arange(2001) / rate
+    found = []
+    for long in (0.04, 0.2, 1.0, 9.0):
+        found.append(hidden(t, np.where(np.abs(t - 2) < long / 2, 0.5, 50.0), 5.0, recording)[0])
+        assert found[-1].time == pytest.approx(2, abs=0.5 * long + 0.02)
+    one = float(per_cycle(np.array(SEEN * noise * np.sqrt(2 * highest / rate)), np.array(highest), np.array(0.5)))
+    assert one < found[0].distance < 2.5 * one
+    assert np.all(np.diff([slip.distance for slip in found]) > 0)
