@@ -44,6 +44,16 @@ def test_a_quintic_is_met_exactly_however_it_is_sampled():
     assert np.abs(bend - np.stack([20 * t**3 - 6, 12 * t], axis=1)).max() < 1e-4
 
 
+def test_what_keeps_the_equations_solvable_does_not_bend_the_curve():
+    """As many knots as the sampling allows, some with hardly a sample: a quintic is met to rounding all the same."""
+    t = np.sort(np.concatenate([[0, 1], np.random.default_rng(0).random(400)]))
+    curve = fit(t, (t**5 - 0.3 * t**3)[:, None], np.full(len(t), 160.0))
+    at = np.linspace(0, 1, 1001)
+    value, _, bend = curve(at)
+    assert np.abs(value[:, 0] - (at**5 - 0.3 * at**3)).max() < 1e-13
+    assert np.abs(bend[:, 0] - (20 * at**3 - 1.8 * at)).max() < 1e-7  # by knots 3 ms apart: 1e-16 / 0.003^2 and more
+
+
 def test_a_curve_at_rest_has_no_velocity_and_no_acceleration_at_its_end():
     t = np.linspace(0, 2, 401)
     curve = fit(t, np.cos(3 * t)[:, None], np.full(401, 8.0), (True, False))

@@ -239,7 +239,10 @@ def test_a_way_may_have_two_postures_whatever_file_it_is_in(tmp_path):
     names = ("joint1", "joint2")
     message = {
         "joint_names": ["joint2", "joint1"],
-        "points": [{"positions": [0.2, 0.1], "time_from_start": 0.0}, {"positions": [0.4, 0.3], "time_from_start": 1.0}],
+        "points": [
+            {"positions": [0.2, 0.1], "time_from_start": 0.0},
+            {"positions": [0.4, 0.3], "time_from_start": 1.0},
+        ],
     }
     (tmp_path / "way.json").write_text(json.dumps(message))
     (tmp_path / "way.csv").write_text("t,joint1,joint2\n0,0.1,0.2\n1,0.3,0.4\n")
