@@ -14,17 +14,18 @@ from run_files import rewrite
 from salver import scenario as scenarios
 from salver.campaigns import run_campaign
 from salver.cli import main
-from salver.errors import FileFormatError, SalverError, ScenarioError
+from salver.errors import FileFormatError, SalverError, ScenarioError, Status
 from salver.export import write_export
 from salver.geometry import log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.planning.fastest import transport_problem
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.exchange import SHORTEST
-from salver.planning.fastest.legs import chains
+from salver.planning.fastest.legs import _status, chains
 from salver.planning.fastest.passing import Passing
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
 from salver.planning.fastest.sqp import Programme
 from salver.planning.fastest.together import LegsCurve, LegsProgramme
+from salver.planning.fastest.watch import Watch
 from salver.planning.plan import load_plan
 from salver.planning.postures import PoseTarget
 from salver.planning.round import load_round
@@ -220,6 +221,17 @@ def test_legs_that_do_not_meet_are_not_ok(planned, tmp_path):
     found = load_round(tmp_path / "moved")
     assert found.apart == pytest.approx(1e-3)
     assert not found.ok
+
+
+def test_a_task_is_as_good_as_its_worst_leg(planned):
+    first, second = planned.legs
+    worse = replace(second, arm_status=Status("infeasible", "The mug slides.", False))
+    for legs, number in (((first, worse), 2), ((worse, first), 1)):
+        told = _status(legs, Watch())
+        assert (told.ok, told.code, told.sentence) == (False, "infeasible", f"Leg {number}: The mug slides.")
+    unsolved = replace(second, status=Status("limit", "Nothing was found.", False))
+    assert _status((first, unsolved), Watch()).sentence == "Leg 2: Nothing was found."
+    assert _status((first, second), Watch()).ok
 
 
 def test_what_slid_begins_the_next_leg_where_it_was_left(planned):

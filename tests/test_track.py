@@ -19,7 +19,7 @@ from salver.export.motion import read_motion
 from salver.geometry import Array
 from salver.learning.executed import executed, read_joints
 from salver.learning.track import Judge, track
-from salver.learning.tune import beyond_limits, corrected, engine_robot, step, tune, with_margin
+from salver.learning.tune import COMMAND_LEAD, GAIN, beyond_limits, corrected, engine_robot, step, tune, with_margin
 from salver.models.arm import load_arm
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import joint_samples
@@ -207,6 +207,19 @@ def test_a_corrected_command_misses_less_and_stays_with_its_plan(plan: Plan, jud
     assert not check.ok
     assert check.required
     assert step(told, engine_robot(told)).next == "margin"
+
+
+def test_a_corrected_command_begins_where_the_arm_was_told_to_rest(plan: Plan, judge: Judge) -> None:
+    """An arm that sags by 2 mrad before and by 3 mrad to the other side after: before, it is not moved by what it will
+    miss; after, it is told what it missed."""
+    t, q, _, _ = lagging(plan, UNEQUAL, 0.7)
+    q = q + np.where(t < 0.5 * plan.duration, 2e-3, -3e-3)[:, None]
+    command = corrected(track(plan, logged(plan, t, q), judge)).command
+    assert command is not None
+    assert plan.joint is not None
+    begun = command.sample(np.linspace(0.0, 0.5 * COMMAND_LEAD, 20))[0]
+    assert np.abs(begun - plan.joint.q[0]).max() < 2e-4
+    assert command.q[-1] - plan.joint.q[-1] == pytest.approx(np.full(7, GAIN * 3e-3), abs=3e-4)
 
 
 def test_logs_that_are_not_of_the_plan_are_refused(plan: Plan) -> None:

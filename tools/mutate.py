@@ -96,9 +96,10 @@ def judge(mutant: Mutant, tree: Path, tests: TestMap, due: list[str], baseline: 
     """Run the tests that are due on one mutant in its tree, which is left as it was."""
     target = tree / mutant.path
     original, begun = target.read_text(encoding="utf-8"), time.monotonic()
-    outcome = Outcome(0)
+    outcome, seconds = Outcome(0), 1.0
     while due:
-        batch = first_of(due, tests)
+        batch = first_of(due, tests, seconds)  # most mutants fall at once, and the others need all tests
+        seconds *= 6
         _write(target, mutant.source)
         try:
             files = list(dict.fromkeys(map(file_of, batch)))
@@ -123,14 +124,14 @@ def judge(mutant: Mutant, tree: Path, tests: TestMap, due: list[str], baseline: 
     }
 
 
-def first_of(tests: list[str], known: TestMap, seconds: float = 4.0, share: float = 0.2) -> list[str]:
-    """As many tests as take some seconds, or a share of the time of all: most mutants fall early, and to collect the
-    tests of all files takes longer than that."""
-    limit, spent = max(seconds, share * known.seconds(tests)), 0.0
+def first_of(tests: list[str], known: TestMap, seconds: float) -> list[str]:
+    """As many tests as take so long, and half a second for each file, to collect it; at least one."""
+    spent, files = 0.0, set()
     for k, test in enumerate(tests):
-        spent += known.seconds([test])
-        if spent > limit:
-            return tests[: k + 1]
+        spent += known.seconds([test]) + 0.5 * (file_of(test) not in files)
+        files.add(file_of(test))
+        if k and spent > seconds:
+            return tests[:k]
     return tests
 
 
@@ -141,6 +142,12 @@ def likely_first(mutant: Mutant, order: list[str], verdicts: dict[str, dict[str,
     beside = [entry["by"] for key, entry in verdicts.items() if key.startswith(f"{mutant.path.as_posix()}:")]
     times = {test: beside.count(test) + len(beside) * (test == last) for test in order}
     return sorted(order, key=lambda test: (known.is_marked(test), -times[test]))
+
+
+def is_own(test: str, mutant: Mutant) -> bool:
+    """Whether the file of a test is named after the module, or its folder."""
+    words = Path(file_of(test)).stem.removeprefix("test_").split("_")
+    return any(name.split("_") == words[: len(name.split("_"))] for name in (mutant.path.stem, mutant.path.parent.name))
 
 
 def within(seconds: float, known: TestMap, tests: list[str]) -> Iterator[str]:
@@ -219,6 +226,7 @@ def main() -> int:
     judges: dict[str, list[str]] = {}
     for mutant in sample:
         order = tests.tests_of(*mutant.place, everyday=options.everyday)
+        order.sort(key=lambda test, m=mutant: (tests.is_marked(test), not is_own(test, m)))
         judges[mutant.key] = list(within(options.patience, tests, order))
 
     def rests_now(mutant: Mutant, by: str | None) -> str:

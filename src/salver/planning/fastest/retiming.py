@@ -98,7 +98,7 @@ def _apart(q: Array) -> Array:
     for k in range(1, len(q)):
         if np.abs(q[k] - q[kept[-1]]).max() >= PATH_TOLERANCE:
             kept.append(k)
-    if kept[-1] != len(q) - 1 and np.abs(q[-1] - q[kept[-1]]).max() > 1e-9:
+    if np.abs(q[-1] - q[kept[-1]]).max() > 1e-9:
         kept = [*(kept[:-1] if len(kept) > 1 else kept), len(q) - 1]
     return q[kept]
 
