@@ -11,6 +11,7 @@ import salver as sv
 from salver.contact_margins import margins
 from salver.errors import ScenarioError
 from salver.geometry import Array
+from salver.models import worst_case
 from salver.models.contact_rows import contact_rows
 from salver.models.contents import Hull, largest_mean
 from salver.models.physical import realisable
@@ -151,6 +152,20 @@ def test_without_turning_only_the_centre_of_mass_counts() -> None:
     known = made.with_changes(objects__0__uncertainty={"com": [0.06, 0.06, 0.28]})
     w = nasty.felt(nasty.tray_motion(20, 5, turning=0.0, push=0.3))
     assert contact_rows(made.payload)[0].worst(w) == pytest.approx(contact_rows(known.payload)[0].worst(w), abs=1e-9)
+
+
+def test_rows_that_are_only_bounded_have_the_sign_of_those_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At motions about the edge, where several rows of an instant are near or beyond theirs."""
+    rows, rng = contact_rows(load("any-box-56").payload)[0], np.random.default_rng(0)
+    w = np.zeros((60, 12))
+    w[:, 2] = nasty.G
+    w[:, :2], w[:, 3:6] = 1.5 * rng.standard_normal((60, 2)), 2 * rng.standard_normal((60, 3))
+    found = rows.worst(w)
+    monkeypatch.setattr(worst_case, "SURE", -np.inf)
+    exact = rows.worst(w)
+    assert ((exact > 0).sum(axis=1) > 1).mean() > 0.5
+    assert np.array_equal(found > 0, exact > 0)
+    assert np.all(found >= exact - 1e-9)
 
 
 def test_slope_is_the_derivative_of_the_worst_case() -> None:

@@ -7,13 +7,13 @@ from scipy.linalg import expm
 
 from salver import scenario
 from salver.control.object import Gains
-from salver.geometry import exp
+from salver.geometry import exp, hat
 from salver.models.parameters import INERTIAL, inertial_vector, parameters_of, phi_jacobian, phi_of
 from salver.models.rigid_body import RigidBody
 from salver.sensitivity import engine
 from salver.sensitivity.engine import ClosedLoop, closed_loop_rate, sensitivity, simulate, variational
 from salver.sensitivity.tray import TrayLoop
-from salver.sensitivity.tray_casadi import sampled, tray_loop, tray_sensitivity
+from salver.sensitivity.tray_casadi import _exp, _right_jacobian_inverse, sampled, tray_loop, tray_sensitivity
 from salver.simulation.closed_loop import rollout
 from salver.trajectory import PolynomialReference, SampledReference
 
@@ -226,6 +226,20 @@ def test_tray_state_is_nominally_zero_and_its_input_is_eq_19(tray):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("angle", [0.0, 1e-3, 9.9e-3, 1.01e-2, 0.3, 1.5, 3.1])
+def test_maps_of_rotations_are_those_of_the_whole_program(angle):
+    """Across the border between series and closed form: what differs by rounding of 1 - cos is some 1e-16 / angle^2."""
+    axis = np.array([2.0, -1.0, 2.0]) / 3
+    theta = ca.SX.sym("theta", 3)
+    both = ca.Function("f", [theta], [_exp(theta), _right_jacobian_inverse(theta)])
+    turn, inverse = (np.array(x) for x in both(angle * axis))
+    assert turn == pytest.approx(expm(angle * hat(axis)), abs=1e-12)
+    # The integral of exp(-s theta) over s from 0 to 1, by its definition.
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    jacobian = sum(0.5 * w * expm(-0.5 * (x + 1) * angle * hat(axis)) for x, w in zip(nodes, weights, strict=True))
+    assert inverse @ jacobian == pytest.approx(np.eye(3), abs=1e-11)
+
+
 def test_tray_loop_moves_as_the_rollouts_do_far_from_nominal():
     """Two ways of writing plant, controller and error coordinates; turned by more than half a radian."""
     names = ("mass", "com_x", "com_y", "com_z", "inertia_xx", "inertia_yz")
