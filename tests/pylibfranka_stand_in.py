@@ -92,10 +92,12 @@ class Library(types.ModuleType):
                 return _state(inner.look())
 
             def start_torque_control(self) -> Any:
+                outer.calls.append(("controlled", "torque"))
                 inner.start()
                 return Control()
 
             def start_joint_position_control(self, mode: int) -> Any:
+                outer.calls.append(("controlled", "position"))
                 return Position()
 
             def stop(self) -> None:

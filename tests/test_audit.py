@@ -167,6 +167,18 @@ def test_a_shake_is_found_in_noise_by_its_energy(frequency, cycles):
     assert missed <= 2
 
 
+@pytest.mark.parametrize("frequency", [5.0, 31.25, 120.0])
+def test_an_oscillation_of_negligible_acceleration_is_let_be(frequency):
+    """Without noise: its amplitude times its angular frequency squared decides, to what windows see of it."""
+    t = np.arange(2048) / 500
+    for share in (0.8, 1.25):
+        y = np.zeros((2048, 3))
+        y[:, 1] = share * 0.02 / (2 * np.pi * frequency) ** 2 * np.sin(2 * np.pi * frequency * t)
+        long = found(y, 500.0, Level.even(1e-12), 0.02)[-1]  # over the whole recording
+        assert (len(long.frequency) > 0) == (share > 1), share
+        assert long.frequency == pytest.approx(np.full(len(long.frequency), frequency), abs=0.3)
+
+
 def test_noise_of_a_band_is_found_at_the_quietest():
     rng = np.random.default_rng(0)
     t = np.arange(4096)

@@ -228,6 +228,20 @@ def test_franka_adapter_runs_the_plan(directory: Path, plan: Plan, monkeypatch: 
     assert result.summary["joint_error_peak"] < 5e-3
 
 
+@pytest.mark.parametrize("away", [True, False])
+def test_nothing_moves_that_was_not_confirmed(
+    directory: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch, away: bool
+) -> None:
+    """Neither to the start, from where the arm stands elsewhere, nor along the plan."""
+    at = plan.joint.q[0] + (0.05 if away else 0.0)  # type: ignore[union-attr]
+    fake = Library(plan, at)
+    monkeypatch.setitem(sys.modules, "pylibfranka", fake)
+    with pytest.raises(SalverError, match="it was not confirmed"):
+        execute.run_on_franka(directory, "arm", move_to_start=away, confirm=lambda checks: False)
+    assert "connected" in {call[0] for call in fake.calls}
+    assert "controlled" not in {call[0] for call in fake.calls}
+
+
 @pytest.mark.slow
 def test_franka_moves_to_the_start_first_when_told(
     directory: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch
