@@ -186,3 +186,9 @@ def test_leading_axes_are_kept():
 def test_gravity_cannot_be_changed_by_accident():
     with pytest.raises(ValueError, match="read-only"):
         g.GRAVITY_S[2] = 0.0
+
+
+def test_cross_is_numpys():
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(size=(5, 1, 3)), rng.normal(size=(4, 3))
+    assert np.array_equal(g.cross(a, b), np.cross(a, b))

@@ -86,6 +86,15 @@ def test_response_to_mass_does_not_depend_on_orientation(tumbling):
     assert loop.along(tumbling, T).state[:, :3] == pytest.approx(loop.along(upright, T).state[:, :3], abs=1e-10)
 
 
+def test_several_matrices_map_a_dual_as_each_of_them_does():
+    rng = np.random.default_rng(6)
+    one = Dual(rng.normal(size=(5, 1, 3)), rng.normal(size=(5, 1, 3, 4)))
+    matrices = rng.normal(size=(7, 3, 3))
+    got, each = one.mapped(matrices), [one.mapped(matrix) for matrix in matrices]
+    assert got.value == pytest.approx(np.concatenate([x.value for x in each], axis=1), rel=1e-14)
+    assert got.tangent == pytest.approx(np.concatenate([x.tangent for x in each], axis=1), abs=1e-14)
+
+
 def test_duals_carry_derivatives_of_products_and_rotations():
     rng = np.random.default_rng(5)
     z, h = rng.normal(size=4), 1e-6

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from salver.geometry import Array, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
+from salver.geometry import Array, cross, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,19 @@ def chebyshev_basis(s: npt.ArrayLike, degree: int, derivative: int = 0) -> Array
 
 
 def chebyshev_bases(s: npt.ArrayLike, degree: int, derivatives: Iterable[int]) -> list[Array]:
-    """`chebyshev_basis` of several derivatives, from one table of values."""
-    values = chebyshev.chebvander(np.asarray(s, dtype=float), degree)
-    return [values @ _differentiation(degree, derivative) for derivative in derivatives]
+    """`chebyshev_basis` of several derivatives, from one table of values; not to be written to."""
+    s = np.asarray(s, dtype=float)
+    return [basis.reshape(*s.shape, -1) for basis in _bases(s.tobytes(), degree, tuple(derivatives))]
+
+
+@lru_cache(maxsize=64)
+def _bases(points: bytes, degree: int, derivatives: tuple[int, ...]) -> list[Array]:
+    """`chebyshev_bases`: a planner asks for the same ones at every iteration."""
+    values = chebyshev.chebvander(np.frombuffer(points), degree)
+    bases = [values @ _differentiation(degree, derivative) for derivative in derivatives]
+    for basis in bases:
+        basis.setflags(write=False)
+    return bases
 
 
 @lru_cache(maxsize=256)
@@ -136,9 +146,9 @@ def magnus_increment(omega_at_gauss: Array, h: npt.ArrayLike) -> Array:
     w1, w2, w3 = (omega_at_gauss[..., i, :] for i in range(3))
     a1, a2, a3 = h * w2, np.sqrt(15) / 3 * h * (w3 - w1), 10 / 3 * h * (w3 - 2 * w2 + w1)
     # For R' = R Omega the commutator has the opposite sign of Y' = Omega Y: [a, b] -> -(a x b).
-    c1 = -np.cross(a1, a2)
-    c2 = np.cross(a1, 2 * a3 + c1) / 60
-    return a1 + a3 / 12 - np.cross(-20 * a1 - a3 + c1, a2 + c2) / 240
+    c1 = -cross(a1, a2)
+    c2 = cross(a1, 2 * a3 + c1) / 60
+    return a1 + a3 / 12 - cross(-20 * a1 - a3 + c1, a2 + c2) / 240
 
 
 def accumulate(R_0: Array, increments: Array) -> Array:

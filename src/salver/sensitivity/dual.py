@@ -50,7 +50,12 @@ class Dual:
     def mapped(self, matrix: Array) -> Dual:
         """Times constant matrices (..., 3, 3)."""
         value = (matrix @ self.value[..., None])[..., 0]
-        return Dual(value, None if self.tangent is None else matrix @ self.tangent)
+        if self.tangent is None:
+            return Dual(value)
+        if matrix.ndim == 3 and self.tangent.shape[1] == 1:  # the same for all instants: one below the other
+            rows = matrix.reshape(-1, 3) @ self.tangent[:, 0]
+            return Dual(value, rows.reshape(len(rows), len(matrix), 3, -1))
+        return Dual(value, matrix @ self.tangent)
 
     @property
     def vanishes(self) -> bool:
@@ -62,10 +67,10 @@ class Dual:
             return Dual(np.zeros(np.broadcast_shapes(self.value.shape, other.value.shape)))
         left = hat(self.value)
         value = (left @ other.value[..., None])[..., 0]
-        tangent = _sum(
-            None if other.tangent is None else left @ other.tangent,
-            None if self.tangent is None else hat(-other.value) @ self.tangent,
-        )
+        tangent = None if other.tangent is None else left @ other.tangent
+        if self.tangent is not None:
+            turned = hat(-other.value) @ self.tangent
+            tangent = turned if tangent is None else np.add(tangent, turned, out=turned)
         return Dual(value, tangent)
 
 
