@@ -280,9 +280,15 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
 def test_options_that_are_not_for_several_legs_are_refused(tmp_path, capsys):
     path = tmp_path / "round.toml"
     path.write_text(tomli_w.dumps(task()))
-    for option in (("--beside", "nominal"), ("--safest",), ("--duration", "3"), ("--no-arm",)):
+    refusals = {
+        ("--beside", "nominal"): "legs",
+        ("--no-arm",): "legs",
+        ("--safest",): "motion.duration is missing",
+        ("--duration", "3"): "--safest",
+    }
+    for option, words in refusals.items():
         assert main_of("plan", path, "-o", tmp_path / "run", *option) == 2
-        assert "leg" in capsys.readouterr().err
+        assert words in capsys.readouterr().err
     with pytest.raises(SalverError, match="2 legs"):
         sv.audit({"t": np.arange(9.0), **dict.fromkeys(("x", "y", "z", "qw", "qx", "qy", "qz"), np.full(9, 0.5))}, path)
 

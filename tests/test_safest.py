@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 import signal
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from salver import scenario
+from salver import scenario, simulate_legs
 from salver.cli import app
 from salver.cli.plan import Effort
 from salver.cli.searching import searching
 from salver.errors import ScenarioError, UnreachableError
 from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
-from salver.planning.fastest.safest import plan_safest
+from salver.planning.fastest.legs import plan_legs
+from salver.planning.fastest.safest import plan_safest, plan_safest_legs, shared
 
 FEW = FastestOptions(spans=8)
 POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
@@ -73,3 +75,37 @@ def test_an_interruption_ends_the_search_and_not_the_command(capsys):
         assert watch.ended == "interrupted"
     assert signal.getsignal(signal.SIGINT) is before
     assert capsys.readouterr().err.count("best found so far") == 1
+
+
+def test_shares_of_the_time_leave_all_legs_the_same_margin():
+    """Of legs that lack c / T^p of their margin at rest, by hand: after one step where p is right."""
+    at_rest, c, power = np.array([0.3, 0.25, 0.28]), np.array([0.1, 0.02, 0.05]), 3.0
+    times = np.array([1.0, 1.0, 1.0])
+    found = shared(times, at_rest, at_rest - c / times**power, power)
+    assert found.sum() == pytest.approx(3.0)
+    margins = at_rest - c / found**power
+    assert np.ptp(margins) < 1e-9
+    assert margins.min() > (at_rest - c).min()
+    assert np.abs(shared(found, at_rest, margins, 2.0) - found).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_the_safest_round_gives_its_legs_the_same_margin_and_takes_its_time():
+    """It keeps more than the fastest round, and holds in the engine."""
+    case = scenario.load("waiters-round")
+    quickest = plan_legs(case, options=FEW)
+    given = case.with_changes(motion__duration=1.3 * quickest.duration)
+    with pytest.raises(ScenarioError, match="--safest"):
+        plan_legs(given, options=FEW)
+    found = plan_safest_legs(given, options=FEW)
+    assert found.ok
+    assert found.apart == 0
+    assert found.duration == pytest.approx(1.3 * quickest.duration)
+    margins = [leg.solver["margin"] for leg in found.legs]
+    assert np.ptp(margins) < 0.03 * max(margins)
+    assert min(margins) > 0.02 + max(leg.margins.exact_worst.min() for leg in quickest.legs)
+    assert simulate_legs(found).outcome == "holds"
+    with pytest.raises(UnreachableError, match="the shortest that were take"):
+        plan_safest_legs(case.with_changes(motion__duration=0.5 * quickest.duration), options=FEW)
+    with pytest.raises(ScenarioError, match="duration is missing"):
+        plan_safest_legs(case, options=FEW)

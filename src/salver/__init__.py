@@ -89,14 +89,15 @@ def plan(scenario: Scenario | str | Path, method: str = "robust", *, arm: bool =
     return make_plan(_scenario(scenario), method, arm)
 
 
-def plan_legs(scenario: Scenario | str | Path, **options: Any) -> Round:
+def plan_legs(scenario: Scenario | str | Path, *, safest: bool = False, **options: Any) -> Round:
     """The fastest plan of a task of several legs (docs/howto/legs.md): its `legs` are plans, each with its own load.
 
-    options: as `fastest`. Raises ScenarioError, UnreachableError.
+    safest: the safest one in its duration instead. options: as `fastest`. Raises ScenarioError, UnreachableError.
     """
     from salver.planning.fastest.legs import plan_legs as run
+    from salver.planning.fastest.safest import plan_safest_legs
 
-    return run(_scenario(scenario), options=_options("plan_legs", options))
+    return (plan_safest_legs if safest else run)(_scenario(scenario), options=_options("plan_legs", options))
 
 
 def fastest(scenario: Scenario | str | Path, *, robust: bool = True, **options: Any) -> Plan:

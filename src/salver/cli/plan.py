@@ -162,14 +162,13 @@ def _plan_legs(
 ) -> None:
     """The plan of a task of several legs."""
     from salver.planning.fastest.legs import plan_legs
+    from salver.planning.fastest.safest import plan_safest_legs
     from salver.planning.stops import with_stops
     from salver.run_directory import check_free
 
-    if safest:
-        raise typer.BadParameter("--safest is not known of a task of several legs yet; leave it out, for --fastest.")
     check_free(directory)
     with searching(time_limit) as search:
-        found = plan_legs(scenario, options=options, watch=search)
+        found = (plan_safest_legs if safest else plan_legs)(scenario, options=options, watch=search)
     if stops and found.ok:
         found = replace(found, legs=tuple(with_stops(leg) for leg in found.legs))
     save_plans(directory, {"plan": found}, force)

@@ -2,7 +2,7 @@
 
 Which branch of the inverse kinematics the arm takes is chosen for the task as a whole (`chains`), and so are the
 postures at its stops, by a rough optimum of all legs in one programme (`together`). Each leg is then optimised with all
-pieces between the two postures that were found.
+pieces between the two postures that were found. Beside that, each leg chooses its own end; the shorter task is taken.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from salver.scenario import Scenario
 
 BEAM = 6  # chains of postures that are kept from leg to leg,
 BRANCHES = 3  # and goal postures that are tried from the end of each
-ROUGHS = 0.3  # share of the work that rough optima are, about
+ROUGHS, HALF = 0.2, 0.6  # share of the work that rough optima are, about, and that and legs along the best of them
 
 
 def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> Round:
@@ -49,16 +49,18 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
         raise ScenarioError(f"{scenario.name} has one leg; plan it as such, or give it a list of [[legs]].")
     if scenario.motion.duration is not None:
         raise ScenarioError(
-            f"{scenario.name}: motion.duration = {scenario.motion.duration:g} s with legs: what of it each leg takes "
-            "is not planned yet; leave it out, for the fastest plan."
+            f"{scenario.name}: motion.duration = {scenario.motion.duration:g} s with legs; ask for the safest plan in "
+            "that time (--safest), or leave it out, for the fastest."
         )
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
     problems = [transport_problem(leg, passing=True) for leg in scenario.each_leg]
     legs: list[Plan] = []
     for begin in _begins(problems, options, watch):
-        legs = in_turn(problems, begin, options, watch)
-        if len(legs) == len(problems) and all(leg.ok for leg in legs):
+        found = in_turn(problems, begin, options, watch, ROUGHS if begin is not None else HALF)
+        if not legs or _merit(found, problems) < _merit(legs, problems):
+            legs = found
+        if watch.over() and not _merit(legs, problems)[0]:
             break
     exact = scenario.with_changes(contact__condition="exact")
     seconds = sum(float(leg.solver["seconds"]) for leg in legs)
@@ -69,12 +71,12 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
 def _begins(
     problems: Sequence[TransportProblem], options: FastestOptions, watch: Watch
 ) -> Iterator[list[SplineMotion] | None]:
-    """A first motion of every leg: the best of a few rough optima, then the others, and at last None: each leg then
-    chooses for itself where it ends."""
+    """A first motion of every leg: of the best of a few rough optima, and None: each leg then chooses for itself where
+    it ends, which no rough optimum of all may have led to."""
     roughs: list[tuple[bool, float, list[SplineMotion]]] = []
     few, rng = few_pieces(options), np.random.default_rng(options.seed)
     iterations = round(options.iterations * ROUGH_ITERATIONS)
-    tried = chains(problems, rng)[: max(1, options.pairs // 2)]
+    tried = chains(problems, rng)[: options.pairs]
     for chain in tried:
         each = [between(p, Ends(q[0], q[-1], 0.0, True)) for p, q in zip(problems, chain, strict=True)]
         begin = [Start("straight", q).motion(problem, few) for problem, q in zip(each, chain, strict=True)]
@@ -84,7 +86,7 @@ def _begins(
         if watch.over():
             break
     roughs.sort(key=lambda rough: rough[:2])
-    yield from (found for far, _, found in roughs if not far)
+    yield from (found for far, _, found in roughs[:1] if not far)
     yield None
 
 
@@ -113,10 +115,14 @@ def chains(problems: Sequence[TransportProblem], rng: np.random.Generator) -> li
 
 
 def in_turn(
-    problems: Sequence[TransportProblem], begin: list[SplineMotion] | None, options: FastestOptions, watch: Watch
+    problems: Sequence[TransportProblem],
+    begin: list[SplineMotion] | None,
+    options: FastestOptions,
+    watch: Watch,
+    done: float = HALF,
 ) -> list[Plan]:
     """Plans of the legs, each from the posture in which the one before it ends; to that in which its motion of `begin`
-    does, if there are any: then no further than to the first leg that is not safe."""
+    does, if there are any: then no further than to the first leg that is not safe. done: share of the work before it."""
     legs: list[Plan] = []
     for k, problem in enumerate(problems):
         near = None if begin is None else refitted(begin[k], options.spans)
@@ -127,11 +133,16 @@ def in_turn(
             q = near.coefficients
             problem = between(replace(problem, goal=AtPosture(q[-1])), Ends(q[0], q[-1], 0.0, True))
             problem = replace(problem, start=AtPosture(q[0]))
-        part = watch.part(ROUGHS + (1 - ROUGHS) * k / len(problems), (1 - ROUGHS) / len(problems))
+        part = watch.part(done + (1 - HALF) * k / len(problems), (1 - HALF) / len(problems))
         legs.append(plan_problem(problem, options=options, watch=part, near=near))
         if begin is not None and not legs[-1].ok and not watch.ended:
             break
     return legs
+
+
+def _merit(legs: Sequence[Plan], problems: Sequence[TransportProblem]) -> tuple[bool, float]:
+    safe = len(legs) == len(problems) and all(leg.ok for leg in legs)
+    return not safe, sum(leg.duration for leg in legs)
 
 
 def _end_of(plan: Plan) -> Array:

@@ -1,20 +1,42 @@
-"""The safest motion in a given time: the largest worst-case margin of all contacts, under the same constraints."""
+"""The safest motion in a given time: the largest worst-case margin of all contacts, under the same constraints.
+
+Of several legs, each takes the share of the time with which the least margin of all is largest: `plan_safest_legs`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from salver.errors import ScenarioError, Status, UnreachableError
+from salver.geometry import Array
+from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.ends import AtPosture
+from salver.planning.fastest.legs import plan_legs
 from salver.planning.fastest.objectives import LeastMargin
 from salver.planning.fastest.problem import transport_problem
-from salver.planning.fastest.search import FastestOptions, fastest, joint_plan, nearby, solver_record
-from salver.planning.fastest.starts import Ends, straight, tray_line
+from salver.planning.fastest.search import (
+    DEGREE,
+    FastestMotion,
+    FastestOptions,
+    fastest,
+    joint_plan,
+    nearby,
+    solver_record,
+)
+from salver.planning.fastest.spline import RestSpline
+from salver.planning.fastest.starts import Ends, between, straight, tray_line
 from salver.planning.fastest.watch import Watch
+from salver.planning.round import Round
 from salver.scenario import Scenario
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
+
+SHARINGS = 3  # times that the legs' shares of the time are chosen
+POWER = 5.0  # of the pace with which a leg loses margin, until it is seen: the tray leans into what it does
 
 
 def plan_safest(
@@ -43,13 +65,7 @@ def plan_safest(
             f"{scenario.name}: no safe motion in {duration:g} s was found; the shortest that was takes "
             f"{quickest.duration:.4f} s."
         )
-    pair = Ends(quickest.coefficients[0], quickest.coefficients[-1], 0.0, True)
-    begins = [None, straight(pair), tray_line(quickest.problem, pair)]
-    found = [
-        nearby(quickest, LeastMargin(), duration, options, begin=begin, watch=watch)
-        for k, begin in enumerate(begins)
-        if k == 0 or (begin is not None and not watch.ended)
-    ]
+    found = optima(quickest, duration, options, watch)
     best = max(found, key=lambda motion: (motion.status.ok, motion.margin))
     status = best.status
     if status.ok:
@@ -64,3 +80,125 @@ def plan_safest(
     best = replace(best, wall_time=spent, iterations=steps)
     record = {**solver_record(best, robust), "margin": best.margin, "shortest": quickest.duration}
     return joint_plan(scenario, problem, best.joint_motion(), status, record, method="safest")
+
+
+def optima(
+    quickest: FastestMotion, duration: float, options: FastestOptions, watch: Watch, anew: bool = True
+) -> list[FastestMotion]:
+    """Local optima of the margin in a duration, s: from a motion made slower and, anew, from straight paths between its
+    ends."""
+    pair = Ends(quickest.coefficients[0], quickest.coefficients[-1], 0.0, True)
+    begins = [None, straight(pair), tray_line(quickest.problem, pair)] if anew else [None]
+    return [
+        nearby(quickest, LeastMargin(), duration, options, begin=begin, watch=watch)
+        for k, begin in enumerate(begins)
+        if k == 0 or (begin is not None and not watch.ended)
+    ]
+
+
+def plan_safest_legs(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> Round:
+    """The plan of a task of several legs that keeps the loads furthest from slipping, tipping and lifting while all
+    motions together take the scenario's duration; the stops' postures are those of the fastest plan.
+
+    Raises ScenarioError without an arm, legs or a duration, and with a liquid, UnreachableError when no motions were
+    found that are as short.
+    """
+    duration = scenario.motion.duration
+    if duration is None:
+        raise ScenarioError(f"{scenario.name}: motion.duration is missing; the safest plan is of a given one.")
+    if any(leg.payload.liquids for leg in scenario.each_leg):
+        raise ScenarioError(f"{scenario.name}: the safest motion of a liquid cannot be planned; ask for the fastest.")
+    options = options or FastestOptions()
+    watch = watch or Watch(options.time_limit)
+    quickest = plan_legs(scenario.with_changes(motion__duration=None), options=options, watch=watch)
+    if not quickest.ok:
+        raise UnreachableError(f"{scenario.name}: {quickest.status.sentence}")
+    if quickest.duration > duration:
+        raise UnreachableError(
+            f"{scenario.name}: no safe motions in {duration:g} s were found; the shortest that were take "
+            f"{quickest.duration:.4f} s."
+        )
+    begins = [_as_found(leg, options) for leg in quickest.legs]
+    times = np.array([leg.duration for leg in quickest.legs]) * (duration / quickest.duration)
+    at_rest = np.array([_margin_at_rest(begin) for begin in begins])
+    best: list[FastestMotion] = []
+    before, power = (times, at_rest), POWER
+    spent = float(quickest.solver["seconds"])
+    for sharing in range(SHARINGS):
+        found = [
+            max(optima(begin, float(time), options, watch, anew=not sharing), key=lambda m: (m.status.ok, m.margin))
+            for begin, time in zip(begins, times, strict=True)
+        ]
+        spent += sum(motion.wall_time for motion in found)
+        if not best or _least(found) > _least(best):
+            best = found
+        if watch.ended:
+            break
+        margins = np.array([motion.margin for motion in found])
+        lacking = np.log(np.maximum(at_rest - margins, 1e-6) / np.maximum(at_rest - before[1], 1e-6))
+        paces = np.log(before[0] / times)
+        if np.abs(paces).max() > 1e-3:
+            power = float(np.clip(lacking @ paces / (paces @ paces), 2.0, 8.0))
+        before = times, margins
+        begins, times = found, shared(times, at_rest, margins, power)
+    legs = tuple(
+        _planned(leg, motion, f"The safest motion found in {motion.duration:.4g} s.")
+        for leg, motion in zip(quickest.legs, best, strict=True)
+    )
+    ended = " The search was ended before it was done." if watch.ended else ""
+    sentence = (
+        f"The safest motions found in {duration:.4g} s ({', '.join(f'{m.duration:.4g} s' for m in best)}) keep every "
+        f"contact {100 * (_least(best)[1] + scenario.contact.margin):.2g} % of the weight from its edge; the shortest "
+        f"found take {quickest.duration:.4f} s.{ended}"
+    )
+    worst = next((motion.status for motion in best if not motion.status.ok), None)
+    status = worst or Status(watch.ended or "optimal", sentence, True)
+    record = {"name": quickest.solver["name"], "seconds": spent, "robust": True, "shortest": quickest.duration}
+    return Round(scenario.with_changes(contact__condition="exact"), legs, status, record)
+
+
+def shared(times: Array, at_rest: Array, margins: Array, power: float) -> Array:
+    """Times (K,) with the same sum, s, with which all legs would keep the same margin, if what a leg lacks of the
+    margin that its load has at rest (K,) grows with a power of its pace. margins (K,): at the times given."""
+    lacking = np.maximum(at_rest - margins, 1e-6)
+    low, high = float(margins.min()), float(at_rest.min())
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        needed = times * (lacking / np.maximum(at_rest - middle, 1e-12)) ** (1 / power)
+        low, high = (middle, high) if needed.sum() <= times.sum() else (low, middle)
+    needed = times * (lacking / (at_rest - low)) ** (1 / power)
+    return np.asarray(needed * (times.sum() / needed.sum()))
+
+
+def _least(found: list[FastestMotion]) -> tuple[bool, float]:
+    return all(motion.status.ok for motion in found), min(motion.margin for motion in found)
+
+
+def _as_found(leg: Plan, options: FastestOptions) -> FastestMotion:
+    """A leg that was planned as the optimiser has it: from the posture in which it begins to that in which it ends."""
+    assert leg.joint is not None
+    spline, s = RestSpline(DEGREE, options.spans), np.linspace(0, 1, 401)
+    q = leg.joint.sample(s * leg.duration)[0]
+    problem = transport_problem(leg.scenario, passing=True)
+    problem = replace(problem, start=AtPosture(q[0]), goal=AtPosture(q[-1]))
+    problem = between(problem, Ends(q[0], q[-1], 0.0, True))
+    return FastestMotion(problem, spline, spline.fit(s, q), leg.duration, leg.status, {}, (), 0.0, 0)
+
+
+def _margin_at_rest(found: FastestMotion) -> float:
+    """The margin of the contacts where a motion begins and ends, at rest."""
+    s, least = np.linspace(0.0, 1.0, 9), np.inf
+    contacts = [constraint for constraint in found.problem.constraints if isinstance(constraint, Contact)]
+    for q in found.coefficients[[0, -1]]:
+        z = np.zeros((4, len(s), len(q)))
+        z[0] = q
+        still = found.problem.at(s, z, 1.0, imposed=False)
+        largest = max(float(block.values.max()) for constraint in contacts for block in constraint.blocks(still))
+        least = min(least, -largest)
+    return least
+
+
+def _planned(leg: Plan, found: FastestMotion, said: str) -> Plan:
+    status = replace(found.status, sentence=said) if found.status.ok else found.status
+    record = {**solver_record(found, True), "margin": found.margin, "shortest": leg.duration}
+    return joint_plan(leg.scenario, found.problem, found.joint_motion(), status, record, method="safest")
