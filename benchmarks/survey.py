@@ -53,7 +53,10 @@ def task(number: int) -> tuple[str, scenario.Scenario]:
     arm: dict[str, Any] = dict(keys)
     if "flange" in arm:
         folder = shared_folder()
-        assert folder is not None
+        if folder is None:
+            raise SystemExit(
+                "Two of the arms come with another package; install it with: pip install example-robot-data."
+            )
         arm["model"] = str(folder / "example-robot-data" / "robots" / arm["model"])
         arm["limits"] = {"acceleration": 5.0}
     size = 0.5 * min(reach, 0.8)

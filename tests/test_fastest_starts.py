@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import linprog
 
 from salver import scenario
-from salver.models.urdf import shared_folder
+from salver.models.known_arms import KNOWN_ARMS, robot_file
 from salver.planning.fastest import FastestOptions, fastest, plan_fastest, transport_problem
 from salver.planning.fastest.around import LEAN, STEP, way_around
 from salver.planning.fastest.bound import least_by_friction, least_duration, least_time
@@ -252,8 +252,6 @@ def test_the_tray_goes_straight_along_its_line():
 def test_a_short_arm_starts_where_its_own_parts_leave_room():
     """The tutorial's bottle on a UR5, whose tray is within 6 mm of its forearm in one of its few postures: something
     hinders a shorter time, and it is no slower than the straight line in 0.9 s, which is known to be safe."""
-    folder = shared_folder()
-    assert folder is not None
     case = scenario.parse(
         {
             "name": "bottle",
@@ -272,7 +270,7 @@ def test_a_short_arm_starts_where_its_own_parts_leave_room():
             "contact": {"condition": "exact"},
             "tray": {"size": [0.25, 0.25], "height": 0.05, "mass": 0.4},
             "arm": {
-                "model": str(folder / "example-robot-data/robots/ur_description/urdf/ur5_robot.urdf"),
+                "model": str(robot_file(KNOWN_ARMS["ur5"])),
                 "flange": "tool0",
             },
         },

