@@ -138,7 +138,7 @@ def test_a_campaign_of_stops_goes_on_and_each_run_comes_again_alone(bottle, tmp_
     """Each run has its own instant, the same when it is made again; more runs keep the first three."""
     bottle.save(tmp_path)
     earlier = read_table(run_campaign(tmp_path, 3, method="corners", stops=True, jobs=1).folder / "runs.parquet")
-    both = run_campaign(tmp_path, 5, method="corners", stops=True, jobs=1)
+    both = sv.campaign(tmp_path, 5, method="corners", stops=True, jobs=1)
     table = read_table(both.folder / "runs.parquet")
     assert both.folder.name == "stops"
     assert {name: values[:3] for name, values in table.items()} == earlier

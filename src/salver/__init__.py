@@ -225,19 +225,21 @@ def campaign(
     stems: Sequence[str] | None = None,
     engine: str = "physics",
     jobs: int | None = None,
+    stops: bool = False,
 ) -> Campaign:
     """n perturbed runs of each plan of a run directory, on the same samples; goes on where an earlier one stopped.
 
     A plan that was just made: `sv.campaign(plan.save("runs/cube"))`. method: how the uncertain set is sampled
     ("uniform", "corners", "lhs", "sobol"). stems: plans to run (default: plan and what it is compared with). engine:
     "physics" or "closed-loop". jobs: processes (default: all cores); in a script, call it below
-    `if __name__ == "__main__":`, as Python asks of whatever starts processes. Raises SalverError.
+    `if __name__ == "__main__":`, as Python asks of whatever starts processes. stops: stop each run at a random instant
+    by the plan's own stops, of plans made with `salver plan --stops`. Raises SalverError.
     """
     if not isinstance(directory, str | Path):
         raise _no_plan("campaign", directory)
     from salver.campaigns import run_campaign
 
-    return run_campaign(directory, n, seed, method, stems, engine, jobs)
+    return run_campaign(directory, n, seed, method, stems, engine, jobs, stops=stops)
 
 
 def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None = None) -> Margins:

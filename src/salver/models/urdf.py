@@ -122,7 +122,8 @@ def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
     """Absolute path of a mesh file that a URDF names; the name as it is when no such file is found.
 
     `package://PACKAGE/FILE` is looked for in `package_dirs`, then in AMENT_PREFIX_PATH and ROS_PACKAGE_PATH, then
-    among the models that come with salver, in every folder above the URDF, in example-robot-data where it is installed. Other names are relative to the URDF.
+    among the models that come with salver, in every folder above the URDF, in example-robot-data where that is
+    installed. Other names are relative to the URDF.
     """
     scheme, _, rest = name.rpartition("://")
     if scheme not in ("package", "model"):
