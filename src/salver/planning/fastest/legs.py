@@ -122,7 +122,7 @@ def in_turn(
     done: float = HALF,
 ) -> list[Plan]:
     """Plans of the legs, each from the posture in which the one before it ends; to that in which its motion of `begin`
-    does, if there are any: then no further than to the first leg that is not safe. done: share of the work before it."""
+    does, if there are any: then no further than to the first leg that is not safe. done: share of the work before."""
     legs: list[Plan] = []
     for k, problem in enumerate(problems):
         near = None if begin is None else refitted(begin[k], options.spans)
