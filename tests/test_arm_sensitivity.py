@@ -355,6 +355,15 @@ def _weightless(model):
     return with_load(replace(model.arm, pin_model=bare, data=bare.createData()), model.items)
 
 
+def test_instants_of_a_long_motion_are_no_further_apart_than_of_a_short_one(case):
+    joint = case.joint
+    slower = JointMotion(1.6 * joint.t, joint.q, joint.dq / 1.6, joint.ddq / 1.6**2)
+    for motion in (joint, slower):
+        t = arm_chain(case.model, motion, space="joint").t
+        assert np.diff(t) == pytest.approx(np.full(len(t) - 1, 0.0125))  # s; 80 and 128 of them
+        assert (t[0], t[-1]) == (0.0, pytest.approx(motion.duration))
+
+
 def test_worst_contact_without_tracking_is_that_of_the_rows(case):
     w = arm_chain(case.model, case.joint, space="joint").nominal.w
     for rows in contact_rows(case.scenario.payload):

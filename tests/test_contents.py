@@ -13,7 +13,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models import worst_case
 from salver.models.contact_rows import contact_rows
-from salver.models.contents import Hull, largest_mean
+from salver.models.contents import Hull, largest_mean, most_second_moments
 from salver.models.physical import realisable
 from salver.models.rigid_body import inertia_entries
 from salver.models.worst_case import Drift, WorstCase
@@ -152,6 +152,18 @@ def test_without_turning_only_the_centre_of_mass_counts() -> None:
     known = made.with_changes(objects__0__uncertainty={"com": [0.06, 0.06, 0.28]})
     w = nasty.felt(nasty.tray_motion(20, 5, turning=0.0, push=0.3))
     assert contact_rows(made.payload)[0].worst(w) == pytest.approx(contact_rows(known.payload)[0].worst(w), abs=1e-9)
+
+
+def test_the_most_second_moments_are_those_of_masses_at_two_ends() -> None:
+    """Along an axis: at both ends, with the mean as far out as may be; across: Cauchy and Schwarz."""
+    low, high, mean = np.array([-0.05, -0.1, -0.2]), np.array([0.1, 0.1, 0.3]), np.array([0.02, 0.0, 0.15])
+    points = np.array([low, high])
+    most = most_second_moments(points, mean)
+    for i, k in enumerate((0, 2, 5)):
+        share = np.linspace(0, 1, 100_001)  # at the upper end
+        allowed = np.abs(share * high[i] + (1 - share) * low[i]) <= mean[i] + 1e-12
+        assert most[k] == pytest.approx((share * high[i] ** 2 + (1 - share) * low[i] ** 2)[allowed].max(), rel=1e-4)
+    assert most[[1, 3, 4]] == pytest.approx(np.sqrt(most[[0, 0, 2]] * most[[2, 5, 5]]))
 
 
 def test_rows_that_are_only_bounded_have_the_sign_of_those_worked_out(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -103,7 +103,8 @@ def judge(mutant: Mutant, tree: Path, tests: TestMap, due: list[str], baseline: 
         _write(target, mutant.source)
         try:
             files = list(dict.fromkeys(map(file_of, batch)))
-            outcome = run_tests(tree, files, batch, limit=1800 + 60 * tests.seconds(batch), slowest=100)
+            hangs = max(25.0, 5 * max(tests.seconds([test]) for test in batch))
+            outcome = run_tests(tree, files, batch, limit=1800 + 60 * tests.seconds(batch), slowest=hangs)
         finally:
             _write(target, original)
         if outcome.code in (0, 5):  # all pass, or none is left
