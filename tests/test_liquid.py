@@ -17,6 +17,7 @@ from salver.models.liquid import Liquid, damping_of
 from salver.models.parameters import Parameter
 from salver.models.tray_motion import at_rest
 from salver.models.wrench_cone import facets
+from salver.planning.fastest.constraints import Brim
 from salver.planning.fastest.evaluation import of_cases, sloshes
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.planning.object.problem import Problem
@@ -370,6 +371,36 @@ def test_what_does_not_know_liquids_says_so(coffee):
     moving = replace(problem, start=AtPosture(q, 0.1 * np.ones(7), np.zeros(7)), goal=Anywhere())
     with pytest.raises(ScenarioError, match="begins moving"):
         moving.constraints  # noqa: B018
+
+
+def test_rows_of_a_liquid_are_its_crest_what_is_left_and_what_settles_in_units_of_their_room(coffee):
+    """Against the waves themselves; under a lid there is no room to keep, and nothing settles that was not asked to."""
+    s, swing = np.linspace(0, 1, 41), 0.3 * np.array([1.0, 0.7, 0.0, 0.4, 0.0, 0.3, 0.0])
+    u = s[:, None]
+    blend = (u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u), 0 * u)
+
+    def rows(case):
+        problem = transport_problem(case)
+        z = np.stack([x * swing for x in blend])
+        z[0] += problem.start_posture
+        motion = problem.at(s, z, 1.0)
+        (brim,) = (x for x in problem.constraints if isinstance(x, Brim))
+        return motion, {block.name.removesuffix(f" in {brim.body.name}"): block.values for block in brim.blocks(motion)}
+
+    settling = {"objects__0__liquid__settled_wave": 0.006, "objects__0__liquid__settled_within": 0.5}
+    motion, found = rows(coffee.with_changes(**settling))
+    assert set(found) == {"steepness", "waves", "waves left", "settled waves"}
+    parts = motion.sloshing["cup"]
+    room = np.concatenate([part.waves.cases.room for part in parts])
+    crest = np.concatenate([part.crest for part in parts])
+    now, later = (np.concatenate([part.left(wait) for part in parts]) for wait in (0.0, 0.5))
+    assert found["waves"] == pytest.approx((crest / room[:, None] - 1).T, abs=1e-12)
+    assert found["waves left"] == pytest.approx((now / room - 1)[None], abs=1e-12)
+    assert found["settled waves"] == pytest.approx((later / 0.006 - 1)[None], abs=1e-12)
+    assert np.all(later < now)
+    assert set(rows(coffee)[1]) == {"steepness", "waves", "waves left"}
+    lid = coffee.with_changes(objects__0__liquid__sealed=True)
+    assert not {"waves", "waves left"} & set(rows(lid)[1])
 
 
 @pytest.mark.slow

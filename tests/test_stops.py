@@ -200,6 +200,17 @@ def test_nothing_moves_with_stops_that_are_not_what_they_should_be(bottle, chang
 
 
 @pytest.mark.slow
+def test_stops_are_judged_for_every_load_of_the_set(bottle):
+    """The same stops, with friction that may be a third less than was planned for: the nominal bottle would stay."""
+    arm = load_arm(bottle.scenario.arm, bottle.scenario.tray)
+    wide = bottle.scenario.with_changes(objects__0__uncertainty__friction="40%")
+    assert _stops(bottle, arm, bottle.scenario.payload.bodies).ok
+    told = _stops(replace(bottle, scenario=wide), arm, wide.payload.bodies)
+    assert not told.ok
+    assert "is not safe" in told.sentence
+
+
+@pytest.mark.slow
 def test_what_has_no_stops_says_so_in_a_sentence(bottle):
     with pytest.raises(ScenarioError, match="has no stops"):
         stopped(replace(bottle, stops=None), 0.1)

@@ -122,7 +122,7 @@ def _forget() -> None:
 
 
 def _child(tree: str, files: list[str], rank: Mapping[str, int] | None, slowest: float, marker: str) -> None:
-    os.setsid()
+    os.setpgid(0, 0)
     os.chdir(tree)
     sys.path.insert(0, f"{tree}/src")
     os.environ["PYTHONPATH"] = f"{tree}/src"
