@@ -71,6 +71,8 @@ class Library(types.ModuleType):
             def writeOnce(self, command: Any) -> None:
                 assert np.abs(np.array(command.q) - self.last).max() < 5e-4  # no jump: 0.5 rad/s
                 self.last = np.array(command.q)
+                if command.motion_finished:
+                    outer.calls.append(("put", self.last))
                 inner._run.scene.place(inner._data, self.last)
 
         class Robot:

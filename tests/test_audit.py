@@ -290,6 +290,20 @@ def test_what_may_be_mirrored_at_the_sampling_rate_is_told():
     assert not any(np.any(cells.amplitude > 3e-5) for cells in slow.mirrored)
 
 
+@pytest.mark.parametrize("turns", [False, True])
+def test_what_a_curve_misses_near_the_samplings_limit_is_told_of_what_is_fast(turns):
+    """A quarter of the acceleration at the limit; whether it is the place or the turning that is so fast."""
+    t = np.arange(801) / 400
+    shake, slow = np.sin(2 * np.pi * 75 * t), np.sin(2 * np.pi * t)
+    y, angle = (0.05 * slow, 1e-2 * shake) if turns else (1e-3 * shake, 0.1 * slow)
+    p = np.stack([0 * t, y, 0 * t], axis=1)
+    quat = quat_wxyz_from_matrix(exp(np.outer(angle, [0.0, 0.0, 1.0])))
+    (part,) = stretches(t, p, quat, sensor_of(t, p, quat), 50.0)
+    share = part.missed / np.maximum(np.linalg.norm(part.motion.a_S, axis=1), 1e-9)
+    assert np.median(share) > 0.05
+    assert share.max() < 0.26
+
+
 def test_what_is_mirrored_into_the_slow_of_a_long_recording_is_told():
     # At 72 Hz a shake of 67 Hz and one of 5 Hz have the same samples, and up to 70 Hz it may shake.
     t = np.arange(20 * 72 + 1) / 72.0

@@ -301,6 +301,15 @@ def test_repeated_times_are_left_out_and_told(tmp_path):
     assert "2 samples repeat the time" in samples.notes[0]
 
 
+def test_a_sampling_too_fast_to_be_one_is_told_whenever_it_begins(tmp_path):
+    for begin in (0.0, 100.0):
+        t = begin + 1e-7 * np.arange(60)
+        p = np.zeros((60, 3))
+        path = write_csv(tmp_path / "a.csv", HEADER, t, p, np.tile([1.0, 0, 0, 0], (60, 1)))
+        with pytest.raises(FileFormatError, match=r"samples come every 1e-07 s.*the unit of its times is another"):
+            read(path)
+
+
 @pytest.mark.slow
 def test_times_in_a_wrong_unit_are_told(tmp_path):
     s = line(1.5)

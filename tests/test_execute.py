@@ -255,6 +255,8 @@ def test_franka_moves_to_the_start_first_when_told(
         execute.run_on_franka(directory, "arm", move_to_start=True, confirm=lambda checks: False)
     result = execute.run_on_franka(directory, "arm", move_to_start=True)
     assert result.achieved
+    (put,) = (call[1] for call in fake.calls if call[0] == "put")
+    assert put == pytest.approx(plan.joint.q[0], abs=1e-12)  # type: ignore[union-attr]
 
 
 def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(

@@ -11,6 +11,7 @@ import pytest
 
 from salver import scenario
 from salver.errors import ScenarioError
+from salver.models import urdf
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.urdf import find_mesh
@@ -330,3 +331,10 @@ def test_a_urdf_made_from_xacro_is_an_arm(tmp_path: Path) -> None:
     arm = load_arm(scenario.Arm(model=str(made), flange="roll"), scenario.Tray())
     assert arm.limits.velocity == pytest.approx([1.5] * 6)
     assert arm_geometry(arm).unchecked == ("links that share a joint against one another",)
+
+
+def test_a_file_too_large_for_a_robot_is_not_read(tmp_path, monkeypatch):
+    (tmp_path / "arm.urdf").write_text("<robot name='x'>" + 1000 * "<link name='a'/>" + "</robot>")
+    monkeypatch.setattr(urdf, "LARGEST", 10_000)
+    with pytest.raises(ScenarioError, match=r"arm\.urdf is larger than 0 MB"):
+        urdf._parse(tmp_path / "arm.urdf")
