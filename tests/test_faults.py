@@ -427,7 +427,7 @@ def test_an_arm_that_is_elsewhere_is_not_drawn_back_but_goes_the_same_way_beside
     assert np.abs(beside.reference(beside.duration)[1]).max() < 1e-9
     again = beside.renewed(ArmState(q, dq), 0.06)
     assert isinstance(again, PlannedStop)
-    assert np.allclose(again._planned(0.1)[0], beside._planned(0.16)[0])
+    assert np.allclose(again.course(0.1)[0], beside.course(0.16)[0])
 
 
 # Before and after ----------------------------------------------------------------------------------------------------
