@@ -27,6 +27,7 @@ from salver.sampling import draw
 from salver.simulation.physics import Experiment
 
 PAGE = Path(__file__).parents[1] / "docs" / "learning.md"
+LOGS = ((0.0, 1), (2e-5, 1), (1e-4, 1), (2e-5, 5), (1e-4, 5))  # rad of noise, and which samples are kept
 SPREAD = (1.2, 0.8, 1.0, 1.1, 0.9, 1.2, 0.8)
 
 
@@ -88,7 +89,8 @@ def robots(plan: Plan, n: int, only: str) -> str:
 
 
 def logs(plan: Plan, seeds: int, only: str) -> str:
-    rows = ["| robot | true | 0 | 2e-5 rad | 1e-4 rad |", "|---|---|---|---|---|"]
+    heads = [f"{noise:g} rad, {1000 // every} a second" for noise, every in LOGS]
+    rows = [f"| robot | true | {' | '.join(heads)} |", f"|---|---|{'---|' * len(heads)}"]
     for name, changes in ROBOTS.items():
         if only not in name:
             continue
@@ -105,12 +107,11 @@ def logs(plan: Plan, seeds: int, only: str) -> str:
         moving = t > -0.2
         true = max(0.0, float(judge.rows(terms.w, judge.drift(t, terms))[0][moving].max()))
         cells = []
-        for noise in (0.0, 2e-5, 1e-4):
+        for noise, every in LOGS:
             rng, found = np.random.default_rng(5), []
             for _ in range(seeds if noise else 1):
-                seen = track(
-                    real, joint_samples(t, names, q + noise * rng.standard_normal(q.shape), None, None, "log"), judge
-                )
+                noisy = (q + noise * rng.standard_normal(q.shape))[::every]
+                seen = track(real, joint_samples(t[::every], names, noisy, None, None, "log"), judge)
                 found.append((100 * (seen.excess - true), 100 * seen.uncertainty))
             off, known = np.array(found).T
             cells.append(f"{off.min():+.1f} to {off.max():+.1f} (told +- {np.median(known):.1f})")

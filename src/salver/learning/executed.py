@@ -82,9 +82,10 @@ class Executed:
         """Hz, above which nothing was looked for."""
         return min(FASTEST / self.step, SEEN)
 
-    def again(self, noisy: Array) -> Executed:
-        """The same with another logged deviation (K, n), smoothed anew."""
-        return _smoothed(self.source, self.t, noisy, self.shift, self.plan, self.answers, self.each)
+    def again(self, noisy: Array, wider: float = 1.0) -> Executed:
+        """The same with another logged deviation (K, n), smoothed anew; followed up to so many times the frequency that
+        validation would have."""
+        return _smoothed(self.source, self.t, noisy, self.shift, self.plan, self.answers, self.each, wider)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +244,14 @@ def _shift(t: Array, q: Array, plan: JointMotion) -> float:
 
 
 def _smoothed(
-    source: str, t: Array, noisy: Array, shift: float, plan: JointMotion, answers: tuple[Answers, ...], each: int
+    source: str,
+    t: Array,
+    noisy: Array,
+    shift: float,
+    plan: JointMotion,
+    answers: tuple[Answers, ...],
+    each: int,
+    wider: float = 1.0,
 ) -> Executed:
     count, step = len(t), float(t[1] - t[0])
     f = np.arange(count) / (2 * count * step)
@@ -257,7 +265,8 @@ def _smoothed(
     joint = np.arange(noisy.shape[1])
     model, cut = np.unravel_index(np.argmin((left / free**2).reshape(-1, len(joint)), axis=0), left.shape[:2])
     noise = np.sqrt(left[model, cut, joint] / free[model, cut, 0])
-    kept = gains[cut].T * coefficients[model, :, joint].T
+    followed = np.minimum(wider * cuts[cut], cuts[-1])
+    kept = coefficients[model, :, joint].T / (1 + (f[:, None] / followed) ** ORDER)
     omega = 2 * np.pi * f[:, None]
     rate = np.zeros_like(kept)
     rate[:-1] = (-omega * kept)[1:]
@@ -269,4 +278,4 @@ def _smoothed(
         ]
     )
     q, dq, ddq = plan.sample(t) + off
-    return Executed(source, t, q, dq, ddq, off[0], noise, cuts[cut], shift, noisy, plan, answers, each)
+    return Executed(source, t, q, dq, ddq, off[0], noise, followed, shift, noisy, plan, answers, each)

@@ -29,6 +29,7 @@ from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 from salver.trajectory import JointMotion
 
 REDRAWN = 8  # times that the noise is drawn anew, to see what it does to the excess
+WIDER = 1.4  # times the frequency up to which a deviation is followed, above which what is missing is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,8 @@ class JointError:
 class Tracking:
     """row: largest robust row along what was executed, and of the plan itself (`planned`), of the weight; at `time`.
 
-    uncertainty: of the row, by the noise of the log: two standard deviations. over_time (K,): the row at t (K,).
+    uncertainty: of the row: two standard deviations by the noise of the log, and what its smoothing may have taken
+    away. over_time (K,): the row at t (K,).
     joints: what each does; the first causes most.
     """
 
@@ -158,17 +160,28 @@ def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: i
     over, of = judge.rows(terms.w, drift)
     k, wanted = int(np.argmax(over)), judge.terms(*plan.joint.sample(t))
     planned = judge.rows(wanted.w, judge.drift(t, wanted))[0].max()
-    rng = np.random.default_rng(seed)
-    drawn = []
-    for _ in range(REDRAWN):
-        other = done.again(done.off + done.noise * rng.standard_normal(done.off.shape))
-        drawn.append(judge.rows(judge.terms(other.q, other.dq, other.ddq).w, drift)[0].max())
-    # What noise and smoothing made of the row on top of what they had made of it before, they did before too.
-    row = float(2 * over[k] - np.mean(drawn))
-    uncertainty = 2 * float(np.std(drawn))
+    row, _ = _without_noise(judge, done, drift, 1.0, np.random.default_rng(seed))
+    # What smoothing took away is not among what it left, and is looked for above: there noise does more.
+    wider, noise = _without_noise(judge, done, drift, WIDER, np.random.default_rng(seed))
+    uncertainty = 2 * noise + abs(wider - row)
     names = [face.name for rows in judge.contacts for face in _interfaces(rows)]
     joints = tuple(sorted(_joints(judge, plan.joint, done, drift), key=lambda joint: -joint.row))
     return Tracking(plan, done, t, over, row, float(planned), float(t[k]), names[of[k]], uncertainty, joints)
+
+
+def _without_noise(
+    judge: Judge, done: Executed, drift: Drift | None, wider: float, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Largest row along what was done, followed up to `wider` times the frequency that was found, and its deviation."""
+
+    def largest(seen: Executed) -> float:
+        return float(judge.rows(judge.terms(seen.q, seen.dq, seen.ddq).w, drift)[0].max())
+
+    smooth = done if wider == 1 else done.again(done.noisy, wider)
+    noisy = (smooth.off + smooth.noise * rng.standard_normal(smooth.off.shape) for _ in range(REDRAWN))
+    drawn = [largest(smooth.again(off, wider)) for off in noisy]
+    # What noise and smoothing made of the row on top of what they had made of it before, they did before too.
+    return 2 * largest(smooth) - float(np.mean(drawn)), float(np.std(drawn))
 
 
 def _interfaces(rows: ContactRows) -> Sequence[Any]:
