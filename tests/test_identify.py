@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -196,6 +197,24 @@ def test_a_contradiction_is_told_and_nothing_widened(plan: Plan) -> None:
     load_[0] = 0.6
     with pytest.raises(SalverError, match="the scenario's range is not widened"):
         identify(plan, [arm.log(load_)], arm.log(None))
+
+
+@pytest.mark.parametrize(
+    ("what", "change"),
+    [
+        ("another order", lambda tau: tau[:, [1, 0, 2, 3, 4, 5, 6]]),
+        ("another unit", lambda tau: tau / 9.81),
+        ("without gravity", lambda tau: tau - tau.mean(axis=0)),
+        ("the other sign", lambda tau: -tau),
+    ],
+)
+def test_torques_of_another_arm_are_refused(plan: Plan, what: str, change: Callable[[Array], Array]) -> None:
+    arm = SensedArm(plan, 16, wrist=False)
+    loaded, empty = arm.log(drawn(plan, 16)), arm.log(None)
+    assert loaded.tau is not None
+    assert empty.tau is not None
+    with pytest.raises(SalverError, match=r"torques of another arm|one of them is wrong"):
+        identify(plan, [replace(loaded, tau=change(loaded.tau))], replace(empty, tau=change(empty.tau)))
 
 
 def test_logs_without_a_sensor_in_common_are_refused(plan: Plan) -> None:

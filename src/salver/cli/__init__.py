@@ -42,6 +42,7 @@ COMMANDS = (
     "live",
     "execute",
     "calibrate",
+    "excite",
     "identify",
     "learn",
     "track",

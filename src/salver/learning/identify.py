@@ -17,14 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array, hat
-from salver.learning import noise
+from salver.learning.channels import Channel, State, differences
 from salver.learning.logs import Log
 from salver.models.contents import inertia_ranges
 from salver.models.interfaces import to_tray
@@ -42,9 +41,10 @@ BANDWIDTH = 10.0  # Hz, of what is believed of a measured deviation from the pla
 ENDS = 0.08  # s at each end, where smoothing has only one side
 BLOCK = 0.005  # s over which samples are averaged,
 BLOCKS = 400  # and not more of them
-RUNS = 2  # of which a difference is
 MOVES = 0.02  # rad that some joint must move, for a motion
 SAME = 0.02  # rad by which the empty run may differ from the loaded one
+FOREIGN = 0.3  # of the largest torque of a joint: by how much a model of the arm may err,
+FRICTION_SHARE = 0.1  # and of its limit, by friction
 SLIPPED = 3.5  # standard deviations by which the centres of mass of a run's halves differ when the load slid
 STRANGE = 6.0  # times the noise that was told, in the residual: not one rigid load on this arm
 LEARNT = 0.9  # of the range before: a parameter whose range is not narrower than this was not identified
@@ -105,55 +105,6 @@ class Identified:
         return self.scenario.with_changes(**changes)
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """Of a log at N instants: what an arm without load would read, and what a load adds per unit of phi."""
-
-    t: Array
-    samples: int
-    dq: Array
-    tau: Array | None
-    wrench: Array | None
-    to_tau: Array
-    to_wrench: Array
-
-    @cached_property
-    def times(self) -> noise.Times:
-        return noise.Times.of(self.t, self.samples)
-
-
-@dataclass(frozen=True, eq=False)
-class _Channel:
-    """One sensor at N instants: values (N,) beyond what the prior's load makes, rows (N, 10) per unit of phi, their
-    covariance (N, N). residual: by how much it is noisier than was told."""
-
-    name: str
-    values: Array
-    rows: Array
-    covariance: Array
-    residual: float
-
-    @classmethod
-    def of(
-        cls, name: str, values: Array, rows: Array, told: noise.Noise, nuisance: Array, state: _State, spread: Array
-    ) -> _Channel:
-        """nuisance (N, m): other effects, per standard deviation. spread (10,): of phi. The noise is found."""
-        found = state.times.found(told, values, np.hstack([rows * spread, nuisance]), RUNS)
-        covariance = RUNS * found.covariance(state.t, state.samples) + nuisance @ nuisance.T
-        made = cls(name, values, rows, covariance, 1.0)
-        white, left = made.white(slice(None))
-        left = left - white @ np.linalg.lstsq(white, left, rcond=1e-8)[0]
-        size = max(1.0, float(np.sqrt(np.sum(left**2) / max(1, len(left) - 10))))
-        residual = size * found.share(told, state.samples)
-        return cls(name, values, rows, size**2 * covariance, residual)
-
-    def white(self, part: slice) -> tuple[Array, Array]:
-        """Whitened rows and values of some of the instants."""
-        root = np.linalg.cholesky(self.covariance[part, part])
-        both = np.linalg.solve(root, np.column_stack([self.values[part], self.rows[part]]))
-        return both[:, 1:], both[:, 0]
-
-
 def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
     """What logs of a plan's motion tell of its load. empty: the same motion with nothing on the tray.
 
@@ -172,14 +123,15 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
         )
     arm = load_arm(scenario.arm, scenario.tray)
     without = _state(plan, arm, empty)
-    prior, spread = _prior(scenario)
+    _of_this_arm(arm, without, empty)
+    phi_0, spread = prior(scenario)
     information, pull = np.diag(1 / spread**2), np.zeros(10)
-    used, shift = list[_Channel](), np.zeros(3)
+    used, shift = list[Channel](), np.zeros(3)
     for log in loaded:
         state = _state(plan, arm, log)
         _same_motion(log, empty)
-        channels = _channels(state, without, log, empty, (prior, spread))
-        moved, error = _moved(state.t, channels, log, (prior, spread))
+        channels = differences(state, without, log, empty, (phi_0, spread))
+        moved, error = _moved(state.t, channels, log, (phi_0, spread))
         shift = np.maximum(shift, np.maximum(np.abs(moved) - error, 0.0))
         for channel in channels:
             rows, left = channel.white(slice(None))
@@ -194,13 +146,13 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
         )
     sensors = {channel.name for channel in used}
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
-    phi = prior + covariance @ pull
+    phi = phi_0 + covariance @ pull
     ranges = _ranges(scenario, phi, covariance, shift)
     told = _not_identified(ranges, sensors)
     return Identified(scenario, ranges, phi, covariance, worst.residual, tuple(sorted(sensors)), told)
 
 
-def _prior(scenario: Scenario) -> tuple[Array, Array]:
+def prior(scenario: Scenario) -> tuple[Array, Array]:
     """phi (10,) in the middle of the scenario's ranges, and standard deviations as wide as they are."""
     payload, body = scenario.payload, scenario.payload.first
     ranges = {p.quantity: h for p, h in payload.uncertain.ranges.items()}
@@ -212,7 +164,7 @@ def _prior(scenario: Scenario) -> tuple[Array, Array]:
     return phi_of(nominal), np.concatenate([[max(half[0], 1e-3 * nominal[0])], moment, inertia])
 
 
-def _state(plan: Plan, arm: ArmModel, log: Log) -> _State:
+def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
     from salver.sensitivity.arm.terms import motion_terms
 
     assert plan.joint is not None
@@ -248,7 +200,22 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> _State:
     tau = None if log.tau is None else mean(log.tau) - terms.torque
     wrench = None if log.wrench_F is None else mean(log.wrench_F) - _tray_wrench(plan, arm, terms.w)
     t = mean(log.t)
-    return _State(t, every, mean(dq), tau, wrench, to_tau, at_F)
+    return State(t, every, mean(dq), tau, wrench, terms.torque, to_tau, at_F)
+
+
+def _of_this_arm(arm: ArmModel, without: State, empty: Log) -> None:
+    """Raise FileFormatError when torques of the empty run are not what this arm needs, roughly, to move its tray."""
+    if without.tau is None:
+        return
+    off = np.median(np.abs(without.tau), axis=0)
+    allowed = FOREIGN * np.abs(without.model).max(axis=0) + FRICTION_SHARE * arm.limits.torque
+    j = int(np.argmax(off / allowed))
+    if off[j] > allowed[j]:
+        raise FileFormatError(
+            f"{empty.source}: the torque of {arm.joint_names[j]} is {off[j]:.3g} N m from what {arm.name} needs for "
+            f"this motion; at most {allowed[j]:.3g} is accepted: torques of another arm, in another order or unit, or "
+            "without gravity."
+        )
 
 
 def _tray_wrench(plan: Plan, arm: ArmModel, w: Array) -> Array:
@@ -285,7 +252,7 @@ def _same_motion(log: Log, empty: Log) -> None:
         )
 
 
-def _moved(t: Array, channels: Sequence[_Channel], log: Log, prior: tuple[Array, Array]) -> tuple[Array, Array]:
+def _moved(t: Array, channels: Sequence[Channel], log: Log, prior: tuple[Array, Array]) -> tuple[Array, Array]:
     """By how much the centre of mass moved between the halves of a run, with standard deviations (3,), m.
 
     Raises FileFormatError when it surely did: something slid.
@@ -315,39 +282,6 @@ def _moved(t: Array, channels: Sequence[_Channel], log: Log, prior: tuple[Array,
             "sensor is not at the flange in its axes."
         )
     return moved, error
-
-
-def _channels(state: _State, without: _State, log: Log, empty: Log, prior: tuple[Array, Array]) -> list[_Channel]:
-    """What every sensor says more than along the empty run."""
-    found: list[_Channel] = []
-    (phi_0, spread), nothing = prior, np.zeros((len(state.t), 0))
-
-    def at(values: Array) -> Array:
-        """(N, m) of the empty run at the loaded run's instants."""
-        return np.stack([np.interp(state.t, without.t, column) for column in values.T], axis=1)
-
-    def add(name: str, values: Array, rows: Array, told: noise.Noise, nuisance: Array) -> None:
-        found.append(_Channel.of(name, values - rows @ phi_0, rows, told, nuisance, state, 3 * spread))
-
-    if state.tau is not None and without.tau is not None:
-        difference, before = state.tau - at(without.tau), at(without.dq)
-        coulomb, viscous = noise.FRICTION
-        for j in range(difference.shape[1]):
-            here, there = state.dq[:, j], before[:, j]
-            changed = [coulomb * np.tanh(here / noise.STILL[1]), viscous * here]
-            other = [np.tanh(here / still) - np.tanh(there / still) for still in noise.STILL]
-            nuisance = np.column_stack([*changed, *(noise.ALL_FRICTION * x for x in (*other, here - there))])
-            add("joint torques", difference[:, j], state.to_tau[:, j], noise.TORQUE, nuisance)
-    if state.wrench is not None and without.wrench is not None:
-        difference = state.wrench - at(without.wrench)
-        for j in range(6):
-            told, name = (noise.FORCE, "wrist forces") if j < 3 else (noise.MOMENT, "wrist torques")
-            add(name, difference[:, j], state.to_wrench[:, j], told, nothing)
-    if not found:
-        raise FileFormatError(
-            f"{log.source} and {empty.source} share no sensor; both must hold tau, or both wrench_F (fx to tz)."
-        )
-    return found
 
 
 def _ranges(scenario: Scenario, phi: Array, covariance: Array, shift: Array) -> dict[str, Range]:

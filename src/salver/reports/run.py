@@ -67,7 +67,7 @@ class Motion:
         if self.stem != "plan":
             return self.stem.capitalize()
         method = self.summary.get("method")
-        return str(method).capitalize() if method in ("fastest", "safest", "live") else "Robust"
+        return str(method).capitalize() if method in ("fastest", "safest", "live", "excite", "tilt") else "Robust"
 
     @property
     def t(self) -> Array:

@@ -1,0 +1,85 @@
+"""The most telling safe motion: the objective's slope, what it promises against what logs give, and that it is safe."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import salver as sv
+from salver.cli import app
+from salver.errors import ScenarioError
+from salver.learning import identify
+from salver.learning.excite import Information, plan_excite
+from salver.learning.identify import WIDTH
+from salver.learning.sensors import SensedArm, Sensors, nominal_load
+from salver.planning.fastest import AtPosture, Point, transport_problem
+from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.spline import RestSpline
+from salver.planning.plan import Plan
+from salver.sampling import draw
+from salver.scenario import load
+from salver.simulation.physics import Experiment
+
+WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": "10%"}
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return plan_excite(load("panda-tall-bottle").with_changes(objects__0__uncertainty=WIDE), 1.5)
+
+
+def test_slope_of_what_is_told_agrees_with_differences() -> None:
+    problem = transport_problem(load("panda-tall-bottle").with_changes(objects__0__uncertainty=WIDE))
+    assert problem.start_posture is not None
+    here, rng = AtPosture(problem.start_posture), np.random.default_rng(1)
+    problem, spline = replace(problem, start=here, goal=here), RestSpline(5, 8)
+    objective, curve = Information.of(problem), FreeCurve(problem, Grid.of(spline, spline.nodes(3)))
+    q = here.q + 0.05 * rng.standard_normal((spline.size, problem.n))
+    along = rng.standard_normal(q.shape)
+
+    def value(step: float) -> float:
+        return objective.value(curve, Point(q + step * along, 1.5))
+
+    slope = objective.model(curve, Point(q, 1.5)).slope @ along.ravel()
+    assert (value(1e-4) - value(-1e-4)) / 2e-4 == pytest.approx(slope, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_it_is_safe_tells_more_than_the_transport_and_as_much_as_promised(plan: Plan) -> None:
+    assert plan.ok
+    assert plan.joint is not None
+    assert plan.joint.q[0] == pytest.approx(plan.joint.q[-1], abs=1e-9)
+    promised = float(plan.status.sentence.split("+-")[1].split(" g")[0])
+    carried = sv.plan(
+        plan.scenario.with_changes(motion__goal=load("panda-tall-bottle").motion.goal.model_dump()), "fastest"
+    )
+    found = []
+    for each in (plan, carried):
+        arm = SensedArm(each, 3, Sensors(rate=1000.0), joints=False)
+        found.append(identify(each, [arm.log(nominal_load(each))], arm.log(None)))
+    half = [1e3 * WIDTH * float(np.sqrt(seen.covariance[0, 0])) for seen in found]
+    assert half[0] < 0.8 * half[1]
+    assert half[0] == pytest.approx(promised, rel=0.6)
+
+
+@pytest.mark.slow
+def test_the_load_stays_at_corners_of_its_ranges(plan: Plan) -> None:
+    uncertain, experiment = plan.scenario.payload.uncertain, Experiment(plan)
+    for k, row in enumerate(draw(uncertain, 6, 0, "corners", plan.scenario.payload.bodies)):
+        assert experiment.run(dict(zip(uncertain.names, map(float, row), strict=True)), k).outcome == "holds"
+
+
+@pytest.mark.parametrize("duration", [0.0, float("nan"), 100.0])
+def test_absurd_durations_are_refused(duration: float) -> None:
+    with pytest.raises(ScenarioError, match=r"must be 0\.3 to 30"):
+        plan_excite(load("panda-tall-bottle"), duration)
+
+
+def test_command_refuses_what_it_cannot_do(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["excite", "upright-cups", "-o", str(tmp_path / "out")])
+    assert done.exit_code == 2
+    assert not (tmp_path / "out").exists()
