@@ -12,6 +12,7 @@ from scipy.sparse.linalg import spsolve
 
 import salver as sv
 from potential_flow import cylinder, rectangle, simulate
+from salver.contact_margins import margins
 from salver.errors import ScenarioError
 from salver.models.liquid import Liquid, damping_of
 from salver.models.parameters import Parameter
@@ -20,13 +21,16 @@ from salver.models.wrench_cone import facets
 from salver.planning.fastest.constraints import Brim
 from salver.planning.fastest.evaluation import of_cases, sloshes
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
+from salver.planning.fastest.retiming import plan_retimed
+from salver.planning.fastest.safest import plan_safest
+from salver.planning.fastest.search import EFFORTS, object_motion
 from salver.planning.object.problem import Problem
 from salver.sensitivity.sloshing import Liquids, Slosh, Spill
 from salver.sensitivity.wave_gradients import Unknowns, wrench_by
 from salver.sensitivity.waves import Case, Cases, Waves, along, cases
 from salver.simulation import outcome
 from salver.simulation.physics import simulate_tray
-from salver.trajectory import min_jerk_line
+from salver.trajectory import SampledReference, min_jerk_line
 
 CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
 BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
@@ -338,6 +342,35 @@ def test_a_level_plan_of_a_given_duration_keeps_the_coffee(coffee):
     assert plan.status.ok, plan.status.sentence
     assert plan.verification.ok, plan.verification.sentence
     assert plan.margins.verdict(worst=True).ok
+
+
+@pytest.mark.slow
+def test_a_given_path_is_run_so_slowly_that_nothing_spills(coffee):
+    """Straight in joint space by a quarter radian: alone as fast as the joints go; with the coffee slower, and the
+    engine agrees at the fullest. Faster than that, the verdict says, it spills."""
+    q = np.array(coffee.arm.start_posture) + np.outer(np.linspace(0, 1, 9), [0.9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    plan = plan_retimed(coffee, q)
+    assert plan.status.ok, plan.status.sentence
+    assert plan.duration > 1.1 * plan.solver["lower_bound"]
+    assert plan.margins.verdict(worst=True).ok
+    record = sv.simulate(plan, parameters={"fill": 0.065, "damping": 0.002, "mass": 0.275, "friction": 0.36})
+    assert record.outcome == "holds"
+    quick = replace(plan.joint, t=0.8 * plan.joint.t, dq=plan.joint.dq / 0.8, ddq=plan.joint.ddq / 0.8**2)
+    problem = transport_problem(coffee)
+    hasty = SampledReference(object_motion(problem, quick.t, quick.q, quick.dq, quick.ddq))
+    assert not margins(plan.scenario, hasty.sample(quick.t)).verdict(worst=True).ok
+
+
+@pytest.mark.slow
+def test_the_safest_motion_of_a_coffee_keeps_as_much_of_its_room_as_of_its_weight(coffee):
+    """At every fill and damping that a verdict looks at, in the given time."""
+    plan = plan_safest(coffee.with_changes(motion__duration=1.0), options=EFFORTS["quick"])
+    assert plan.status.ok, plan.status.sentence
+    kept = plan.solver["margin"]
+    assert kept > 0.1
+    assert f"{100 * kept:.2g} % of its room" in plan.status.sentence
+    assert plan.verification.slack > kept - 5e-3
+    assert min(spill.slack.min() for spill in plan.margins.spills(worst=True)) > kept - 5e-3
 
 
 def test_tangents_of_a_level_plan_agree_with_differences(coffee):

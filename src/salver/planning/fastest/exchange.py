@@ -120,7 +120,7 @@ def optimise(
     for exchange in range(EXCHANGES + 1):
         point = solution.iterate.point
         seen = _seen(fine, point)
-        more = with_missed_cases(problem, seen)
+        more = with_missed_cases(problem, seen, point.margin)
         if more is not None:  # fills and dampings that no row stood for
             problem, fine = more, curve_of(more, check)
             seen = _seen(fine, point)

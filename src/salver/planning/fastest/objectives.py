@@ -15,7 +15,7 @@ from enum import Enum
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.fastest.constraints import Block, Contact
+from salver.planning.fastest.constraints import Block, Brim, Contact
 from salver.planning.fastest.curves import Curve
 
 
@@ -99,7 +99,8 @@ class Duration(Objective):
 
 @dataclass(frozen=True)
 class LeastMargin(Objective):
-    """The least distance of the contact rows from their edge, as a share of the weight, made large; T is given."""
+    """The least distance of the contact rows from their edge, as a share of the weight, and of liquids from what they
+    may reach, as a share of their room, made large; T is given."""
 
     scalar = Scalar.MARGIN
 
@@ -113,7 +114,7 @@ class LeastMargin(Objective):
         return Model(np.zeros(at.coefficients.size), -1.0)
 
     def counts(self, block: Block) -> bool:
-        return isinstance(block.of, Contact)
+        return isinstance(block.of, Contact | Brim)
 
 
 @dataclass(frozen=True, eq=False)

@@ -135,9 +135,9 @@ class TransportProblem:
         )
 
 
-def with_missed_cases(problem: TransportProblem, motion: Evaluation) -> TransportProblem | None:
-    """The problem with those fills and dampings added at which a liquid spills, with what the arm makes of it; None for
-    none."""
+def with_missed_cases(problem: TransportProblem, motion: Evaluation, margin: float = 0.0) -> TransportProblem | None:
+    """The problem with those fills and dampings added at which a liquid comes nearer than a margin, a share of its
+    room, to what it may reach, with what the arm makes of it; None for none."""
     if not problem.liquids:
         return None
     t, uncertain = motion.s[motion.nodes] * motion.duration, problem.payload.uncertain
@@ -147,7 +147,7 @@ def with_missed_cases(problem: TransportProblem, motion: Evaluation) -> Transpor
         others = [x for x in cases(body, uncertain, VERDICT_APART) if (x.fill, x.damping) not in here]
         parts = sloshes(others, t, motion.terms.w, motion.response) if others else ()
         spilt = [Spill.of(body.name, [part.only(k) for part in parts]) for k in range(len(others))]
-        found.append((*known, *(c for c, x in zip(others, spilt, strict=True) if x.slack.min() < SURELY_DRY)))
+        found.append((*known, *(c for c, x in zip(others, spilt, strict=True) if x.slack.min() < SURELY_DRY + margin)))
     return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
 
 

@@ -21,10 +21,11 @@ from scipy.sparse import coo_matrix
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest import joint_plan
-from salver.planning.fastest.curves import PathCurve
-from salver.planning.fastest.exchange import optimise
+from salver.planning.fastest.constraints import evaluate, worst_of
+from salver.planning.fastest.curves import Grid, PathCurve
+from salver.planning.fastest.exchange import CurveOf, optimise
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.spline import RestSpline, SplineMotion
+from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
@@ -36,6 +37,9 @@ PATH_DEGREE = 5
 PATH_POINTS = (60, 120, 240, 480)  # to which a dense path is thinned out, evenly along its length: as few as will do
 PATH_TOLERANCE = 1e-3  # rad: by which that may pass the waypoints; nearer ones are taken for the same
 LAW_DEGREE = 5
+COMFORTABLE = 1.5  # times the law without jerk: where the search begins,
+CALMER, CALM_TRIES = 1.15, 15  # or, with a liquid, so many times slower, until it is calm
+CALM_AT = 81  # nodes
 TIMED_POINTS = 401  # of the path of a motion whose timing is kept
 
 
@@ -144,16 +148,30 @@ def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, node
     s = np.linspace(0.0, 1.0, 401)
     start = law.fit(s, np.interp(s, t / t[-1], u)[:, None])
     start = np.maximum.accumulate(np.clip(start, 0.0, 1.0), axis=0)
-    found = optimise(
-        problem,
-        lambda p, grid: PathCurve(p, grid, path),
-        SplineMotion(law, start, 1.5 * float(t[-1])),
-        nodes_per_span,
-    )
+
+    def curve_of(problem: TransportProblem, grid: Grid) -> PathCurve:
+        return PathCurve(problem, grid, path)
+
+    calm = _calm(problem, curve_of, law, float(t[-1])) if problem.liquids else None
+    begin = SplineMotion(law, start, COMFORTABLE * float(t[-1])) if calm is None else calm
+    found = optimise(problem, curve_of, begin, nodes_per_span)
     wall = time.perf_counter() - begun
     return RetimedMotion(
         problem, path, law, found.coefficients, found.duration, float(t[-1]), found.status, found.worst, wall
     )
+
+
+def _calm(problem: TransportProblem, curve_of: CurveOf, law: RestSpline, duration: float) -> SplineMotion | None:
+    """A smooth time law from `duration` on that keeps everything, where a search can begin; one that begins with waves
+    far too high ends in any of many optima. None when none of those tried does."""
+    s = np.linspace(0.0, 1.0, 401)
+    smooth = law.fit(s, min_jerk_blend(s)[:, None])
+    curve = curve_of(problem, Grid.of(law, np.linspace(0.0, 1.0, CALM_AT)))
+    for longer in duration * CALMER ** np.arange(CALM_TRIES):
+        motion = problem.at(curve.grid.s, curve.motion(smooth, longer), longer, curve.grid.nodes)
+        if worst_of(evaluate(problem.constraints, motion))[0] <= 0:
+            return SplineMotion(law, smooth, float(longer))
+    return None
 
 
 def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -> Plan:

@@ -42,9 +42,9 @@ POWER = 5.0  # of the pace with which a leg loses margin, until it is seen: the 
 def plan_safest(
     scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None, watch: Watch | None = None
 ) -> Plan:
-    """The plan that keeps the load furthest from slipping, tipping and lifting in the scenario's duration, at the worst
-    parameters of the uncertain set, or at nominal ones; the arm's limits are kept and obstacles avoided, the tray may
-    tilt unless motion.orientation is "fixed".
+    """The plan that keeps the load furthest from slipping, tipping and lifting, and its liquids from their brims, in
+    the scenario's duration, at the worst parameters of the uncertain set, or at nominal ones; the arm's limits are kept
+    and obstacles avoided, the tray may tilt unless motion.orientation is "fixed".
 
     It is the best of the local optima from the shortest motion, made slower, and from straight paths between its ends.
     Raises ScenarioError without an arm or a duration, UnreachableError when no motion was found that is as short.
@@ -55,8 +55,6 @@ def plan_safest(
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
     problem = transport_problem(scenario, level=scenario.motion.orientation == "fixed", robust=robust)
-    if problem.liquids:
-        raise ScenarioError(f"{scenario.name}: the safest motion of a liquid cannot be planned; ask for the fastest.")
     quickest = fastest(problem, options, watch=watch)
     if not quickest.status.ok:
         raise UnreachableError(f"{scenario.name}: {quickest.status.sentence}")
@@ -71,9 +69,10 @@ def plan_safest(
     if status.ok:
         least = 100 * (best.margin + scenario.contact.margin)
         ended = " The search was ended before it was done." if watch.ended else ""
+        wet = f", and every liquid {100 * best.margin:.2g} % of its room below what it may reach"
         sentence = (
             f"The safest motion found in {duration:.4g} s keeps every contact {least:.2g} % of the weight from its "
-            f"edge; the shortest found takes {quickest.duration:.4f} s.{ended}"
+            f"edge{wet if problem.liquids else ''}; the shortest found takes {quickest.duration:.4f} s.{ended}"
         )
         status = Status(watch.ended or "optimal", sentence, True)
     spent, steps = (sum(getattr(motion, key) for motion in (quickest, *found)) for key in ("wall_time", "iterations"))
