@@ -307,6 +307,7 @@ def liquid(**changes):
         (liquid(size=[0.05, 0.05]), "radius of a cylinder, or size of a box"),
         (liquid(damping=[0.02, 0.01]), "the least comes first"),
         (liquid(damping=[0.0, 0.9]), "waves are known to"),
+        (liquid(settled_within=0.5), "say with settled_wave"),
         ({"objects__0__uncertainty__fill": 0.06}, "reaches down to nothing"),
         ({"objects__0__uncertainty__position": [0.01, 0.0]}, "how waves change with it is not known"),
         ({"uncertainty__tilt_deg": [1.0, 0.0]}, "how waves change with it is not known"),

@@ -39,6 +39,11 @@ class LiquidIn(Model):
 
         if (self.radius is None) == (self.size is None):
             raise ValueError("liquid needs the inside of its container: radius of a cylinder, or size of a box")
+        if self.settled_within > 0 and self.settled_wave is None:
+            raise ValueError(
+                f"liquid.settled_within = {self.settled_within:g} s: say with settled_wave how high waves may then be, "
+                "in m, or leave it out"
+            )
         if self.damping is not None and self.damping[0] > self.damping[1]:
             raise ValueError(f"liquid.damping = {list(self.damping)}; the least comes first, of critical damping")
         if self.damping_range[0] > THICKEST:
