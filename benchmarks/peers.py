@@ -55,6 +55,7 @@ FROZEN = Path(__file__).parent / "frozen"
 WORK = ROOT / "runs" / "peers"
 RESULTS = "results.json"
 DIGITS = 9  # of frozen motions, rad
+CROWDED = 0.04  # s to the next on its right: the name of a point stands on its left
 
 
 # Motions ---------------------------------------------------------------------------------------------------------
@@ -209,16 +210,17 @@ def plot(results: dict[str, Any], path: Path) -> None:
 
     figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     axes = figure.add_subplot()
-    for name in PLANNERS:
-        all_ = totals(results, name)
-        if all_["duration"] is None or not all_["runs"]:
-            continue
+    told = {name: totals(results, name) for name in PLANNERS}
+    told = {name: all_ for name, all_ in told.items() if all_["duration"] is not None and all_["runs"]}
+    for name, all_ in told.items():
         x, kept, stayed = all_["duration"], 100 * all_["held"] / all_["runs"], 100 * all_["stayed"] / all_["runs"]
         colour = style.BLUE if name.startswith("salver") else style.GREY
         axes.plot([x, x], [kept, stayed], color=colour, linewidth=1)
         axes.plot(x, stayed, "o", markersize=6, markerfacecolor="white", color=colour)
         axes.plot(x, kept, "o", markersize=6, color=colour)
-        axes.annotate(name, (x, stayed), xytext=(6, 5), textcoords="offset points", fontsize=8)
+        crowded = any(0 <= other["duration"] - x < CROWDED for key, other in told.items() if key != name)
+        at, side = ((-6, 5), "right") if crowded else ((6, 5), "left")
+        axes.annotate(name, (x, stayed), xytext=at, ha=side, textcoords="offset points", fontsize=8)
     axes.set(xlabel="mean duration, s", ylabel="runs, %", ylim=(-6, 112))
     axes.set_title("full: load and limits kept; open: the load stays", fontsize=9)
     axes.margins(x=0.22)

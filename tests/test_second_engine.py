@@ -10,9 +10,10 @@ pytest.importorskip("pydrake", reason="drake is not installed")
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 from salver.scenario import load
+from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import min_jerk_line
-from second_engine import in_drake, onset, random_cases
+from second_engine import in_drake, onset, random_cases, rocking
 
 
 def test_sliding_begins_where_coulomb_says():
@@ -36,3 +37,19 @@ def test_a_turning_tray_throws_a_load_off_in_both_or_in_neither():
         line = min_jerk_line(duration, np.zeros(3), np.array([0.3, 0.2, 0.0]), np.eye(3), turned)
         outcomes = simulate_tray(line, scenario).summary["outcome"], in_drake(line, scenario)["outcome"]
         assert [outcome == "holds" for outcome in outcomes] == [holds, holds]
+
+
+@pytest.mark.slow
+def test_rocking_by_hand_is_that_of_a_block_on_a_step_of_acceleration():
+    """Below r / h of the weight it does not move, just above it comes back, far above it falls (Housner)."""
+    scenario = load("panda-cube").with_changes(arm=None)
+    (item,) = true_world(scenario).loads
+
+    def peak(demand):
+        """Of a line whose peak acceleration is a share of g r / h = g of the cube, which here cannot slide."""
+        duration = np.sqrt(10 / np.sqrt(3) * 0.3 / (demand * 9.81))
+        return rocking(item, min_jerk_line(duration, np.zeros(3), np.array([0.3, 0.0, 0.0]), np.eye(3), np.eye(3)))
+
+    assert peak(0.99) == 0.0
+    assert 0.0 < peak(1.02) < peak(1.05) < peak(1.1) < np.deg2rad(5)
+    assert peak(3.0) > 0.5
