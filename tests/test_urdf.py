@@ -131,6 +131,10 @@ MIMIC = '<mimic joint="lean" multiplier="1"/>'
             lambda t: t.replace("</robot>", joint("loop", "fixed", "roll", "rail", "0 0 0", "0 0 1") + "</robot>"),
             ["closes a chain"],
         ),
+        (
+            lambda t: t.replace('"lean"', f'"{"x" * 9999}"'),
+            ["the name of <joint>", '"xxxxxxxxxxxxxxxxxxxx..."', "9999", "200"],
+        ),
         (lambda t: t.replace("<link", '<xacro:include filename="x"/><link', 1), ["xacro", "pip install xacrodoc"]),
         (lambda t: t.replace('type="prismatic"', 'type="planar"', 1), ["degrees of freedom"]),
         (lambda t: t.replace('<mass value="5"', '<mass value="heavy"'), ['value of <mass> in rail is "heavy"']),

@@ -23,6 +23,7 @@ from salver.models.known_arms import OWN_FOLDER
 
 SUFFIXES = (".urdf", ".xml")
 LARGEST = 20_000_000  # bytes
+LONGEST_NAME = 200  # characters, of a link or a joint
 MOST_JOINTS = 20  # that move, between root and flange
 TURNS = 1.0  # of a continuous joint, either way: the rest of salver counts joint angles as numbers
 MODELS = "example-robot-data"  # the package whose models of some arms come with salver, `salver/robots`
@@ -51,6 +52,13 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
     another one.
     """
     root = _parse(path)
+    for element in root:
+        name = element.get("name", "")
+        if len(name) > LONGEST_NAME:
+            raise ScenarioError(
+                f'The URDF {path}: the name of <{element.tag}> "{name[:20]}..." has {len(name)} characters; it may '
+                f"have at most {LONGEST_NAME}."
+            )
     names = frozenset(link.get("name", "") for link in root.iter("link"))
     if flange not in names:
         shown = ", ".join(sorted(names))
