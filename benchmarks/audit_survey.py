@@ -377,8 +377,15 @@ def report(cases: list[Case]) -> dict[str, Any]:
         "gentle": len(gentle),
         "gentle_said": dict(Counter(c.said for c in gentle)),
         "gentle_with_rival": dict(Counter(c.said for c in gentle if c.rival)),
+        "cannot_tell_share": _fraction(gentle),
+        "cannot_tell_share_without_rivals": _fraction([c for c in gentle if not c.rival]),
         "gentle_reasons": dict(Counter(c.reasons for c in gentle if c.said == "cannot_tell")),
     }
+
+
+def _fraction(cases: list[Case]) -> float:
+    """Of these, what could not be told."""
+    return round(sum(c.said == "cannot_tell" for c in cases) / max(1, len(cases)), 4)
 
 
 def read_cases(path: Path) -> list[Case]:
@@ -395,6 +402,7 @@ def table(*reports: dict[str, Any]) -> str:
         ("of these: holds", lambda r: _share(r, "holds")),
         ("of these: cannot be told", lambda r: _share(r, "cannot_tell")),
         ("and another motion that the samples allow loses the load", lambda r: _share(r, "cannot_tell", True)),
+        ("cannot be told, of those for which no such motion is shown", _share_without_rivals),
         ("of these, wrong: does not hold", lambda r: _share(r, "does_not_hold")),
         ("of these: holds, although another motion loses the load", lambda r: _share(r, "holds", True)),
     ]
@@ -405,6 +413,13 @@ def table(*reports: dict[str, Any]) -> str:
 def _share(found: dict[str, Any], said: str, rival: bool = False) -> str:
     count = found.get("gentle_with_rival" if rival else "gentle_said", {}).get(said, 0)
     return f"{count} ({100 * count / max(1, found['gentle']):.1f} %)"
+
+
+def _share_without_rivals(found: dict[str, Any]) -> str:
+    """Of the gentle ones without those for which a losing rival is shown."""
+    rivals = found.get("gentle_with_rival", {})
+    count = found["gentle_said"].get("cannot_tell", 0) - rivals.get("cannot_tell", 0)
+    return f"{count} ({100 * count / max(1, found['gentle'] - sum(rivals.values())):.1f} %)"
 
 
 def main() -> None:
