@@ -19,7 +19,8 @@ from salver.models.rigid_body import inertia_entries
 from salver.models.worst_case import Drift, WorstCase
 from salver.sampling import METHODS, draw
 from salver.scenario import Scenario, load
-from salver.simulation.physics import simulate
+from salver.simulation.loads import true_world
+from salver.simulation.physics import simulate, simulate_tray
 
 COM = (0.012, 0.009, 0.016)
 
@@ -273,3 +274,17 @@ def test_a_shape_of_very_many_corners_counts_as_its_bounding_box() -> None:
     assert sorted(map(tuple, hull.foot[:8])) == sorted((x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1))
     assert [len(basis) for basis in hull.basis] == [12, 6, 1]
     np.testing.assert_allclose(hull.half, [0.03, 0.04, 0.05], rtol=0.02)  # 400 points nearly reach the ends
+
+
+def test_all_mass_on_a_line_stands_in_the_engine():
+    """The worst of any contents of the tall box is a half of its mass at either end of a line: without a moment about
+    it, of which the engine must make a little, and not so little that contacts shake it off."""
+    case = load("any-box-56")
+    plan = sv.plan(case)
+    worst = plan.margins.worst_parameters()
+    moments = np.linalg.eigvalsh(true_world(case, worst).loads[0].inertial.inertia_com)
+    assert moments[0] == pytest.approx(1e-3 * moments[2], rel=2e-3)
+    assert moments[2] < moments[0] + moments[1] + 1e-12
+    assert simulate_tray(plan.reference, case, worst).outcome == "holds"
+    with pytest.raises(ScenarioError, match="principal moments"):
+        true_world(case, {**worst, "inertia_zz": 0.5 * worst["inertia_zz"]})

@@ -192,6 +192,7 @@ def test_each_leg_begins_where_the_last_one_ended_and_is_safe_with_its_own_load(
     end = first.reference.sample(np.array([first.duration]))
     np.testing.assert_allclose(end.p_SB[0], [0.55, 0.0, 0.45], atol=1e-9)
     assert "what happens at the stops" in planned.unchecked[0]
+    assert all(set(leg.unchecked) <= set(planned.unchecked) for leg in planned.legs)
 
 
 def test_a_plan_comes_back_from_its_one_file_and_knows_when_a_leg_was_edited(planned, directory, tmp_path):

@@ -11,20 +11,24 @@ import numpy as np
 import pytest
 
 from salver import scenario
-from salver.errors import ScenarioError
+from salver.errors import ScenarioError, Status
 from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.arm_limits import LIMITS
 from salver.models.known_arms import KNOWN_ARMS, robot_file
 from salver.models.link_shapes import link_shapes
+from salver.planning.fastest import transport_problem
+from salver.planning.fastest.starts import ends
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
+from salver.planning.plan import Plan
+from salver.planning.round import Round
 from salver.reports import tables, words
 from salver.reports.meshes import link_meshes
 from salver.reports.replay import replay_scene
 from salver.reports.run import read_run
-from salver.trajectory import JointMotion
+from salver.trajectory import JointMotion, min_jerk_line
 
 UR5 = robot_file(KNOWN_ARMS["ur5"])
 
@@ -216,6 +220,65 @@ def test_a_wall_through_the_arm_is_not_passed_in_silence(tmp_path: Path) -> None
                 arm_geometry(arm, [], [scenario.Obstacle(**wall)])
         else:
             assert verdict(arm, still(arm), parts=arm_geometry(arm, [], [scenario.Obstacle(**wall)])).ok is answer
+
+
+def test_a_mesh_through_the_arm_is_not_passed_in_silence(tmp_path: Path) -> None:
+    """The same wall as a mesh; a mesh that is not there, and one of which nothing is left, are refused."""
+    import trimesh
+
+    arm = make("ur5")
+    trimesh.creation.box((0.5, 0.5, 0.4)).export(tmp_path / "wall.stl")
+    wall = scenario.Obstacle(type="mesh", name="wall", file=str(tmp_path / "wall.stl"), position=(0, 0, 0.2))
+    status = verdict(arm, still(arm), parts=arm_geometry(arm, [], [wall]))
+    assert not status.ok
+    assert "wall" in status.sentence
+    aside = wall.model_copy(update={"position": (0, 0, -2.0)})
+    assert verdict(arm, still(arm), parts=arm_geometry(arm, [], [aside])).ok
+    (tmp_path / "wall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for name in ("gone.stl", "wall.obj"):
+        with pytest.raises(ScenarioError, match="The obstacle wall"):
+            arm_geometry(arm, [], [wall.model_copy(update={"file": str(tmp_path / name)})])
+
+
+# ---- several legs, liquids ------------------------------------------------------------------------------------
+
+
+def test_on_each_leg_what_is_then_carried_is_compared_with_the_obstacles() -> None:
+    """A lamp that hangs into the place of the glass that is taken off at the end of the first leg: it is in the way
+    there, and no longer when the second leg begins."""
+    case = scenario.load("waiters-round")
+    one, two = case.each_leg[:2]
+    names = [{item.name for item in leg.objects} for leg in (one, two)]
+    (taken,) = names[0] - names[1]
+    problem = transport_problem(one, passing=True)
+    q = ends(problem, np.random.default_rng(0), few=1)[0].goal
+    body = next(body for body in problem.items if body.name == taken)
+    place, _ = problem.arm.object_pose(q, body.p_EB, body.R_EB)
+    lamp = {"type": "sphere", "name": "lamp", "radius": 0.01, "position": tuple(place + np.array([0, 0, 0.05]))}
+    touches = [
+        transport_problem(leg.with_changes(obstacles=[lamp]), passing=True).keep_out.parts.first_touch(q[None])
+        for leg in (one, two)
+    ]
+    assert touches[0] is not None
+    assert {touches[0].first, touches[0].second} == {taken, "lamp"}
+    assert touches[1] is None
+
+
+def test_a_round_says_first_what_any_of_its_legs_says() -> None:
+    """What nobody looked at at the stops, what no model knows of a liquid, and what a leg's arm was not checked for."""
+    case = scenario.load("panda-coffee")
+    motion = case.motion
+    line = min_jerk_line(1.0, motion.start.position, motion.goal.position, motion.start.rotation, motion.goal.rotation)
+    told = Status("follows", "ur5 follows.", True, {"unchecked": ["jerk of all joints (nobody gave a limit)"]})
+    liquid = Plan(case, "fastest", line, Status("optimal", "", True))
+    arm = Plan(scenario.load("panda-cube"), "fastest", line, Status("optimal", "", True), arm_status=told)
+    unmodelled = case.payload.unmodelled
+    assert len(unmodelled) == 1
+    assert liquid.unchecked[:1] == unmodelled
+    assert arm.unchecked == ("jerk of all joints (nobody gave a limit)",)
+    both = Round(case, (liquid, arm), Status("optimal", "", True)).unchecked
+    assert both[0].startswith("what happens at the stops")
+    assert set(both[1:]) == {*liquid.unchecked, *arm.unchecked}
 
 
 # ---- pairs ----------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,6 +18,7 @@ from salver.models.shapes import Solid, cylinder
 from salver.scenario import CarriedObject, Scenario
 
 LEAST_MOMENT = 1e-14  # kg m^2; MuJoCo takes less for zero
+ON_A_LINE = 1e-3  # share of the largest moment that is added where another is zero; with 1e-6 contacts shake it off
 ROUND_POINTS = 24  # support points of a round base: the inscribed polygon is at most 0.9 % inside the circle
 
 
@@ -114,7 +115,7 @@ def _load(
     for parameter, value in true.items():
         if parameter.owner == item.name and parameter.entry is not None:
             inertial[parameter.entry] = value
-    body = RigidBody(float(inertial[0]), inertial[1:4], inertia_matrix(inertial[4:]))
+    body = _wide_enough(RigidBody(float(inertial[0]), inertial[1:4], inertia_matrix(inertial[4:])))
     friction = true.get(Parameter(item.name, "friction"), item.friction)
     _check(item.name, body, friction)
     p_EB = nominal.place_at(true)
@@ -123,6 +124,14 @@ def _load(
     return Load(
         item.name, solid, shape, nominal.com_G, body, friction, p_EB, nominal.R_EB, supports, nominal, fill, damping
     )
+
+
+def _wide_enough(body: RigidBody) -> RigidBody:
+    """All mass on a line, the worst that contents may be, has no moment about it; the engine needs a little."""
+    principal = np.linalg.eigvalsh(body.inertia_com)
+    if not -1e-9 * principal[2] <= principal[0] < LEAST_MOMENT:
+        return body
+    return replace(body, inertia_com=body.inertia_com + ON_A_LINE * principal[2] * np.eye(3))
 
 
 def _filled(body: Body, true: Mapping[Parameter, float]) -> tuple[float | None, float | None]:

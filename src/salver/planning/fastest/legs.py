@@ -57,7 +57,12 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
     problems = [transport_problem(leg, passing=True) for leg in scenario.each_leg]
     legs: list[Plan] = []
     for begin in _begins(problems, options, watch):
-        found = in_turn(problems, begin, options, watch, ROUGHS if begin is not None else HALF)
+        try:
+            found = in_turn(problems, begin, options, watch, ROUGHS if begin is not None else HALF)
+        except UnreachableError:
+            if not legs or _merit(legs, problems)[0]:
+                raise
+            break
         if not legs or _merit(found, problems) < _merit(legs, problems):
             legs = found
         if watch.over() and not _merit(legs, problems)[0]:
@@ -122,7 +127,10 @@ def in_turn(
     done: float = HALF,
 ) -> list[Plan]:
     """Plans of the legs, each from the posture in which the one before it ends; to that in which its motion of `begin`
-    does, if there are any: then no further than to the first leg that is not safe. done: share of the work before."""
+    does, if there are any: then no further than to the first leg that is not safe.
+
+    done: share of the work before it.
+    """
     legs: list[Plan] = []
     for k, problem in enumerate(problems):
         near = None if begin is None else refitted(begin[k], options.spans)
@@ -140,9 +148,10 @@ def in_turn(
     return legs
 
 
-def _merit(legs: Sequence[Plan], problems: Sequence[TransportProblem]) -> tuple[bool, float]:
-    safe = len(legs) == len(problems) and all(leg.ok for leg in legs)
-    return not safe, sum(leg.duration for leg in legs)
+def _merit(legs: Sequence[Plan], problems: Sequence[TransportProblem]) -> tuple[bool, int, float]:
+    """Smaller is better."""
+    lacking = len(problems) - len(legs)
+    return lacking > 0 or not all(leg.ok for leg in legs), lacking, sum(leg.duration for leg in legs)
 
 
 def _end_of(plan: Plan) -> Array:
