@@ -1,6 +1,6 @@
 """Random tasks of several legs: as a whole against one leg after the other, and in the engine at corners of the set.
 
-    python benchmarks/legs.py [-n 12] [--seed 0] [--corners 4]
+    python benchmarks/legs.py [-n 12] [--seed 0] [--corners 4] [--through] [--only xarm7]
 
 Poses, objects (off-centre, taken and put on) and ranges are drawn; arms take turns. For each task the duration of all
 legs as they are planned, that of legs of which each chooses for itself where it ends, CPU time of the first, and how
@@ -29,8 +29,8 @@ WHERE = {"panda": (0.35, 0.6, 0.3, 0.6), "ur10": (0.5, 0.85, 0.3, 0.8), "xarm7":
 PLACES = ((0.055, 0.055), (-0.055, 0.055), (-0.055, -0.055), (0.055, -0.055))
 
 
-def task(seed: int, number: int) -> dict[str, Any]:
-    """A scenario of 2 to 4 legs, as a file would give it."""
+def task(seed: int, number: int, through: bool = False) -> dict[str, Any]:
+    """A scenario of 2 to 4 legs, as a file would give it. through: with a pose to pass on each, half-way and aside."""
     rng = np.random.default_rng([seed, number])
     arm = list(WHERE)[number % len(WHERE)]
     near, far, low, high = WHERE[arm]
@@ -67,9 +67,16 @@ def task(seed: int, number: int) -> dict[str, Any]:
         elif len(here) > 1 and rng.random() < 0.8:
             leg["take"] = here.pop(int(rng.integers(len(here))))
         legs.append(leg)
+    start = pose()
+    for begin, leg in zip([start, *(leg["goal"] for leg in legs)], legs, strict=False):
+        if through:
+            half_way = 0.5 * (np.array(begin["position"]) + leg["goal"]["position"])
+            turned = 0.5 * (begin["rpy_deg"][2] + leg["goal"]["rpy_deg"][2])
+            aside = half_way * np.array([0.95, 0.95, 1.1])  # nearer to the base, and higher
+            leg["through"] = [{"position": aside.tolist(), "rpy_deg": [0, 0, float(turned)]}]
     return {
         "name": f"task-{seed}-{number}",
-        "motion": {"start": pose(), "orientation": "free"},
+        "motion": {"start": start, "orientation": "free"},
         "legs": legs,
         "objects": objects,
         "contact": {"condition": "exact"},
@@ -108,12 +115,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-n", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=list(WHERE), help="tasks of one arm")
+    parser.add_argument("--through", action="store_true", help="with a pose to pass on each leg")
     parser.add_argument("--corners", type=int, default=4)
     args = parser.parse_args()
     print("| task | arm | legs | as a whole, s | in turn, s | corner runs that held | CPU, s |")
     print("|---|---|---|---|---|---|---|")
     for number in range(args.n):
-        print(row(parse(task(args.seed, number), "a random task"), args.corners), flush=True)
+        data = task(args.seed, number, args.through)
+        if args.only in (None, data["arm"]["model"]):
+            print(row(parse(data, "a random task"), args.corners), flush=True)
 
 
 if __name__ == "__main__":
