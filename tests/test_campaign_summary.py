@@ -2,12 +2,13 @@
 
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from salver import scenario as scenarios
-from salver.campaigns.runners import run_scalars, tube_scalars
+from salver.campaigns.runners import round_scalars, run_scalars, tube_scalars
 from salver.campaigns.summary import read_table, summarise, table, write_table
 
 
@@ -144,3 +145,23 @@ def test_figures_of_several_objects_are_told_apart():
     }
     one = run_scalars({"outcome": "holds", "objects": objects[:1]})
     assert one == {"outcome": "holds", "peak_slip": 1e-4}
+
+
+def test_figures_of_a_run_of_several_legs_are_the_worst_of_them_and_say_which_leg():
+    legs = [
+        {"outcome": "holds", "objects": [{"name": "mug", "peak_slip": 2e-4, "peak_tip": 0.3}]},
+        {"outcome": "slides", "objects": [{"name": "mug", "peak_slip": 4e-3, "peak_tip": 0.1}]},
+    ]
+    record = SimpleNamespace(
+        legs=[SimpleNamespace(summary=leg) for leg in legs], outcome="slides", summary={"leg": np.int64(2)}
+    )
+    assert round_scalars(record) == {
+        "outcome": "slides",
+        "leg": 2,
+        "peak_slip": 4e-3,
+        "peak_tip": 0.3,
+        "leg1.outcome": "holds",
+        "leg1.peak_slip": 2e-4,
+        "leg2.outcome": "slides",
+        "leg2.peak_slip": 4e-3,
+    }

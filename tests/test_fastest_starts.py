@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -10,11 +11,14 @@ import pytest
 from scipy.optimize import linprog
 
 from salver import scenario
+from salver.errors import Status
 from salver.models.known_arms import KNOWN_ARMS, robot_file
-from salver.planning.fastest import FastestOptions, fastest, plan_fastest, transport_problem
+from salver.planning.fastest import FastestOptions, fastest, plan_fastest, search, transport_problem
 from salver.planning.fastest.around import LEAN, STEP, way_around
 from salver.planning.fastest.bound import least_by_friction, least_duration, least_time
 from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.search import few_pieces, refitted
+from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.starts import Start, bendable, bent, between, ends, open_to, straight, touches, tray_line
 from salver.planning.fastest.watch import Watch
 
@@ -319,3 +323,21 @@ def test_a_bend_leaves_the_ends_where_they_are_and_is_widest_half_way(behind_a_p
     assert np.abs(beside[[0, -1]]).max() < 1e-12
     assert np.array_equal(np.abs(beside).argmax(axis=0), np.full(7, len(start) // 2))
     assert 0.02 < np.abs(beside).max() < 2.0  # rad
+
+
+def test_a_search_that_nothing_stopped_goes_on_from_there_and_counts_all_its_steps(monkeypatch):
+    """The first refinement ends where nothing binds; the second is faster and bound, and that is the end."""
+    options, ok = FastestOptions(), Status("optimal", "It is.", True)
+    few = few_pieces(options)
+    size = refitted(SplineMotion(few, np.zeros((few.size, 7)), 1.0), options.spans).coefficients.shape
+    ends = [
+        SimpleNamespace(status=ok, binding=binding, iterations=steps, duration=seconds, coefficients=np.zeros(size))
+        for binding, steps, seconds in (((), 5, 1.0), (("torque",), 3, 0.9), ((), 7, 0.8))
+    ]
+    found = iter(ends)
+    monkeypatch.setattr(search, "_optimum", lambda *_, **__: next(found))
+    grid = SimpleNamespace(s=np.linspace(0, 1, 21), nodes=np.arange(0, 21, 5))
+    begun = SimpleNamespace(coefficients=np.zeros((few.size, 7)), duration=1.0, curve=SimpleNamespace(grid=grid))
+    one = search._Search(transport_problem(scenario.load("panda-cube")), options, Watch(), [], np.random.default_rng(0))
+    assert one._refined(one.problem, begun) is ends[1]
+    assert one.iterations == 5 + 3
