@@ -88,3 +88,14 @@ def test_mesh_mistakes_are_one_sentence(tmp_path) -> None:
     on_edge.apply_transform(trimesh.transformations.rotation_matrix(0.5, [1, 0, 0]))
     with pytest.raises(ValueError, match="stands on a point or an edge"):
         shapes.mesh(saved(on_edge, tmp_path, "edge.stl"))
+
+
+def test_a_composite_off_centre_stands_under_its_lowest_part() -> None:
+    """A block 0.2 m to the side, and a longer one upon it that is not: the base of the one, the top of the other."""
+    low, high = shapes.box((0.04, 0.06, 0.02)), shapes.box((0.5, 0.1, 0.02))
+    whole = shapes.composite([(low, np.array([0.2, -0.1, 0.01]), 1.0), (high, np.array([0.0, 0.05, 0.03]), 1.0)])
+    assert_allclose(whole.base_polygon.min(axis=0), [0.18, -0.13])
+    assert_allclose(whole.base_polygon.max(axis=0), [0.22, -0.07])
+    assert_allclose(whole.top_polygon.min(axis=0), [-0.25, 0.0], atol=1e-15)
+    assert_allclose(whole.top_polygon.max(axis=0), [0.25, 0.1])
+    assert_allclose(whole.centroid_G, [0.1, -0.025, 0.0], atol=1e-15)

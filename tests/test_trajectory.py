@@ -7,6 +7,7 @@ from scipy.interpolate import BPoly
 
 from salver import trajectory
 from salver.geometry import exp, hat, log
+from salver.planning.passing import passed
 from salver.trajectory import (
     JointMotion,
     PolynomialReference,
@@ -142,3 +143,15 @@ def test_piecewise_quintics_are_those_of_scipy_with_derivatives_and_at_breaks_to
     for order in range(4):
         expected = (theirs.derivative(order) if order else theirs)(t)
         assert ours.at(t, order) == pytest.approx(expected, rel=1e-12, abs=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("yaw_free", [False, True])
+def test_how_near_a_motion_passes_a_pose_by_hand(yaw_free):
+    """A straight line past a pose 30 mm beside its middle, turned by 0.3 rad about the vertical and leaning by 0.1."""
+    line = min_jerk_line(2.0, np.zeros(3), np.array([1.0, 0, 0]), np.eye(3), np.eye(3))
+    beside = np.array([0.5, 0.03, 0.0])
+    ((when, away),) = passed(line, [(beside, exp([0.0, 0.0, 0.3]))], yaw_free)
+    assert when == pytest.approx(1.0, abs=1e-3)
+    assert away == pytest.approx(0.03 if yaw_free else np.hypot(0.03, 0.2 * 0.3), abs=1e-6)
+    ((_, away),) = passed(line, [(beside, exp([0.1, 0.0, 0.0]))], yaw_free)
+    assert away == pytest.approx(np.hypot(0.03, 0.2 * (np.sin(0.1) if yaw_free else 0.1)), abs=1e-6)
