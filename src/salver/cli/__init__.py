@@ -6,7 +6,11 @@ Modules of commands import what is heavy (CasADi, MuJoCo, Pinocchio, plotting) i
 
 from __future__ import annotations
 
+import gc
 import os
+import sys
+from collections.abc import Iterable
+from functools import lru_cache
 from importlib import import_module
 from typing import Annotated
 
@@ -14,15 +18,6 @@ import typer
 
 from salver import __version__
 from salver.cli.common import handled
-
-app = typer.Typer(
-    name="salver",
-    help="Carry loose objects on a tray: plan robustly, simulate, check, report.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="markdown",
-)
 
 # In the order of use; each is the function of that name in the module of that name.
 COMMANDS = (
@@ -49,8 +44,7 @@ COMMANDS = (
     "tune",
 )
 
-for _name in COMMANDS:
-    app.command(_name)(handled(getattr(import_module(f"salver.cli.{_name}"), _name)))
+RARELY = 50_000  # new objects after which Python looks for some that nothing holds: imports make many that stay
 
 
 def _print_version(wanted: bool) -> None:
@@ -59,7 +53,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
@@ -68,12 +61,42 @@ def _options(
     pass
 
 
+def _gathered(names: Iterable[str]) -> typer.Typer:
+    """The command with some of its commands."""
+    gathered = typer.Typer(
+        name="salver",
+        help="Carry loose objects on a tray: plan robustly, simulate, check, report.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",
+    )
+    gathered.callback()(_options)
+    for name in names:
+        gathered.command(name)(handled(getattr(import_module(f"salver.cli.{name}"), name)))
+    return gathered
+
+
+@lru_cache(maxsize=1)
+def _whole() -> typer.Typer:
+    return _gathered(COMMANDS)
+
+
+def __getattr__(name: str) -> typer.Typer:
+    """`app`, with all commands: made when it is asked for, as a process needs one of them."""
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _whole()
+
+
 def main() -> None:
     """Entry point of the console script.
 
     The matrices here are small: threads of the linear algebra cost more than they give, and a campaign already has a
     process for each core. NumPy reads this when it is first imported, which no command has done yet.
     """
+    gc.set_threshold(RARELY)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    app()
+    asked = [name for name in sys.argv[1:2] if name in COMMANDS]
+    (_gathered(asked) if asked else _whole())()
