@@ -24,7 +24,7 @@ from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
 
 ROUGH_GAIN = 5e-3  # relative shortening below which a rough optimum is good enough
-GAIN = 5e-4  # and one at which an optimum is
+GAIN = 1e-3  # and one at which an optimum is
 ROUGH_ITERATIONS = 25  # at most, of a rough optimum
 ITERATIONS = 60  # and of one
 REPAIR_ITERATIONS = 15  # of each round of adding nodes
