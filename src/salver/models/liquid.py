@@ -172,10 +172,6 @@ class Liquid:
             raise ValueError(f"fill = {fill:g} m; it must be above 0")
         return _modes(self.size, fill, self.density)
 
-    def surface_height(self, fill: float) -> float:
-        """Height of the still surface over the object's base, m."""
-        return self.floor + fill
-
     def cases(self, least: float, most: float, apart: float = APART) -> list[tuple[float, float]]:
         """(fill, damping) that stand for all between `least` and `most` m: equally spaced in frequency, at most `apart`
         of it, so that the phase of a wave is never far from a known one, and both ends of the damping."""
