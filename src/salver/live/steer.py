@@ -263,13 +263,16 @@ class Steering:
         matrix = self._rows(blocks, masks)
         where = [np.nonzero(mask) for mask in masks]
         bound = -np.concatenate([block.values[at] for block, at in zip(blocks, where, strict=True)])
-        for _ in range(ROUNDS):
+        for left in reversed(range(ROUNDS)):
             # Bounds are never negative: no bend is always allowed.
             found = qp.solve(_programme(hessian, cost, matrix, np.maximum(bound, 0.0), n), TOLERANCE)
             if found is None:
                 return None
             bend = np.vstack([np.zeros(n), found.x.reshape(-1, n)])
-            trial = evaluate(constraints, sought.at(grid.s, z + grid.motion(bend, HORIZON), HORIZON, grid.nodes))
+            if not left:
+                break  # the verdict is another's
+            bent = sought.at(grid.s, z + grid.motion(bend, HORIZON), HORIZON, grid.nodes)
+            trial = evaluate(constraints, bent.straying_as(motion))
             more = [block.joining(mask) for block, mask in zip(trial, masks, strict=True)]
             if max(block.values.max() for block in trial) <= BENT:
                 break

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.geometry import Array
-from salver.live.motion import Committed, Margins
+from salver.live.motion import SAME, Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
 from salver.planning.fastest import Block, Constraint, TransportProblem, evaluate
@@ -22,12 +22,15 @@ from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import NEAR
 from salver.planning.follow.clearance import sweep
+from salver.sensitivity.arm.finer import Finer, some_of
 from salver.trajectory import JointMotion
 
 STEP = 2e-3  # s between instants at which dynamics, contact and distances are looked at
+COARSE = 6e-3  # s between those at which it is worked out what a wrong load does to the arm; it is smooth
+LEAST_NODES = 4  # what a filter needs
 FINER = 2  # times as many at which the joints' own motion is
-# Of the normal force at rest, that contact keeps at least: jerk jumps at knots, and what that makes of held commands is
-# known to half of this between the instants.
+# Of the normal force at rest, that contact keeps at least: between the instants rows rise by up to 3e-4, and what a
+# wrong load does to the arm is known to 2e-4 (tests/test_live_verdict.py measures both); twice that.
 STEADY = 1e-3
 FORGIVEN = 0.2  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
 BEGINNING = 0.02  # s
@@ -54,11 +57,19 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
         problem = replace(problem, tracking=problem.tracking.begun(start))
     s, nodes = instants(motion)
     t = s * motion.duration
-    z = np.stack([*motion.sample(t), motion.jerk(t)])
+    z = np.stack([*motion.sample(t), motion.jerk(t + SAME)])  # at a knot what comes after it, whatever was rounded
     keep_out = None if problem.keep_out is None else problem.keep_out.near(few(problem.keep_out.parts, z[0][nodes]))
     problem = replace(problem, keep_out=keep_out)
-    evaluation = problem.at(s, z, motion.duration, nodes, imposed=False)
-    blocks = [_begun(block, t) for block in evaluate(problem.constraints, replace(evaluation, moving=False))]
+    evaluation = replace(problem.at(s, z, motion.duration, nodes, imposed=False), moving=False)
+    response, some = None, np.zeros(0, dtype=int)
+    if problem.tracking is not None:
+        knots = np.abs(t[nodes, None] - motion.t).min(axis=1) < SAME
+        some = some_of(t[nodes], knots, COARSE)
+        before_ = motion.jerk(t[nodes[some]] - SAME)
+        response = Finer.of(problem.tracking, t[nodes], evaluation.terms, z[1:, nodes], knots, some, before_)
+        evaluation.straying(response)
+    constraints = [replace(x, coarsely=True) if isinstance(x, Contact) else x for x in problem.constraints]
+    blocks = [_begun(block, t) for block in evaluate(constraints, evaluation)]
     margins = _margins(blocks, begins + t, problem)
     worst = int(np.argmax(margins.row))
     excess = float(margins.row[worst])
@@ -70,12 +81,13 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
         met = sweep(keep_out.parts, motion).touch
         if met is not None:
             return Finding(None, np.inf, f"{met.first} and {met.second} would touch")
-    response = evaluation.response
     deviation = None
     if response is not None:
-        e = np.concatenate([-response.joints.q, -response.held.q[:, :, None]], axis=2)
-        rate = np.concatenate([-response.joints.dq, -response.held.dq[:, :, None]], axis=2)
+        known = response.known
+        e = np.concatenate([-known.joints.q, -known.held.q[:, :, None]], axis=2)
+        rate = np.concatenate([-known.joints.dq, -known.held.dq[:, :, None]], axis=2)
         deviation = np.stack([e, rate], axis=1)
+        nodes = nodes[some]
     committed = Committed(begins, motion, begins + t[nodes], deviation, margins)
     return Finding(committed, excess, "")
 
@@ -85,7 +97,7 @@ def instants(motion: JointMotion) -> tuple[Array, Indices]:
     nodes."""
     lengths = np.diff(motion.t)
     counts = np.maximum(1, np.ceil(lengths / STEP - 1e-9)).astype(int)
-    missing = 4 - int(counts.sum())  # what a filter needs at least
+    missing = LEAST_NODES - int(counts.sum())
     counts[0] += max(0, missing)
     first = np.repeat(motion.t[:-1], FINER * counts)
     step = np.repeat(lengths / (FINER * counts), FINER * counts)

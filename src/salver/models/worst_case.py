@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -36,6 +37,7 @@ from salver.models.parameters import Parameter
 from salver.models.tray_motion import frame_map
 
 Indices = npt.NDArray[np.intp]
+_TOGETHER = 96  # instants of which the same rows are near
 _CHUNK = 80_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
 
 
@@ -151,9 +153,9 @@ class WorstCase:
     values: Array
 
     @classmethod
-    def of(cls, rows: UncertainRows, w: Array, drift: Drift | None = None) -> WorstCase:
-        """See `UncertainRows.worst`."""
-        return cls(rows, w, drift, _values(rows, w, drift))
+    def of(cls, rows: UncertainRows, w: Array, drift: Drift | None = None, coarsely: bool = False) -> WorstCase:
+        """See `UncertainRows.worst`. coarsely: of rows that are surely beyond `SURE` a bound is enough."""
+        return cls(rows, w, drift, _values_near(rows, w, drift) if coarsely else _values(rows, w, drift))
 
     def attained(self, node: Indices, row: Indices) -> Array:
         """(r, 12) derivative of the worst case by w, at nodes and rows (r,); that of the drift is left out."""
@@ -212,14 +214,24 @@ class _Roles:
 
 
 def _roles(rows: UncertainRows, drift: Drift) -> _Roles:
+    return _roles_of(rows.acting, rows.masses, tuple(filling.moved for filling in rows.fillings), drift.terms)
+
+
+@lru_cache(maxsize=256)
+def _roles_of(
+    acting: tuple[Parameter, ...],
+    masses: tuple[Parameter, ...],
+    fillings: tuple[tuple[Parameter, ...], ...],
+    terms: tuple[tuple[Parameter, ...], ...],
+) -> _Roles:
     roles = _Roles([], [], [], [], [])
-    moved = {p: (f, q) for f, filling in enumerate(rows.fillings) for q, p in enumerate(filling.moved)}
-    for k, factors in enumerate(drift.terms):
-        if len(factors) == 1 and factors[0] in rows.acting:
+    moved = {p: (f, q) for f, filling in enumerate(fillings) for q, p in enumerate(filling)}
+    for k, factors in enumerate(terms):
+        if len(factors) == 1 and factors[0] in acting:
             roles.own.append(k)
-            roles.column.append(rows.acting.index(factors[0]))
-        elif len(factors) == 1 and factors[0] in rows.masses:
-            roles.mass.append((k, rows.masses.index(factors[0])))
+            roles.column.append(acting.index(factors[0]))
+        elif len(factors) == 1 and factors[0] in masses:
+            roles.mass.append((k, masses.index(factors[0])))
         elif len(factors) == 1 and factors[0] in moved:
             roles.filled.append((k, *moved[factors[0]]))
         else:  # a product, or a parameter of something else on the tray
@@ -263,6 +275,24 @@ def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
             values[part] = found[0].value
             for case in found[1:]:
                 np.maximum(values[part], case.value, out=values[part])
+    return values
+
+
+def _values_near(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
+    """(T, n) worst case; where each term at its largest, one by one, leaves a row beyond `SURE`, that bound."""
+    if rows.fillings or rows.spread is not None:
+        return _values(rows, w, drift)
+    moved = np.zeros_like(w) if drift is None else np.abs(drift.dw).sum(axis=2)
+    swing = np.zeros_like(w) if drift is None or drift.swing is None else np.abs(drift.swing)
+    each = np.abs(np.concatenate([rows.parameter, rows.remainder])).sum(axis=0)
+    values = w @ rows.nominal.T + (np.abs(w) + swing) @ each.T + (swing + moved) @ np.abs(rows.nominal).T
+    for start in range(0, len(w), _TOGETHER):
+        part = slice(start, start + _TOGETHER)
+        bound = values[part]
+        some = np.union1d(np.flatnonzero((bound > SURE).any(axis=0)), bound.argmax(axis=1))
+        swung = None if drift is None or drift.swing is None else drift.swing[part]
+        felt = None if drift is None else Drift(drift.terms, drift.dw[part], swung)
+        bound[:, some] = _values(rows.only(some), w[part], felt)
     return values
 
 

@@ -262,16 +262,18 @@ class Contact(Constraint):
 
     margin: that the scenario asks for, as a share of the normal force at rest. exactly: of an arm that follows
     exactly, without what held commands and wrong loads do to it; the verification of a plan asks for that too.
+    coarsely: of rows that are far from their edge a bound is enough.
     """
 
     rows: ContactRows
     margin: float = 0.0
     exactly: bool = False
+    coarsely: bool = False
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         tracking = None if self.exactly else motion.tracking
         w, drift = (motion.terms.w, None) if self.exactly or motion.response is None else motion.response.felt()
-        worst = WorstCase.of(self.rows, w, drift)
+        worst = WorstCase.of(self.rows, w, drift, self.coarsely)
         values, history = worst.values, None
         if motion.sloshing:
             sloshed = Sloshed.of(self.rows, motion.sloshing)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -105,6 +105,16 @@ class Evaluation:
         if self.tracking is None:
             return None
         return self.tracking.along(self.s[self.nodes] * self.duration, self.terms, self.at_nodes[1:])
+
+    def straying_as(self, other: Evaluation) -> Evaluation:
+        """This motion, with an arm that strays from it as from a motion like it, at the same instants."""
+        like = other.response
+        return self if like is None else self.straying(replace(like, terms=self.terms))
+
+    def straying(self, response: Any) -> Evaluation:
+        """This motion, with what the arm does to it known."""
+        self.__dict__["response"] = response  # where the cached property would keep it
+        return self
 
     @cached_property
     def sloshing(self) -> dict[str, tuple[Slosh, ...]]:

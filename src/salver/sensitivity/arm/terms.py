@@ -6,17 +6,19 @@ RSS 2018, as Pinocchio provides them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from salver.geometry import GRAVITY_S, Array, hat
 from salver.models.tray_motion import N_MOTION, PRODUCTS
 
 _FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
+_VALUES = ("q", "dq", "ddq", "p_SE", "R_SE", "twist", "spatial", "torque", "w")
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,11 @@ class MotionTerms:
     spatial: Array
     torque: Array
     w: Array
+
+    def only(self, some: npt.NDArray[np.intp]) -> MotionTerms:
+        """At some of the instants."""
+        values = {name: getattr(self, name)[some] for name in _VALUES}
+        return replace(self, **values)
 
     @cached_property
     def derivatives(self) -> Derivatives:

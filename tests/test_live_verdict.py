@@ -1,0 +1,110 @@
+"""What the verdict on live motions leaves out of its work must not change it: compared with all of the work."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import salver as sv
+from salver.live.verify import COARSE, STEADY, instants
+from salver.models.arm_limits import POSITION, VELOCITY
+from salver.models.worst_case import SURE, Drift, WorstCase
+from salver.planning.fastest import fastest, transport_problem
+from salver.planning.fastest.constraints import FINEST
+from salver.sensitivity.arm.finer import Finer, _cubic, some_of
+from salver.trajectory import JointMotion
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """The fastest motion of the bottle, with the jerk's jumps of a spline and of what was cut."""
+    problem = transport_problem(sv.load_scenario("panda-tall-bottle"))
+    found = fastest(problem)
+    t = np.linspace(0, found.duration, 41)
+    q, dq, ddq = found.sample(t)[:3]
+    return replace(problem, keep_out=None), JointMotion(t, q, dq, ddq)
+
+
+def along(problem, motion):
+    s, nodes = instants(motion)
+    t = s * motion.duration
+    z = np.stack([*motion.sample(t), motion.jerk(t + 1e-9)])
+    return t[nodes], z[:, nodes], problem.at(s, z, motion.duration, nodes, imposed=False)
+
+
+def test_a_deviation_known_at_some_instants_is_that_of_all_of_them(motion):
+    problem, whole = motion
+    t, z, at = along(problem, whole)
+    full = at.response
+    knots = np.abs(t[:, None] - whole.t).min(axis=1) < 1e-9
+    some = some_of(t, knots, COARSE)
+    assert len(some) < 0.5 * len(t)
+    finer = Finer.of(problem.tracking, t, at.terms, z[1:], knots, some, whole.jerk(t[some] - 1e-9))
+    (w, drift), (w_full, drift_full) = finer.felt(), full.felt()
+    assert np.abs(w - w_full).max() < 2e-3 * 9.81
+    assert np.abs(drift.dw - drift_full.dw).max() < 5e-4 * 9.81
+    for order, kind in enumerate((POSITION, VELOCITY)):  # of which a check keeps FINEST of the limit
+        off = np.abs(finer.joint_radius(order) - full.joint_radius(order)) / problem.limits.range(kind)[1]
+        assert off.max() < 0.5 * FINEST
+    rows = problem.contacts[0]
+    exact = WorstCase.of(rows, w_full, drift_full).values
+    near = exact > -0.1
+    assert near.any()
+    assert np.abs(WorstCase.of(rows, w, drift).values - exact)[near].max() < 0.2 * STEADY
+
+
+def test_the_margin_of_contact_is_more_than_the_verdict_may_miss(motion):
+    """Against four times as many instants, at each of which everything is worked out."""
+    problem, whole = motion
+    t, z, at = along(problem, whole)
+    knots = np.abs(t[:, None] - whole.t).min(axis=1) < 1e-9
+    some = some_of(t, knots, COARSE)
+    finer = Finer.of(problem.tracking, t, at.terms, z[1:], knots, some, whole.jerk(t[some] - 1e-9))
+    judged = WorstCase.of(problem.contacts[0], *finer.felt()).values.max(axis=1)
+    dense = np.append(np.concatenate([np.linspace(a, b, 4, endpoint=False) for a, b in pairwise(t)]), t[-1])
+    z = np.stack([*whole.sample(dense), whole.jerk(dense + 1e-9)])
+    truth = problem.at(dense / whole.duration, z, whole.duration, imposed=False).response
+    rows = WorstCase.of(problem.contacts[0], *truth.felt()).values.max(axis=1)
+    missed = [rows[4 * k : 4 * k + 5].max() - judged[k : k + 2].max() for k in range(len(t) - 1)]
+    assert 0 < max(missed) < 0.6 * STEADY
+
+
+def test_where_it_is_known_it_is_what_was_worked_out(motion):
+    problem, whole = motion
+    t, z, at = along(problem, whole)
+    knots = np.abs(t[:, None] - whole.t).min(axis=1) < 1e-9
+    some = some_of(t, knots, COARSE)
+    finer = Finer.of(problem.tracking, t, at.terms, z[1:], knots, some, whole.jerk(t[some] - 1e-9))
+    (w, drift), (w_known, drift_known) = finer.felt(), finer.known.felt()
+    assert np.abs(w[some] - w_known).max() < 1e-9
+    assert np.abs(drift.dw[some] - drift_known.dw).max() < 1e-12
+    assert np.abs(drift.swing[some] - drift_known.swing).max() < 1e-9
+    assert np.abs(finer.torque_radius()[some] - finer.known.torque_radius()).max() < 1e-12
+
+
+def test_cubics_within_a_piece_know_nothing_of_the_next_one():
+    """A cubic that jumps to another one at a knot is met everywhere, to rounding; pieces of few instants too."""
+    t = np.unique(np.concatenate([np.linspace(0, 0.1, 51), np.linspace(0.1, 0.102, 2), np.linspace(0.102, 0.2, 50)]))
+    knots = np.isin(t, [0.0, 0.1, 0.102, 0.2])
+    some = some_of(t, knots, COARSE)
+    nearest, weights, _ = _cubic(t, some, knots)
+    values = np.where(t < 0.1, 1 + t**3, np.where(t < 0.102, 1.001 + 40 * (t - 0.1), 1.081 - (t - 0.102) ** 3))
+    assert np.abs((weights * values[some][nearest]).sum(axis=1) - values)[t != 0.1].max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["panda-cube", "panda-tall-bottle"])
+def test_a_bound_stands_only_for_rows_that_are_surely_far(name):
+    problem = transport_problem(sv.load_scenario(name))
+    rows, rng = problem.contacts[0], np.random.default_rng(3)
+    w = np.zeros((60, 12))
+    w[:, 2] = 9.81
+    w[:, :6] += rng.normal(size=(60, 6)) * [1.5, 1.5, 1.5, 2.0, 2.0, 2.0]
+    terms = tuple((p,) for p in problem.tracking.load.uncertain.parameters)
+    drift = Drift(terms, 0.05 * rng.normal(size=(60, 12, len(terms))), 0.05 * rng.normal(size=(60, 12)))
+    for known in (None, drift, replace(drift, swing=None)):
+        exact, coarse = (WorstCase.of(rows, w, known, coarsely=x).values for x in (False, True))
+        assert np.all(coarse >= exact - 1e-12)
+        bounded = np.abs(coarse - exact) > 1e-12
+        assert np.all(coarse[bounded] <= SURE)
+        assert bounded.mean() > 0.1
