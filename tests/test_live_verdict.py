@@ -8,7 +8,7 @@ import pytest
 
 import salver as sv
 from salver.live.verify import COARSE, STEADY, instants
-from salver.models.arm_limits import POSITION, VELOCITY
+from salver.models.arm_limits import LIMITS
 from salver.models.worst_case import SURE, Drift, WorstCase
 from salver.planning.fastest import fastest, transport_problem
 from salver.planning.fastest.constraints import FINEST
@@ -44,7 +44,7 @@ def test_a_deviation_known_at_some_instants_is_that_of_all_of_them(motion):
     (w, drift), (w_full, drift_full) = finer.felt(), full.felt()
     assert np.abs(w - w_full).max() < 2e-3 * 9.81
     assert np.abs(drift.dw - drift_full.dw).max() < 5e-4 * 9.81
-    for order, kind in enumerate((POSITION, VELOCITY)):  # of which a check keeps FINEST of the limit
+    for order, kind in enumerate(LIMITS[:2]):  # of which a check keeps FINEST of the limit
         off = np.abs(finer.joint_radius(order) - full.joint_radius(order)) / problem.limits.range(kind)[1]
         assert off.max() < 0.5 * FINEST
     rows = problem.contacts[0]
