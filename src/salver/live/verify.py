@@ -26,7 +26,7 @@ from salver.sensitivity.arm.finer import Finer, some_of
 from salver.trajectory import JointMotion
 
 STEP = 2e-3  # s between instants at which dynamics, contact and distances are looked at
-COARSE = 6e-3  # s between those at which it is worked out what a wrong load does to the arm; it is smooth
+COARSE = 5e-3  # s between those at which it is worked out what a wrong load does to the arm; it is smooth
 LEAST_NODES = 4  # what a filter needs
 FINER = 2  # times as many at which the joints' own motion is
 # Of the normal force at rest, that contact keeps at least: between the instants rows rise by up to 3e-4, and what a
