@@ -18,7 +18,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 import salver as sv
-from live_runs import PERIOD, drive, executed, in_turn, rows_of
+from live_runs import PATIENCE, PERIOD, drive, executed, in_turn, rows_of
 from salver.errors import Status
 from salver.live import Live
 from salver.live.steer import TICK
@@ -51,7 +51,7 @@ class Tally:
         if live.idle:
             return
         before, begun = live._offer, time.process_time()
-        live.plan()
+        live.plan(PATIENCE)
         self.cpu.append(time.process_time() - begun)
         self.committed += live._offer is not before
 
