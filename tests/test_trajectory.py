@@ -155,3 +155,10 @@ def test_how_near_a_motion_passes_a_pose_by_hand(yaw_free):
     assert away == pytest.approx(0.03 if yaw_free else np.hypot(0.03, 0.2 * 0.3), abs=1e-6)
     ((_, away),) = passed(line, [(beside, exp([0.1, 0.0, 0.0]))], yaw_free)
     assert away == pytest.approx(np.hypot(0.03, 0.2 * (np.sin(0.1) if yaw_free else 0.1)), abs=1e-6)
+
+
+def test_bases_of_no_instants_are_none() -> None:
+    """A run that ended before its first sample is logged too."""
+    from salver.trajectory import chebyshev_bases
+
+    assert [basis.shape for basis in chebyshev_bases(np.empty(0), 9, range(3))] == [(0, 10)] * 3

@@ -73,7 +73,7 @@ def chebyshev_basis(s: npt.ArrayLike, degree: int, derivative: int = 0) -> Array
 def chebyshev_bases(s: npt.ArrayLike, degree: int, derivatives: Iterable[int]) -> list[Array]:
     """`chebyshev_basis` of several derivatives, from one table of values; not to be written to."""
     s = np.asarray(s, dtype=float)
-    return [basis.reshape(*s.shape, -1) for basis in _bases(s.tobytes(), degree, tuple(derivatives))]
+    return [basis.reshape(*s.shape, basis.shape[-1]) for basis in _bases(s.tobytes(), degree, tuple(derivatives))]
 
 
 @lru_cache(maxsize=64)

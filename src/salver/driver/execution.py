@@ -289,7 +289,7 @@ class Drive:
             due, waited = self.s >= self.stop.duration, self.stopping * self.period - self.stop.duration
             if sensed.dark and self.senses.blind > self.watchdog.bridged_periods:
                 # Who does not see does not hold: what the model is wrong by adds up until torque control ends.
-                return self.s >= self.stop.duration - HOLD_AFTER_STOP
+                return min(self.s, self.stopping * self.period) >= self.stop.duration - HOLD_AFTER_STOP
         return due and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.torque, AT_REST))
 
     def leave(self) -> None:
