@@ -222,7 +222,8 @@ class TestVerdict:
         assert more > 5e-4
         found = verified(problem, motion, 3.0, None)
         assert found.sentence.startswith("contact of cube would be exceeded")
-        assert found.excess == pytest.approx(contact.values.max() + more, abs=1e-12)
+        # What a wrong load does to the arm is known every 5 ms to the verdict, here at every node.
+        assert found.excess == pytest.approx(contact.values.max() + more, abs=1e-5)
 
     def test_the_executed_is_the_same_in_pieces(self, moving):
         motion = moving.committed.motion
