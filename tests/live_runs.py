@@ -40,14 +40,18 @@ def executed(states):
 def rows_of(problem, motion):
     """The largest value of each row along a motion judged from its own beginning at rest, without any margin.
 
-    Jerk is what a robot is told that is told accelerations once a period: their difference. That of a quintic through
-    two samples with a knot between them would be no one's.
+    Its jerk is the difference of two accelerations that were told: that of a quintic through two samples with a knot
+    between them would be no one's.
     """
-    t = motion.t
-    z = np.stack([*motion.sample(t), np.diff(motion.ddq, axis=0, append=motion.ddq[-1:]) / PERIOD])
-    at = problem.at(t / motion.duration, z, motion.duration, imposed=False)
-    constraints = [constraint.near(motion.q[::5]) for constraint in problem.constraints]
-    return {block.name: float(block.values.max()) for block in evaluate(constraints, at, margins=False)}
+    t, constraints = motion.t, [constraint.near(motion.q[::5]) for constraint in problem.constraints]
+
+    def largest(jerk):
+        z = np.stack([*motion.sample(t), jerk])
+        at = problem.at(t / motion.duration, z, motion.duration, imposed=False)
+        return {block.name: float(block.values.max()) for block in evaluate(constraints, at, margins=False)}
+
+    told = np.diff(motion.ddq, axis=0, append=motion.ddq[-1:]) / PERIOD
+    return largest(motion.jerk(t)) | {"jerk": largest(told)["jerk"]}
 
 
 def jolts(states):
