@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import chain
+from typing import NamedTuple
+
 import numpy as np
 
 from salver.planning.fastest import evaluate
@@ -9,54 +12,90 @@ from salver.trajectory import JointMotion
 
 PERIOD = 1e-3
 PATIENCE = 60.0  # s: on a busy machine no clock is to decide a test
+APART = 1e-4  # s: between nearer instants a quintic's jerk is lost in rounding
+
+
+class Told(NamedTuple):
+    """What a loop was told: q, dq, ddq and torques (T, n) at live times t; and of the knots between, where jerk jumps,
+    (t, q, dq, ddq)."""
+
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    tau: np.ndarray
+    t: np.ndarray
+    knots: list
+
+
+class Loop:
+    """A robot's loop, which notes what it is told by a live motion."""
+
+    def __init__(self, live):
+        self.live, self._command = live, live.command
+        self.rows, self.t, self.knots = [], [], []
+
+    def command(self, t):
+        before = self.live.now
+        out = self._command(t)
+        running, now = self.live._running, self.live.now
+        self.rows.append(np.stack(out))
+        self.t.append(now)
+        for knot in running.since + running.path.t:
+            if before < knot < now:
+                self.knots.append((knot, *(x[0] for x in running.path.sample(knot - running.since))))
+        return out
+
+    @property
+    def told(self):
+        return Told(*np.swapaxes(np.array(self.rows), 0, 1), np.array(self.t), self.knots)
 
 
 def drive(live, seconds, wishes=(), every=20, begins=0.0):
     """Run a live motion at 1 kHz from the clock's time `begins` on, planning every so many periods (None: never).
 
-    wishes: (time, call) in order. q, dq, ddq (T, n).
+    wishes: (time, call) in order. What was told.
     """
-    rows, left = [], list(wishes)
+    loop, left = Loop(live), list(wishes)
     for k in range(round(seconds / PERIOD)):
         while left and left[0][0] <= k * PERIOD + 1e-9:
             left.pop(0)[1](live)
-        q, dq, ddq, _ = live.command(begins + k * PERIOD)
-        rows.append(np.stack([q, dq, ddq]))
+        loop.command(begins + k * PERIOD)
         if every and k % every == 0:
             live.plan(PATIENCE)
-    return tuple(np.swapaxes(np.array(rows), 0, 1))
+    return loop.told
 
 
 def in_turn(*runs):
-    """The states of runs that follow one another."""
-    return tuple(np.concatenate(parts) for parts in zip(*runs, strict=True))
+    """What was told in runs that follow one another."""
+    *arrays, knots = zip(*runs, strict=True)
+    return Told(*map(np.concatenate, arrays), [*chain(*knots)])
 
 
-def executed(states):
-    """What was commanded at 1 kHz, as one motion."""
-    return JointMotion(np.arange(len(states[0])) * PERIOD, *states)
+def executed(told):
+    """What was told, as one motion: quintic between periods and knots."""
+    t, knots = told.t, np.array([at for at, *_ in told.knots])
+    far = np.abs(t[:, None] - knots).min(axis=1, initial=np.inf) > APART
+    rows = [*zip(t[far], *(x[far] for x in told[:3]), strict=True), *told.knots]
+    t, *states = map(np.array, zip(*sorted(rows, key=lambda row: row[0]), strict=True))
+    return JointMotion(t - t[0], *states)
 
 
-def rows_of(problem, motion):
-    """The largest value of each row along a motion judged from its own beginning at rest, without any margin.
-
-    Its jerk is the difference of two accelerations that were told: that of a quintic through two samples with a knot
-    between them would be no one's.
-    """
-    t, constraints = motion.t, [constraint.near(motion.q[::5]) for constraint in problem.constraints]
-
-    def largest(jerk):
-        z = np.stack([*motion.sample(t), jerk])
-        at = problem.at(t / motion.duration, z, motion.duration, imposed=False)
-        return {block.name: float(block.values.max()) for block in evaluate(constraints, at, margins=False)}
-
-    told = np.diff(motion.ddq, axis=0, append=motion.ddq[-1:]) / PERIOD
-    return largest(motion.jerk(t)) | {"jerk": largest(told)["jerk"]}
+def rows_of(problem, told):
+    """The largest value of each row along what was told, judged as one motion from its own beginning at rest, without
+    any margin; torques by the differences that were told."""
+    motion = executed(told)
+    t = motion.t
+    z = np.stack([*motion.sample(t), motion.jerk(t)])
+    at = problem.at(t / motion.duration, z, motion.duration, imposed=False)
+    constraints = [constraint.near(motion.q[::5]) for constraint in problem.constraints]
+    rows = {block.name: float(block.values.max()) for block in evaluate(constraints, at, margins=False)}
+    rate = np.abs(np.diff(told.tau, axis=0) / np.diff(told.t)[:, None])
+    return rows | {"torque rate": float((rate / problem.limits.torque_rate).max()) - 1.0}
 
 
-def jolts(states):
+def jolts(told):
     """How far posture and velocity are from what the velocity and acceleration before them say, at 1 kHz."""
-    q, dq, ddq = states
+    q, dq, ddq = told[:3]
     return tuple(
         float(np.abs(np.diff(x, axis=0) - 0.5 * PERIOD * (rate[1:] + rate[:-1])).max())
         for x, rate in ((q, dq), (dq, ddq))

@@ -14,7 +14,7 @@ from lerobot.processor.converters import policy_action_to_transition, transition
 from scipy.interpolate import CubicSpline
 
 import salver as sv
-from live_runs import rows_of
+from live_runs import Loop, executed, rows_of
 from salver.errors import ScenarioError
 from salver.live.lerobot import KeepLoad
 from salver.trajectory import JointMotion
@@ -25,20 +25,10 @@ FPS = 30.0
 
 
 def recorded(step):
-    """What a step commands, time for time, in a list that grows."""
-    command, rows = step.live.command, []
-
-    def told(t):
-        q, dq, ddq, tau = command(t)
-        rows.append((t, q.copy(), dq.copy(), ddq.copy()))
-        return q, dq, ddq, tau
-
-    step.live.command = told
-    return rows
-
-
-def executed(rows):
-    return JointMotion(*(np.array(x) for x in zip(*rows, strict=True)))
+    """The loop that notes what a step commands from now on."""
+    loop = Loop(step.live)
+    step.live.command = loop.command
+    return loop
 
 
 def outcome(motion, step):
@@ -75,13 +65,13 @@ def test_what_would_lose_the_cube_is_bent_until_it_does_not():
     """0.4 rad to and fro three times in two seconds takes 17 rad/s^2, half a metre from the axis; friction gives 4.9
     m/s^2. The policy's motion loses the cube in the engine, what comes out keeps it and breaks no row."""
     step = KeepLoad("panda-cube", fps=FPS)
-    rows = recorded(step)
+    loop = recorded(step)
     wild = swing(step, 60, 0.4, 1.5)
     out = step.action(torch.tensor(wild)).numpy()
     assert np.ptp(out[:, 0]) > 0.1
     step.action(torch.tensor(np.repeat(wild[-1:], 40, axis=0)))  # the same on and on: it comes to rest there
-    motion = executed(rows)
-    assert max(rows_of(step.live.problem, motion).values()) <= 0.0
+    motion = executed(loop.told)
+    assert max(rows_of(step.live.problem, loop.told).values()) <= 0.0
     assert outcome(motion, step) == "holds"
     asked = CubicSpline(np.arange(61) / FPS, np.vstack([step.live.problem.start.q, wild]), bc_type="clamped")
     t = np.linspace(0, 2.0, 2001)
@@ -124,7 +114,7 @@ def test_a_policy_that_was_never_trained_keeps_the_cube():
 
     torch.manual_seed(0)
     step = KeepLoad("panda-cube", fps=FPS, execute=10)
-    rows = recorded(step)
+    loop = recorded(step)
     vector = {"observation.state": FeatureType.STATE, "observation.environment_state": FeatureType.ENV}
     policy = ACTPolicy(ACTConfig(
         chunk_size=20, n_action_steps=10, dim_model=64, n_heads=2, dim_feedforward=64, use_vae=False, device="cpu",
@@ -136,12 +126,12 @@ def test_a_policy_that_was_never_trained_keeps_the_cube():
         seen = {name: torch.randn(1, 7) for name in vector}
         chunk = start + 0.3 * torch.tanh(10 * policy.predict_action_chunk(seen))
         assert step.action(chunk).shape == (1, 10, 7)
-    motion = executed(rows)
+    motion = executed(loop.told)
     assert np.abs(motion.q - motion.q[0]).max() > 0.02
     step.execute = None
     step.action(chunk[:, -1].repeat(40, 1))
-    motion = executed(rows)
-    assert max(rows_of(step.live.problem, motion).values()) <= 0.0
+    motion = executed(loop.told)
+    assert max(rows_of(step.live.problem, loop.told).values()) <= 0.0
     assert outcome(motion, step) == "holds"
 
 

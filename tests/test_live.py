@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 import salver as sv
@@ -43,8 +43,7 @@ def place(x, y, z):
 
 def check(live, states):
     """What must be true of anything that was executed, and then left alone until it rests."""
-    motion = executed(states)
-    worst = rows_of(live.problem, motion)
+    worst = rows_of(live.problem, states)
     assert max(worst.values()) <= 0.0, worst
     position, velocity = jolts(states)
     assert position < 1e-5  # rad: no jump; a jerk of 7500 rad/s^3, the most of this arm, makes 6e-7 in a period
@@ -103,8 +102,16 @@ wish = st.one_of(goals, st.just(Live.stop), garbage)
 
 
 @pytest.mark.slow
-@settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-@given(st.lists(st.tuples(st.floats(0.0, 1.2), wish), min_size=2, max_size=6), st.integers(1, 90))
+@settings(
+    max_examples=10,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=list(HealthCheck),
+    phases=[Phase.explicit, Phase.generate],  # what was wished is short, to make it shorter takes minutes
+)
+@example([(0.0, Live.stop), (0.0, place(0.5, 0.0, 0.5)), (0.0, place(0.35, 0.0, 0.3)), (0.0078, Live.stop)], 1)
+@example([(0.0, place(0.375, 0.0, 0.305)), (0.006, Live.stop), (0.2, Live.stop)], 2)
+@given(st.lists(st.tuples(st.floats(0.0, 1.2), wish), min_size=2, max_size=6), st.integers(5, 90))
 def test_whatever_is_wished_no_row_is_broken_and_it_ends_at_rest(cube, wishes, every):
     live = Live(cube, lead=LEAD)
     states = drive(live, 1.3, sorted(wishes, key=lambda pair: pair[0]), every)

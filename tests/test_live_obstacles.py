@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import salver as sv
-from live_runs import drive, executed, in_turn, rows_of
+from live_runs import drive, in_turn, rows_of
 from salver.live import Live, Moving
 from salver.live.obstacles import Passing, nearest, predicted
 from salver.live.verify import few
@@ -116,7 +116,7 @@ def test_a_ball_that_would_hit_is_evaded_and_one_that_misses_is_not(cube):
     states = drive(live, 1.5)
     assert live.state.passing == ""
     assert nearest(parts, [here], states[0][::5], t[::5])[0] > 0.0
-    assert max(rows_of(live.problem, executed(states)).values()) <= 0.0
+    assert max(rows_of(live.problem, states).values()) <= 0.0
 
 
 def test_when_it_is_too_late_that_is_said_and_the_load_is_kept(cube):
@@ -129,7 +129,7 @@ def test_when_it_is_too_late_that_is_said_and_the_load_is_kept(cube):
     live.obstacles([])
     more = drive(live, 2.0, begins=0.4)
     assert live.state.passing == ""
-    assert max(rows_of(live.problem, executed(in_turn(states, more))).values()) <= 0.0
+    assert max(rows_of(live.problem, in_turn(states, more)).values()) <= 0.0
 
 
 def test_what_cannot_be_is_refused_in_a_sentence(cube):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import salver as sv
-from live_runs import drive, executed, in_turn, jolts, rows_of
+from live_runs import drive, in_turn, jolts, rows_of
 from salver.live import Live
 from salver.live.steer import TICK, ChunkWanted, TwistWanted
 
@@ -19,7 +19,7 @@ def cube():
 
 
 def check(live, states):
-    worst = rows_of(live.problem, executed(states))
+    worst = rows_of(live.problem, states)
     assert max(worst.values()) <= 0.0, worst
     assert jolts(states)[0] < 1e-5  # rad; see test_live
     assert not np.any(states[1][-1])

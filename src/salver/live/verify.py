@@ -18,7 +18,7 @@ from salver.live.motion import SAME, Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
 from salver.planning.fastest import Block, Constraint, TransportProblem, evaluate
-from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.constraints import Contact, TorqueRateLimit
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import NEAR
 from salver.planning.follow.clearance import sweep
@@ -32,6 +32,9 @@ FINER = 2  # times as many at which the joints' own motion is
 # Of the normal force at rest, that contact keeps at least: between the instants rows rise by up to 3e-4, and what a
 # wrong load does to the arm is known to 2e-4 (tests/test_live_verdict.py measures both); twice that.
 STEADY = 1e-3
+# Of its limit, that the rate of torque keeps at least: from one period to the next it is up to 1.5e-3 more than between
+# the instants (of 120 random streams of wishes, see tests/test_live.py); twice that.
+UNHURRIED = 3e-3
 FORGIVEN = 0.2  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
 BEGINNING = 0.02  # s
 AT_REST = 1e-7  # rad/s, rad/s^2: what is left of a motion's end
@@ -118,7 +121,8 @@ def few(parts: ArmGeometry, q: Array) -> Array:
 
 def kept(block: Block, constraint: Constraint | None) -> float:
     """The margin that a motion keeps from the edge of a constraint's rows."""
-    return max(block.margins[1], STEADY) if isinstance(constraint, Contact) else block.margins[1]
+    least = {Contact: STEADY, TorqueRateLimit: UNHURRIED}.get(type(constraint), 0.0)  # type: ignore[arg-type]
+    return max(block.margins[1], least)
 
 
 def _begun(block: Block, t: Array) -> Block:

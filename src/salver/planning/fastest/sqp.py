@@ -165,6 +165,8 @@ class Programme:
             return None
         duration, margin = path.duration, path.point.margin
         if self.objective.scalar is Scalar.DURATION:
+            if step[-1] <= -1.0:
+                return None
             duration *= float(np.sqrt(1 + step[-1]))
         elif self.objective.scalar is Scalar.MARGIN:
             margin += float(step[-1])
