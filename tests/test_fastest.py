@@ -13,7 +13,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
 from salver.planning.fastest.constraints import FINEST, Contact, evaluate, worst_of
-from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.curves import FreeCurve, Grid, united
 from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.exchange import programme_of
 from salver.planning.fastest.objectives import Distance, LeastMargin, Point
@@ -332,3 +332,14 @@ def test_goal_that_tilts_a_level_tray_is_refused():
     goal = {"position": [0.444272, 0.100574, 0.4], "rpy_deg": [5.0, 0.0, 0.0]}
     with pytest.raises(ScenarioError, match=r"motion.goal tilts the tray by 5 deg"):
         transport_problem(cube(motion__goal=goal, motion__orientation="fixed"))
+
+
+def test_nodes_that_differ_by_rounding_are_one():
+    """A grid of nodes sought on again has them all, a bit beside itself; two of them would be no time apart."""
+    nodes = np.sort(np.append(np.random.default_rng(0).uniform(size=200), [0.0, 1.0]))
+    again = np.interp(np.arange(len(nodes)) * 6 / 6, np.arange(len(nodes)), nodes * (1 + 2e-16))
+    more = np.append(again, 0.5 * (nodes[1:] + nodes[:-1]))
+    assert len(np.union1d(nodes, more)) > 403
+    found = united(nodes, more)
+    assert len(found) == 403
+    assert np.diff(found).min() > 1e-9

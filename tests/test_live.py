@@ -21,6 +21,7 @@ from salver.planning.fastest import fastest, joint_plan
 from salver.planning.fastest.constraints import Contact, evaluate
 from salver.planning.fastest.ends import AtPose, AtPosture
 from salver.planning.fastest.exchange import optimise
+from salver.planning.fastest.obstacles import AT_NODES
 from salver.planning.postures import PoseTarget
 from salver.trajectory import JointMotion
 
@@ -335,6 +336,16 @@ class TestWishes:
         live = Live(cube.with_changes(obstacles=[post]), lead=LEAD)
         live.goto(((0.45, 0.1, 0.45), np.eye(3)))
         assert "would be inside post" in live.plan(60.0).refused
+
+    def test_from_where_it_rests_near_to_something_it_goes_on(self, cube):
+        """A post is half a millimetre further away than it must: more than the arm strays, less than planners keep."""
+        post = {"type": "box", "name": "post", "position": [0.6934, -0.37, 0.5], "size": [0.1, 0.4, 1.0]}
+        live = Live(cube.with_changes(obstacles=[post]), lead=LEAD)
+        q, keep_out = live.problem.start.q[None], live.problem.keep_out
+        assert 4e-4 < keep_out.near(q).distances(q).min() < 6e-4 < AT_NODES
+        live.command(0.0)
+        live.goto((0.45, 0.1, 0.45))
+        assert live.plan(60.0).refused == ""
 
     def test_queued_goals_are_reached_one_after_the_other(self, cube):
         live = Live(cube, lead=LEAD)

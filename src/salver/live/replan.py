@@ -31,6 +31,7 @@ from salver.planning.fastest import (
     fastest,
 )
 from salver.planning.fastest.curves import FreeCurve, Grid, launch_basis
+from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.exchange import Checked, optimise
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.starts import braking_time
@@ -62,11 +63,15 @@ class Firm(Constraint):
 
 
 class Sought(TransportProblem):
-    """The problem that motions are sought under."""
+    """The problem that motions are sought under. The state that one begins in is given, at rest too: what it lacks of
+    a planner's margins is made up for on the way."""
 
     @cached_property
     def constraints(self) -> tuple[Constraint, ...]:
         return tuple(Firm(constraint) for constraint in super().constraints)
+
+    def at(self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True) -> Evaluation:
+        return replace(super().at(s, z, duration, nodes, imposed), moving=True)
 
     @classmethod
     def of(cls, problem: TransportProblem) -> Sought:

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.geometry import Array
 from salver.planning.fastest.ends import AtPosture
@@ -15,6 +16,13 @@ from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import DERIVATIVES, RestSpline, min_jerk_blend
 
 ORDERS = np.arange(float(DERIVATIVES))[:, None, None]  # of the rows of z
+SAME = 1e-9  # of a duration: points nearer than this are one
+
+
+def united(s: npt.ArrayLike, more: npt.ArrayLike) -> Array:
+    """Points s in [0, 1] and more of them in order; of those that differ by rounding alone, one."""
+    both = np.union1d(s, more)
+    return both[np.append(True, np.diff(both) > SAME)]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array
 from salver.planning.fastest.constraints import evaluate
-from salver.planning.fastest.curves import Curve, Grid
+from salver.planning.fastest.curves import Curve, Grid, united
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.objectives import Duration, Objective, Point, Scalar
 from salver.planning.fastest.problem import TransportProblem, with_missed_cases
@@ -107,7 +107,7 @@ def optimise(
     watch = watch or Watch()
     spline = start.spline
     nodes = spline.nodes(nodes_per_span + WAVES_PER_SPAN * bool(problem.liquids))
-    nodes = np.union1d(nodes, [] if also is None else also)
+    nodes = nodes if also is None else united(nodes, also)
     check = Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s, POINTS_CHECKED)
     fine = curve_of(problem, check)
 
@@ -135,9 +135,9 @@ def optimise(
         hopeless = excess > HOPELESS or solution.iterate.violation > HOPELESS_AT_NODES
         if excess <= 0.0 or hopeless or exchange == EXCHANGES or late:
             break
-        before, nodes = nodes, np.union1d(nodes, fine.grid.s[peaks])
+        before, nodes = nodes, united(nodes, fine.grid.s[peaks])
         if len(nodes) == len(before):  # what is broken is driven by what was between them: waves
-            nodes = np.union1d(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
+            nodes = united(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
         repair = REPAIR * 4.0**exchange
         options = Options(REPAIR_ITERATIONS, watch, gain=gain, least_damping=repair, mending=True)
         solution = solve(SplineMotion(spline, point.coefficients, point.duration), options, Trust(repair, REPAIR_DEPTH))
@@ -168,7 +168,7 @@ def rough(
         touched = _touched(curve_of(problem, Grid.of(start.spline, nodes, LOOKS)), solution.iterate)
         if solution.iterate.violation > HOPELESS_AT_NODES or not len(touched) or watch.over():
             break
-        nodes, damping, iterations = np.union1d(nodes, touched), REPAIR, min(iterations, REPAIR_ITERATIONS)
+        nodes, damping, iterations = united(nodes, touched), REPAIR, min(iterations, REPAIR_ITERATIONS)
         at = SplineMotion(start.spline, solution.iterate.coefficients, solution.iterate.duration)
     return replace(solution, iterations=done)
 

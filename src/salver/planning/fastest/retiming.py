@@ -22,7 +22,7 @@ from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest import joint_plan
 from salver.planning.fastest.constraints import evaluate, worst_of
-from salver.planning.fastest.curves import Grid, PathCurve
+from salver.planning.fastest.curves import Grid, PathCurve, united
 from salver.planning.fastest.exchange import CurveOf, optimise
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
@@ -125,7 +125,7 @@ class RetimedMotion:
 
     def joint_motion(self, count: int = 401) -> JointMotion:
         """Samples of the motion; denser than its own pieces, so that interpolation adds nothing visible."""
-        s = np.union1d(np.linspace(0, 1, count), self.law.breaks())
+        s = united(np.linspace(0, 1, count), self.law.breaks())
         powers = self.duration ** np.arange(3.0)
         u, u1, u2 = (self.law.matrices(s)[:3] @ self.coefficients) / powers[:, None, None]
         q, first, second = self.path.derivatives(u[:, 0], 2)

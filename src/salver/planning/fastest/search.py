@@ -18,7 +18,7 @@ from salver.errors import Status, UnreachableError
 from salver.geometry import Array
 from salver.planning.fastest.bound import least_by_friction, least_duration
 from salver.planning.fastest.constraints import LEVEL_TOLERANCE, Contact
-from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.curves import FreeCurve, Grid, united
 from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.exchange import ITERATIONS, ROUGH_ITERATIONS, SHORTEST, optimise, rough
 from salver.planning.fastest.objectives import Objective
@@ -120,7 +120,7 @@ class FastestMotion:
 
     def joint_motion(self) -> JointMotion:
         """The same motion as samples; exact between them too, as the breaks of the spline are among them."""
-        t = self.duration * np.union1d(np.linspace(0, 1, 401), self.spline.breaks())
+        t = self.duration * united(np.linspace(0, 1, 401), self.spline.breaks())
         q, dq, ddq, _ = self.sample(t)
         return JointMotion(t, q, dq, ddq)
 
