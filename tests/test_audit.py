@@ -54,6 +54,15 @@ def test_what_keeps_the_equations_solvable_does_not_bend_the_curve():
     assert np.abs(bend[:, 0] - (20 * at**3 - 1.8 * at)).max() < 1e-7  # by knots 3 ms apart: 1e-16 / 0.003^2 and more
 
 
+@pytest.mark.parametrize("count", [6, 7, 13, 100])
+def test_a_curve_has_no_more_unknowns_than_there_are_samples(count):
+    """However much is to be let through; a quintic alone has six."""
+    t = np.linspace(0, 1, count) ** 1.1
+    curve = fit(t, np.cos(3 * t)[:, None], np.full(count, 1e4))
+    assert len(curve.spline.c) <= count
+    assert np.abs(curve.spline(t)[:, 0] - np.cos(3 * t)).max() < 1e-3
+
+
 def test_a_curve_at_rest_has_no_velocity_and_no_acceleration_at_its_end():
     t = np.linspace(0, 2, 401)
     curve = fit(t, np.cos(3 * t)[:, None], np.full(401, 8.0), (True, False))

@@ -20,7 +20,7 @@ from salver.planning.fastest.objectives import Distance, LeastMargin, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Options, minimise
-from salver.planning.fastest.tradeoff import scaled, tradeoff
+from salver.planning.fastest.tradeoff import SCALES, scaled, tradeoff
 from salver.planning.make import make_plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
 from salver.scenario import load
@@ -279,6 +279,14 @@ def test_more_robustness_takes_longer():
     assert points[1].friction_needed <= 0.16
     assert points[1].margin > points[0].margin >= scenario.contact.margin
     assert not points[2].status.ok  # friction would reach below zero
+
+
+def test_the_curve_is_by_itself_from_what_is_known_exactly_to_twice_the_ranges_in_even_steps():
+    assert SCALES[0] == 0.0
+    assert 1.0 in SCALES
+    assert SCALES[-1] == 2.0
+    assert np.all(np.diff(SCALES) > 0)
+    assert np.diff(SCALES).max() <= 0.5
 
 
 # What a user can get wrong -------------------------------------------------------------------------------------

@@ -62,7 +62,12 @@ def test_no_way_is_found_without_looking_and_none_out_of_an_end_that_touches(beh
     inside = pair.start + np.linspace(0, 1, 200)[:, None] * (pair.goal - pair.start)
     touch = problem.keep_out.parts.first_touch(inside)
     assert touch is not None
-    assert way_around(problem, [pair.start], [inside[touch.index]], rng, 20_000) is None
+    blocked = inside[touch.index]
+    assert way_around(problem, [pair.start], [blocked], rng, 20_000) is None
+    assert way_around(problem, [blocked], [pair.goal], rng, 20_000) is None
+    way = way_around(problem, [blocked, pair.start], [pair.goal], rng, 20_000)
+    assert way is not None
+    assert np.array_equal(way[0], pair.start)
 
 
 def test_ends_that_touch_something_are_slid_free_where_the_arm_can():
@@ -323,6 +328,30 @@ def test_a_bend_leaves_the_ends_where_they_are_and_is_widest_half_way(behind_a_p
     assert np.abs(beside[[0, -1]]).max() < 1e-12
     assert np.array_equal(np.abs(beside).argmax(axis=0), np.full(7, len(start) // 2))
     assert 0.02 < np.abs(beside).max() < 2.0  # rad
+
+
+def test_every_step_of_every_part_of_a_search_is_counted(monkeypatch):
+    """Of the first optima with few pieces, of those a quarter turn away, and of what is made of them."""
+    counted = []
+
+    def counting(part):
+        def run(*arguments, **options):
+            found = part(*arguments, **options)
+            counted.append(found.iterations)
+            return found
+
+        return run
+
+    for part in ("rough", "_optimum"):
+        monkeypatch.setattr(search, part, counting(getattr(search, part)))
+    case = scenario.load("panda-cube").with_changes(objects__0__uncertainty={}, motion__goal_yaw="free")
+    found = fastest(transport_problem(case), FastestOptions(spans=8, pairs=1))
+    assert found.status.ok
+    assert len(counted) > 2
+    assert min(counted) > 0
+    assert found.iterations == sum(counted)
+    again = replace(found, wall_time=2.0, iterations=5).after(replace(found, wall_time=1.5, iterations=3))
+    assert (again.wall_time, again.iterations) == (3.5, 8)
 
 
 def test_a_search_that_nothing_stopped_goes_on_from_there_and_counts_all_its_steps(monkeypatch):

@@ -117,7 +117,6 @@ def test_redundancy_brings_speeds_down(cube):
     assert max(peak.share for peak in peaks(arm, motion)) < 1.03
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("duration", "order"), [(0.6, 0), (0.6, 1), (0.6, 2), (2.0, 0)])
 def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order):
     """The derivative by s, s', s'' of C q = s(t), where the tray's motion stays, against differences: of a motion near
@@ -322,8 +321,9 @@ def test_a_chosen_start_stays_above_the_base():
     assert min(heights) > arm.base_position[2]
 
 
-def test_plan_and_baseline_of_the_second_arm_keep_its_limits():
-    plans = plan_pair(scenario.load("ur10-bottle"))
+@pytest.mark.parametrize("name", ["ur10-bottle", "panda-cube"])
+def test_plan_and_baseline_keep_the_arms_limits_from_one_start_posture(name):
+    plans = plan_pair(scenario.load(name).with_changes(arm__start_posture=None))
     for plan in plans:
         assert plan.status.ok, plan.status
         assert plan.arm_status.ok, plan.arm_status

@@ -205,6 +205,7 @@ def invert_of(pose: tuple[Array, Array]) -> tuple[Array, Array]:
     [
         (_only("cube", lambda t: t < 0.2), "cube: it was not seen after t = 0.20 s of 1.89 s"),
         (_only("cube", lambda t: t < 1.5), "cube: it was not seen after t = 1.50 s"),
+        (_only("cube", lambda t: t < 1.86), "cube: it was not seen after t = 1.85 s of 1.89 s"),
         (_only("tray", lambda t: t < 1.0), "tray: it was not seen after t = 1.00 s"),
         (_only("cube", lambda t: np.abs(t - 0.8025) > 0.11), "cube: it was not seen from 0.69 to 0.92 s"),
         (_only("cube", lambda t: t > 0.1), "cube: it was not seen at rest before the motion (0 samples"),

@@ -100,6 +100,21 @@ def test_unsafe_baseline_is_reported_as_unsafe():
     assert "not safe" in baseline.status.sentence
 
 
+def test_poses_on_the_way_are_passed_in_their_order_or_not_at_all():
+    """A line passes its points at a quarter and at three quarters of it, not the other way round."""
+    motion, line = PAPER.motion, plan_baseline(PAPER)
+    start, goal = np.array(motion.start.position), np.array(motion.goal.position)
+
+    def judged(*shares):
+        poses = [{"position": (start + share * (goal - start)).tolist()} for share in shares]
+        return replace(line, scenario=PAPER.with_changes(motion__through=poses)).verification
+
+    assert judged(0.25, 0.75).passes < 1e-9
+    assert judged(0.25, 0.75).ok
+    assert judged(0.75, 0.25).passes == np.inf
+    assert not judged(0.75, 0.25).ok
+
+
 @pytest.mark.slow
 def test_arm_follows_the_plan(tmp_path):
     plan = make_plan(PAPER)

@@ -6,12 +6,13 @@ from scipy.optimize import minimize
 
 import nasty
 from salver.errors import ScenarioError
+from salver.geometry import GRAVITY_S
 from salver.planning import qp
 from salver.planning.make import plan_baseline, plan_object
 from salver.planning.object.conditions import conditions_for
 from salver.planning.object.cost import integration_weights, row_scale
 from salver.planning.object.problem import Problem
-from salver.planning.object.solvers import solve, solve_convex
+from salver.planning.object.solvers import _waiter, solve, solve_convex
 from salver.planning.object.subproblem import _dual_value
 from salver.planning.qp import Optimum, Quadratic
 from salver.scenario import load
@@ -212,6 +213,21 @@ def test_shortest_tilting_plans_are_found_from_the_waiters_tilt():
     plan = plan_object(changed(motion__orientation="free", motion__duration=0.6))
     assert plan.ok
     assert not plan_object(changed(motion__duration=0.6)).ok
+
+
+def test_a_search_with_a_tilting_tray_begins_with_what_a_waiter_does():
+    """On the straight line in 0.6 s a tray that stays level leans by up to 40 degrees from where the load would feel no
+    push along it. The start leans less, although its turning is as smooth at both ends as any plan's."""
+    turned = {"position": GOAL, "rpy_deg": [0, 0, 40]}
+    problem = Problem(changed(motion__orientation="free", motion__duration=0.6, motion__goal=turned), 61)
+    samples = problem.reference(_waiter(problem)).sample(problem.grid.t)
+    felt = samples.a_S - GRAVITY_S
+    felt /= np.linalg.norm(felt, axis=1, keepdims=True)
+    level, leaning = np.arccos(felt[:, 2]), np.arccos(np.einsum("ti,ti->t", felt, samples.R_SB[:, :, 2]))
+    assert level.max() > np.deg2rad(35)
+    assert np.linalg.norm(leaning) < 0.75 * np.linalg.norm(level)
+    speeding = slice(1, 15)
+    assert np.all(leaning[speeding] < level[speeding])
 
 
 def test_free_yaw_meets_the_vertical_only():

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import os
 import time
 from urllib.parse import urlsplit
 
@@ -127,6 +128,7 @@ def test_the_page_is_for_who_knows_its_address_on_this_machine_alone():
 @pytest.mark.slow
 def test_a_process_that_plans_may_die_and_another_one_goes_on():
     live = sv.Live("panda-cube", lead=0.2)
+    files = len(os.listdir("/dev/fd"))
     with Worker(live, process=True) as worker:
 
         def until(done):
@@ -144,6 +146,7 @@ def test_a_process_that_plans_may_die_and_another_one_goes_on():
         live.goto((0.5, -0.25, 0.45))
         until(lambda: not live.committed.at_rest)
     assert not worker.alive
+    assert len(os.listdir("/dev/fd")) == files  # nothing of either process is left open
 
 
 @pytest.mark.slow

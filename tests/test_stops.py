@@ -16,13 +16,16 @@ from salver.driver.preflight import _stops
 from salver.driver.stops import CoolStop
 from salver.errors import FileFormatError, SalverError, ScenarioError, Status
 from salver.models.arm import load_arm, with_load
-from salver.planning.fastest import AtPosture, transport_problem
+from salver.planning.fastest import Anywhere, AtPosture, transport_problem
 from salver.planning.fastest.constraints import evaluate, worst_of
-from salver.planning.fastest.curves import BrakingCurve, Grid
+from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid
 from salver.planning.fastest.retiming import SplinePath
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.stop_library import StopLibrary
-from salver.planning.stops import plan_stops, stop_from, stop_problem, stopped, with_stops
+from salver.planning.stops import SPLINE, _fitted, _going_on, plan_stops, stop_from, stop_problem, stopped, with_stops
+from salver.trajectory import JointMotion
+
+PAPER = sv.load_scenario("panda-cube")
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +33,41 @@ def bottle():
     """The fastest plan of the tall bottle, with a stop every 60 ms where one was found."""
     plan = sv.plan("panda-tall-bottle")
     return replace(plan, stops=plan_stops(transport_problem(plan.scenario), plan.joint, every=0.06))
+
+
+def swaying(duration):
+    """A motion of seven joints from rest to rest."""
+    t = np.linspace(0, duration, 201)
+    u, size = (t / duration)[:, None], np.linspace(-0.3, 0.5, 7)
+    rates = (u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u))
+    return JointMotion(t, *(x * size / duration**k for k, x in enumerate(rates)))
+
+
+def test_a_search_for_a_stop_may_begin_with_going_on_a_while():
+    """What is ahead begins where the plan is then: together they are the rest of the plan itself, from time 0."""
+    whole, now, begin = swaying(1.4), 0.33, 0.77
+    tail = whole.t[whole.t >= begin - 1e-9]
+    begin = float(tail[0])
+    ahead = JointMotion(tail, *whole.sample(tail))
+    guess = _going_on(whole, now, begin, ahead)
+    assert guess.t[0] == 0.0
+    assert guess.duration == pytest.approx(1.4 - now, abs=1e-12)
+    t = np.linspace(0, 1.4 - now, 57)
+    for found, true in zip(guess.sample(t), whole.sample(now + t), strict=True):
+        np.testing.assert_allclose(found, true, atol=1e-6)
+
+
+def test_a_search_for_a_stop_begins_with_the_very_motion_that_it_is_given():
+    """One that its splines can do from the state in which the arm is, to posture and acceleration."""
+    problem = transport_problem(PAPER)
+    rng = np.random.default_rng(3)
+    state = AtPosture(problem.start_posture, *rng.normal(size=(2, 7)))
+    problem = replace(problem, start=state, goal=Anywhere())
+    s, true = np.linspace(0, 1, 121), state.q + rng.normal(scale=0.1, size=(SPLINE.size, 7))
+    true[0] = state.q
+    z = FreeCurve(problem, Grid.of(SPLINE, s)).motion(true, 0.8)
+    assert z[1, 0] == pytest.approx(state.rates[0])
+    np.testing.assert_allclose(_fitted(problem, JointMotion(0.8 * s, *z[:3]), 0.8), true, atol=1e-8)
 
 
 @pytest.mark.slow

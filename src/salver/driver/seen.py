@@ -87,7 +87,7 @@ def _doubts(track: Track, shift: float, reference: Reference, t: Array) -> Itera
         yield f"it was not seen at rest before the motion ({resting.sum()} samples in the {REST:g} s before)"
     elif (stray := float(np.linalg.norm(p[resting] - p[resting].mean(axis=0), axis=1).max())) > allowed:
         yield f"at rest before the motion it strays by {1e3 * stray:.1f} mm ({1e3 * allowed:.2g} mm are allowed)"
-    if seen[-1] < end - GAP:
+    if seen[-1] < end:
         yield f"it was not seen after t = {seen[-1]:.2f} s of {end:.2f} s"
     steps = np.diff(seen)
     k = int(np.argmax(steps)) if len(steps) else 0

@@ -180,7 +180,7 @@ def _capsules(link: ElementTree.Element, root: ElementTree.Element) -> list[Link
 def _capsule_radius(volume: float, length: float) -> float:
     """Radius (m) of a capsule about a segment of a length (m) that holds a volume (m^3)."""
     roots = np.roots([4 / 3 * np.pi, np.pi * length, 0.0, -volume])
-    return float(roots[np.abs(roots.imag) < 1e-12].real.max())
+    return float(roots.real.max())  # one root is positive; the real parts of the others are not
 
 
 def _parent(joint: ElementTree.Element) -> str:

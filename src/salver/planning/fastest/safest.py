@@ -75,8 +75,7 @@ def plan_safest(
             f"edge{wet if problem.liquids else ''}; the shortest found takes {quickest.duration:.4f} s.{ended}"
         )
         status = Status(watch.ended or "optimal", sentence, True)
-    spent, steps = (sum(getattr(motion, key) for motion in (quickest, *found)) for key in ("wall_time", "iterations"))
-    best = replace(best, wall_time=spent, iterations=steps)
+    best = best.after(quickest, *(motion for motion in found if motion is not best))
     record = {**solver_record(best, robust), "margin": best.margin, "shortest": quickest.duration}
     return joint_plan(scenario, problem, best.joint_motion(), status, record, method="safest")
 

@@ -109,6 +109,12 @@ class FastestMotion:
     iterations: int
     margin: float = 0.0
 
+    def after(self, *before: FastestMotion) -> FastestMotion:
+        """The same motion, with the time and the iterations of the searches before it counted too."""
+        every = (self, *before)
+        spent, steps = sum(x.wall_time for x in every), sum(x.iterations for x in every)
+        return replace(self, wall_time=spent, iterations=steps)
+
     def sample(self, t: Array) -> tuple[Array, Array, Array, Array]:
         """q, dq, ddq, dddq (T, n) at times t, clamped to rest outside [0, duration]."""
         s = np.clip(np.asarray(t, dtype=float) / self.duration, 0.0, 1.0)
@@ -168,8 +174,7 @@ def plan_problem(
             found = replace(found, status=Status("unsafe", f"{found.duration:.4f} s is too fast: {spilt}.", False))
             break
         again = fastest(more, options, near=found, watch=watch)
-        wall, iterations = found.wall_time + again.wall_time, found.iterations + again.iterations
-        found = replace(again, wall_time=wall, iterations=iterations)
+        found = again.after(found)
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     plan = _planned(scenario, found, robust)
@@ -180,7 +185,7 @@ def plan_problem(
             replace(found.problem, extra=(*found.problem.extra, *exactly)), options, near=found, watch=watch
         )
         if again.status.ok and _missed(again) is None:
-            plan = _planned(scenario, again, robust)
+            plan = _planned(scenario, again.after(found), robust)
     if robust and plan.status.ok and not plan.verification.ok:
         said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
         plan = replace(plan, status=Status("unsafe", said, False))
