@@ -152,6 +152,26 @@ def test_a_robot_that_fails_is_left_and_the_log_says_why(rig: Rig, site: str, er
     assert not outcome.result.achieved
 
 
+@pytest.mark.slow
+def test_a_load_of_which_nothing_is_known_is_said_to_be_so_and_the_joints_log_stays(rig: Rig) -> None:
+    """All that there is on a real arm too: two hundred samples a second of what the joints said."""
+    outcome = one(rig, Fault("record", 0, 10**6, "record", error=lambda: MemoryError("no room")))
+    summary, arrays = outcome.result.summary, outcome.result.arrays
+    assert summary["load"] == "What became of the load was not measured (MemoryError: no room)."
+    assert not summary["stopped"]
+    assert "slip" not in arrays
+    np.testing.assert_allclose(np.diff(arrays["t"]), 1 / 200, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_an_arm_that_never_seems_to_rest_is_waited_for_a_second_after_its_stop(rig: Rig) -> None:
+    """Its speeds are told 0.03 rad/s too high from when it is asked to stop."""
+    higher = Fault("read", 500, 10**6, "", lambda answer: (ArmState(answer[0].q, answer[0].dq + 0.03), answer[1]))
+    outcome = one(rig, higher, Fault("read", 500, 1, "", signals=(signal.SIGINT,)))
+    assert outcome.result.summary["stopped"] == "Interrupted at t = 0.450 s."
+    assert 1.0 < 1e-3 * (len(outcome.robot.sent) - 500) < 2.0
+
+
 def test_what_the_robot_says_of_itself_is_quoted(rig: Rig) -> None:
     fault = Fault("read", 500, 1, "", error=lambda: RuntimeError("libfranka: joint_velocity_violation"))
     stopped = one(rig, fault, franka=True).result.summary["stopped"]
