@@ -150,6 +150,20 @@ def test_every_command_is_shown():
         assert f"<!-- help: {name} -->" in pages or name in ("demo", "scenarios"), name
 
 
+@pytest.mark.parametrize("page", PAGES, ids=[str(p.relative_to(ROOT)) for p in PAGES])
+def test_a_page_reads_the_same_in_a_file_as_on_the_site(page):
+    """Every place for what a command writes is filled and ended, and no stub is left that only the site would fill."""
+    text = page.read_text(encoding="utf-8")
+    assert not re.search(r"^:::", text, re.M)
+    places = re.findall(r"<!-- ([\w -]+): ([^>]*?) -->(.*?)(?=<!-- |\Z)(<!-- end -->)?", text, re.S)
+    for kind, name, content, end in places:
+        assert kind in ("help", "keys", "api", "example", "written", "not run"), f"{kind}: {name}"
+        if kind != "not run":
+            assert content.strip(), f"{kind}: {name} is empty"
+            assert end, f"{kind}: {name} does not end"
+    assert text.count("<!-- end -->") == len([kind for kind, *_ in places if kind != "not run"])
+
+
 @pytest.mark.slow
 def test_what_pages_take_from_the_program_is_what_it_says_now():
     done = subprocess.run(

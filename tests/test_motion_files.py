@@ -258,3 +258,110 @@ def test_retime_reads_a_motion_file_and_writes_one(tmp_path, form):
     assert again.t[-1] == pytest.approx(plan.duration, abs=1e-9)
     assert plan.duration < 2.0
     assert np.allclose(again.q[[0, -1]], joint_swing(30).q[[0, -1]], atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def plan_in_every_form(tmp_path_factory):
+    """(plan, folder, form -> file) of a plan of 1.5 s, as `salver export` writes it at 70 samples a second."""
+    folder = tmp_path_factory.mktemp("matrix")
+    plan = sv.plan(sv.load_scenario("panda-cube").with_changes(motion__duration=1.5), method="baseline")
+    plan.save(folder / "run")
+    files = {}
+    for form in ("csv", "json", "yaml", "moveit", "ros2"):
+        files[form] = folder / f"plan-{form}{(ENDINGS[form] or ('',))[0]}"
+        typed("export", folder / "run", "--format", form, "-o", files[form], "--rate", 70)
+    typed("export", files["csv"], "--format", "moveit", "-o", folder / "again.yaml")  # and MoveIt's message as JSON
+    files["message"] = folder / "message.json"
+    write(Motion.of(read(folder / "again.yaml")), files["message"], "message")
+    return plan, folder, files
+
+
+def typed(*words):
+    """What a command prints, which must end with 0."""
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", FORMS)
+def test_every_command_takes_and_writes_a_plan_in_every_form(plan_in_every_form, tmp_path, form):
+    """audit, simulate, export, retime, report: a real plan's file in, files out that say the same motion."""
+    plan, _, files = plan_in_every_form
+    path, at, slow = files[form], ("-s", "panda-cube"), ("--highest", 20)  # Hz, which 70 samples a second show
+    t = np.round(np.arange(106) / 70 * 1e9) * 1e-9  # whole nanoseconds
+    planned = plan.joint.sample(t)[0]
+    typed("audit", path, *at, *slow)  # exit 0: holds in the worst case
+    for other in ("csv", "json", "yaml", "moveit", "ros2") if form == "csv" else ("csv",):  # any to any by way of it
+        target = tmp_path / f"to-{other}{(ENDINGS[other] or ('',))[0]}"
+        typed("export", path, "--format", other, "-o", target)
+        again = read(target, lambda: JOINTS, as_path=True)
+        assert again.names == JOINTS
+        assert np.allclose(again.t, t, rtol=0, atol=1e-12)
+        assert np.allclose(again.q, planned, rtol=0, atol=1e-12)
+        assert again.dq is not None
+        assert again.ddq is not None
+    ran = tmp_path / f"ran{path.suffix}"
+    assert json.loads(typed("simulate", path, *at, "--write", ran, "--json"))["outcome"] == "holds"
+    record = read(ran)
+    ends = plan.reference.sample(np.array([0.0, plan.duration])).p_SB
+    assert np.allclose(np.ptp(record.p, axis=0), np.abs(ends[1] - ends[0]), atol=1e-3)
+    slower = json.loads(
+        typed("retime", path, *at, *slow, "--pace", 1.2, "--write", tmp_path / f"slow{path.suffix}", "--json")
+    )
+    target = tmp_path / f"slow{path.suffix}"
+    assert read(target, lambda: JOINTS).form == form
+    assert read(target, lambda: JOINTS).t[-1] == pytest.approx(1.2 * 1.5, abs=1e-9)
+    assert slower["ok"]
+    typed("retime", path, *at, "-o", tmp_path / "run", "--write", tmp_path / f"fast{path.suffix}")
+    fast = read(tmp_path / f"fast{path.suffix}", lambda: JOINTS, as_path=True)
+    assert fast.t[-1] < 1.5
+    assert np.allclose(fast.q[[0, -1]], planned[[0, -1]], atol=1e-6)
+    typed("report", path, *at, *slow, "-o", tmp_path / "page.html")
+    assert (tmp_path / "page.html").stat().st_size > 50_000
+
+
+def test_a_log_of_a_run_becomes_a_table_of_the_arms_joints(tmp_path):
+    """Its joints are only numbered; the scenario's arm names them. Another file of the same name is kept."""
+    t = np.arange(20) * 0.01
+    q = np.sin(t)[:, None] * np.arange(1, 8)
+    np.savez(tmp_path / "log.npz", t=t, q=q)
+    typed("export", tmp_path / "log.npz", "--format", "csv", "-s", "panda-cube", "-o", tmp_path / "a.csv")
+    again = read(tmp_path / "a.csv", lambda: JOINTS)
+    assert again.names == JOINTS
+    assert np.array_equal(again.q, q)
+    assert (tmp_path / "a.csv").read_text().startswith("t,q_panda_joint1,")
+
+
+def test_what_a_run_did_is_a_recording_without_velocities(tmp_path):
+    """The tray of the record moves as the file says, to the last digit; nobody takes it for a command."""
+    (path,) = write(Motion.of(swing()), tmp_path / "a.csv")
+    typed("simulate", path, "-s", "panda-cube", "--write", tmp_path / "ran.csv")
+    ran = read(tmp_path / "ran.csv")
+    assert ran.frame == "E"
+    assert ran.t[0] == 0
+    assert np.ptp(ran.p[:, 1]) == pytest.approx(0.3, abs=1e-6)
+    record = sv.simulate(path, "panda-cube")
+    assert np.array_equal(record.motion().p_SE, record.p_SE)
+    assert record.motion().dq is None
+    assert record.motion().ns[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["export", "a.csv", "--format", "mujoco"], 'A motion file cannot be written as "mujoco"; known are csv, json'),
+        (["export", "a.csv", "--format", "csv"], "a.csv would be written over itself; name another file with -o"),
+        (["export", "a.csv", "--format", "json", "--rate", "10"], "a motion file keeps its own instants"),
+        (["export", ".", "--format", "json", "--topic", "a"], "--scenario and --topic are for motion files"),
+        (["simulate", "a.csv", "-s", "panda-cube", "--write", "a.xlsx"], "a.xlsx is no name for a motion"),
+        (["simulate", ".", "--stem", "both", "--write", "b.csv"], "--write is for one run; name its plan with --stem"),
+    ],
+)
+def test_wrong_use_of_motion_files_is_one_sentence(tmp_path, monkeypatch, words, sentence):
+    monkeypatch.chdir(tmp_path)
+    write(Motion.of(swing(rate=20.0)), tmp_path / "a.csv")
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 2
+    assert sentence in " ".join(done.output.split())
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv"]

@@ -7,11 +7,13 @@ from typing import Annotated
 
 import typer
 
+from salver.cli.audit import Topic
 from salver.cli.common import Json, print_json, say
+from salver.errors import SalverError
 
 
 def export(
-    directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it.")],
+    directory: Annotated[Path, typer.Argument(help="A run directory, as `salver plan` makes it; or a motion file.")],
     file_format: Annotated[str, typer.Option("--format", help="csv, json, ros2, yaml, moveit, mujoco or urscript.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
@@ -20,18 +22,37 @@ def export(
         str, typer.Option(help="Which motion: plan, baseline or nominal; or a leg: leg1, leg2 ...")
     ] = "plan",
     rate: Annotated[float | None, typer.Option(help="Samples per second; the plan's own instants by default.")] = None,
+    scenario: Annotated[
+        str | None,
+        typer.Option("-s", "--scenario", help="Whose arm names the joints of a motion file that only numbers them."),
+    ] = None,
+    topic: Topic = None,
     json: Json = False,
 ) -> None:
     """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML
     (moveit: a RobotTrajectory), MuJoCo scene, URScript program.
 
-    Numbers keep all their digits; times are whole nanoseconds.
+    Numbers keep all their digits; times are whole nanoseconds. Or write a motion file (CSV, JSON, YAML, ROS bag, log of
+    a run) in another of these formats: its joints, where it tells them, and in a table the tray's poses.
 
     Example: `salver export runs/panda-cube --format ros2 -o cube_bag`
     """
-    from salver.export import write_export
+    from salver.export import convert, write_export
+    from salver.motion_files import is_motion_file
 
-    paths = write_export(directory, file_format, output, stem, rate)
+    if is_motion_file(directory):
+        from salver import scenario as scenarios
+
+        if rate is not None or stem != "plan":
+            raise SalverError("--rate and --stem are for run directories; a motion file keeps its own instants.")
+        chosen = None if scenario is None else scenarios.load(scenario)
+        paths, notes = convert(directory, file_format, output, chosen, topic)
+        for note in notes:
+            say(f"salver: {note}")
+    else:
+        if scenario is not None or topic is not None:
+            raise SalverError(f"--scenario and --topic are for motion files; {directory} is none.")
+        paths = write_export(directory, file_format, output, stem, rate)
     if json:
         print_json({"files": [str(path) for path in paths]})
     else:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from salver.planning.plan import Plan
+    from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
 
 
@@ -43,6 +44,13 @@ def simulate(
     ] = None,
     scenario: OnTray = None,
     topic: Topic = None,
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write what arm, tray and first object did to this motion file, as its ending says (.csv, .json, "
+            ".yaml; none: ROS bag)."
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Run a plan once in the physics engine: arm, tray, loose objects, contact.
@@ -56,12 +64,13 @@ def simulate(
     has left it. They are written as leg1, leg2 and so on.
 
     For a motion file (CSV, JSON, YAML, ROS bag) the tray is moved exactly along the motion, as `salver audit` reads it;
-    the arm is left out, and nothing is written.
+    the arm is left out, and nothing is written but what --write asks for.
 
     Example: `salver simulate runs/panda-cube --stem both --set mass=0.306`
 
     Ends with 0 when the run was made, whatever became of the object.
     """
+    from salver.motion_files import form_of
     from salver.planning.plan import load_plan
     from salver.planning.round import has_legs
     from salver.run_directory import STEMS, leg_number
@@ -81,15 +90,21 @@ def simulate(
             stopping = campaign.seed
             if stop_at is not None:
                 raise ScenarioError("--run of a campaign of stops has its own instant; leave out --stop-at.")
+    if write is not None:
+        form_of(write)  # told before anything is computed
     if scenario is not None:
         if run is not None or stop_at is not None or stem != "plan":
             raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
-        _motion(directory, scenario, parameters, topic, json)
+        _motion(directory, scenario, parameters, topic, write, json)
         return
+    if write is not None and stem == "both":
+        raise ScenarioError("--write is for one run; name its plan with --stem.")
     if has_legs(directory):
         if stem == "plan":
             if stop_at is not None:
                 raise ScenarioError("--stop-at is a time on one leg: name that too, as --stem leg1.")
+            if write is not None:
+                raise ScenarioError("--write is for one leg: name it, as --stem leg1.")
             _legs(directory, parameters, seed, json)
             return
         if run is not None:
@@ -104,6 +119,8 @@ def simulate(
         record = run_physics(plan, parameters=parameters, seed=seed, stop_at=stop_at)
         record.save(directory, name, "" if stop_at is None else "-stop")
         results[name] = record
+        if write is not None:
+            _write(record, plan.scenario, write)
     if json:
         print_json({name: {"parameters": record.parameters, **record.summary} for name, record in results.items()})
     else:
@@ -130,7 +147,19 @@ def _legs(directory: Path, parameters: dict[str, float], seed: int, json: bool) 
     say(f"Written to {directory / 'simulation'}.")
 
 
-def _motion(path: Path, scenario: str, parameters: dict[str, float], topic: str | None, json: bool) -> None:
+def _write(record: SimulationRecord, scenario: Scenario, path: Path) -> None:
+    """What happened, as a motion file."""
+    from salver.models.arm import load_arm
+    from salver.motion_files import write
+
+    arm = None if scenario.arm is None or not record.q.shape[1] else load_arm(scenario.arm, scenario.tray)
+    for file in write(record.motion(arm.joint_names if arm else ()), path):
+        say(f"Wrote {file}")
+
+
+def _motion(
+    path: Path, scenario: str, parameters: dict[str, float], topic: str | None, write: Path | None, json: bool
+) -> None:
     """A motion file in the engine."""
     from salver import scenario as scenarios
     from salver.auditing import read_for
@@ -138,6 +167,8 @@ def _motion(path: Path, scenario: str, parameters: dict[str, float], topic: str 
 
     chosen = scenarios.load(scenario)
     record = simulate_given(read_for(chosen, path, topic), chosen, parameters)
+    if write is not None:
+        _write(record, chosen, write)
     if json:
         print_json({"parameters": record.parameters, **record.summary})
     else:

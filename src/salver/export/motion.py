@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,11 @@ import numpy as np
 from salver.errors import SalverError
 from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
-from salver.motion_files import Motion
+from salver.motion_files import JointSamples, Motion, TraySamples, read
+from salver.motion_files.samples import reordered
 from salver.planning.plan import COMMAND_LEAD, Plan, plan_of
 from salver.planning.plan_files import read_plan
+from salver.scenario import Scenario
 
 MOST_SAMPLES = 1e6
 
@@ -64,6 +67,30 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
             "scenario": json.loads(plan.scenario.model_dump_json(exclude_none=True)),
         },
     )
+
+
+def motion_of_file(
+    path: Path, scenario: Scenario | None = None, topic: str | None = None
+) -> tuple[Motion, tuple[str, ...]]:
+    """What a motion file tells of joints (with velocities and accelerations) and, in the same table, of the tray; and
+    what was mended on reading. scenario: whose arm names the joints. Raises FileFormatError."""
+    names: tuple[str, ...] = ()
+    if scenario is not None and scenario.arm is not None:
+        from salver.models.arm import load_arm
+
+        names = load_arm(scenario.arm, scenario.tray).joint_names
+    found = read(path, lambda: names, topic, as_path=True)
+    motion, notes = Motion.of(found), found.notes
+    if not isinstance(found, JointSamples):
+        return motion, notes
+    if names:
+        motion = Motion.of(reordered(found, names))
+        motion = replace(motion, joint_names=names)  # of joints that were only numbered
+    if found.form in ("csv", "json"):
+        tray = read(path, lambda: found.names)
+        if isinstance(tray, TraySamples) and tray.frame == "E":
+            motion = replace(motion, p_SE=tray.p, quat_SE_wxyz=tray.quat_wxyz)
+    return motion, notes
 
 
 def _instants(t: Array, duration: float, rate: float | None) -> Array:

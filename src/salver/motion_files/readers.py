@@ -91,6 +91,11 @@ def read(
     )
 
 
+def is_motion_file(path: Path) -> bool:
+    """Whether it is a file or a bag, and so no run directory."""
+    return _exists(path) and (path.is_file() or (path / "metadata.yaml").is_file())
+
+
 def _of_arrays(path: Path) -> JointSamples:
     found = load_npz(path, ("t", "q"))
     t, q = found["t"], found["q"]
@@ -207,13 +212,20 @@ def _pose_columns(header: list[str]) -> dict[str, dict[str, int]]:
 
 
 def _joint_columns(header: list[str], joint_names: tuple[str, ...]) -> dict[str, int]:
-    """Columns of joint positions by name: the arm's names, else numbers."""
+    """Columns of joint positions by name: the arm's names, else numbers, else what calls itself a joint's position."""
     position = {re.sub(r"^(?:position[._]|q_)|[._]pos(?:ition)?$", "", name): j for j, name in enumerate(header)}
     named = {name: position[name] for name in joint_names if name in position}
     if named:
         return named
     numbered = [(int(m[1]), name, j) for j, name in enumerate(header) if (m := _NUMBERED.fullmatch(name.lower()))]
-    return {name: j for _, name, j in sorted(numbered)}
+    if numbered or joint_names:
+        return {name: j for _, name, j in sorted(numbered)}
+    poses = (_POSITION, _QUATERNION)
+    return {
+        name: j
+        for name, j in position.items()
+        if name != header[j] and not any(pattern.fullmatch(header[j].lower()) for pattern in poses)
+    }
 
 
 _RATES = {1: ("dq_{}", "velocity.{}", "{}_velocity", "{}_vel"), 2: ("ddq_{}", "acceleration.{}", "{}_acceleration")}
