@@ -46,12 +46,15 @@ $(DOCS): $(READY) requirements-docs.lock
 demo: $(RUNS)
 	$(BIN)/salver demo -o $(OUT)
 
-# One worker for each core, so one thread of linear algebra for each worker.
+# One worker for each core, so one thread of linear algebra for each worker; compiled once, for all the processes that
+# tests start.
+PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
+
 test: $(READY)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
+	$(PYTEST)
 
 quick: $(READY)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
+	$(PYTEST) -m "not slow"
 
 mutate: $(READY)
 	$(BIN)/python tools/mutate.py -n $(or $(N),300) --seed $(or $(SEED),0) $(addprefix --module ,$(MODULE)) $(addprefix --tests ,$(TESTS))

@@ -16,17 +16,17 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import os
 import re
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from pydantic_core import PydanticUndefined
+from typer.testing import CliRunner
 
 from salver import scenario
+from salver.cli import app
 from salver.scenario.fields import Model
 from salver.validation import in_words
 
@@ -43,10 +43,10 @@ def written(markdown: str) -> str:
 
 def help_of(command: str) -> str:
     """What `salver COMMAND --help` prints, 92 characters wide."""
-    environment = {**os.environ, "COLUMNS": "92", "NO_COLOR": "1", "TERM": "dumb"}
-    salver = [sys.executable, "-c", "from salver.cli import main; main()", command, "--help"]
-    done = subprocess.run(salver, capture_output=True, text=True, env=environment, check=True)
-    lines = [line.rstrip() for line in done.stdout.replace("Usage: -c ", "Usage: salver ").strip("\n").splitlines()]
+    looks = {"COLUMNS": "92", "NO_COLOR": "1", "TERM": "dumb"}
+    done = CliRunner().invoke(app, [command, "--help"], env=looks, prog_name="salver", catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    lines = [line.rstrip() for line in done.stdout.strip("\n").splitlines()]
     return "```text\n" + "\n".join(line.removeprefix(" ") for line in lines).strip("\n") + "\n```"
 
 
