@@ -37,12 +37,12 @@ class Loop:
     def command(self, t):
         before = self.live.now
         out = self._command(t)
-        running, now = self.live._running, self.live.now
+        (path, since), now = self.live.path, self.live.now
         self.rows.append(np.stack(out))
         self.t.append(now)
-        for knot in running.since + running.path.t:
+        for knot in since + path.t:
             if before < knot < now:
-                self.knots.append((knot, *(x[0] for x in running.path.sample(knot - running.since))))
+                self.knots.append((knot, *(x[0] for x in path.sample(knot - since))))
         return out
 
     @property
