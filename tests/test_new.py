@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from salver import scenario
 from salver.cli import app
+from salver.planning.make import make_plan
 
 RUNNER = CliRunner()
 ANSWERS = {
@@ -35,6 +36,23 @@ def test_answers_become_a_scenario_that_plans(tmp_path):
     assert (item.shape.size, item.mass, item.friction) == ((0.06, 0.06, 0.1), 0.4, 0.5)
     assert (item.uncertainty.mass.relative, item.uncertainty.friction.relative) == (0.2, 0.1)
     assert (made.motion.start.position, made.motion.goal.position) == ((0.5, -0.25, 0.4), (0.5, 0.25, 0.4))
+
+
+@pytest.mark.slow
+def test_what_cannot_be_carried_comes_with_what_helps(tmp_path):
+    """So near to a UR5 its forearm touches the tray; each of the three things that are said does help."""
+    file = tmp_path / "near.toml"
+    words = options(load="cylinder 0.03 0.24", friction="0.4 10%", arm="ur5", path="0.4 -0.25 0.3 to 0.4 0.25 0.3")
+    done = RUNNER.invoke(app, ["new", str(file), *words])
+    assert done.exit_code == 3, done.output
+    assert "start and goal higher or further from the arm's base, or a smaller tray" in done.stderr
+    near = scenario.load(file)
+    for changes in (
+        {"motion__start__position": [0.4, -0.25, 0.5], "motion__goal__position": [0.4, 0.25, 0.5]},
+        {"motion__start__position": [0.6, -0.25, 0.3], "motion__goal__position": [0.6, 0.25, 0.3]},
+        {"tray__size": [0.15, 0.15]},
+    ):
+        assert make_plan(near.with_changes(**changes), "fastest").ok
 
 
 @pytest.mark.slow

@@ -71,7 +71,12 @@ def new(
         result_console().print(plan.status.sentence, markup=False)
         if plan.arm_status is not None:
             result_console().print(plan.arm_status.sentence, markup=False)
-        say(f"Next: salver plan {file} -o runs/{file.stem}, then salver simulate and salver report of that directory.")
+        say(
+            f"Next: salver plan {file} -o runs/{file.stem}, then salver simulate and salver report of that directory."
+            if plan.ok
+            else f"What often helps: start and goal higher or further from the arm's base, or a smaller tray ([tray] "
+            f"size), in {file}; then salver plan {file}."
+        )
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)
 
