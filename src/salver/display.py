@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from html import escape
+from typing import Any
+
+SHORT = 40  # characters that a value of an outline may take
 
 
 class Shown:
@@ -26,3 +30,23 @@ class Shown:
             for label, value in self.facts().items()
         )
         return f"<table><caption>{escape(type(self).__name__)}</caption>{rows}</table>"
+
+
+class Outlined:
+    """A dataclass (repr=False) of arrays, which shows their shapes and not their numbers."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        own: Any = self
+        known = ((item.name, getattr(self, item.name)) for item in fields(own))
+        told = ", ".join(f"{name} {_outline(value)}" for name, value in known if value is not None)
+        return f"<{type(self).__name__} {told}>"
+
+
+def _outline(value: Any) -> str:
+    if hasattr(value, "shape"):
+        return "×".join(map(str, value.shape)) or "number"
+    if isinstance(value, tuple | list | dict) and len(repr(value)) > SHORT:
+        return f"{len(value)} of them"
+    return text if len(text := repr(value)) <= SHORT else type(value).__name__

@@ -33,7 +33,7 @@ class UnreachableError(SalverError):
     """The arm cannot take the posture or follow the motion that was asked for."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Status:
     """How a computation ended.
 
@@ -47,6 +47,9 @@ class Status:
     sentence: str
     ok: bool
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<Status {self.code}, ok {'yes' if self.ok else 'no'}: {self.sentence}>"
 
     def __str__(self) -> str:
         return self.sentence

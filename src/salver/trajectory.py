@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
+from salver.display import Outlined
 from salver.geometry import Array, cross, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
 
 
@@ -337,8 +338,8 @@ def _quintic_bernstein(first: Array, last: Array, h: Array) -> Array:
     )
 
 
-@dataclass(frozen=True)
-class JointMotion:
+@dataclass(frozen=True, repr=False)
+class JointMotion(Outlined):
     """A joint motion through samples t (T,), q, dq, ddq (T, n); piecewise quintic between them."""
 
     t: Array

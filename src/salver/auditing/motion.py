@@ -10,6 +10,7 @@ import numpy as np
 from salver.auditing.commanded import commanded_motion, open_questions
 from salver.auditing.noise import Cells, Level, resolution
 from salver.auditing.recorded import LEVER, Sensor, sensor_of, stretches, without_spikes
+from salver.display import Outlined
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import Array, hat, quat_wxyz_from_matrix
 from salver.motion_files.samples import JointSamples, Samples, TraySamples, reordered
@@ -44,8 +45,8 @@ class Recording:
     mirrored: tuple[Cells, ...]
 
 
-@dataclass(frozen=True)
-class TrayMotion:
+@dataclass(frozen=True, repr=False)
+class TrayMotion(Outlined):
     """The tray's motion E in S as it will be audited.
 
     acceleration_error: (T,) m/s^2, or one number: by which the acceleration may be wrong through noise. missed: the

@@ -7,6 +7,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from salver.display import Outlined
 from salver.geometry import Array
 from salver.models.contact import ContactSet
 from salver.models.contact_rows import MOST_GENERATORS, ContactRows, Labels, RowsOf, cone_rows, network_rows
@@ -19,8 +20,8 @@ from salver.scenario import Scenario
 EDGES = 8  # of the friction pyramids, at least: at most 8 % short of the round cone
 
 
-@dataclass(frozen=True)
-class MarginModel:
+@dataclass(frozen=True, repr=False)
+class MarginModel(Outlined):
     """Everything of a scenario that does not depend on the motion; made once by `margin_model`.
 
     payload: with `edges` to its friction pyramids; own_edges: as the scenario has them.

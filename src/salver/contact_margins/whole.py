@@ -12,6 +12,7 @@ from salver.contact_margins.interface import InterfaceMargins
 from salver.contact_margins.model import margin_model
 from salver.contact_margins.motion import tray_motion
 from salver.contact_margins.values import RowValues
+from salver.display import Shown
 from salver.errors import Status
 from salver.geometry import Array
 from salver.models.interfaces import regions_lost
@@ -35,9 +36,19 @@ def margins(
     return Margins(margin_model(scenario, edges), samples.t, w, tracking, Liquids.along(scenario.payload, samples.t, w))
 
 
-@dataclass(frozen=True)
-class Margins(RowValues):
+@dataclass(frozen=True, repr=False)
+class Margins(Shown, RowValues):
     """Margins of everything on the tray along one motion; computed when asked for."""
+
+    def facts(self) -> dict[str, str]:
+        """What a notebook shows of them."""
+        worst, nominal = self.verdict(worst=True), self.verdict()
+        return {
+            "worst case": worst.sentence,
+            "nominal": nominal.sentence,
+            "duration": f"{float(self.t[-1] - self.t[0]):.4g} s",
+            "interfaces": ", ".join(item.name for item in self.interfaces),
+        }
 
     @cached_property
     def interfaces(self) -> tuple[InterfaceMargins, ...]:

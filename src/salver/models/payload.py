@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from salver.display import Outlined
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.bodies import Body, check_standing
@@ -19,8 +20,8 @@ from salver.models.interfaces import ContactNetwork, networks, regions_lost
 from salver.models.parameters import NOTHING, Parameter, UncertainSet, inertial_vector, parse
 
 
-@dataclass(frozen=True, eq=False)
-class Payload:
+@dataclass(frozen=True, eq=False, repr=False)
+class Payload(Outlined):
     """Bodies in the scenario's order; the first is the one whose motion is planned.
 
     uncertain: about all of them and the tray's tilt. tray_half: (2,) half size of the tray, m.

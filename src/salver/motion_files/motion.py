@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from salver.display import Outlined
 from salver.geometry import Array
 from salver.motion_files.samples import JointSamples, Samples
 
 
-@dataclass(frozen=True)
-class Motion:
+@dataclass(frozen=True, repr=False)
+class Motion(Outlined):
     """A motion at T instants; time in whole nanoseconds, so that t is exact in every format.
 
     ns (T,): int64, nanoseconds from the start. joint_names: n names, empty without joints; q, dq, ddq, tau (T, n).

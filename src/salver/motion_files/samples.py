@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from salver.display import Outlined
 from salver.errors import FileFormatError
 from salver.geometry import Array
 
@@ -13,8 +14,8 @@ FEWEST = 8  # samples of a recording: below that no acceleration can be told fro
 SHORTEST_STEP = 1e-5  # s
 
 
-@dataclass(frozen=True)
-class TraySamples:
+@dataclass(frozen=True, repr=False)
+class TraySamples(Outlined):
     """Poses of the tray frame E (or of the object frame B) in S.
 
     t (N,) s from the first sample; p (N, 3) m; quat_wxyz (N, 4), continuous in sign. frame: "E" or "B".
@@ -34,8 +35,8 @@ class TraySamples:
         return replace(self, t=self.t * factor)
 
 
-@dataclass(frozen=True)
-class JointSamples:
+@dataclass(frozen=True, repr=False)
+class JointSamples(Outlined):
     """Joint positions q (N, n) at t (N,), with velocities and accelerations where the file has them.
 
     names: (n,) of the joints, in the order of the columns. commanded: whether a controller is told to run through

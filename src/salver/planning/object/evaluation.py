@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from salver.display import Outlined
 from salver.geometry import Array, invert
 from salver.models.tray_motion import frame_map
 from salver.planning.object.conditions import apart, conditions_for, motion_vector
@@ -22,8 +23,8 @@ from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(Outlined):
     """A motion at T uniform instants and what it asks of the contact, time axis first.
 
     samples: the motion of B. wrench_B (T, 6): nominal. cone_coefficients (T, n_lambda): Lambda of eq (19), and

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from salver.control.object import Gains
+from salver.display import Outlined
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm, with_load
@@ -103,8 +104,8 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class ArmChain:
+@dataclass(frozen=True, eq=False, repr=False)
+class ArmChain(Outlined):
     """The chain along a motion at T instants, and what n_c terms change (last axis), per unit of each.
 
     The first n_p terms are the uncertain parameters, so `[..., :n_p]` are the derivatives; the others are products of
