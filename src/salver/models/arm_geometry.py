@@ -79,15 +79,15 @@ class ArmGeometry:
                         return Touch(self.names[i], self.names[j], k)
         return None
 
-    def clearance(self, q: Array, within: float = np.inf) -> Array:
+    def clearance(self, q: Array, within: float | Array = np.inf) -> Array:
         """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap.
 
-        within: distances larger than this (m) need not be exact, only no larger than the true ones: a pair that is
-        far away is not looked at again before the joints have turned far enough to bring it near; from a neighbour, or
+        within: distances larger than this (m), of all or of each pair, need not be exact, only no larger than the true
+        ones: a pair that is far away is not looked at again before the joints have turned far enough to bring it near; from a neighbour, or
         from the posture in its place when as many were asked for last.
         """
         low = np.full((len(q), len(self.pairs)), -np.inf)
-        if not np.isfinite(within):
+        if not np.isfinite(within).all():
             self._measure(q, low, np.arange(len(q)), within)
             return low
         levers = self.levers(q).T
@@ -105,7 +105,7 @@ class ArmGeometry:
             del self._last[next(iter(self._last))]
         return low
 
-    def _measure(self, q: Array, low: Array, nodes: npt.NDArray[np.intp], within: float) -> None:
+    def _measure(self, q: Array, low: Array, nodes: npt.NDArray[np.intp], within: float | Array) -> None:
         """Put exact distances where those in `low` (N, pairs) are below `within`, at some of the postures (N, n)."""
         arm, data, place = self.arm.pin_model, self.arm.data, (self.model, self.data)
         results = list(self.data.distanceResults)  # views of what each call fills; making them takes longer than it
@@ -195,7 +195,11 @@ class ArmGeometry:
 
     def near(self, q: Array, distance: float) -> ArmGeometry:
         """The same parts with only those pairs that come within a distance (m) at one of the postures (N, n)."""
-        return self.only(np.flatnonzero(self.clearance(q, distance).min(axis=0) < distance))
+        low = self.clearance(q, distance)
+        pairs = np.flatnonzero(low.min(axis=0) < distance)
+        found = self.only(pairs)
+        found._last[len(q)] = q.copy(), low[:, pairs]
+        return found
 
     def only(self, pairs: Iterable[int]) -> ArmGeometry:
         """The same parts with some of the pairs, by their indices."""

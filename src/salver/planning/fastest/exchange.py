@@ -5,14 +5,14 @@ The exchange method for semi-infinite programmes (Hettich and Kortanek, SIAM Rev
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.planning.fastest.constraints import evaluate
+from salver.planning.fastest.constraints import Constraint, evaluate
 from salver.planning.fastest.curves import Curve, Grid, united
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.objectives import Duration, Objective, Point, Scalar
@@ -75,14 +75,16 @@ def programme_of(
     nodes: Array,
     objective: Objective = SHORTEST,
     points: int = POINTS,
+    watched: Sequence[Constraint] | None = None,
 ) -> Programme:
     """The programme at nodes (N,) in [0, 1], watching, for a shorter time, only what comes near along the start.
 
     curve_of: makes the curve of a problem and grid. points: from node to node, where the joints' limits are imposed.
+    watched: the constraints, when it is known what comes near.
     """
     curve = curve_of(problem, Grid.of(start.spline, nodes, points))
-    constraints = problem.constraints
-    if objective.scalar is Scalar.DURATION:  # others may lead far from where they begin
+    constraints = problem.constraints if watched is None else watched
+    if watched is None and objective.scalar is Scalar.DURATION:  # others may lead far from where they begin
         postures = curve.motion(start.coefficients, start.duration)[0, curve.grid.nodes]
         constraints = tuple(constraint.near(postures) for constraint in constraints)
     return Programme(curve, constraints, objective)
@@ -111,11 +113,9 @@ def optimise(
     check = Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s, POINTS_CHECKED)
     fine = curve_of(problem, check)
 
-    def solve(at: SplineMotion, options: Options, trust: Trust) -> Solution:
-        programme = programme_of(problem, curve_of, at, nodes, objective)
-        return minimise(programme, programme.begin(at.coefficients, at.duration), options, trust)
-
-    solution = solve(start, Options(iterations, watch, gain=gain), Trust(damping))
+    programme = programme_of(problem, curve_of, start, nodes, objective)
+    begun = programme.begin(start.coefficients, start.duration)
+    solution = minimise(programme, begun, Options(iterations, watch, gain=gain), Trust(damping))
     done = solution.iterations
     for exchange in range(EXCHANGES + 1):
         point = solution.iterate.point
@@ -140,7 +140,13 @@ def optimise(
             nodes = united(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
         repair = REPAIR * 4.0**exchange
         options = Options(REPAIR_ITERATIONS, watch, gain=gain, least_damping=repair, mending=True)
-        solution = solve(SplineMotion(spline, point.coefficients, point.duration), options, Trust(repair, REPAIR_DEPTH))
+        # A repair leads nowhere else: unless something that was not watched came too near, the same is watched.
+        same = all(value <= 0.0 or name in binding for name, value in worst.items())
+        watched = programme.constraints if same else None
+        start = SplineMotion(spline, point.coefficients, point.duration)
+        programme = programme_of(problem, curve_of, start, nodes, objective, watched=watched)
+        begun = programme.begin(start.coefficients, start.duration)
+        solution = minimise(programme, begun, options, Trust(repair, REPAIR_DEPTH))
         done += solution.iterations
     status = _status(solution, worst, objective.sought, point.duration)
     return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done)

@@ -239,19 +239,19 @@ class Programme:
 
     @cached_property
     def metric(self) -> Array:
-        """(3, size m, size m): squares of the change in posture, and for T = 1 in acceleration and jerk."""
-        basis, m = self.curve.grid.basis[[0, 2, 3]], self.curve.width
-        grams = np.swapaxes(basis, 1, 2) @ basis / basis.shape[1]
-        return np.stack([np.kron(gram, np.eye(m)) for gram in grams])
+        """(3, size, size): squares of the change in posture, and for T = 1 in acceleration and jerk, of each curve."""
+        basis = self.curve.grid.basis[[0, 2, 3]]
+        return np.asarray(np.swapaxes(basis, 1, 2) @ basis / basis.shape[1])
 
     def subproblem(self, path: Iterate, trust: Trust) -> Subproblem:
         """The quadratic programme of an iteration, without its rows."""
-        count = path.coefficients.size
+        (size, m), count = path.coefficients.shape, path.coefficients.size
         model = self.objective.model(self.curve, path.point)
         weights = trust.damping * np.array([1.0, ACCELERATION_WEIGHT, JERK_WEIGHT])
         weights /= path.duration ** np.array([0.0, 4.0, 6.0])
         hessian = np.zeros((count + 2, count + 2))
-        hessian[:count, :count] = np.tensordot(weights, self.metric, axes=1)
+        of_all = hessian[:count, :count].reshape(size, m, size, m)  # a view; the curves do not mix
+        of_all[:, range(m), :, range(m)] = np.tensordot(weights, self.metric, axes=1)
         if model.curvature is not None:
             hessian[:count, :count] += model.curvature
         hessian[range(count + 2), range(count + 2)] += np.r_[np.full(count, RIDGE), SCALAR_RIDGE, SCALAR_RIDGE]
@@ -287,12 +287,15 @@ class Subproblem:
         """The step (coefficients, scalar), the slack that is left, and the sum of the rows' multipliers: what a unit
         of violation is worth. None when the solver gives up."""
         free, count = self.free, len(rows.bound)
+        known = free[free < self.extra.shape[1]]  # of the coefficients, which come first, and without a gap
+        inner = slice(known[0], known[-1] + 1)
         matrix = np.zeros((count + len(self.extra), len(free)))
-        matrix[:count, :-1], matrix[:count, -1] = rows.matrix[:, free[:-1]], -1.0
-        known = free[free < self.extra.shape[1]]  # of the coefficients, which come first
-        matrix[count:, : len(known)] = self.extra[:, known]
+        matrix[:count, : len(known)] = rows.matrix[:, inner]
+        matrix[:count, len(known) : -1] = rows.matrix[:, free[len(known) : -1]]
+        matrix[:count, -1] = -1.0
+        matrix[count:, : len(known)] = self.extra[:, inner]
         equal = np.zeros((len(self.target), len(free)))
-        equal[:, : len(known)] = self.equal[:, known]
+        equal[:, : len(known)] = self.equal[:, inner]
         programme = qp.Quadratic(
             self.hessian[np.ix_(free, free)],
             self.cost[free],
