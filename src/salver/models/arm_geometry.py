@@ -83,8 +83,8 @@ class ArmGeometry:
         """(N, pairs) distance of each pair at postures (N, n), m; negative where they overlap.
 
         within: distances larger than this (m), of all or of each pair, need not be exact, only no larger than the true
-        ones: a pair that is far away is not looked at again before the joints have turned far enough to bring it near; from a neighbour, or
-        from the posture in its place when as many were asked for last.
+        ones: a pair that is far away is not looked at again before the joints have turned far enough to bring it near;
+        from a neighbour, or from the posture in its place when as many were asked for last.
         """
         low = np.full((len(q), len(self.pairs)), -np.inf)
         if not np.isfinite(within).all():

@@ -24,6 +24,7 @@ from salver.geometry import Array
 FEW = 64  # unknowns up to which the active-set method is the faster one
 MOST_CHANGES = 2000  # of the active set; a programme of a few hundred rows takes some hundred
 MOST_ITERATIONS = 100  # of the interior-point method; it takes some twenty
+DENSE = 0.25  # share of the rows' entries beyond which a band is no help
 CLOSE = 1e-4  # what interior-point answers that ran out of iterations may still break rows by, relative to their size
 
 
@@ -105,7 +106,7 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
     """By PIQP."""
     p, n = programme, len(programme.cost)
     form: Callable[[Array], Any]
-    if n > FEW:
+    if n > FEW and np.count_nonzero(p.rows) < DENSE * p.rows.size:
         solver, form = piqp.SparseSolver(), _sparse
         solver.settings.kkt_solver = piqp.sparse_multistage
     else:

@@ -131,13 +131,13 @@ class Sloshed:
         for name, sloshes in sloshing.items():
             j = index.get(name)
             each = (added for part in sloshes for added in _added(part, rows, j))
-            most = next(each)
-            worst = np.zeros(most.shape, dtype=np.intp)
+            most, worst = next(each), np.zeros(1, dtype=np.intp)
             for k, added in enumerate(each, start=1):
-                more = added > most
-                most[more], worst[more] = added[more], k
+                if j is not None:
+                    worst = np.where(added > most, k, worst)
+                most = np.maximum(most, added)
             total = total + most
-            chosen.append(worst)
+            chosen.append(np.broadcast_to(worst, most.shape))
             liquids.append((j, sloshes))
         return cls(rows, liquids, total, chosen)
 
@@ -167,16 +167,18 @@ def of_parts(sloshes: Sequence[Slosh], which: Indices) -> Iterator[tuple[Slosh, 
 
 
 def _added(part: Slosh, rows: ContactRows, j: int | None) -> Iterator[Array]:
-    """(T, n) of each case; j: which body of the network the liquid is in, None for one that stands elsewhere."""
+    """(T, n) of each case, (1, 1) for nothing; j: which body of the network the liquid is in, None for one that stands
+    elsewhere."""
     for k, wrench in enumerate(part.wrench):
-        added = np.zeros((len(wrench), len(rows.nominal)))
+        added = np.zeros((1, 1))
         if part.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
-            added += part.reaction[k] @ rows.nominal.T
+            added = part.reaction[k] @ rows.nominal.T
         if j is not None:
-            added += wrench @ rows.wrench[j].T
+            added = added + wrench @ rows.wrench[j].T
             if part.change is not None:
                 spread = np.ascontiguousarray(np.moveaxis(part.change.wrench[k], 2, 1))  # (T, n_c, 6)
-                added += np.abs(spread @ rows.wrench[j].T).sum(axis=1)
+                swung = spread @ rows.wrench[j].T
+                added += np.abs(swung, out=swung).sum(axis=1)
         yield added
 
 
