@@ -23,8 +23,9 @@ import numpy as np
 
 from salver.models.tray_motion import at_rest
 from salver.planning.fastest import plan_fastest
+from salver.planning.fastest.planned import joint_plan
 from salver.planning.fastest.problem import transport_problem
-from salver.planning.fastest.search import fastest, joint_plan
+from salver.planning.fastest.search import fastest
 from salver.planning.make import plan_baseline
 from salver.planning.plan import Plan
 from salver.sampling import draw

@@ -18,8 +18,8 @@ from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.programme import Programme
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
-from salver.planning.fastest.sqp import Programme
 from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms

@@ -22,8 +22,8 @@ from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.exchange import SHORTEST
 from salver.planning.fastest.legs import _status, chains
 from salver.planning.fastest.passing import Passing
+from salver.planning.fastest.programme import Programme
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
-from salver.planning.fastest.sqp import Programme
 from salver.planning.fastest.together import LegsCurve, LegsProgramme
 from salver.planning.fastest.watch import Watch
 from salver.planning.plan import load_plan

@@ -20,10 +20,10 @@ from salver.models.tray_motion import at_rest
 from salver.models.wrench_cone import facets
 from salver.planning.fastest.constraints import Brim
 from salver.planning.fastest.evaluation import of_cases, sloshes
+from salver.planning.fastest.found import EFFORTS, object_motion
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
-from salver.planning.fastest.search import EFFORTS, object_motion
 from salver.planning.object.problem import Problem
 from salver.sensitivity.sloshing import Liquids, Slosh, Spill
 from salver.sensitivity.wave_gradients import Unknowns, wrench_by

@@ -33,7 +33,7 @@ from salver.planning.fastest import (
 )
 from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.curves import Curve, FreeCurve, Grid
-from salver.planning.fastest.search import solver_record
+from salver.planning.fastest.planned import solver_record
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.starts import ends
 from salver.planning.plan import Plan

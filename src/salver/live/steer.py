@@ -22,8 +22,8 @@ from salver.planning import qp
 from salver.planning.fastest import AtPosture, Block, Evaluation, TransportProblem, evaluate
 from salver.planning.fastest.curves import Grid
 from salver.planning.fastest.evaluation import Indices
+from salver.planning.fastest.programme import Mask
 from salver.planning.fastest.spline import RestSpline
-from salver.planning.fastest.sqp import Mask
 from salver.trajectory import JointMotion
 
 TICK = 0.02  # s; hand-overs are at its multiples, and so are the bends' knots

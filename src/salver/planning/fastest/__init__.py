@@ -6,18 +6,11 @@ Constraints, objectives and ends of one's own: docs/extending.md.
 from salver.planning.fastest.constraints import Block, Constraint, evaluate, padded, worst_of
 from salver.planning.fastest.ends import Anywhere, AtPose, AtPosture, End
 from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.found import EFFORTS, FastestMotion, FastestOptions, object_motion
 from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Model, Objective, Point
+from salver.planning.fastest.planned import joint_plan, plan_fastest
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.search import (
-    EFFORTS,
-    FastestMotion,
-    FastestOptions,
-    fastest,
-    joint_plan,
-    nearby,
-    object_motion,
-    plan_fastest,
-)
+from salver.planning.fastest.search import fastest, nearby
 
 __all__ = [
     "EFFORTS",

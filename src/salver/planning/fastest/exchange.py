@@ -17,8 +17,9 @@ from salver.planning.fastest.curves import Curve, Grid, united
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.objectives import Duration, Objective, Point, Scalar
 from salver.planning.fastest.problem import TransportProblem, with_missed_cases
+from salver.planning.fastest.programme import Iterate, Programme
 from salver.planning.fastest.spline import SplineMotion
-from salver.planning.fastest.sqp import Iterate, Options, Programme, Solution, minimise
+from salver.planning.fastest.sqp import Options, Solution, minimise
 from salver.planning.fastest.starts import TOUCHES
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch

@@ -20,8 +20,9 @@ from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.exchange import ROUGH_GAIN, ROUGH_ITERATIONS, SHORTEST
 from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.programme import Iterate, Programme
 from salver.planning.fastest.spline import DERIVATIVES, RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.fastest.sqp import Iterate, Options, Programme, minimise
+from salver.planning.fastest.sqp import Options, minimise
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
 

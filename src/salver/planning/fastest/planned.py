@@ -1,0 +1,157 @@
+"""The plan of a scenario: the fastest motion that is found, checked, and told with what hinders a shorter one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.errors import Status, UnreachableError
+from salver.planning.fastest.bound import least_by_friction, least_duration
+from salver.planning.fastest.constraints import LEVEL_TOLERANCE, Contact
+from salver.planning.fastest.found import FastestMotion, FastestOptions, object_motion
+from salver.planning.fastest.problem import TransportProblem, transport_problem, with_missed_cases
+from salver.planning.fastest.search import fastest
+from salver.planning.fastest.spline import SplineMotion
+from salver.planning.fastest.watch import Watch
+from salver.scenario import Scenario
+from salver.sensitivity.arm.terms import motion_terms
+from salver.trajectory import JointMotion, SampledReference
+from salver.wording import listed
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
+
+MISSED = 4  # times that cases of a liquid are added which a motion does not keep
+CHECKED = 401  # instants at which that is looked at
+
+
+def plan_fastest(
+    scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None, watch: Watch | None = None
+) -> Plan:
+    """The fastest plan of a scenario with an arm. Its contact condition is the exact one, whatever the scenario's.
+
+    robust: safe for the whole uncertain set (with the arm's tracking), or for nominal parameters only. watch: may end
+    the search early, with the best so far.
+    Raises ScenarioError when the scenario has no arm; a plan that could not be found has a status that says so.
+    """
+    return plan_problem(transport_problem(scenario, robust=robust), robust=robust, options=options, watch=watch)
+
+
+def plan_problem(
+    problem: TransportProblem,
+    *,
+    robust: bool = True,
+    options: FastestOptions | None = None,
+    watch: Watch | None = None,
+    near: SplineMotion | None = None,
+) -> Plan:
+    """The plan of a problem, as `plan_fastest` makes it. near: a motion of a similar problem, tried first."""
+    scenario = problem.scenario
+    found = fastest(problem, options, near, watch)
+    for rounds in range(MISSED + 1):
+        more = _missed(found) if found.status.ok else None
+        if more is None:
+            break
+        if rounds == MISSED:
+            spilt = "at some fill or damping in its range a liquid spills when the arm gives way to its load"
+            found = replace(found, status=Status("unsafe", f"{found.duration:.4f} s is too fast: {spilt}.", False))
+            break
+        again = fastest(more, options, near=found, watch=watch)
+        found = again.after(found)
+    if not np.isfinite(found.duration):
+        raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
+    plan = _planned(scenario, found, robust)
+    if robust and plan.status.ok and plan.verification.violation > 0:
+        # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
+        exactly = tuple(Contact(rows, scenario.contact.margin, exactly=True) for rows in found.problem.contacts)
+        again = fastest(
+            replace(found.problem, extra=(*found.problem.extra, *exactly)), options, near=found, watch=watch
+        )
+        if again.status.ok and _missed(again) is None:
+            plan = _planned(scenario, again.after(found), robust)
+    if robust and plan.status.ok and not plan.verification.ok:
+        said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
+        plan = replace(plan, status=Status("unsafe", said, False))
+    return plan
+
+
+def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
+    """The plan of a motion that was found, with what hinders a shorter one."""
+    problem, ends = found.problem, (found.coefficients[0], found.coefficients[-1])
+    by_joints = least_duration(problem.limits, *ends)
+    tilt = max(problem.max_tilt, np.sqrt(2) * LEVEL_TOLERANCE)  # about each of two axes
+    by_friction = 0.0 if problem.moving else least_by_friction(problem.arm, problem.payload, tilt, *ends)
+    bound, status = max(by_joints, by_friction), found.status
+    if status.ok:
+        what = "friction alone takes" if by_friction > by_joints else "the joints' limits alone take"
+        status = replace(status, sentence=f"{status.sentence} {_held_by(found, bound, what)}")
+    record = {**solver_record(found, robust), "bound": bound}
+    return joint_plan(scenario, found.problem, found.joint_motion(), status, record)
+
+
+def _held_by(found: FastestMotion, bound: float, what: str) -> str:
+    """What hinders a shorter time, and a time that nothing can beat, by `what`."""
+    held = f"What hinders a shorter one: {listed(found.binding)}. " if found.binding else ""
+    above = 100 * (found.duration / bound - 1)
+    return (
+        f"{held}Between its two end postures {what} {bound:.4f} s: it is at most {above:.1f} % "
+        "above the shortest between these."
+    )
+
+
+def solver_record(found: FastestMotion, robust: bool) -> dict[str, Any]:
+    """What a plan keeps of how it was found."""
+    return {
+        "name": "sequential quadratic programming (PIQP)",
+        "robust": robust,
+        "seconds": found.wall_time,
+        "iterations": found.iterations,
+        "spans": found.spline.spans,
+        "worst": found.worst,
+        "binding": found.binding,
+        **tracking_record(found),
+    }
+
+
+def _missed(found: FastestMotion) -> TransportProblem | None:
+    """The problem with the liquids' cases that the motion does not keep although it keeps those that were asked for."""
+    if not found.problem.liquids:
+        return None
+    s = np.linspace(0.0, 1.0, CHECKED)
+    z = np.stack(found.sample(s * found.duration))
+    return with_missed_cases(found.problem, found.problem.at(s, z, found.duration, imposed=False))
+
+
+def joint_plan(
+    scenario: Scenario,
+    problem: TransportProblem,
+    joint: JointMotion,
+    status: Status,
+    record: Mapping[str, Any],
+    method: str = "fastest",
+) -> Plan:
+    """A motion of the joints as a plan under the exact contact condition, judged by the arm's own verdict."""
+    from salver.planning.follow.limits import torques, verdict
+    from salver.planning.plan import Plan
+
+    exact = scenario.with_changes(contact__condition="exact")
+    reference = SampledReference(object_motion(problem, joint.t, joint.q, joint.dq, joint.ddq))
+    parts = None if problem.keep_out is None else problem.keep_out.parts
+    plan = Plan(exact, method, reference, status, joint, verdict(problem.arm, joint, problem.items, parts))
+    tau = torques(problem.arm, JointMotion(plan.t, *joint.sample(plan.t)), problem.items)
+    return replace(plan, tau=tau, solver=record)
+
+
+def tracking_record(found: FastestMotion) -> dict[str, float]:
+    """Peak of what the arm may stray under the uncertain load: the tray's position (m) and orientation (rad)."""
+    problem = found.problem
+    if problem.tracking is None:
+        return {}
+    t = np.linspace(0, 1, 201) * found.duration
+    q, *rates = found.sample(t)
+    terms = motion_terms(problem.model, problem.arm.tray_id, q, rates[0], rates[1])
+    position, turn = problem.tracking.along(t, terms, np.stack(rates)).tray_radius()
+    return {"tray_position_radius": float(position.max()), "tray_orientation_radius": float(turn.max())}
