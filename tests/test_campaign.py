@@ -63,6 +63,7 @@ def test_all_plans_run_on_the_same_samples_within_the_set(finished):
     assert np.all(np.abs(mass - 0.256) <= 0.0256)
 
 
+@pytest.mark.slow
 def test_parameters_of_a_run_are_those_in_the_table_and_follow_from_its_number(finished):
     """Uniform over the box, from numpy's generator seeded with (seed, run) alone: `salver.sampling`."""
     directory = finished.folder.parent

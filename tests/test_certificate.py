@@ -51,6 +51,7 @@ def test_a_plan_that_nobody_touched_is_read(run: Path) -> None:
     assert read_run(run).plan.arrays.keys() == load_npz(run / "plan.npz").keys()
 
 
+@pytest.mark.slow
 def test_the_last_bit_of_any_array_is_seen_and_the_array_named(run: Path) -> None:
     names = list(load_npz(run / "plan.npz"))
     assert {"joint_t", "joint_q", "joint_dq", "joint_ddq", "position_coefficients"} <= set(names)

@@ -186,6 +186,7 @@ def test_the_comparison_of_outputs_notices_differences():
             assert_output(output, "mass 0.256 kg in ... ms")
 
 
+@pytest.mark.slow
 def test_the_table_of_equations_names_things_that_exist():
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     names = re.findall(r"`(salver\.[\w.]+)`", text)

@@ -83,6 +83,7 @@ def test_ends_that_touch_something_are_slid_free_where_the_arm_can():
             assert np.abs(end.residual(problem.arm, q)[0]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_in_no_two_pairs_of_ends_the_arm_stands_and_moves_alike():
     """An arm with a spherical shoulder and wrist: each posture has three twins with the same elbow. The elbow and the
     wrist, or the time that the joints need, tell the pairs apart."""

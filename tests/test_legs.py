@@ -235,6 +235,7 @@ def test_a_task_is_as_good_as_its_worst_leg(planned):
     assert _status((first, second), Watch()).ok
 
 
+@pytest.mark.slow
 def test_what_slid_begins_the_next_leg_where_it_was_left(planned):
     """On ice the second cup slides on the first leg; the tray's motion of the second one begins with it there."""
     run = sv.simulate_legs(planned, parameters={"second.friction": 0.2})

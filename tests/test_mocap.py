@@ -100,6 +100,7 @@ def test_motion_capture_of_a_faithful_cube_shows_no_error(plan: Plan, tmp_path: 
     assert merged["slip"].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_motion_capture_sees_a_slide_and_finds_the_time(plan: Plan, tmp_path: Path) -> None:
     _capture(plan, tmp_path / "vicon.csv", slides=0.012)
     merged = _merged(plan, tmp_path / "vicon.csv", tray_name="tray")

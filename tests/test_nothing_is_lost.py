@@ -73,6 +73,7 @@ def test_another_plan_takes_its_results_along(run, plans):
     assert (run / "earlier" / "2" / "plan.npz").read_bytes() == after["plan.npz"]
 
 
+@pytest.mark.slow
 def test_the_same_plan_again_moves_nothing(run, plans):
     before = contents(run)
     plans["plan"].save(run)
@@ -214,6 +215,7 @@ def test_a_plan_is_not_replaced_under_a_running_campaign(run, plans):
     assert (run / "campaign" / "campaign.json").is_file()
 
 
+@pytest.mark.slow
 def test_every_simulation_is_kept(run, plans):
     first = (run / "simulation" / "plan.npz").read_bytes()
     for mass in (0.26, 0.27):

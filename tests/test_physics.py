@@ -85,6 +85,7 @@ def test_creep_law_holds_at_another_timestep():
     np.testing.assert_allclose(record.slip_E[:, 0, :2], record.creep_E[:, 0, :2], atol=5e-7)
 
 
+@pytest.mark.slow
 def test_tracking_errors_are_small_and_told_of_the_right_frames(baseline, nominal):
     assert nominal.tray_e_p.max() < 5e-5
     assert nominal.e_p.max() < 2e-4
@@ -114,6 +115,7 @@ def test_measured_cone_coefficients_are_the_plans(baseline, nominal):
     assert body.mass * G == pytest.approx(nominal.contact_force_E[-1, 0, 2], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_heavier_object_weighs_more_and_sags(baseline):
     """+50 g: at rest each of the 16 coefficients grows by 0.306 / 0.256; the arm gives way to the unknown weight."""
     record = simulate(baseline, parameters={"mass": 0.306})

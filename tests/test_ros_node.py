@@ -38,6 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_the_goal_is_the_message_of_the_bag_without_efforts(carry: ModuleType, folder: Path) -> None:
     """To the last byte, in the message types of ROS 2 Jazzy."""
     from rosbags.highlevel import AnyReader

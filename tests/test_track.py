@@ -76,6 +76,7 @@ def logged(plan: Plan, t: Array, q: Array, noise: float = 0.0, seed: int = 0, ev
     return joint_samples(t[::every] + 7.0, names, q[::every], None, None, "a log")
 
 
+@pytest.mark.slow
 def test_a_lag_is_found_under_noise_with_its_derivatives(plan: Plan) -> None:
     """Accelerations to 1.5 rad/s^2 where 20 urad of white noise, differenced twice at 1 kHz, are some 50."""
     t, q, dq, ddq = lagging(plan, UNEQUAL, 0.7)
@@ -89,6 +90,7 @@ def test_a_lag_is_found_under_noise_with_its_derivatives(plan: Plan) -> None:
     assert done.noise * np.sqrt(done.each) == pytest.approx(2e-5, rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_all_joints_are_late_together_costs_nothing(plan: Plan, judge: Judge) -> None:
     assert plan.joint is not None
     t = np.arange(-0.2, plan.duration + 0.6, 1e-3)
@@ -114,6 +116,7 @@ def test_excess_is_that_of_the_true_states(plan: Plan, noise: float) -> None:
     assert not found.ok
 
 
+@pytest.mark.slow
 def test_the_joint_that_lags_is_named(plan: Plan, judge: Judge) -> None:
     """Of seven joints one is 6 ms late: against all together it is later by most of that."""
     assert plan.joint is not None
