@@ -331,6 +331,31 @@ def test_a_bend_leaves_the_ends_where_they_are_and_is_widest_half_way(behind_a_p
     assert 0.02 < np.abs(beside).max() < 2.0  # rad
 
 
+def test_an_end_is_turned_by_a_quarter_where_the_last_joint_has_room_for_it(monkeypatch):
+    """Both ways in the middle of its range, one way near an end of it; none where that alone takes longer than what was
+    found. The start stays."""
+    problem, options = transport_problem(scenario.load("panda-cube")), FastestOptions()
+    one = search._Search(problem, options, Watch(), [], np.random.default_rng(0))
+    monkeypatch.setattr(search._Search, "_rough_from", lambda self, problem, start, damping: start)
+    few, low, high = few_pieces(options), problem.limits.q_min[-1], problem.limits.q_max[-1]
+
+    def turned(end, duration=3.0):
+        coefficients = np.zeros((few.size, 7))
+        coefficients[-1, -1] = end
+        found = SimpleNamespace(iterate=SimpleNamespace(coefficients=coefficients, duration=duration, violation=0.0))
+        motions = list(one._turned(problem, found))
+        assert all(motion.duration == duration for motion in motions)
+        assert all(np.array_equal(motion.coefficients[:, :-1], coefficients[:, :-1]) for motion in motions)
+        assert all(motion.coefficients[0, -1] == 0.0 for motion in motions)
+        return [motion.coefficients[-1, -1] - end for motion in motions]
+
+    for end in (0.1, low + 1.6, high - 1.6):
+        assert turned(end) == pytest.approx([0.5 * np.pi, -0.5 * np.pi])
+    assert turned(high - 1.5) == pytest.approx([-0.5 * np.pi])
+    assert turned(low + 1.5) == pytest.approx([0.5 * np.pi])
+    assert turned(0.0, duration=0.3) == []  # 1.57 rad at 2.6 rad/s
+
+
 def test_every_step_of_every_part_of_a_search_is_counted(monkeypatch):
     """Of the first optima with few pieces, of those a quarter turn away, and of what is made of them."""
     counted = []

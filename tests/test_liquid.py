@@ -365,7 +365,7 @@ def test_a_given_path_is_run_so_slowly_that_nothing_spills(coffee):
 @pytest.mark.slow
 def test_the_safest_motion_of_a_coffee_keeps_as_much_of_its_room_as_of_its_weight(coffee):
     """At every fill and damping that a verdict looks at, in the given time."""
-    plan = plan_safest(coffee.with_changes(motion__duration=1.0), options=EFFORTS["quick"])
+    plan = plan_safest(coffee.with_changes(motion__duration=1.0), options=replace(EFFORTS["quick"], spans=8))
     assert plan.status.ok, plan.status.sentence
     kept = plan.solver["margin"]
     assert kept > 0.1
