@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -363,7 +364,7 @@ def test_every_step_of_every_part_of_a_search_is_counted(monkeypatch):
     def counting(part):
         def run(*arguments, **options):
             found = part(*arguments, **options)
-            counted.append(found.iterations)
+            counted.append(found)
             return found
 
         return run
@@ -371,13 +372,27 @@ def test_every_step_of_every_part_of_a_search_is_counted(monkeypatch):
     for part in ("rough", "_optimum"):
         monkeypatch.setattr(search, part, counting(getattr(search, part)))
     case = scenario.load("panda-cube").with_changes(objects__0__uncertainty={}, motion__goal_yaw="free")
+    begun = time.perf_counter()
     found = fastest(transport_problem(case), FastestOptions(spans=8, pairs=1))
+    took = time.perf_counter() - begun
     assert found.status.ok
     assert len(counted) > 2
-    assert min(counted) > 0
-    assert found.iterations == sum(counted)
+    assert min(part.iterations for part in counted) > 0
+    assert found.iterations == sum(part.iterations for part in counted)
+    assert min(part.wall_time for part in counted) > 0
+    assert sum(part.wall_time for part in counted) <= found.wall_time <= took
     again = replace(found, wall_time=2.0, iterations=5).after(replace(found, wall_time=1.5, iterations=3))
     assert (again.wall_time, again.iterations) == (3.5, 8)
+
+
+@pytest.mark.parametrize("place", [[0.444272, 0.100574, 0.4], [3.0, 0.0, 0.4]], ids=["reached", "unreachable"])
+def test_the_time_that_a_search_took_is_told(place):
+    problem = transport_problem(scenario.load("panda-cube").with_changes(motion__goal__position=place))
+    begun = time.perf_counter()
+    found = fastest(problem, FastestOptions(spans=8, pairs=1))
+    took = time.perf_counter() - begun
+    assert found.status.ok == (place[0] < 1)
+    assert 0 < found.wall_time <= took
 
 
 def test_a_search_that_nothing_stopped_goes_on_from_there_and_counts_all_its_steps(monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -93,8 +94,10 @@ def test_fastest_turn_of_one_joint_by_hand(problem: TransportProblem, kind: str)
     alone = replace(problem, limits=limits(**tight), contacts=(), tracking=None)
     q = np.tile(POSTURE, (9, 1))
     q[:, 0] += np.linspace(0.0, TURN, 9)
+    begun = time.perf_counter()
     found = retime(alone, SplinePath.through(q))
     assert found.status.ok, found.status
+    assert 0 < found.wall_time <= time.perf_counter() - begun
     # Twenty quintic pieces come within a twentieth of the bang-bang law, and no law is faster.
     assert least * (1 - 1e-3) < found.duration < 1.05 * least
     if kind in ("velocity", "acceleration", "torque"):  # the others are no part of the bound

@@ -1,6 +1,7 @@
 """Plans: what they promise, that they keep it between the nodes, and that files bring them back."""
 
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +27,12 @@ def test_paper_scenario_is_solved_to_proven_optimality_and_checks_itself(plan):
     assert plan.verification.instants == 601
     assert plan.verification.violation == 0
     assert plan.verification.boundary_error < 1e-9
+
+
+def test_the_time_that_a_plan_took_is_told():
+    begun = time.perf_counter()
+    seconds = plan_object(PAPER).solver["seconds"]
+    assert 0 < seconds <= time.perf_counter() - begun
 
 
 def test_arrays_have_the_shapes_and_meaning_that_other_tools_rely_on(plan):
