@@ -142,9 +142,14 @@ def _rate(rate: dict[str, Any] | None) -> str:
 def _excess(tube: dict[str, Any] | None) -> str:
     if not tube:
         return ""
-    settled = 100 * tube["excess_settled"]["max"]
-    later = f"; {settled:.3g} % after start-up" if settled > 0 else ""
-    return f"{tube['worst_excess']:.3g} N ({100 * tube['worst_excess_relative']:.3g} % of the radius{later})"
+    settled = tube["excess_settled"]["max"]
+    later = f"; {_share(settled)} after start-up" if settled > 0 else ""
+    return f"{tube['worst_excess']:.3g} N ({_share(tube['worst_excess_relative'])} the radius{later})"
+
+
+def _share(value: float) -> str:
+    """Of the radius: in per cent, or how many times, where a lost load is far outside."""
+    return f"{value:.3g} times" if value >= 10 else f"{100 * value:.3g} % of"
 
 
 def _range(values: dict[str, float] | None, scale: float, unit: str) -> str:

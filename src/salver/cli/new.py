@@ -64,7 +64,11 @@ def new(
     write_atomic(file, text)
     if not json:
         say(f"Written: {file}. Planning it once ...")
-    plan = make_plan(scenarios.load(file), "fastest")
+    try:
+        plan = make_plan(scenarios.load(file), "fastest")
+    except SalverError:
+        say(f"For this arm a way well within reach is {_in_reach(*answers['arm'])}.")
+        raise
     if json:
         print_json({"file": file, "ok": plan.ok, "duration": plan.duration, "status": plan.status.sentence})
     else:
