@@ -55,6 +55,7 @@ FROZEN = Path(__file__).parent / "frozen"
 WORK = ROOT / "runs" / "peers"
 RESULTS = "results.json"
 DIGITS = 9  # of frozen motions, rad
+DISTRIBUTIONS = {"pydrake": "drake"}  # where a package is imported by another name
 CROWDED = 0.04  # s to the next on its right: the name of a point stands on its left
 
 
@@ -91,7 +92,7 @@ def freeze(planner: Planner, task: Task, plan: Plan, seconds: float) -> None:
     write(motion, folder / f"{task.scenario.name}.csv")
     path = folder / "provenance.toml"
     told = tomllib.loads(path.read_text()) if path.is_file() else {"seconds": {}}
-    distribution = {"pydrake": "drake"}.get(planner.package or "salver", planner.package or "salver")
+    distribution = DISTRIBUTIONS.get(planner.package or "salver", planner.package or "salver")
     told |= {
         "package": distribution,
         "version": metadata.version(distribution),
@@ -169,10 +170,26 @@ def totals(results: dict[str, Any], name: str) -> dict[str, Any]:
     }
 
 
+def counts(results: dict[str, Any]) -> str:
+    """How many runs, of which loads, and by which packages."""
+    total, loads = 0, dict[str, list[str]]()
+    for load, found in results.items():
+        runs = [row["runs"] for row in found.values() if "runs" in row]
+        total += sum(runs)
+        each = f"{min(runs)}" if min(runs) == max(runs) else f"{min(runs)} to {max(runs)}"
+        loads.setdefault(each, []).append(load)
+    of_each = "; ".join(f"{each} of each motion for *{'*, *'.join(names)}*" for each, names in loads.items())
+    packages = {DISTRIBUTIONS.get(p.package, p.package) for p in PLANNERS.values() if p.package and not p.missing}
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in sorted(packages))
+    return f"{total} runs in all: {of_each}.{f' {versions}.' if versions else ''}"
+
+
 def tables(results: dict[str, Any]) -> list[str]:
     """Markdown: all planners over all loads, and each on each."""
     names = [name for name in PLANNERS if any(name in found for found in results.values())]
     lines = [
+        counts(results),
+        "",
         "| planner | plans for | mean duration | kept | load stays | limits broken by the plan | planning time | |",
         "|---|---|---|---|---|---|---|---|",
     ]
