@@ -198,7 +198,7 @@ class Arm(SimulatedRobot):
         self._fail("write")
         self.sent.append(np.array(torque, dtype=float))
         self.said.append("last" if last else "torque")
-        super().write(torque, sensed, last=last)
+        super().write(self.bench.changed("motor", torque), sensed, last=last)
 
     def stop(self) -> None:
         self.said.append("stop")
@@ -383,12 +383,15 @@ def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     asked.add_argument("-n", type=int, default=1000, help="how many faults")
     asked.add_argument("--seed", type=int, default=0, help="number of the first")
+    asked.add_argument("--lies", action="store_true", help="faults that look like readings")
     given = asked.parse_args()
+    if given.lies:
+        from lies import lie
     counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         rigs = Rig(Path(folder) / "cool"), Rig(Path(folder) / "safe", every=0.1)
         for seed in range(given.seed, given.seed + given.n):
-            faults = draw(seed)
+            faults = lie(seed) if given.lies else draw(seed)
             outcome = rigs[seed % 2].throw(faults, franka=seed % 3 == 0 and not any(fault.odd for fault in faults))
             wrong = outcome.wrong()
             counts["runs"] += 1

@@ -17,7 +17,7 @@ from salver.control.arm import ArmController, ArmState, Course, JointTable
 from salver.driver.gate import TorqueGate
 from salver.driver.sensing import Sensed, Senses
 from salver.driver.signals import Signals, noted_signals
-from salver.driver.stops import Stop, StopFrom, cool_stops
+from salver.driver.stops import HOLD_AFTER_STOP, Stop, StopFrom, cool_stops
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
@@ -193,7 +193,7 @@ class Drive:
             # After a write of which nobody knows whether it was done, the same torque again: no rate is overstepped.
             self.torque = gate(self.torque if self.unsure else demanded)
             self.stopping += self.stop is not None
-            last = self.over(sensed.state)
+            last = self.over(sensed)
             self.unsure = True
             self.robot.write(self.torque, sensed, last=last)
             self.unsure = False
@@ -280,13 +280,17 @@ class Drive:
             self.stops.insert(0, lambda state, t: stop.renewed(state, s))
             self.brake(state, f"The arm was elsewhere when it was seen again at t = {self.t:.3f} s.")
 
-    def over(self, state: ArmState) -> bool:
+    def over(self, sensed: Sensed) -> bool:
+        """Whether torque control may be left: the arm rests, and rests with the torque that it is left with."""
         if self.stop is None:
-            return self.t >= self.end - 0.5 * self.period
-        # Waited for in periods: a robot's clock that runs ahead does not end a stop while the arm still turns.
-        waited = self.stopping * self.period >= self.stop.duration + LONGEST_WAIT
-        rests = np.abs(state.dq).max() < AT_REST or waited
-        return self.s >= self.stop.duration and bool(rests)
+            due, waited = self.t >= self.end - 0.5 * self.period, self.t - self.end
+        else:
+            # Waited for in periods: a robot's clock that runs ahead does not end a stop while the arm still turns.
+            due, waited = self.s >= self.stop.duration, self.stopping * self.period - self.stop.duration
+            if self.senses.dark > self.watchdog.bridged_periods:
+                # Who does not see does not hold: what the model is wrong by adds up until torque control ends.
+                return min(self.s, self.stopping * self.period) >= self.stop.duration - HOLD_AFTER_STOP
+        return due and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.torque, AT_REST))
 
     def leave(self) -> None:
         """Out of torque control, in more than one attempt if need be."""

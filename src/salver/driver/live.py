@@ -19,12 +19,13 @@ import numpy as np
 
 from salver.control.arm import ArmController, ArmState, controller_for
 from salver.driver.execute import JUDGED, RECORDED, Execution
-from salver.driver.execution import Drive, Log, Watchdog, named
+from salver.driver.execution import AT_REST, LONGEST_WAIT, Drive, Log, Watchdog, named
 from salver.driver.franka_limits import FR3
 from salver.driver.gate import TorqueGate
 from salver.driver.logs import arrays_of, check_place, keep, summary_of
 from salver.driver.preflight import Check, check_franka, check_plan, check_posture, demand, within_fr3
 from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
+from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals, noted_signals
 from salver.driver.stops import Along, Stop
 from salver.errors import SalverError, Status
@@ -157,9 +158,9 @@ class LiveDrive(Drive):
         ]
         return reduce(joined, parts)
 
-    def over(self, state: ArmState) -> bool:
+    def over(self, sensed: Sensed) -> bool:
         if self.stop is not None:
-            return super().over(state)
+            return super().over(sensed)
         if not (self.prompter.over and self.live.now >= self.live.committed.ends):
             self.rested, self.patience = 0.0, TOO_LONG
             return False
@@ -167,7 +168,8 @@ class LiveDrive(Drive):
             self.patience -= self.period
             return self.patience < 0
         self.rested += self.period
-        return self.rested >= self.rest_after
+        waited = self.rested - self.rest_after
+        return waited >= 0 and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.torque, AT_REST))
 
 
 def dry_run_live(

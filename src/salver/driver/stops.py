@@ -83,7 +83,8 @@ class CoolStop:
     """Brings the arm to rest from any state, smoothly and within a share of its acceleration, and holds it there.
 
     It asks nothing of the contact: what lies on the tray may slide or fall. Without a load, or where nothing else is
-    left.
+    left. A joint that cannot be braked within its range is wanted at the range's end: who pulled it beyond, against
+    the joint's own stop, would shake the other joints.
     """
 
     keeps_load = False
@@ -103,7 +104,11 @@ class CoolStop:
         return self.braking + HOLD_AFTER_STOP
 
     def reference(self, s: float) -> tuple[Array, Array, Array]:
-        return self._fading.at(s)
+        q, dq, ddq = self._fading.at(s)
+        limits = self._loaded.limits
+        within = np.minimum(np.maximum(q, limits.q_min), limits.q_max)
+        moves = q == within
+        return within, np.where(moves, dq, 0.0), np.where(moves, ddq, 0.0)
 
     def step(self, state: ArmState, s: float) -> Array:
         return _torque(self._loaded, state, self.reference(s), STOP_GAINS)
