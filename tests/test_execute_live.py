@@ -90,21 +90,35 @@ def test_the_same_script_gives_the_same_run(cube, tmp_path):
     assert np.array_equal(runs[0].arrays["q"], runs[1].arrays["q"])
 
 
+FAR = {"t": 0, "goto": [0.45, 0.2, 0.5]}
+
+
+@pytest.fixture(scope="module")
+def slow_cube(cube):
+    return cube.with_changes(arm__velocity_scale=0.3)  # so that there is something to stop for long enough
+
+
+@pytest.fixture(scope="module")
+def whole(slow_cube, tmp_path_factory):
+    """What nothing stopped: its plan."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert dry_run_live(slow_cube, lines(FAR), folder, realtime=False).achieved
+    return load_plan(folder)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("planner", ["plans", "is dead"])
-def test_a_stop_is_sooner_than_finishing_also_when_the_planner_is_dead(cube, tmp_path, planner, monkeypatch):
+def test_a_stop_is_sooner_than_finishing_also_when_the_planner_is_dead(
+    slow_cube, whole, tmp_path, planner, monkeypatch
+):
     """Stops that are ready are held by the loop: who planned them may be gone."""
-    cube = cube.with_changes(arm__velocity_scale=0.3)  # so that there is something to stop for long enough
-    far = {"t": 0, "goto": [0.45, 0.2, 0.5]}
-    whole = dry_run_live(cube, lines(far), tmp_path / "whole", realtime=False)
-    end = load_plan(tmp_path / "whole").duration - 0.1
-
+    end = whole.duration - 0.1
     signals = Interrupting(0.45)
     if planner == "is dead":
         plan, prepare = Live.plan, Live.prepare
         monkeypatch.setattr(Live, "plan", lambda live, *a: plan(live, *a) if not signals.seen else live.state)
         monkeypatch.setattr(Live, "prepare", lambda live, *a: not signals.seen and prepare(live, *a))
-    result = dry_run_live(cube, lines(far), tmp_path / "stopped", realtime=False, signals=signals)
+    result = dry_run_live(slow_cube, lines(FAR), tmp_path / "stopped", realtime=False, signals=signals)
     assert result.summary["stopped"] == "Protective stop at t = 0.450 s."
     assert result.summary["load_kept_in_stop"] is True
     assert result.summary["objects"][0]["outcome"] == "holds"
@@ -115,10 +129,9 @@ def test_a_stop_is_sooner_than_finishing_also_when_the_planner_is_dead(cube, tmp
     rests = stopped.joint.t[moving[-1]]
     assert rests < end - 0.2
     assert rests < 0.45 + 0.4  # the stops of the cube's fastest plan take 0.3 s at most; one begins every 0.1 s
-    assert whole.achieved
     # Until it was asked for nothing was different.
     same = stopped.joint.t < 0.45
-    assert np.array_equal(stopped.joint.q[same], load_plan(tmp_path / "whole").joint.q[: same.sum()])
+    assert np.array_equal(stopped.joint.q[same], whole.joint.q[: same.sum()])
 
 
 @pytest.mark.slow
