@@ -160,6 +160,8 @@ def totals(results: dict[str, Any], name: str) -> dict[str, Any]:
         "runs": runs,
         "held": sum(row["outcomes"].get("holds", 0) for row in rows),
         "stayed": sum(row["outcomes"].get("holds", 0) + row["outcomes"].get("limit", 0) for row in rows),
+        "kept share": _mean_share(rows, ("holds",)),  # each load counts the same, however many runs it has
+        "stayed share": _mean_share(rows, ("holds", "limit")),
         "duration": float(np.mean([row["duration"] for row in rows])) if rows else None,
         "seconds": float(np.median([row["seconds"] for row in rows])) if rows else None,
         "broken": {
@@ -168,6 +170,12 @@ def totals(results: dict[str, Any], name: str) -> dict[str, Any]:
         },
         "kind": " and ".join(sorted({row["kind"] for row in rows})),
     }
+
+
+def _mean_share(rows: list[dict[str, Any]], outcomes: tuple[str, ...]) -> float:
+    """Mean over loads of the share of runs that end so; 0 without runs."""
+    shares = [sum(row["outcomes"].get(name, 0) for name in outcomes) / row["runs"] for row in rows if row["runs"]]
+    return float(np.mean(shares)) if shares else 0.0
 
 
 def counts(results: dict[str, Any]) -> str:
@@ -230,7 +238,7 @@ def plot(results: dict[str, Any], path: Path) -> None:
     told = {name: totals(results, name) for name in PLANNERS}
     told = {name: all_ for name, all_ in told.items() if all_["duration"] is not None and all_["runs"]}
     for name, all_ in told.items():
-        x, kept, stayed = all_["duration"], 100 * all_["held"] / all_["runs"], 100 * all_["stayed"] / all_["runs"]
+        x, kept, stayed = all_["duration"], 100 * all_["kept share"], 100 * all_["stayed share"]
         colour = style.BLUE if name.startswith("salver") else style.GREY
         axes.plot([x, x], [kept, stayed], color=colour, linewidth=1)
         axes.plot(x, stayed, "o", markersize=6, markerfacecolor="white", color=colour)
@@ -238,7 +246,7 @@ def plot(results: dict[str, Any], path: Path) -> None:
         crowded = any(0 <= other["duration"] - x < CROWDED for key, other in told.items() if key != name)
         at, side = ((-6, 5), "right") if crowded else ((6, 5), "left")
         axes.annotate(name, (x, stayed), xytext=at, ha=side, textcoords="offset points", fontsize=8)
-    axes.set(xlabel="mean duration, s", ylabel="runs, %", ylim=(-6, 112))
+    axes.set(xlabel="mean duration, s", ylabel="runs, %, mean of all loads", ylim=(-6, 112))
     axes.set_title("full: load and limits kept; open: the load stays", fontsize=9)
     axes.margins(x=0.22)
     axes.grid(alpha=0.3)

@@ -44,6 +44,20 @@ def test_totals_are_sums_over_loads():
     found = peers.totals(results, "x")
     assert (found["solved"], found["of"], found["runs"], found["held"], found["stayed"]) == (2, 3, 8, 4, 5)
     assert (found["duration"], found["broken"]) == (1.5, {"jerk": 2.0})
+    assert (found["kept share"], found["stayed share"]) == (0.5, 0.625)
+    results["a"]["x"] |= {"runs": 8, "outcomes": {"holds": 6, "limit": 2}}  # more runs of a load weigh no more
+    found = peers.totals(results, "x")
+    assert (found["kept share"], found["stayed share"], found["runs"]) == (0.5, 0.625, 12)
+
+
+def test_the_page_says_how_many_runs_there_are_of_which_loads():
+    runs = {
+        "a": {"x": {"runs": 4}, "y": {"runs": 4}},
+        "b": {"x": {"runs": 4}, "y": {"failed": "no"}},
+        "c": {"x": {"runs": 2}, "y": {"runs": 4}},
+    }
+    sentence = peers.counts(runs)
+    assert sentence.startswith("18 runs in all: 4 of each motion for *a*, *b*; 2 to 4 of each motion for *c*.")
 
 
 def test_frozen_motions_are_of_the_task_and_say_where_they_come_from():
