@@ -122,6 +122,17 @@ def test_distances_that_are_asked_for_up_to_a_bound_are_exact_below_it_and_never
     assert np.abs(bounded - exact)[near].max() < 2e-6  # Coal's own tolerance is 1e-6
     assert (bounded - exact).max() < 2e-6
     assert bounded[~near].min() > 0.06 - 2e-6
+    # A bound for each pair; and, of the pairs that come near, on a path beside that one.
+    bounds = np.linspace(0.01, 0.1, len(parts.pairs))
+    each = parts.apart().clearance(q, bounds)
+    assert np.abs(each - exact)[exact < bounds].max() < 2e-6
+    assert (each - exact).max() < 2e-6
+    watched, beside = parts.near(q, 0.06), q + rng.uniform(-0.02, 0.02, q.shape)
+    pairs = [parts.pairs.index(pair) for pair in watched.pairs]
+    assert pairs == np.flatnonzero(near.any(axis=0)).tolist()
+    exact, bounded = parts.apart().clearance(beside)[:, pairs], watched.clearance(beside, 0.06)
+    assert np.abs(bounded - exact)[exact < 0.06].max() < 2e-6
+    assert (bounded - exact).max() < 2e-6
 
 
 def test_travel_bounds_what_joints_do_and_is_near_it() -> None:
