@@ -175,6 +175,14 @@ def test_a_limit_is_a_limit(arm: ArmModel, problem: TransportProblem, kind: str,
             assert found.share == pytest.approx(1 / factor, rel=hair)
 
 
+@pytest.mark.parametrize(("less", "within"), [(0.0, True), (1e-10, True), (1e-8, False)])
+def test_a_limit_that_is_reached_to_rounding_is_kept(arm: ArmModel, less: float, within: bool) -> None:
+    motion = min_jerk(0.8, 1.7)
+    reached = next(peak.value for peak in peaks(arm, motion) if peak.kind == "velocity")
+    kept = limits(velocity=abs(reached) * (1 - less))
+    assert verdict(replace(arm, planning_limits=kept), motion).ok == within
+
+
 def test_what_lies_between_samples_counts(arm: ArmModel) -> None:
     """Few samples of a min-jerk move, exact at each: its largest speed is at the middle, between two of them."""
     motion = min_jerk(0.8, 1.0, 4)
