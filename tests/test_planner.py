@@ -13,7 +13,7 @@ from salver.planning.object.conditions import conditions_for
 from salver.planning.object.cost import integration_weights, row_scale
 from salver.planning.object.problem import Problem
 from salver.planning.object.solvers import _waiter, solve, solve_convex
-from salver.planning.object.subproblem import _dual_value
+from salver.planning.object.subproblem import _dual_value, solve_model
 from salver.planning.qp import Optimum, Quadratic
 from salver.scenario import load
 
@@ -213,6 +213,17 @@ def test_shortest_tilting_plans_are_found_from_the_waiters_tilt():
     plan = plan_object(changed(motion__orientation="free", motion__duration=0.6))
     assert plan.ok
     assert not plan_object(changed(motion__duration=0.6)).ok
+
+
+def test_a_step_is_damped_as_least_squares_with_a_row_for_each_unknown():
+    """Where no row hinders it, of |r + J d|^2 + damping |d|^2."""
+    problem = Problem(PAPER, 41)
+    model = problem.linearise(np.zeros(problem.size))
+    jacobian, residual, n = model.residual_jacobian, model.residual, problem.size
+    damping = 0.1 * np.trace(jacobian.T @ jacobian) / n
+    step = solve_model(model, -1e9, damping, np.inf)
+    rows, wanted = np.vstack([jacobian, np.sqrt(damping) * np.eye(n)]), np.concatenate([-residual, np.zeros(n)])
+    np.testing.assert_allclose(step.d, np.linalg.lstsq(rows, wanted, rcond=None)[0], atol=1e-9 * np.abs(step.d).max())
 
 
 def test_a_search_with_a_tilting_tray_begins_with_what_a_waiter_does():
