@@ -189,6 +189,12 @@ def test_what_lies_between_samples_counts(arm: ArmModel) -> None:
     assert np.abs(motion.dq[:, 0]).max() < 1.875 * 0.8 * 0.9
     found = next(peak for peak in peaks(arm, motion) if peak.kind == "velocity")
     assert found.value == pytest.approx(1.875 * 0.8, rel=1e-12)
+    # A second later, after rest.
+    later = JointMotion(
+        np.append(0.0, 1.0 + motion.t), *(np.vstack([x[:1], x]) for x in (motion.q, motion.dq, motion.ddq))
+    )
+    found = next(peak for peak in peaks(arm, later) if peak.kind == "velocity")
+    assert (found.value, found.time) == pytest.approx((1.875 * 0.8, 1.5), rel=1e-12)
 
 
 def test_of_limits_that_are_broken_the_worst_is_told_first(arm: ArmModel) -> None:
