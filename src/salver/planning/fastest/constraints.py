@@ -20,7 +20,7 @@ from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
-from salver.planning.fastest.obstacles import AT_NODES, EXACT, REACH, KeepOut
+from salver.planning.fastest.obstacles import AT_NODES, REACH, KeepOut
 from salver.sensitivity.sloshing import Slosh, Sloshed, of_parts
 from salver.sensitivity.wave_gradients import Unknowns
 
@@ -402,7 +402,7 @@ class Clearance(Constraint):
         if motion.response is not None:
             position, turn = motion.response.tray_radius()
             stray = np.linalg.norm(position, axis=1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1)
-        distance = self.keep_out.distances(q, float(stray.max()), EXACT if motion.imposed else AT_NODES)
+        distance = self.keep_out.distances(q, float(stray.max()))
         yield Block(
             "clearance",
             -10.0 * (distance - stray[:, None]),

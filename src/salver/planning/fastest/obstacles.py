@@ -51,10 +51,10 @@ class KeepOut:
         required = dict(zip(self.parts.pairs, self.required, strict=True))
         return KeepOut(parts, np.array([required[pair] for pair in parts.pairs]))
 
-    def distances(self, q: Array, stray: float = 0.0, exact: float = EXACT) -> Array:
-        """(N, pairs) free distance beyond what is required, m; where it is more than `exact` and what the arm may
+    def distances(self, q: Array, stray: float = 0.0) -> Array:
+        """(N, pairs) free distance beyond what is required, m; where it is more than `EXACT` and what the arm may
         stray, m, no more than it is."""
-        return np.asarray(self.parts.clearance(q, self.required + exact + stray) - self.required)
+        return np.asarray(self.parts.clearance(q, self.required + EXACT + stray) - self.required)
 
     def gradient(self, q: Array, node: npt.NDArray[np.intp], pair: npt.NDArray[np.intp]) -> Array:
         """(r, n) derivatives of the distances at postures q[node] for pairs (r,)."""
