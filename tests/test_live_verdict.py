@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import salver as sv
-from salver.live.verify import COARSE, STEADY, instants
+from salver.live.verify import COARSE, STEADY, UNHURRIED, instants, told
 from salver.models.arm_limits import LIMITS
 from salver.models.worst_case import SURE, Drift, WorstCase
 from salver.planning.fastest import fastest, transport_problem
-from salver.planning.fastest.constraints import FINEST
+from salver.planning.fastest.constraints import FINEST, TorqueRateLimit, evaluate
 from salver.sensitivity.arm.finer import Finer, _cubic, some_of
 from salver.trajectory import JointMotion
 
@@ -68,6 +68,25 @@ def test_the_margin_of_contact_is_more_than_the_verdict_may_miss(motion):
     rows = WorstCase.of(problem.contacts[0], *truth.felt()).values.max(axis=1)
     missed = [rows[4 * k : 4 * k + 5].max() - judged[k : k + 2].max() for k in range(len(t) - 1)]
     assert 0 < max(missed) < 0.6 * STEADY
+
+
+def test_the_margin_of_torque_rate_is_more_than_the_verdict_may_miss(motion):
+    """Against what a loop is told from one period to the next, wherever its periods fall; of motions in a hurry too."""
+    problem, whole = motion
+    rates = TorqueRateLimit(problem.limits)
+    missed = []
+    for share in (1.0, 0.8, 0.6):
+        hurried = JointMotion(share * whole.t, whole.q, whole.dq / share, whole.ddq / share**2)
+        t, _, at = along(problem, hurried)
+        knots = np.abs(t[:, None] - hurried.t).min(axis=1) < 1e-9
+        (block,) = evaluate([rates], at)
+        found = (told(block, t, knots).values + 1.0 - block.margins[1]).max()
+        fine = np.arange(0.0, hurried.duration, 1e-4)
+        z = np.stack([*hurried.sample(fine), hurried.jerk(fine)])
+        tau = problem.at(fine / hurried.duration, z, hurried.duration).terms.torque
+        executed = np.abs(tau[10:] - tau[:-10]).max(initial=0.0, axis=0) / 1e-3 / problem.limits.torque_rate
+        missed.append(executed.max() / found - 1.0)
+    assert 0 < max(missed) < 0.6 * UNHURRIED, missed
 
 
 def test_where_it_is_known_it_is_what_was_worked_out(motion):

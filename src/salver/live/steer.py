@@ -20,7 +20,7 @@ from salver.live.motion import Committed, between
 from salver.live.verify import verified
 from salver.planning import qp
 from salver.planning.fastest import AtPosture, Block, Evaluation, TransportProblem, evaluate
-from salver.planning.fastest.curves import Grid
+from salver.planning.fastest.curves import Grid, united
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.programme import Mask
 from salver.planning.fastest.spline import RestSpline
@@ -38,6 +38,7 @@ LEAST_CAUTION, MOST_CAUTION = 0.1, 1e5
 BENT = 5e-4  # by which a bend may miss the stricter rows at the nodes
 ROUNDS = 3  # programmes of a tick: rows that a bend breaks though they were far away join the next one
 LARGEST_BEND = 1.0  # rad
+SAME_KNOT = 1e-7  # s: knots nearer than this are one
 SHARES = (1.0, 0.3)  # of the bend that are tried
 
 # Weights of squares, integrated over time. Speeds in m/s and rad/s, accelerations in rad/s^2.
@@ -223,8 +224,7 @@ class Steering:
         """The committed motion from `begins` on with a bend (size, n) added."""
         own = begins - base.begins
         first = between(base.motion, own, max(base.motion.duration, own + HORIZON))
-        t = np.union1d(first.t, HORIZON * self.spline.breaks())
-        t = t[np.append(np.diff(t) > 1e-7, True)]
+        t = united(first.t, HORIZON * self.spline.breaks(), SAME_KNOT)
         s = np.minimum(t / HORIZON, 1.0)
         added = self.spline.matrices(s)[:3] @ bend / HORIZON ** np.arange(3.0)[:, None, None]
         added[1:, s >= 1.0] = 0.0

@@ -19,10 +19,10 @@ ORDERS = np.arange(float(DERIVATIVES))[:, None, None]  # of the rows of z
 SAME = 1e-9  # of a duration: points nearer than this are one
 
 
-def united(s: npt.ArrayLike, more: npt.ArrayLike) -> Array:
-    """Points s in [0, 1] and more of them in order; of those that differ by rounding alone, one."""
-    both = np.union1d(s, more)
-    return both[np.append(True, np.diff(both) > SAME)]
+def united(points: npt.ArrayLike, more: npt.ArrayLike, same: float = SAME) -> Array:
+    """Points (P,) and more of them in order; of those no further apart than `same`, which differ by rounding, one."""
+    both = np.union1d(points, more)
+    return both[np.append(True, np.diff(both) > same)]
 
 
 @dataclass(frozen=True)
