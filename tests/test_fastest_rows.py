@@ -13,7 +13,7 @@ from salver.models.arm import with_load
 from salver.models.parameters import Parameter, inertial_vector
 from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import object_motion
-from salver.planning.fastest.constraints import Contact, Tilt
+from salver.planning.fastest.constraints import Brim, Contact, Tilt
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
@@ -21,7 +21,7 @@ from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.programme import Programme
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
 from salver.planning.object.evaluation import evaluate
-from salver.scenario import Scenario
+from salver.scenario import Scenario, load
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import SampledReference
 from transport import bottle, cube, line
@@ -140,35 +140,59 @@ def test_contact_rows_know_that_a_held_command_is_late_by_the_jerk():
     assert seen > 1e-6
 
 
-def test_linearised_rows_match_differences_in_coefficients_and_squared_duration():
-    problem = transport_problem(cube(motion__orientation="fixed"), robust=False)
-    spline, duration = RestSpline(5, 6), 0.9
-    grid = Grid.of(spline, spline.nodes(3))
-    programme = Programme(FreeCurve(problem, grid), problem.constraints, Duration())
-    rng = np.random.default_rng(4)
-    coefficients = line(problem, spline) + 0.02 * rng.normal(size=(spline.size, problem.n))
-    path = programme.at(Point(coefficients, duration))
-    rows = programme.linearised(path, [block.near(10.0) for block in path.blocks])
-    direction, tau, h = rng.normal(size=coefficients.shape), 0.3, 1e-6
+def changes(programme, path, masks, direction, tau):
+    """Of linearised rows, multiplied by T^2 / T_0^2 where they scale, along a direction of the coefficients and tau of
+    T^2: their names, what they are by differences, and what is predicted."""
+    rows, point, h = programme.linearised(path, masks), path.point, 1e-6
 
     def moved(sign: float) -> Array:
-        """Rows, multiplied by T^2 / T_0^2 where they scale, after a small step."""
         factor = 1 + sign * h * tau
-        other = programme.at(Point(coefficients + sign * h * direction, duration * float(np.sqrt(factor))))
-        values = []
-        for k, node, column in rows.where:
-            block = other.blocks[k]
-            values.append(block.values[node, column] * (factor if block.scales else 1.0))
-        return np.concatenate(values)
+        there = Point(point.coefficients + sign * h * direction, point.duration * float(np.sqrt(factor)))
+        blocks = programme.at(there).blocks
+        return np.concatenate(
+            [blocks[k].values[node, f] * (factor if blocks[k].scales else 1.0) for k, node, f in rows.where]
+        )
 
-    difference = (moved(1.0) - moved(-1.0)) / (2 * h)
-    predicted = rows.matrix @ np.append(direction.ravel(), tau)
     names = np.concatenate([np.full(len(node), path.blocks[k].name) for k, node, _ in rows.where])
+    return names, (moved(1.0) - moved(-1.0)) / (2 * h), rows.matrix @ np.append(direction.ravel(), tau)
+
+
+def test_linearised_rows_match_differences_in_coefficients_and_squared_duration():
+    problem = transport_problem(cube(motion__orientation="fixed"), robust=False)
+    spline = RestSpline(5, 6)
+    programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(3))), problem.constraints, Duration())
+    rng = np.random.default_rng(4)
+    coefficients = line(problem, spline) + 0.02 * rng.normal(size=(spline.size, problem.n))
+    path = programme.at(Point(coefficients, 0.9))
+    near, direction = [block.near(10.0) for block in path.blocks], rng.normal(size=coefficients.shape)
+    names, difference, predicted = changes(programme, path, near, direction, 0.3)
     assert {"velocity", "torque", "torque rate", "tilt", "clearance", "contact of cube"} <= set(names)
     error = np.abs(difference - predicted) / (1 + np.abs(predicted))
     # Where the nearest points of two hulls jump, a distance has only one-sided derivatives.
     assert error[names != "clearance"].max() < 1e-5
     assert np.quantile(error[names == "clearance"], 0.9) < 1e-2
+
+
+def test_rows_of_waves_know_all_that_was_felt_before():
+    """The whole motion in between changes, and its duration. What is interpolated between the nodes has an error of
+    fourth order: on twice as many nodes a sixteenth."""
+    problem = transport_problem(load("panda-coffee"), robust=False)
+    wet = [each for each in problem.constraints if isinstance(each, Contact | Brim)]
+    spline, rng = RestSpline(5, 6), np.random.default_rng(4)
+    inner = np.r_[0, np.ones(spline.size - 2), 0][:, None]  # at both ends the tray rests level where it was told
+    bent, direction = inner * rng.normal(size=(2, spline.size, problem.n))
+    errors = []
+    for density in (12, 24):
+        programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(density))), wet, Duration())
+        path = programme.at(Point(line(problem, spline) + 0.02 * bent, 1.2))
+        exact = [block.values > -block.remembers for block in path.blocks]
+        names, difference, predicted = changes(programme, path, exact, direction, 0.3)
+        each = ["contact of cup", "steepness in cup", "waves in cup", "waves left in cup"]
+        assert sorted(set(names)) == each
+        relative = np.abs(difference - predicted) / np.abs(predicted).max()
+        errors.append([relative[names == name].max() for name in each])
+    assert np.max(errors[0]) < 1e-3
+    assert np.all(np.divide(*errors) > 10)
 
 
 def test_contact_of_an_arm_that_follows_exactly_is_what_the_check_of_a_plan_looks_at():

@@ -100,6 +100,8 @@ def test_starts_and_ends_at_rest_where_it_was_told(panda, cube):
     motion, status = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=POSTURE)
     assert status.ok, status
     assert motion.q[0] == pytest.approx(POSTURE, abs=1e-5)
+    assert (motion.t[0], motion.t[-1]) == (0.0, 2.5)
+    assert np.diff(motion.t).max() == pytest.approx(0.005, rel=1e-9)  # 5 ms are promised; 2.5 s are 500 of them
     for k in (0, -1):
         assert motion.dq[k] == pytest.approx(np.zeros(7), abs=1e-12)
         assert motion.ddq[k] == pytest.approx(np.zeros(7), abs=1e-12)

@@ -9,9 +9,9 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S
 from salver.planning import qp
 from salver.planning.make import plan_baseline, plan_object
-from salver.planning.object.conditions import conditions_for
+from salver.planning.object.conditions import TiltRows, conditions_for
 from salver.planning.object.cost import integration_weights, row_scale
-from salver.planning.object.problem import Problem
+from salver.planning.object.problem import Linearisation, Problem
 from salver.planning.object.solvers import _waiter, solve, solve_convex
 from salver.planning.object.subproblem import _dual_value, solve_model
 from salver.planning.qp import Optimum, Quadratic
@@ -224,6 +224,16 @@ def test_a_step_is_damped_as_least_squares_with_a_row_for_each_unknown():
     step = solve_model(model, -1e9, damping, np.inf)
     rows, wanted = np.vstack([jacobian, np.sqrt(damping) * np.eye(n)]), np.concatenate([-residual, np.zeros(n)])
     np.testing.assert_allclose(step.d, np.linalg.lstsq(rows, wanted, rcond=None)[0], atol=1e-9 * np.abs(step.d).max())
+
+
+def test_a_linear_row_is_cut_once():
+    """min (d - 2)^2 with 1 - d >= 0: d = 1, where the cost is 1 and grows by 2 for each unit of d. Its one tangent is
+    the row itself, so that a second programme has nothing left to find."""
+    row, nothing = TiltRows(("tilt",), np.ones(1), -np.ones((1, 1))), np.zeros(0)
+    model = Linearisation(np.array([-2.0]), np.ones((1, 1)), (row,), nothing, np.zeros((0, 1)))
+    step = solve_model(model, 0.0, 0.0, np.inf)
+    assert (step.d[0], step.lower_bound, step.price) == pytest.approx((1.0, 1.0, 2.0), abs=1e-9)
+    assert (step.violation, step.rounds) == (pytest.approx(0.0, abs=1e-9), 2)
 
 
 def test_a_search_with_a_tilting_tray_begins_with_what_a_waiter_does():
