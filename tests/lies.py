@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from faults import Change, Fault
+from driver_rig import Change, Fault
 from salver.control.arm import ArmState
 from salver.geometry import Array
 

@@ -1,0 +1,208 @@
+"""What is believed of the arm, sample by sample: false, frozen and missing readings beside its own model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from driver_rig import Rig
+from salver.control.arm import ArmState, controller_for
+from salver.driver.robots import SimulatedRobot
+from salver.driver.sensing import Senses
+from salver.errors import SalverError
+from salver.geometry import Array
+from salver.models.arm import with_load
+
+NAN = float("nan")
+
+
+def test_the_model_goes_on_where_the_arm_goes(rig: Rig) -> None:
+    """Ten periods bridged at full speed, beside the engine's own arm: off by what its load's contact makes, no more."""
+    arm, carried, plan = rig.arm, rig.carried, rig.plan
+    robot = SimulatedRobot(plan, arm, 1.0, realtime=False)
+    controller = controller_for(plan.scenario, plan.joint, plan.reference, arm=arm)  # type: ignore[arg-type]
+    robot.start()
+    senses, t, torque = Senses(arm, carried, 1e-3, robot.look()), robot.start_time, np.zeros(7)
+    for k in range(510):
+        state, elapsed = robot.read()
+        t += elapsed
+        sensed = senses.take((state, elapsed) if k < 500 else None, torque)
+        torque = controller.step(sensed.state, t)
+        robot.write(torque, sensed)
+        if k == 499:
+            assert sensed.wrong == ""
+            assert np.abs(state.dq).max() > 0.3
+    assert np.abs(sensed.state.q - state.q).max() < 2e-5
+    assert np.abs(sensed.state.dq - state.dq).max() < 5e-3
+
+
+def test_senses_name_what_is_wrong(rig: Rig) -> None:
+    q = rig.plan.joint.q[0]  # type: ignore[union-attr]
+    good = ArmState(q.copy(), np.zeros(7))
+
+    def said(state: Any, elapsed: Any = 1e-3) -> str:
+        senses = Senses(rig.arm, rig.carried, 1e-3, good)
+        return senses.take((state, elapsed), with_load(rig.arm, rig.carried).gravity(q)).wrong
+
+    turn = np.eye(7)[2]
+    assert said(good) == ""
+    # 0.1 of 2.175 rad/s and 100 rad/s^2 for 1 ms are 0.3175 rad/s; 2 * 2.175 rad/s for 1 ms are 0.00435 rad.
+    assert said(ArmState(q + 3.1e-4 * turn, np.zeros(7))) == ""
+    assert "panda_joint3 is said to turn at 0 rad/s and goes elsewhere" in said(
+        ArmState(q + 3.3e-4 * turn, np.zeros(7))
+    )
+    assert "panda_joint3 is said to have jumped by 0.0048 rad" in said(ArmState(q + 4.8e-3 * turn, np.zeros(7)))
+    assert said(ArmState(q, 0.31 * turn)) == ""
+    assert "the speed of panda_joint3 is said to have jumped by 0.33" in said(ArmState(q, 0.33 * turn))
+    assert "panda_joint3 is said to be at 4 rad" in said(ArmState(np.where(turn > 0, 4.0, q), np.zeros(7)))
+    assert "the speed of panda_joint3 is said to have jumped by 5" in said(ArmState(q, 5.0 * turn))
+    assert "turn at 44 rad/s, which it cannot" in said(ArmState(q, 44.0 * turn))  # 20 times its limit are 43.5
+    assert "no state of its joints" in said(ArmState(q[:6], np.zeros(7)))
+    assert "no state of its joints" in said(ArmState(np.array(["x"] * 7), np.zeros(7)))
+    assert "its clock says that 2 s passed" in said(good, 2.0)
+    with pytest.raises(SalverError, match="cannot be believed: the speed of panda_joint1 is nan"):
+        Senses(rig.arm, rig.carried, 1e-3, ArmState(q, np.full(7, NAN)))
+
+
+class Watched:
+    """An arm as the model has it, at a steady torque beyond gravity's; what is believed of readings of it."""
+
+    def __init__(self, rig: Rig, beyond: Array) -> None:
+        self.model = with_load(rig.arm, rig.carried)
+        self.q, self.dq = rig.plan.joint.q[0].copy(), np.zeros(7)  # type: ignore[union-attr]
+        self.beyond, self.senses = beyond, Senses(rig.arm, rig.carried, 1e-3, ArmState(self.q, self.dq))
+
+    def goes(self, periods: int, reading: Any = lambda q, dq, k: (q, dq)) -> Any:
+        """What is sensed after the last of some periods, when (q, dq) are reported as `reading` says."""
+        for k in range(periods):
+            torque = self.model.gravity(self.q) + self.beyond
+            ddq = pin.aba(self.model.pin_model, self.model.data, self.q, self.dq, torque)
+            self.dq = self.dq + 1e-3 * ddq
+            self.q = self.q + 1e-3 * self.dq
+            sensed = self.senses.take((ArmState(*reading(self.q, self.dq, k)), 1e-3), torque)
+        return sensed
+
+    def off(self, sensed: Any) -> float:
+        return float(np.abs(sensed.state.dq - self.dq).max())
+
+
+ACTING = np.array([1.0, -2.0, 1.0, 1.0, 0.05, 0.05, 0.02])  # N m beyond gravity's
+
+
+def test_a_state_that_froze_at_rest_is_told_by_the_torques(rig: Rig) -> None:
+    """Before it counts as moving: nothing is new in it, so the model's word is taken, and no torque is made of it."""
+    arm = Watched(rig, ACTING)
+    arm.goes(1)
+    q, dq = arm.q, arm.dq
+    assert np.abs(dq).max() < 0.01
+    sensed = arm.goes(100, lambda *_: (q, dq))
+    assert "reports the same state again though it moves" in sensed.wrong
+    assert arm.senses.blind > 10
+    assert np.abs(arm.dq - dq).max() > 0.1
+    assert arm.off(sensed) < 1e-6
+    assert arm.senses.dark
+
+
+def test_what_stands_still_and_is_repeated_is_no_fault(rig: Rig) -> None:
+    arm = Watched(rig, np.zeros(7))
+    q = arm.q
+    assert arm.goes(300, lambda *_: (q, np.zeros(7))).wrong == ""
+
+
+@pytest.mark.parametrize(("value", "relative"), [(0.0, False), (-3.0, False), (0.8, True), (-0.05, True)])
+def test_a_joint_that_is_said_to_be_elsewhere_is_not_followed_there(rig: Rig, value: float, relative: bool) -> None:
+    """However long it is said: only its own speed and the model move it."""
+    arm = Watched(rig, 0.3 * ACTING)
+    arm.goes(50)
+
+    def false(q: Array, dq: Array, k: int) -> tuple[Array, Array]:
+        return np.where(np.arange(7) == 3, value + relative * q, q), dq
+
+    for periods in (1, 5):  # what repeats and what jumps, for a while; then readings that follow from one another
+        sensed = arm.goes(periods, false)
+        assert sensed.wrong
+        assert abs(sensed.state.q[3] - arm.q[3]) < 1e-4
+        assert arm.off(sensed) < 1e-3
+    if abs(value) > 0.3:
+        sensed = arm.goes(400, false)
+        assert abs(sensed.state.q[3] - arm.q[3]) < 5e-3
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.5, 2.0])
+def test_a_speed_that_is_not_that_of_its_positions_is_told_and_replaced_by_theirs(rig: Rig, factor: float) -> None:
+    arm = Watched(rig, ACTING)
+
+    def false(q: Array, dq: Array, k: int) -> tuple[Array, Array]:
+        return q, np.where(np.arange(7) == 1, factor * dq, dq)
+
+    arm.goes(150)
+    assert abs(arm.dq[1]) > 0.2
+    sensed = arm.goes(100, false)
+    assert "panda_joint2" in sensed.wrong
+    assert arm.off(sensed) < 0.03
+    assert not arm.senses.dark  # its positions still tell
+    arm.beyond = -4 * ACTING
+    while arm.dq[1] * arm.beyond[1] < 0:
+        sensed = arm.goes(1, false)
+        assert arm.off(sensed) < 0.1  # what is too little to be told: 5e-3 rad in 50 ms
+
+
+def test_an_arm_that_is_pushed_is_believed_against_its_model(rig: Rig) -> None:
+    """Positions and speeds agree and move: it is the model that does not know of a hand, a friction, a weak motor."""
+    arm = Watched(rig, ACTING)
+    for _ in range(150):
+        arm.goes(1)
+        arm.dq = arm.dq + 1e-3 * np.array([6.0, -3.0, 4.0, 5.0, -8.0, 8.0, 8.0])
+    sensed = arm.goes(1)
+    assert sensed.wrong == ""
+    assert arm.off(sensed) == 0.0
+
+
+def thrown_against_its_stop(rig: Rig, bounce: float) -> tuple[Watched, list[Any]]:
+    """Joint 2 goes out at 1 rad/s until it meets its stop and is thrown back at a share of its speed; the impulse moves
+    the other joints too, as M says. A spring of 8 Hz at the stop holds it from then on."""
+    arm = Watched(rig, np.zeros(7))
+    end = arm.model.limits.q_max[1]
+    arm.q[1], arm.dq[1] = end - 0.05, 1.0
+    arm.senses = Senses(rig.arm, rig.carried, 1e-3, ArmState(arm.q, arm.dq))
+    sensed = []
+    for _ in range(300):
+        held = arm.q[1] > end
+        if held and arm.dq[1] > 0:
+            gives = np.linalg.inv(arm.model.mass_matrix(arm.q))[:, 1]
+            arm.dq = arm.dq - (1 + bounce) * arm.dq[1] * gives / gives[1]
+        elif not held:
+            arm.beyond = 50.0 * (np.arange(7) == 1)  # pressed outwards all the while, and held where the stop begins
+        sensed.append(arm.goes(1))
+    return arm, sensed
+
+
+@pytest.mark.parametrize("bounce", [0.0, 0.5, 1.0])
+def test_a_joint_that_meets_its_stop_is_believed(rig: Rig, bounce: float) -> None:
+    """However it is thrown back, and while it rests there though a torque presses it outwards."""
+    arm, sensed = thrown_against_its_stop(rig, bounce)
+    assert arm.q[1] == pytest.approx(arm.model.limits.q_max[1], abs=0.05)
+    assert [s.wrong for s in sensed if s.wrong] == []
+
+
+def test_a_joint_that_is_not_seen_meets_its_stop_in_the_model(rig: Rig) -> None:
+    arm = Watched(rig, np.zeros(7))
+    end = arm.model.limits.q_max[1]
+    arm.q[1], arm.dq[1] = end - 0.02, 1.0
+    arm.senses = Senses(rig.arm, rig.carried, 1e-3, ArmState(arm.q, arm.dq))
+    for _ in range(100):
+        state = arm.senses.take(None, arm.model.gravity(arm.q)).state
+    assert end - 0.02 < state.q[1] < end + 1e-3
+    assert abs(state.dq[1]) < 1e-3
+
+
+def test_a_clock_that_runs_ahead_is_told_by_the_joints(rig: Rig) -> None:
+    arm = Watched(rig, ACTING)
+    arm.goes(200)
+    torque = arm.model.gravity(arm.q) + ACTING
+    sensed = arm.senses.take((ArmState(arm.q + 1e-3 * arm.dq, arm.dq), 0.05), torque)
+    assert "its clock says that 0.05 s passed, and its joints went as far as in 0.001 s" in sensed.wrong
+    assert sensed.elapsed == 1e-3
