@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import shutil
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -25,6 +27,33 @@ def safe(tmp_path_factory: pytest.TempPathFactory) -> Rig:
     from driver_rig import Rig
 
     return Rig(tmp_path_factory.mktemp("safe") / "run", every=0.2)
+
+
+@pytest.fixture(scope="session")
+def cube_plans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory of the paper's cube with the plan and the baseline."""
+    from salver import scenario
+    from salver.planning.make import make_plan
+
+    folder, case = tmp_path_factory.mktemp("cube") / "plans", scenario.load("panda-cube")
+    make_plan(case, "robust").save(folder, "plan")
+    make_plan(case, "baseline").save(folder, "baseline")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def cube_run(cube_plans: Path) -> Path:
+    """The same with a simulation of both motions and a small campaign."""
+    from salver.campaigns import run_campaign
+    from salver.planning.plan import load_plan
+    from salver.simulation.physics import simulate
+
+    folder = cube_plans.parent / "run"
+    shutil.copytree(cube_plans, folder)
+    for stem in ("plan", "baseline"):
+        simulate(load_plan(folder, stem)).save(folder, stem)
+    run_campaign(folder, n=6, engine="closed-loop", jobs=1)
+    return folder
 
 
 def pytest_collection_finish() -> None:
