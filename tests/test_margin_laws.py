@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+import by_looking
 import nasty
 from salver.contact_margins import Margins, margins
 from salver.geometry import Array
@@ -262,7 +263,7 @@ def test_zero_moment_point_of_every_sample_is_within_the_worst_tip_over(name: st
     made, tray = LOADS[name](kind), nasty.tray_motion(8, 11)
     w, uncertain, whole = nasty.felt(tray), made.payload.uncertain, along(made, tray)
     nearest = {m.name: np.full(len(w), np.inf) for m in whole.interfaces}
-    for change in nasty.samples(uncertain, 150, 3):
+    for change in by_looking.samples(uncertain, 150, 3):
         for item, wrench in zip(made.objects, nasty.interface_wrenches(made, change, w), strict=True):
             distance = to_the_edge(nasty.sure_points_B(made, item.name), wrench)
             key = f"{item.name} on {item.on}"
@@ -288,7 +289,7 @@ def test_tube_of_the_tracking_error_is_attained(kind: str) -> None:
         return w + dw @ np.array([change.get(name, 0.0) for name in uncertain.names])
 
     bound = along(made, tray, tracking=dw, edges=made.contact.edges).exact_worst
-    reached = -nasty.sampled(rows, strayed, 5)
+    reached = -by_looking.sampled(rows, strayed, 5)
     nominal = -rows.worst({}, w)
     share = (nominal - reached) / (nominal - bound)
     assert np.all(share < 1.0 + 1e-3)
@@ -333,7 +334,8 @@ def test_friction_needed_in_the_worst_case_is_that_of_no_less_a_load(name: str, 
             )
             rows = nasty.TrueRows(other)
             own = [
-                rows.at(change, w)[k].max() for change in [*nasty.samples(uncertain, 20), *aimed(rows, uncertain, w, k)]
+                rows.at(change, w)[k].max()
+                for change in [*by_looking.samples(uncertain, 20), *aimed(rows, uncertain, w, k)]
             ]
             assert (max(own) > 0) == slides, (m.name, friction, max(own))
 
@@ -346,7 +348,7 @@ def aimed(rows: nasty.TrueRows, uncertain: nasty.UncertainSet, w: Array, k: int)
     found = []
     for t in range(len(w)):
         for f in np.argsort(rows.at({}, w)[k][t])[-3:]:
-            point = nasty.steepest(slope[:, t, f], uncertain)
+            point = by_looking.steepest(slope[:, t, f], uncertain)
             found.append(dict(zip(names, point, strict=True)))
     return found
 

@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import simpson
 
+import by_looking
 import nasty
 from salver.contact_margins import margins
 from salver.errors import Status
@@ -270,7 +271,7 @@ def test_papers_condition_of_each_object_counts_its_own_load_and_place(kind: str
             up, down = (nasty.interface_wrenches(made, {name: s * h}, w)[k] for s in (1, -1))
             slopes.append((up - down) @ coefficients.T / (2 * h))
         slope = np.stack(slopes, axis=-1)
-        tube = np.einsum("...p,...p->...", slope, nasty.steepest(slope, uncertain))
+        tube = np.einsum("...p,...p->...", slope, by_looking.steepest(slope, uncertain))
         mine = found.slack[:, [owner == item.name for owner in found.slack_owner]]
         assert mine.shape[1] == nominal.shape[1]
         assert_allclose(mine.min(axis=1), (nominal - tube).min(axis=1), atol=2e-6)
@@ -287,12 +288,12 @@ def test_tube_and_cost_of_a_correlated_set(kind: str) -> None:
     made = made.with_changes(uncertainty__correlation=pairs)
     plan = planned(tumbling(made), made)
     uncertain, theta = plan.uncertain, plan.input_sensitivity[::60]
-    farthest = nasty.steepest(theta, uncertain)
+    farthest = by_looking.steepest(theta, uncertain)
     assert_allclose(plan.cone_radius[::60], np.einsum("...p,...p->...", theta, farthest), rtol=1e-9, atol=1e-12)
     radius = np.linalg.norm(nasty.sure_points_B(made, "box"), axis=1).max()
     (kp, kp_R) = made.control.kp
     scale = np.repeat([1.0, radius, kp**-0.5, radius * kp_R**-0.5], 3)[:, None]
-    square = np.square(scale * (plan.state_sensitivity @ nasty.directions(uncertain))).sum(axis=(1, 2))
+    square = np.square(scale * (plan.state_sensitivity @ by_looking.directions(uncertain))).sum(axis=(1, 2))
     assert plan.cost == pytest.approx(simpson(square, x=plan.t), rel=1e-6)
     # And the planner's own: its residuals, on its own grid.
     problem = Problem(made, 61)

@@ -14,6 +14,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
+import by_looking
 import nasty
 from salver.geometry import Array
 from salver.models.arm import load_arm
@@ -59,7 +60,7 @@ def deviations(chain: ArmChain, change: dict[str, float]) -> Array:
     return np.array([change.get(name, 0.0) for name in chain.uncertain.names])
 
 
-def felt_with(chain: ArmChain, at: slice = slice(None)) -> nasty.Felt:
+def felt_with(chain: ArmChain, at: slice = slice(None)) -> by_looking.Felt:
     """What the tray feels when parameters deviate, to first order in what the arm makes of it."""
     linear = chain.w[at, :, : chain.uncertain.size]
     return lambda change: chain.nominal.w[at] + linear @ deviations(chain, change)
@@ -71,9 +72,9 @@ def test_least_slack_of_a_small_set_is_attained(name: str, kind: str) -> None:
     chain, at = chain_of(name, kind), slice(None, None, 5)
     rows = nasty.TrueRows(small(name, kind))
     nominal = -rows.worst({}, chain.nominal.w[at])
-    planned = -nasty.sampled(rows, chain.nominal.w[at], 2)
+    planned = -by_looking.sampled(rows, chain.nominal.w[at], 2)
     # A controller that is better than assumed may follow exactly: the bound is of both.
-    strayed = np.minimum(planned, -nasty.sampled(rows, felt_with(chain, at), 2))
+    strayed = np.minimum(planned, -by_looking.sampled(rows, felt_with(chain, at), 2))
     for reached, tracking in ((planned, False), (strayed, True)):
         share = (nominal - reached) / (nominal - chain.least_slack(tracking=tracking, held=False)[at])
         if tracking and name == "pair" and kind == "ellipsoid":
@@ -89,7 +90,7 @@ def test_no_load_of_the_set_has_less_than_the_least_slack(name: str, kind: str) 
     chain, at = chain_of(name, kind, 0), slice(None, None, 5)
     rows = nasty.TrueRows(LOADS[name](kind))
     bound = chain.least_slack(held=False)[at]
-    reached = -nasty.sampled(rows, felt_with(chain, at), 30)
+    reached = -by_looking.sampled(rows, felt_with(chain, at), 30)
     # Left out: what a parameter makes of the deviation that another one causes, some thousandths of the weight.
     assert np.all(reached >= bound - 2e-3)
 
@@ -195,7 +196,7 @@ def test_terms_of_the_load_add_up_to_the_true_load(name: str) -> None:
     known, w = chain.model.load, chain.nominal.w[::16]
     nominal = sum(nasty.needed_at_E(body, w) for body in nasty.nominal_bodies(made))
     left, first = [], []
-    for change in nasty.samples(chain.uncertain, 12):
+    for change in by_looking.samples(chain.uncertain, 12):
         true = nasty.true_bodies(made, change)
         extra = sum(nasty.needed_at_E(body, w) for body in true) - nominal
         values = chain.uncertain.nominal + deviations(chain, change)
@@ -214,10 +215,10 @@ def test_tubes_of_the_chain_hold_every_load_and_touch_one(name: str, kind: str) 
     for quantity in (chain.torque, chain.tray, chain.joint_state, chain.wrench):
         part = quantity[::20]
         linear = part[..., :n_p]
-        farthest = nasty.steepest(linear, chain.uncertain)
+        farthest = by_looking.steepest(linear, chain.uncertain)
         assert_allclose(chain.radius(linear), np.einsum("...p,...p->...", linear, farthest), rtol=1e-9, atol=1e-12)
         whole = chain.radius(part)
-        for change in nasty.samples(chain.uncertain, 20):
+        for change in by_looking.samples(chain.uncertain, 20):
             values = deviations(chain, change)
             reached = np.abs(part @ chain.model.load.deviations(chain.uncertain.nominal + values))
             assert np.all(reached <= whole * (1 + 1e-9) + 1e-12)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import by_looking
 import nasty
 from salver.errors import ScenarioError
 from salver.geometry import Array
@@ -32,7 +33,7 @@ def claimed(made: Scenario, w: Array) -> Array:
 def test_worst_case_lies_between_samples_and_what_is_documented(load: str, kind: str, turning: float) -> None:
     made = LOADS[load](kind)
     rows, w = nasty.TrueRows(made), nasty.felt(nasty.tray_motion(6, 1, turning))
-    bound, most, reached = claimed(made, w), nasty.documented(rows, w), nasty.sampled(rows, w)
+    bound, most, reached = claimed(made, w), by_looking.documented(rows, w), by_looking.sampled(rows, w)
     # The tilt is cut off after its second order: tilt^3 / 6 of the weight, 3e-6.
     assert np.all(reached <= bound + 1e-5)
     assert np.all(bound <= most + 1e-9)
@@ -49,7 +50,7 @@ def test_worst_case_of_a_small_set_is_attained(load: str, kind: str) -> None:
     made = made.with_changes(**{f"objects__{k}__uncertainty__position": [3e-6, 2e-6] for k in range(len(made.objects))})
     rows, w = nasty.TrueRows(made), nasty.felt(nasty.tray_motion(10, 2))
     nominal = rows.worst({}, w)
-    share = (nasty.sampled(rows, w, 2) - nominal) / (claimed(made, w) - nominal)
+    share = (by_looking.sampled(rows, w, 2) - nominal) / (claimed(made, w) - nominal)
     assert_allclose(share, 1.0, atol=2e-3)  # products are a thousandth of the slopes
 
 
@@ -120,20 +121,20 @@ def test_no_product_of_two_parameters_is_missed(names: tuple[str, str], slippery
     cut = {0: 1e-9, 1: 3e-4, 2: 9e-4}[sum("tilt" in name for name in set(names))]
     assert gap.min() > -cut
     assert np.sum(gap < cut) >= 3, np.sort(gap)[:4]
-    assert np.all(bound <= nasty.documented(rows, w) + 1e-9)
+    assert np.all(bound <= by_looking.documented(rows, w) + 1e-9)
 
 
 @pytest.mark.parametrize("names", [pair for pair in TWO if pair[0] != pair[1]], ids="*".join)
 def test_two_correlated_parameters(names: tuple[str, str]) -> None:
     made = with_only(names, "ellipsoid", "lower")
     rows, w = nasty.TrueRows(made), nasty.felt(nasty.tray_motion(20, 4, push=1.5))
-    angles, factor = np.linspace(0, 2 * np.pi, 49)[:-1], nasty.directions(rows.uncertain)
+    angles, factor = np.linspace(0, 2 * np.pi, 49)[:-1], by_looking.directions(rows.uncertain)
     points = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ factor.T
     changes = [dict(zip(rows.uncertain.names, point, strict=True)) for point in points]
     reached = np.max([np.hstack(rows.at(change, w, {})).max(axis=1) for change in changes], axis=0)
     bound = claimed(made, w)
     assert np.all(reached <= bound + 3e-4)
-    assert np.all(bound <= nasty.documented(rows, w) + 1e-9)
+    assert np.all(bound <= by_looking.documented(rows, w) + 1e-9)
 
 
 def test_a_tower_of_more_masses_than_are_taken_at_their_extremes() -> None:
@@ -157,7 +158,7 @@ def test_a_tower_of_more_masses_than_are_taken_at_their_extremes() -> None:
     made = nasty.scenario(objects).with_changes(uncertainty__tilt_deg=None)
     rows, w = nasty.TrueRows(made), nasty.felt(nasty.tray_motion(6, 5))
     assert sum(name.endswith("mass") for name in made.payload.uncertain.names) == 4
-    corners = nasty.samples(made.payload.uncertain, 200, 6)
+    corners = by_looking.samples(made.payload.uncertain, 200, 6)
     reached = np.max([rows.worst(change, w, {}) for change in corners], axis=0)
     bound, nominal = claimed(made, w), rows.worst({}, w)
     assert np.all(reached <= bound + 1e-9)

@@ -113,9 +113,9 @@ def _shared_fixtures(item: Any) -> Iterator[str]:
 
 
 def _forget() -> None:
-    """Empty the caches of functions of salver and of the tests."""
-    for name, module in list(sys.modules.items()):
-        if name.startswith(("salver", "test_", "nasty")):
+    """Empty the caches of functions of the repository: of salver, of the tests and of what they share."""
+    for module in list(sys.modules.values()):
+        if (getattr(module, "__file__", None) or "").startswith(os.getcwd()):
             for value in list(vars(module).values()):
                 if hasattr(value, "cache_clear"):
                     value.cache_clear()
