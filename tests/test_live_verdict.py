@@ -71,12 +71,14 @@ def test_the_margin_of_contact_is_more_than_the_verdict_may_miss(motion):
 
 
 def test_the_margin_of_torque_rate_is_more_than_the_verdict_may_miss(motion):
-    """Against what a loop is told from one period to the next, wherever its periods fall; of motions in a hurry too."""
+    """Against what a loop is told from one period to the next, wherever these fall; in a hurry and backwards too."""
     problem, whole = motion
     rates = TorqueRateLimit(problem.limits)
     missed = []
-    for share in (1.0, 0.8, 0.6):
-        hurried = JointMotion(share * whole.t, whole.q, whole.dq / share, whole.ddq / share**2)
+    for share, way in ((1.0, 1), (0.8, 1), (0.6, 1), (1.0, -1)):
+        hurried = JointMotion(
+            share * whole.t, whole.q[::way], way * whole.dq[::way] / share, whole.ddq[::way] / share**2
+        )
         t, _, at = along(problem, hurried)
         knots = np.abs(t[:, None] - hurried.t).min(axis=1) < 1e-9
         (block,) = evaluate([rates], at)
