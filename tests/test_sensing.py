@@ -188,15 +188,16 @@ def test_a_joint_that_meets_its_stop_is_believed(rig: Rig, bounce: float) -> Non
     assert [s.wrong for s in sensed if s.wrong] == []
 
 
-def test_a_joint_that_is_not_seen_meets_its_stop_in_the_model(rig: Rig) -> None:
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_joint_that_is_not_seen_meets_its_stop_in_the_model(rig: Rig, way: float) -> None:
     arm = Watched(rig, np.zeros(7))
-    end = arm.model.limits.q_max[1]
-    arm.q[1], arm.dq[1] = end - 0.02, 1.0
+    end = (arm.model.limits.q_max if way > 0 else arm.model.limits.q_min)[1]
+    arm.q[1], arm.dq[1] = end - way * 0.02, way
     arm.senses = Senses(rig.arm, rig.carried, 1e-3, ArmState(arm.q, arm.dq))
     for _ in range(100):
         state = arm.senses.take(None, arm.model.gravity(arm.q)).state
-    assert end - 0.02 < state.q[1] < end + 1e-3
-    assert abs(state.dq[1]) < 1e-3
+    assert -0.02 < way * (state.q[1] - end) < 1e-3
+    assert way * state.dq[1] < 1e-3
 
 
 def test_a_clock_that_runs_ahead_is_told_by_the_joints(rig: Rig) -> None:
