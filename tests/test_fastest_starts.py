@@ -17,10 +17,24 @@ from salver.models.known_arms import KNOWN_ARMS, robot_file
 from salver.planning.fastest import FastestOptions, fastest, plan_fastest, search, transport_problem
 from salver.planning.fastest.around import LEAN, STEP, way_around
 from salver.planning.fastest.bound import least_by_friction, least_duration, least_time
+from salver.planning.fastest.curves import FreeCurve
+from salver.planning.fastest.exchange import rough
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.search import few_pieces, refitted
+from salver.planning.fastest.sides import DEEPEST, past
 from salver.planning.fastest.spline import SplineMotion
-from salver.planning.fastest.starts import Start, bendable, bent, between, ends, open_to, straight, touches, tray_line
+from salver.planning.fastest.starts import (
+    Start,
+    bendable,
+    bent,
+    between,
+    ends,
+    open_to,
+    straight,
+    touches,
+    tray_line,
+    unlike,
+)
 from salver.planning.fastest.watch import Watch
 
 POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
@@ -138,6 +152,48 @@ def test_ways_over_a_post_and_before_it_cannot_be_bent_into_one_another(behind_a
     for way in ways:
         for other in ways:
             assert bendable(problem, way, other) == (over(way) == over(other))
+
+
+def test_paths_pass_a_post_over_it_and_on_the_near_side(behind_a_post):
+    """From end to end, hardly touching; it is 0.4 m tall, and a way over it twice as long as one before it."""
+    post = {**POST, "position": [0.55, -0.02, 0.2], "length": 0.4}
+    problem = transport_problem(behind_a_post.scenario.with_changes(obstacles=[post]))
+    pair = ends(problem, np.random.default_rng(0))[0]
+    least = {}
+    for start in past(problem, pair):
+        assert np.array_equal(start.postures[0], pair.start)
+        assert np.array_equal(start.postures[-1], pair.goal)
+        assert touches(problem, start) <= DEEPEST < touches(problem, straight(pair))
+        p = np.array([problem.arm.tray_pose(q)[0] for q in start.path(np.linspace(0, 1, 60))])
+        there = p[np.abs(p[:, 1] + 0.02).argmin()]
+        side = "over" if there[2] > 0.55 else "before" if there[0] < 0.5 else "through"
+        least[side] = min(start.least(problem), least.get(side, np.inf))
+    assert sorted(least) == ["before", "over"]
+    assert least["before"] < least["over"]
+    assert past(replace(problem, keep_out=None), pair) == []
+
+
+def test_postures_in_which_the_arm_stands_otherwise_come_first(behind_a_post):
+    """A base turned once round is another posture and stands the same."""
+    first = ends(behind_a_post, np.random.default_rng(0), few=1)[0]
+    turn = 2 * np.pi * np.eye(7)[0]
+    same = replace(first, start=first.start + turn, goal=first.goal + turn, cost=first.cost + 0.1)
+    other = replace(first, goal=first.goal + 0.5)
+    assert unlike(behind_a_post, [first, same, other]) == [first, other, same]
+    assert unlike(behind_a_post, [first]) == [first]
+
+
+def test_a_start_that_cannot_be_the_best_is_given_up_early_and_one_that_can_is_not(behind_a_post):
+    problem = behind_a_post
+    few, watch = few_pieces(FastestOptions()), Watch()
+    begin = past(problem, ends(problem, np.random.default_rng(0))[0])[0].motion(problem, few)
+    whole = rough(problem, FreeCurve, begin, 2, watch)
+    assert whole.iterate.violation < 1e-3
+    better, worse = (rough(problem, FreeCurve, begin, 2, watch, beat=x * whole.iterate.duration) for x in (0.7, 1.5))
+    assert better.iterations < whole.iterations
+    assert better.iterate.duration > 0.7 * whole.iterate.duration
+    assert worse.iterations == whole.iterations
+    assert worse.iterate.duration == whole.iterate.duration
 
 
 @pytest.mark.slow
@@ -337,7 +393,7 @@ def test_an_end_is_turned_by_a_quarter_where_the_last_joint_has_room_for_it(monk
     found. The start stays."""
     problem, options = transport_problem(scenario.load("panda-cube")), FastestOptions()
     one = search._Search(problem, options, Watch(), [], np.random.default_rng(0))
-    monkeypatch.setattr(search._Search, "_rough_from", lambda self, problem, start, damping: start)
+    monkeypatch.setattr(search._Search, "_rough_from", lambda self, problem, start, damping, beat: start)
     few, low, high = few_pieces(options), problem.limits.q_min[-1], problem.limits.q_max[-1]
 
     def turned(end, duration=3.0):

@@ -161,19 +161,24 @@ def rough(
     watch: Watch,
     damping: float = 1.0,
     iterations: int = ROUGH_ITERATIONS,
+    beat: float = np.inf,
 ) -> Solution:
     """A first optimum with few pieces: a start for one with more. Between its nodes only what touches is looked at: a
-    thin obstacle would fit between two of them."""
+    thin obstacle would fit between two of them.
+
+    beat: s; given up where it will hardly be shorter than this. Nodes that are added only make it longer.
+    """
     nodes, at, done = start.spline.nodes(nodes_per_span), start, 0
     for exchange in range(ROUGH_EXCHANGES + 1):
         programme = programme_of(problem.roughly, curve_of, at, nodes, points=1)
         begun = programme.begin(at.coefficients, at.duration)
         first = begun if exchange else hastened(programme, begun)
         trust = Trust(damping if first is begun else min(damping, HASTENED))
-        solution = minimise(programme, first, Options(iterations, watch, gain=ROUGH_GAIN), trust)
+        solution = minimise(programme, first, Options(iterations, watch, gain=ROUGH_GAIN, beat=beat), trust)
         done += solution.iterations
         touched = _touched(curve_of(problem, Grid.of(start.spline, nodes, LOOKS)), solution.iterate)
-        if solution.iterate.violation > HOPELESS_AT_NODES or not len(touched) or watch.over():
+        beaten = solution.iterate.duration > beat
+        if beaten or solution.iterate.violation > HOPELESS_AT_NODES or not len(touched) or watch.over():
             break
         nodes, damping, iterations = united(nodes, touched), REPAIR, min(iterations, REPAIR_ITERATIONS)
         at = SplineMotion(start.spline, solution.iterate.coefficients, solution.iterate.duration)

@@ -18,11 +18,12 @@ from salver.geometry import Array
 from salver.planning.fastest.bound import least_duration
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.ends import AtPose
-from salver.planning.fastest.exchange import ITERATIONS, ROUGH_ITERATIONS, SHORTEST, optimise, rough
+from salver.planning.fastest.exchange import ITERATIONS, ROUGH_GAIN, ROUGH_ITERATIONS, SHORTEST, optimise, rough
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.objectives import Objective
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.programme import Iterate
+from salver.planning.fastest.sides import past
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Solution
 from salver.planning.fastest.starts import (
@@ -37,7 +38,9 @@ from salver.planning.fastest.starts import (
     ends,
     open_to,
     straight,
+    touches,
     tray_line,
+    unlike,
 )
 from salver.planning.fastest.watch import INTERRUPTED, WHY, Watch
 from salver.planning.follow.limits import blocked_end
@@ -48,6 +51,10 @@ TURNED = 0.3  # after the last joint has been turned by a right angle,
 NEAR = 0.1  # and from the optimum of a similar problem
 NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
 BENDS = 3  # detours that are tried at last
+SIDES_TRIED = 4  # paths past what is in the way that are tried, for each pair of ends
+SHORTENED = 0.5  # of its own least time a motion hardly becomes shorter
+ENOUGH_SIDES = 3  # of those that are found for a pair, with which no way around is looked for
+DEEP = 4.0  # by which share a path counts as longer that is so deep in something, 1/m
 AGAIN = 3  # times a motion that nothing hinders is made shorter
 
 
@@ -78,6 +85,7 @@ def fastest(
         status = blocked or Status("unreachable", unreached, False)
         wall = time.perf_counter() - begun
         return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, status, {}, (), wall, 0)
+    pairs = unlike(problem, pairs)
     return replace(_Search(problem, options, watch, pairs, rng).best(), wall_time=time.perf_counter() - begun)
 
 
@@ -102,7 +110,9 @@ class _Search:
         steps = len(first) + self.options.starts
         roughs: list[tuple[TransportProblem, Solution]] = []
         for done, begin in enumerate(first, 1):
-            roughs.append(self._rough(*begin))
+            beat = self._beat(roughs)
+            if SHORTENED * begin[1].least(begin[0]) < beat:
+                roughs.append(self._rough(*begin, beat=beat))
             self.watch.share = done / steps
             if self.watch.over():
                 break
@@ -139,17 +149,30 @@ class _Search:
             best = mended if mended.status.ok else best
         return replace(best, status=_ended(best.status, self.watch), iterations=self.iterations)
 
+    def _beat(self, roughs: list[tuple[TransportProblem, Solution]]) -> float:
+        """What another rough optimum has to be shorter than to be refined, s."""
+        hopeful = sorted(found.iterate.duration for _, found in roughs if found.iterate.violation < NEARLY)
+        enough = self.options.starts
+        return (1 - ROUGH_GAIN) * hopeful[enough - 1] if len(hopeful) >= enough else np.inf
+
     def _first(self) -> list[Begin]:
-        """Straight paths between the most promising ends, or, where those cannot be gone along, the shortest of the
-        ways around that are found."""
+        """Straight paths between the most promising ends; where those cannot be gone along, what passes on either side
+        too, the most promising first."""
         count = self.options.first(self.problem)
         lines = [(between(self.problem, pair), straight(pair)) for pair in self.pairs[: 2 * count]]
         free = [open_to(problem, line) for problem, line in lines]
         if all(free[:count]):
             return lines[:count]
-        found = [line for (_, line), is_free in zip(lines, free, strict=True) if is_free]
-        found += self._ways([pair for pair, is_free in zip(self.pairs, free, strict=False) if not is_free])
-        return self._promising(found)[: self.options.pairs + 1]
+        found = [line for line, is_free in zip(lines, free, strict=True) if is_free]
+        few = self.options.starts > 1
+        for pair, (problem, line), is_free in zip(self.pairs[:count], lines, free, strict=False):
+            if not is_free:
+                beside = past(problem, pair)
+                few = few or len(beside) < ENOUGH_SIDES
+                found += [(problem, path) for path in (line, tray_line(problem, pair), *beside) if path is not None]
+        if few:
+            found += self._promising(self._ways([]))
+        return sorted(found, key=_promise)[: SIDES_TRIED * count]
 
     def _ways(self, pairs: list[Ends]) -> list[Start]:
         """Ways around between the ends of each of some pairs, and from any start to any goal that is known."""
@@ -169,6 +192,7 @@ class _Search:
 
     def _further(self) -> Iterator[Begin]:
         """What is tried when those fail."""
+        yield from self._promising(self._ways([]))
         if self.problem.start_posture is not None:  # so far only the first of them were sought
             self.pairs = ends(self.problem, self.rng)
         few = self.pairs[: max(2, self.options.pairs)]
@@ -183,13 +207,17 @@ class _Search:
         for _ in range(BENDS):
             yield between(self.problem, self.pairs[0]), bent(self.pairs[0], self.rng)
 
-    def _rough(self, problem: TransportProblem, start: Start) -> tuple[TransportProblem, Solution]:
+    def _rough(
+        self, problem: TransportProblem, start: Start, beat: float = np.inf
+    ) -> tuple[TransportProblem, Solution]:
         """A first optimum with few spline pieces, from a comfortable duration."""
-        return problem, self._rough_from(problem, start.motion(problem, self._few), 1.0)
+        return problem, self._rough_from(problem, start.motion(problem, self._few), 1.0, beat)
 
-    def _rough_from(self, problem: TransportProblem, start: SplineMotion, damping: float) -> Solution:
+    def _rough_from(
+        self, problem: TransportProblem, start: SplineMotion, damping: float, beat: float = np.inf
+    ) -> Solution:
         iterations = round(self.options.iterations * ROUGH_ITERATIONS)
-        found = rough(problem, FreeCurve, start, self.options.nodes_per_span, self.watch, damping, iterations)
+        found = rough(problem, FreeCurve, start, self.options.nodes_per_span, self.watch, damping, iterations, beat)
         self.iterations += found.iterations
         return found
 
@@ -204,7 +232,8 @@ class _Search:
             within = problem.limits.q_min[-1] < coefficients[-1, -1] < problem.limits.q_max[-1]
             longer = least_duration(problem.limits, coefficients[0], coefficients[-1]) > found.iterate.duration
             if within and not (longer and found.iterate.violation < NEARLY and not problem.moving):
-                yield self._rough_from(problem, SplineMotion(few, coefficients, found.iterate.duration), TURNED)
+                start = SplineMotion(few, coefficients, found.iterate.duration)
+                yield self._rough_from(problem, start, TURNED, self._beat([(problem, found)]))
 
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
         """The optimum with all pieces. Where nothing hinders a shorter time it is none: then on from there."""
@@ -238,6 +267,12 @@ def refitted(motion: SplineMotion, spans: int) -> SplineMotion:
     """The same motion, as near as may be, with so many pieces."""
     spline, s = RestSpline(DEGREE, spans), np.linspace(0, 1, 201)
     return SplineMotion(spline, spline.fit(s, motion.spline.matrices(s)[0] @ motion.coefficients), motion.duration)
+
+
+def _promise(begin: Begin) -> float:
+    """About how long a motion from there may take, s: longer, the deeper the path is in something."""
+    problem, start = begin
+    return start.least(problem) * (1 + DEEP * touches(problem, start))
 
 
 def _merit(found: tuple[TransportProblem, Solution]) -> tuple[bool, float]:

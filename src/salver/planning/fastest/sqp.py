@@ -25,6 +25,8 @@ POOR, GOOD = 0.8, 0.3  # shares of what was hoped for: below, a correction is tr
 LEAST_RATIO = 0.01  # of what was hoped for that a step must bring
 FUTILE = 6  # iterations in turn of which none promises or reaches less violation, by ...
 LESS = 0.05  # ... this share, than one before did: another start is better
+NEARLY = 0.05  # violation from which a motion mostly becomes longer
+STRIDING = 0.15  # share of itself that a step at its longest promises: no telling yet how far it goes
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Options:
     """iterations: when to stop; watch: may stop sooner. gain: relative improvement that counts as none.
     violation: largest violation of a margin-tightened row that counts as converged. penalty: first price of a unit of
     violation, in the unit of the objective. least_damping: of the proximal term. mending: to end with the first step
-    that keeps all rows.
+    that keeps all rows. beat: the search ends where nothing below this is to be expected.
     """
 
     iterations: int = 60
@@ -42,6 +44,12 @@ class Options:
     penalty: float = 20.0
     least_damping: float = 1e-5
     mending: bool = False
+    beat: float = np.inf
+
+    def beaten(self, path: Iterate, hoped: float) -> bool:
+        """Whether a path that nearly keeps its rows, and of which a step promises so much, will not come below."""
+        striding = hoped > STRIDING * abs(path.cost)
+        return path.violation < NEARLY and not striding and path.cost - max(hoped, 0.0) > self.beat
 
 
 @dataclass(frozen=True)
@@ -96,6 +104,9 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
                 break
             continue
         programmes += attempt.programmes
+        if options.beaten(path, attempt.hoped):
+            code = "beaten"
+            break
         # Far from every edge a programme promises too much: that what was reached gets less is progress as well.
         nearer = path.violation < (1 - LESS) * lowest
         futile = futile + 1 if attempt.slack > max(options.violation, (1 - LESS) * least) and not nearer else 0

@@ -23,11 +23,13 @@ ATTEMPTS, BATCHES = 120, 3  # random postures from which the ends are sought, no
 MORE_ATTEMPTS = 100  # and from which each of them is when more are wanted,
 ENOUGH = 6  # until there are so many different ones in which nothing touches
 OTHERS = 6  # goal postures that are sought from a start posture that is given
-SLIDES, SLIDE = 12, 0.15  # steps, rad, by which an end posture that touches something is slid free
+SLIDES, SLIDE = 12, 0.15  # steps, rad, by which an end posture that touches something is slid free,
+IN_VAIN = 4  # of which so many in turn may bring nothing
 APART = 0.3  # rad between pairs of ends that count as different,
 AT_LIMITS = 0.1  # s that a posture at the limit of a joint counts for
 TOO_NEAR = 3.0  # s/m, that it counts for to be nearer than 3 cm to something
 NEAR_BY, ALIKE = 0.03, 0.03  # m and share of the cost by which the arm stands and moves otherwise
+UNLIKE = 0.1  # m by which it stands so otherwise that another motion may come of it
 LEVER = 0.1  # m, at which the tray's heading counts
 ALONG = 31  # postures by which a path is looked at
 LOOKS, FEW_LOOKS = 6000, 1500  # postures that are looked at for a way around, and for one between two given ones
@@ -157,6 +159,18 @@ def _shape(problem: TransportProblem, q: Array) -> Array:
     return np.array([*(placement.translation for placement in arm.data.oMi.tolist()[1:]), LEVER * heading])
 
 
+def unlike(problem: TransportProblem, pairs: list[Ends]) -> list[Ends]:
+    """The same pairs, those first in which the arm stands otherwise than in all before them."""
+    kept: list[Ends] = []
+    shapes: list[Array] = []
+    for pair in pairs:
+        shape = np.stack([_shape(problem, q) for q in (pair.start, pair.goal)])
+        if all(np.abs(shape - other).max() > UNLIKE for other in shapes):
+            kept.append(pair)
+            shapes.append(shape)
+    return [*kept, *(pair for pair in pairs if pair not in kept)]
+
+
 def _cost(problem: TransportProblem, start: Array, goal: Array) -> float:
     """About how long a motion between two postures takes, s; dearer near joint limits."""
     limits = problem.limits
@@ -224,9 +238,12 @@ def _slid_free(problem: TransportProblem, end: End, q: Array) -> Array:
     keep_out, arm = problem.keep_out, problem.arm
     if keep_out is None:
         return q
+    free, vain = -np.inf, 0
     for _ in range(SLIDES):
         distance = keep_out.distances(q[None])[0] - ENOUGH_AT_ENDS
-        if distance.min() >= 0:
+        vain = 0 if distance.min() > free else vain + 1
+        free = max(free, float(distance.min()))
+        if free >= 0 or vain >= IN_VAIN:
             break
         near = np.flatnonzero(distance < 0)
         away = -distance[near] @ keep_out.gradient(q[None], np.zeros_like(near), near)

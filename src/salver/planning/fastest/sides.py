@@ -1,0 +1,121 @@
+"""Past what stands in the way, on every side: paths whose middle is moved off the straight one.
+
+Where the straight path is deepest in something, the tray is moved across its way, further and further, in each of eight
+directions, level; an arm with a joint to spare is turned about its tray too, to either side. The rest of the path
+follows the less, the further away. What comes of it nearly touches nothing; the optimiser does the rest, and which
+side is the shortest it alone can tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from salver.geometry import Array, exp
+from salver.planning.fastest.ends import AtPose
+from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.spline import min_jerk_blend
+from salver.planning.fastest.starts import ALONG, Ends, Start, straight
+from salver.planning.postures import PoseTarget, posture_at
+
+SIDES = 8  # directions across the way in which the tray is moved,
+STEP, FURTHEST = 0.05, 0.5  # m, by which, and at most
+TURN, TURNS = 0.25, 6  # rad by which an arm is turned about its tray, and how often
+NEARLY_FREE, DEEPEST = 0.02, 0.05  # m that a path should be in something at most, and may be if none is better
+COARSE = 4  # every so many of its postures are looked at first
+MIDDLE = (0.2, 0.8)  # share of the path in which it is moved most
+REACHED = 1e-6  # m and rad that a posture may miss
+JUMP = 0.8  # rad; a larger step is another branch
+UP = np.array([0.0, 0.0, 1.0])
+ITERATIONS = 15  # of a step's inverse kinematics
+
+
+def past(problem: TransportProblem, pair: Ends) -> list[Start]:
+    """Paths beside the straight one between a pair of ends, on each side the nearest that is nearly free."""
+    keep_out = problem.keep_out
+    if keep_out is None:
+        return []
+    u = np.linspace(0.0, 1.0, ALONG)
+    line = straight(pair).path(u)
+    within = (u >= MIDDLE[0]) & (u <= MIDDLE[1])
+    k = int(np.argmin(np.where(within, keep_out.distances(line).min(axis=1), np.inf)))
+    one = np.where(u <= u[k], min_jerk_blend(u / u[k]), min_jerk_blend((1 - u) / (1 - u[k])))[:, None]
+    found = []
+    for postures in _moved(problem, pair, line[k]):
+        depth, best = DEEPEST, None
+        for q in postures:
+            if np.any(q < problem.limits.q_min) or np.any(q > problem.limits.q_max):
+                break
+            if _depth(problem, q[None]) > NEARLY_FREE:
+                continue
+            for share in (one, one * (2 - one)):
+                path = line + share * (q - line[k])
+                deep = _depth(problem, path[::COARSE])
+                if deep < depth:
+                    deep = _depth(problem, path)
+                if deep < depth:
+                    depth, best = deep, path
+            if depth < NEARLY_FREE:
+                break
+        if best is not None:
+            found.append(Start("past", best))
+    return found
+
+
+def _depth(problem: TransportProblem, q: Array) -> float:
+    """How deep in something the arm is at its worst at postures (N, n), m."""
+    assert problem.keep_out is not None
+    return -float(problem.keep_out.distances(q).min())
+
+
+def _moved(problem: TransportProblem, pair: Ends, q: Array) -> Iterator[Iterator[Array]]:
+    """For each side: postures (n,) further and further to it from q."""
+    arm = problem.arm
+    (p_0, _), (p_1, _), (p_SE, R_SE) = (arm.tray_pose(posture) for posture in (pair.start, pair.goal, q))
+    along = p_1 - p_0
+    aside = np.cross(UP, along)
+    if np.linalg.norm(aside) > 1e-3 * np.linalg.norm(along) > 0:
+        aside /= np.linalg.norm(aside)
+    else:  # straight up, or not at all
+        aside = np.array([1.0, 0.0, 0.0])
+    over = np.cross(along, aside)
+    over = over / np.linalg.norm(over) if np.linalg.norm(over) > 0 else UP
+    R_level = exp([0.0, 0.0, np.arctan2(R_SE[1, 0], R_SE[0, 0])])
+    for angle in 2 * np.pi * np.arange(SIDES) / SIDES:
+        yield _shifted(problem, q, p_SE, np.cos(angle) * aside + np.sin(angle) * over, R_level)
+    if arm.n > 6:
+        yield from (_turned(problem, q, p_SE, R_level, sign) for sign in (1.0, -1.0))
+
+
+def _shifted(problem: TransportProblem, q: Array, p_SE: Array, direction: Array, R_SE: Array) -> Iterator[Array]:
+    for away in np.arange(STEP, FURTHEST + 1e-9, STEP):
+        new = _posture(problem, p_SE + away * direction, R_SE, q)
+        if new is None:
+            return
+        yield new
+        q = new
+
+
+def _turned(problem: TransportProblem, q: Array, p_SE: Array, R_SE: Array, sign: float) -> Iterator[Array]:
+    """With the tray where it is: by the freedom that is left."""
+    new, last = _posture(problem, p_SE, R_SE, q), None
+    for _ in range(TURNS):
+        if new is None:
+            return
+        free = np.linalg.svd(PoseTarget(p_SE, R_SE).residual(problem.arm, new)[1])[2][-1]
+        if last is None:
+            free = sign * free * np.sign(free[np.argmax(np.abs(free))])
+        elif free @ last < 0:
+            free = -free
+        new, last = _posture(problem, p_SE, R_SE, new + TURN * free), free
+        if new is not None:
+            yield new
+
+
+def _posture(problem: TransportProblem, p_SE: Array, R_SE: Array, q: Array) -> Array | None:
+    """The posture (n,) near q with the tray at a pose, which way it points left open where the goal leaves it open."""
+    yaw_free = isinstance(problem.goal, AtPose) and problem.goal.target.yaw_free
+    target = PoseTarget(p_SE, R_SE, yaw_free=yaw_free)
+    new, missed = posture_at(problem.arm, target, q, limits=problem.limits, iterations=ITERATIONS)
+    return new if missed < REACHED and np.abs(new - q).max() < JUMP else None
