@@ -106,9 +106,9 @@ def test_noise_is_found_as_large_as_it_is(size: float, smooth: bool) -> None:
     """Drawn from its covariance, with a load in it: white noise within a step of what is tried, coloured not below."""
     t, rng = np.arange(0.0, 1.0, 0.005), np.random.default_rng(8)
     true = Noise(size * 0.05, size * 0.03, 0.01, 0.01, smooth)
-    root = np.linalg.cholesky(true.covariance(t, 5))
     effects = np.column_stack([np.sin(3 * t), t**2])
     times, step = Times.of(t, 5), SHARES[1] / SHARES[0]
+    root = np.linalg.cholesky(times.covariance(true))
     drawn_ = [root @ rng.standard_normal(200) + effects @ rng.standard_normal(2) for _ in range(20)]
     found = [times.found(Noise(0.05, 0.03, 0.01, 0.01), values, 3 * effects, 1) for values in drawn_]
     assert 1 / step < np.median([n.white for n in found]) / true.white < step

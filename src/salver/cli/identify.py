@@ -66,7 +66,7 @@ def summary(found: Identified) -> dict[str, object]:
     """For machines."""
     return {
         "ranges": {
-            name: {"low": r.low, "high": r.high, "before": list(r.before), "learnt": r.learnt}
+            name: {"low": r.low, "high": r.high, "likely": list(r.likely), "before": list(r.before), "learnt": r.learnt}
             for name, r in found.ranges.items()
         },
         "sensors": list(found.sensors),
@@ -80,13 +80,16 @@ def _show(found: Identified) -> None:
 
     console = result_console()
     table = Table(box=None, padding=(0, 3, 0, 0))
-    for column in ("", "low", "high", "before"):
+    for column in ("", "95 %", "low", "high", "before"):
         table.add_column(column, justify="left" if not column else "right")
     for name, r in found.ranges.items():
         unit, scale = ("g", 1e3) if name == "mass" else ("mm", 1e3)
         before = f"{scale * r.before[0]:.1f} to {scale * r.before[1]:.1f}"
-        table.add_row(f"{name}, {unit}", f"{scale * r.low:.2f}", f"{scale * r.high:.2f}", before)
-    console.print(f"From {', '.join(found.sensors)} (centre of mass from the nominal one):")
+        likely = f"{scale * r.likely[0]:.2f} to {scale * r.likely[1]:.2f}"
+        table.add_row(f"{name}, {unit}", likely, f"{scale * r.low:.2f}", f"{scale * r.high:.2f}", before)
+    console.print(
+        f"From {', '.join(found.sensors)} (centre of mass from the nominal one; plan with low to high):"
+    )
     console.print(table)
     for sentence in found.told:
         console.print(headed("not identified", sentence))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,7 +26,7 @@ class State:
     tau: Array | None
     wrench: Array | None
     model: Array
-    to_tau: Array
+    to_tau: Array | None
     to_wrench: Array
 
     @cached_property
@@ -34,40 +35,63 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
-    """One sensor at N instants: values (N,) beyond what the prior's load makes, rows (N, 10) per unit of phi, their
-    covariance (N, N). residual: by how much it is noisier than was told."""
+class Reading:
+    """One sensor at N instants: values (N,) beyond what the prior's load makes, rows (N, 10) per unit of phi.
+
+    told: its noise, as far as known beforehand. nuisance (N, m): other effects, per standard deviation.
+    """
 
     name: str
     values: Array
     rows: Array
-    covariance: Array
+    told: noise.Noise
+    nuisance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """A reading with the lower root (N, N) of its errors' covariance. residual: by how much it is noisier than told."""
+
+    name: str
+    values: Array
+    rows: Array
+    root: Array
     residual: float
 
     @classmethod
-    def of(
-        cls, name: str, values: Array, rows: Array, told: noise.Noise, nuisance: Array, state: State, spread: Array
-    ) -> Channel:
-        """nuisance (N, m): other effects, per standard deviation. spread (10,): of phi. The noise is found."""
-        found = state.times.found(told, values, np.hstack([rows * spread, nuisance]), RUNS)
-        covariance = RUNS * found.covariance(state.t, state.samples) + nuisance @ nuisance.T
-        made = cls(name, values, rows, covariance, 1.0)
-        white, left = made.white(slice(None))
+    def of(cls, reading: Reading, state: State, found: noise.Noise) -> Channel:
+        """With that noise, or more where more is left of the values than it explains."""
+        covariance = RUNS * state.times.covariance(found) + reading.nuisance @ reading.nuisance.T
+        made = cls(reading.name, reading.values, reading.rows, np.asarray(np.linalg.cholesky(covariance)), 1.0)
+        white, left = made.white
         left = left - white @ np.linalg.lstsq(white, left, rcond=1e-8)[0]
         size = max(1.0, float(np.sqrt(np.sum(left**2) / max(1, len(left) - 10))))
-        residual = size * found.share(told, state.samples)
-        return cls(name, values, rows, size**2 * covariance, residual)
+        return replace(made, root=size * made.root, residual=size * found.share(reading.told, state.samples))
 
-    def white(self, part: slice) -> tuple[Array, Array]:
-        """Whitened rows and values of some of the instants."""
-        root = np.linalg.cholesky(self.covariance[part, part])
-        both = np.linalg.solve(root, np.column_stack([self.values[part], self.rows[part]]))
+    @cached_property
+    def white(self) -> tuple[Array, Array]:
+        """Whitened rows (N, 10) and values (N,)."""
+        return self._whitened(self.root, slice(None))
+
+    def half(self, second: bool) -> tuple[Array, Array]:
+        """Whitened rows and values of half of the instants, as if there were no others."""
+        middle = len(self.values) // 2
+        if not second:
+            return self._whitened(self.root[:middle, :middle], slice(middle))
+        below = self.root[middle:]
+        return self._whitened(np.asarray(np.linalg.cholesky(below @ below.T)), slice(middle, None))
+
+    def _whitened(self, root: Array, part: slice) -> tuple[Array, Array]:
+        from scipy.linalg import solve_triangular
+
+        both = np.column_stack([self.values[part], self.rows[part]])
+        both = solve_triangular(root, both, lower=True, check_finite=False)
         return both[:, 1:], both[:, 0]
 
 
 def differences(state: State, without: State, log: Log, empty: Log, prior: tuple[Array, Array]) -> list[Channel]:
     """What every sensor says more than along the empty run."""
-    found: list[Channel] = []
+    found: list[Reading] = []
     (phi_0, spread), nothing = prior, np.zeros((len(state.t), 0))
 
     def at(values: Array) -> Array:
@@ -75,9 +99,9 @@ def differences(state: State, without: State, log: Log, empty: Log, prior: tuple
         return np.stack([np.interp(state.t, without.t, column) for column in values.T], axis=1)
 
     def add(name: str, values: Array, rows: Array, told: noise.Noise, nuisance: Array) -> None:
-        found.append(Channel.of(name, values - rows @ phi_0, rows, told, nuisance, state, 3 * spread))
+        found.append(Reading(name, values - rows @ phi_0, rows, told, nuisance))
 
-    if state.tau is not None and without.tau is not None:
+    if state.tau is not None and state.to_tau is not None and without.tau is not None:
         difference, before = state.tau - at(without.tau), at(without.dq)
         coulomb, viscous = noise.FRICTION
         for j in range(difference.shape[1]):
@@ -95,4 +119,21 @@ def differences(state: State, without: State, log: Log, empty: Log, prior: tuple
         raise FileFormatError(
             f"{log.source} and {empty.source} share no sensor; both must hold tau, or both wrench_F (fx to tz)."
         )
-    return found
+    return _weighed(found, state, spread)
+
+
+def _weighed(readings: Sequence[Reading], state: State, spread: Array) -> list[Channel]:
+    """The noise of each is looked for in what the load, as the others show it if they err as told, does not explain."""
+    shown = []
+    for reading in readings:
+        white, left = Channel.of(reading, state, reading.told).white
+        shown.append(white.T @ np.column_stack([white, left]))
+    channels = []
+    for reading, own in zip(readings, shown, strict=True):
+        others = np.sum(shown, axis=0) - own
+        covariance = np.linalg.inv(np.diag(1 / (3 * spread) ** 2) + others[:, :10])
+        root = np.linalg.cholesky(0.5 * (covariance + covariance.T))
+        left = reading.values - reading.rows @ (covariance @ others[:, 10])
+        effects = np.hstack([reading.rows @ root, reading.nuisance])
+        channels.append(Channel.of(reading, state, state.times.found(reading.told, left, effects, RUNS)))
+    return channels

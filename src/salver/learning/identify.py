@@ -10,7 +10,7 @@ velocity. The arm's own model errs the same in both runs, and cancels; of each r
 is taken off first. Noise is coloured (`salver.learning.noise`), as large as the log shows it: generalised least
 squares. The middle of the scenario's ranges is the
 prior, with their half-ranges as standard deviations. Ranges are `WIDTH` standard deviations, of the centre of mass (a
-ratio) by Fieller (1954), and the scenario's own where those are narrower.
+ratio) by Fieller (1954), and the scenario's own where those are narrower. Those of `LIKELY` are told beside them.
 """
 
 from __future__ import annotations
@@ -36,11 +36,14 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
     from salver.scenario import Scenario
 
-WIDTH = 3.0  # standard deviations
+WIDTH = 3.0  # standard deviations, of ranges that are taken for certain
+LIKELY = 2.0  # and of those that hold the truth in 95 % of runs or more
 BANDWIDTH = 10.0  # Hz, of what is believed of a measured deviation from the plan
-ENDS = 0.08  # s at each end, where smoothing has only one side
+ENDS = 0.08  # s at each end, where smoothing has only one side: left out when the deviation still moves there,
+RESTS = 0.01  # rad/s, faster than this; else only
+EDGE = 0.02  # s
 BLOCK = 0.005  # s over which samples are averaged,
-BLOCKS = 400  # and not more of them
+BLOCKS = 160  # and not more of them
 MOVES = 0.02  # rad that some joint must move, for a motion
 SAME = 0.02  # rad by which the empty run may differ from the loaded one
 FOREIGN = 0.3  # of the largest torque of a joint: by how much a model of the arm may err,
@@ -53,11 +56,13 @@ NAMES = ("mass", "com_x", "com_y", "com_z")
 
 @dataclass(frozen=True)
 class Range:
-    """low, high: of a parameter of the scenario, SI units; before: (low, high) that it had."""
+    """low, high: of a parameter of the scenario, SI units, to plan for. before: (low, high) that it had. likely: what
+    holds it in 95 % of runs."""
 
     low: float
     high: float
     before: tuple[float, float]
+    likely: tuple[float, float]
 
     @property
     def half(self) -> float:
@@ -131,10 +136,10 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
         state = _state(plan, arm, log)
         _same_motion(log, empty)
         channels = differences(state, without, log, empty, (phi_0, spread))
-        moved, error = _moved(state.t, channels, log, (phi_0, spread))
+        moved, error = _moved(channels, log, (phi_0, spread))
         shift = np.maximum(shift, np.maximum(np.abs(moved) - error, 0.0))
         for channel in channels:
-            rows, left = channel.white(slice(None))
+            rows, left = channel.white
             information += rows.T @ rows
             pull += rows.T @ left
         used += channels
@@ -179,9 +184,12 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
         )
     if np.ptp(log.q, axis=0).max() < MOVES:
         raise FileFormatError(f"{log.source} has no motion in it: no joint moves by {MOVES:g} rad.")
-    q, dq, ddq = (a + b for a, b in zip(wanted[:3], _smooth(off, step), strict=True))
+    strayed = _smooth(off, step)
+    q, dq, ddq = (a + b for a, b in zip(wanted[:3], strayed, strict=True))
     every = max(1, round(max(BLOCK, plan.duration / BLOCKS) / step))
-    inside = (log.t > max(log.t[0], 0.0) + ENDS) & (log.t < min(log.t[-1], plan.duration) - ENDS)
+    near = max(1, round(ENDS / step))
+    left_out = [ENDS if np.abs(strayed[1][end]).max() > RESTS else EDGE for end in (slice(near), slice(-near, None))]
+    inside = (log.t > max(log.t[0], 0.0) + left_out[0]) & (log.t < min(log.t[-1], plan.duration) - left_out[1])
     index = np.flatnonzero(inside)
     blocks = index[: len(index) // every * every].reshape(-1, every)
     if len(blocks) < 20:
@@ -196,8 +204,9 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
     at_E = np.einsum("kij,tj->tik", maps, terms.w)
     at_F = at_E.copy()
     at_F[:, 3:] += hat(arm.p_FE) @ at_E[:, :3]
-    to_tau = np.einsum("tij,tik->tjk", terms.jacobian, at_E)
-    tau = None if log.tau is None else mean(log.tau) - terms.torque
+    tau, to_tau = None, None
+    if log.tau is not None:
+        tau, to_tau = mean(log.tau) - terms.torque, np.einsum("tij,tik->tjk", terms.jacobian, at_E)
     wrench = None if log.wrench_F is None else mean(log.wrench_F) - _tray_wrench(plan, arm, terms.w)
     t = mean(log.t)
     return State(t, every, mean(dq), tau, wrench, terms.torque, to_tau, at_F)
@@ -252,17 +261,17 @@ def _same_motion(log: Log, empty: Log) -> None:
         )
 
 
-def _moved(t: Array, channels: Sequence[Channel], log: Log, prior: tuple[Array, Array]) -> tuple[Array, Array]:
+def _moved(channels: Sequence[Channel], log: Log, prior: tuple[Array, Array]) -> tuple[Array, Array]:
     """By how much the centre of mass moved between the halves of a run, with standard deviations (3,), m.
 
     Raises FileFormatError when it surely did: something slid.
     """
     phi_0, spread = prior
-    found, middle = [], len(t) // 2
-    for part in (slice(0, middle), slice(middle, None)):
+    found = []
+    for second in (False, True):
         information, pull = np.diag(1 / (3 * spread) ** 2), np.zeros(10)
         for channel in channels:
-            rows, left = channel.white(part)
+            rows, left = channel.half(second)
             information += rows.T @ rows
             pull += rows.T @ left
         covariance = np.linalg.inv(information)
@@ -292,12 +301,7 @@ def _ranges(scenario: Scenario, phi: Array, covariance: Array, shift: Array) -> 
     found = {}
     for k, name in enumerate(NAMES):
         before = (nominal[k] - half.get(name, 0.0), nominal[k] + half.get(name, 0.0))
-        if k == 0:
-            radius = WIDTH * np.sqrt(covariance[0, 0])
-            low, high = phi[0] - radius, phi[0] + radius
-        else:
-            low, high = fieller(phi[0], phi[k], covariance[np.ix_([0, k], [0, k])])
-            low, high = low - shift[k - 1], high + shift[k - 1]
+        low, high = _interval(phi, covariance, k, WIDTH, shift)
         both = max(low, before[0]), min(high, before[1])
         if both[0] > both[1]:
             unit = "kg" if k == 0 else "m"
@@ -305,15 +309,25 @@ def _ranges(scenario: Scenario, phi: Array, covariance: Array, shift: Array) -> 
                 f"The logs put {name} between {low:.4g} and {high:.4g} {unit}, the scenario between {before[0]:.4g} "
                 f"and {before[1]:.4g}: one of them is wrong; the scenario's range is not widened."
             )
-        found[name] = Range(both[0], both[1], before)
+        likely = np.clip(_interval(phi, covariance, k, LIKELY, shift), *both)
+        found[name] = Range(both[0], both[1], before, (float(likely[0]), float(likely[1])))
     return found
 
 
-def fieller(m: float, h: float, covariance: Array) -> tuple[float, float]:
-    """Range of h / m at `WIDTH` standard deviations, covariance (2, 2) of (m, h): where a quadratic is 0."""
-    a = m**2 - WIDTH**2 * covariance[0, 0]
-    b = m * h - WIDTH**2 * covariance[0, 1]
-    c = h**2 - WIDTH**2 * covariance[1, 1]
+def _interval(phi: Array, covariance: Array, k: int, width: float, shift: Array) -> tuple[float, float]:
+    """The mass (k = 0), or one coordinate of the centre of mass, within so many standard deviations."""
+    if k == 0:
+        radius = width * np.sqrt(covariance[0, 0])
+        return float(phi[0] - radius), float(phi[0] + radius)
+    low, high = fieller(phi[0], phi[k], covariance[np.ix_([0, k], [0, k])], width)
+    return low - float(shift[k - 1]), high + float(shift[k - 1])
+
+
+def fieller(m: float, h: float, covariance: Array, width: float = WIDTH) -> tuple[float, float]:
+    """Range of h / m at so many standard deviations, covariance (2, 2) of (m, h): where a quadratic is 0."""
+    a = m**2 - width**2 * covariance[0, 0]
+    b = m * h - width**2 * covariance[0, 1]
+    c = h**2 - width**2 * covariance[1, 1]
     inner = b**2 - a * c
     if a <= 0 or inner < 0:
         return -np.inf, np.inf

@@ -69,8 +69,11 @@ def true_load(scenario: Scenario, seed: int) -> Array:
     return values
 
 
-def trips(scenario: Scenario, count: int, seed: int = 0, sensor: Sensor = "wrist") -> Iterator[Trip]:
-    """So many trips with one hidden true load, drawn with the seed; ends early when the load is lost.
+def trips(
+    scenario: Scenario, count: int, seed: int = 0, sensor: Sensor = "wrist", first: Plan | None = None
+) -> Iterator[Trip]:
+    """So many trips with one hidden true load, drawn with the seed; ends early when the load is lost. first: the plan
+    to begin with, of this scenario; unless given it is made.
 
     Raises ScenarioError for a scenario without an arm or with several objects, or for which no safe motion is found.
     """
@@ -78,7 +81,7 @@ def trips(scenario: Scenario, count: int, seed: int = 0, sensor: Sensor = "wrist
         raise ScenarioError(f"{scenario.name}: learning needs an arm, and one object on its tray.")
     true, known, plan = true_load(scenario, seed), scenario, None
     for number in range(1, count + 1):
-        made = plan_fastest(known)
+        made = first if first is not None and number == 1 else plan_fastest(known)
         better = made.ok and (plan is None or made.duration < plan.duration)
         if plan is None and not made.ok:
             raise ScenarioError(f"{scenario.name}: no safe motion for its ranges to begin with. {made.status.sentence}")
