@@ -87,9 +87,7 @@ def _show(found: Identified) -> None:
         before = f"{scale * r.before[0]:.1f} to {scale * r.before[1]:.1f}"
         likely = f"{scale * r.likely[0]:.2f} to {scale * r.likely[1]:.2f}"
         table.add_row(f"{name}, {unit}", likely, f"{scale * r.low:.2f}", f"{scale * r.high:.2f}", before)
-    console.print(
-        f"From {', '.join(found.sensors)} (centre of mass from the nominal one; plan with low to high):"
-    )
+    console.print(f"From {', '.join(found.sensors)} (centre of mass from the nominal one; plan with low to high):")
     console.print(table)
     for sentence in found.told:
         console.print(headed("not identified", sentence))

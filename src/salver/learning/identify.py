@@ -174,6 +174,8 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
 
     assert plan.joint is not None
     body, step = plan.scenario.payload.first, float(np.median(np.diff(log.t)))
+    if np.ptp(log.q, axis=0).max() < MOVES:
+        raise FileFormatError(f"{log.source} has no motion in it: no joint moves by {MOVES:g} rad.")
     wanted = plan.joint.sample(log.t)
     off = log.q - wanted[0]
     if np.abs(log.q).max() > 12 and np.abs(np.deg2rad(log.q) - wanted[0]).max() < 0.2:
@@ -182,8 +184,6 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
         raise FileFormatError(
             f"{log.source}: a joint is {np.abs(off).max():.3g} rad from the plan; this is the log of another motion."
         )
-    if np.ptp(log.q, axis=0).max() < MOVES:
-        raise FileFormatError(f"{log.source} has no motion in it: no joint moves by {MOVES:g} rad.")
     strayed = _smooth(off, step)
     q, dq, ddq = (a + b for a, b in zip(wanted[:3], strayed, strict=True))
     every = max(1, round(max(BLOCK, plan.duration / BLOCKS) / step))
@@ -302,7 +302,7 @@ def _ranges(scenario: Scenario, phi: Array, covariance: Array, shift: Array) -> 
     for k, name in enumerate(NAMES):
         before = (nominal[k] - half.get(name, 0.0), nominal[k] + half.get(name, 0.0))
         low, high = _interval(phi, covariance, k, WIDTH, shift)
-        both = max(low, before[0]), min(high, before[1])
+        both = float(max(low, before[0])), float(min(high, before[1]))
         if both[0] > both[1]:
             unit = "kg" if k == 0 else "m"
             raise SalverError(

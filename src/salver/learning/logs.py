@@ -14,6 +14,8 @@ from salver.geometry import Array
 
 LONGEST_GAP = 0.03  # s between two samples; more is a gap in the clock
 MOST_ROWS = 2_000_000
+OFTEN_THERE = 0.05  # of the samples at the largest value: saturated
+CLIPPED = 4  # samples at the largest value one after the other, which noise does not make
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
@@ -115,11 +117,28 @@ def _check(log: Log, n: int) -> None:
                     f"{log.source}: column {int(np.argmax(stuck)) + 1} of {name} never changes: it was not recorded, "
                     "or it is saturated."
                 )
-            top = np.abs(values).max(axis=0)
-            flat = (np.abs(np.abs(values) - top) < 1e-9 * np.maximum(top, 1e-9)).mean(axis=0)
-            k = int(np.argmax(flat))
-            if flat[k] > 0.05:
+            k, size, share = _stays(values)
+            if share > 0:
                 raise FileFormatError(
-                    f"{log.source}: column {k + 1} of {name} stays at {top[k]:.4g} for {100 * flat[k]:.0f} % of the "
-                    "time: it is saturated."
+                    f"{log.source}: column {k + 1} of {name} stays at {size:.4g} for {100 * share:.0f} % of the time: "
+                    "it is saturated."
                 )
+
+
+def _stays(values: Array) -> tuple[int, float, float]:
+    """Which column of values (K, m) stays at its largest absolute value, that value, and for which share of the time;
+    0 when none does.
+
+    It does when it is there in one of twenty samples, or longer without a break than `CLIPPED` samples and four times as
+    long as anywhere else: sensors of coarse steps stay a while everywhere.
+    """
+    size = np.abs(values).max(axis=0)
+    there = np.abs(np.abs(values) - size) < 1e-9 * np.maximum(size, 1e-9)
+    share = there.mean(axis=0)
+    for k in np.flatnonzero(share <= OFTEN_THERE):
+        changes = np.flatnonzero(np.diff(values[:, k], prepend=np.nan, append=np.nan) != 0)
+        length, at_top = np.diff(changes), there[changes[:-1], k]
+        other = length[~at_top].max(initial=1)
+        share[k] = share[k] if length[at_top].max() > max(CLIPPED, 4 * other) else 0.0
+    k = int(np.argmax(share))
+    return k, float(size[k]), float(share[k])
