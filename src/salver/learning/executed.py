@@ -145,7 +145,7 @@ def executed(plan: JointMotion, samples: JointSamples) -> Executed:
     """What a log (in the arm's order of joints) says was done of a plan. Raises FileFormatError, one sentence."""
     t, q, source = samples.t, samples.q, samples.source
     _check(t, q, plan, source)
-    shift = _shift(t, q, plan)
+    shift = lateness(t, q, plan)
     off = q - plan.sample(t - shift)[0]
     first, last = shift, shift + plan.duration
     step = float(np.median(np.diff(t)))
@@ -222,7 +222,7 @@ def _check(t: Array, q: Array, plan: JointMotion, source: str) -> None:
         raise FileFormatError(f"{source}: its joint positions are in degrees; they must be in rad.")
 
 
-def _shift(t: Array, q: Array, plan: JointMotion) -> float:
+def lateness(t: Array, q: Array, plan: JointMotion) -> float:
     """By how much the log is later, least squares of all joints; the arm is held still beyond both ends."""
     at = np.linspace(0.0, plan.duration, 60)
     wanted = plan.sample(at)[0]

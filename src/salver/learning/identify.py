@@ -16,7 +16,7 @@ ratio) by Fieller (1954), and the scenario's own where those are narrower. Those
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +24,7 @@ import numpy as np
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array, hat
 from salver.learning.channels import Channel, State, differences
+from salver.learning.executed import lateness
 from salver.learning.logs import Log
 from salver.models.contents import inertia_ranges
 from salver.models.interfaces import to_tray
@@ -45,6 +46,7 @@ EDGE = 0.02  # s
 BLOCK = 0.005  # s over which samples are averaged,
 BLOCKS = 160  # and not more of them
 MOVES = 0.02  # rad that some joint must move, for a motion
+WHOLE = 0.8  # of the motion that both logs must hold
 SAME = 0.02  # rad by which the empty run may differ from the loaded one
 FOREIGN = 0.3  # of the largest torque of a joint: by how much a model of the arm may err,
 FRICTION_SHARE = 0.1  # and of its limit, by friction
@@ -127,6 +129,7 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
             "by one, each in a scenario of its own."
         )
     arm = load_arm(scenario.arm, scenario.tray)
+    empty, loaded = _timed(plan, empty), [_timed(plan, log) for log in loaded]
     without = _state(plan, arm, empty)
     _of_this_arm(arm, without, empty)
     phi_0, spread = prior(scenario)
@@ -134,7 +137,7 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
     used, shift = list[Channel](), np.zeros(3)
     for log in loaded:
         state = _state(plan, arm, log)
-        _same_motion(log, empty)
+        _same_motion(plan, log, empty)
         channels = differences(state, without, log, empty, (phi_0, spread))
         moved, error = _moved(channels, log, (phi_0, spread))
         shift = np.maximum(shift, np.maximum(np.abs(moved) - error, 0.0))
@@ -169,17 +172,28 @@ def prior(scenario: Scenario) -> tuple[Array, Array]:
     return phi_of(nominal), np.concatenate([[max(half[0], 1e-3 * nominal[0])], moment, inertia])
 
 
+def _timed(plan: Plan, log: Log) -> Log:
+    """The log on the plan's clock: by what all its joints together are late, its times are less."""
+    assert plan.joint is not None
+    if np.ptp(log.q, axis=0).max() < MOVES:
+        raise FileFormatError(f"{log.source} has no motion in it: no joint moves by {MOVES:g} rad.")
+    if (
+        np.abs(log.q).max() > 12
+        and np.abs(np.ptp(np.deg2rad(log.q), axis=0) - np.ptp(plan.joint.q, axis=0)).max() < 0.2
+    ):
+        raise FileFormatError(f"{log.source}: its joint positions are in degrees; they must be in rad.")
+    if np.abs(log.q - plan.joint.sample(log.t)[0]).max() <= SAME:
+        return log
+    return replace(log, t=log.t - lateness(log.t, log.q, plan.joint))
+
+
 def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
     from salver.sensitivity.arm.terms import motion_terms
 
     assert plan.joint is not None
     body, step = plan.scenario.payload.first, float(np.median(np.diff(log.t)))
-    if np.ptp(log.q, axis=0).max() < MOVES:
-        raise FileFormatError(f"{log.source} has no motion in it: no joint moves by {MOVES:g} rad.")
     wanted = plan.joint.sample(log.t)
     off = log.q - wanted[0]
-    if np.abs(log.q).max() > 12 and np.abs(np.deg2rad(log.q) - wanted[0]).max() < 0.2:
-        raise FileFormatError(f"{log.source}: its joint positions are in degrees; they must be in rad.")
     if np.abs(off).max() > 0.2:
         raise FileFormatError(
             f"{log.source}: a joint is {np.abs(off).max():.3g} rad from the plan; this is the log of another motion."
@@ -248,10 +262,11 @@ def _smooth(off: Array, step: float) -> tuple[Array, Array, Array]:
     return value, rate, np.gradient(rate, step, axis=0)
 
 
-def _same_motion(log: Log, empty: Log) -> None:
-    shared = (log.t >= empty.t[0]) & (log.t <= empty.t[-1])
-    if shared.mean() < 0.8:
+def _same_motion(plan: Plan, log: Log, empty: Log) -> None:
+    first, last = max(0.0, log.t[0], empty.t[0]), min(plan.duration, log.t[-1], empty.t[-1])
+    if last - first < WHOLE * plan.duration:
         raise FileFormatError(f"{empty.source} and {log.source} must both hold the whole motion.")
+    shared = (log.t >= first) & (log.t <= last)
     other = np.stack([np.interp(log.t[shared], empty.t, column) for column in empty.q.T], axis=1)
     apart = float(np.abs(other - log.q[shared]).max())
     if apart > SAME:

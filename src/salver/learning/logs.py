@@ -13,15 +13,17 @@ from salver.files import load_npz
 from salver.geometry import Array
 
 LONGEST_GAP = 0.03  # s between two samples; more is a gap in the clock
+LONGEST = 600.0  # s of a log
 MOST_ROWS = 2_000_000
 OFTEN_THERE = 0.05  # of the samples at the largest value: saturated
 CLIPPED = 4  # samples at the largest value one after the other, which noise does not make
+FOUR = 4  # times as often, or as long, as at any other value
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """One run, K samples of n joints. t (K,): s, 0 when the motion starts. q (K, n): rad.
+    """One run, K samples of n joints. t (K,): s, from any beginning. q (K, n): rad.
 
     tau (K, n): N m at the joints, gravity included; None when there are none. wrench_F (K, 6): force N and torque N m
     that the arm exerts through the sensor on all beyond it, at the flange, in its axes (f_z > 0 at rest, upright); None
@@ -103,6 +105,10 @@ def _check(log: Log, n: int) -> None:
     steps = np.diff(log.t)
     if not np.isfinite(log.t).all() or steps.min() <= 0:
         raise FileFormatError(f"{log.source}: its times do not grow from sample to sample.")
+    if log.t[-1] - log.t[0] > LONGEST:
+        raise FileFormatError(
+            f"{log.source} is {log.t[-1] - log.t[0]:.4g} s long; at most {LONGEST:g} are accepted, and times are in s."
+        )
     if steps.max() > LONGEST_GAP:
         k = int(np.argmax(steps))
         raise FileFormatError(
@@ -129,16 +135,17 @@ def _stays(values: Array) -> tuple[int, float, float]:
     """Which column of values (K, m) stays at its largest absolute value, that value, and for which share of the time;
     0 when none does.
 
-    It does when it is there in one of twenty samples, or longer without a break than `CLIPPED` samples and four times as
-    long as anywhere else: sensors of coarse steps stay a while everywhere.
+    It does when it is there in one of twenty samples, or for more than `CLIPPED` without a break, and four times as
+    often or as long as at any other value: sensors of coarse steps stay a while everywhere.
     """
-    size = np.abs(values).max(axis=0)
-    there = np.abs(np.abs(values) - size) < 1e-9 * np.maximum(size, 1e-9)
-    share = there.mean(axis=0)
-    for k in np.flatnonzero(share <= OFTEN_THERE):
-        changes = np.flatnonzero(np.diff(values[:, k], prepend=np.nan, append=np.nan) != 0)
-        length, at_top = np.diff(changes), there[changes[:-1], k]
-        other = length[~at_top].max(initial=1)
-        share[k] = share[k] if length[at_top].max() > max(CLIPPED, 4 * other) else 0.0
-    k = int(np.argmax(share))
-    return k, float(size[k]), float(share[k])
+    found = 0, 0.0, 0.0
+    for k, column in enumerate(values.T):
+        size = float(np.abs(column).max())
+        there = np.abs(np.abs(column) - size) < 1e-9 * max(size, 1e-9)
+        begins = np.flatnonzero(np.diff(column, prepend=np.nan))
+        runs, at_top = np.diff(begins, append=len(column)), there[begins]
+        often = np.unique(column[~there], return_counts=True)[1].max(initial=1)
+        long = runs[at_top].max() > max(CLIPPED, FOUR * runs[~at_top].max(initial=1))
+        if there.mean() > found[2] and (long or there.sum() > max(OFTEN_THERE * len(column), FOUR * often)):
+            found = k, size, float(there.mean())
+    return found
