@@ -1,9 +1,11 @@
 """Live motions: how long a change takes, what is followed, and whether anything is dropped.
 
-python benchmarks/live.py [-n RUNS] [--docs]     # --docs writes docs/live.md
+python benchmarks/live.py [-n RUNS] [--engine EVERY] [--seconds S] [--docs]     # --docs writes docs/live.md
 
+Runs are kept in docs/data/live.json and are not made again (--again: all anew), so that counts can be gone on with.
 Times are CPU times of one core, in the same process. What was executed is judged as one motion, at every millisecond
-and from its own beginning, and then run in the physics engine, where the load is as far from nominal as it may be.
+and from its own beginning; every so many runs (--engine) it is then run in the physics engine, where the load is as far
+from nominal as it may be, beside what a filter makes of the same stream that knows the arm's limits and no load.
 """
 
 from __future__ import annotations
@@ -11,94 +13,70 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 import salver as sv
-from live_runs import PATIENCE, PERIOD, drive, executed, in_turn, rows_of
+from live_runs import PERIOD, drive, executed, in_turn, rows_of
+from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
+from salver.files import read_json, write_json
 from salver.live import Live
 from salver.live.steer import TICK
-from salver.planning.fastest import joint_plan
+from salver.planning.fastest import TransportProblem, joint_plan
 from salver.playground import World
+from salver.trajectory import JointMotion
 
 SCENARIOS = ("panda-cube", "panda-tall-bottle")
 BALLS, EVADING = 10, 0.5  # s from a look at a ball to what is done about it
 LOWEST, HIGHEST = np.array([0.40, -0.40, 0.35]), np.array([0.55, 0.15, 0.60])  # m, of goals
+SECONDS, SILENCE = 1.5, 1.4  # s of a stream, and after it
 NOTHING = Status("optimal", "", True)
-PAGE = Path(__file__).parent.parent / "docs" / "live.md"
-
-
-@dataclass
-class Tally:
-    """Of one kind of run with one load."""
-
-    scenario: str
-    kind: str
-    cpu: list[float] = field(default_factory=list)  # s of each step of planning that did something
-    committed: int = 0
-    runs: int = 0
-    broken: int = 0  # runs in which an exact row is positive somewhere
-    worst: float = -np.inf
-    lost: int = 0  # runs in the engine that do not hold
-    error: list[float] = field(default_factory=list)  # rms of the velocity, as a share of what is wanted
-
-    def step(self, live: Live) -> None:
-        """Plan, if there is something to plan."""
-        if live.idle:
-            return
-        before, begun = live._offer, time.process_time()
-        live.plan(PATIENCE)
-        self.cpu.append(time.process_time() - begun)
-        self.committed += live._offer is not before
-
-    def judge(self, live: Live, states: tuple, rng: np.random.Generator) -> None:
-        motion = executed(states)
-        worst = max(rows_of(live.problem, motion).values())
-        plan = joint_plan(live.problem.scenario, live.problem, motion, NOTHING, {})
-        uncertain = plan.uncertain
-        corner = uncertain.nominal + uncertain.half_range * rng.choice([-1, 1], len(uncertain.names))
-        run = sv.simulate(plan, parameters=dict(zip(map(str, uncertain.names), corner.tolist(), strict=True)))
-        self.runs, self.worst = self.runs + 1, max(self.worst, worst)
-        self.broken += worst > 0
-        self.lost += run.outcome != "holds"
-
-    def row(self) -> str:
-        ms = 1e3 * np.array(self.cpu)
-        error = f"{100 * np.median(self.error):.1f} %" if self.error else ""
-        return (
-            f"| {self.scenario} | {self.kind} | {len(ms)} | {self.committed / len(ms):.2f} | {np.median(ms):.0f} / "
-            f"{np.quantile(ms, 0.999):.0f} | {error} | {self.runs} | {self.broken} | {self.lost} |"
-        )
+DOCS = Path(__file__).parent.parent / "docs"
+PAGE, DATA = DOCS / "live.md", DOCS / "data" / "live.json"
 
 
 class Planned:
-    """A live motion whose steps of planning are counted."""
+    """A live motion whose steps of planning are counted: s of each that did something, and how many were committed."""
 
-    def __init__(self, live: Live, tally: Tally) -> None:
-        self.live, self.tally = live, tally
+    def __init__(self, live: Live) -> None:
+        self.live, self.cpu, self.committed = live, [], 0
 
-    def command(self, t: float) -> tuple:
-        return self.live.command(t)
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.live, name)
 
     def plan(self, budget: float) -> None:
-        self.tally.step(self.live)
+        if self.live.idle:
+            return
+        before, begun = self.live._offer, time.process_time()
+        self.live.plan(budget)
+        self.cpu.append(time.process_time() - begun)
+        self.committed += self.live._offer is not before
 
 
-def goals(scenario: sv.Scenario, tally: Tally, rng: np.random.Generator) -> None:
+def lost(problem: TransportProblem, motion: JointMotion, rng: np.random.Generator) -> bool:
+    """Whether the engine loses the load at a random corner of its ranges: it tips, lifts off or slips too far."""
+    plan = joint_plan(problem.scenario, problem, motion, NOTHING, {})
+    uncertain = plan.uncertain
+    corner = uncertain.nominal + uncertain.half_range * rng.choice([-1, 1], len(uncertain.names))
+    run = sv.simulate(plan, parameters=dict(zip(map(str, uncertain.names), corner.tolist(), strict=True)))
+    return run.outcome in DROPPED or max(item["peak_slip"] for item in run.summary["objects"]) > FAR
+
+
+def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tuple, None]:
     """Goals that change at random times, and now and then a stop."""
-    live = Live(scenario, lead=0.1)
+    live = Planned(Live(scenario, lead=0.1))
     t, wishes = 0.0, []
     while t < 2.0:
         place = rng.uniform(LOWEST, HIGHEST)
         stop = rng.random() < 0.2
         wishes.append((t, lambda _, place=place, stop=stop: live.stop() if stop else live.goto(place)))
         t += rng.uniform(0.1, 0.7)
-    states = drive(Planned(live, tally), 2.0, wishes)
-    tally.judge(live, in_turn(states, drive(live, 1.6, begins=2.0)), rng)
+    states = drive(live, 2.0, wishes)
+    return live, in_turn(states, drive(live, 1.6, begins=2.0)), None
 
 
 def gentle(rng: np.random.Generator):
@@ -107,25 +85,111 @@ def gentle(rng: np.random.Generator):
 
 
 def hostile(rng: np.random.Generator):
+    """Another velocity every 0.13 s."""
     speeds = rng.uniform(-1.3, 1.3, (40, 3)) * [1, 1, 0.4]
     return lambda t: speeds[int(t / 0.13)]
 
 
-def twists(scenario: sv.Scenario, tally: Tally, rng: np.random.Generator, stream, seconds: float = 1.2) -> None:
-    """A stream of twists, 100 a second, and then silence."""
-    live, told = Live(scenario, lead=TICK), stream(rng)
-    times = np.arange(0.0, seconds, 0.01)
-    wishes = [(t, lambda _, t=t: live.twist(told(t))) for t in times]
-    states = drive(Planned(live, tally), seconds, wishes, round(TICK / PERIOD))
-    if stream is gentle:
-        followed = []
-        for q, dq in zip(states[0][::10], states[1][::10], strict=True):
-            R_SE = live.problem.arm.tray_pose(q)[1]
-            followed.append(R_SE @ (live.problem.arm.body_jacobian(q) @ dq)[:3])
-        wanted = np.array([told(t) for t in times])[20:]
-        tally.error.append(float(np.linalg.norm(np.array(followed)[20:] - wanted) / np.linalg.norm(wanted)))
-    silence = drive(live, 1.3, every=round(TICK / PERIOD), begins=seconds)
-    tally.judge(live, in_turn(states, silence), rng)
+def noise(rng: np.random.Generator):
+    """Of up to 5 Hz."""
+    rate, phase = 2 * np.pi * rng.uniform(0.5, 5.0, (6, 3)), rng.uniform(0, 6, (6, 3))
+    return lambda t: np.array([0.4, 0.4, 0.15]) * np.sin(rate * t + phase).sum(axis=0)
+
+
+def gaps(rng: np.random.Generator):
+    """Velocities, and times at which nothing is said."""
+    speeds, silent = hostile(rng), rng.random(40) < 0.4
+    return lambda t: None if silent[int(t / 0.09)] else speeds(t)
+
+
+STREAMS = {"gentle twists": gentle, "hostile twists": hostile, "noise up to 5 Hz": noise, "twists with gaps": gaps}
+
+
+def twists(scenario: sv.Scenario, rng: np.random.Generator, told) -> tuple[Planned, tuple, float]:
+    """A stream of twists, 100 a second, and then silence; and how far off what is wanted they were, as a share."""
+    live = Planned(Live(scenario, lead=TICK))
+    times = np.arange(0.0, SECONDS, 0.01)
+    said = [(t, told(t)) for t in times]
+    wishes = [(t, lambda _, v=v: live.twist(v)) for t, v in said if v is not None]
+    states = drive(live, SECONDS, wishes, round(TICK / PERIOD))
+    arm, followed = live.problem.arm, []
+    for q, dq in zip(states[0][::10], states[1][::10], strict=True):
+        followed.append(arm.tray_pose(q)[1] @ (arm.body_jacobian(q) @ dq)[:3])
+    wanted = np.array([np.zeros(3) if v is None else v for _, v in said])
+    error = float(np.linalg.norm((np.array(followed) - wanted)[20:]) / np.linalg.norm(wanted[20:]))
+    silence = drive(live, SILENCE, every=round(TICK / PERIOD), begins=SECONDS)
+    return live, in_turn(states, silence), error
+
+
+def within(x: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    return x * min(1.0, float(np.min(limit / np.maximum(np.abs(x), 1e-12))))
+
+
+def clipped(problem: TransportProblem, q: np.ndarray, told) -> JointMotion:
+    """What a filter makes of a stream that keeps the tray's orientation and the joints' own limits of position, speed,
+    acceleration and jerk, and knows of no load: velocities by the Jacobian's pseudo-inverse, at 1 kHz; what is beyond a
+    limit is made shorter, all joints alike."""
+    arm, limits = problem.arm, problem.limits
+    dq, ddq = np.zeros_like(q), np.zeros_like(q)
+    level, rows = arm.tray_pose(q)[1], [(q, dq, ddq)]
+    for k in range(round((SECONDS + 0.8) / PERIOD)):
+        t = k * PERIOD
+        v = told(round(t, 2)) if t < SECONDS - 0.011 else None
+        R = arm.tray_pose(q)[1]
+        turned = 0.5 * sum(np.cross(R[:, i], level[:, i]) for i in range(3))  # rad, to where it should be, in S
+        wanted = np.concatenate([R.T @ (np.zeros(3) if v is None else v), R.T @ (5.0 * turned)])
+        asked = np.linalg.pinv(arm.body_jacobian(q), rcond=1e-2) @ wanted
+        room = np.sqrt(np.maximum(limits.acceleration * np.stack([limits.q_max - q, q - limits.q_min]), 0.0))
+        asked = within(asked, np.minimum(limits.velocity, np.where(asked > 0, *room)))
+        ddq = ddq + within(within((asked - dq) / 0.02, limits.acceleration) - ddq, limits.jerk * PERIOD)
+        q, dq = q + PERIOD * dq + 0.5 * PERIOD**2 * ddq, dq + PERIOD * ddq
+        rows.append((q, dq, ddq))
+    q_all, dq_all, ddq_all = map(np.array, zip(*rows, strict=True))
+    dq_all[-1] = ddq_all[-1] = 0.0
+    return JointMotion(PERIOD * np.arange(len(q_all)), q_all, dq_all, ddq_all)
+
+
+def run(name: str, kind: str, k: int, engine: bool) -> dict[str, Any]:
+    """The k-th run of a kind with a load."""
+    scenario = sv.load_scenario(name)
+    rng = np.random.default_rng([13, SCENARIOS.index(name), len(kind), k])
+    told = STREAMS[kind](rng) if kind in STREAMS else None
+    live, states, error = goals(scenario, rng) if told is None else twists(scenario, rng, told)
+    motion, problem = executed(states), live.problem
+    found = {
+        "ms": [round(1e3 * x, 1) for x in live.cpu],
+        "committed": live.committed,
+        "worst": max(rows_of(problem, states).values()),
+        "error": error,
+        "speed": float(np.sqrt(np.mean([_speed(problem, motion, t) ** 2 for t in np.arange(0.2, SECONDS, 0.02)]))),
+    }
+    if engine:
+        found["lost"] = lost(problem, motion, rng)
+        if told is not None:
+            filtered = clipped(problem, motion.q[0], told)
+            found["filter lost"] = lost(problem, filtered, rng)
+            speeds = [_speed(problem, filtered, t) ** 2 for t in np.arange(0.2, SECONDS, 0.02)]
+            found["filter speed"] = float(np.sqrt(np.mean(speeds)))
+    return found
+
+
+def _speed(problem: TransportProblem, motion: JointMotion, t: float) -> float:
+    q, dq, _ = motion.sample(t)
+    return float(np.linalg.norm((problem.arm.body_jacobian(q[0]) @ dq[0])[:3]))
+
+
+def row(name: str, kind: str, runs: list[dict[str, Any]]) -> str:
+    ms = np.concatenate([x["ms"] for x in runs])
+    share = sum(x["committed"] for x in runs) / len(ms)
+    error = f"{100 * np.median([x['error'] for x in runs]):.1f} %" if kind.startswith("gentle") else ""
+    engine = [x for x in runs if "lost" in x]
+    filtered = [x["filter lost"] for x in engine if "filter lost" in x]
+    beside = f"{sum(filtered)} of {len(filtered)}" if filtered else ""
+    return (
+        f"| {name} | {kind} | {len(ms)} | {share:.2f} | {np.median(ms):.0f} / {np.quantile(ms, 0.999):.0f} | {error} | "
+        f"{len(runs)} | {sum(x['worst'] > 0 for x in runs)} | {sum(x['lost'] for x in engine)} of {len(engine)} | "
+        f"{beside} |"
+    )
 
 
 def commands(scenario: sv.Scenario) -> tuple[float, float]:
@@ -162,13 +226,16 @@ def balls(scenario: sv.Scenario, count: int) -> tuple[int, int]:
 
 HEAD = """# Changing the motion while it runs, measured
 
-`python benchmarks/live.py -n {n} --docs` wrote this page. Times are CPU times of one core of the machine it ran on,
-which others used too. Steps: of planning. Committed: share of them that brought a verified motion. Engine: what was
-executed, run with the load at a random corner of its ranges.
+`python benchmarks/live.py -n {n} --docs` wrote this page; its runs are in `docs/data/live.json`. Times are CPU times of
+one core of the machine it ran on, which others used too. Steps: of planning. Committed: share of them that brought a
+verified motion. Lost: in the engine, what was executed, with the load at a random corner of its ranges. Filter: what
+one makes of the same streams that knows the arm's limits of speed, acceleration and jerk, and no load, at such corners.
 
-| load | what | steps | committed | ms a step, median / 99.9 % | error, rms | runs | row broken | lost in the engine |
-|---|---|---|---|---|---|---|---|---|
+| load | what | steps | committed | ms a step, median / 99.9 % | error, rms | runs | row broken | lost | by the filter |
+|---|---|---|---|---|---|---|---|---|---|
 {rows}
+
+{faster}
 
 Balls that are thrown from the side at what stands on the tray, seen 1.2 s before they are there and every 0.1 s from
 then on, with {evading:.1f} s from each look to what is done: {balls}.
@@ -186,23 +253,44 @@ ms with a horizon of 2 s, in C++; FZI's shared control steps in 13 ms
 """
 
 
+def faster(runs: dict[str, list[dict[str, Any]]]) -> str:
+    """How quick the tray is beside the filter's, in words."""
+    pairs = [
+        (x["speed"], x["filter speed"], x["filter lost"]) for each in runs.values() for x in each if "filter lost" in x
+    ]
+    if not pairs:
+        return ""
+    ours, filtered, gone = (np.array(x) for x in zip(*pairs, strict=True))
+    return (
+        f"Of the {len(pairs)} streams that the filter was given as well, it loses {int(gone.sum())}. The tray's speed, "
+        f"rms: {np.median(ours / filtered):.2f} of the filter's at the median."
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-n", type=int, default=4, help="runs of each kind with each load")
+    parser.add_argument("--engine", type=int, default=4, help="every so many of them in the engine too")
+    parser.add_argument("--seconds", type=float, default=np.inf, help="begin no further run after so long")
+    parser.add_argument("--again", action="store_true", help="forget what is kept")
+    parser.add_argument("--data", type=Path, default=DATA, help="where runs are kept")
     parser.add_argument("--docs", action="store_true", help="write docs/live.md")
     asked = parser.parse_args()
-    tallies = []
-    for name in SCENARIOS:
-        scenario, rng = sv.load_scenario(name), np.random.default_rng(13)
-        for kind in ("goals that change", "gentle twists", "hostile twists"):
-            tally = Tally(name, kind)
-            for _ in range(asked.n):
-                if kind == "goals that change":
-                    goals(scenario, tally, rng)
-                else:
-                    twists(scenario, tally, rng, gentle if kind.startswith("gentle") else hostile)
-            tallies.append(tally)
-            print(tally.row(), f"{tally.worst:.1e}", flush=True)
+    begun = time.monotonic()
+    runs = read_json(asked.data) if asked.data.is_file() and not asked.again else {}
+    each = [(name, kind) for name in SCENARIOS for kind in ("goals that change", *STREAMS)]
+    for k in range(asked.n):
+        for name, kind in each:
+            kept = runs.setdefault(f"{name}, {kind}", [])
+            if len(kept) == k and time.monotonic() - begun < asked.seconds:
+                kept.append(run(name, kind, k, k % asked.engine == 0))
+                write_json(asked.data, runs)
+                if kept[-1]["worst"] > 0 or kept[-1].get("lost"):
+                    print(f"{name}, {kind}, run {k}: {kept[-1]['worst']:.2e}, lost: {kept[-1].get('lost')}", flush=True)
+    rows = [row(name, kind, kept) for name, kind in each if (kept := runs[f"{name}, {kind}"])]
+    print("\n".join(rows), faster(runs), sep="\n", flush=True)
+    if not asked.docs:
+        return
     thrown = []
     for name in SCENARIOS:
         evaded, told = balls(sv.load_scenario(name), BALLS)
@@ -210,12 +298,9 @@ def main() -> None:
         print(thrown[-1], flush=True)
     median, most = commands(sv.load_scenario(SCENARIOS[0]))
     print(f"command: {median:.1f} us, {most:.1f} us at 99.9 %")
-    if asked.docs:
-        rows, worst = "\n".join(tally.row() for tally in tallies), max(tally.worst for tally in tallies)
-        page = HEAD.format(
-            n=asked.n, rows=rows, median=median, most=most, worst=worst, balls=";\n".join(thrown), evading=EVADING
-        )
-        PAGE.write_text(page, encoding="utf-8")
+    worst = max(x["worst"] for kept in runs.values() for x in kept)
+    numbers = {"median": median, "most": most, "worst": worst, "balls": ";\n".join(thrown), "evading": EVADING}
+    PAGE.write_text(HEAD.format(n=asked.n, rows="\n".join(rows), faster=faster(runs), **numbers), encoding="utf-8")
 
 
 if __name__ == "__main__":

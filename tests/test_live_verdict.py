@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import salver as sv
-from salver.live.verify import COARSE, STEADY, UNHURRIED, instants, told
+from salver.live.verify import COARSE, FINER, STEADY, UNHURRIED, seen, told
 from salver.models.arm_limits import LIMITS
 from salver.models.worst_case import SURE, Drift, WorstCase
 from salver.planning.fastest import fastest, transport_problem
 from salver.planning.fastest.constraints import FINEST, TorqueRateLimit, evaluate
-from salver.sensitivity.arm.finer import Finer, _cubic, some_of
+from salver.sensitivity.arm.finer import _cubic, some_of
 from salver.trajectory import JointMotion
 
 
@@ -26,21 +26,34 @@ def motion():
     return replace(problem, keep_out=None), JointMotion(t, q, dq, ddq)
 
 
-def along(problem, motion):
-    s, nodes = instants(motion)
-    t = s * motion.duration
-    z = np.stack([*motion.sample(t), motion.jerk(t + 1e-9)])
-    return t[nodes], z[:, nodes], problem.at(s, z, motion.duration, nodes, imposed=False)
+def along(problem, motion, t, z, **given):
+    """Everything worked out at all of the instants."""
+    return problem.at(t / motion.duration, z, motion.duration, imposed=False, **given)
 
 
-def test_a_deviation_known_at_some_instants_is_that_of_all_of_them(motion):
+@pytest.fixture(scope="module")
+def both(motion):
+    """What the verdict sees at its nodes, and what there is."""
     problem, whole = motion
-    t, z, at = along(problem, whole)
-    full = at.response
-    knots = np.abs(t[:, None] - whole.t).min(axis=1) < 1e-9
-    some = some_of(t, knots, COARSE)
+    found, some, _ = seen(problem, whole)
+    t = found.s[found.nodes] * whole.duration
     assert len(some) < 0.6 * len(t)
-    finer = Finer.of(problem.tracking, t, at.terms, z[1:], knots, some, whole.jerk(t[some] - 1e-9))
+    return found, some // FINER, t, along(problem, whole, t, found.at_nodes)
+
+
+def test_what_is_felt_and_the_torque_known_at_some_instants_are_those_of_all_of_them(both):
+    found, _, t, full = both
+    assert np.abs(found.terms.w - full.terms.w).max() < 1e-4 * 9.81
+    assert np.abs(found.terms.R_SE - full.terms.R_SE).max() < 2.5e-6  # rad: half of what a check keeps of a level tray
+    off = found.terms.torque - full.terms.torque
+    assert np.abs(off).max() < 1e-3  # N m
+    assert np.abs(np.diff(off, axis=0) / np.diff(t)[:, None]).max() < 3e-4 * 950.0  # N m/s, of which UNHURRIED is kept
+
+
+def test_a_deviation_known_at_some_instants_is_that_of_all_of_them(motion, both):
+    problem, _ = motion
+    found, _, _, at = both
+    full, finer = at.response, found.response
     (w, drift), (w_full, drift_full) = finer.felt(), full.felt()
     assert np.abs(w - w_full).max() < 2e-3 * 9.81
     assert np.abs(drift.dw - drift_full.dw).max() < 5e-4 * 9.81
@@ -54,17 +67,14 @@ def test_a_deviation_known_at_some_instants_is_that_of_all_of_them(motion):
     assert np.abs(WorstCase.of(rows, w, drift).values - exact)[near].max() < 0.2 * STEADY
 
 
-def test_the_margin_of_contact_is_more_than_the_verdict_may_miss(motion):
+def test_the_margin_of_contact_is_more_than_the_verdict_may_miss(motion, both):
     """Against four times as many instants, at each of which everything is worked out."""
     problem, whole = motion
-    t, z, at = along(problem, whole)
-    knots = np.abs(t[:, None] - whole.t).min(axis=1) < 1e-9
-    some = some_of(t, knots, COARSE)
-    finer = Finer.of(problem.tracking, t, at.terms, z[1:], knots, some, whole.jerk(t[some] - 1e-9))
-    judged = WorstCase.of(problem.contacts[0], *finer.felt()).values.max(axis=1)
+    found, _, t, _ = both
+    judged = WorstCase.of(problem.contacts[0], *found.response.felt()).values.max(axis=1)
     dense = np.append(np.concatenate([np.linspace(a, b, 4, endpoint=False) for a, b in pairwise(t)]), t[-1])
     z = np.stack([*whole.sample(dense), whole.jerk(dense + 1e-9)])
-    truth = problem.at(dense / whole.duration, z, whole.duration, imposed=False).response
+    truth = along(problem, whole, dense, z).response
     rows = WorstCase.of(problem.contacts[0], *truth.felt()).values.max(axis=1)
     missed = [rows[4 * k : 4 * k + 5].max() - judged[k : k + 2].max() for k in range(len(t) - 1)]
     assert 0 < max(missed) < 0.6 * STEADY
@@ -79,8 +89,8 @@ def test_the_margin_of_torque_rate_is_more_than_the_verdict_may_miss(motion):
         hurried = JointMotion(
             share * whole.t, whole.q[::way], way * whole.dq[::way] / share, whole.ddq[::way] / share**2
         )
-        t, _, at = along(problem, hurried)
-        knots = np.abs(t[:, None] - hurried.t).min(axis=1) < 1e-9
+        at, _, knots = seen(problem, hurried)
+        t = at.s[at.nodes] * hurried.duration
         (block,) = evaluate([rates], at)
         found = (told(block, t, knots).values + 1.0 - block.margins[1]).max()
         fine = np.arange(0.0, hurried.duration, 1e-4)
@@ -91,12 +101,9 @@ def test_the_margin_of_torque_rate_is_more_than_the_verdict_may_miss(motion):
     assert 0 < max(missed) < 0.6 * UNHURRIED, missed
 
 
-def test_where_it_is_known_it_is_what_was_worked_out(motion):
-    problem, whole = motion
-    t, z, at = along(problem, whole)
-    knots = np.abs(t[:, None] - whole.t).min(axis=1) < 1e-9
-    some = some_of(t, knots, COARSE)
-    finer = Finer.of(problem.tracking, t, at.terms, z[1:], knots, some, whole.jerk(t[some] - 1e-9))
+def test_where_it_is_known_it_is_what_was_worked_out(both):
+    found, some, _, _ = both
+    finer = found.response
     (w, drift), (w_known, drift_known) = finer.felt(), finer.known.felt()
     # The jerk is taken 1e-9 s beside a knot: by that of snap, 1e5 rad/s^4, times the delay, felt 1 m away.
     assert np.abs(w[some] - w_known).max() < 1e-6

@@ -7,7 +7,7 @@ at any degree (the monomial basis loses a digit per degree).
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import comb
@@ -308,18 +308,50 @@ class Quintics:
 
     def at(self, t: Array, order: int = 0) -> Array:
         """(T, d) value, or a derivative, at instants (T,) between the first and the last break."""
-        pieces, h = len(self.t) - 1, np.diff(self.t)[:, None]
-        control = self.coefficients
-        for _ in range(order):
-            control = (len(control) - 1) * np.diff(control, axis=0) / h
-        piece = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, pieces - 1)
-        u = (t - self.t[piece]) / h[piece, 0]
-        degree = len(control) - 1
-        found = np.zeros((len(t), control.shape[2]))
-        for k in range(degree + 1):
-            weight = comb(degree, k) * u**k * (1 - u) ** (degree - k)
-            found += weight[:, None] * control[k, piece]
+        return self.several(t, (order,))[0]
+
+    def several(self, t: Array, orders: Sequence[int]) -> list[Array]:
+        """(T, d) each: value and derivatives, as `at`."""
+        piece = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
+        u = ((t - self.t[piece]) / (self.t[piece + 1] - self.t[piece]))[:, None]
+        found = []
+        for order in orders:
+            control = self._controls[order]
+            k = np.arange(len(control))
+            weights = _binomial(len(control)) * u**k * (1 - u) ** k[::-1]
+            found.append((weights[:, None] @ np.swapaxes(control, 0, 1)[piece])[:, 0])
         return found
+
+    @cached_property
+    def _controls(self) -> list[Array]:
+        """Bernstein coefficients of the value and its first three derivatives."""
+        found, h = [self.coefficients], np.diff(self.t)[:, None]
+        for degree in range(len(self.coefficients) - 1, len(self.coefficients) - 4, -1):
+            found.append(degree * np.diff(found[-1], axis=0) / h)
+        return found
+
+
+@lru_cache(maxsize=8)
+def _binomial(count: int) -> Array:
+    return np.array([float(comb(count - 1, k)) for k in range(count)])
+
+
+def ways(t: Array, states: Array) -> Array:
+    """(T - 1, n) at most so far each joint goes, back and forth, between instants t (T,) of one quintic each, with
+    states (3, T, n) q, dq, ddq there; see `JointMotion.travel`."""
+    control = _quintic_bernstein(states[:, :-1], states[:, 1:], np.diff(t))
+    return np.asarray(np.abs(np.diff(control, axis=0)).sum(axis=0))
+
+
+@lru_cache(maxsize=64)
+def _bernstein(count: int) -> Array:
+    """(4 count, 6) Bernstein's quintics and their first three derivatives at so many equal steps from 0 on."""
+    u, rows, difference = np.arange(count)[:, None] / count, [], np.eye(6)
+    for degree in (5, 4, 3, 2):
+        k = np.arange(degree + 1)
+        rows.append(np.array([comb(degree, j) for j in k]) * u**k * (1 - u) ** (degree - k) @ difference)
+        difference = degree * np.diff(difference, axis=0)
+    return np.concatenate(rows)
 
 
 def _quintic_bernstein(first: Array, last: Array, h: Array) -> Array:
@@ -361,7 +393,23 @@ class JointMotion(Outlined):
         t = np.atleast_1d(np.asarray(t, dtype=float))
         moving = ((t >= self.t[0]) & (t <= self.t[-1]))[:, None]
         tc = np.clip(t, self.t[0], self.t[-1])
-        return self._spline.at(tc), self._spline.at(tc, 1) * moving, self._spline.at(tc, 2) * moving
+        q, dq, ddq = self._spline.several(tc, range(3))
+        return q, dq * moving, ddq * moving
+
+    def evenly(self, counts: npt.NDArray[np.intp]) -> tuple[Array, Array]:
+        """t (P,) and z (4, P, n), q and its three derivatives there: at as many equal steps of each piece as counts
+        say, (T - 1,), and at the end. Of the jerk, what comes after a knot."""
+        h, starts = np.diff(self.t), np.concatenate([[0], np.cumsum(counts)])
+        t, z = np.empty(starts[-1] + 1), np.empty((4, starts[-1] + 1, self.q.shape[1]))
+        control = np.swapaxes(self._spline.coefficients, 0, 1)  # (pieces, 6, n)
+        for count in np.unique(counts).tolist():
+            pieces = np.flatnonzero(counts == count)
+            at, step = starts[pieces, None] + np.arange(count), h[pieces, None]
+            values = (_bernstein(count) @ control[pieces]).reshape(len(pieces), 4, count, -1)
+            t[at] = self.t[pieces, None] + np.arange(count) * (step / count)
+            z[:, at] = np.swapaxes(values / step[:, :, None, None] ** np.arange(4.0)[:, None, None], 0, 1)
+        t[-1], z[:3, -1], z[3, -1] = self.t[-1], (self.q[-1], self.dq[-1], self.ddq[-1]), self.jerk(self.t[-1])[0]
+        return t, z
 
     def jerk(self, t: npt.ArrayLike) -> Array:
         """Third derivative (T, n)."""
@@ -375,9 +423,7 @@ class JointMotion(Outlined):
         polynomial go at least as far as it does (variation diminishing; Farin, "Curves and Surfaces", section 6.3).
         """
         grid = np.union1d(self.t, np.clip(t, self.t[0], self.t[-1]))
-        states = np.stack([self._spline.at(grid, k) for k in range(3)])
         # At a knot the derivatives are those of the sample, whichever side the spline takes them from.
-        control = _quintic_bernstein(states[:, :-1], states[:, 1:], np.diff(grid))
-        steps = np.abs(np.diff(control, axis=0)).sum(axis=0)
+        steps = ways(grid, np.stack(self._spline.several(grid, range(3))))
         gone = np.vstack([np.zeros(steps.shape[1]), np.cumsum(steps, axis=0)])
         return gone[np.searchsorted(grid, np.clip(t, self.t[0], self.t[-1]))]

@@ -68,10 +68,10 @@ STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
 @dataclass(frozen=True)
 class State(Shown):
     """What is going on. doing: "resting", "following" or "stopping". rests_in: s until the arm is at rest. limit: which
-    row is nearest to its edge now, and margin, how near, as a share of what it limits. refused: the last wish that was
-    not granted, and why; clock: what was wrong with the times that were asked for. Both are empty when nothing was.
-    lead: s from now to the next hand-over. passing: what is to be expected of obstacles that move, when nothing was
-    found that keeps clear of them.
+    row is nearest to its edge now, and margin, how far from it at least, as a share of what it limits. refused: the
+    last wish that was not granted, and why; clock: what was wrong with the times that were asked for. Both are empty
+    when nothing was. lead: s from now to the next hand-over. passing: what is to be expected of obstacles that
+    move, when nothing was found that keeps clear of them.
     """
 
     doing: str

@@ -20,12 +20,11 @@ from salver.errors import Status
 from salver.geometry import Array
 from salver.models.arm_geometry import ArmGeometry
 from salver.planning.fastest import Block, Constraint, Evaluation, padded
-from salver.planning.fastest.constraints import REACH_BEYOND_TRAY
+from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import SAFETY
 
 FAR = 0.15  # m from which on distances are those of bounding spheres: no larger than the true ones
-PER_METRE = 10.0  # rows are in units of 0.1 m, as those of what stands still
 AT_NODES = 5e-3  # m more that a programme keeps at its nodes
 REST_STEP = 5e-3  # s between looks at the arm at rest
 MOST_SPEED, MOST_SIZE = 50.0, 10.0  # m/s, m: what is beyond is in another unit

@@ -16,7 +16,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array
 from salver.live.motion import Committed
-from salver.live.verify import Finding, kept, verified
+from salver.live.verify import Finding, coarse, kept, verified
 from salver.planning.fastest import (
     Anywhere,
     AtPose,
@@ -54,7 +54,7 @@ class Firm(Constraint):
     judged: Constraint
 
     def near(self, q: Array) -> Constraint:
-        return Firm(self.judged.near(q))
+        return Firm(coarse(self.judged).near(q))
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         for block in self.judged.blocks(motion):

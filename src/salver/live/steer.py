@@ -9,7 +9,7 @@ can always be solved and needs no slack: real-time iteration (Diehl, Bock, Schlo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -27,7 +27,7 @@ from salver.planning.fastest.spline import RestSpline
 from salver.trajectory import JointMotion
 
 TICK = 0.02  # s; hand-overs are at its multiples, and so are the bends' knots
-BREAKS = np.array([0, 1, 2, 4, 6, 9, 13, 18, 25, 36])  # ticks: short where what is asked for is soon to be seen
+BREAKS = np.array([0, 1, 2, 4, 6, 9, 13, 18, 26])  # ticks: short where what is asked for is soon to be seen
 HORIZON = float(TICK * BREAKS[-1])  # s in which every bend is at rest
 NODES_PER_SPAN = 4  # at which conditions are imposed; POINTS from each to the next for the joints' own
 POINTS = 2
@@ -36,10 +36,12 @@ TOLERANCE = 1e-6
 RIDGE = 1e-6
 LEAST_CAUTION, MOST_CAUTION = 0.1, 1e5
 BENT = 5e-4  # by which a bend may miss the stricter rows at the nodes
+WILD = 0.3  # by which rows are missed in trials that led too far
 ROUNDS = 3  # programmes of a tick: rows that a bend breaks though they were far away join the next one
 LARGEST_BEND = 1.0  # rad
 SAME_KNOT = 1e-7  # s: knots nearer than this are one
-SHARES = (1.0, 0.3)  # of the bend that are tried
+MOST_KEPT, EASIER = 10.0, 0.9  # times a planner's margin; of what is kept beside that, what still is after another bend
+LEAST_SHARE, MOST_SHARE = 0.1, 0.7  # of a bend that was refused as a whole
 
 # Weights of squares, integrated over time. Speeds in m/s and rad/s, accelerations in rad/s^2.
 SPEED, TURNING = 100.0, 20.0
@@ -167,15 +169,38 @@ class Bends(RestSpline):
 
 @dataclass
 class Caution:
-    """What a bend's size costs: more after one that was refused, less after one that was not."""
+    """What a bend's size costs, and what is kept from the edges of rows by name, at the nodes, beside what the verdict
+    keeps everywhere: more after a bend that was refused, less after one that was not."""
 
     weight: float = LEAST_CAUTION
+    kept: dict[str, float] = field(default_factory=dict)
 
     def passed(self, whole: bool) -> None:
         self.weight = max(LEAST_CAUTION, self.weight * (0.5 if whole else 1.5))
+        if whole:
+            self.kept = {name: EASIER * margin for name, margin in self.kept.items()}
 
     def failed(self) -> None:
         self.weight = min(MOST_CAUTION, 4.0 * self.weight)
+
+    def wild(self, times: float) -> None:
+        """What was left out of a programme mattered: smaller steps."""
+        self.weight = min(MOST_CAUTION, times * self.weight)
+
+    def broken(self, what: str, excess: float) -> None:
+        """A whole bend broke a row."""
+        self.kept[what] = self.kept.get(what, 0.0) + 1.2 * excess
+
+    def margin(self, block: Block) -> float:
+        """Of its rows."""
+        name, most = block.name, MOST_KEPT * block.margins[0]
+        self.kept = {what: min(x, most) if of_block(what, name) else x for what, x in self.kept.items()}
+        return max((x for what, x in self.kept.items() if of_block(what, name)), default=0.0)
+
+
+def of_block(what: str, name: str) -> bool:
+    """Whether a row is of a block: that of one joint perhaps, `"acceleration of panda_joint1"`."""
+    return what == name or what.startswith(f"{name} of ")
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,31 +232,39 @@ class Steering:
 
     def tick(self, wanted: Wanted, base: Committed, begins: float) -> tuple[Committed | None, Status]:
         """What is committed bent towards what is wanted, from live time `begins` on."""
-        bend = self._bend(wanted, base, begins)
-        if bend is None:
+        found = self._bend(wanted, base, begins)
+        if found is None:
             return None, Status("refused", "the programme of the tick was not solved", False)
-        finding = None
-        for share in SHARES:
+        bend, margins = found
+        finding = verified(self.problem, self.bent(base, begins, bend), begins, base)
+        whole = finding.committed is not None
+        if not whole:
+            self.caution.broken(finding.what, finding.excess)
+            # What a bend breaks is of second order in it.
+            kept = max((x for name, x in margins.items() if of_block(finding.what, name)), default=0.0)
+            share = np.clip(0.9 * np.sqrt(kept / (kept + finding.excess)), LEAST_SHARE, MOST_SHARE)
             finding = verified(self.problem, self.bent(base, begins, share * bend), begins, base)
-            if finding.committed is not None:
-                self.caution.passed(share == SHARES[0])
-                return finding.committed, Status("optimal", "", True)
-        assert finding is not None
-        self.caution.failed()
-        return None, Status("refused", finding.sentence, False)
+        if finding.committed is None:
+            self.caution.failed()
+            return None, Status("refused", finding.sentence, False)
+        self.caution.passed(whole)
+        return finding.committed, Status("optimal", "", True)
 
     def bent(self, base: Committed, begins: float, bend: Array) -> JointMotion:
         """The committed motion from `begins` on with a bend (size, n) added."""
         own = begins - base.begins
         first = between(base.motion, own, max(base.motion.duration, own + HORIZON))
         t = united(first.t, HORIZON * self.spline.breaks(), SAME_KNOT)
+        ticks = TICK * np.round(t / TICK)  # the same from tick to tick, to the last digit: then what is kept is found
+        t = np.where(np.abs(t - ticks) < SAME_KNOT, ticks, t)
         s = np.minimum(t / HORIZON, 1.0)
         added = self.spline.matrices(s)[:3] @ bend / HORIZON ** np.arange(3.0)[:, None, None]
         added[1:, s >= 1.0] = 0.0
         states = [x + y for x, y in zip(first.sample(t), added, strict=True)]
         return JointMotion(t, *states)
 
-    def _bend(self, wanted: Wanted, base: Committed, begins: float) -> Array | None:
+    def _bend(self, wanted: Wanted, base: Committed, begins: float) -> tuple[Array, dict[str, float]] | None:
+        """The bend, and what was kept from the edges of which rows."""
         grid, n = self.grid, self.problem.n
         t = begins + HORIZON * grid.s
         own = t - base.begins
@@ -241,9 +274,15 @@ class Steering:
         deviation = base.deviation_at(begins, self.problem)
         if sought.tracking is not None and deviation is not None:
             sought = replace(sought, tracking=sought.tracking.begun(deviation))
-        motion = sought.at(grid.s, z, HORIZON, grid.nodes)
+        motion = replace(sought.at(grid.s, z, HORIZON, grid.nodes), moving=False)
         constraints = [constraint.near(motion.at_nodes[0]) for constraint in sought.constraints]
         blocks = evaluate(constraints, motion)
+        more_kept = [self.caution.margin(block) for block in blocks]
+        # What margins there are not along what is committed need not be there: only no less of them.
+        lacking = [np.maximum(block.values + kept, 0.0) for block, kept in zip(blocks, more_kept, strict=True)]
+        lacking = [lack - kept for lack, kept in zip(lacking, more_kept, strict=True)]
+        for block, lack in zip(blocks, lacking, strict=True):
+            block.values[:] -= lack
         hessian = self.curvature + self.caution.weight * self.nearness
         slope = np.zeros((grid.basis.shape[2], n))
         for order in (2, 3):
@@ -272,17 +311,27 @@ class Steering:
             if not left:
                 break  # the verdict is another's
             bent = sought.at(grid.s, z + grid.motion(bend, HORIZON), HORIZON, grid.nodes)
-            trial = evaluate(constraints, bent.straying_as(motion))
-            more = [block.joining(mask) for block, mask in zip(trial, masks, strict=True)]
-            if max(block.values.max() for block in trial) <= BENT:
+            trial = evaluate(constraints, replace(bent, moving=False))
+            for block, lack in zip(trial, lacking, strict=True):
+                block.values[:] -= lack
+            excess = max(float(block.values.max()) for block in trial)
+            if excess <= BENT:
                 break
-            # The rows that were forgotten, and bounds with which the linear rows are exact where the step led to.
+            if excess > WILD:
+                hessian += excess * self.caution.weight * self.nearness
+                self.caution.wild(1.0 + excess)
+            # Bounds with which the linear rows are exact where the step led to; the rows that were forgotten, and anew
+            # those that are broken there: beyond a kink their derivatives are others.
+            values = np.concatenate([trial[k % len(trial)].values[at] for k, at in enumerate(where)])
+            bound = np.where(values > BENT, bound, matrix @ bend.ravel() - values)
+            more = [block.joining(mask & (block.values <= BENT)) for block, mask in zip(trial, masks, strict=True)]
             masks = [mask | joining for mask, joining in zip(masks, more, strict=True)]
             where += [np.nonzero(mask) for mask in more]
-            matrix = np.vstack([matrix, self._rows(blocks, more)])
-            values = [trial[k % len(trial)].values[at] for k, at in enumerate(where)]
-            bound = matrix @ bend.ravel() - np.concatenate(values)
-        return bend
+            rows = self._rows(trial, more)
+            values = np.concatenate([block.values[mask] for block, mask in zip(trial, more, strict=True)])
+            matrix, bound = np.vstack([matrix, rows]), np.append(bound, rows @ bend.ravel() - values)
+        margins = [block.margins[0] + kept for block, kept in zip(blocks, more_kept, strict=True)]
+        return bend, {block.name: margin for block, margin in zip(blocks, margins, strict=True)}
 
     def _rows(self, blocks: Sequence[Block], masks: Sequence[Mask]) -> Array:
         """Derivatives (r, size n) by the bend of the rows that masks name, block by block."""

@@ -17,17 +17,21 @@ from salver.geometry import Array
 from salver.live.motion import SAME, Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
-from salver.planning.fastest import Block, Constraint, TransportProblem, evaluate
-from salver.planning.fastest.constraints import Contact, TorqueRateLimit
+from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
+from salver.planning.fastest.constraints import PER_METRE, Clearance, Contact, TorqueRateLimit
 from salver.planning.fastest.evaluation import Indices
-from salver.planning.fastest.obstacles import NEAR
+from salver.planning.fastest.obstacles import NEAR, KeepOut
 from salver.planning.fastest.programme import Mask
+from salver.planning.follow.clearance import EXACT as TOUCHING
 from salver.planning.follow.clearance import sweep
-from salver.sensitivity.arm.finer import Finer, some_of
-from salver.trajectory import JointMotion
+from salver.sensitivity.arm.finer import Finer, Smooth
+from salver.sensitivity.arm.terms import motion_terms
+from salver.trajectory import JointMotion, ways
 
 STEP = 2e-3  # s between instants at which dynamics, contact and distances are looked at
-COARSE = 5e-3  # s between those at which it is worked out what a wrong load does to the arm; it is smooth
+# s between those at which they are worked out, and what a wrong load does to the arm: from knot to knot they are smooth
+COARSE = 5e-3
+SLOW = 1e-2  # s between those at which their derivatives are: of the deviation, which is small, these are factors
 LEAST_NODES = 4  # what a filter needs
 FINER = 2  # times as many at which the joints' own motion is
 # Of the normal force at rest, that contact keeps at least: between the instants rows rise by up to 3e-4, and what a
@@ -45,11 +49,13 @@ CONTINUOUS = (1e-8, 1e-7, 1e-5)  # rad, rad/s, rad/s^2: by which a motion may be
 
 @dataclass(frozen=True)
 class Finding:
-    """What became of a motion that was looked at: committed, or why not. excess: of the worst row, beyond its edge."""
+    """What became of a motion that was looked at: committed, or why not. excess: of the worst row, beyond its edge;
+    what: which one it is."""
 
     committed: Committed | None
     excess: float
     sentence: str
+    what: str = ""
 
 
 def verified(problem: TransportProblem, motion: JointMotion, begins: float, before: Committed | None) -> Finding:
@@ -58,22 +64,20 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
     if broken:
         return Finding(None, np.inf, broken)
     start = None if before is None else before.deviation_at(begins, problem)
+    begun = problem
     if problem.tracking is not None and start is not None:
-        problem = replace(problem, tracking=problem.tracking.begun(start))
-    s, nodes = instants(motion)
-    t = s * motion.duration
-    z = np.stack([*motion.sample(t), motion.jerk(t + SAME)])  # at a knot what comes after it, whatever was rounded
-    keep_out = None if problem.keep_out is None else problem.keep_out.near(few(problem.keep_out.parts, z[0][nodes]))
-    problem = replace(problem, keep_out=keep_out)
-    evaluation = replace(problem.at(s, z, motion.duration, nodes, imposed=False), moving=False)
-    knots = np.abs(t[nodes, None] - motion.t).min(axis=1) < SAME
-    response, some = None, np.zeros(0, dtype=int)
-    if problem.tracking is not None:
-        some = some_of(t[nodes], knots, COARSE)
-        before_ = motion.jerk(t[nodes[some]] - SAME)
-        response = Finer.of(problem.tracking, t[nodes], evaluation.terms, z[1:, nodes], knots, some, before_)
-        evaluation.straying(response)
-    constraints = [replace(x, coarsely=True) if isinstance(x, Contact) else x for x in problem.constraints]
+        begun = replace(problem, tracking=problem.tracking.begun(start))
+    evaluation, some, knots = seen(begun, motion)
+    response: Finer | None = evaluation.__dict__.get("response")
+    nodes, t = evaluation.nodes, evaluation.s * motion.duration
+    keep_out, constraints = problem.keep_out, list(problem.constraints)
+    if keep_out is not None:
+        keep_out = keep_out.near(few(keep_out.parts, evaluation.at_nodes[0]))
+    for k, constraint in enumerate(constraints):
+        if isinstance(constraint, Clearance) and keep_out is not None:
+            constraints[k] = Clearance(keep_out)
+        else:
+            constraints[k] = coarse(constraint)
     blocks = [_begun(told(block, t[nodes], knots), t) for block in evaluate(constraints, evaluation)]
     margins = _margins(blocks, begins + t, problem)
     worst = int(np.argmax(margins.row))
@@ -81,8 +85,8 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
     if excess > 0.0:
         name = margins.names[int(margins.what[worst])]
         sentence = f"{name} would be exceeded by {100 * excess:.2g} % {t[worst]:.2f} s after it begins"
-        return Finding(None, excess if np.isfinite(excess) else np.inf, sentence)
-    if keep_out is not None:
+        return Finding(None, excess if np.isfinite(excess) else np.inf, sentence, name)
+    if keep_out is not None and not _apart(keep_out, blocks, t[nodes], evaluation.at_nodes[:3]):
         met = sweep(keep_out.parts, motion).touch
         if met is not None:
             return Finding(None, np.inf, f"{met.first} and {met.second} would touch")
@@ -92,23 +96,50 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
         e = np.concatenate([-known.joints.q, -known.held.q[:, :, None]], axis=2)
         rate = np.concatenate([-known.joints.dq, -known.held.dq[:, :, None]], axis=2)
         deviation = np.stack([e, rate], axis=1)
-        nodes = nodes[some]
+        nodes = some
     committed = Committed(begins, motion, begins + t[nodes], deviation, margins)
     return Finding(committed, excess, "")
+
+
+def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Indices, Mask]:
+    """A motion at the instants at which it is looked at; indices (K,) of those at which dynamics and what a wrong load
+    does to the arm were worked out, from where they are continued to all nodes; (N,) which nodes are knots."""
+    counts = _counts(motion)
+    t, z = motion.evenly(FINER * counts)
+    nodes = np.arange(0, len(t), FINER)
+    knots = np.zeros(len(nodes), dtype=bool)
+    knots[np.append(0, np.cumsum(counts))] = True
+    smooth = Smooth.of(t[nodes], knots, COARSE)
+    some = nodes[smooth.some]
+    evaluation = replace(problem.at(t / motion.duration, z, motion.duration, nodes, imposed=False), moving=False)
+    known = motion_terms(problem.model, problem.arm.tray_id, *z[:3, some])
+    terms = known.continued(smooth.between)
+    evaluation.feeling(terms)
+    if problem.tracking is not None:
+        slow = Smooth.of(t[some], knots[smooth.some], SLOW, fewest=2)
+        known.deriving(slow.some, slow.between)
+        jerk = motion.jerk(t[some] - SAME)
+        evaluation.straying(Finer.of(problem.tracking, t[nodes], terms, known, z[1:, some], jerk, smooth))
+    return evaluation, some, knots
 
 
 def instants(motion: JointMotion) -> tuple[Array, Indices]:
     """Points s (P,) of a motion's duration at which it is looked at, and indices of the nodes among them; its knots are
     nodes."""
-    lengths = np.diff(motion.t)
-    counts = np.maximum(1, np.ceil(lengths / STEP - 1e-9)).astype(int)
-    missing = LEAST_NODES - int(counts.sum())
-    counts[0] += max(0, missing)
-    first = np.repeat(motion.t[:-1], FINER * counts)
-    step = np.repeat(lengths / (FINER * counts), FINER * counts)
-    index = np.concatenate([np.arange(FINER * c) for c in counts])
-    t = np.append(first + index * step, motion.t[-1])
+    t = motion.evenly(FINER * _counts(motion))[0]
     return t / motion.duration, np.arange(0, len(t), FINER)
+
+
+def _counts(motion: JointMotion) -> Indices:
+    """How many steps from node to node each piece of a motion has."""
+    counts = np.maximum(1, np.ceil(np.diff(motion.t) / STEP - 1e-9)).astype(int)
+    counts[0] += max(0, LEAST_NODES - int(counts.sum()))
+    return counts
+
+
+def coarse(constraint: Constraint) -> Constraint:
+    """The same, with bounds on rows that are far from their edge."""
+    return replace(constraint, coarsely=True) if isinstance(constraint, Contact) else constraint
 
 
 def few(parts: ArmGeometry, q: Array) -> Array:
@@ -119,6 +150,17 @@ def few(parts: ArmGeometry, q: Array) -> Array:
         if (np.abs(np.diff(some, axis=0)) @ parts.levers(q).T).max(initial=0.0) < NEAR:
             return some
     return q
+
+
+def _apart(keep_out: KeepOut, blocks: Sequence[Block], t: Array, states: Array) -> bool:
+    """Whether nothing can touch between nodes t (N,) with states (3, N, n) either, by how far apart things are at these
+    and how far they go; otherwise it has to be looked."""
+    parts = keep_out.parts
+    for block in blocks:
+        if isinstance(block.of, Clearance):
+            low = keep_out.required - block.values / PER_METRE
+            return bool(np.all(low[:-1] + low[1:] - ways(t, states) @ parts.levers(states[0]).T > 2 * TOUCHING))
+    return not parts.pairs
 
 
 def kept(block: Block, constraint: Constraint | None) -> float:
@@ -175,9 +217,9 @@ def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> Ma
     for block in blocks:
         if not block.values.size:
             continue
-        values = np.where(np.isnan(block.values), np.inf, block.values)
-        column = np.argmax(values, axis=1)
-        value = values[np.arange(len(column)), column]
+        column = np.argmax(block.values, axis=1)  # the first that is no number, if there is one
+        value = block.values[np.arange(len(column)), column]
+        value[np.isnan(value)] = np.inf
         label = _labels(block, problem)
         offset = len(names)
         names += label

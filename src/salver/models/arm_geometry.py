@@ -28,7 +28,8 @@ from salver.wording import listed
 TRAY = "tray"
 _STRIDES = (64, 16, 4, 1)  # from coarse to fine, distances along a path are taken where they may be short
 _REMEMBERED = 4  # paths of different numbers of postures of which distances are remembered
-_FEW = 4  # pairs up to which all distances are taken
+_FEW = 4  # pairs up to which all distances are taken, of up to so many postures:
+_LONG = 100
 _POSTURES = 200  # at which links that touch at every one are taken to touch always
 
 Pair = tuple[int, int]
@@ -96,7 +97,7 @@ class ArmGeometry:
             low = there - np.abs(q - before) @ levers
             self._measure(q, low, np.arange(len(q)), within)
         else:
-            for new, *known in _passes(len(q), len(self.pairs) > _FEW):
+            for new, *known in _passes(len(q), len(self.pairs) > _FEW or len(q) > _LONG):
                 if known:
                     low[new] = np.maximum(*(low[near] - np.abs(q[new] - q[near]) @ levers for near in known))
                 self._measure(q, low, new, within)

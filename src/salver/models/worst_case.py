@@ -37,7 +37,6 @@ from salver.models.parameters import Parameter
 from salver.models.tray_motion import frame_map
 
 Indices = npt.NDArray[np.intp]
-_TOGETHER = 96  # instants of which the same rows are near
 _CHUNK = 80_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
 
 
@@ -285,14 +284,15 @@ def _values_near(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
     moved = np.zeros_like(w) if drift is None else np.abs(drift.dw).sum(axis=2)
     swing = np.zeros_like(w) if drift is None or drift.swing is None else np.abs(drift.swing)
     each = np.abs(np.concatenate([rows.parameter, rows.remainder])).sum(axis=0)
-    values = w @ rows.nominal.T + (np.abs(w) + swing) @ each.T + (swing + moved) @ np.abs(rows.nominal).T
-    for start in range(0, len(w), _TOGETHER):
-        part = slice(start, start + _TOGETHER)
-        bound = values[part]
-        some = np.union1d(np.flatnonzero((bound > SURE).any(axis=0)), bound.argmax(axis=1))
-        swung = None if drift is None or drift.swing is None else drift.swing[part]
-        felt = None if drift is None else Drift(drift.terms, drift.dw[part], swung)
-        bound[:, some] = _values(rows.only(some), w[part], felt)
+    largest = np.hstack([rows.nominal, each, np.abs(rows.nominal)])
+    values = np.hstack([w, np.abs(w) + swing, swing + moved]) @ largest.T
+    due = values > SURE
+    instants, some = np.flatnonzero(due.any(axis=1)), np.flatnonzero(due.any(axis=0))
+    if len(instants):
+        felt = None
+        if drift is not None:
+            felt = Drift(drift.terms, drift.dw[instants], None if drift.swing is None else drift.swing[instants])
+        values[np.ix_(instants, some)] = _values(rows.only(some), w[instants], felt)
     return values
 
 

@@ -46,13 +46,9 @@ class LinearFilter:
     @classmethod
     def on_nodes(cls, t: Array, kp: float, kd: float, order: int = 1) -> LinearFilter:
         """For a drive known at increasing nodes t (T,), linear (order 1) or cubic (order 3; T >= 4) between them."""
-        count, h = len(t), np.diff(t)
-        if count <= order:
-            raise ValueError(f"a filter of order {order} needs at least {order + 1} nodes, not {count}")
-        inside, weights = _fine(kp, kd, h)
-        samples, basis = _lagrange(t, order, inside)
-        after = transition(kp, kd, h[:, None] * (1 - inside))[..., 1]
-        return cls(kp, kd, transition(kp, kd, h), np.einsum("tg,tgi,tgj->tij", weights, after, basis), samples)
+        if len(t) <= order:
+            raise ValueError(f"a filter of order {order} needs at least {order + 1} nodes, not {len(t)}")
+        return _on_nodes(t.tobytes(), kp, kd, order)
 
     @classmethod
     def stiffened(cls, t: Array, kp: Array, kd: Array, extra: Array) -> LinearFilter:
@@ -244,6 +240,18 @@ def _partial_weights() -> Array:
 
 
 _PARTIAL = _partial_weights()
+
+
+@lru_cache(maxsize=16)
+def _on_nodes(t: bytes, kp: float, kd: float, order: int) -> LinearFilter:
+    """`LinearFilter.on_nodes`: of motions that change while they run, the same nodes come again and again."""
+    nodes = np.frombuffer(t)
+    h = np.diff(nodes)
+    inside, weights = _fine(kp, kd, h)
+    samples, basis = _lagrange(nodes, order, inside)
+    after = transition(kp, kd, h[:, None] * (1 - inside))[..., 1]
+    gain = np.einsum("tg,tgi,tgj->tij", weights, after, basis)
+    return LinearFilter(kp, kd, transition(kp, kd, h), gain, samples)
 
 
 @lru_cache(maxsize=64)

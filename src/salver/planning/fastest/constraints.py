@@ -39,6 +39,7 @@ SLOSH_REACH = 0.05  # of the weight: nearer than this, contact rows have the der
 WAVE_REACH = 0.1  # of the room of a liquid: rows further from their edge are left out of a programme
 WAVE_MARGIN = 5e-3  # of the room of a liquid, kept at nodes: between them waves are driven by what was interpolated
 LEFT_MARGIN = 0.03  # and of what may be left at the end, which all of that adds up to
+PER_METRE = 10.0  # rows of distances, in m
 INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
 
 
@@ -405,11 +406,11 @@ class Clearance(Constraint):
         distance = self.keep_out.distances(q, float(stray.max()))
         yield Block(
             "clearance",
-            -10.0 * (distance - stray[:, None]),
-            lambda i, f: padded(-10.0 * self.keep_out.gradient(q, i, f), motion.n),
+            -PER_METRE * (distance - stray[:, None]),
+            lambda i, f: padded(-PER_METRE * self.keep_out.gradient(q, i, f), motion.n),
             motion.nodes,
-            margins=(10.0 * AT_NODES, 0.0),
+            margins=(PER_METRE * AT_NODES, 0.0),
             scales=False,
-            reach=10.0 * REACH,
+            reach=PER_METRE * REACH,
             kinked=True,
         )

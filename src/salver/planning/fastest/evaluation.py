@@ -116,6 +116,11 @@ class Evaluation:
         self.__dict__["response"] = response  # where the cached property would keep it
         return self
 
+    def feeling(self, terms: MotionTerms) -> Evaluation:
+        """This motion, with its terms known."""
+        self.__dict__["terms"] = terms
+        return self
+
     @cached_property
     def sloshing(self) -> dict[str, tuple[Slosh, ...]]:
         """What each body's liquid does, by the body's name: its cases."""
@@ -129,8 +134,15 @@ class Evaluation:
 
     def between_nodes(self, values: Array) -> Array:
         """(P, m) at all points, linear between the nodes, of values (N, m) there."""
-        s, nodes = self.s, self.s[self.nodes]
-        return np.stack([np.interp(s, nodes, column) for column in values.T], axis=1)
+        before, share = self._between
+        return np.asarray(values[before] + share * (values[before + 1] - values[before]))
+
+    @cached_property
+    def _between(self) -> tuple[Indices, Array]:
+        """(P,) the node before each point, and (P, 1) its share of the way to the next one."""
+        nodes = self.s[self.nodes]
+        before = np.clip(np.searchsorted(nodes, self.s, side="right") - 1, 0, len(nodes) - 2)
+        return before, ((self.s - nodes[before]) / (nodes[before + 1] - nodes[before]))[:, None]
 
     def eased(self, points: Indices) -> Array:
         """(N,) share of a margin that is asked for at points: all, but less soon after a moving start."""

@@ -1,15 +1,16 @@
-"""A deviation that was worked out at some instants of a motion, as it is at many.
+"""What was worked out at some instants of a motion, as it is at many.
 
-What a wrong load makes of a motion is smooth, for it has passed the loop's filter; derivatives are most of the work.
-What held commands make of it jumps where the jerk does, so of that part what comes before is known beside what comes
-after: with l = M^-1 dtau/dt delay the tray feels J l less than what is smooth, and J l to either side of that.
+What the tray feels and the torque it takes are smooth where the jerk does not jump; so is what a wrong load makes of
+them, for it has passed the loop's filter. What held commands make of it jumps where the jerk does, so of that part what
+comes before is known beside what comes after: with l = M^-1 dtau/dt delay the tray feels J l less than what is smooth,
+and J l to either side of that.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,19 +18,66 @@ import numpy.typing as npt
 from salver.geometry import Array
 from salver.models.worst_case import Drift
 from salver.sensitivity.arm.terms import MotionTerms
-from salver.sensitivity.arm.tracking import Deviation, JointLoop, late
+from salver.sensitivity.arm.tracking import Deviation, JointLoop
 
 Indices = npt.NDArray[np.intp]
 
 
-def some_of(t: Array, jumps: Array, apart: float) -> Indices:
-    """Indices of instants t (T,) at which to work a deviation out: where the jerk may jump, and of the smooth pieces
-    between these so many that they are about `apart`, s, from each other, and four at least where there are four."""
-    at, found = np.flatnonzero(jumps), [np.zeros(1, dtype=int)]
-    for first, last in pairwise(at):
-        count = min(max(3, int(np.ceil((t[last] - t[first]) / apart - 1e-9))), int(last - first))
-        found.append(np.round(np.linspace(first, last, count + 1)[1:]).astype(int))
-    return np.concatenate(found)
+def some_of(t: Array, jumps: Array, apart: float, fewest: int = 3) -> Indices:
+    """Indices of instants t (T,) at which to work things out: where the jerk may jump, and of the smooth pieces between
+    these so many that they are about `apart`, s, from each other, with `fewest` steps in each piece that has so many.
+    """
+    at = np.flatnonzero(jumps)
+    inside = np.diff(at)
+    counts = np.minimum(np.maximum(fewest, np.ceil(np.diff(t[at]) / apart - 1e-9).astype(int)), inside)
+    piece, of_piece = np.repeat(np.arange(len(counts)), counts), np.cumsum(counts)
+    k = np.arange(of_piece[-1]) - (of_piece - counts)[piece] + 1
+    return np.append(0, at[piece] + np.round(k * inside[piece] / counts[piece]).astype(int))
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """How what is known at some (K,) of T instants is continued to all: in each smooth piece by a cubic through the
+    four nearest of its own. nearest, weights: (T, 4) these, and with which weights; last: (T,) which one a piece ends
+    at."""
+
+    some: Indices
+    nearest: Indices
+    weights: Array
+    last: Indices
+
+    @classmethod
+    def of(cls, t: Array, jumps: Array, apart: float, fewest: int = 3) -> Smooth:
+        """At instants t (T,); jumps: (T,) whether a piece ends there, as at both ends; the others: see `some_of`."""
+        return _smooth(t.tobytes(), jumps.tobytes(), apart, fewest)
+
+    @cached_property
+    def _matrix(self) -> Any:
+        from scipy.sparse import csr_matrix  # a fifth of a second
+
+        count = len(self.nearest)
+        where = self.nearest.ravel(), 4 * np.arange(count + 1)
+        return csr_matrix((self.weights.ravel(), *where), shape=(count, len(self.some)))
+
+    def between(self, values: Array) -> Array:
+        """(T, ...) of values (K, ...)."""
+        return np.asarray(self._matrix @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+
+    def jumping(self, after: Array, before: Array) -> Array:
+        """(T, ...) of values that jump where a piece ends: before (K, ...) and after (K, ...) that."""
+        found = np.zeros((len(self.nearest), *after.shape[1:]))
+        for j in range(4):
+            at = self.nearest[:, j]
+            found += self.weights[:, j, None] * np.where((at == self.last)[:, None], before[at], after[at])
+        return found
+
+
+@lru_cache(maxsize=16)
+def _smooth(t: bytes, jumps: bytes, apart: float, fewest: int) -> Smooth:
+    """`Smooth.of`: ticks ask for the same ones again and again."""
+    instants, jump = np.frombuffer(t), np.frombuffer(jumps, dtype=bool)
+    some = some_of(instants, jump, apart, fewest)
+    return Smooth(some, *_cubic(instants, some, jump))
 
 
 def _cubic(t: Array, some: Indices, jumps: Array) -> tuple[Indices, Array, Indices]:
@@ -55,45 +103,28 @@ def _cubic(t: Array, some: Indices, jumps: Array) -> tuple[Indices, Array, Indic
 
 @dataclass(frozen=True, eq=False)
 class Finer:
-    """known: at instants that are some (K,) of `terms`' own (T,); of smooth pieces, in each a cubic through the four
-    nearest of its own. nearest, weights: (T, 4) these, and with which weights. late: (T, n) rad/s^2,
-    what a command that is late is short of."""
+    """known: at instants that are some of those of `terms`; smooth: how to come from these to all. late: (T, n)
+    rad/s^2, what a command that is late is short of."""
 
     known: Deviation
     terms: MotionTerms
-    nearest: Indices
-    weights: Array
+    smooth: Smooth
     late: Array
 
     @classmethod
     def of(
-        cls,
-        loop: JointLoop,
-        t: Array,
-        terms: MotionTerms,
-        rates: Array,
-        jumps: Array,
-        some: Indices,
-        jerk_before: Array,
+        cls, loop: JointLoop, t: Array, terms: MotionTerms, some: MotionTerms, rates: Array, jerk: Array, smooth: Smooth
     ) -> Finer:
-        """Along a motion at t (T,), s; rates: (3, T, n) dq, ddq, dddq. jumps: (T,) whether the jerk may jump there, as
-        it may at both ends; what comes after it counts then. some: (K,) indices at which it is worked out, as `some_of`
-        gives them; jerk_before: (K, n) just before those."""
-        known = loop.along(t[some], terms.only(some), rates[:, some])
-        nearest, weights, last = _cubic(t, some, jumps)
-        after = late(known.terms, rates[:, some], loop.delay)
-        before = after - loop.delay * (rates[2, some] - jerk_before)  # M^-1 times M of what jumps
-        lag = np.zeros_like(terms.torque)
-        for j in range(4):
-            at = nearest[:, j]
-            lag += weights[:, j, None] * np.where((at == last)[:, None], before[at], after[at])
-        return cls(known, terms, nearest, weights, lag)
+        """Along a motion of terms at t (T,), s, of which some (K,) are known with their derivatives; rates: (3, K, n)
+        dq, ddq, dddq there; of what jumps there, what comes after it; jerk: (K, n) just before."""
+        known = loop.along(t[smooth.some], some, rates)
+        after = known.held.late
+        before = after - loop.delay * (rates[2] - jerk)  # M^-1 times M of what jumps
+        return cls(known, terms, smooth, smooth.jumping(after, before))
 
     def between(self, values: Array) -> Array:
         """(T, ...) of values (K, ...)."""
-        flat = values.reshape(len(values), -1)
-        each = (self.weights[:, j, None] * flat[self.nearest[:, j]] for j in range(4))
-        return np.asarray(sum(each)).reshape(-1, *values.shape[1:])
+        return self.smooth.between(values)
 
     def joint_radius(self, order: int) -> Array:
         """(T, n) as of a deviation, for position (0) and velocity (1)."""

@@ -72,8 +72,9 @@ class LoadChange:
     def products(self, maps: Array, dw: Array) -> Array:
         """(T, i, n_c - n_p) what the terms `maps` (n_c, i, 12) of the parameters make of their own dw (T, 12, n_c)."""
         first, second = self.pairs.T
-        own = [np.einsum("cik,tkc->tic", maps[a], dw[:, :, b]) for a, b in ((first, second), (second, first))]
-        return np.asarray(own[0] + np.where(first == second, 0.0, 1.0) * own[1])
+        each = np.moveaxis(dw, 0, 2)  # (12, n_c, T)
+        own = [maps[a] @ np.moveaxis(each[:, b], 1, 0) for a, b in ((first, second), (second, first))]
+        return np.moveaxis(own[0] + np.where(first == second, 0.0, 1.0)[:, None, None] * own[1], 2, 0).swapaxes(1, 2)
 
 
 def load_change(payload: Payload) -> LoadChange:

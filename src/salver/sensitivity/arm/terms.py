@@ -6,6 +6,7 @@ RSS 2018, as Pinocchio provides them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -53,6 +54,20 @@ class MotionTerms:
     spatial: Array
     torque: Array
     w: Array
+
+    def continued(self, between: Callable[[Array], Array]) -> MotionTerms:
+        """At more instants, by what continues what is known at these, (T, ...), to all."""
+        values = [getattr(self, name) for name in _VALUES]
+        all_ = between(np.concatenate([x.reshape(len(x), -1) for x in values], axis=1))
+        parts = np.split(all_, np.cumsum([x[0].size for x in values])[:-1], axis=1)
+        found = [x.reshape(-1, *y.shape[1:]) for x, y in zip(parts, values, strict=True)]
+        return MotionTerms(self.model, self.frame_id, *found)
+
+    def deriving(self, some: npt.NDArray[np.intp], between: Callable[[Array], Array]) -> MotionTerms:
+        """The same, with derivatives that are worked out at some of the instants and continued to all."""
+        few = self.only(some).derivatives
+        self.__dict__["derivatives"] = Derivatives(*(between(x) for x in vars(few).values()))
+        return self
 
     def only(self, some: npt.NDArray[np.intp]) -> MotionTerms:
         """At some of the instants."""
@@ -109,6 +124,11 @@ class MotionTerms:
         """(T, n, n)."""
         return self.torque_z[:, :, -self.torque.shape[1] :]
 
+    @cached_property
+    def mass_inverse(self) -> Array:
+        """(T, n, n)."""
+        return np.asarray(np.linalg.inv(self.mass_matrix))
+
     @property
     def jacobian_rate(self) -> Array:
         """dJ/dt (T, 6, n): J' dq is quadratic in dq, and J' what its derivative leaves beyond twist_q."""
@@ -118,6 +138,18 @@ class MotionTerms:
     def up(self) -> Array:
         """(T, 3) -g in E."""
         return -np.einsum("tji,j->ti", self.R_SE, GRAVITY_S)
+
+    def changed(self, q: Array, dq: Array, ddq: Array) -> tuple[Array, Array, Array]:
+        """What changes (T, n, c) of the joints' motion make of the tray's: its displacement (T, 6, c) and twist, in E,
+        and what it feels (T, 12, c), which is `w_z` times them."""
+        jacobian, twist_q = self.jacobian, self.twist_q
+        shift, rate = jacobian @ q, twist_q @ q + jacobian @ dq
+        felt = np.empty((len(q), N_MOTION, q.shape[2]))
+        felt[:, :6] = self.acceleration_q @ q + self.acceleration_dq @ dq + jacobian @ ddq
+        omega, spun = self.twist[:, 3:, None], rate[:, 3:]
+        felt[:, :3] += hat(omega[:, :, 0]) @ rate[:, :3] - hat(self.twist[:, :3]) @ spun + hat(self.up) @ shift[:, 3:]
+        felt[:, 6:] = omega[:, _FIRST] * spun[:, _SECOND] + omega[:, _SECOND] * spun[:, _FIRST]
+        return shift, rate, felt
 
     @cached_property
     def w_z(self) -> Array:

@@ -72,7 +72,7 @@ class Held:
     """How far held commands put the nominal motion off: q, dq, torque (T, n), tray, w (T, 12), see `Deviation`.
 
     These are means over a period. swing: (T, 12) by which w is ahead of its mean when a command begins, and behind when
-    it ends.
+    it ends. late: (T, n) rad/s^2, what a command that is late is short of.
     """
 
     q: Array
@@ -81,6 +81,7 @@ class Held:
     tray: Array
     w: Array
     swing: Array
+    late: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ class Deviation:
         """(K, T, 12) how what the tray feels changes, to first order, when the load needs wrenches (K, T, 6) at E
         beyond what the controller knows of."""
         pushed = np.asarray(np.swapaxes(self.terms.jacobian, 1, 2) @ np.moveaxis(wrench, 0, 2), dtype=float)
-        missing = np.linalg.solve(self.terms.mass_matrix, pushed)
+        missing = self.terms.mass_inverse @ pushed
         return np.moveaxis(self.law(missing, np.zeros(len(wrench)))[1].w, 2, 0)
 
     def felt(self, held: bool = True) -> tuple[Array, Drift]:
@@ -182,13 +183,13 @@ def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
 def missing_acceleration(load: LoadChange, terms: MotionTerms) -> Array:
     """M^-1 J_E^T dF (T, n, n_c)."""
     wrench = np.tensordot(terms.w, load.load_p, axes=(1, 2))  # (T, n_c, 6)
-    return np.asarray(np.linalg.solve(terms.mass_matrix, np.swapaxes(wrench @ terms.jacobian, 1, 2)))
+    return np.asarray(terms.mass_inverse @ np.swapaxes(wrench @ terms.jacobian, 1, 2))
 
 
 def late(terms: MotionTerms, rates: Array, delay: float) -> Array:
     """(T, n) M^-1 dtau/dt times the delay: what a late command is short of. rates: (3, T, n) dq, ddq, dddq."""
     torque_rate = terms.torque_z @ np.concatenate(list(rates), axis=1)[:, :, None]
-    return np.asarray(delay * np.linalg.solve(terms.mass_matrix, torque_rate)[:, :, 0])
+    return np.asarray(delay * (terms.mass_inverse @ torque_rate)[:, :, 0])
 
 
 def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law) -> Deviation:
@@ -197,31 +198,36 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law) -> De
     missing = np.concatenate([missing_acceleration(load, terms), late[:, :, None]], axis=2)
     # A wrong load is there before the motion, a late command not.
     joints, tray = law(missing, np.append(np.ones(n_c), 0.0))
-    wrench = np.swapaxes(terms.jacobian, 1, 2) @ load.products(load.load_p, tray.w)
-    extra = np.asarray(np.linalg.solve(terms.mass_matrix, wrench), dtype=float)
-    more = law(extra, np.ones(n_c - n_p)) if n_c > n_p else ()
-    for first, second in zip((joints, tray), more, strict=False):
-        for name, value in vars(second).items():
-            getattr(first, name)[:, :, n_p:-1] += value
+    if n_c > n_p:
+        wrench = np.swapaxes(terms.jacobian, 1, 2) @ load.products(load.load_p, tray.w)
+        for first, second in zip((joints, tray), law(terms.mass_inverse @ wrench, np.ones(n_c - n_p)), strict=True):
+            for name, value in vars(second).items():
+                getattr(first, name)[:, :, n_p:-1] += value
     torque = terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing
-    swing = (terms.w_z[:, :, -terms.torque.shape[1] :] @ late[:, :, None])[:, :, 0]
+    swing = np.zeros_like(terms.w)
+    swing[:, :6] = (terms.jacobian @ late[:, :, None])[:, :, 0]
     return Deviation(
         load,
         terms,
         JointDeviation(*(x[:, :, :-1] for x in vars(joints).values())),
         TrayDeviation(*(x[:, :, :-1] for x in vars(tray).values())),
         torque[:, :, :-1],
-        Held(joints.q[:, :, -1], joints.dq[:, :, -1], torque[:, :, -1], tray.state[:, :, -1], tray.w[:, :, -1], swing),
+        Held(
+            joints.q[:, :, -1],
+            joints.dq[:, :, -1],
+            torque[:, :, -1],
+            tray.state[:, :, -1],
+            tray.w[:, :, -1],
+            swing,
+            late,
+        ),
         law,
     )
 
 
 def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:
     """The tray's deviation that the joints' deviation brings."""
-    shift = terms.jacobian @ joints.q
-    rate = terms.twist_q @ joints.q + terms.jacobian @ joints.dq
+    shift, rate, felt = terms.changed(joints.q, joints.dq, joints.ddq)
     R, theta = terms.R_SE, shift[:, 3:]
-    state = np.concatenate(
-        [R @ shift[:, :3], theta, R @ (rate[:, :3] - hat(terms.twist[:, :3]) @ theta), rate[:, 3:]], 1
-    )
-    return TrayDeviation(state, terms.w_z @ joints.state)
+    slid = rate[:, :3] - hat(terms.twist[:, :3]) @ theta
+    return TrayDeviation(np.concatenate([R @ shift[:, :3], theta, R @ slid, rate[:, 3:]], axis=1), felt)
