@@ -267,7 +267,8 @@ def page(records: list[dict[str, Any]], corners: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-n", type=int, default=200, help="tasks 0 to n - 1")
+    parser.add_argument("-n", type=int, default=200, help="tasks up to n - 1,")
+    parser.add_argument("--first", type=int, default=0, help="from this one on")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/survey.jsonl"))
     parser.add_argument("--table", action="store_true", help="only print the table")
     parser.add_argument("--docs", action="store_true", help="write the page of what the file holds")
@@ -279,7 +280,7 @@ def main() -> None:
         run_corners(given.out, given.corners)
         return
     if not (given.table or given.docs):
-        survey(range(given.n), given.out, thorough=not given.quick)
+        survey(range(given.first, given.n), given.out, thorough=not given.quick)
     records = sorted(read(given.out), key=lambda record: int(record["number"]))
     earlier = {known["number"]: best_known(known) for path in given.known for known in read(path) if best_known(known)}
     for record in records:

@@ -15,6 +15,9 @@ from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.obstacle_shapes import obstacle_shapes
 from salver.models.surfaces import surface
+from salver.planning.fastest import transport_problem
+from salver.planning.fastest.ends import AtPose
+from salver.planning.fastest.search import _blocked
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
@@ -279,6 +282,26 @@ def test_an_obstacle_inside_the_tray_or_its_load_at_an_end(end: str, height: flo
     assert plan.arm_status.sentence == told
     with pytest.raises(UnreachableError, match=re.escape(told)):
         make_plan(blocked, "fastest")
+
+
+def test_a_goal_that_is_blocked_whichever_way_the_tray_points_is_told_at_once() -> None:
+    """A ball within the cube, about whose centre the tray turns; one beside the cube is left by turning away."""
+    cube = scenario.load("panda-cube").with_changes(motion__goal_yaw="free")
+    x, y, z = cube.motion.goal.position
+    ball = {"type": "sphere", "name": "ball", "radius": 0.01, "position": (x, y, z)}
+    told = (
+        "At the goal the cube is inside the obstacle ball whichever way it points (at 36 headings); move one of them."
+    )
+    with pytest.raises(UnreachableError, match=re.escape(told)):
+        make_plan(cube.with_changes(obstacles=[ball]), "fastest")
+    first = cube.payload.first
+    corner = 0.5 * np.hypot(*cube.tray.size) - 0.01  # from the tray's middle: within at the heading that was given only
+    place = np.array((x, y, z)) - first.p_EB + (corner / np.sqrt(2), corner / np.sqrt(2), -0.01)
+    problem = transport_problem(cube.with_changes(obstacles=[{**ball, "radius": 0.002, "position": tuple(place)}]))
+    assert problem.keep_out is not None
+    assert isinstance(problem.goal, AtPose)
+    assert problem.keep_out.parts.in_the_way(*problem.goal.target.tray_pose) == ("tray", "ball")
+    assert _blocked(problem) is None
 
 
 def test_a_tray_beside_an_obstacle_is_not_inside_it() -> None:

@@ -89,8 +89,9 @@ class TransportProblem:
 
     @cached_property
     def roughly(self) -> TransportProblem:
-        """For a first guess: without what liquids do, which costs most and changes least of the way."""
-        return replace(self, liquids=())
+        """For a first guess: without what liquids do, and a wrong load to the arm, which cost most and change least of
+        the way."""
+        return replace(self, liquids=(), tracking=None)
 
     @property
     def start_posture(self) -> Array | None:

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.errors import Status, UnreachableError
-from salver.geometry import Array
+from salver.geometry import Array, exp
+from salver.models.arm_geometry import ArmGeometry
 from salver.planning.fastest.bound import least_duration
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.ends import AtPose
@@ -44,6 +45,7 @@ from salver.planning.fastest.starts import (
 )
 from salver.planning.fastest.watch import INTERRUPTED, WHY, Watch
 from salver.planning.follow.limits import blocked_end
+from salver.planning.postures import PoseTarget
 
 DEGREE = 5
 REFINED = 0.5  # damping of the first step after pieces have been added,
@@ -53,8 +55,10 @@ NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
 BENDS = 3  # detours that are tried at last
 SIDES_TRIED = 4  # paths past what is in the way that are tried, for each pair of ends
 SHORTENED = 0.5  # of its own least time a motion hardly becomes shorter
+IN_VAIN = 4  # of them in turn that are not shorter than what was found: the others are left out,
 ENOUGH_SIDES = 3  # of those that are found for a pair, with which no way around is looked for
 DEEP = 4.0  # by which share a path counts as longer that is so deep in something, 1/m
+HEADINGS = np.linspace(0, 2 * np.pi, 36, endpoint=False)  # rad; at which an end that leaves it open is looked at
 AGAIN = 3  # times a motion that nothing hinders is made shorter
 
 
@@ -109,12 +113,14 @@ class _Search:
         first, further = self._first(), self._further()
         steps = len(first) + self.options.starts
         roughs: list[tuple[TransportProblem, Solution]] = []
+        vain = 0
         for done, begin in enumerate(first, 1):
             beat = self._beat(roughs)
             if SHORTENED * begin[1].least(begin[0]) < beat:
                 roughs.append(self._rough(*begin, beat=beat))
+                vain = vain + 1 if self._beat(roughs) == beat else 0
             self.watch.share = done / steps
-            if self.watch.over():
+            if self.watch.over() or (vain >= IN_VAIN * self.options.starts and np.isfinite(beat)):
                 break
         best: FastestMotion | None = None
         refined = 0
@@ -311,15 +317,32 @@ def _blocked(problem: TransportProblem) -> Status | None:
     """Why no motion can begin or end as it should, or None."""
     if problem.keep_out is None:
         return None
-    ends = {"start": problem.start, "goal": problem.goal}
-    poses = {name: end.target for name, end in ends.items() if isinstance(end, AtPose) and not end.target.yaw_free}
-    stuck = blocked_end(problem.keep_out.parts, {name: target.tray_pose for name, target in poses.items()})
-    if stuck is not None or problem.start_posture is None:
-        return stuck
+    for name, end in (("start", problem.start), ("goal", problem.goal)):
+        if isinstance(end, AtPose):
+            stuck = _stuck(problem.keep_out.parts, name, end.target)
+            if stuck is not None:
+                return stuck
+    if problem.start_posture is None:
+        return None
     touch = problem.keep_out.parts.first_touch(problem.start_posture[None])
     if touch is None:
         return None
     return Status("collision", f"In the start posture {touch.first} and {touch.second} touch.", False)
+
+
+def _stuck(parts: ArmGeometry, name: str, target: PoseTarget) -> Status | None:
+    """Why the tray cannot be at an end, whatever the arm does, or None."""
+    headings = HEADINGS if target.yaw_free else HEADINGS[:1]
+    stuck = None
+    for heading in headings:
+        turned = replace(target, R_SB=target.R_SB @ exp([0.0, 0.0, heading]))
+        stuck = blocked_end(parts, {name: turned.tray_pose})
+        if stuck is None:
+            return None
+    if stuck is not None and target.yaw_free:
+        told = stuck.sentence.replace(";", f" whichever way it points (at {len(headings)} headings);")
+        stuck = replace(stuck, sentence=told)
+    return stuck
 
 
 def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotion:
