@@ -15,9 +15,9 @@ from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.obstacle_shapes import obstacle_shapes
 from salver.models.surfaces import surface
-from salver.planning.fastest import transport_problem
+from salver.planning.fastest import FastestOptions, fastest, transport_problem
+from salver.planning.fastest.blocked import why_blocked
 from salver.planning.fastest.ends import AtPose
-from salver.planning.fastest.search import _blocked
 from salver.planning.follow.clearance import sweep
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
@@ -301,7 +301,18 @@ def test_a_goal_that_is_blocked_whichever_way_the_tray_points_is_told_at_once() 
     assert problem.keep_out is not None
     assert isinstance(problem.goal, AtPose)
     assert problem.keep_out.parts.in_the_way(*problem.goal.target.tray_pose) == ("tray", "ball")
-    assert _blocked(problem) is None
+    assert why_blocked(problem) is None
+
+
+def test_what_touches_in_every_posture_at_an_end_is_told() -> None:
+    """A ball under the tray at the goal, where the arm's last link must be."""
+    cube = scenario.load("panda-cube").with_changes(motion__goal_yaw="fixed", arm__start_posture=None)
+    x, y, z = cube.motion.goal.position
+    ball = {"type": "sphere", "name": "ball", "radius": 0.07, "position": (x, y, z - 0.13)}
+    found = fastest(transport_problem(cube.with_changes(obstacles=[ball])), FastestOptions(spans=8, pairs=1))
+    assert not found.status.ok
+    told = r"No posture was found at the goal in which nothing touches: panda_\w+ and ball do in the best\."
+    assert re.fullmatch(told, found.status.sentence)
 
 
 def test_a_tray_beside_an_obstacle_is_not_inside_it() -> None:

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.errors import Status, UnreachableError
-from salver.geometry import Array, exp
-from salver.models.arm_geometry import ArmGeometry
+from salver.geometry import Array
+from salver.planning.fastest.blocked import why_blocked, why_touching
 from salver.planning.fastest.bound import least_duration
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.ends import AtPose
@@ -44,8 +44,6 @@ from salver.planning.fastest.starts import (
     unlike,
 )
 from salver.planning.fastest.watch import INTERRUPTED, WHY, Watch
-from salver.planning.follow.limits import blocked_end
-from salver.planning.postures import PoseTarget
 
 DEGREE = 5
 REFINED = 0.5  # damping of the first step after pieces have been added,
@@ -58,7 +56,6 @@ SHORTENED = 0.5  # of its own least time a motion hardly becomes shorter
 IN_VAIN = 4  # of them in turn that are not shorter than what was found: the others are left out,
 ENOUGH_SIDES = 3  # of those that are found for a pair, with which no way around is looked for
 DEEP = 4.0  # by which share a path counts as longer that is so deep in something, 1/m
-HEADINGS = np.linspace(0, 2 * np.pi, 36, endpoint=False)  # rad; at which an end that leaves it open is looked at
 AGAIN = 3  # times a motion that nothing hinders is made shorter
 
 
@@ -80,7 +77,7 @@ def fastest(
         found = _optimum(problem, options, SplineMotion(near.spline, near.coefficients, near.duration), watch, NEAR)
         if found.status.ok:
             return found
-    blocked = _blocked(problem)
+    blocked = why_blocked(problem)
     rng = np.random.default_rng(options.seed)
     pairs = [] if blocked is not None else ends(problem, rng, few=2 * options.first(problem))
     if not pairs:
@@ -110,7 +107,8 @@ class _Search:
     def best(self) -> FastestMotion:
         """The best of the first few rough optima is refined; when none is feasible, the next that is; at last the
         others."""
-        first, further = self._first(), self._further()
+        touching = not any(pair.free for pair in self.pairs)
+        first, further = (self._lines(), iter(())) if touching else (self._first(), self._further())
         steps = len(first) + self.options.starts
         roughs: list[tuple[TransportProblem, Solution]] = []
         vain = 0
@@ -153,7 +151,8 @@ class _Search:
             briefly = replace(self.options, iterations=0.25 * self.options.iterations)
             mended = replace(self, options=briefly, watch=Watch())._refined(*begun)
             best = mended if mended.status.ok else best
-        return replace(best, status=_ended(best.status, self.watch), iterations=self.iterations)
+        status = best.status if best.status.ok or not touching else why_touching(self.problem, self.pairs, best.status)
+        return replace(best, status=_ended(status, self.watch), iterations=self.iterations)
 
     def _beat(self, roughs: list[tuple[TransportProblem, Solution]]) -> float:
         """What another rough optimum has to be shorter than to be refined, s."""
@@ -165,7 +164,7 @@ class _Search:
         """Straight paths between the most promising ends; where those cannot be gone along, what passes on either side
         too, the most promising first."""
         count = self.options.first(self.problem)
-        lines = [(between(self.problem, pair), straight(pair)) for pair in self.pairs[: 2 * count]]
+        lines = [*self._lines(), *self._lines(count)]
         free = [open_to(problem, line) for problem, line in lines]
         if all(free[:count]):
             return lines[:count]
@@ -179,6 +178,11 @@ class _Search:
         if few:
             found += self._promising(self._ways([]))
         return sorted(found, key=_promise)[: SIDES_TRIED * count]
+
+    def _lines(self, first: int = 0) -> list[Begin]:
+        """Straight paths between as many pairs of ends as are tried first, from one of them on."""
+        few = self.pairs[first : first + self.options.first(self.problem)]
+        return [(between(self.problem, pair), straight(pair)) for pair in few]
 
     def _ways(self, pairs: list[Ends]) -> list[Start]:
         """Ways around between the ends of each of some pairs, and from any start to any goal that is known."""
@@ -311,38 +315,6 @@ def nearby(
     if begin is not None:
         start, damping = replace(begin.motion(found.problem, found.spline), duration=duration), REFINED
     return _optimum(found.problem, options, start, watch or Watch(options.time_limit), damping, objective)
-
-
-def _blocked(problem: TransportProblem) -> Status | None:
-    """Why no motion can begin or end as it should, or None."""
-    if problem.keep_out is None:
-        return None
-    for name, end in (("start", problem.start), ("goal", problem.goal)):
-        if isinstance(end, AtPose):
-            stuck = _stuck(problem.keep_out.parts, name, end.target)
-            if stuck is not None:
-                return stuck
-    if problem.start_posture is None:
-        return None
-    touch = problem.keep_out.parts.first_touch(problem.start_posture[None])
-    if touch is None:
-        return None
-    return Status("collision", f"In the start posture {touch.first} and {touch.second} touch.", False)
-
-
-def _stuck(parts: ArmGeometry, name: str, target: PoseTarget) -> Status | None:
-    """Why the tray cannot be at an end, whatever the arm does, or None."""
-    headings = HEADINGS if target.yaw_free else HEADINGS[:1]
-    stuck = None
-    for heading in headings:
-        turned = replace(target, R_SB=target.R_SB @ exp([0.0, 0.0, heading]))
-        stuck = blocked_end(parts, {name: turned.tray_pose})
-        if stuck is None:
-            return None
-    if stuck is not None and target.yaw_free:
-        told = stuck.sentence.replace(";", f" whichever way it points (at {len(headings)} headings);")
-        stuck = replace(stuck, sentence=told)
-    return stuck
 
 
 def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotion:

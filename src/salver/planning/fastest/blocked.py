@@ -1,0 +1,67 @@
+"""Why no motion can begin or end as it should: what is inside an obstacle there, whatever the arm does, and what
+touches in every posture that was found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from salver.errors import Status
+from salver.geometry import exp
+from salver.models.arm_geometry import ArmGeometry
+from salver.planning.fastest.ends import AtPose
+from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.starts import Ends
+from salver.planning.follow.limits import COLLISION, blocked_end
+from salver.planning.postures import PoseTarget
+
+HEADINGS = np.linspace(0, 2 * np.pi, 36, endpoint=False)  # rad; at which an end that leaves it open is looked at
+
+
+def why_blocked(problem: TransportProblem) -> Status | None:
+    """Why no motion can begin or end as it should, or None."""
+    if problem.keep_out is None:
+        return None
+    for name, end in (("start", problem.start), ("goal", problem.goal)):
+        if isinstance(end, AtPose):
+            stuck = _stuck(problem.keep_out.parts, name, end.target)
+            if stuck is not None:
+                return stuck
+    if problem.start_posture is None:
+        return None
+    touch = problem.keep_out.parts.first_touch(problem.start_posture[None])
+    if touch is None:
+        return None
+    return Status("collision", f"In the start posture {touch.first} and {touch.second} touch.", False)
+
+
+def why_touching(problem: TransportProblem, pairs: list[Ends], status: Status) -> Status:
+    """What is in the way of all pairs of end postures that were found; where it is the least."""
+    assert problem.keep_out is not None
+    parts = problem.keep_out.parts
+    depth = np.array([-parts.clearance(np.stack([pair.start, pair.goal])).min(axis=1) for pair in pairs])
+    least = int(depth.max(axis=1).argmin())
+    end = int(depth[least].argmax())
+    touch = parts.first_touch(np.stack([pairs[least].start, pairs[least].goal])[end : end + 1])
+    if touch is None:
+        return status
+    where = ("start", "goal")[end]
+    best = f"{touch.first} and {touch.second} do in the best"
+    told = f"No posture was found at the {where} in which nothing touches: {best}."
+    return replace(status, code=COLLISION, sentence=told)
+
+
+def _stuck(parts: ArmGeometry, name: str, target: PoseTarget) -> Status | None:
+    """Why the tray cannot be at an end, whatever the arm does, or None."""
+    headings = HEADINGS if target.yaw_free else HEADINGS[:1]
+    stuck = None
+    for heading in headings:
+        turned = replace(target, R_SB=target.R_SB @ exp([0.0, 0.0, heading]))
+        stuck = blocked_end(parts, {name: turned.tray_pose})
+        if stuck is None:
+            return None
+    if stuck is not None and target.yaw_free:
+        told = stuck.sentence.replace(";", f" whichever way it points (at {len(headings)} headings);")
+        stuck = replace(stuck, sentence=told)
+    return stuck
