@@ -15,10 +15,13 @@ if TYPE_CHECKING:
 
 
 def identify(
-    logs: Annotated[list[Path], typer.Argument(help="Logs of the motion with the load on the tray: .npz or .csv.")],
+    logs: Annotated[
+        list[Path], typer.Argument(help="Logs of the motion with the load on the tray: .npz, .csv or ROS bags.")
+    ],
     plan: Annotated[Path, typer.Option(help="Run directory whose plan was carried out.")],
     empty: Annotated[Path, typer.Option(help="A log of the same motion with the empty tray.")],
     stem: Annotated[str, typer.Option(help="Which plan of the directory.")] = "plan",
+    topic: Annotated[str | None, typer.Option(help="Topic of the joints (JointState), when a bag has several.")] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Write the scenario with the new ranges to this .toml file.")
     ] = None,
@@ -28,8 +31,9 @@ def identify(
 
     The load is what logs with it show beyond a log of the same motion with the empty tray: the arm's own model error
     cancels. Logs are what `salver execute` writes (t, q, tau), or CSV with the columns t, q1 ... qn (rad) and tau1 ...
-    taun (N m), or fx, fy, fz, tx, ty, tz at the flange (N, N m; tared with the empty tray). Ranges of the scenario are
-    narrowed, never widened. The centre of mass is found relative to the sensor: where the object stands on the tray
+    taun (N m), or fx, fy, fz, tx, ty, tz at the flange (N, N m; tared with the empty tray), or ROS bags with a
+    JointState that has efforts, a WrenchStamped of the flange, or both. Ranges of the scenario are narrowed, never
+    widened. The centre of mass is found relative to the sensor: where the object stands on the tray
     (uncertainty.position) stays as uncertain as it was. Inertia and friction keep their ranges.
 
     Example: `salver identify loaded.csv --plan runs/panda-tall-bottle --empty empty.csv -o learnt.toml`
@@ -41,6 +45,7 @@ def identify(
     from salver.files import write_atomic
     from salver.learning import identify as learn
     from salver.learning import read_log
+    from salver.models.arm import load_arm
     from salver.planning.plan import load_plan
 
     if out is not None and (out.suffix != ".toml" or out.exists()):
@@ -50,8 +55,10 @@ def identify(
         raise ScenarioError(
             f"{plan}: this plan has no arm that moves; a load is identified by the arm that carries it."
         )
-    n = carried.joint.q.shape[1]
-    found = learn(carried, [read_log(path, n) for path in logs], read_log(empty, n))
+    assert carried.scenario.arm is not None
+    names = load_arm(carried.scenario.arm, carried.scenario.tray).joint_names
+    read = [read_log(path, len(names), names, topic) for path in (*logs, empty)]
+    found = learn(carried, read[:-1], read[-1])
     if out is not None:
         write_atomic(out, tomli_w.dumps(found.learnt_scenario().model_dump(mode="json", exclude_none=True)))
     if json:

@@ -320,9 +320,10 @@ def _ranges(scenario: Scenario, phi: Array, covariance: Array, shift: Array) -> 
         both = float(max(low, before[0])), float(min(high, before[1]))
         if both[0] > both[1]:
             unit = "kg" if k == 0 else "m"
+            turned = " (wrist forces are those that the arm exerts: f_z > 0 at rest)" if k == 0 and high < 0 else ""
             raise SalverError(
                 f"The logs put {name} between {low:.4g} and {high:.4g} {unit}, the scenario between {before[0]:.4g} "
-                f"and {before[1]:.4g}: one of them is wrong; the scenario's range is not widened."
+                f"and {before[1]:.4g}: one of them is wrong{turned}; the scenario's range is not widened."
             )
         likely = np.clip(_interval(phi, covariance, k, LIKELY, shift), *both)
         found[name] = Range(both[0], both[1], before, (float(likely[0]), float(likely[1])))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import numpy as np
 from salver.errors import FileFormatError
 from salver.files import load_npz
 from salver.geometry import Array
+from salver.motion_files.readers import BAGS
+from salver.motion_files.samples import reordered
 
 LONGEST_GAP = 0.03  # s between two samples; more is a gap in the clock
 LONGEST = 600.0  # s of a log
@@ -37,26 +40,39 @@ class Log:
     wrench_F: Array | None = None
 
 
-def read_log(path: str | Path, n: int) -> Log:
+def read_log(path: str | Path, n: int, names: Sequence[str] = (), topic: str | None = None) -> Log:
     """A log of an arm with n joints.
 
-    .npz with t, q and tau or wrench_F, as `salver execute` and `salver simulate` write it, or .csv with the columns t,
-    q1 ... qn and tau1 ... taun, or fx, fy, fz, tx, ty, tz, or all.
+    .npz with t, q and tau or wrench_F, as `salver execute` and `salver simulate` write it; .csv with the columns t,
+    q1 ... qn and tau1 ... taun, or fx, fy, fz, tx, ty, tz, or all; or a ROS bag with a JointState that has efforts, a
+    WrenchStamped, or both. names: of the joints, in the arm's order, for a bag; topic: of its JointState.
 
     Raises FileFormatError, one sentence.
     """
     path = Path(path)
-    if path.suffix == ".npz":
-        found = load_npz(path, ("t", "q"))
-    elif path.suffix == ".csv":
-        found = _read_csv(path, n)
-    else:
+    if path.suffix.lower() in BAGS or path.is_dir():
+        log = _of_bag(path, tuple(names), topic)
+    elif topic is not None:
+        raise FileFormatError(f"{path} is no bag, so it has no topic {topic}; leave --topic away.")
+    elif path.suffix not in (".npz", ".csv"):
         raise FileFormatError(
-            f"{path} is no log; give a .npz that salver execute wrote, or a .csv with t and q1 to q{n}."
+            f"{path} is no log; give a .npz that salver execute wrote, a .csv with t and q1 to q{n}, or a ROS bag."
         )
-    log = Log(str(path), found["t"], found["q"], found.get("tau"), found.get("wrench_F"))
+    else:
+        found = load_npz(path, ("t", "q")) if path.suffix == ".npz" else _read_csv(path, n)
+        log = Log(str(path), found["t"], found["q"], found.get("tau"), found.get("wrench_F"))
     _check(log, n)
     return log
+
+
+def _of_bag(path: Path, names: tuple[str, ...], topic: str | None) -> Log:
+    from salver.motion_files.ros_readers import read_sensed
+
+    if not path.exists():
+        raise FileFormatError(f"{path} does not exist; give a log as .npz or .csv, or a ROS bag.")
+    samples, wrench = read_sensed(path, topic)
+    samples = reordered(samples, names or samples.names)
+    return Log(str(path), samples.t, samples.q, samples.tau, wrench)
 
 
 def _read_csv(path: Path, n: int) -> dict[str, Array]:

@@ -42,7 +42,7 @@ JointNames = Callable[[], tuple[str, ...]]
 
 LARGEST = 500_000_000  # bytes of a text file
 FORMAT = "salver motion"  # of JSON that salver wrote
-_BAGS = (".bag", ".mcap", ".db3")
+BAGS = (".bag", ".mcap", ".db3")
 
 
 def no_joints() -> tuple[str, ...]:
@@ -66,9 +66,9 @@ def read(
     if not _exists(path):
         raise FileFormatError(f"{path} does not exist; give a .csv, .yaml or .json file or a ROS bag.")
     ending = path.suffix.lower()
-    if path.is_file() and path.stat().st_size > LARGEST and ending not in _BAGS:
+    if path.is_file() and path.stat().st_size > LARGEST and ending not in BAGS:
         raise FileFormatError(f"{path} is larger than {LARGEST // 1_000_000} MB; cut it.")
-    if path.is_dir() or ending in _BAGS:
+    if path.is_dir() or ending in BAGS:
         from salver.motion_files.ros_readers import read_bag
 
         return replace(read_bag(path, topic, as_path), form="ros2")

@@ -6,7 +6,7 @@ Quaternions of ROS are x, y, z, w; they are turned round here and nowhere else.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -22,6 +22,8 @@ TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
 PATH = "nav_msgs/msg/Path"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+SPARSE = 0.03  # s from a joint's sample to one of the wrist
 KINDS = (TRAJECTORY, JOINT_STATE, POSE, PATH)
 OBJECT = "object_path"  # ends the name of a path of the object's frame B
 LARGEST_YAML, LARGEST_JSON = 5_000_000, 100_000_000  # bytes: YAML is read at some 0.2 MB/s
@@ -186,6 +188,58 @@ def _seconds(stamp: Any) -> float:
 
 def read_bag(path: Path, topic: str | None = None, as_path: bool = False) -> Samples:
     """The only motion of a bag, or that of `topic`: JointTrajectory, JointState, or of the tray PoseStamped or Path."""
+    name, kind, messages = _messages(path, lambda connections: _choose(connections, topic, path))[0]
+    source = f"{path}, topic {name}"
+    if kind == TRAJECTORY:
+        message: Any = messages[0][1]
+        samples = _from_trajectory(message.joint_names, message.points, source, as_path)
+        if len(messages) > 1:
+            note = f"The topic has {len(messages)} trajectories; this is the first."
+            samples = JointSamples(**{**samples.__dict__, "notes": (*samples.notes, note)})
+        return samples
+    if kind == PATH:
+        path_message: Any = messages[0][1]
+        return _from_path(path_message.poses, name, source)
+    return _joint_states(messages, source) if kind == JOINT_STATE else _poses(messages, source)
+
+
+def read_sensed(path: Path, topic: str | None = None) -> tuple[JointSamples, Array | None]:
+    """The joints of a bag (of `topic`, where several tell them) with their efforts, and what its WrenchStamped says at
+    these times: (N, 6) force and torque, None without."""
+
+    def chosen(connections: Sequence[Any]) -> list[Any]:
+        shown = ", ".join(f"{c.topic} ({c.msgtype})" for c in connections) or "none"
+        joints = [c for c in connections if c.msgtype == JOINT_STATE and topic in (None, c.topic)]
+        wrenches = [c for c in connections if c.msgtype == WRENCH]
+        for kind, found, least in (("joints (JointState)", joints, 1), ("wrist (WrenchStamped)", wrenches, 0)):
+            topics = {c.topic for c in found}
+            if not least <= len(topics) <= 1:
+                which = f"of the topic {topic}" if topic is not None else "; name one with --topic"
+                raise FileFormatError(f"{path} has {len(topics)} logs of the {kind}{which}; its topics are {shown}.")
+        return [*joints, *wrenches]
+
+    found = {kind: (name, messages) for name, kind, messages in _messages(path, chosen)}
+    name, messages = found[JOINT_STATE]
+    samples = _joint_states(messages, f"{path}, topic {name}", efforts=True)
+    if WRENCH not in found:
+        return samples, None
+    name, wrenches = found[WRENCH]
+    t = _stamps(wrenches) - _stamps(messages)[0]
+    values = np.array([[getattr(v, k) for v in (m.wrench.force, m.wrench.torque) for k in "xyz"] for _, m in wrenches])
+    order = np.argsort(t, kind="stable")
+    t, values = t[order], values[order]
+    apart = np.abs(t[np.clip(np.searchsorted(t, samples.t), 0, len(t) - 1)] - samples.t).max()
+    if apart > SPARSE:
+        raise FileFormatError(
+            f"{path}, topic {name}: the joints were logged up to {apart:.3g} s from any of its stamps; at most "
+            f"{SPARSE:g} is accepted."
+        )
+    return samples, np.stack([np.interp(samples.t, t, column) for column in values.T], axis=1)
+
+
+def _messages(path: Path, chosen: Callable[[Sequence[Any]], list[Any]]) -> list[tuple[str, str, list[tuple[int, Any]]]]:
+    """Topic, type and messages (with their stamps of recording) of each topic of a bag that is chosen of its
+    connections."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -196,34 +250,26 @@ def read_bag(path: Path, topic: str | None = None, as_path: bool = False) -> Sam
         raise FileFormatError(
             f"{path} is larger than {LARGEST_BAG // 1_000_000} MB; cut it, or give one topic of it as CSV."
         )
+    found: dict[str, tuple[str, list[tuple[int, Any]]]] = {}
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            connections = _choose(reader.connections, topic, path)
-            kind, source = connections[0].msgtype, f"{path}, topic {connections[0].topic}"
-            messages = [
-                (stamp, reader.deserialize(raw, connection.msgtype))
-                for connection, stamp, raw in islice(reader.messages(connections=connections), MOST_MESSAGES + 1)
-            ]
+            connections = chosen(reader.connections)
+            found = {connection.topic: (connection.msgtype, []) for connection in connections}
+            for connection, stamp, raw in islice(reader.messages(connections=connections), MOST_MESSAGES + 1):
+                found[connection.topic][1].append((stamp, reader.deserialize(raw, connection.msgtype)))
     except FileFormatError:
         raise
     except Exception as error:  # a damaged bag leads its reader anywhere
         reason = str(error).splitlines()[0][:200] if str(error) else type(error).__name__
         raise FileFormatError(f"{path} cannot be read as a ROS bag ({reason}).") from None
-    if len(messages) > MOST_MESSAGES:
-        raise FileFormatError(f"{source} has more than {MOST_MESSAGES} messages; cut the bag.")
-    if not messages:
-        raise FileFormatError(f"{source} has no messages.")
-    if kind == TRAJECTORY:
-        message: Any = messages[0][1]
-        samples = _from_trajectory(message.joint_names, message.points, source, as_path)
-        if len(messages) > 1:
-            note = f"The topic has {len(messages)} trajectories; this is the first."
-            samples = JointSamples(**{**samples.__dict__, "notes": (*samples.notes, note)})
-        return samples
-    if kind == PATH:
-        path_message: Any = messages[0][1]
-        return _from_path(path_message.poses, connections[0].topic, source)
-    return _joint_states(messages, source) if kind == JOINT_STATE else _poses(messages, source)
+    if sum(len(messages) for _, messages in found.values()) > MOST_MESSAGES:
+        raise FileFormatError(
+            f"{path}, topic {' and '.join(found)} has more than {MOST_MESSAGES} messages; cut the bag."
+        )
+    for name, (_, messages) in found.items():
+        if not messages:
+            raise FileFormatError(f"{path}, topic {name} has no messages.")
+    return [(name, kind, messages) for name, (kind, messages) in found.items()]
 
 
 def _choose(connections: Sequence[Any], topic: str | None, path: Path) -> list[Any]:
@@ -247,14 +293,20 @@ def _choose(connections: Sequence[Any], topic: str | None, path: Path) -> list[A
 
 
 def _times(messages: Sequence[tuple[int, Any]]) -> Array:
+    """s since the first of them."""
+    stamps = _stamps(messages)
+    return stamps - stamps[0]
+
+
+def _stamps(messages: Sequence[tuple[int, Any]]) -> Array:
     """Stamps of the headers, s; of the recording where there are none."""
     stamps = np.array([_seconds(message.header.stamp) for _, message in messages])
     if np.all(stamps == 0):
         stamps = np.array([stamp for stamp, _ in messages]) * 1e-9
-    return stamps - stamps[0]
+    return stamps
 
 
-def _joint_states(messages: Sequence[tuple[int, Any]], source: str) -> JointSamples:
+def _joint_states(messages: Sequence[tuple[int, Any]], source: str, efforts: bool = False) -> JointSamples:
     names = tuple(messages[0][1].name)
     # Several publishers may share the topic (arm and gripper): the rows with the names of the first are kept.
     rows = [(stamp, m) for stamp, m in messages if tuple(m.name) == names]
@@ -268,7 +320,12 @@ def _joint_states(messages: Sequence[tuple[int, Any]], source: str) -> JointSamp
         q = np.zeros(0)
     if q.ndim != 2 or q.shape[1] != len(names):
         raise FileFormatError(f"{source}: a JointState has not one position for each of its {len(names)} names.")
-    return joint_samples(_times(rows), names, q, None, None, source)
+    tau = None
+    if efforts and any(len(m.effort) for _, m in rows):
+        if {len(m.effort) for _, m in rows} != {len(names)}:
+            raise FileFormatError(f"{source}: a JointState has not one effort for each of its {len(names)} names.")
+        tau = np.array([m.effort for _, m in rows], dtype=float)
+    return joint_samples(_times(rows), names, q, None, None, source, tau=tau)
 
 
 def _poses(messages: Sequence[tuple[int, Any]], source: str) -> TraySamples:

@@ -40,7 +40,8 @@ class JointSamples(Outlined):
     """Joint positions q (N, n) at t (N,), with velocities and accelerations where the file has them.
 
     names: (n,) of the joints, in the order of the columns. commanded: whether a controller is told to run through
-    these waypoints with these velocities; otherwise they are a recording. form: as in `TraySamples`.
+    these waypoints with these velocities; otherwise they are a recording. form: as in `TraySamples`. tau: (N, n) N m,
+    of a recording that has it, where it was asked for.
     """
 
     t: Array
@@ -52,6 +53,7 @@ class JointSamples(Outlined):
     notes: tuple[str, ...] = ()
     commanded: bool = False
     form: str = "csv"
+    tau: Array | None = None
 
     def paced(self, factor: float) -> JointSamples:
         """The same path in `factor` times the time."""
@@ -92,13 +94,14 @@ def joint_samples(
     source: str,
     commanded: bool = False,
     fewest: int = FEWEST,
+    tau: Array | None = None,
 ) -> JointSamples:
     """Check and repair joint positions. Raises FileFormatError, one sentence with the row."""
-    arrays = {"time": t, "positions": q, "velocities": dq, "accelerations": ddq}
+    arrays = {"time": t, "positions": q, "velocities": dq, "accelerations": ddq, "efforts": tau}
     _finite({name: array for name, array in arrays.items() if array is not None}, source)
     keep, notes = _clock(t, source, 2 if commanded else fewest)
-    dq, ddq = (None if x is None else x[keep] for x in (dq, ddq))
-    return JointSamples(t[keep] - t[0], names, q[keep], dq, ddq, source, notes, commanded)
+    dq, ddq, tau = (None if x is None else x[keep] for x in (dq, ddq, tau))
+    return JointSamples(t[keep] - t[0], names, q[keep], dq, ddq, source, notes, commanded, tau=tau)
 
 
 def reordered(samples: JointSamples, names: tuple[str, ...]) -> JointSamples:
@@ -109,8 +112,8 @@ def reordered(samples: JointSamples, names: tuple[str, ...]) -> JointSamples:
     if missing:
         _refuse_names(samples, names, missing)
     order = [samples.names.index(name) for name in names]
-    dq, ddq = (None if x is None else x[:, order] for x in (samples.dq, samples.ddq))
-    return replace(samples, names=names, q=samples.q[:, order], dq=dq, ddq=ddq)
+    dq, ddq, tau = (None if x is None else x[:, order] for x in (samples.dq, samples.ddq, samples.tau))
+    return replace(samples, names=names, q=samples.q[:, order], dq=dq, ddq=ddq, tau=tau)
 
 
 def _numbered(names: tuple[str, ...]) -> bool:
