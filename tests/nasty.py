@@ -263,6 +263,8 @@ class TrueRows:
 
     def __init__(self, made: Scenario, edges: int | None = None) -> None:
         self.made, self.items, self.uncertain = made, made.payload.bodies, made.payload.uncertain
+        self.above = {item.name: carried_by(made, item.name) for item in made.objects}
+        self._known: dict[Any, tuple[TrueBody, Array, Array]] = {}
         self.facets = []
         for body, item in zip(self.items, made.objects, strict=True):
             points = sure_points_B(made, body.name)
@@ -274,19 +276,26 @@ class TrueRows:
 
         weight: the deviations at which that normal force is taken; those of `change` unless given.
         """
-        wrenches = interface_wrenches(self.made, change, w)
-        at = change if weight is None else weight
-        return [
-            wrench @ rows.T / self.weight(carried_by(self.made, body.name), at)
-            for body, rows, wrench in zip(self.items, self.facets, wrenches, strict=True)
-        ]
+        at, found = change if weight is None else weight, []
+        for body, rows in zip(self.items, self.facets, strict=True):
+            above = [item for item in self.items if item.name in self.above[body.name]]
+            need = sum(self._maps(item, change)[1] for item in above)
+            heavy = G * sum(self._maps(item, at)[0].mass for item in above)
+            found.append(w @ (rows @ self._maps(body, change)[2] @ need).T / heavy)
+        return found
+
+    def _maps(self, body: Body, change: dict[str, float]) -> tuple[TrueBody, Array, Array]:
+        """The body as it is, and as matrices what it needs of w at E (6, 12), and a wrench at E at B (6, 6)."""
+        own = f"{body.name}." if len(self.made.objects) > 1 else ""
+        key = (body.name, *sorted(each for each in change.items() if each[0].startswith((own, "tilt"))))
+        if key not in self._known:
+            true = true_body(self.made, body, change)
+            self._known[key] = true, needed_at_E(true, np.eye(12)).T, at_B(np.eye(6), true).T
+        return self._known[key]
 
     def worst(self, change: dict[str, float], w: Array, weight: dict[str, float] | None = None) -> Array:
         """(T,) the largest of all."""
         return np.hstack(self.at(change, w, weight)).max(axis=1)
-
-    def weight(self, above: list[str], change: dict[str, float]) -> float:
-        return G * sum(true_body(self.made, b, change).mass for b in self.items if b.name in above)
 
 
 # What an arm needs, by Pinocchio ---------------------------------------------------------------------------------
