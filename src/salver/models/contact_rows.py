@@ -24,7 +24,7 @@ from salver.models.bodies import Body
 from salver.models.contact import ContactSet
 from salver.models.contents import INERTIA_OF_MOMENTS, Filling, Hull, moments_of_inertia, most_second_moments
 from salver.models.interfaces import ContactNetwork, shift_ranges, sure_contacts, to_tray
-from salver.models.parameters import Parameter, UncertainSet, tilt_at
+from salver.models.parameters import TILT, Parameter, UncertainSet, tilt_at
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, at_rest, frame_map, wrench_map
 from salver.models.worst_case import UncertainRows
@@ -208,14 +208,30 @@ class _RowModel:
         self.facets = [rows for rows, _ in asked]
         self.interface = np.repeat(np.arange(len(asked)), [len(rows) for rows in self.facets])
         self.label = np.concatenate([label for _, label in asked])
+        self._known: dict[tuple[object, ...], tuple[Array, Array]] = {}
+        self._tilted: dict[tuple[object, ...], Array] = {}
+
+    def _maps(self, body: Body, deviation: Deviation) -> tuple[Array, Array]:
+        """(6, 12) wrench at E that a body needs, and (6, 6) from wrenches at E to those at its B; by its own parameters
+        alone, of which few are apart from nominal at a time."""
+        key = (body.name, *(each for each in deviation.items() if _of(each[0], body)))
+        if key not in self._known:
+            place = body.place_at(deviation)
+            down = to_tray(place, body.R_EB)
+            need = down @ wrench_map(body.phi_at(deviation)) @ frame_map(place, body.R_EB)
+            self._known[key] = need, np.linalg.inv(down)
+        return self._known[key]
+
+    def _tilt(self, deviation: Deviation) -> Array:
+        """(12, 12) what the tray feels as the real, tilted one does."""
+        key = tuple(deviation.get(tilt) for tilt in TILT)
+        if key not in self._tilted:
+            self._tilted[key] = frame_map(np.zeros(3), tilt_at(deviation))
+        return self._tilted[key]
 
     def _required(self, deviation: Deviation) -> Array:
         """(m, 6, 12) wrench at E that each body needs."""
-        maps = []
-        for body in self.network.bodies:
-            place = body.place_at(deviation)
-            maps.append(to_tray(place, body.R_EB) @ wrench_map(body.phi_at(deviation)) @ frame_map(place, body.R_EB))
-        return np.array(maps)
+        return np.array([self._maps(body, deviation)[0] for body in self.network.bodies])
 
     def _carried(self, deviation: Deviation) -> Array:
         """(n_e, 6, 12) wrench at E that each interface carries."""
@@ -230,14 +246,13 @@ class _RowModel:
         for phi in np.vstack([np.eye(10)[1:4], np.hstack([np.zeros((6, 4)), INERTIA_OF_MOMENTS.T])]):
             wrench = down @ wrench_map(phi) @ seen
             found.append(np.concatenate([r @ self.network.share[e, j] @ wrench for e, r in enumerate(facets)]))
-        return np.array(found) @ frame_map(np.zeros(3), tilt_at(deviation))
+        return np.array(found) @ self._tilt(deviation)
 
     def facets_at_tray(self, deviation: Deviation) -> list[Array]:
         """Facet rows (n_f, 6) of each interface for wrenches at E."""
         out = []
         for interface, rows in zip(self.network.interfaces, self.facets, strict=True):
-            upper = self.network.bodies[interface.upper]
-            out.append(rows @ np.linalg.inv(to_tray(upper.place_at(deviation), upper.R_EB)))
+            out.append(rows @ self._maps(self.network.bodies[interface.upper], deviation)[1])
         return out
 
     def weights(self, deviation: Deviation) -> Array:
@@ -250,7 +265,7 @@ class _RowModel:
         """c(p) (n, 12) at parameters that deviate from nominal, in N."""
         carried = self._carried(deviation)
         rows = np.concatenate([r @ carried[e] for e, r in enumerate(self.facets_at_tray(deviation))])
-        return rows @ frame_map(np.zeros(3), tilt_at(deviation))
+        return rows @ self._tilt(deviation)
 
 
 def _expand(
