@@ -128,3 +128,12 @@ def test_objects_may_touch_and_bridge() -> None:
     (*_, body) = scenario([*posts, top]).payload.bodies
     assert body.regions == (4, 4)
     assert_allclose(np.sort(np.unique(np.round(body.contacts.p_BC[:, 0], 9))), [-0.05, -0.01, 0.01, 0.05])
+
+
+@pytest.mark.parametrize("com", [0.012, -0.012])
+def test_whether_objects_are_in_the_same_place_does_not_depend_on_where_their_mass_is(com: float) -> None:
+    """Each turned by its own angle: side by side along x they touch at 4 cm, whatever is inside."""
+    pair = [cube("a", com=[com, 0.0, 0.0]), cube("b", com=[0.0, com, 0.0], yaw_deg=90)]
+    scenario([pair[0], {**pair[1], "at": [0.0401, 0]}])
+    with pytest.raises(ScenarioError, match="in the same place"):
+        scenario([pair[0], {**pair[1], "at": [0.0399, 0]}])

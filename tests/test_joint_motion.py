@@ -9,6 +9,7 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
+from salver.planning.follow import redundancy
 from salver.planning.follow.limits import peaks, torques, verdict
 from salver.planning.follow.motion import follow, follow_scenario
 from salver.planning.follow.redundancy import Usage, first_choice, solve_path, tray_path
@@ -119,10 +120,15 @@ def test_redundancy_brings_speeds_down(cube):
     assert max(peak.share for peak in peaks(arm, motion)) < 1.03
 
 
-@pytest.mark.parametrize(("duration", "order"), [(0.6, 0), (0.6, 1), (0.6, 2), (2.0, 0)])
-def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order):
+@pytest.mark.parametrize(
+    ("duration", "order", "matters"), [(0.6, 0, None), (0.6, 1, None), (0.6, 2, None), (2.0, 0, None), (0.6, 0, 10.0)]
+)
+def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order, matters, monkeypatch):
     """The derivative by s, s', s'' of C q = s(t), where the tray's motion stays, against differences: of a motion near
-    the limits of speed and torque, and of a slow one with a ball behind the elbow."""
+    the limits of speed and torque, of a slow one with a ball behind the elbow, and where singular postures are what
+    matters most."""
+    if matters:
+        monkeypatch.setattr(redundancy, "_SINGULAR", matters)
     arm, path = panda, tray_path(tumbling(duration), *PLACES[1], np.linspace(0, duration, 31))
     postures, reached = postures_along(arm, path.p_SE, path.R_SE, start_posture_of(arm, path))
     assert reached == 31
@@ -165,6 +171,16 @@ def test_a_chosen_start_is_no_worse_than_the_given_one(panda, cube):
 def test_same_seed_same_motion(panda, cube):
     first, second = (follow(panda, line(), cube.p_EB, cube.R_EB, seed=3)[0] for _ in range(2))
     assert np.array_equal(first.q, second.q)
+
+
+def test_a_joint_that_turns_more_than_once_is_as_near_to_the_middle_of_its_range_as_it_can():
+    case = scenario.load("ur10-bottle")
+    arm = load_arm(case.arm, case.tray)
+    twice = arm.limits.q_max - arm.limits.q_min > 2 * np.pi
+    found = candidate_postures(arm, PoseTarget(np.array(case.motion.start.position), UPRIGHT))
+    assert twice.all()
+    assert len(found) > 3
+    assert np.abs(np.array(found)).max() <= np.pi
 
 
 def test_candidates_are_different_and_reach(panda):

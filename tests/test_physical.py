@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.models.parameters import inertial_vector
-from salver.models.physical import mass_distribution, realisable
+from salver.models.physical import mass_distribution, random_inertia, realisable
 from salver.models.rigid_body import inertia_entries, parallel_axis
 from salver.scenario import load, parse
 
@@ -43,6 +43,17 @@ def test_every_distribution_within_the_shape_is_accepted(body: Body) -> None:
     values = [of_points(points_within(body, k, rng), rng.exponential(size=k)) for k in (1, 2, 3, 4, 8) * 40]
     assert realisable(body, values).all()
     assert realisable(body, inertial_vector(body.inertial)).all()
+
+
+@pytest.mark.parametrize("body", [BOX, WEDGE, BOTTLE])
+def test_inertia_drawn_at_random_is_of_masses_within_the_shape_about_the_place_that_was_asked_for(body: Body) -> None:
+    rng, sizes = np.random.default_rng(3), []
+    extent = np.ptp(body.points_B, axis=0)
+    for com in np.concatenate([0.5 * points_within(body, 20, rng), 0.9 * points_within(body, 20, rng)]):
+        six = random_inertia(body, com, rng)
+        assert realisable(body, np.concatenate([[1.0], com, six])), com
+        sizes.append(0.5 * (six[0] + six[2] + six[5]) / (extent @ extent))  # mean square distance from there
+    assert 0.01 < np.mean(sizes) < 0.25  # evenly filled boxes have 1/12, all mass in the corners 1/4
 
 
 @pytest.mark.parametrize("body", [BOX, WEDGE, BOTTLE])

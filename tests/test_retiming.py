@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,14 @@ from salver.motion_files import read_path
 from salver.planning.fastest import FastestOptions, fastest, object_motion
 from salver.planning.fastest.curves import Grid, PathCurve
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.retiming import PATH_TOLERANCE, SplinePath, plan_retimed, reachable_law, retime
+from salver.planning.fastest.retiming import (
+    PATH_TOLERANCE,
+    SplinePath,
+    _within_limits,
+    plan_retimed,
+    reachable_law,
+    retime,
+)
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.follow.limits import peaks
 from salver.planning.plan import load_plan
@@ -129,6 +137,27 @@ def test_derivatives_of_a_time_law_match_differences(problem):
     predicted = curve.columns(coefficients, 0.9, parts, node) @ direction[:, 0]
     difference = (value(h) - value(-h)) / (2 * h)
     assert np.allclose(difference, predicted, rtol=1e-5, atol=1e-5 * np.abs(predicted).max())
+
+
+def test_waypoints_may_pass_a_limit_by_less_than_a_path_may_miss_them(problem):
+    q = np.tile(problem.start_posture, (3, 1))
+    for joint, end, side in ((2, problem.limits.q_min, -1), (4, problem.limits.q_max, 1)):
+        for beyond, fits in ((-0.5e-3, True), (0.5e-3, True), (2e-3, False)):
+            there = q.copy()
+            there[1, joint] = end[joint] + side * beyond
+            with nullcontext() if fits else pytest.raises(ScenarioError, match="waypoint 2 has"):
+                _within_limits(problem.scenario, problem, there)
+
+
+def test_a_time_law_never_goes_back(problem):
+    law = RestSpline(5, 8)
+    curve = PathCurve(problem, Grid.of(law, law.nodes(3)), swing(problem, 0.8))
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        here, there = rng.uniform(0, 1, law.size), np.sort(rng.uniform(0, 1, law.size))
+        there[3:5] += rng.choice([0.0, -0.7])
+        rows, most = curve.inequalities(here[:, None])
+        assert np.all(rows @ (there - here) <= most + 1e-12) == np.all(np.diff(there) >= -1e-12)
 
 
 @pytest.mark.slow

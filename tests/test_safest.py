@@ -14,9 +14,13 @@ from salver.cli import app
 from salver.cli.plan import Effort
 from salver.cli.searching import searching
 from salver.errors import ScenarioError, UnreachableError
+from salver.geometry import exp
+from salver.models.contact_rows import contact_rows
+from salver.models.tray_motion import at_rest
 from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
 from salver.planning.fastest.legs import plan_legs
-from salver.planning.fastest.safest import plan_safest, plan_safest_legs, shared
+from salver.planning.fastest.safest import _as_found, _margin_at_rest, plan_safest, plan_safest_legs, shared
+from salver.planning.make import make_plan
 
 FEW = FastestOptions(spans=8)
 POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
@@ -87,6 +91,25 @@ def test_shares_of_the_time_leave_all_legs_the_same_margin():
     assert np.ptp(margins) < 1e-9
     assert margins.min() > (at_rest - c).min()
     assert np.abs(shared(found, at_rest, margins, 2.0) - found).max() < 1e-9
+
+
+def test_a_leg_is_taken_up_as_it_was_planned_with_the_margin_that_its_ends_have_at_rest():
+    """The tray ends tilted by 10 degrees: there gravity alone takes part of what friction gives."""
+    ends = {
+        "motion__goal": {"position": [0.444272, 0.100574, 0.4], "rpy_deg": [10, 0, 0]},
+        "motion__orientation": "free",
+    }
+    case = scenario.load("panda-cube").with_changes(objects__0__uncertainty={}, motion__duration=1.5, **ends)
+    plan = make_plan(case)
+    found = _as_found(plan, FEW)
+    t = np.linspace(0, 1.5, 31)
+    np.testing.assert_allclose(found.sample(t)[0], plan.joint.sample(t)[0], atol=5e-3)  # by eight pieces
+    for ours, theirs in ((found.problem.start, plan.joint.q[0]), (found.problem.goal, plan.joint.q[-1])):
+        assert np.array_equal(ours.q, theirs)
+    (rows,) = contact_rows(case.payload)
+    level, tilted = (-rows.worst(at_rest(R)[None]).max() for R in (np.eye(3), exp(np.array([np.deg2rad(10), 0, 0]))))
+    assert tilted < level - 0.05
+    assert _margin_at_rest(found) == pytest.approx(tilted, abs=1e-3)
 
 
 @pytest.mark.slow

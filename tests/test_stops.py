@@ -16,14 +16,16 @@ from salver.driver.preflight import _stops
 from salver.driver.stops import CoolStop
 from salver.errors import FileFormatError, SalverError, ScenarioError, Status
 from salver.models.arm import load_arm, with_load
-from salver.planning.fastest import Anywhere, AtPosture, transport_problem
+from salver.planning.fastest import AtPosture, transport_problem
 from salver.planning.fastest.constraints import evaluate, worst_of
-from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid
-from salver.planning.fastest.retiming import SplinePath
-from salver.planning.fastest.spline import RestSpline
 from salver.planning.stop_library import StopLibrary
-from salver.planning.stops import SPLINE, _fitted, _going_on, plan_stops, stop_from, stop_problem, stopped, with_stops
-from salver.trajectory import JointMotion
+from salver.planning.stops import (
+    plan_stops,
+    stop_from,
+    stop_problem,
+    stopped,
+    with_stops,
+)
 
 PAPER = sv.load_scenario("panda-cube")
 
@@ -33,41 +35,6 @@ def bottle():
     """The fastest plan of the tall bottle, with a stop every 60 ms where one was found."""
     plan = sv.plan("panda-tall-bottle")
     return replace(plan, stops=plan_stops(transport_problem(plan.scenario), plan.joint, every=0.06))
-
-
-def swaying(duration):
-    """A motion of seven joints from rest to rest."""
-    t = np.linspace(0, duration, 201)
-    u, size = (t / duration)[:, None], np.linspace(-0.3, 0.5, 7)
-    rates = (u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u))
-    return JointMotion(t, *(x * size / duration**k for k, x in enumerate(rates)))
-
-
-def test_a_search_for_a_stop_may_begin_with_going_on_a_while():
-    """What is ahead begins where the plan is then: together they are the rest of the plan itself, from time 0."""
-    whole, now, begin = swaying(1.4), 0.33, 0.77
-    tail = whole.t[whole.t >= begin - 1e-9]
-    begin = float(tail[0])
-    ahead = JointMotion(tail, *whole.sample(tail))
-    guess = _going_on(whole, now, begin, ahead)
-    assert guess.t[0] == 0.0
-    assert guess.duration == pytest.approx(1.4 - now, abs=1e-12)
-    t = np.linspace(0, 1.4 - now, 57)
-    for found, true in zip(guess.sample(t), whole.sample(now + t), strict=True):
-        np.testing.assert_allclose(found, true, atol=1e-6)
-
-
-def test_a_search_for_a_stop_begins_with_the_very_motion_that_it_is_given():
-    """One that its splines can do from the state in which the arm is, to posture and acceleration."""
-    problem = transport_problem(PAPER)
-    rng = np.random.default_rng(3)
-    state = AtPosture(problem.start_posture, *rng.normal(size=(2, 7)))
-    problem = replace(problem, start=state, goal=Anywhere())
-    s, true = np.linspace(0, 1, 121), state.q + rng.normal(scale=0.1, size=(SPLINE.size, 7))
-    true[0] = state.q
-    z = FreeCurve(problem, Grid.of(SPLINE, s)).motion(true, 0.8)
-    assert z[1, 0] == pytest.approx(state.rates[0])
-    np.testing.assert_allclose(_fitted(problem, JointMotion(0.8 * s, *z[:3]), 0.8), true, atol=1e-8)
 
 
 @pytest.mark.slow
@@ -317,30 +284,6 @@ def test_a_motion_of_ones_own_can_be_stopped_from_any_state(bottle):
 
 
 @pytest.mark.slow
-def test_a_time_law_that_begins_moving_has_the_derivatives_that_differences_give(bottle):
-    """By every coefficient and by the duration, of every row of z; the start is that of the motion, to its speed."""
-    path, spline = SplinePath.timed(bottle.joint), RestSpline(degree=5, spans=4)
-    curve = BrakingCurve(stop_problem(bottle), Grid.of(spline, np.linspace(0, 1, 9)), path, 0.4, 1 / bottle.duration)
-    coefficients = np.linspace(0.4, 0.55, spline.size)[:, None]
-    z = curve.motion(coefficients, 0.3)
-    for value, expected in zip(z[:3, 0], bottle.joint.sample(0.4 * bottle.duration), strict=True):
-        assert np.allclose(value, expected[0], atol=2e-3)
-    assert np.abs(z[1:3, -1]).max() < 1e-9
-    step = 1e-6
-    ahead, behind = (curve.motion(coefficients, 0.3 * np.exp(sign * step)) for sign in (1, -1))
-    by_duration = curve.by_duration(coefficients, 0.3, z)
-    assert np.allclose(by_duration, (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-5 * np.abs(by_duration).max())
-    parts, point = np.random.default_rng(0).normal(size=(9, 4, 7)), np.arange(9)
-    columns = curve.columns(coefficients, 0.3, parts, point)
-    for k in range(spline.size):
-        ahead, behind = (
-            curve.motion(coefficients + sign * step * np.eye(spline.size)[:, k : k + 1], 0.3) for sign in (1, -1)
-        )
-        found = np.einsum("pkn,kpn->p", parts, (ahead - behind) / (2 * step))
-        assert np.allclose(columns[:, k], found, rtol=1e-4, atol=1e-5 * np.abs(columns).max())
-
-
-@pytest.mark.slow
 def test_stops_on_the_path_stay_on_it_and_are_no_sooner_than_free_ones():
     """Of a level cube, which need not lean: it can brake on its own path from some instants."""
     plan = sv.plan(sv.load_scenario("panda-cube", motion__duration=1.25))
@@ -358,15 +301,3 @@ def test_stops_on_the_path_stay_on_it_and_are_no_sooner_than_free_ones():
         assert np.abs(motion.dq[-1]).max() < 1e-9
     for now in np.linspace(0.01, plan.duration, 60):
         assert stops.course(now).rests >= free.course(now).rests - 0.02  # a local optimum each
-
-
-def test_the_longest_stop_is_asked_for_just_after_an_instant_from_which_one_begins():
-    """Of stops at 0.1, 0.2 and 0.5 s that take 0.3, 0.25 and 0.1 s, in a plan of 1 s: by hand."""
-    none = np.zeros((3, 2, 7))
-    library = StopLibrary(
-        np.array([0.1, 0.2, 0.5]), np.array([0.3, 0.25, 0.1]), np.array([0.0, 1.0]), none, none, none, none[:, 0], 1.0
-    )
-    assert [library.course(now).stop for now in (0.05, 0.1, 0.15, 0.3, 0.5, 0.6)] == [0, 0, 1, 2, 2, None]
-    assert library.longest == pytest.approx(0.5, abs=1e-6)  # after 0.5 s it can only be finished
-    assert library.finishing == pytest.approx(0.5, abs=1e-6)
-    assert replace(library, end=0.8).longest == pytest.approx(0.4, abs=1e-6)  # from 0.2 s on, to 0.6 s

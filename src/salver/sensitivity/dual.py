@@ -54,7 +54,7 @@ class Dual:
             return Dual(value)
         if matrix.ndim == 3 and self.tangent.shape[1] == 1:  # the same for all instants: one below the other
             rows = matrix.reshape(-1, 3) @ self.tangent[:, 0]
-            return Dual(value, rows.reshape(len(rows), len(matrix), 3, -1))
+            return Dual(value, rows.reshape(len(rows), len(matrix), 3, rows.shape[2]))
         return Dual(value, matrix @ self.tangent)
 
     @property

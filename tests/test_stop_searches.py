@@ -1,0 +1,157 @@
+"""Where a search for a stop begins, the curves on which it looks, and which stop is taken when."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import salver as sv
+from salver.planning.fastest import Anywhere, AtPosture, transport_problem
+from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid
+from salver.planning.fastest.retiming import SplinePath
+from salver.planning.fastest.spline import RestSpline
+from salver.planning.stop_library import StopLibrary
+from salver.planning.stops import (
+    SPLINE,
+    FoundStop,
+    _braking,
+    _fitted,
+    _going_on,
+    _law_ahead,
+)
+from salver.trajectory import JointMotion
+
+PAPER = sv.load_scenario("panda-cube")
+
+
+def swaying(duration):
+    """A motion of seven joints from rest to rest."""
+    t = np.linspace(0, duration, 201)
+    u, size = (t / duration)[:, None], np.linspace(-0.3, 0.5, 7)
+    rates = (u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u))
+    return JointMotion(t, *(x * size / duration**k for k, x in enumerate(rates)))
+
+
+def test_a_search_for_a_stop_may_begin_with_going_on_a_while():
+    """What is ahead begins where the plan is then: together they are the rest of the plan itself, from time 0."""
+    whole, now, begin = swaying(1.4), 0.33, 0.77
+    tail = whole.t[whole.t >= begin - 1e-9]
+    begin = float(tail[0])
+    ahead = JointMotion(tail, *whole.sample(tail))
+    guess = _going_on(whole, now, begin, ahead)
+    assert guess.t[0] == 0.0
+    assert guess.duration == pytest.approx(1.4 - now, abs=1e-12)
+    t = np.linspace(0, 1.4 - now, 57)
+    for found, true in zip(guess.sample(t), whole.sample(now + t), strict=True):
+        np.testing.assert_allclose(found, true, atol=1e-6)
+
+
+def test_a_search_for_a_stop_begins_with_the_very_motion_that_it_is_given():
+    """One that its splines can do from the state in which the arm is, to posture and acceleration."""
+    problem = transport_problem(PAPER)
+    rng = np.random.default_rng(3)
+    state = AtPosture(problem.start_posture, *rng.normal(size=(2, 7)))
+    problem = replace(problem, start=state, goal=Anywhere())
+    s, true = np.linspace(0, 1, 121), state.q + rng.normal(scale=0.1, size=(SPLINE.size, 7))
+    true[0] = state.q
+    z = FreeCurve(problem, Grid.of(SPLINE, s)).motion(true, 0.8)
+    assert z[1, 0] == pytest.approx(state.rates[0])
+    np.testing.assert_allclose(_fitted(problem, JointMotion(0.8 * s, *z[:3]), 0.8), true, atol=1e-8)
+
+
+def test_a_search_without_a_guess_begins_with_every_joint_braking_along_a_smooth_step():
+    """By hand: from v the joint turns at v (1 - 3 s^2 + 2 s^3), and goes half as far as it would at v."""
+    problem = transport_problem(PAPER)
+    v, s = np.linspace(-1.0, 2.0, 7), np.linspace(0, 1, 21)
+    state = AtPosture(problem.start_posture, v, np.zeros(7))
+    curve = FreeCurve(replace(problem, start=state, goal=Anywhere()), Grid.of(SPLINE, s))
+    z = curve.motion(_braking(state, 0.6), 0.6)
+    np.testing.assert_allclose(z[0, -1], state.q + 0.3 * v, atol=1e-6)
+    np.testing.assert_allclose(z[1], np.outer(1 - 3 * s**2 + 2 * s**3, v), atol=0.02)
+
+
+def test_a_search_for_a_stop_on_the_path_may_begin_with_the_last_one_that_was_found():
+    """From 0.3 to 0.6 s on a path of 1.5 s, then as the last of three stops goes there; not the second."""
+    own = np.linspace(0, 0.25, 6)
+    laws = [np.linspace(0.4, 0.4 + far, 6) for far in (0.3, 0.2, 0.1)]
+    stops = [
+        (0.6, FoundStop(JointMotion((k + 1) * own, *np.zeros((3, 6, 7))), np.zeros(7), law))
+        for k, law in enumerate(laws)
+    ]
+    t, u = _law_ahead(0.3, 0.6, 1.5, stops)
+    assert (t[0], t[-1]) == (0.0, pytest.approx(0.3 + 3 * 0.25))
+    assert np.interp([0.0, 0.15, 0.3], t, u) == pytest.approx([0.2, 0.3, 0.4])
+    assert np.interp(0.3 + 3 * own, t, u) == pytest.approx(laws[-1])
+    assert np.all(np.diff(t) > 0)
+
+
+def test_what_is_moved_is_the_plan_until_the_stop_begins_and_then_the_stop():
+    plan, stop = swaying(1.0), swaying(0.2)
+    state = np.array([stop.q, stop.dq, stop.ddq])[:, None]
+    library = StopLibrary(plan.t[[80]], np.array([0.2]), stop.t / 0.2, *state, np.zeros((2, 7)), 1.0)
+    moved = library.stopped(plan, 0.3)
+    assert moved.duration == pytest.approx(plan.t[80] + 0.2)
+    assert np.all(np.diff(moved.t) > 0)
+    t = np.array([0.1, 0.33, 0.39])
+    for found, true in zip(moved.sample(t), plan.sample(t), strict=True):
+        np.testing.assert_allclose(found, true, atol=1e-9)
+    for found, true in zip(moved.sample(plan.t[80] + stop.t), stop.sample(stop.t), strict=True):
+        np.testing.assert_allclose(found, true, atol=1e-9)
+    assert library.stopped(plan, 0.5) is plan
+
+
+def test_a_time_law_that_begins_moving_has_the_derivatives_that_differences_give():
+    """By every coefficient and by the duration, of every row of z; the start is that of the motion, to its speed."""
+    whole, spline = swaying(1.25), RestSpline(degree=5, spans=4)
+    grid = Grid.of(spline, np.linspace(0, 1, 9))
+    curve = BrakingCurve(transport_problem(PAPER), grid, SplinePath.timed(whole), 0.4, 1 / whole.duration)
+    coefficients = np.linspace(0.4, 0.55, spline.size)[:, None]
+    z = curve.motion(coefficients, 0.3)
+    for value, expected in zip(z[:3, 0], whole.sample(0.4 * whole.duration), strict=True):
+        assert np.allclose(value, expected[0], atol=2e-3)
+    assert np.abs(z[1:3, -1]).max() < 1e-9
+    rows, most = curve.inequalities(coefficients)  # none beyond the path's end; where it begins is given
+    assert rows @ (1 - coefficients[:, 0]) == pytest.approx(most)
+    assert np.all(rows @ np.eye(spline.size) == np.eye(spline.size)[1:])
+    step = 1e-6
+    ahead, behind = (curve.motion(coefficients, 0.3 * np.exp(sign * step)) for sign in (1, -1))
+    by_duration = curve.by_duration(coefficients, 0.3, z)
+    assert np.allclose(by_duration, (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-5 * np.abs(by_duration).max())
+    parts, point = np.random.default_rng(0).normal(size=(9, 4, 7)), np.arange(9)
+    columns = curve.columns(coefficients, 0.3, parts, point)
+    for k in range(spline.size):
+        ahead, behind = (
+            curve.motion(coefficients + sign * step * np.eye(spline.size)[:, k : k + 1], 0.3) for sign in (1, -1)
+        )
+        found = np.einsum("pkn,kpn->p", parts, (ahead - behind) / (2 * step))
+        assert np.allclose(columns[:, k], found, rtol=1e-4, atol=1e-5 * np.abs(columns).max())
+
+
+def test_the_longest_stop_is_asked_for_just_after_an_instant_from_which_one_begins():
+    """Of stops at 0.1, 0.2 and 0.5 s that take 0.3, 0.25 and 0.1 s, in a plan of 1 s: by hand."""
+    none = np.zeros((3, 2, 7))
+    library = StopLibrary(
+        np.array([0.1, 0.2, 0.5]), np.array([0.3, 0.25, 0.1]), np.array([0.0, 1.0]), none, none, none, none[:, 0], 1.0
+    )
+    assert [library.course(now).stop for now in (0.05, 0.1, 0.15, 0.3, 0.5, 0.6)] == [0, 0, 1, 2, 2, None]
+    assert library.longest == pytest.approx(0.5, abs=1e-6)  # after 0.5 s it can only be finished
+    assert library.finishing == pytest.approx(0.5, abs=1e-6)
+    assert replace(library, end=0.8).longest == pytest.approx(0.4, abs=1e-6)  # from 0.2 s on, to 0.6 s
+
+
+def test_a_motion_that_begins_moving_has_the_derivatives_that_differences_give():
+    """Of free joints, from any speed and acceleration: by every coefficient and by the duration."""
+    problem, spline, rng = transport_problem(PAPER), RestSpline(degree=5, spans=4), np.random.default_rng(6)
+    state = AtPosture(problem.start_posture, *rng.normal(size=(2, 7)))
+    curve = FreeCurve(replace(problem, start=state, goal=Anywhere()), Grid.of(spline, np.linspace(0, 1, 9)))
+    coefficients, step = state.q + 0.1 * rng.normal(size=(spline.size, 7)), 1e-6
+    z, direction = curve.motion(coefficients, 0.7), rng.normal(size=coefficients.shape)
+    assert np.allclose(z[:3, 0], [coefficients[0], *state.rates])
+    ahead, behind = (curve.motion(coefficients, 0.7 * np.exp(sign * step)) for sign in (1, -1))
+    by_duration = curve.by_duration(coefficients, 0.7, z)
+    assert np.allclose(by_duration, (ahead - behind) / (2 * step), rtol=1e-5, atol=1e-7 * np.abs(by_duration).max())
+    ahead, behind = (curve.motion(coefficients + sign * step * direction, 0.7) for sign in (1, -1))
+    parts = rng.normal(size=(9, 4, 7))
+    found = curve.columns(coefficients, 0.7, parts, np.arange(9)) @ direction.ravel()
+    expected = np.einsum("pkn,kpn->p", parts, (ahead - behind) / (2 * step))
+    assert np.allclose(found, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
