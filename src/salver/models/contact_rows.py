@@ -219,7 +219,7 @@ class _RowModel:
             place = body.place_at(deviation)
             down = to_tray(place, body.R_EB)
             need = down @ wrench_map(body.phi_at(deviation)) @ frame_map(place, body.R_EB)
-            self._known[key] = need, np.linalg.inv(down)
+            self._known[key] = need, np.asarray(np.linalg.inv(down), dtype=float)
         return self._known[key]
 
     def _tilt(self, deviation: Deviation) -> Array:
