@@ -17,8 +17,10 @@ from salver.models.known_arms import KNOWN_ARMS, robot_file
 from salver.planning.fastest import FastestOptions, fastest, plan_fastest, search, transport_problem
 from salver.planning.fastest.around import LEAN, STEP, way_around
 from salver.planning.fastest.bound import least_by_friction, least_duration, least_time
+from salver.planning.fastest.constraints import Clearance, evaluate
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.exchange import rough
+from salver.planning.fastest.obstacles import AT_NODES, KeepOut
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.search import few_pieces, refitted
 from salver.planning.fastest.sides import DEEPEST, past
@@ -234,11 +236,31 @@ def test_an_end_that_is_too_near_keeps_what_it_can(behind_a_post):
     there = problem.keep_out.parts.clearance(np.stack([pair.start, pair.goal])).min(axis=0)
     wanted = replace(problem.keep_out, required=there + 1e-3)  # nowhere kept
     kept = between(replace(problem, keep_out=wanted), pair).keep_out
-    assert np.all(kept.required <= 0.5 * there)
-    assert np.all(kept.required >= 0.0)
+    assert np.all(kept.required + AT_NODES <= 0.5 * there + 1e-12)
+    assert np.all(
+        kept.distances(np.stack([pair.start, pair.goal])) >= AT_NODES
+    )  # what the nodes of a programme ask for
     assert np.array_equal(
         between(problem, pair).keep_out.required[there > 0.01], problem.keep_out.required[there > 0.01]
     )
+
+
+def test_where_an_end_is_very_near_nothing_may_touch_all_the_same(behind_a_post):
+    """A quarter of a millimetre is left at an end: a programme asks for half of it, the check for no touch."""
+    problem = behind_a_post
+    pair = ends(problem, np.random.default_rng(0))[0]
+    parts = problem.keep_out.parts
+    kept = KeepOut(parts, np.full(len(parts.pairs), 0.5 * 2.5e-4 - AT_NODES))
+    inside = straight(pair).path(np.linspace(0, 1, 40))
+    true = parts.clearance(inside)
+    assert true.min() < 0.0 < true[0].min()
+    s, z = np.linspace(0, 1, 40), np.stack([inside, *np.zeros((3, *inside.shape))])
+    for imposed, asked in ((True, 0.5 * 2.5e-4), (False, 0.0)):
+        motion = replace(problem, tracking=None).at(s, z, 1.0, imposed=imposed)
+        (block,) = evaluate((Clearance(kept),), motion)
+        near = true < 1e-3
+        assert near.any()
+        assert block.values[near] == pytest.approx(-10 * (true - asked)[near], abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,8 @@ NEAR = 0.05  # m; pairs that are nowhere nearer along a path are left out until 
 
 @dataclass(frozen=True, eq=False)
 class KeepOut:
-    """parts: geometry with the pairs that are watched. required: (pairs,) distance to keep, m."""
+    """parts: geometry with the pairs that are watched. required: (pairs,) distance to keep, m; where it is below zero,
+    nothing may touch all the same."""
 
     parts: ArmGeometry
     required: Array
@@ -42,7 +43,7 @@ class KeepOut:
         """The same with less to keep for pairs that are too near in end postures (N, n) that cannot be helped: half of
         what there is, less what the nodes of a programme keep beside it."""
         there = self.parts.clearance(ends).min(axis=0)
-        less = np.clip(0.5 * there - AT_NODES, 0.0, self.required)
+        less = np.minimum(0.5 * np.maximum(there, 0.0) - AT_NODES, self.required)
         return KeepOut(self.parts, np.where(there < self.required + ENOUGH_AT_ENDS, less, self.required))
 
     def near(self, q: Array) -> KeepOut:
