@@ -13,7 +13,8 @@ from salver.models.arm import with_load
 from salver.models.parameters import Parameter, inertial_vector
 from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import object_motion
-from salver.planning.fastest.constraints import Brim, Contact, Tilt
+from salver.planning.fastest.brim import Brim
+from salver.planning.fastest.constraints import Contact, Tilt
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point

@@ -17,6 +17,8 @@ from salver.models.payload import Payload
 from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by, wrench_by
 from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Waves, along, cases
 
+LEAST_SIZE = 1e-4  # m; waves smaller than this turn as fast as they like
+
 
 @dataclass(frozen=True, eq=False)
 class Slosh:
@@ -94,6 +96,79 @@ class Slosh:
         """Of the height of the free wave."""
         by_free = self.waves.cases.steepest_by(self.waves.free[case, node])
         return surface_by(self.planned, unknowns, case, node, np.zeros_like(by_free), by_free, 0.0)
+
+    # Factors (m, k, c) of second derivatives of rows: what of them is convex in the waves, which are all but linear in
+    # the unknowns. Their squares summed over k are the second derivative.
+
+    def free_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+        """Of the height of the free wave, whose direction turns."""
+        return self._turns(case, node, unknowns, self.waves.free[case, node], free=True)
+
+    def crest_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+        """Of the crest: of its height, and of what it has beyond linear waves."""
+        which = self.waves.cases
+        turns = self._turns(case, node, unknowns, self.waves.eta[case, node], free=False)
+        peaking = np.sqrt(2 * which.peaking[case] / which.half[case])
+        return np.concatenate([turns, self._axes(case, node, unknowns, peaking, free=True)], axis=1)
+
+    def _turns(self, case: Indices, node: Indices, unknowns: Unknowns, eta: Array, free: bool) -> Array:
+        """Of the size of waves eta (m, 2), in a round container."""
+        if not self.waves.cases.round:
+            return np.zeros((len(case), 0, unknowns.felt.shape[2]))
+        size = np.maximum(np.linalg.norm(eta, axis=1), LEAST_SIZE)[:, None]
+        aside = np.stack([-eta[:, 1], eta[:, 0]], axis=1) / size**1.5
+        nothing = np.zeros_like(aside)
+        by = (nothing, aside) if free else (aside, nothing)
+        return surface_by(self.planned, unknowns, case, node, *by, 0.0)[:, None]
+
+    def _axes(self, case: Indices, node: Indices, unknowns: Unknowns, weight: Array, free: bool) -> Array:
+        """Of waves along both axes, times weights (m, 2)."""
+        both = []
+        for axis in range(2):
+            by = np.zeros_like(weight)
+            by[:, axis] = weight[:, axis]
+            pair = (np.zeros_like(by), by) if free else (by, np.zeros_like(by))
+            both.append(surface_by(self.planned, unknowns, case, node, *pair, 0.0))
+        return np.stack(both, axis=1)
+
+    def left_bends(self, case: Indices, unknowns: Unknowns, seconds: float = 0.0) -> Array:
+        """Of what is left: each mode's place and speed at the end may turn into one another, and both axes."""
+        waves, which, m = self.waves, self.waves.cases, len(case)
+        last, more = np.full(m, len(waves.t) - 1), np.broadcast_to(self.more_left, len(which.each))[case]
+        fading, half = waves.fading(seconds)[case], which.half[case]
+        amplitude = (waves.tail[case] * fading).sum(axis=1) + more[:, None]
+        stands = amplitude + half * np.abs(waves.slope[case, -1])
+        by_amplitude = which.steepest_by(stands) + 2 * which.peaking[case] / half * amplitude
+        to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
+        away, speed = (x[case] for x in waves.ending)
+        size = np.maximum(np.hypot(away, speed), LEAST_SIZE)
+        gain = fading * which.gain[case]
+        turning = np.sqrt(gain * np.maximum(by_amplitude, 0.0)[:, None] / size) / size
+        found = []
+        for mode in range(away.shape[1]):
+            for axis in range(2):
+                one = np.zeros_like(away)
+                one[:, mode, axis] = turning[:, mode, axis]
+                found.append(at_node(unknowns, self.planned, case, last, -one * speed, one * away * to_speed))
+        larger = []
+        for axis in range(2):
+            one = np.zeros_like(away)
+            one[:, :, axis] = gain[:, :, axis] / size[:, :, axis]
+            larger.append(at_node(unknowns, self.planned, case, last, one * away, one * speed * to_speed))
+        peaking = np.sqrt(2 * which.peaking[case] / half)
+        found += [peaking[:, axis, None] * larger[axis] for axis in range(2)]
+        if which.round:
+            height = np.maximum(np.linalg.norm(stands, axis=1), LEAST_SIZE)[:, None]
+            aside = stands[:, ::-1] * [-1.0, 1.0] / height**1.5
+            found.append(aside[:, :1] * larger[0] + aside[:, 1:] * larger[1])
+        k, peak = waves.peak[0][case], waves.peak[1][case]
+        drifted = LEFT_OVER * (peak + more) / half.min(axis=1) ** 2
+        highest = which.steepest_by(waves.eta[case, k]) * np.sqrt(6 * drifted)[:, None]
+        found.append(surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0))
+        turns = np.sqrt(3 * drifted * (peak + more))[:, None, None]
+        return np.concatenate(
+            [np.stack(found, axis=1), turns * self._turns(case, k, unknowns, waves.eta[case, k], free=False)], axis=1
+        )
 
     def left_by(self, case: Indices, unknowns: Unknowns, seconds: float = 0.0) -> Array:
         """Of what is left; the tray's posture at the end is taken as given."""

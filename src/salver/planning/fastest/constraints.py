@@ -9,19 +9,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from salver.geometry import Array, hat
 from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
-from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import WorstCase
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import AT_NODES, REACH, KeepOut
-from salver.sensitivity.sloshing import Slosh, Sloshed, of_parts
+from salver.sensitivity.sloshing import Sloshed
 from salver.sensitivity.wave_gradients import Unknowns
 
 Gradient = Callable[[Indices, Indices], Array]
@@ -34,11 +33,7 @@ REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves wha
 CONTACT_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
 JOINING = 3  # times as many may join, where a step led beyond rows that had been left out
 UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
-WAVE_ROWS = 2  # cases of a liquid at one node: those of a fill and a damping are much alike
 SLOSH_REACH = 0.05  # of the weight: nearer than this, contact rows have the derivatives of the slosh in them
-WAVE_REACH = 0.1  # of the room of a liquid: rows further from their edge are left out of a programme
-WAVE_MARGIN = 5e-3  # of the room of a liquid, kept at nodes: between them waves are driven by what was interpolated
-LEFT_MARGIN = 0.03  # and of what may be left at the end, which all of that adds up to
 PER_METRE = 10.0  # rows of distances, in m
 INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
 
@@ -56,6 +51,8 @@ class Block:
     by log T at fixed z, for rows in which the duration itself occurs.
     history: of rows that depend on what the tray felt at other nodes too: derivatives (r, c) by c unknowns of the
     motion, beside the gradient.
+    curvature: of rows whose values are convex in what is linear in the unknowns, as the size of a wave is: factors
+    (r, k, c), whose squares summed over k are the second derivative.
     remembers: rows further than this from their edge are taken to have none: it is what costs most.
     slows: by how much longer a motion, relatively, is put right for each unit of excess.
     reach: rows further than this from their edge are never considered, because their derivatives are expensive.
@@ -74,6 +71,7 @@ class Block:
     following: Gradient | None = None
     by_duration: Array | None = None
     history: History | None = None
+    curvature: History | None = None
     remembers: float = np.inf
     slows: float = 1.5
     reach: float = np.inf
@@ -295,58 +293,6 @@ class Contact(Constraint):
         yield Block(
             name, values, gradient, motion.nodes, margins, most=CONTACT_ROWS, history=history, remembers=SLOSH_REACH
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Brim(Constraint):
-    """A body's liquid stays below its brim, during the motion and after it, in all its cases; no wave is steeper than
-    the model is valid for. In units of the room that it has."""
-
-    body: Body
-
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
-        parts, last = motion.sloshing[self.body.name], motion.nodes[-1:]
-        which = [part.waves.cases for part in parts]
-        liquid = which[0].liquid
-
-        def block(name: str, values: Array, scale: Array, by: Callable[..., Array]) -> Block:
-            """values (K, N) and their scale (K,), cases part after part."""
-
-            def history(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
-                found = np.zeros((len(i), unknowns.felt.shape[2]))
-                for part, case, mine in of_parts(parts, f):
-                    found[mine] = by(part, case, i[mine], unknowns)
-                return found / scale[f, None]
-
-            rows, nothing = (values / scale[:, None] - 1).T, _nothing(motion.n)
-            if len(rows) == 1:
-                return Block(name, rows, nothing, last, (LEFT_MARGIN, FINEST), history=history, kinked=True)
-            margins = (WAVE_MARGIN, FINEST)
-            whole = Block(name, rows, nothing, motion.nodes, margins, history=history, kinked=True)
-            return replace(whole, most=WAVE_ROWS, reach=WAVE_REACH)
-
-        def joined(values: Iterable[Array]) -> Array:
-            return np.concatenate(list(values))
-
-        name, room = self.body.name, joined(x.room for x in which)
-        steepest = joined(x.steepest for x in which)
-        yield block(f"steepness in {name}", joined(x.free_height for x in parts), steepest, Slosh.free_by)
-        if np.isfinite(room).all():
-            yield block(f"waves in {name}", joined(x.crest for x in parts), room, Slosh.crest_by)
-        ends = [(0.0, f"waves left in {name}", room)]
-        ends += [(liquid.within, f"settled waves in {name}", np.full(len(room), liquid.settled))]
-        for seconds, said, limit in ends:
-            if np.isfinite(limit).all():
-                left = joined(x.left(seconds) for x in parts)[:, None]
-                yield block(said, left, limit, partial(_left_by, seconds))
-
-
-def _left_by(seconds: float, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-    return part.left_by(case, unknowns, seconds)
-
-
-def _nothing(n: int) -> Gradient:
-    return lambda i, f: np.zeros((len(i), 4 * n))
 
 
 @dataclass(frozen=True)

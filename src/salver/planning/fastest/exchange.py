@@ -38,6 +38,9 @@ EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
 HOPELESS_AT_NODES = 1e-2  # and nor will one that is broken at the nodes already
 REPAIR = 0.4  # damping of the first step after nodes were added: ever more mending, ever less search
+SLUGGISH = 10.0  # times that, with liquids: the derivatives leave out how the arm gives way to them
+MENDED = 8e-4  # violation that is then left to a repair: less than what the nodes keep from the edge
+LOOSE_GAIN, LOOSE = 5e-3, 1e-2  # gain and violation of the first optimum with liquids, which shows what cases it lacks
 REPAIR_DEPTH = 0.05  # what is near enough to matter to such a step
 SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
 WAVES_PER_SPAN = 1  # nodes more, where liquids remember what was between them
@@ -116,7 +119,10 @@ def optimise(
 
     programme = programme_of(problem, curve_of, start, nodes, objective)
     begun = programme.begin(start.coefficients, start.duration)
-    solution = minimise(programme, begun, Options(iterations, watch, gain=gain), Trust(damping))
+    first = Options(iterations, watch, gain=gain)
+    if problem.liquids:  # more cases of them will join
+        first = Options(iterations, watch, gain=LOOSE_GAIN, violation=LOOSE)
+    solution = minimise(programme, begun, first, Trust(damping))
     done = solution.iterations
     for exchange in range(EXCHANGES + 1):
         point = solution.iterate.point
@@ -141,6 +147,11 @@ def optimise(
             nodes = united(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
         repair = REPAIR * 4.0**exchange
         options = Options(REPAIR_ITERATIONS, watch, gain=gain, least_damping=repair, mending=True)
+        if problem.liquids:
+            repair *= SLUGGISH
+            options = replace(options, violation=MENDED, least_damping=repair)
+            if exchange == 0:  # what was loose is now sought in earnest
+                options = Options(iterations, watch, gain=gain)
         # A repair leads nowhere else: unless something that was not watched came too near, the same is watched.
         same = all(value <= 0.0 or name in binding for name, value in worst.items())
         watched = programme.constraints if same else None

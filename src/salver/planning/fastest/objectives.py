@@ -15,7 +15,8 @@ from enum import Enum
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.fastest.constraints import Block, Brim, Contact
+from salver.planning.fastest.brim import Brim
+from salver.planning.fastest.constraints import Block, Contact
 from salver.planning.fastest.curves import Curve
 
 

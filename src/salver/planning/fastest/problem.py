@@ -18,9 +18,9 @@ from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import UncertainSet
 from salver.models.payload import Payload
+from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.constraints import (
     LEVEL_TOLERANCE,
-    Brim,
     Clearance,
     Constraint,
     Contact,

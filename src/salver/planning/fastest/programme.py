@@ -4,7 +4,8 @@ quadratic programme that each of them poses.
 The rows near their edge are linearised in the coefficients and in the scalar. The duration goes in as sigma = T^2:
 multiplied by sigma, contact, torque and acceleration rows are exactly linear in it. A quadratic programme with one
 shared slack (an exact penalty on the largest violation) and a proximal term gives the step; its metric is the size of
-the change in posture and in acceleration, so smooth large changes are cheap and ripples are not.
+the change in posture and in acceleration, so smooth large changes are cheap and ripples are not. Where rows bend as the
+size of a wave does, their second derivatives join it, at the prices that the programme before put on them.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ SCALAR_RIDGE = 1e-6  # of scalar and slack, which have no metric
 PROGRAMME_TOLERANCE = 1e-5  # of rows: a fiftieth of the violation at which an iterate counts as converged
 LONGEST_STRETCH = 0.5  # of sigma, or of the margin, in one iteration: 22 % of T
 LARGEST_MOVE = 1.0  # rad of a coefficient in one iteration
+CHEAP = 1e-6  # price of a row whose curvature does not matter
 STILL_NEAR = 3.0  # times the violation of a trial: rows that are further from their edge are not for its correction
 
 
@@ -89,6 +91,14 @@ class Linearised:
     matrix: Array
     bound: Array
     where: tuple[tuple[int, Indices, Indices], ...] = ()
+
+    def by_block(self, values: Array, blocks: Sequence[Block]) -> tuple[Array, ...]:
+        """Values of rows (r,), as each block (N, m) has them, 0 elsewhere."""
+        found, begin = tuple(np.zeros(block.values.shape) for block in blocks), 0
+        for k, node, column in self.where:
+            found[k][node, column] = values[begin : begin + len(node)]
+            begin += len(node)
+        return found
 
     def and_also(self, other: Linearised) -> Linearised:
         matrix, bound = np.vstack([self.matrix, other.matrix]), np.concatenate([self.bound, other.bound])
@@ -205,7 +215,22 @@ class Programme:
         basis = self.curve.grid.basis[[0, 2, 3]]
         return np.asarray(np.swapaxes(basis, 1, 2) @ basis / basis.shape[1])
 
-    def subproblem(self, path: Iterate, trust: Trust) -> Subproblem:
+    def bends(self, path: Iterate, prices: Sequence[Array]) -> Array:
+        """(size m + 1, size m + 1) second derivatives of rows, of those that have any, at the prices (N, m) of each
+        block."""
+        found = np.zeros((path.coefficients.size + 1,) * 2)
+        for block, price in zip(path.blocks, prices, strict=True):
+            if block.curvature is None:
+                continue
+            node, column = np.nonzero(price > CHEAP)
+            if len(node):
+                factors = block.curvature(node, column, path.unknowns)
+                factors *= np.sqrt(price[node, column])[:, None, None]
+                flat = factors.reshape(-1, factors.shape[-1])
+                found += flat.T @ flat
+        return found
+
+    def subproblem(self, path: Iterate, trust: Trust, prices: Sequence[Array] = ()) -> Subproblem:
         """The quadratic programme of an iteration, without its rows."""
         (size, m), count = path.coefficients.shape, path.coefficients.size
         model = self.objective.model(self.curve, path.point)
@@ -216,6 +241,8 @@ class Programme:
         of_all[:, range(m), :, range(m)] = np.tensordot(weights, self.metric, axes=1)
         if model.curvature is not None:
             hessian[:count, :count] += model.curvature
+        if prices:
+            hessian[: count + 1, : count + 1] += self.bends(path, prices)
         hessian[range(count + 2), range(count + 2)] += np.r_[np.full(count, RIDGE), SCALAR_RIDGE, SCALAR_RIDGE]
         cost = np.concatenate([model.slope, [model.by_scalar, trust.penalty]])
         low, high = np.full(count + 2, -LARGEST_MOVE), np.full(count + 2, LARGEST_MOVE)
@@ -245,9 +272,9 @@ class Subproblem:
     extra: Array
     extra_bound: Array
 
-    def solve(self, rows: Linearised) -> tuple[Array, float, float] | None:
-        """The step (coefficients, scalar), the slack that is left, and the sum of the rows' multipliers: what a unit
-        of violation is worth. None when the solver gives up."""
+    def solve(self, rows: Linearised) -> tuple[Array, float, Array] | None:
+        """The step (coefficients, scalar), the slack that is left, and the rows' multipliers: what a unit of violation
+        is worth. None when the solver gives up."""
         free, count = self.free, len(rows.bound)
         known = free[free < self.extra.shape[1]]  # of the coefficients, which come first, and without a gap
         inner = slice(known[0], known[-1] + 1)
@@ -273,4 +300,4 @@ class Subproblem:
             return None
         step = np.zeros(len(self.cost))
         step[free] = found.x
-        return step[:-1], float(step[-1]), float(found.rows[: len(rows.bound)].sum())
+        return step[:-1], float(step[-1]), found.rows[: len(rows.bound)]

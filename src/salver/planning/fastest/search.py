@@ -47,6 +47,7 @@ from salver.planning.fastest.watch import INTERRUPTED, WHY, Watch
 
 DEGREE = 5
 REFINED = 0.5  # damping of the first step after pieces have been added,
+SPILLING = 0.7  # when liquids come in too,
 TURNED = 0.3  # after the last joint has been turned by a right angle,
 NEAR = 0.1  # and from the optimum of a similar problem
 NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
@@ -250,7 +251,8 @@ class _Search:
         start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
         spline, grid = start.spline, found.curve.grid
         also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
-        best = _optimum(problem, self.options, start, self.watch, REFINED, also=also)
+        damping = SPILLING if problem.liquids else REFINED
+        best = _optimum(problem, self.options, start, self.watch, damping, also=also)
         self.iterations += best.iterations
         for _ in range(AGAIN):
             if not best.status.ok or best.binding or self.watch.over():

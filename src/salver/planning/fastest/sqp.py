@@ -67,7 +67,8 @@ class Solution:
 class Attempt:
     """What an iteration came to. trial: where it leads, None if nowhere. predicted: improvement of the merit that was
     hoped for, gained: that it brought, hoped: of the objective alone. slack: violation that was to be left. share: of
-    the step that was taken. unseen: rows that were left out and came near. programmes: that were solved."""
+    the step that was taken. unseen: rows that were left out and came near. prices: (N, m) of the rows of each block.
+    programmes: that were solved."""
 
     trial: Iterate | None
     predicted: float
@@ -76,6 +77,7 @@ class Attempt:
     slack: float
     share: float
     unseen: tuple[Mask, ...]
+    prices: tuple[Array, ...]
     programmes: int
 
     @property
@@ -90,12 +92,12 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
     path, forced = start, tuple(np.zeros(block.values.shape, dtype=bool) for block in start.blocks)
     idle = programmes = done = futile = 0
     least = lowest = np.inf
-    code = "iteration_limit"
+    code, prices = "iteration_limit", tuple(np.zeros(block.values.shape) for block in start.blocks)
     while done < options.iterations:
         done += 1
         depth = np.broadcast_to(trust.depth, len(path.blocks))
         masks = [block.near(d) | more for block, d, more in zip(path.blocks, depth, forced, strict=True)]
-        attempt = _attempt(programme, path, masks, trust)
+        attempt = _attempt(programme, path, masks, trust, prices)
         if attempt is None:
             programmes += 1
             trust.failed()
@@ -103,7 +105,7 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
                 code = "stalled"
                 break
             continue
-        programmes += attempt.programmes
+        programmes, prices = programmes + attempt.programmes, attempt.prices
         if options.beaten(path, attempt.hoped):
             code = "beaten"
             break
@@ -141,15 +143,18 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
     return Solution(path, _status(code, path, options, sought), done, programmes, time.perf_counter() - begun)
 
 
-def _attempt(programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust) -> Attempt | None:
+def _attempt(
+    programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust, prices: Sequence[Array]
+) -> Attempt | None:
     """One iteration: the step of the quadratic programme, corrected where the rows bend; None without a step."""
     rows = programme.linearised(path, masks)
-    subproblem = programme.subproblem(path, trust)
+    subproblem = programme.subproblem(path, trust, prices)
     solved = subproblem.solve(rows)
     if solved is None:
         return None
     step, slack, worth = solved
-    trust.priced(slack, worth)
+    trust.priced(slack, float(worth.sum()))
+    priced = rows.by_block(worth, path.blocks)
     hoped = path.cost - programme.objective.expected(programme.curve, path.point, path.cost, step)
     predicted = hoped + trust.penalty * (path.violation - slack)
     merit = path.merit(trust.penalty)
@@ -168,7 +173,7 @@ def _attempt(programme: Programme, path: Iterate, masks: Sequence[Mask], trust: 
         programmes = 2
         trial, share = _along_arc(programme, path, trial, step, second, slack, predicted, trust.penalty)
     gained = -np.inf if trial is None else merit - trial.merit(trust.penalty)
-    return Attempt(trial, predicted, gained, hoped, slack, share, unseen, programmes)
+    return Attempt(trial, predicted, gained, hoped, slack, share, unseen, priced, programmes)
 
 
 def _along_arc(
@@ -176,7 +181,7 @@ def _along_arc(
     path: Iterate,
     trial: Iterate,
     step: Array,
-    second: tuple[Array, float, float] | None,
+    second: tuple[Array, float, Array] | None,
     slack: float,
     predicted: float,
     penalty: float,

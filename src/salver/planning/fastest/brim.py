@@ -1,0 +1,87 @@
+"""What a motion must keep for the sake of a liquid: that it stays below the brim of its container."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models.bodies import Body
+from salver.planning.fastest.constraints import FINEST, Block, Constraint, Gradient
+from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.sensitivity.sloshing import Slosh, of_parts
+from salver.sensitivity.wave_gradients import Unknowns
+
+WAVE_ROWS = 2  # cases of a liquid at one node: those of a fill and a damping are much alike
+WAVE_REACH = 0.1  # of the room of a liquid: rows further from their edge are left out of a programme
+WAVE_MARGIN = 5e-3  # of the room of a liquid, kept at nodes: between them waves are driven by what was interpolated
+LEFT_MARGIN = 0.03  # and of what may be left at the end, which all of that adds up to
+
+
+@dataclass(frozen=True, eq=False)
+class Brim(Constraint):
+    """A body's liquid stays below its brim, during the motion and after it, in all its cases; no wave is steeper than
+    the model is valid for. In units of the room that it has."""
+
+    body: Body
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        parts, last = motion.sloshing[self.body.name], motion.nodes[-1:]
+        which = [part.waves.cases for part in parts]
+        liquid = which[0].liquid
+
+        def block(
+            name: str, values: Array, scale: Array, by: Callable[..., Array], bends: Callable[..., Array]
+        ) -> Block:
+            """values (K, N) and their scale (K,), cases part after part."""
+
+            def history(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
+                found = np.zeros((len(i), unknowns.felt.shape[2]))
+                for part, case, mine in of_parts(parts, f):
+                    found[mine] = by(part, case, i[mine], unknowns)
+                return found / scale[f, None]
+
+            def curvature(i: Indices, f: Indices, unknowns: Unknowns) -> Array:
+                each = [(mine, bends(part, case, i[mine], unknowns)) for part, case, mine in of_parts(parts, f)]
+                found = np.concatenate([factors for _, factors in each])
+                found[np.concatenate([mine for mine, _ in each])] = found.copy()
+                return found / np.sqrt(scale[f, None, None])
+
+            rows = (values / scale[:, None] - 1).T
+            found = Block(name, rows, _nothing(motion.n), last, history=history, curvature=curvature, kinked=True)
+            if len(rows) == 1:
+                return replace(found, margins=(LEFT_MARGIN, FINEST))
+            margins = (WAVE_MARGIN, FINEST)
+            return replace(found, points=motion.nodes, margins=margins, most=WAVE_ROWS, reach=WAVE_REACH)
+
+        def joined(values: Iterable[Array]) -> Array:
+            return np.concatenate(list(values))
+
+        name, room = self.body.name, joined(x.room for x in which)
+        steepest = joined(x.steepest for x in which)
+        yield block(
+            f"steepness in {name}", joined(x.free_height for x in parts), steepest, Slosh.free_by, Slosh.free_bends
+        )
+        if np.isfinite(room).all():
+            yield block(f"waves in {name}", joined(x.crest for x in parts), room, Slosh.crest_by, Slosh.crest_bends)
+        ends = [(0.0, f"waves left in {name}", room)]
+        ends += [(liquid.within, f"settled waves in {name}", np.full(len(room), liquid.settled))]
+        for seconds, said, limit in ends:
+            if np.isfinite(limit).all():
+                left = joined(x.left(seconds) for x in parts)[:, None]
+                yield block(said, left, limit, partial(_left_by, seconds), partial(_left_bends, seconds))
+
+
+def _left_by(seconds: float, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+    return part.left_by(case, unknowns, seconds)
+
+
+def _left_bends(seconds: float, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+    return part.left_bends(case, unknowns, seconds)
+
+
+def _nothing(n: int) -> Gradient:
+    return lambda i, f: np.zeros((len(i), 4 * n))
