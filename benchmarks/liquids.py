@@ -1,22 +1,25 @@
 """What docs/liquids.md says in numbers, written into that page: one command, two tables.
 
-    python benchmarks/liquids.py [--only flow|runs] [-n 100]
+    python benchmarks/liquids.py [--only flow|runs] [-n 1000] [--beside 20] [--minutes 60]
 
 flow: how high a liquid rises, as predicted and as nonlinear potential flow shows it (tests/potential_flow.py), on the
 straight min-jerk line over 0.48 m, level, in a box 80 mm wide and in a cup of 80 mm. The flow of a cup is unstable in
 steep waves (its points are few): where it ends, a dash.
 runs: each ready-made scenario with a liquid in the physics engine, n random draws of all that is uncertain: its fastest
-plan, the fastest plan of somebody who takes the liquid for a solid, and the straight line in the same time.
+plan; of the first of them the fastest plan of somebody who takes the liquid for a solid, and the straight line in the
+same time. What was run is kept in out/liquids.jsonl and not run again; scenarios take turns by what a run takes, so
+that the table can be written at any time.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +45,7 @@ from potential_flow import simulate as flow
 
 PAGE = Path(__file__).parents[1] / "docs" / "liquids.md"
 SCENARIOS, SEED = ("panda-coffee", "panda-four-glasses", "ur10-beaker"), 1
+KEPT, DRAWS = Path(__file__).parents[1] / "out" / "liquids.jsonl", 1000
 BOX = {
     "objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]},
     "objects__0__liquid": {"kind": "water", "size": [0.08, 0.06], "fill": 0.05, "brim": 0.08},
@@ -88,56 +92,98 @@ def taken_for_solid(scenario: Scenario) -> Plan:
 Run = Callable[[Mapping[str, float]], SimulationRecord]
 
 
-def counted(run: Run, draws: list[dict[str, float]]) -> str:
+@dataclass(frozen=True)
+class Motion:
+    """What is run of a scenario, how often it should be, and the CPU time, s, that its plan took."""
+
+    scenario: str
+    said: str
+    duration: float
+    cpu: str
+    wanted: int
+    run: Run
+    draws: list[dict[str, float]]
+
+    @property
+    def key(self) -> str:
+        return f"{self.scenario}, {self.said}, {self.duration:.6f} s"
+
+
+def motions(name: str, n: int, beside: int) -> Iterator[Motion]:
+    """Those of a scenario."""
+    scenario = load(name)
+    began = time.process_time()
+    plan = plan_fastest(scenario)
+    spent = f"{time.process_time() - began:.1f}"
+    solid = taken_for_solid(scenario)
+    line = plan_baseline(scenario.with_changes(motion__duration=plan.duration)).reference
+    uncertain = scenario.payload.uncertain
+    values = draw(uncertain, max(n, DRAWS), seed=SEED, bodies=scenario.payload.bodies)
+    draws = [dict(zip(uncertain.names, row.tolist(), strict=True)) for row in values]
+    yield Motion(
+        name, "planned with the liquid", plan.duration, spent, n, lambda p: simulate(plan, parameters=p), draws
+    )
+    yield Motion(
+        name, "liquid taken for a solid", solid.duration, "", beside, lambda p: simulate(solid, parameters=p), draws
+    )
+    yield Motion(
+        name, "straight line, no arm", plan.duration, "", beside, lambda p: simulate_tray(line, scenario, p), draws
+    )
+
+
+def outcome(record: SimulationRecord) -> list[str | float]:
+    """What became of a run, and how high its waves came, as a share of the room."""
+    return [record.outcome, max(x["peak_wave"] / x["room"] for x in record.summary["objects"] if x.get("room"))]
+
+
+def counted(results: list[list[str | float]]) -> str:
     """How many runs hold, and what the others do; how high the waves came, of those that hold."""
-    ended, highest = Counter[str](), 0.0
-    for parameters in draws:
-        record = run(parameters)
-        ended[record.outcome] += 1
-        if record.outcome == "holds":
-            items = record.summary["objects"]
-            highest = max(highest, *(x["peak_wave"] / x["room"] for x in items if x.get("room")))
+    ended = Counter(str(how) for how, _ in results)
+    highest = max((float(share) for how, share in results if how == "holds"), default=0.0)
     others = ", ".join(f"{count} {how}" for how, count in ended.most_common() if how != "holds")
-    said = f"**{ended['holds']} of {len(draws)}**" + (f" ({others})" if others else "")
+    said = f"**{ended['holds']} of {len(results)}**" + (f" ({others})" if others else "")
     return f"{said} | {highest:.2f}" if highest else f"{said} | –"
 
 
-def run_rows(n: int) -> Iterator[str]:
+def run_rows(n: int, beside: int, minutes: float) -> Iterator[str]:
+    """A table of all runs that are kept, after as many more as there is time for."""
+    every = [motion for name in SCENARIOS for motion in motions(name, n, beside)]
+    known: dict[str, dict[int, list[str | float]]] = {motion.key: {} for motion in every}
+    KEPT.parent.mkdir(exist_ok=True)
+    for line in KEPT.read_text().splitlines() if KEPT.exists() else []:
+        key, k, result = json.loads(line)
+        known.setdefault(key, {})[k] = result
+    spent, end = dict.fromkeys(known, 0.0), time.monotonic() + 60 * minutes
+    with KEPT.open("a") as file:
+        while time.monotonic() < end:
+            open_ = [motion for motion in every if len(known[motion.key]) < motion.wanted]
+            if not open_:
+                break
+            motion = min(open_, key=lambda motion: spent[motion.key])
+            k = next(k for k in range(motion.wanted) if k not in known[motion.key])
+            began = time.process_time()
+            known[motion.key][k] = outcome(motion.run(motion.draws[k]))
+            spent[motion.key] += time.process_time() - began
+            file.write(json.dumps([motion.key, k, known[motion.key][k]]) + "\n")
+            file.flush()
     yield "| scenario | s | CPU, s | motion | holds | highest wave / room |"
     yield "|---|---|---|---|---|---|"
-    for name in SCENARIOS:
-        scenario = load(name)
-        began = time.process_time()
-        plan = plan_fastest(scenario)
-        spent = time.process_time() - began
-        solid = taken_for_solid(scenario)
-        line = plan_baseline(scenario.with_changes(motion__duration=plan.duration)).reference
-        uncertain = scenario.payload.uncertain
-        values = draw(uncertain, n, seed=SEED, bodies=scenario.payload.bodies)
-        draws = [dict(zip(uncertain.names, row.tolist(), strict=True)) for row in values]
-        motions: list[tuple[str, float, str, Run]] = [
-            (
-                "planned with the liquid",
-                plan.duration,
-                f"{spent:.1f}",
-                lambda p, plan=plan: simulate(plan, parameters=p),
-            ),
-            ("liquid taken for a solid", solid.duration, "", lambda p, plan=solid: simulate(plan, parameters=p)),
-            ("straight line, no arm", plan.duration, "", lambda p, r=line, s=scenario: simulate_tray(r, s, p)),
-        ]
-        for said, duration, cpu, run in motions:
-            yield f"| `{name}` | {duration:.3f} | {cpu} | {said} | {counted(run, draws)} |"
+    for motion in every:
+        results = list(known[motion.key].values())
+        yield f"| `{motion.scenario}` | {motion.duration:.3f} | {motion.cpu} | {motion.said} | {counted(results)} |"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=["flow", "runs"])
-    parser.add_argument("-n", type=int, default=100)
+    parser.add_argument("-n", type=int, default=1000, help="runs of each plan")
+    parser.add_argument("--beside", type=int, default=20, help="runs of each of the other motions")
+    parser.add_argument("--minutes", type=float, default=1e6, help="write what there is after so many")
     options = parser.parse_args()
     if options.only != "runs":
         written(PAGE, "flow", "\n".join(flow_rows()))
     if options.only != "flow":
-        written(PAGE, "runs", "\n".join(run_rows(options.n)))
+        written(PAGE, "runs", "\n".join(run_rows(options.n, options.beside, options.minutes)))
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from salver.planning.fastest.starts import TOUCHES
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
 
-ROUGH_GAIN = 5e-3  # relative shortening below which a rough optimum is good enough
+ROUGH_GAIN = 1e-2  # relative shortening below which a rough optimum is good enough
 GAIN = 1e-3  # and one at which an optimum is
 ROUGH_ITERATIONS = 25  # at most, of a rough optimum
 ITERATIONS = 60  # and of one
