@@ -106,7 +106,7 @@ def of_the_readme():
     return set().union(*(commands(block) for block in blocks if block.language == "sh"))
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(scope="module")
 def on_the_path(tmp_path_factory):
     """`salver`, loaded once for all pages (that it starts by itself is tested in test_cli.py), and `python`."""
     with warm.command(tmp_path_factory.mktemp("bin")) as folder, pytest.MonkeyPatch.context() as patch:

@@ -408,6 +408,7 @@ def test_physics_loads_whatever_opengl_is_asked_for():
     assert out.strip() == "osmesa"
 
 
+@pytest.mark.slow
 def test_pictures_fall_back_when_there_is_no_opengl(nominal, baseline, monkeypatch):
     monkeypatch.setattr("salver.simulation.render._BACKENDS", ())
     monkeypatch.delenv("MUJOCO_GL", raising=False)
