@@ -118,6 +118,7 @@ def of_carried(row: dict[str, Any]) -> str:
 def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--logs", type=int, default=0)
+    asked.add_argument("--times", type=float, nargs="+", default=[1.0, 2.0], help="the noise that is told")
     asked.add_argument("--loads", type=int, default=0)
     asked.add_argument("--trips", type=int, default=2)
     asked.add_argument("--docs", action="store_true", help="write the tables into docs/howto, from all rows kept")
@@ -130,7 +131,7 @@ def main() -> None:
             "bottle, fastest": sv.plan("panda-tall-bottle", "fastest"),
             "bottle, excite, 2 s": plan_excite(bottle(), 2.0),
         }
-        for times in (1.0, 2.0):
+        for times in given.times:
             for name, plan in motions.items():
                 wide = replace(plan, scenario=plan.scenario.with_changes(objects__0__uncertainty=WIDE))
                 for kind in KINDS:
