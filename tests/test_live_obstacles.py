@@ -147,12 +147,18 @@ def test_what_cannot_be_is_refused_in_a_sentence(cube):
         (Moving("x", "sphere", radius=0.1, samples=([1, 0], np.zeros((2, 3)))), "samples must be increasing"),
         (Moving("x", "sphere", radius=0.1, samples=([0, 1], np.zeros((3, 3)))), "samples must be increasing"),
         (Moving("x", "sphere", radius=0.1, samples=3), "samples must be times and positions"),
+        (Moving("x", "sphere", radius=0.1, samples=(3, np.zeros((2, 3)))), "samples must be times and positions"),
+        (Moving("x", "sphere", radius=0.1, samples=(np.array(3), 0)), "samples must be times and positions"),
+        (Moving("x", "sphere", radius=0.1, samples=([[0], [1, 2]], np.zeros((2, 3)))), "samples must be increasing"),
+        ("a ball", "a list of Moving"),
         (Moving("x", "sphere", radius=0.1, samples=([0, 2000], np.zeros((2, 3)))), "samples must be increasing"),
         (Moving("x", "sphere", radius=0.1, samples=([0, 1], np.full((2, 3), 2e3))), "samples must be increasing"),
     ):
         status = live.obstacles([seen])
         assert not status.ok
         assert re.search(sentence, status.sentence), status.sentence
+    assert "a list of Moving" in live.obstacles("ball").sentence
+    assert "a list of Moving" in live.obstacles(None).sentence
     assert live.idle
 
 

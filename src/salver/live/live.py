@@ -267,6 +267,8 @@ class Live:
     def obstacles(self, seen: Sequence[Moving]) -> Status:
         """What moves around the arm, all of it, as it is seen now; to be said again whenever something is seen to move
         otherwise. What is not, counts as gone when its prediction ends."""
+        if not isinstance(seen, Sequence) or not all(isinstance(one, Moving) for one in seen):
+            return self._refuse("it must be a list of Moving", "What was seen")
         found = []
         for one in seen:
             prediction = predicted(one, self._now)

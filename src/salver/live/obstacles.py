@@ -108,9 +108,10 @@ def predicted(seen: Moving, now: float) -> Predicted | Status:
     samples = None
     given: Any = seen.samples
     if given is not None:
-        if not (isinstance(given, tuple) and len(given) == 2):
+        several = isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], Sequence | np.ndarray)
+        if not several or not getattr(given[0], "ndim", 1):
             return refused("samples must be times and positions: the samples")
-        count = np.size(given[0])
+        count = len(given[0])
         t, p = numbers(given[0], (count,), 1e3), numbers(given[1], (count, 3), 1e3)
         if t is None or p is None or not count or np.any(np.diff(t) <= 0):
             return refused("samples must be increasing times and as many positions, finite numbers: the samples")

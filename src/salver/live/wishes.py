@@ -53,7 +53,7 @@ class Evade:
 
 Wish = Goal | Halt | Follow | Evade
 
-MOST_SPEED, MOST_TURN = 5.0, 20.0  # m/s, rad/s; what is beyond is in another unit
+MOST_SPEED, MOST_TURN, FARTHEST = 5.0, 20.0, 100.0  # m/s, rad/s, m; what is beyond is in another unit
 SILENCE = 0.1  # s after a twist at which it counts no more
 HEARD = 0.06  # s of twists from which it is told how they change
 LEAST_HEARD = 4e-3  # s
@@ -98,6 +98,8 @@ def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
             return found
     assert not isinstance(p, Status)
     assert not isinstance(rotation, Status)
+    if np.abs(p).max() > FARTHEST:
+        return refused(f"the position is {np.abs(p).max():.3g} m away in S; it must be at most {FARTHEST:g} m, in S")
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(rotation) < 0:
         return refused("the rotation is none: its rows must be orthonormal and right-handed")
     first = problem.items[0]
