@@ -172,8 +172,8 @@ def kept(block: Block, constraint: Constraint | None) -> float:
 def told(block: Block, t: Array, knots: Mask) -> Block:
     """The block; if of torque's rate, not over the steps between the instants t (N,) but over any period within them.
 
-    The rate is nearly linear in time from step to step, so that it peaks within one only beside a knot, where it has a
-    kink: over a period there it is more than over the step by its slope times half of the step less the period.
+    Beside a knot, where it has a kink, it is more over a period than over the step by its slope times half of the step
+    less the period. Elsewhere it is nearly a parabola through three steps, of which a peak is put where it is.
     knots: (N,) which instants are.
     """
     if isinstance(block.of, TorqueRateLimit):
@@ -181,8 +181,15 @@ def told(block: Block, t: Array, knots: Mask) -> Block:
         slope = np.diff(block.values, axis=0) / (0.5 * (step[1:] + step[:-1]))[:, None]
         ahead = 0.5 * np.maximum(step - PERIOD, 0.0)[:, None]
         first, last = (knots[:-1] & ~knots[1:])[:-1], (knots[1:] & ~knots[:-1])[1:]  # steps after and before a knot
+        before, at, after = block.values[:-2], block.values[1:-1], block.values[2:]
+        bend = before - 2 * at + after
+        # Of three steps in one piece, which are equal: between which is a peak, and how high that is over a period.
+        peak = (at >= before) & (at >= after) & (bend < 0) & ~(knots[1:-2] | knots[2:-1])[:, None]
+        flat = (1.0 - (PERIOD / np.maximum(step[1:-1], PERIOD)) ** 2)[:, None] / 24
+        higher = np.where(peak, (after - before) ** 2 / (8 * np.maximum(-bend, 1e-12)) - flat * bend, 0.0)
         block.values[:-1][first] += (ahead[:-1] * np.maximum(-slope, 0.0))[first]
         block.values[1:][last] += (ahead[1:] * np.maximum(slope, 0.0))[last]
+        block.values[1:-1] += higher
     return block
 
 
