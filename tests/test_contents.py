@@ -14,6 +14,7 @@ from salver.geometry import Array
 from salver.models import worst_case
 from salver.models.contact_rows import contact_rows
 from salver.models.contents import Hull, largest_mean, most_second_moments
+from salver.models.parameters import Parameter
 from salver.models.physical import realisable
 from salver.models.rigid_body import inertia_entries
 from salver.models.worst_case import Drift, WorstCase
@@ -179,6 +180,26 @@ def test_rows_that_are_only_bounded_have_the_sign_of_those_worked_out(monkeypatc
     assert ((exact > 0).sum(axis=1) > 1).mean() > 0.5
     assert np.array_equal(found > 0, exact > 0)
     assert np.all(found >= exact - 1e-9)
+
+
+def test_what_is_attained_and_what_is_not_exceeded_lie_on_either_side_of_the_largest() -> None:
+    rows, rng = contact_rows(load("any-box-56").payload)[0], np.random.default_rng(1)
+    for filling in rows.fillings:
+        of = rng.normal(size=(40, 9)) * filling.coefficients(nasty.felt(nasty.tray_motion(40, 2))).std(axis=(0, 1))
+        low, high = filling.limits(of)
+        largest = filling.largest(of)[0]
+        scale = np.abs(largest).max()
+        assert np.all(low <= largest + 1e-3 * scale)
+        assert np.all(largest <= high + 1e-9 * scale)
+        assert np.mean(low > 0.1 * largest) > 0.3  # not nothing only
+
+
+def test_a_drift_by_what_the_rows_do_not_know_adds_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worst_case, "SURE", -np.inf)
+    rows, rng = contact_rows(load("any-box-56").payload)[0], np.random.default_rng(2)
+    w, dw = nasty.felt(nasty.tray_motion(10, 3)), 0.1 * rng.normal(size=(10, 12, 1))
+    strayed = rows.worst(w, Drift(((Parameter("another", "mass"),),), dw))
+    assert strayed == pytest.approx(rows.worst(w) + np.abs(dw[..., 0] @ rows.nominal.T), abs=1e-9)
 
 
 def test_slope_is_the_derivative_of_the_worst_case() -> None:

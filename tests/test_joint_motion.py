@@ -120,15 +120,20 @@ def test_redundancy_brings_speeds_down(cube):
     assert max(peak.share for peak in peaks(arm, motion)) < 1.03
 
 
+EVENLY = {"_SOFT_MAX": 2, "_FAINT": 0.0}  # every share counts, not only the largest
+SINGULAR = {"_SINGULAR": 10.0}
+
+
 @pytest.mark.parametrize(
-    ("duration", "order", "matters"), [(0.6, 0, None), (0.6, 1, None), (0.6, 2, None), (2.0, 0, None), (0.6, 0, 10.0)]
+    ("duration", "order", "weights"),
+    [(0.6, 0, {}), (0.6, 1, {}), (0.6, 2, {}), (2.0, 0, {}), (0.6, 0, SINGULAR), (0.6, 1, EVENLY), (0.6, 2, EVENLY)],
 )
-def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order, matters, monkeypatch):
+def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order, weights, monkeypatch):
     """The derivative by s, s', s'' of C q = s(t), where the tray's motion stays, against differences: of a motion near
-    the limits of speed and torque, of a slow one with a ball behind the elbow, and where singular postures are what
-    matters most."""
-    if matters:
-        monkeypatch.setattr(redundancy, "_SINGULAR", matters)
+    the limits of speed and torque, of a slow one with a ball behind the elbow, where singular postures are what matters
+    most, and where everything matters."""
+    for name, weight in weights.items():
+        monkeypatch.setattr(redundancy, name, weight)
     arm, path = panda, tray_path(tumbling(duration), *PLACES[1], np.linspace(0, duration, 31))
     postures, reached = postures_along(arm, path.p_SE, path.R_SE, start_posture_of(arm, path))
     assert reached == 31

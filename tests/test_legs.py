@@ -314,6 +314,8 @@ def test_rows_of_all_legs_change_as_their_derivatives_say_with_the_shares_of_the
     spline, s = RestSpline(5, 4), np.linspace(0, 1, 101)
     grid = Grid.of(spline, spline.nodes(2))
     curve = LegsCurve(tuple(problems), spline, grid.s, grid.nodes, np.array([0.4, 0.6]))
+    assert curve.rows(1).stop == curve.postures
+    assert curve.fixed() == (0, 5)  # what two logs of shares leave of a row of seven
     rng = np.random.default_rng(1)
     at = np.zeros((curve.grid.basis.shape[2], curve.width))
     for k, (one, *_, other) in enumerate(postures):

@@ -1,10 +1,13 @@
 """What is made small or large: its model is its derivative."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Point
+from salver.planning.fastest.planned import _held_by
 from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.spline import RestSpline
 from transport import cube, line
@@ -44,3 +47,8 @@ def test_more_margin_and_less_time_are_better(curve):
     least, shortest = LeastMargin(), Duration()
     assert least.value(curve, Point(here, 0.9, 0.2)) < least.value(curve, Point(here, 0.9, 0.1))
     assert shortest.value(curve, Point(here, 0.8)) < shortest.value(curve, Point(here, 0.9))
+
+
+def test_how_far_a_motion_is_above_its_bound_is_said_in_per_cent():
+    motion = SimpleNamespace(duration=0.88, binding=())
+    assert "at most 10.0 % above the shortest" in _held_by(motion, 0.8, "no arm takes less than")

@@ -82,6 +82,7 @@ def test_a_search_for_a_stop_on_the_path_may_begin_with_the_last_one_that_was_fo
     assert (t[0], t[-1]) == (0.0, pytest.approx(0.3 + 3 * 0.25))
     assert np.interp([0.0, 0.15, 0.3], t, u) == pytest.approx([0.2, 0.3, 0.4])
     assert np.interp(0.3 + 3 * own, t, u) == pytest.approx(laws[-1])
+    assert np.array_equal(_law_ahead(0.3, 0.6, 1.5, stops[-1:]), (t, u))
     assert np.all(np.diff(t) > 0)
 
 

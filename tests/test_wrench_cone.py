@@ -10,6 +10,8 @@ from salver.geometry import exp
 from salver.models import shapes
 from salver.models.contact import ContactSet, support_contacts
 from salver.models.wrench_cone import (
+    _half_spaces,
+    _interior_direction,
     cone_facets,
     coulomb_friction_needed,
     facets,
@@ -261,3 +263,19 @@ def test_the_cone_of_a_single_ray_is_that_ray() -> None:
     assert (rows @ -ray).max() > 0.1  # not the other way,
     for aside in np.linalg.svd(ray[None, :])[2][1:]:
         assert (rows @ (ray + 0.1 * aside)).max() > 1e-3  # nor beside it
+
+
+def test_a_direction_within_a_cone_is_found_though_most_of_its_rays_lie_on_one_side():
+    rays = np.array([[0.05, 1.0, 0.0], [0.05, 0.0, 1.0], *[[0.05, -1.0, -1.0]] * 9])
+    axis = _interior_direction(rays)
+    assert np.linalg.norm(axis) == pytest.approx(1.0)
+    assert (rays @ rays.mean(axis=0)).min() < 0
+    assert (rays @ axis).min() > 0.01
+
+
+def test_half_spaces_of_points_on_a_line_are_its_two_ends():
+    points = np.array([[0.3], [-1.2], [0.9], [0.0]])
+    normal, offset = _half_spaces(points)
+    beside = np.array([[-1.21], [-1.19], [0.89], [0.91]])
+    assert (points @ normal.T + offset).max(axis=0) == pytest.approx([0.0, 0.0])
+    assert np.all(beside @ normal.T + offset <= 0, axis=1).tolist() == [False, True, True, False]
