@@ -60,7 +60,10 @@ class Channel:
 
     @classmethod
     def of(cls, reading: Reading, state: State, found: noise.Noise) -> Channel:
-        """With that noise, or more where more is left of the values than it explains."""
+        """With that noise, or more where more is left of the values than it explains. One that is noisier than was told
+        is taken to drift as much more."""
+        larger = max(1.0, found.share(reading.told, 1))
+        found = replace(found, bias=larger * found.bias, drift=larger * found.drift)
         covariance = RUNS * state.times.covariance(found) + reading.nuisance @ reading.nuisance.T
         made = cls(reading.name, reading.values, reading.rows, np.asarray(np.linalg.cholesky(covariance)), 1.0)
         white, left = made.white
