@@ -89,9 +89,9 @@ class TransportProblem:
 
     @cached_property
     def roughly(self) -> TransportProblem:
-        """For a first guess: without what liquids do, and a wrong load to the arm, which cost most and change least of
-        the way."""
-        return replace(self, liquids=(), tracking=None)
+        """For a first guess: without what liquids do, which costs most and changes least of the way; nor what a wrong
+        load does to the arm, where there are obstacles and much is to be tried."""
+        return replace(self, liquids=(), tracking=None if self.scenario.obstacles else self.tracking)
 
     @property
     def start_posture(self) -> Array | None:

@@ -49,6 +49,7 @@ DEGREE = 5
 REFINED = 0.5  # damping of the first step after pieces have been added,
 SPILLING = 0.7  # when liquids come in too,
 TURNED = 0.3  # after the last joint has been turned by a right angle,
+WORSE = 1.03  # times longer: not to be refined, as first optima of such motions tell them apart by less
 NEAR = 0.1  # and from the optimum of a similar problem
 NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
 BENDS = 3  # detours that are tried at last
@@ -244,7 +245,7 @@ class _Search:
             longer = least_duration(problem.limits, coefficients[0], coefficients[-1]) > found.iterate.duration
             if within and not (longer and found.iterate.violation < NEARLY and not problem.moving):
                 start = SplineMotion(few, coefficients, found.iterate.duration)
-                yield self._rough_from(problem, start, TURNED, self._beat([(problem, found)]))
+                yield self._rough_from(problem, start, TURNED, WORSE * self._beat([(problem, found)]))
 
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
         """The optimum with all pieces. Where nothing hinders a shorter time it is none: then on from there."""
