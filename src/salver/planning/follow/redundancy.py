@@ -36,7 +36,6 @@ _FAINT = 1e-6  # share of the largest effect on the cost below which a distance 
 _SEARCH = 1e-6  # m and rad; accuracy of postures while coefficients are searched for
 _DESCENTS, _SHORTER = 12, 8  # steps of a descent, and how often each is shortened
 _FLAT, _ENOUGH = 1e-3, 1e-4  # slope at which it ends; share of the fall along the slope that a step must bring
-_EASY, _LITTLE = 0.8, 5e-3  # it ends too where no share of a limit is larger, and a step brought less, relatively
 _SINGULAR = 0.04  # smallest singular value of the body Jacobian (m or 1 per rad) that counts as a full limit
 
 
@@ -320,6 +319,4 @@ def _descend(at: Callable[[Array], tuple[float, Array]], x: Array) -> None:
         if along > 1e-12:
             back = np.eye(len(x)) - np.outer(step, turned) / along
             inverse = back @ inverse @ back.T + np.outer(step, step) / along
-        if there < _EASY and value - there < _LITTLE * value:
-            return
         x, value, slope = x + step, there, slope_there
