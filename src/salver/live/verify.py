@@ -172,25 +172,32 @@ def kept(block: Block, constraint: Constraint | None) -> float:
 def told(block: Block, t: Array, knots: Mask) -> Block:
     """The block; if of torque's rate, not over the steps between the instants t (N,) but over any period within them.
 
-    Beside a knot, where it has a kink, it is more over a period than over the step by its slope times half of the step
-    less the period. Elsewhere it is nearly a parabola through three steps, of which a peak is put where it is.
+    It is nearly a parabola through three steps between two knots: its peak is put where it is, and beside a knot, where
+    it has a kink, it is carried on to that.
     knots: (N,) which instants are.
     """
     if isinstance(block.of, TorqueRateLimit):
-        step = np.diff(t)
-        slope = np.diff(block.values, axis=0) / (0.5 * (step[1:] + step[:-1]))[:, None]
-        ahead = 0.5 * np.maximum(step - PERIOD, 0.0)[:, None]
-        first, last = (knots[:-1] & ~knots[1:])[:-1], (knots[1:] & ~knots[:-1])[1:]  # steps after and before a knot
+        step, kink = np.diff(t), knots[1:-1]
         before, at, after = block.values[:-2], block.values[1:-1], block.values[2:]
-        bend = before - 2 * at + after
-        # Of three steps in one piece, which are equal: between which is a peak, and how high that is over a period.
-        peak = (at >= before) & (at >= after) & (bend < 0) & ~(knots[1:-2] | knots[2:-1])[:, None]
+        # Of three steps in one piece, which are equal: how the parabola through them bends.
+        bend = np.where((kink[:-1] | kink[1:])[:, None], 0.0, before - 2 * at + after)
+        peak = (at >= before) & (at >= after) & (bend < 0)
         flat = (1.0 - (PERIOD / np.maximum(step[1:-1], PERIOD)) ** 2)[:, None] / 24
         higher = np.where(peak, (after - before) ** 2 / (8 * np.maximum(-bend, 1e-12)) - flat * bend, 0.0)
-        block.values[:-1][first] += (ahead[:-1] * np.maximum(-slope, 0.0))[first]
-        block.values[1:][last] += (ahead[1:] * np.maximum(slope, 0.0))[last]
+        short = np.minimum(PERIOD / step, 1.0)[:, None]
+        none = np.zeros_like(at[:1])
+        first = _edge(block.values[:-1], block.values[1:], np.vstack([bend, none]), short[:-1])
+        last = _edge(block.values[1:], block.values[:-1], np.vstack([none, bend]), short[1:])
+        first[~knots[:-2] | kink], last[~knots[2:] | kink] = 0.0, 0.0
         block.values[1:-1] += higher
+        block.values[:-1] += first
+        block.values[1:] += last
     return block
+
+
+def _edge(at: Array, beside: Array, bend: Array, short: Array) -> Array:
+    """By how much a parabola is higher over a share `short` at an end of a step than over the step; at least 0."""
+    return np.maximum((1.0 - short) * (0.5 * (at - beside + bend) - bend * (1.0 + short) / 6), 0.0)
 
 
 def _begun(block: Block, t: Array) -> Block:
