@@ -50,41 +50,6 @@ def test_planning_needs_no_physics_engine_and_no_plotting():
     assert not {"mujoco", "matplotlib", "pyarrow", "rosbags", "trimesh"} & set(loaded)
 
 
-@pytest.mark.slow
-def test_a_plan_loads_no_package_of_scipy():
-    """They take 0.4 s; LAPACK and Qhull come without them, and SciPy afterwards finds its own."""
-    code = """
-import contextlib, io, json, os, sys, tempfile
-from salver.cli import main
-out, err = contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO())
-with tempfile.TemporaryDirectory() as folder, out, err:
-    sys.argv = ["salver", "plan", "panda-cube", "-o", os.path.join(folder, "run")]
-    with contextlib.suppress(SystemExit):
-        main()
-loaded = sorted(sys.modules)
-import numpy as np, scipy.linalg, scipy.optimize, scipy.spatial
-from salver.compiled import ConvexHull, dtbtrs
-same = scipy.spatial.ConvexHull is ConvexHull and scipy.linalg.lapack.dtbtrs(np.ones((1, 2)), np.ones((2, 1)))[1] == 0
-print(json.dumps([loaded, bool(same)]))
-"""
-    loaded, same = _run(code)
-    assert same
-    assert "salver.planning.follow.motion" in loaded
-    packages = {"linalg", "optimize", "spatial", "sparse", "special", "interpolate", "stats"}
-    assert not {f"scipy.{name}" for name in packages} & set(loaded)
-
-
-def test_without_the_files_of_its_extensions_scipy_itself_is_asked():
-    code = """
-import json, sys
-from pathlib import Path
-Path.is_file = lambda self: False
-from salver.compiled import ConvexHull, dposv
-print(json.dumps(["scipy.spatial" in sys.modules, len(ConvexHull([[0, 0], [1, 0], [0, 1]]).vertices)]))
-"""
-    assert _run(code) == [True, 3]
-
-
 def test_importing_changes_no_global_state():
     code = """
 import json, random, sys, warnings

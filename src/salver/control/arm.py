@@ -17,8 +17,8 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dposv
 
-from salver.compiled import dposv
 from salver.control.object import Gains
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, Array

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from salver.compiled import ConvexHull
 from salver.geometry import Array, exp
 from salver.models import shapes
 from salver.models.contact import ContactSet, support_contacts
@@ -234,6 +233,8 @@ def check(item: LooseObject) -> None:
 
 
 def _inside_hull(point: Array, vertices: Array) -> bool:
+    from scipy.spatial import ConvexHull
+
     equations = ConvexHull(vertices).equations
     return bool(np.all(equations[:, :3] @ point + equations[:, 3] <= 1e-9))
 

@@ -29,7 +29,6 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-from salver.compiled import ConvexHull
 from salver.geometry import Array
 from salver.models.parameters import Parameter
 from salver.models.rigid_body import inertia_entries, inertia_matrix
@@ -62,6 +61,8 @@ class Hull:
     @classmethod
     def of(cls, points: Array) -> Hull:
         """The hull of points (n, 3); of those with very many faces, their bounding box."""
+        from scipy.spatial import ConvexHull
+
         low, high = points.min(axis=0), points.max(axis=0)
         centre, half = 0.5 * (low + high), 0.5 * (high - low)
         scaled = (points - centre) / half

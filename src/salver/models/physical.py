@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from salver.compiled import ConvexHull
 from salver.geometry import Array
 from salver.models.rigid_body import inertia_entries, inertia_matrix
 
@@ -27,6 +26,8 @@ _TOLERANCE = 1e-9  # relative to the size of the shape
 
 def hull_faces(body: Body) -> Array:
     """(k, 4) half-spaces n . x + d <= 0 of the shape's convex hull in B, each once; n are unit vectors."""
+    from scipy.spatial import ConvexHull
+
     equations = np.asarray(ConvexHull(body.points_B).equations)
     return equations[np.unique(np.round(equations, 9), axis=0, return_index=True)[1]]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from salver.compiled import ConvexHull, QhullError
 from salver.geometry import Array
 
 
@@ -17,6 +16,8 @@ def half_planes(polygon: Array) -> tuple[Array, Array]:
 
 def convex_hull(points: Array) -> Array:
     """Vertices (n, 2) of the convex hull of points (m, 2); empty when they lie in a line."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         return np.asarray(points[ConvexHull(points).vertices])
     except (QhullError, ValueError):

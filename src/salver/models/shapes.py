@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from salver.compiled import ConvexHull
 from salver.geometry import Array
 from salver.models.mesh_files import read_mesh_file
 from salver.models.polygons import convex_hull, simplified
@@ -129,6 +128,8 @@ def mesh(file: str, scale: float = 1.0) -> Solid:
 @lru_cache(maxsize=32)
 def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
     """`mesh`, read once until the file changes: a scenario asks for its shapes several times."""
+    from scipy.spatial import ConvexHull
+
     try:
         surface = read_mesh_file(path)
     except ValueError as error:

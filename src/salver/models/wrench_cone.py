@@ -17,7 +17,6 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from salver.compiled import ConvexHull, QhullError
 from salver.geometry import Array, hat
 from salver.models.contact import ContactSet, cone_edges
 from salver.models.polygons import half_planes
@@ -259,6 +258,8 @@ def hull_facets(rays: Array) -> Array:
 
 def _half_spaces(points: Array) -> tuple[Array, Array]:
     """Normals (m, d) and offsets (m,) with normal . x + offset <= 0 for the convex hull of points (n, d)."""
+    from scipy.spatial import ConvexHull, QhullError
+
     if points.shape[1] == 0:
         return np.zeros((1, 0)), np.array([-1.0])
     if points.shape[1] == 1:
@@ -276,11 +277,11 @@ def _half_spaces(points: Array) -> tuple[Array, Array]:
 
 def _interior_direction(rays: Array) -> Array:
     """Unit vector with a positive product with every ray (n, d)."""
+    from scipy.optimize import linprog
+
     mean = rays.mean(axis=0)
     if np.linalg.norm(mean) > 0 and (rays @ mean).min() > 1e-2 * np.linalg.norm(mean):
         return mean / np.linalg.norm(mean)
-    from scipy.optimize import linprog  # a quarter of a second, and seldom needed
-
     d = rays.shape[1]
     result = linprog(
         np.append(np.zeros(d), -1.0),
@@ -323,6 +324,8 @@ def _refit(rays: Array, rows: Array) -> Array:
 
 def support_polygon(contacts: ContactSet) -> Array:
     """Convex hull (n, 2) of the contact points, counter-clockwise, in the contacts' axes about their mean, m."""
+    from scipy.spatial import ConvexHull
+
     centred = (contacts.p_BC - contacts.p_BC.mean(axis=0)) @ contacts.R_BC[0]
     return centred[ConvexHull(centred[:, :2]).vertices, :2]
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from salver.compiled import ConvexHull
 from salver.geometry import GRAVITY_S, Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.models.bodies import Body
 from salver.models.parameters import Parameter
@@ -226,6 +225,8 @@ def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
 
 def _hull(points: Array) -> tuple[Array, np.ndarray]:
     """Convex hull of points (n, 3) and its triangles, seen counter-clockwise from outside."""
+    from scipy.spatial import ConvexHull
+
     hull = ConvexHull(points)
     outward = np.einsum("ij,ij->i", np.cross(*_edges(points, hull.simplices)), hull.equations[:, :3]) > 0
     return points, np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])

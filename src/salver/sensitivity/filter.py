@@ -17,8 +17,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg.lapack import dtbtrs
 
-from salver.compiled import dtbtrs
 from salver.geometry import Array
 
 _GAUSS_POINTS = 0.5 + 0.5 * np.polynomial.legendre.leggauss(3)[0]

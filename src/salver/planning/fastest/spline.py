@@ -65,35 +65,16 @@ class RestSpline:
 @lru_cache(maxsize=16)
 def _matrices(spline: RestSpline, points: bytes) -> Array:
     """`RestSpline.matrices`: searches ask for the same ones again and again."""
+    from scipy.interpolate import BSpline  # a quarter of a second
+
     s = np.frombuffer(points)
-    rows = _basis(spline.knots(), spline.degree, s)
+    full = BSpline(spline.knots(), np.eye(spline.spans + spline.degree), spline.degree)
+    rows = np.stack([full.derivative(k)(s) if k else full(s) for k in range(DERIVATIVES)])
     merged = rows[:, :, 2:-2].copy()
     merged[:, :, 0] += rows[:, :, 0] + rows[:, :, 1]
     merged[:, :, -1] += rows[:, :, -1] + rows[:, :, -2]
     merged.setflags(write=False)
     return merged
-
-
-def _basis(knots: Array, degree: int, s: Array) -> Array:
-    """(4, len(s), len(knots) - degree - 1): B-splines at s and their first three derivatives, by the recursion of Cox
-    and de Boor (de Boor, A Practical Guide to Splines, 1978)."""
-
-    def over(x: Array, length: Array) -> Array:
-        return np.divide(x, length, out=np.zeros(np.broadcast_shapes(x.shape, length.shape)), where=length > 0)
-
-    piece = np.clip(np.searchsorted(knots, s, side="right") - 1, degree, len(knots) - degree - 2)
-    rows = np.zeros((DERIVATIVES, len(s), len(knots) - 1))
-    rows[0, np.arange(len(s)), piece] = 1.0
-    x = s[:, None]
-    for d in range(1, degree + 1):
-        length = knots[d:] - knots[:-d]  # of what each spline of the degree before reaches over
-        left, right = rows[:, :, :-1], rows[:, :, 1:]
-        up, down = over(x - knots[: -d - 1], length[:-1]), over(knots[d + 1 :] - x, length[1:])
-        later = up * left + down * right
-        order = np.arange(1, DERIVATIVES)[:, None, None]
-        later[1:] += order * (over(left[:-1], length[:-1]) - over(right[:-1], length[1:]))
-        rows = later
-    return rows
 
 
 @dataclass(frozen=True)

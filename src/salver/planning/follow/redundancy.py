@@ -14,7 +14,6 @@ far from singular postures.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -34,8 +33,6 @@ _CLEAR = 0.04  # m; parts of the arm that are further apart than this do not cou
 _NEAR = 0.2  # m; parts further apart than this along the first guess are not looked at again
 _FAINT = 1e-6  # share of the largest effect on the cost below which a distance is not differentiated
 _SEARCH = 1e-6  # m and rad; accuracy of postures while coefficients are searched for
-_DESCENTS, _SHORTER = 12, 8  # steps of a descent, and how often each is shortened
-_FLAT, _ENOUGH = 1e-3, 1e-4  # slope at which it ends; share of the fall along the slope that a step must bring
 _SINGULAR = 0.04  # smallest singular value of the body Jacobian (m or 1 per rad) that counts as a full limit
 
 
@@ -216,13 +213,13 @@ class Usage:
         by_q, by_dq, by_ddq = (by_value[key].copy() for key in ("position", "velocity", "acceleration"))
         model, data, frame = arm.pin_model, arm.data, arm.tray_id
         smallest, left, right = self._singular_values
-        velocity_by_q, masses = np.empty_like(joints.jacobian), np.empty((len(joints.q), arm.n, arm.n))
+        velocity_by_q = np.empty_like(joints.jacobian)
         acceleration_by_q, acceleration_by_dq = np.empty_like(joints.jacobian), np.empty_like(joints.jacobian)
         for k, (q, dq, ddq) in enumerate(zip(joints.q, joints.dq, joints.ddq, strict=True)):
             torque_by_q, torque_by_dq, mass = pin.computeRNEADerivatives(model, data, q, dq, ddq)
             by_q[k] += by_value["torque"][k] @ torque_by_q
             by_dq[k] += by_value["torque"][k] @ torque_by_dq
-            masses[k] = mass
+            by_ddq[k] += np.triu(mass) @ by_value["torque"][k] + np.triu(mass, 1).T @ by_value["torque"][k]
             # How the Jacobian turns is how the velocity of one direction of the joints changes with the posture.
             pin.computeForwardKinematicsDerivatives(model, data, q, right[k], ddq)
             turned = pin.getFrameVelocityDerivatives(model, data, frame, pin.LOCAL)[0]
@@ -231,9 +228,6 @@ class Usage:
             velocity_by_q[k], acceleration_by_q[k], acceleration_by_dq[k], _ = pin.getFrameAccelerationDerivatives(
                 model, data, frame, pin.LOCAL
             )
-        above = np.triu(np.ones((arm.n, arm.n), dtype=bool))  # Pinocchio gives that half
-        masses = np.where(above, masses, np.swapaxes(masses, 1, 2))
-        by_ddq += (masses @ by_value["torque"][..., None])[..., 0]
         node, pair = np.nonzero(by["clearance"] > _FAINT * max(np.abs(b).max() for b in by.values()))
         distance_by_q = self.parts.clearance_gradient(joints.q, node, pair)
         np.subtract.at(by_q, node, by["clearance"][node, pair, None] / _CLEAR * distance_by_q)
@@ -269,6 +263,8 @@ def first_choice(arm: ArmModel, parts: ArmGeometry, path: TrayPath, postures: Ar
 
 def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, free_start: bool) -> Choice:
     """Improve the coefficients of s(t), and where it starts if that is free, by BFGS on `Usage`."""
+    from scipy.optimize import minimize  # a quarter of a second
+
     rows = start.rows
     free = len(rows)
     if free == 0:
@@ -293,30 +289,5 @@ def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, f
         return usage.cost, np.concatenate([by_s.sum(axis=0) * free_start, by_coefficients.ravel()])
 
     x = np.concatenate([np.zeros(free), start.coefficients.ravel()])
-    _descend(at, x)
+    minimize(at, x, method="BFGS", jac=True, options={"maxiter": 12, "gtol": 1e-3})
     return best
-
-
-def _descend(at: Callable[[Array], tuple[float, Array]], x: Array) -> None:
-    """Walk downhill from x (k,) by BFGS (Nocedal and Wright, Numerical Optimization, 2006, algorithm 6.1), with at(x) a
-    value and its gradient. Steps are halved or more, to where a parabola is lowest, until they bring enough."""
-    value, slope = at(x)
-    inverse = np.eye(len(x)) / max(float(np.linalg.norm(slope)), 1e-12)
-    for _ in range(_DESCENTS):
-        if np.abs(slope).max() < _FLAT:
-            return
-        direction = -inverse @ slope
-        falls, share = float(slope @ direction), 1.0
-        for _ in range(_SHORTER):
-            there, slope_there = at(x + share * direction)
-            if there <= value + _ENOUGH * share * falls:
-                break
-            share *= min(0.5, max(0.1, -share * falls / (2 * (there - value - share * falls))))
-        else:
-            return
-        step, turned = share * direction, slope_there - slope
-        along = float(step @ turned)
-        if along > 1e-12:
-            back = np.eye(len(x)) - np.outer(step, turned) / along
-            inverse = back @ inverse @ back.T + np.outer(step, step) / along
-        x, value, slope = x + step, there, slope_there
