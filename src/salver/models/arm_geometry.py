@@ -346,7 +346,7 @@ def _unchecked(
 ) -> tuple[str, ...]:
     told = []
     if missing:
-        told.append(f"whether {listed(missing)} hits anything (shape not known)")
+        told.append(f"whether {listed(missing)} {'hits' if len(missing) == 1 else 'hit'} anything (shape not known)")
     if fitted:
         told.append(f"the true shape of {listed(fitted)} (capsules fitted to the inertia stand for it)")
     if "always" in left_out:
