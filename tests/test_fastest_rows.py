@@ -78,6 +78,9 @@ def test_motion_terms_match_differences_and_pinocchio():
         assert np.allclose((ahead.w - behind.w) / (2 * h), here.w_z[:, :, k], atol=2e-7, rtol=1e-6)
         assert np.allclose((ahead.torque - behind.torque) / (2 * h), here.torque_z[:, :, k], atol=2e-6, rtol=1e-6)
     loaded = with_load(problem.arm, problem.items)
+    change = rng.normal(size=(3, 4, 7, 2))
+    felt = here.changed(*change)[2]  # sums of products are cheaper than the derivatives by every joint
+    assert np.allclose(felt, here.w_z @ np.concatenate(change, axis=1), atol=1e-9)
     for i in range(4):
         assert np.allclose(here.torque[i], loaded.inverse_dynamics(z[i, :7], z[i, 7:14], z[i, 14:]), atol=1e-10)
         assert np.allclose(here.mass_matrix[i], loaded.mass_matrix(z[i, :7]), atol=1e-10)
@@ -212,6 +215,24 @@ def test_contact_of_an_arm_that_follows_exactly_is_what_the_check_of_a_plan_look
     assert exactly.values == pytest.approx(-slack, abs=1e-9)
     assert np.abs(exactly.values - allowing.values).max() > 1e-3
     assert not exactly.gradient(np.array([20]), np.array([3]))[:, 3 * problem.n :].any()  # jerk is for held commands
+
+
+def test_commands_are_held_for_a_period_also_where_nothing_is_uncertain():
+    """What that costs grows as the period does; only a nominal plan leaves it out."""
+    costs = []
+    for period in (1e-3, 2e-3):
+        problem = transport_problem(bottle().with_changes(physics__command_period=period))
+        assert not problem.uncertain.size
+        spline, duration, s = RestSpline(5, 6), 0.8, np.linspace(0, 1, 61)
+        z = FreeCurve(problem, Grid.of(spline, s)).motion(line(problem, spline), duration)
+        motion = problem.at(s, z, duration, imposed=False)
+        exactly, allowing = (
+            next(iter(Contact(problem.contacts[0], exactly=x).blocks(motion))).values for x in (True, False)
+        )
+        costs.append(np.abs(allowing - exactly).max())
+    assert costs[0] > 1e-4
+    assert costs[1] == pytest.approx(2 * costs[0], rel=0.1)
+    assert transport_problem(bottle(), robust=False).tracking is None
 
 
 def test_putting_the_goal_right_does_not_jolt_the_arm():

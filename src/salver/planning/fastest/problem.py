@@ -53,7 +53,7 @@ class TransportProblem:
     (`salver.planning.fastest.ends`).
     limits: the share of the arm's limits that may be used. max_tilt: rad from vertical; 0 means level.
     contacts: rows for each network of touching objects. uncertain: what is not known (empty for a nominal plan).
-    tracking: what a wrong load and held commands do to the arm; None when nothing is uncertain.
+    tracking: what a wrong load and held commands do to the arm; None for a nominal plan.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     extra: constraints beside those that follow from all this. liquids: for each, the cases that stand for all there
     are. through: poses that are passed on the way.
@@ -154,8 +154,6 @@ def with_missed_cases(problem: TransportProblem, motion: Evaluation, margin: flo
 
 def _tracking(scenario: Scenario, payload: Payload) -> JointLoop | None:
     """The closed loop that a robust plan allows for; friction does not act through it."""
-    if not payload.uncertain.size:
-        return None
     return joint_loop(scenario, payload.with_only([p for p in payload.uncertain.parameters if p.loads]))
 
 
@@ -218,7 +216,7 @@ def transport_problem(
         max_tilt=max_tilt,
         contacts=contact_rows(payload),
         uncertain=payload.uncertain,
-        tracking=_tracking(scenario, payload),
+        tracking=_tracking(scenario, payload) if robust else None,
         keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
         extra=tuple(extra),
         liquids=tuple(cases(body, payload.uncertain) for body in payload.liquids),
