@@ -53,6 +53,26 @@ def test_a_gentle_hand_is_followed_as_if_nothing_stood_between(cube):
 
 
 @pytest.mark.slow
+def test_what_will_limit_the_motion_is_named_before_it_slows(cube):
+    """A hand that pulls the tray outwards until the arm is nearly stretched, where the elbow turns ever faster."""
+    live, heard = Live(cube, lead=TICK), []
+
+    def pull(t):
+        live.twist([0.2 * min(t / 0.3, 1.0), 0.0, 0.0])
+        heard.append(live.state)
+
+    states = drive(live, 0.9, [(t, lambda _, t=t: pull(t)) for t in np.arange(0.0, 0.9, 0.02)], EVERY)
+    speed = velocities(live, states, EVERY)[:, 0]
+    assert speed[20:30].min() > 0.19  # what is asked for
+    assert speed[-1] < 0.18
+    elbow = [k for k, state in enumerate(heard) if state.nearest == "limited by velocity of panda_joint4"]
+    assert 20 < elbow[0] < np.flatnonzero(speed[20:] < 0.19)[0] + 20
+    before = heard[elbow[0] - 5]
+    assert re.fullmatch(r"\d+ % from its nearest limit, clearance of panda_link5 from panda_link7", before.nearest)
+    assert str(before) == f"It is following, {before.nearest}."
+
+
+@pytest.mark.slow
 def test_a_hostile_hand_and_then_silence(cube):
     """Reversals that would lose the cube if they were followed; then nothing, and the arm comes to rest."""
 

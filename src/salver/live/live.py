@@ -62,16 +62,17 @@ MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
 EVADE = Evade()
 STOPS_EVERY = 0.1  # s between instants from which stops are kept ready
 EARLY = 2e-3  # s by which a stop that is ready must be ahead of the loop
+LIMITING = 0.03  # of what a row limits: nearer than this it is said to limit the motion
 STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
 
 
 @dataclass(frozen=True)
 class State(Shown):
     """What is going on. doing: "resting", "following" or "stopping". rests_in: s until the arm is at rest. limit: which
-    row is nearest to its edge now, and margin, how far from it at least, as a share of what it limits. refused: the
-    last wish that was not granted, and why; clock: what was wrong with the times that were asked for. Both are empty
-    when nothing was. lead: s from now to the next hand-over. passing: what is to be expected of obstacles that
-    move, when nothing was found that keeps clear of them.
+    row comes nearest to its edge from now to that rest, and margin, how far from it at least, as a share of what it
+    limits. refused: the last wish that was not granted, and why; clock: what was wrong with the times that were asked
+    for. Both are empty when nothing was. lead: s from now to the next hand-over. passing: what is to be expected of
+    obstacles that move, when nothing was found that keeps clear of them.
     """
 
     doing: str
@@ -84,11 +85,18 @@ class State(Shown):
     passing: str = ""
 
     def facts(self) -> dict[str, str]:
-        told = {"live": self.doing, "at rest in": f"{self.rests_in:.2f} s", "limited by": self.limit}
+        told = {"live": self.doing, "at rest in": f"{self.rests_in:.2f} s", "nearest limit": self.nearest}
         return {**told, **{name: text for name in ("refused", "passing", "clock") if (text := getattr(self, name))}}
 
+    @property
+    def nearest(self) -> str:
+        """What limits the motion; or, when nothing does, what would first, and how far that is."""
+        if self.margin < LIMITING:
+            return f"limited by {self.limit}"
+        return f"{100 * self.margin:.0f} % from its nearest limit, {self.limit}"
+
     def __str__(self) -> str:
-        sentence = "The arm rests." if self.doing == "resting" else f"It is {self.doing}, limited by {self.limit}."
+        sentence = "The arm rests." if self.doing == "resting" else f"It is {self.doing}, {self.nearest}."
         return " ".join([sentence, *filter(None, (self.passing, self.refused, self.clock))])
 
 
@@ -381,7 +389,7 @@ class Live:
         """What is going on."""
         committed, now = self.committed, self._now
         rests_in = max(0.0, committed.ends - now)
-        margin, limit = committed.margins.at(now)
+        margin, limit = committed.margins.from_(now)
         doing = (
             "resting"
             if not rests_in or committed.at_rest

@@ -31,9 +31,13 @@ class Margins:
     what: Indices
     names: tuple[str, ...]
 
-    def at(self, t: float) -> tuple[float, str]:
-        """Distance from the nearest edge at t, and whose it is."""
-        k = min(int(np.searchsorted(self.t, t)), len(self.t) - 1)
+    def from_(self, t: float) -> tuple[float, str]:
+        """Distance from the edge that the motion comes nearest to from t on, and whose it is.
+
+        What limits a motion is seldom what is near now: a joint that will be at its fastest a while ahead, perhaps.
+        """
+        first = min(int(np.searchsorted(self.t, t)), len(self.t) - 1)
+        k = first + int(np.argmax(self.row[first:]))
         return -float(self.row[k]), self.names[int(self.what[k])]
 
 

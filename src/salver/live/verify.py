@@ -18,7 +18,7 @@ from salver.live.motion import SAME, Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
 from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
-from salver.planning.fastest.constraints import PER_METRE, Clearance, Contact, TorqueRateLimit
+from salver.planning.fastest.constraints import PER_METRE, Clearance, Contact, Level, TorqueRateLimit
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import NEAR, KeepOut
 from salver.planning.fastest.programme import Mask
@@ -229,8 +229,8 @@ def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> Ma
     names: list[str] = []
     largest, what = np.full(len(t), -np.inf), np.zeros(len(t), dtype=np.intp)
     for block in blocks:
-        if not block.values.size:
-            continue
+        if not block.values.size or (isinstance(block.of, Level) and np.all(block.values <= 0.0)):
+            continue  # a tray that has to stay level is always as near to that as this, and nothing is limited by it
         column = np.argmax(block.values, axis=1)  # the first that is no number, if there is one
         value = block.values[np.arange(len(column)), column]
         value[np.isnan(value)] = np.inf
@@ -248,7 +248,10 @@ def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> Ma
 
 
 def _labels(block: Block, problem: TransportProblem) -> list[str]:
-    """What rows of a block are called: by joint, where there is one for each."""
+    """What rows of a block are called: by joint, where there is one for each, or by what has to keep apart."""
+    if isinstance(block.of, Clearance):
+        parts = block.of.keep_out.parts
+        return [f"{block.name} of {parts.names[i]} from {parts.names[j]}" for i, j in parts.pairs]
     limits = getattr(block.of, "limits", None)
     kind = next((kind for kind in LIMITS if kind.name == block.name), None)
     if kind is None or not isinstance(limits, JointLimits):

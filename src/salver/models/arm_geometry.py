@@ -115,11 +115,10 @@ class ArmGeometry:
         for k in nodes[whole].tolist():
             pin.computeDistances(arm, data, *place, q[k])
             low[k] = [result.min_distance for result in results]
-        for k, some in zip(nodes[~whole].tolist(), due[~whole], strict=True):
-            pairs = some.nonzero()[0].tolist()
-            if pairs:
-                pin.updateGeometryPlacements(arm, data, *place, q[k])
-            for pair in pairs:
+        parted = due.any(axis=1) & ~whole
+        for k, some in zip(nodes[parted].tolist(), due[parted], strict=True):
+            pin.updateGeometryPlacements(arm, data, *place, q[k])
+            for pair in some.nonzero()[0].tolist():
                 pin.computeDistance(*place, pair)
                 low[k, pair] = results[pair].min_distance
 
@@ -204,7 +203,10 @@ class ArmGeometry:
 
     def only(self, pairs: Iterable[int]) -> ArmGeometry:
         """The same parts with some of the pairs, by their indices."""
-        return _with_pairs(self, tuple(self.pairs[k] for k in pairs))
+        chosen = list(pairs)
+        found = _with_pairs(self, tuple(self.pairs[k] for k in chosen))
+        found.__dict__["_levers"] = self._levers[chosen]  # asked for again and again where motions are looked at live
+        return found
 
     def in_the_way(self, p_SE: Array, R_SE: Array) -> tuple[str, str] | None:
         """What of the tray and its load is inside which obstacle when the tray is at a pose, whatever the arm does."""

@@ -321,6 +321,7 @@ class World:
                 "doing": state.doing if self.protected else "unprotected",
                 "restsIn": round(state.rests_in, 3),
                 "limit": state.limit,
+                "nearest": state.nearest,
                 "margin": round(state.margin, 4),
                 "said": " ".join(filter(None, (state.passing, state.refused, self.note))),
                 "lead": round(state.lead, 3),

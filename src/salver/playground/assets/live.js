@@ -76,7 +76,7 @@ function tell() {
   byId("doing").textContent = bad
     ? `The ${gone.map((item) => `${item.name} ${BECAME[item.became]}`).join(", the ")}.`
     : frame.doing === "following" || frame.doing === "stopping"
-      ? `${WORDS[frame.doing]}: at rest in ${frame.restsIn.toFixed(2)} s, limited by ${frame.limit}.`
+      ? `${WORDS[frame.doing]}: at rest in ${frame.restsIn.toFixed(2)} s, ${frame.nearest}.`
       : `${WORDS[frame.doing]}.`;
   byId("detail").textContent = [state.answer, frame.said, frame.balls.length && frame.passed !== null ? `The ball has come to ${(1000 * frame.passed).toFixed(0)} mm.` : ""].filter(Boolean).join(" ");
   byId("protected").checked = frame.protected;
