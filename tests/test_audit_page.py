@@ -83,3 +83,9 @@ def test_in_a_browser_the_arm_moves_as_it_was_told(joint_file, tmp_path):
         assert page.script("return data.replay.duration") == pytest.approx(3.0)
         assert not [entry for entry in page.log("browser") if entry["level"] == "SEVERE"]
         assert all(url.startswith(("file:", "data:")) for url in page.requests())
+
+
+def test_of_a_file_alone_the_command_asks_what_is_carried(tray_file):
+    done = CliRunner().invoke(app, ["report", str(tray_file)])
+    assert done.exit_code == 2
+    assert done.stderr.rstrip().endswith(".csv is a file; of a motion, say also what is carried: --scenario.")

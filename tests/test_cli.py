@@ -181,6 +181,10 @@ def test_a_defect_is_one_sentence_and_a_file_with_its_traceback(capfd, tmp_path,
         ),
         (PermissionError(13, "Permission denied", "/there"), "salver: /there: permission denied."),
         (MemoryError(), "salver: the memory of this machine was not enough"),
+        (  # as the loader says it in a bare container, where `import pinocchio` fails
+            ImportError("libgomp.so.1: cannot open shared object file: No such file or directory"),
+            "salver: this machine lacks libgomp.so.1; on Debian and Ubuntu: apt-get install libgomp1.",
+        ),
     ],
 )
 def test_what_the_machine_refuses_is_no_defect(error, words, capfd):

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,7 +48,13 @@ print(json.dumps([callable(getattr(salver, name)) for name in salver.__all__]))
         (lambda: sv.simulate("panda-cube"), 'simulate wants a plan: sv.simulate(sv.plan("panda-cube"))'),
         (lambda: sv.simulate(None), "simulate wants a plan, as sv.plan makes it; it was given a NoneType."),
         (lambda: sv.campaign(3), "campaign wants a run directory"),
-        (lambda: sv.margins("panda-cube"), "margins wants a Plan, or MotionSamples and a scenario"),
+        (
+            lambda: sv.campaign("panda-cube"),
+            'such as sv.plan("panda-cube").save(DIRECTORY) gives; it was given "panda-',
+        ),
+        (lambda: sv.margins("panda-cube"), 'margins wants a plan: sv.margins(sv.plan("panda-cube")); it was given "pa'),
+        (lambda: sv.margins(3), "margins wants a Plan, or MotionSamples and a scenario; it was given a int alone."),
+        (lambda: sv.report("panda-cube"), 'report wants a plan: sv.report(sv.plan("panda-cube")); it was given "panda'),
         (lambda: sv.report(3), "report wants a Plan, an Audit or a run directory; it was given a int."),
         (lambda: sv.plan(3), "A int was given for a scenario"),
         (lambda: sv.fastest("panda-cube", speed=3), 'fastest has no option "speed"; it has '),
@@ -65,6 +72,16 @@ def test_what_is_wrong_is_one_sentence(call, words):
 def test_what_is_no_motion_is_one_sentence(motion):
     with pytest.raises(FileFormatError, match=r"^the (int|list|dict) "):
         sv.audit(motion, "panda-cube")
+
+
+def test_a_plan_is_retimed_as_its_directory_is_and_is_not_audited(plan, directory):
+    retimed, same = sv.retime(plan), sv.retime(directory)
+    assert retimed.duration == same.duration < plan.duration
+    assert np.array_equal(retimed.joint.q, same.joint.q)
+    with pytest.raises(ScenarioError, match=r"sv\.margins\(plan\)\.$"):
+        sv.audit(plan, "panda-cube")
+    with pytest.raises(FileFormatError, match="holds a plan without a joint motion"):
+        sv.retime(replace(plan, joint=None))
 
 
 def test_a_directory_given_for_a_plan_is_told_how_to_load_it(directory):

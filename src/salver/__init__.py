@@ -127,16 +127,24 @@ def _options(name: str, options: Mapping[str, Any]) -> FastestOptions:
     return FastestOptions(**options)
 
 
-def retime(path: str | Path | Array, scenario: Scenario | str | Path | None = None, *, robust: bool = True) -> Plan:
+def retime(
+    path: Plan | str | Path | Array, scenario: Scenario | str | Path | None = None, *, robust: bool = True
+) -> Plan:
     """The fastest safe timing of a path that is given; see `salver.planning.fastest.retiming`.
 
-    path: postures (K, n) in rad, a file of them or of a motion (CSV, JSON, YAML, ROS bag), or a run directory, whose
-    scenario is then the default.
+    path: postures (K, n) in rad, a file of them or of a motion (CSV, JSON, YAML, ROS bag), or a plan or its run
+    directory, whose scenario is then the default.
     Raises ScenarioError, FileFormatError, UnreachableError.
     """
     from salver.errors import ScenarioError
     from salver.planning.fastest.retiming import plan_retimed
+    from salver.planning.plan import Plan
 
+    if isinstance(path, Plan):
+        from salver.given import waypoints_of
+
+        scenario = path.scenario if scenario is None else scenario
+        path = waypoints_of(path)
     if isinstance(path, str | Path) and scenario is None and Path(path).is_dir():
         scenario = Path(path) / "scenario.toml"
     if scenario is None:
@@ -166,7 +174,11 @@ def audit(
     samples that is bridged. Raises SalverError with one sentence for each mistake.
     """
     from salver.auditing import audit as run
+    from salver.errors import ScenarioError
+    from salver.planning.plan import Plan
 
+    if isinstance(motion, Plan):
+        raise ScenarioError("audit is for motions that salver did not plan; a Plan knows its own: sv.margins(plan).")
     return run(motion, _scenario(scenario), topic, highest, noise, gap)
 
 
@@ -235,7 +247,7 @@ def campaign(
     `if __name__ == "__main__":`, as Python asks of whatever starts processes. stops: stop each run at a random instant
     by the plan's own stops, of plans made with `salver plan --stops`. Raises SalverError.
     """
-    if not isinstance(directory, str | Path):
+    if not isinstance(directory, str | Path) or not Path(directory).exists():
         raise _no_plan("campaign", directory)
     from salver.campaigns import run_campaign
 
@@ -255,6 +267,8 @@ def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None
     from salver.contact_margins import margins as of
     from salver.trajectory import MotionSamples
 
+    if isinstance(motion, str | Path):
+        raise _no_plan("margins", motion)
     if not isinstance(motion, MotionSamples) or scenario is None:
         raise ScenarioError(
             f"margins wants a Plan, or MotionSamples and a scenario; it was given a {type(motion).__name__}"
@@ -278,6 +292,8 @@ def report(
 
     if not isinstance(of, Plan | Audit | str | Path):
         raise ScenarioError(f"report wants a Plan, an Audit or a run directory; it was given a {type(of).__name__}.")
+    if isinstance(of, str | Path) and not Path(of).exists():
+        raise _no_plan("report", of)
     return page_of(of, run, path)
 
 
@@ -286,13 +302,14 @@ def _no_plan(name: str, given: object) -> Exception:
     from salver.errors import ScenarioError
     from salver.planning.plan import Plan
 
-    what = f'"{given}"' if isinstance(given, str | Path) else f"a {type(given).__name__}"
+    named = isinstance(given, str | Path)
+    what = f'"{given}"' if named else f"a {type(given).__name__}"
+    made = f"sv.load_plan({what})" if Path(str(given)).is_dir() else f"sv.plan({what if named else '...'})"
     if name == "campaign":
-        saved = f"{'plan' if isinstance(given, Plan) else 'sv.plan(...)'}.save(DIRECTORY)"
+        saved = f"{'plan' if isinstance(given, Plan) else made}.save(DIRECTORY)"
         return ScenarioError(f"campaign wants a run directory, such as {saved} gives; it was given {what}.")
-    made = f"sv.load_plan({what})" if Path(str(given)).is_dir() else f"sv.plan({what})"
-    hint = f": sv.simulate({made})" if isinstance(given, str | Path) else ", as sv.plan makes it"
-    return ScenarioError(f"simulate wants a plan{hint}; it was given {what}.")
+    hint = f": sv.{name}({made})" if named else ", as sv.plan makes it"
+    return ScenarioError(f"{name} wants a plan{hint}; it was given {what}.")
 
 
 def __getattr__(name: str) -> Any:

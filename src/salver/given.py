@@ -18,7 +18,7 @@ from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.motion_files import JointSamples, Samples, read_path
-from salver.planning.plan import load_plan
+from salver.planning.plan import Plan, load_plan
 from salver.run_directory import SCENARIO
 from salver.scenario import Scenario
 from salver.simulation.physics import simulate_tray
@@ -38,16 +38,20 @@ def read_waypoints(path: Path, scenario: Scenario, topic: str | None = None) -> 
     joint path of a run directory. Raises FileFormatError; ScenarioError for a scenario without an arm.
     """
     if (path / SCENARIO).is_file():
-        joint = load_plan(path).joint
-        if joint is None:
-            raise FileFormatError(f"{path} holds a plan without a joint motion; it must be one made with an arm.")
-        return joint.sample(np.linspace(0.0, joint.duration, 2001))[0]
+        return waypoints_of(load_plan(path), str(path))
     if scenario.arm is None:
         raise ScenarioError(f"{scenario.name} has no arm; a path of the joints needs one ([arm] in the scenario).")
     waypoints = read_path(path, load_arm(scenario.arm, scenario.tray).joint_names, topic)
     if len(waypoints) > MOST_WAYPOINTS:
         raise FileFormatError(f"{path} has {len(waypoints)} waypoints; at most {MOST_WAYPOINTS} are accepted.")
     return waypoints
+
+
+def waypoints_of(plan: Plan, source: str = "A directory of it") -> Array:
+    """(2001, n) the joint path of a plan; `source` names it in the message. Raises FileFormatError."""
+    if plan.joint is None:
+        raise FileFormatError(f"{source} holds a plan without a joint motion; it must be one made with an arm.")
+    return plan.joint.sample(np.linspace(0.0, plan.joint.duration, 2001))[0]
 
 
 @dataclass(frozen=True)

@@ -62,12 +62,13 @@ def audit(
     else:
         given = {"topic": topic, "highest": None if highest == 50.0 else highest, "noise": noise, "gap": gap}
         options = "".join(f" --{name} {quote(str(value))}" for name, value in given.items() if value is not None)
-        _show(result, f"salver retime {quote(str(trajectory))} -s {quote(scenario)} --pace least{options}")
+        _show(result, f"{quote(str(trajectory))} -s {quote(scenario)}", options)
     if not result.ok:
         raise typer.Exit(NO_SAFE_PLAN)
 
 
-def _show(result: Audit, command: str) -> None:
+def _show(result: Audit, given: str, options: str) -> None:
+    """given, options: what a command is told to take the same motion in the same way."""
     out = result_console()
     motion, margins = result.motion, result.margins
     lines = [
@@ -93,7 +94,8 @@ def _show(result: Audit, command: str) -> None:
     lines.append(f"Pace, worst case: {_pace_words(result.pace_worst.factor, result.pace_worst.status.sentence)}")
     factor = result.pace_worst.factor
     if factor is not None and abs(factor - 1) > 5e-3:
-        lines.append(f"Written so that it holds, in the same format: {command}")
+        lines.append(f"Written so that it holds, in the same format: salver retime {given} --pace least{options}")
+    lines.append(f"As a page, with a replay: salver report {given}{options}")
     for line in lines:
         out.print(line)
 

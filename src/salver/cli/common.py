@@ -81,10 +81,19 @@ def handled(command: Command) -> Command:
             say("salver: the memory of this machine was not enough; what was written to disk before is complete.")
             raise typer.Exit(WRONG_USE) from None
         except Exception as error:
+            lacking = _LIBRARY.match(str(error)) if isinstance(error, ImportError) else None
+            if lacking is not None:
+                package = lacking[1].replace(".so.", "").lower()
+                say(f"salver: this machine lacks {lacking[1]}; on Debian and Ubuntu: apt-get install {package}.")
+                raise typer.Exit(WRONG_USE) from None
             say(f"salver: {_defect(error)}")
             raise typer.Exit(DEFECT) from None
 
     return wrapper  # type: ignore[return-value]
+
+
+# What the loader says of a library of the system that a package needs.
+_LIBRARY = re.compile(r"(lib\S+\.so\.\d+): cannot open shared object file")
 
 
 def _defect(error: Exception) -> str:

@@ -27,7 +27,7 @@ def report(
 ) -> None:
     """Write one self-contained page about a run: verdict, 3-D replay, margins, tubes, results.
 
-    Or about the audit of a motion file, with the options of `salver audit`.
+    Or about the audit of a motion file, with the options of `salver audit`: `salver report motion.csv -s panda-cube`.
 
     It opens from disk in any current browser and needs no network. It shows what the directory has: run it again
     after `salver simulate` or `salver campaign`.
@@ -41,6 +41,10 @@ def report(
 
         found = audit(directory, scenarios.load(scenario), topic, highest, noise, gap)
         path = write_audit_page(found, output or directory.with_suffix(".html"))
+    elif directory.is_file():
+        from salver.errors import ScenarioError
+
+        raise ScenarioError(f"{directory} is a file; of a motion, say also what is carried: --scenario.")
     else:
         from salver.reports.page import write_report
 

@@ -32,15 +32,15 @@ def scenarios(
         print_json([_record(item) for item in found])
         return
 
-    from rich.table import Table
+    from rich.padding import Padding
+    from rich.text import Text
 
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for column in ("name", "duration", "on the tray", "uncertain", "summary"):
-        table.add_column(column, no_wrap=column in ("name", "duration"), ratio=2 if column == "summary" else None)
+    out = result_console()
     for item in found:
         duration = "free" if item.motion.duration is None else f"{item.motion.duration:g} s"
-        table.add_row(item.name, duration, _objects_in_words(item), _uncertain_in_words(item), item.summary)
-    result_console().print(table)
+        carried = f"{duration}; {_objects_in_words(item)}; uncertain: {_uncertain_in_words(item)}"
+        out.print(Text.assemble((item.name, "bold"), f"  {carried}"))
+        out.print(Padding(Text(item.summary), (0, 0, 0, 4)), soft_wrap=False)
 
 
 def _record(item: Scenario) -> dict[str, Any]:

@@ -149,8 +149,8 @@ def _context(width: int, height: int) -> Any:
             tried.append(f"{name}: {(str(error).strip().splitlines() or [type(error).__name__])[0]}")
             os.environ.pop("PYOPENGL_PLATFORM", None)
     raise NoOpenGLError(
-        f"No OpenGL for pictures without a display ({'; '.join(tried) or 'none tried'}); install libegl1 and "
-        "libgl1-mesa-dri or libosmesa6, or set MUJOCO_GL. A plain drawing takes its place."
+        f"No OpenGL for pictures without a display ({'; '.join(tried) or 'none tried'}); install libegl1, "
+        "libopengl0 and libgl1-mesa-dri, or set MUJOCO_GL. A plain drawing takes its place."
     )
 
 
