@@ -209,52 +209,6 @@ def test_any_urdf_with_its_gripper_left_off_and_side_joints_fixed(tmp_path):
     assert arm.tray_pose(np.array([np.pi / 2]))[0] == pytest.approx([0, 1, 0], abs=1e-12)
 
 
-CRANE = """<robot name="crane">
-  <link name="base"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
-  <link name="mast"/>
-  <link name="hook"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
-  <joint name="turn" type="revolute"><parent link="base"/><child link="mast"/><axis xyz="0 0 1"/>
-    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-  <joint name="reach" type="prismatic"><parent link="mast"/><child link="hook"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="1" effort="1" velocity="1"/></joint>
-</robot>"""
-
-
-def test_clearance_by_hand(tmp_path):
-    """Two cubes of 0.1 m, 0.3 m apart between centres: 0.2 m; turned by 45 degrees one shows its edge,
-    0.1 sqrt(2) / 2 from its centre. The tray, 0.5 m above the hook, is 0.445 m above the base's top."""
-    path = tmp_path / "crane.urdf"
-    path.write_text(CRANE)
-    tray = scenario.Tray(height=0.5, thickness=0.01, size=(0.2, 0.2))
-    parts = arm_geometry(make(str(path), tray, flange="hook", base_position=(1, 2, 3), base_yaw_deg=20))
-    assert parts.names == ("base", "hook", "tray")
-    assert parts.pairs == ((0, 1), (0, 2))
-    q = np.array([[0.0, 0.3], [np.pi / 4, 0.3], [0.0, 0.06]])
-    towards_edge = 0.3 - 0.05 - 0.05 * np.sqrt(2)
-    assert parts.clearance(q)[:2, 0] == pytest.approx([0.2, towards_edge], abs=1e-6)
-    assert parts.clearance(q)[2] == pytest.approx([-0.04, 0.44], abs=1e-6)
-    touch = parts.first_touch(q)
-    assert (touch.first, touch.second, touch.index) == ("base", "hook", 2)
-    assert parts.near(q[:2], 0.3).pairs == ((0, 1),)
-    assert parts.lowest(q) == pytest.approx(-0.05)
-
-
-def test_clearance_of_obstacles_by_hand(tmp_path):
-    """A ball, a lying capsule and a turned box above the base: 1 m less what each is thick, less half the cube."""
-    path = tmp_path / "crane.urdf"
-    path.write_text(CRANE)
-    arm = make(str(path), scenario.Tray(height=0.5), flange="hook")
-    around = [
-        scenario.Obstacle(type="sphere", radius=0.1, position=(0.5, 0, 1)),
-        scenario.Obstacle(type="capsule", radius=0.1, length=0.4, position=(0.5, 0, -1), rpy_deg=(0, 90, 0)),
-        scenario.Obstacle(type="box", size=(0.2, 0.2, 2.0), position=(0.5, 1.3, 0), rpy_deg=(90, 0, 0)),
-    ]
-    parts = arm_geometry(arm, [], around)
-    hook = [k for k, (i, _) in enumerate(parts.pairs) if parts.names[i] == "hook"]
-    distances = parts.clearance(np.array([[0.0, 0.5]]))[0, hook]
-    assert distances == pytest.approx([0.85, 0.85, 0.25], abs=1e-6)
-
-
 def test_clearance_gradient_by_differences():
     """All but a few of the pairs: where faces meet faces the nearest points jump, and with them the derivative."""
     cube = scenario.load("panda-cube")

@@ -14,10 +14,12 @@ from salver.geometry import Array
 from salver.models import worst_case
 from salver.models.contact_rows import contact_rows
 from salver.models.contents import Hull, largest_mean, most_second_moments
+from salver.models.interfaces import sure_contacts
 from salver.models.parameters import Parameter
 from salver.models.physical import realisable
 from salver.models.rigid_body import inertia_entries
 from salver.models.worst_case import Drift, WorstCase
+from salver.models.wrench_cone import cone_facets
 from salver.sampling import METHODS, draw
 from salver.scenario import Scenario, load
 from salver.simulation.loads import true_world
@@ -89,6 +91,48 @@ def test_never_optimistic_against_a_hundred_thousand_densities() -> None:
         value = (wrench @ facets.T / nasty.G).max(axis=1)
         assert value.max() <= bound[k].max() + 1e-9
         assert value.max() > bound[k].max() - 0.12  # random densities come near to it
+
+
+def test_a_place_and_each_moment_of_what_is_inside_count_with_the_largest_that_both_can_be() -> None:
+    """The wrench of a unit mass at x is a polynomial in x, of which a few places tell each term; E x_i x_j is bounded
+    by (x - low)(high - x) >= 0 and by Cauchy and Schwarz. It counts from the nominal one on, of the least mass."""
+    made = anything(nasty.scenario([{**nasty.LOWER, "name": "box"}])).with_changes(
+        uncertainty={"tilt_deg": [1.0, 0.0]}, objects__0__uncertainty__position=[0.003, 0.0]
+    )
+    payload = made.payload
+    (rows,), (network,), body = contact_rows(payload), payload.networks, payload.first
+    facets = cone_facets(sure_contacts(network, payload.tray_half, payload.uncertain)[0]).rows
+
+    def value(w: Array, x: Array, place: str, share: float) -> Array:
+        seen = nasty.true_body(made, body, {place: share * {"position_x": 0.003, "tilt_x": np.deg2rad(1.0)}[place]})
+        spin = w[[6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(3, 3)
+        rate = np.cross(np.eye(3), w[3:6]) + spin - np.trace(spin) * np.eye(3)
+        force = seen.R_EB.T @ (w[:3] + rate @ (seen.p_EB + seen.R_EB @ x))
+        return np.concatenate([force, np.cross(x, force)]) @ facets.T / nasty.G
+
+    low, high = limits(made)
+    square = np.abs(low + high) * COM - low * high
+    inertia = body.inertial.inertia_com
+    nominal = (0.5 * np.trace(inertia) * np.eye(3) - inertia) / (0.85 * body.inertial.mass)
+    for w in nasty.felt(nasty.tray_motion(3, 3, 1.5)):
+        expected = np.zeros(len(facets))
+        for place in ("position_x", "tilt_x"):
+
+            def moved(x: Array, w: Array = w, place: str = place) -> Array:
+                return 0.5 * (value(w, x, place, 1.0) - value(w, x, place, -1.0))
+
+            second = {}
+            for i, e in enumerate(np.eye(3)):
+                expected += COM[i] * np.abs(0.5 * (moved(e) - moved(-e)))
+                second[i, i] = 0.5 * (moved(e) + moved(-e)) - moved(0 * e)
+            for i, j in [(0, 1), (0, 2), (1, 2)]:
+                e = np.eye(3)[i] + np.eye(3)[j]
+                second[i, j] = 0.5 * (moved(e) + moved(-e)) - moved(0 * e) - second[i, i] - second[j, j]
+            for (i, j), each in second.items():
+                expected += (np.sqrt(square[i] * square[j]) + abs(nominal[i, j])) * np.abs(each)
+        assert expected.max() > 1e-4
+        products = rows.remainder[-12:] @ w  # three with the place, nine with the tilt, after its square and theirs
+        assert np.abs(products).sum(axis=0) == pytest.approx(np.tile(expected, 2), abs=1e-12)
 
 
 @pytest.mark.slow
