@@ -19,7 +19,7 @@ from salver.campaigns.summary import read_table
 from salver.errors import SalverError
 from salver.planning.make import make_plan
 
-N = 30
+N = 16
 
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="processes are looked up in /proc")
 
@@ -258,7 +258,7 @@ def test_the_directory_of_another_campaign_is_not_touched(finished, run_dir):
     shutil.copytree(finished.folder, run_dir / "campaign")
     before = {path.name: path.read_bytes() for path in (run_dir / "campaign").iterdir()}
     for options in ({"seed": 1}, {"method": "sobol"}, {"n": 5}, {"stems": ["plan"]}, {"engine": "physics"}):
-        with pytest.raises(SalverError, match="holds another campaign: 30 runs of plan and baseline"):
+        with pytest.raises(SalverError, match=f"holds another campaign: {N} runs of plan and baseline"):
             run_campaign(run_dir, **{"n": N, "engine": "closed-loop", "jobs": 1, **options})
     (run_dir / "plan.npz").write_bytes((run_dir / "baseline.npz").read_bytes())
     with pytest.raises(SalverError, match="was edited since"):

@@ -61,6 +61,7 @@ def test_help_answers_at_once():
     assert min(used) < 0.5
 
 
+@pytest.mark.slow
 def test_no_command_shows_the_help():
     done = salver()
     assert done.returncode == 2

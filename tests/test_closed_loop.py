@@ -76,12 +76,12 @@ def test_agrees_with_the_textbook_equations_integrated_in_absolute_coordinates()
         dq = 0.5 * np.concatenate([[-q[1:] @ w], q[0] * w + hat(q[1:]) @ w])
         return np.concatenate([v, dq, a, alpha])
 
-    times = np.array([0.05, 0.2, 0.35, 0.5])
+    times = np.array([0.05, 0.1, 0.2, 0.25])
     s0 = reference.sample(0.0)
     x0 = np.concatenate(
         [s0.p_SB[0] + start, quat_wxyz_from_matrix(s0.R_SB[0] @ exp(3 * start)), s0.v_S[0], s0.omega_B[0] - start]
     )
-    solution = solve_ivp(rate, (0, 0.5), x0, method="DOP853", t_eval=times, rtol=1e-11, atol=1e-12).y.T
+    solution = solve_ivp(rate, (0, 0.25), x0, method="DOP853", t_eval=times, rtol=1e-11, atol=1e-12).y.T
     s = reference.sample(times)
     states = [split(x) for x in solution]
     expected = np.array(

@@ -28,6 +28,7 @@ def test_one_line_in_a_console_and_one_table_in_a_notebook(shown, name):
     assert len(html) < 4000
 
 
+@pytest.mark.slow
 def test_what_is_shown_is_what_was_found(shown):
     assert repr(shown["plan"]) == "<Plan panda-cube-1.2s, method robust, duration 1.2 s, ok yes>"
     assert shown["run"].facts()["outcome"] == "holds"

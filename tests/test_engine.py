@@ -22,7 +22,7 @@ CUBE = scenario.load("panda-cube").payload.first
 GRASP_MAP = CUBE.contacts.grasp_map
 NAMES = ("mass", "com_x", "com_y", "com_z", "inertia_xx", "inertia_xy", "inertia_zz")
 STEPS = np.array([2e-4, *[2e-5] * 3, *[3e-7] * 3])  # a thousandth of what is carried, or 20 micrometres
-TIMES = np.linspace(0, 1, 21)
+TIMES = np.linspace(0, 0.5, 11)
 
 
 def own(names):

@@ -20,6 +20,7 @@ from salver.planning.fastest.bound import least_by_friction, least_duration, lea
 from salver.planning.fastest.constraints import Clearance, evaluate
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.exchange import rough
+from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.obstacles import AT_NODES, KeepOut
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.search import few_pieces, refitted
@@ -48,6 +49,12 @@ def behind_a_post() -> TransportProblem:
         objects__0__uncertainty={}, motion__orientation="free", obstacles=[POST]
     )
     return transport_problem(case)
+
+
+@pytest.fixture(scope="module")
+def past_the_post(behind_a_post: TransportProblem) -> FastestMotion:
+    """With few pieces there are ten centimetres from node to node, and the post is six thick."""
+    return fastest(behind_a_post, FastestOptions(spans=8))
 
 
 def test_a_way_around_touches_nothing_stays_level_and_is_the_same_for_the_same_seed(behind_a_post):
@@ -321,8 +328,8 @@ def test_a_slippery_load_has_its_bound_by_friction():
     assert plan.solver["bound"] < plan.duration
 
 
-def test_no_motion_is_faster_than_its_joints_alone(behind_a_post):
-    found = fastest(behind_a_post, FastestOptions(spans=8))
+def test_no_motion_is_faster_than_its_joints_alone(behind_a_post, past_the_post):
+    found = past_the_post
     bound = least_duration(behind_a_post.limits, found.coefficients[0], found.coefficients[-1])
     assert 0.2 * found.duration < bound < found.duration
 
@@ -391,9 +398,8 @@ def test_a_search_that_is_interrupted_says_so_and_keeps_what_it_has(behind_a_pos
 
 
 @pytest.mark.slow
-def test_a_thin_post_does_not_fit_between_the_nodes_of_a_rough_motion(behind_a_post):
-    """With few pieces there are ten centimetres from node to node, and the post is six thick."""
-    found = fastest(behind_a_post, FastestOptions(spans=8))
+def test_a_thin_post_does_not_fit_between_the_nodes_of_a_rough_motion(behind_a_post, past_the_post):
+    found = past_the_post
     assert found.status.ok
     assert found.duration < 0.95  # 0.83 s with many pieces
     q = found.sample(np.linspace(0, found.duration, 800))[0]

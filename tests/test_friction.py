@@ -139,6 +139,7 @@ def test_times_that_cannot_be_are_refused(plan: Plan, asked: dict[str, float], s
         friction(plan, held=asked.get("held"), slid=asked.get("slid"))
 
 
+@pytest.mark.slow
 def test_command_plans_and_reads(tmp_path: Path) -> None:
     def said(*words: str) -> str:
         done = CliRunner().invoke(app, ["calibrate", "friction", *words])

@@ -83,6 +83,7 @@ def test_what_is_missing_is_of_second_order() -> None:
     assert ratio == pytest.approx(4, rel=0.35)  # third order is a tenth of second order here
 
 
+@pytest.mark.slow
 def test_tubes_grow_by_the_share_of_their_largest_radius() -> None:
     found = inflated(with_com(0.001), 20)
     first = evaluate(with_com(0.001), LINE, 101).cone_radius

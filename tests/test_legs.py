@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tomli_w
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import salver as sv
@@ -121,6 +121,7 @@ def test_what_is_not_known_of_several_legs_is_refused(changes, words):
         parsed(**changes)
 
 
+@settings(max_examples=30)
 @given(st.lists(st.tuples(st.sets(st.sampled_from("abc")), st.sets(st.sampled_from("abc"))), max_size=4))
 def test_loads_are_what_was_there_less_what_was_taken_and_more_what_was_put(stops):
     objects = [

@@ -148,6 +148,7 @@ def test_a_notebook_shows_the_page_of_a_plan_that_was_never_saved(plan, run, tmp
     assert written.path.read_text() == written.html
 
 
+@pytest.mark.slow
 def test_a_campaign_as_a_table(directory):
     runs = sv.campaign(directory, 3, engine="closed-loop", jobs=1)
     frame = runs.to_pandas()

@@ -39,6 +39,7 @@ def test_both_plans_side_by_side(run_directory):
         assert record.outcome == "holds"
 
 
+@pytest.mark.slow
 def test_json_is_one_document(run_directory):
     result = salver("simulate", run_directory, "--set", "friction=0.1", "--json")
     assert result.exit_code == 0

@@ -6,21 +6,32 @@ import ast
 from itertools import pairwise
 from pathlib import Path
 
+import pytest
+
 FOLDER = Path(__file__).parent
-TREES = {path.stem: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.py"))}
 REFUSALS = ("raises", "warns", "fail", "check_call", "assert_")
 
+Nodes = dict[str, list[ast.AST]]
 
-def _called(node: ast.AST) -> set[str]:
-    calls = (call.func for call in ast.walk(node) if isinstance(call, ast.Call))
+
+@pytest.fixture(scope="module")
+def every() -> Nodes:
+    """Every node of every file."""
+    return {x.stem: list(ast.walk(ast.parse(x.read_text(encoding="utf-8")))) for x in sorted(FOLDER.glob("*.py"))}
+
+
+def _called(nodes: list[ast.AST]) -> set[str]:
+    calls = (call.func for call in nodes if isinstance(call, ast.Call))
     return {func.attr if isinstance(func, ast.Attribute) else getattr(func, "id", "") for func in calls}
 
 
-def _asserting() -> set[str]:
+def _asserting(every: Nodes) -> set[str]:
     """Functions and methods of tests that may fail, by themselves or by one that they call."""
-    functions = [n for tree in TREES.values() for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)]
-    calls = [(n.name, _called(n)) for n in functions]
-    found = {n.name for n in functions if any(isinstance(part, ast.Assert) for part in ast.walk(n))}
+    functions = [
+        (n.name, list(ast.walk(n))) for nodes in every.values() for n in nodes if isinstance(n, ast.FunctionDef)
+    ]
+    calls = [(name, _called(nodes)) for name, nodes in functions]
+    found = {name for name, nodes in functions if any(isinstance(part, ast.Assert) for part in nodes)}
     found |= {name for name, called in calls if any(of.startswith(REFUSALS) for of in called)}
     while more := {name for name, called in calls if name not in found and called & found}:
         found |= more
@@ -34,12 +45,12 @@ def _checked_processes(node: ast.AST) -> bool:
     )
 
 
-def test_every_test_can_fail():
-    asserting = _asserting()
+def test_every_test_can_fail(every: Nodes) -> None:
+    asserting = _asserting(every)
     silent = [
         f"{name}.{node.name}"
-        for name, tree in TREES.items()
-        for node in ast.walk(tree)
+        for name, nodes in every.items()
+        for node in nodes
         if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
         if node.name not in asserting and not _checked_processes(node)
     ]
@@ -57,11 +68,11 @@ def _same(assertion: ast.Assert) -> bool:
     return isinstance(test, ast.Tuple)  # assert (this, "said")
 
 
-def test_no_assertion_is_true_by_its_words():
+def test_no_assertion_is_true_by_its_words(every: Nodes) -> None:
     same = [
         f"{name}.py:{node.lineno}"
-        for name, tree in TREES.items()
-        for node in ast.walk(tree)
+        for name, nodes in every.items()
+        for node in nodes
         if isinstance(node, ast.Assert) and _same(node)
     ]
     assert same == []

@@ -101,7 +101,7 @@ def test_what_all_joints_are_late_together_costs_nothing(plan: Plan, judge: Judg
     assert found.planned == pytest.approx(-float(plan.margins.exact_worst.min()), abs=0.02)
 
 
-@pytest.mark.parametrize("noise", [0.0, 2e-5])
+@pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 2e-5])
 def test_excess_is_that_of_the_true_states(plan: Plan, noise: float) -> None:
     """Within 20 % or half a per cent of the weight."""
     slow = with_robot(plan, physics__robot={"control": "position", "bandwidth": UNEQUAL})
@@ -176,10 +176,15 @@ def test_tuned_for_a_robot_the_bottle_stays(plan: Plan) -> None:
     assert Experiment(tuned).run(load_).outcome == "holds"
 
 
-def test_what_costs_too_much_is_refused(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Friction of 0.4 N m is no log of this plan any more; 0.2 N m asks for more than, say, 3 % of margin."""
+def test_a_joint_that_its_friction_holds_back_is_not_controlled(plan: Plan) -> None:
+    """Friction of 0.4 N m is no log of this plan any more."""
     with pytest.raises(FileFormatError, match="not controlled"):
         next(tune(with_robot(plan, physics__joint_friction=0.4), engine_robot))
+
+
+@pytest.mark.slow
+def test_what_costs_too_much_is_refused(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Friction of 0.2 N m asks for more than, say, 3 % of margin."""
     monkeypatch.setattr(tuning, "DEAREST", 0.03)
     monkeypatch.setattr(tuning, "HELPS", 0.0)
     rounds = list(tune(with_robot(plan, physics__joint_friction=0.2), engine_robot))
