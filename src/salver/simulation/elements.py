@@ -50,15 +50,17 @@ def strap(spec: Any, load: Load, k: int, contact_time: float) -> None:
     weld.data[:11] = [0.0, 0.0, 0.0, *load.p_EB, *quat_wxyz_from_matrix(load.R_EB), 1.0]
 
 
-def set_options(spec: Any, timestep: float, with_arm: bool) -> None:
-    """Solver, integrator and gravity; see the module."""
+def set_options(spec: Any, timestep: float, with_arm: bool, several: bool = False) -> None:
+    """Solver, integrator and gravity; see the module. several: more than one object on the tray."""
     option = spec.option
     option.timestep = timestep
     option.gravity = [0, 0, -9.81] if with_arm else [0, 0, 0]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    # An arm with four glasses takes two fifths of the time when what one glass does not know of another is left out.
+    sparse = with_arm and several
+    option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE if sparse else mujoco.mjtJacobian.mjJAC_DENSE
     option.impratio = 300
     option.tolerance = 1e-14
     option.iterations = 100

@@ -148,7 +148,7 @@ def specify(
     spec = mujoco.MjSpec()
     if visual:
         add_surroundings(spec)
-    set_options(spec, scenario.physics.timestep, with_arm=arm is not None)
+    set_options(spec, scenario.physics.timestep, arm is not None, several=len(world.loads) > 1)
     root = spec.worldbody
     if arm is not None:
         parent = add_arm(spec, arm, each_joint(scenario.physics.joint_friction, arm, "physics.joint_friction"), visual)
