@@ -19,7 +19,7 @@ from salver.models.parameters import Parameter
 from salver.models.tray_motion import at_rest
 from salver.models.wrench_cone import facets
 from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.evaluation import of_cases, sloshes
+from salver.planning.fastest.evaluation import Sloshing, of_cases
 from salver.planning.fastest.found import EFFORTS, object_motion
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.planning.fastest.retiming import plan_retimed
@@ -583,7 +583,7 @@ def test_waves_that_an_arm_with_a_known_load_feels_are_nearly_those_that_were_pl
     rates = [x * swing for x in blend]
     motion = problem.at(s[:, 0], np.stack([problem.start_posture + rates[0], *rates[1:], 0 * rates[0]]), 1.0)
     response = motion.response
-    planned, given = sloshes(problem.liquids[0], s[:, 0], motion.terms.w, response)
+    planned, given = Sloshing.of(problem.liquids[:1], s[:, 0], motion.terms.w, response).each["cup"]
     assert np.abs(planned.waves.eta).max() > 1e-3  # m
     np.testing.assert_allclose(given.waves.eta, planned.waves.eta, atol=0.15 * np.abs(planned.waves.eta).max())
     # What waves and arm do to each other goes round and round, less each time.

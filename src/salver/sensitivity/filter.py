@@ -25,6 +25,7 @@ _GAUSS_POINTS = 0.5 + 0.5 * np.polynomial.legendre.leggauss(3)[0]
 _GAUSS_WEIGHTS = 0.5 * np.polynomial.legendre.leggauss(3)[1]
 _LARGEST_STEP = 0.35  # of the fastest rate times h: the quadrature's relative error is then below 1e-8
 _FINE_POINTS, _FINE_WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(6))
+MANY = 24  # drives, beyond which several filters side by side are stepped from node to node together
 _MOST_PIECES = 64  # of an interval, each as long as the filter's fastest time constant
 
 
@@ -96,7 +97,7 @@ class LinearFilter:
             state[..., 1:, :, :] = self.gain @ flat.reshape(*lead, steps, width, -1)
         else:
             state[..., 1:, :, :] = self.gain @ flat[..., self.samples, :]
-        state = self._solved(state)
+        state = self._stepped(state) if lead and flat.shape[-1] > MANY else self._solved(state)
         return state[..., 0, :].reshape(shape), state[..., 1, :].reshape(shape)
 
     def acceleration(self, drive: Array, x: Array, rate: Array) -> Array:
@@ -121,6 +122,13 @@ class LinearFilter:
         bands[2, ..., :-1, 0], bands[3, ..., :-1, 0] = -self.step[..., 0, 0], -self.step[..., 1, 0]
         bands[1, ..., :-1, 1], bands[2, ..., :-1, 1] = -self.step[..., 0, 1], -self.step[..., 1, 1]
         return np.asfortranarray(bands.reshape(4, -1))
+
+    def _stepped(self, state: Array) -> Array:
+        """As `_solved`, all filters and drives together, node by node: quicker where there are many drives."""
+        found = np.ascontiguousarray(np.moveaxis(state, -3, 0))
+        for before, step, now in zip(found, np.moveaxis(self.step, -3, 0), found[1:], strict=False):
+            now += step @ before
+        return np.moveaxis(found, 0, -3)
 
     def _solved(self, state: Array) -> Array:
         right = np.asfortranarray(state.reshape(-1, state.shape[-1]))

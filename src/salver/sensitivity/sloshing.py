@@ -54,6 +54,11 @@ class Slosh:
         freer = np.abs(change.free).sum(axis=3)
         return cls(waves, waves.wrench, planned, reaction, change, higher, freer, highest(left).sum(axis=1))
 
+    def along(self, planned: Waves) -> Slosh:
+        """Of other waves that are planned, with an arm that gives way as here."""
+        waves = planned.shifted(self.waves.w - self.planned.w)
+        return replace(self, waves=waves, wrench=waves.wrench, planned=planned)
+
     @property
     def crest(self) -> Array:
         """(K, T) m, at the worst of what is uncertain."""
@@ -72,14 +77,23 @@ class Slosh:
         """The wrench at some instants."""
         return replace(self, wrench=self.wrench[:, index])
 
+    def part(self, some: slice, planned: Waves | None = None) -> Slosh:
+        """Some of the cases; planned: theirs, where they are known."""
+        waves = self.waves.part(some)
+        if planned is None:
+            planned = waves if self.planned is self.waves else self.planned.part(some)
+        reaction = None if self.reaction is None else self.reaction[some]
+        change = None if self.change is None else self.change.part(some)
+        return Slosh(waves, self.wrench[some], planned, reaction, change, *self._more(some))
+
     def only(self, k: int) -> Slosh:
         """What becomes of the surface in one case."""
-        some = [k]
-        higher, freer, more = (
-            x if np.ndim(x) == 0 else np.asarray(x)[some] for x in (self.higher, self.freer, self.more_left)
-        )
-        waves = self.waves.only(k)
+        some = slice(k, k + 1)
+        waves, (higher, freer, more) = self.waves.part(some), self._more(some)
         return Slosh(waves, self.wrench[some], waves, higher=higher, freer=freer, more_left=more)
+
+    def _more(self, some: slice) -> list[Array | float]:
+        return [x if np.ndim(x) == 0 else np.asarray(x)[some] for x in (self.higher, self.freer, self.more_left)]
 
     # Derivatives (m, c) of rows (m,), each of one case at one node, by unknowns of the motion (c,). How the arm gives
     # way is taken as given, for what it makes of the waves changes little.
@@ -90,7 +104,9 @@ class Slosh:
         freer = np.zeros_like(free) if self.change is None else np.asarray(self.freer)[case, node]
         by_free = 2 * which.peaking[case] / which.half[case] * (free + freer * np.sign(free))
         by_eta = which.steepest_by(self.waves.eta[case, node])
-        return surface_by(self.planned, unknowns, case, node, by_eta, by_free, TILTING / GRAVITY * which.wide**2)
+        return surface_by(
+            self.planned, unknowns, case, node, by_eta, by_free, TILTING / GRAVITY * which.wide[case] ** 2
+        )
 
     def free_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Of the height of the free wave."""
@@ -205,12 +221,9 @@ class Sloshed:
         total, chosen, liquids = np.zeros((1, 1)), list[Indices](), []
         for name, sloshes in sloshing.items():
             j = index.get(name)
-            each = (added for part in sloshes for added in _added(part, rows, j))
-            most, worst = next(each), np.zeros(1, dtype=np.intp)
-            for k, added in enumerate(each, start=1):
-                if j is not None:
-                    worst = np.where(added > most, k, worst)
-                most = np.maximum(most, added)
+            added = np.concatenate([_added(part, rows, j) for part in sloshes])
+            most = added.max(axis=0)
+            worst = np.zeros(1, dtype=np.intp) if j is None else added.argmax(axis=0)
             total = total + most
             chosen.append(np.broadcast_to(worst, most.shape))
             liquids.append((j, sloshes))
@@ -241,20 +254,19 @@ def of_parts(sloshes: Sequence[Slosh], which: Indices) -> Iterator[tuple[Slosh, 
         before += count
 
 
-def _added(part: Slosh, rows: ContactRows, j: int | None) -> Iterator[Array]:
-    """(T, n) of each case, (1, 1) for nothing; j: which body of the network the liquid is in, None for one that stands
+def _added(part: Slosh, rows: ContactRows, j: int | None) -> Array:
+    """(K, T, n) of the cases of a part; j: which body of the network the liquid is in, None for one that stands
     elsewhere."""
-    for k, wrench in enumerate(part.wrench):
-        added = np.zeros((1, 1))
-        if part.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
-            added = part.reaction[k] @ rows.nominal.T
-        if j is not None:
-            added = added + wrench @ rows.wrench[j].T
-            if part.change is not None:
-                spread = np.ascontiguousarray(np.moveaxis(part.change.wrench[k], 2, 1))  # (T, n_c, 6)
-                swung = spread @ rows.wrench[j].T
-                added += np.abs(swung, out=swung).sum(axis=1)
-        yield added
+    K, T, _ = part.wrench.shape
+    added = np.zeros((K, T, len(rows.nominal)))
+    if part.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
+        added += part.reaction @ rows.nominal.T
+    if j is not None:
+        added += part.wrench @ rows.wrench[j].T
+        if part.change is not None:
+            swung = np.swapaxes(part.change.wrench, 2, 3) @ rows.wrench[j].T  # (K, T, n_c, n)
+            added += np.abs(swung, out=swung).sum(axis=2)
+    return added
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,9 +51,9 @@ class Unknowns:
 
 
 def surface_by(
-    waves: Waves, unknowns: Unknowns, case: Indices, node: Indices, by_eta: Array, by_free: Array, thrown: float
+    waves: Waves, unknowns: Unknowns, case: Indices, node: Indices, by_eta: Array, by_free: Array, thrown: Array | float
 ) -> Array:
-    """Of by_eta . eta + by_free . free, (m, 2) each, and `thrown` times the square of the rate of tilting."""
+    """Of by_eta . eta + by_free . free, (m, 2) each, and `thrown` (m,) times the square of the rate of tilting."""
     which = waves.cases
     both, up = by_eta + by_free, waves.upward[case, node]
     by_slope = (by_free * which.half[case] - both * which.rest_rise[case]) / up[:, None]
@@ -61,7 +61,7 @@ def surface_by(
     by_force = np.column_stack([lateral, -(by_slope * waves.slope[case, node]).sum(axis=1)])
     by_spin = up * (by_slope * across(waves.slope[case, node])).sum(axis=1)
     by_r = which.gain[case] * both[:, None, :]
-    by_w = (by_force[:, None] @ which.at_O[case])[:, 0] + thrown * TURNING
+    by_w = (by_force[:, None] @ which.at_O[case])[:, 0] + np.multiply.outer(thrown, TURNING)
     return at_node(unknowns, waves, case, node, by_r, None, by_w, by_spin)
 
 

@@ -58,7 +58,7 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """K cases of the liquid of one body, as arrays.
+    """K cases of liquids, of one or more bodies that are all round or all boxes, as arrays.
 
     at_O (K, 3, 12), at_mode (K, n_modes, 2, 12): w of the tray's E to the specific force at the centre of the surface,
     and the lateral one at each mode. to_E (K, 6, 6): wrench at O to that at E, in E. omega, kd, mass, height, gain
@@ -85,9 +85,10 @@ class Cases:
     @classmethod
     @lru_cache(maxsize=64)
     def of(cls, each: tuple[Case, ...]) -> Cases:
-        body, modes = each[0].body, [case.modes for case in each]
+        modes = [case.modes for case in each]
         at_O, at_mode, to_E = [], [], []
         for case, own in zip(each, modes, strict=True):
+            body = case.body
             O_E = body.p_EB + body.R_EB @ body.surface_B(case.fill)
             at_O.append(frame_map(O_E, body.R_EB)[:3])
             maps = [[frame_map(O_E + z * body.R_EB[:, 2], body.R_EB) for z in heights] for heights in own.height]
@@ -122,9 +123,9 @@ class Cases:
         return self.liquid.round
 
     @property
-    def wide(self) -> float:
-        """m, the larger of `half`."""
-        return float(self.half[0].max())
+    def wide(self) -> Array:
+        """(K,) m, the larger of `half`."""
+        return np.asarray(self.half.max(axis=1))
 
     def highest(self, eta: Array) -> Array:
         """As `Modes.highest`."""
@@ -151,7 +152,8 @@ def cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[Ca
 
 
 def along(several: Sequence[Case], t: Array, w: Array) -> Waves:
-    """The waves of cases of one body along a motion that begins at rest: what the tray feels, w (T, 12), at t (T,)."""
+    """The waves of cases, all round or all boxes, along a motion that begins at rest: what the tray feels, w (T, 12),
+    at t (T,)."""
     which = Cases.of(tuple(several))
     felt = np.broadcast_to(w, (len(several), *w.shape))
     upward = _upward(which, felt)
@@ -217,12 +219,15 @@ class Waves:
         """The same with the masses elsewhere."""
         return replace(self, r=r, rate=rate, second=second)
 
-    def only(self, k: int) -> Waves:
-        """One of the cases."""
-        some = np.array([k])
-        which, filters = Cases.of((self.cases.each[k],)), self.filters.only((some,))
+    def part(self, some: slice) -> Waves:
+        """Some of the cases, with what is known of them."""
+        which, filters = Cases.of(self.cases.each[some]), self.filters.only((some,))
         names = ("w", "upward", "spin", "at_modes", "r", "rate", "second")
-        return replace(self, cases=which, filters=filters, **{name: getattr(self, name)[some] for name in names})
+        found = replace(self, cases=which, filters=filters, **{name: getattr(self, name)[some] for name in names})
+        for name in ("force", "slope", "eta", "free", "crest", "wrench"):
+            if name in self.__dict__:
+                found.__dict__[name] = self.__dict__[name][some]
+        return found
 
     def shifted(self, dw: Array) -> Waves:
         """The waves of w + dw (K, T, 12), to first order in dw, which begins with the motion."""
@@ -328,7 +333,7 @@ class Waves:
         """(K, T) height of the highest point over the surface at rest, m, what is not linear included."""
         which, turning = self.cases, self.w @ TURNING
         steep = (which.peaking[:, None] / which.half[:, None] * self.free**2).sum(axis=-1)
-        return which.highest(self.eta) + steep + TILTING / GRAVITY * which.wide**2 * turning
+        return which.highest(self.eta) + steep + TILTING / GRAVITY * which.wide[:, None] ** 2 * turning
 
     def raised(self, by: Array | float, freer: Array | float) -> Array:
         """(K, T) the crest, m, of waves that are higher by so much, (K, T), of which the free wave by (K, T, 2) at
@@ -436,7 +441,7 @@ class Waves:
         out[:, :, 4] = tilted[:, :, 0] - hangs[:, :, 0] * f[:, :, 2] - hung[:, :, 0] * force[:, :, 2]
         out[:, :, 5] = hangs[:, :, 0] * f[:, :, 1] - hangs[:, :, 1] * f[:, :, 0]
         out[:, :, 5] += hung[:, :, 0] * force[:, :, 1] - hung[:, :, 1] * force[:, :, 0]
-        thrown = TILTING / GRAVITY * which.wide**2 * (TURNING @ dw)
+        thrown = TILTING / GRAVITY * which.wide[:, None, None] ** 2 * (TURNING @ dw)
         wrench = which.to_E[:, None] @ out
         return Change(eta, eta + which.half[:, None, :, None] * slope, thrown, wrench, ending)
 
@@ -445,8 +450,8 @@ class Waves:
 class Change:
     """What c changes of what the tray feels make of waves, to first order.
 
-    eta, free: (K, T, 2, c) of the waves' heights along both axes, m. thrown: (K or 1, T, c) of what tilting throws up,
-    m. wrench: (K, T, 6, c) at E. ending: of each mode, (K, n_modes, 2, c) of its place and of its speed over its
+    eta, free: (K, T, 2, c) of the waves' heights along both axes, m. thrown: (K, T, c) of what tilting throws up, m.
+    wrench: (K, T, 6, c) at E. ending: of each mode, (K, n_modes, 2, c) of its place and of its speed over its
     frequency, m.
     """
 
@@ -455,6 +460,11 @@ class Change:
     thrown: Array
     wrench: Array
     ending: tuple[Array, Array]
+
+    def part(self, some: slice) -> Change:
+        """Of some of the cases."""
+        ending = self.ending[0][some], self.ending[1][some]
+        return Change(self.eta[some], self.free[some], self.thrown[some], self.wrench[some], ending)
 
 
 def turned(x: Array, angle: Array) -> Array:

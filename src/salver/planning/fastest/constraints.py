@@ -31,6 +31,7 @@ LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is jud
 LEVEL_SCALE = 1e-3  # rows of "level" in rad, the size at which a tilt matters to contact
 REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves what stands on it
 CONTACT_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
+ROWS_OF_SEVERAL = 2  # and of one beside which there are others, with liquids
 JOINING = 3  # times as many may join, where a step led beyond rows that had been left out
 UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
 SLOSH_REACH = 0.05  # of the weight: nearer than this, contact rows have the derivatives of the slosh in them
@@ -287,12 +288,11 @@ class Contact(Constraint):
                 rows[:, 3 * n :] = ((side - 1) * tracking.delay)[:, None] * rows[:, 2 * n : 3 * n]
             return rows
 
+        most = CONTACT_ROWS if len(motion.sloshing) < 2 else ROWS_OF_SEVERAL
         carried = " and ".join(body.name for body in self.rows.network.bodies)
         margins = (self.margin + 1e-3, max(self.margin, FINEST))
         name = f"contact of {carried}{' when the arm follows exactly' * self.exactly}"
-        yield Block(
-            name, values, gradient, motion.nodes, margins, most=CONTACT_ROWS, history=history, remembers=SLOSH_REACH
-        )
+        yield Block(name, values, gradient, motion.nodes, margins, most=most, history=history, remembers=SLOSH_REACH)
 
 
 @dataclass(frozen=True)

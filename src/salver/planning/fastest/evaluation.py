@@ -23,15 +23,69 @@ Indices = npt.NDArray[np.intp]
 EASING = 0.25  # of a motion that begins moving: over this share of it margins grow from nothing
 
 
-def sloshes(several: Sequence[Case], t: Array, w: Array, response: Deviation | None) -> tuple[Slosh, ...]:
-    """Cases of one liquid along what the tray feels, w (T, 12), at t (T,): as planned, and with what the arm makes of
+Parted = tuple[tuple[Case, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Sloshing:
+    """What liquids do along what a tray feels: of each the cases that stand for it, all worked out side by side.
+
+    together: liquids that are all round or all in boxes, and of all their cases, one after the other, the waves as
+    planned and, of an arm that gives way, with what it makes of them.
+    """
+
+    together: tuple[tuple[Parted, tuple[Slosh, ...]], ...]
+
+    @classmethod
+    def of(cls, liquids: Parted, t: Array, w: Array, response: Deviation | None) -> Sloshing:
+        """Along w (T, 12) at t (T,)."""
+        found = []
+        for alike in (True, False):
+            group = tuple(each for each in liquids if each and each[0].liquid.round is alike)
+            if group:
+                found.append((group, _sloshes(group, t, w, response)))
+        return cls(tuple(found))
+
+    def along(self, t: Array, w: Array) -> Sloshing:
+        """The same liquids along another motion, with an arm that gives way as along this one."""
+        found = []
+        for group, (_, *given) in self.together:
+            planned = Slosh.of(along(_cases(group), t, w))
+            found.append((group, (planned, *(part.along(planned.waves) for part in given))))
+        return Sloshing(tuple(found))
+
+    @property
+    def each(self) -> dict[str, tuple[Slosh, ...]]:
+        """The cases of each liquid, by the name of its body, in parts."""
+        found = {}
+        for group, (planned, *given) in self.together:
+            begin = 0
+            for liquid in group:
+                some = slice(begin, begin + len(liquid))
+                first = planned.part(some)
+                found[liquid[0].body.name] = (first, *(part.part(some, first.waves) for part in given))
+                begin += len(liquid)
+        return found
+
+
+def _cases(group: Parted) -> tuple[Case, ...]:
+    return tuple(case for liquid in group for case in liquid)
+
+
+def _sloshes(group: Parted, t: Array, w: Array, response: Deviation | None) -> tuple[Slosh, ...]:
+    """All cases of liquids along what the tray feels, w (T, 12), at t (T,): as planned, and with what the arm makes of
     it."""
-    planned = Slosh.of(along(several, t, w))
+    planned = Slosh.of(along(_cases(group), t, w))
     if response is None:
         return (planned,)
     felt, drift = response.felt()
-    known, unknown = of_cases(several, response.load, drift.dw)
-    known += felt - w
+    each = [of_cases(liquid, response.load, drift.dw) for liquid in group]
+    known = np.concatenate([sure for sure, _ in each]) + (felt - w)
+    unknown = np.zeros((*known.shape, max(free.shape[3] for _, free in each)))
+    begin = 0
+    for _, free in each:
+        unknown[begin : begin + len(free), :, :, : free.shape[3]] = free
+        begin += len(free)
     # The arm gives way to what the waves push, and the waves are then others: twice round is enough.
     reaction = response.reaction(planned.wrench)
     reaction = response.reaction(planned.waves.shifted(known + reaction).wrench)
@@ -111,6 +165,14 @@ class Evaluation:
         like = other.response
         return self if like is None else self.straying(replace(like, terms=self.terms))
 
+    def giving_way_as(self, other: Evaluation) -> Evaluation:
+        """This motion, with an arm that gives way to its load and to its waves as along a motion like it, at the same
+        shares of its time."""
+        self.straying_as(other)
+        t = self.s[self.nodes] * self.duration
+        self.__dict__["_waves"] = other._waves.along(t, self.terms.w)
+        return self
+
     def straying(self, response: Any) -> Evaluation:
         """This motion, with what the arm does to it known."""
         self.__dict__["response"] = response  # where the cached property would keep it
@@ -124,8 +186,11 @@ class Evaluation:
     @cached_property
     def sloshing(self) -> dict[str, tuple[Slosh, ...]]:
         """What each body's liquid does, by the body's name: its cases."""
-        t = self.s[self.nodes] * self.duration
-        return {each[0].body.name: sloshes(each, t, self.terms.w, self.response) for each in self.liquids}
+        return self._waves.each
+
+    @cached_property
+    def _waves(self) -> Sloshing:
+        return Sloshing.of(self.liquids, self.s[self.nodes] * self.duration, self.terms.w, self.response)
 
     @cached_property
     def steps(self) -> Array:

@@ -38,14 +38,19 @@ EXCHANGES = 6  # rounds of adding nodes
 HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
 HOPELESS_AT_NODES = 1e-2  # and nor will one that is broken at the nodes already
 REPAIR = 0.4  # damping of the first step after nodes were added: ever more mending, ever less search
-SLUGGISH = 10.0  # times that, with liquids: the derivatives leave out how the arm gives way to them
-MENDED = 8e-4  # violation that is then left to a repair: less than what the nodes keep from the edge
+SLUGGISH = 10.0  # times that, with liquids
+MENDED = 3e-4  # violation that is then left to a repair: less than what the nodes keep from the edge
 LOOSE_GAIN, LOOSE = 5e-3, 1e-2  # gain and violation of the first optimum with liquids, which shows what cases it lacks
+LOOSELY_POOR = 0.6  # share of what was hoped for below which a step towards that is corrected
+EARNEST = 0.5  # of the gain: of the next one, in which what the arm gives way to the liquids is given
 REPAIR_DEPTH = 0.05  # what is near enough to matter to such a step
 SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
+SMALL_EXCESS_OF_WAVES = 5e-4  # with liquids: waves become lower in steps,
+STRETCHES = 3  # so many at most, each twice as long as the one before
 WAVES_PER_SPAN = 1  # nodes more, where liquids remember what was between them
 POINTS = 2  # from node to node, where joint limits are imposed
 CHECK_FACTOR = 6  # the check between nodes uses a grid this much finer
+CHECK_FACTOR_OF_WAVES = 4  # where nodes are closer already
 POINTS_CHECKED = 5  # and where the joints' limits are, from one point of that grid to the next
 
 SHORTEST = Duration()
@@ -114,14 +119,15 @@ def optimise(
     spline = start.spline
     nodes = spline.nodes(nodes_per_span + WAVES_PER_SPAN * bool(problem.liquids))
     nodes = nodes if also is None else united(nodes, also)
-    check = Grid.of(spline, Grid.of(spline, nodes, CHECK_FACTOR).s, POINTS_CHECKED)
+    finer = CHECK_FACTOR_OF_WAVES if problem.liquids else CHECK_FACTOR
+    check = Grid.of(spline, Grid.of(spline, nodes, finer).s, POINTS_CHECKED)
     fine = curve_of(problem, check)
 
     programme = programme_of(problem, curve_of, start, nodes, objective)
     begun = programme.begin(start.coefficients, start.duration)
     first = Options(iterations, watch, gain=gain)
     if problem.liquids:  # more cases of them will join
-        first = Options(iterations, watch, gain=LOOSE_GAIN, violation=LOOSE)
+        first = Options(iterations, watch, gain=LOOSE_GAIN, violation=LOOSE, poor=LOOSELY_POOR)
     solution = minimise(programme, begun, first, Trust(damping))
     done = solution.iterations
     for exchange in range(EXCHANGES + 1):
@@ -130,14 +136,19 @@ def optimise(
         more = with_missed_cases(problem, seen, point.margin)
         if more is not None:  # fills and dampings that no row stood for
             problem, fine = more, curve_of(more, check)
-            seen = _seen(fine, point)
+            seen = _seen(fine, point).feeling(seen.terms).straying(seen.response)
         worst, binding, slower, peaks = _between(fine, objective, point, seen)
         excess = max(worst.values())
-        if 0.0 < excess < SMALL_EXCESS and objective.scalar is Scalar.DURATION:
-            longer = replace(point, duration=point.duration * (1.0 + slower))
-            stretched, still, _, _ = _between(fine, objective, longer, _seen(fine, longer))
-            if max(stretched.values()) <= 0.0:
-                worst, binding, excess, point = stretched, still, 0.0, longer
+        longer, small = point, SMALL_EXCESS_OF_WAVES if problem.liquids else SMALL_EXCESS
+        for stretch in range(STRETCHES if problem.liquids else 1):
+            if not 0.0 < excess < small or objective.scalar is not Scalar.DURATION:
+                break
+            longer = replace(longer, duration=longer.duration * (1.0 + 2**stretch * slower))
+            stretched, still, slower, _ = _between(fine, objective, longer, _seen(fine, longer))
+            small, excess = excess, max(stretched.values())
+            if excess <= 0.0:
+                worst, binding, point = stretched, still, longer
+        excess = max(worst.values())
         late = watch.over()
         hopeless = excess > HOPELESS or solution.iterate.violation > HOPELESS_AT_NODES
         if excess <= 0.0 or hopeless or exchange == EXCHANGES or late:
@@ -151,12 +162,13 @@ def optimise(
             repair *= SLUGGISH
             options = replace(options, violation=MENDED, least_damping=repair)
             if exchange == 0:  # what was loose is now sought in earnest
-                options = Options(iterations, watch, gain=gain)
+                options = Options(iterations, watch, gain=EARNEST * gain)
         # A repair leads nowhere else: unless something that was not watched came too near, the same is watched.
         same = all(value <= 0.0 or name in binding for name, value in worst.items())
         watched = programme.constraints if same else None
         start = SplineMotion(spline, point.coefficients, point.duration)
         programme = programme_of(problem, curve_of, start, nodes, objective, watched=watched)
+        programme = replace(programme, given=bool(problem.liquids))
         begun = programme.begin(start.coefficients, start.duration)
         solution = minimise(programme, begun, options, Trust(repair, REPAIR_DEPTH))
         done += solution.iterations

@@ -31,7 +31,7 @@ from salver.planning.fastest.constraints import (
     TorqueRateLimit,
 )
 from salver.planning.fastest.ends import AtPose, AtPosture, End
-from salver.planning.fastest.evaluation import Evaluation, Indices, sloshes
+from salver.planning.fastest.evaluation import Evaluation, Indices, Sloshing
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.passing import Passing
 from salver.planning.postures import PoseTarget
@@ -142,12 +142,15 @@ def with_missed_cases(problem: TransportProblem, motion: Evaluation, margin: flo
     if not problem.liquids:
         return None
     t, uncertain = motion.s[motion.nodes] * motion.duration, problem.payload.uncertain
-    found = []
+    missing = []
     for known in problem.liquids:
-        body, here = known[0].body, {(case.fill, case.damping) for case in known}
-        others = [x for x in cases(body, uncertain, VERDICT_APART) if (x.fill, x.damping) not in here]
-        parts = sloshes(others, t, motion.terms.w, motion.response) if others else ()
-        spilt = [Spill.of(body.name, [part.only(k) for part in parts]) for k in range(len(others))]
+        here = {(case.fill, case.damping) for case in known}
+        all_ = cases(known[0].body, uncertain, VERDICT_APART)
+        missing.append(tuple(x for x in all_ if (x.fill, x.damping) not in here))
+    sloshing, found = Sloshing.of(tuple(missing), t, motion.terms.w, motion.response).each, []
+    for known, others in zip(problem.liquids, missing, strict=True):
+        name = known[0].body.name
+        spilt = [Spill.of(name, [part.only(k) for part in sloshing[name]]) for k in range(len(others))]
         found.append((*known, *(c for c, x in zip(others, spilt, strict=True) if x.slack.min() < SURELY_DRY + margin)))
     return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
 

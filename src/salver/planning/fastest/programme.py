@@ -11,7 +11,7 @@ size of a wave does, their second derivatives join it, at the prices that the pr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -107,17 +107,24 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class Programme:
-    """A nonlinear programme: an objective over the motions of a curve, under constraints at the nodes of its grid."""
+    """A nonlinear programme: an objective over the motions of a curve, under constraints at the nodes of its grid.
+
+    given: whether the arm gives way to its load all along as it does where the programme begins. The derivatives leave
+    out that this changes, so steps then bring what they promise; how it does at the end is for a check to see.
+    """
 
     curve: Curve
     constraints: Sequence[Constraint]
     objective: Objective
+    given: bool = field(default=False, kw_only=True)
 
-    def at(self, point: Point) -> Iterate:
-        """All rows at a point."""
+    def at(self, point: Point, like: Evaluation | None = None) -> Iterate:
+        """All rows at a point. like: a motion of which the arm's giving way is taken."""
         grid = self.curve.grid
         z = self.curve.motion(point.coefficients, point.duration)
         motion = self.curve.problem.at(grid.s, z, point.duration, grid.nodes)
+        if like is not None:
+            motion.giving_way_as(like)
         blocks = self.objective.demanded(evaluate(self.constraints, motion), point.margin)
         return Iterate(point, self.curve, motion, blocks, self.objective.value(self.curve, point))
 
@@ -142,7 +149,7 @@ class Programme:
             duration *= float(np.sqrt(1 + step[-1]))
         elif self.objective.scalar is Scalar.MARGIN:
             margin += float(step[-1])
-        return self.at(Point(coefficients, duration, margin))
+        return self.at(Point(coefficients, duration, margin), path.motion if self.given else None)
 
     def derivatives(self, path: Iterate, block: Block, node: Indices, column: Indices) -> Array:
         """Rows (r, size m + 1) of a block by the coefficients and the scalar; with the duration free, of the rows that

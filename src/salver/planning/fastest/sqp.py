@@ -34,7 +34,8 @@ class Options:
     """iterations: when to stop; watch: may stop sooner. gain: relative improvement that counts as none.
     violation: largest violation of a margin-tightened row that counts as converged. penalty: first price of a unit of
     violation, in the unit of the objective. least_damping: of the proximal term. mending: to end with the first step
-    that keeps all rows. beat: the search ends where nothing below this is to be expected.
+    that keeps all rows. poor: share of what was hoped for below which a correction is tried. beat: the search ends
+    where nothing below this is to be expected.
     """
 
     iterations: int = 60
@@ -44,6 +45,7 @@ class Options:
     penalty: float = 20.0
     least_damping: float = 1e-5
     mending: bool = False
+    poor: float = POOR
     beat: float = np.inf
 
     def beaten(self, path: Iterate, hoped: float) -> bool:
@@ -97,7 +99,7 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
         done += 1
         depth = np.broadcast_to(trust.depth, len(path.blocks))
         masks = [block.near(d) | more for block, d, more in zip(path.blocks, depth, forced, strict=True)]
-        attempt = _attempt(programme, path, masks, trust, prices)
+        attempt = _attempt(programme, path, masks, trust, prices, options.poor)
         if attempt is None:
             programmes += 1
             trust.failed()
@@ -144,9 +146,10 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
 
 
 def _attempt(
-    programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust, prices: Sequence[Array]
+    programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust, prices: Sequence[Array], poor: float
 ) -> Attempt | None:
-    """One iteration: the step of the quadratic programme, corrected where the rows bend; None without a step."""
+    """One iteration: the step of the quadratic programme, corrected where the rows bend, if it brings less than a
+    share `poor` of what was hoped for; None without a step."""
     rows = programme.linearised(path, masks)
     subproblem = programme.subproblem(path, trust, prices)
     solved = subproblem.solve(rows)
@@ -162,7 +165,7 @@ def _attempt(
     trial, share, programmes = programme.moved(path, step), 1.0, 1
     if (
         trial is not None
-        and merit - trial.merit(trust.penalty) < POOR * predicted
+        and merit - trial.merit(trust.penalty) < poor * predicted
         and trial.violation > max(BENT, 2 * slack)
     ):
         # Rows that were thought to be far away join, linearised where the others were.

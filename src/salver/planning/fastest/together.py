@@ -16,7 +16,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.planning.fastest.constraints import Block, Constraint, evaluate
 from salver.planning.fastest.curves import ORDERS, Grid
-from salver.planning.fastest.evaluation import Indices
+from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.exchange import ROUGH_GAIN, ROUGH_ITERATIONS, SHORTEST
 from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.problem import TransportProblem
@@ -153,7 +153,7 @@ class LegsProgramme(Programme):
 
     each: tuple[tuple[Constraint, ...], ...]
 
-    def at(self, point: Point) -> Iterate:
+    def at(self, point: Point, like: Evaluation | None = None) -> Iterate:
         curve = self.curve
         assert isinstance(curve, LegsCurve)
         z, points = curve.motion(point.coefficients, point.duration), len(curve.s)

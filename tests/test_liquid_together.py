@@ -1,0 +1,99 @@
+"""Liquids worked out side by side are those worked out one at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from salver.geometry import Array
+from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.evaluation import Evaluation, Sloshing
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.search import straight_start
+from salver.planning.fastest.spline import RestSpline
+from salver.scenario import load
+from salver.sensitivity import filter as filters
+from salver.sensitivity.filter import LinearFilter
+from salver.sensitivity.sloshing import Slosh
+from salver.sensitivity.wave_gradients import Unknowns
+
+BOX = {
+    "objects__1__shape": {"type": "box", "size": [0.06, 0.07, 0.09]},
+    "objects__1__liquid": {"kind": "water", "size": [0.05, 0.06], "fill": 0.05, "brim": 0.085},
+}
+
+
+def moved(problem: TransportProblem, faster: float = 1.0) -> Evaluation:
+    """A straight motion with a swing of the wrist in it."""
+    spline = RestSpline(5, 8)
+    start = straight_start(problem, spline)
+    grid, t = Grid.of(spline, spline.nodes(3)), start.duration / faster
+    coefficients = start.coefficients.copy()
+    coefficients[3:-3, 4:] += 0.1 * np.sin(np.arange(coefficients[3:-3, 4:].size)).reshape(-1, problem.n - 4)
+    curve = FreeCurve(problem, grid)
+    return problem.at(grid.s, curve.motion(coefficients, t), t, grid.nodes)
+
+
+@pytest.fixture(scope="module", params=["round", "round and a box"])
+def glasses(request: pytest.FixtureRequest) -> TransportProblem:
+    scenario = load("panda-four-glasses")
+    return transport_problem(scenario if request.param == "round" else scenario.with_changes(**BOX))
+
+
+def rows(part: Slosh, unknowns: Unknowns) -> list[Array]:
+    """All that is read of a part, and its derivatives."""
+    K, T, _ = part.wrench.shape
+    case, node = np.arange(40) % K, np.arange(40) * 7 % T
+    found = [part.crest, part.free_height, part.wrench, part.left(), part.left(0.3)]
+    found += [part.crest_by(case, node, unknowns), part.free_by(case, node, unknowns), part.left_by(case, unknowns)]
+    return [*found, part.crest_bends(case, node, unknowns), part.left_bends(case, unknowns)]
+
+
+def test_several_side_by_side_are_each_as_if_alone(glasses: TransportProblem) -> None:
+    motion = moved(glasses)
+    t, w, response = motion.s * motion.duration, motion.terms.w, motion.response
+    rng = np.random.default_rng(0)
+    unknowns = Unknowns(rng.standard_normal((len(t), 12, 5)), rng.standard_normal(5))
+    together = Sloshing.of(glasses.liquids, t, w, response).each
+    assert set(together) == {liquid[0].body.name for liquid in glasses.liquids}
+    for liquid in glasses.liquids:
+        name = liquid[0].body.name
+        alone = Sloshing.of((liquid,), t, w, response).each[name]
+        for part, only in zip(together[name], alone, strict=True):
+            assert part.waves.cases.each == liquid
+            for x, y in zip(rows(part, unknowns), rows(only, unknowns), strict=True):
+                np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-12)
+
+
+def test_taken_to_give_way_as_itself_a_motion_is_what_it_was(glasses: TransportProblem) -> None:
+    motion, same = moved(glasses), moved(glasses)
+    same.giving_way_as(motion)
+    for name, parts in motion.sloshing.items():
+        for part, other in zip(parts, same.sloshing[name], strict=True):
+            np.testing.assert_allclose(other.crest, part.crest, atol=1e-12)
+            np.testing.assert_allclose(other.wrench, part.wrench, atol=1e-12)
+            np.testing.assert_allclose(other.left(), part.left(), atol=1e-12)
+
+
+def test_taken_to_give_way_as_one_near_by_waves_err_by_less_than_they_change(glasses: TransportProblem) -> None:
+    motion, truly, taken = moved(glasses), moved(glasses, 1.01), moved(glasses, 1.01)
+    taken.giving_way_as(motion)
+    for name, parts in truly.sloshing.items():
+        before, after, guessed = (x.sloshing[name][1].crest for x in (motion, truly, taken))
+        assert np.abs(guessed - after).max() < 0.25 * np.abs(after - before).max(), name
+        assert taken.sloshing[name][1].planned is taken.sloshing[name][0].planned
+        assert len(parts) == 2
+
+
+@pytest.mark.parametrize("columns", [filters.MANY, filters.MANY + 1])
+def test_few_and_many_drives_are_answered_alike(columns: int) -> None:
+    rng, t = np.random.default_rng(1), np.sort(np.random.default_rng(2).uniform(0, 1, 30))
+    kp = rng.uniform(300, 700, (3, 2, 1))
+    kd, extra = 0.02 * np.sqrt(kp), 0.1 * kp[..., None] * rng.standard_normal((3, 2, 1, 30))
+    several = LinearFilter.stiffened(t, kp, kd, extra)
+    drive, start = rng.standard_normal((3, 2, 1, 30, columns)), rng.standard_normal((3, 2, 1, 2, columns))
+    x, rate = several.respond(drive, start)
+    for column in (0, columns - 1):
+        alone = several.respond(drive[..., column : column + 1], start[..., column : column + 1])
+        np.testing.assert_allclose(x[..., column : column + 1], alone[0], rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(rate[..., column : column + 1], alone[1], rtol=1e-10, atol=1e-12)
