@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from salver.planning.fastest import evaluate
+from salver.sensitivity.arm.tracking import JointLoop
 from salver.trajectory import JointMotion
 
 PERIOD = 1e-3
 PATIENCE = 60.0  # s: on a busy machine no clock is to decide a test
+JUST = 1e-6  # s before a knot
 APART = 1e-4  # s: between nearer instants a quintic's jerk is lost in rounding
+
+
+class Linear(JointLoop):
+    """A loop for which what is missing is linear between the nodes."""
+
+    def along(self, t, terms, rates, order=1):
+        return super().along(t, terms, rates, order)
 
 
 class Told(NamedTuple):
@@ -82,10 +92,17 @@ def executed(told):
 
 def rows_of(problem, told):
     """The largest value of each row along what was told, judged as one motion from its own beginning at rest, without
-    any margin; torques by the differences that were told."""
+    any margin; torques by the differences that were told.
+
+    Just before each knot too, where the jerk jumps, and with it what a late command is short of: what a cubic through
+    such a jump makes of nodes that are as near as these is wrong by more than what is judged.
+    """
     motion = executed(told)
-    t = motion.t
+    knots = np.array([knot[0] for knot in told.knots]) - told.t[0]
+    t = np.unique(np.concatenate([motion.t, knots[knots > JUST] - JUST]))
     z = np.stack([*motion.sample(t), motion.jerk(t)])
+    if problem.tracking is not None:
+        problem = replace(problem, tracking=Linear(**vars(problem.tracking)))
     at = problem.at(t / motion.duration, z, motion.duration, imposed=False)
     constraints = [constraint.near(motion.q[::5]) for constraint in problem.constraints]
     rows = {block.name: float(block.values.max()) for block in evaluate(constraints, at, margins=False)}

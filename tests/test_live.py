@@ -17,6 +17,7 @@ from salver.live import Live, Worker
 from salver.live.motion import between, joined, resting
 from salver.live.replan import straight
 from salver.live.verify import instants, verified
+from salver.models.arm_limits import POSITION
 from salver.planning.fastest import fastest, joint_plan
 from salver.planning.fastest.constraints import Contact, evaluate
 from salver.planning.fastest.ends import AtPose, AtPosture
@@ -374,6 +375,31 @@ class TestWishes:
     def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(self, cube):
         with pytest.raises(ScenarioError, match="the load is not safe at rest at q"):
             Live(cube, q=np.array([0.0, 0.5, 0.0, -1.5, 0.0, 2.6, 0.0]))  # the tray leans
+
+    def test_a_posture_that_is_clear_is_found_where_the_first_one_is_not(self, cube):
+        """Near the base the posture that is nearest to the middle of the joints' ranges has the tray in the forearm."""
+        position = (0.26, 0.29, 0.34)
+        live = Live(cube.with_changes(arm__start_posture=None, motion__start__position=position))
+        problem, q = live.problem, live.committed.motion.q[:1]
+        middle = problem.start.nearest(problem.arm, problem.limits, problem.limits.range(POSITION)[0])
+        assert problem.keep_out.distances(middle[None]).min() < 0
+        assert problem.keep_out.distances(q).min() > 0
+        np.testing.assert_allclose(problem.start.residual(problem.arm, q[0])[0], 0.0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_where_nothing_is_uncertain_too_rows_are_kept_with_commands_that_are_held(cube):
+    """Held commands are short of what they should be even where the load is known."""
+    known = cube.with_changes(
+        objects=[{**item.model_dump(exclude_none=True), "uncertainty": {}} for item in cube.objects]
+    )
+    live = Live(known, lead=LEAD)
+    assert not live.problem.payload.uncertain.names
+    states = drive(live, 0.3, [(0.0, place(0.45, 0.1, 0.45)), (0.2, lambda live: live.twist([0.3, 0.2, 0.0]))])
+    states = in_turn(states, drive(live, 1.5, begins=0.3))
+    assert np.abs(states[0][-1] - states[0][0]).max() > 0.05
+    worst = rows_of(live.problem, states)
+    assert max(worst.values()) <= 0.0, worst
 
 
 @pytest.mark.slow

@@ -21,13 +21,14 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.display import Shown
-from salver.errors import ScenarioError, Status, UnreachableError
+from salver.errors import Status
 from salver.geometry import Array
 from salver.live.motion import Committed, resting
 from salver.live.obstacles import Moving, Predicted, predicted
 from salver.live.planner import Answer, Job, Planner
 from salver.live.reader import Reader
 from salver.live.running import Running
+from salver.live.standing import standing
 from salver.live.steer import TICK
 from salver.live.verify import verified
 from salver.live.wishes import (
@@ -46,8 +47,7 @@ from salver.live.wishes import (
     twist_wish,
 )
 from salver.models.arm import with_load
-from salver.models.arm_limits import POSITION
-from salver.planning.fastest import AtPosture, TransportProblem, transport_problem
+from salver.planning.fastest import TransportProblem, transport_problem
 from salver.scenario import Scenario, load
 from salver.trajectory import JointMotion
 
@@ -122,18 +122,7 @@ class Live:
         scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
         problem = transport_problem(scenario, robust=robust)
         problem.check_from_rest("live motion")
-        if q is None and not isinstance(problem.start, AtPosture):
-            found = problem.start.nearest(problem.arm, problem.limits, problem.limits.range(POSITION)[0])
-            if found is None:
-                raise UnreachableError(f"{scenario.name}: no posture reaches motion.start.")
-            q = found
-        begin = problem.start.q if q is None and isinstance(problem.start, AtPosture) else q
-        posture = numbers(begin, (problem.n,), "q")
-        if isinstance(posture, Status):
-            raise ScenarioError(f"{scenario.name}: {posture.sentence}.")
-        rest = verified(problem, resting(posture), 0.0, None)
-        if rest.committed is None:
-            raise ScenarioError(f"{scenario.name}: the load is not safe at rest at q: {rest.sentence}.")
+        rest = standing(problem, q)
         self._problem, self._robust, self._permit = problem, robust, permit
         # The same for the loop's thread: planners have work space that two threads must not share.
         out = problem.keep_out
@@ -144,7 +133,7 @@ class Live:
         self._spent: dict[bool, deque[float]] = {steered: deque(maxlen=LEADS) for steered in (False, True)}
         self._planning = threading.Lock()
         # Written by the loop alone.
-        self._running = Running.first(rest.committed, problem)
+        self._running = Running.first(rest, problem)
         self._reader = Reader(with_load(problem.arm, problem.items).pin_model, self._running.pieces)
         self._now = 0.0  # live time of the last command
         self._last: float | None = None  # the clock then

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -257,6 +257,15 @@ def _slid_free(problem: TransportProblem, end: End, q: Array) -> Array:
             break
         q = slid
     return q
+
+
+def standing_at(problem: TransportProblem, end: End, rng: np.random.Generator) -> Iterator[Array]:
+    """Postures at an end: the one that is nearest to the middle of the joints' ranges, that slid free of what it comes
+    too near to, and then others in which nothing touches."""
+    middle = end.nearest(problem.arm, problem.limits, problem.limits.range(POSITION)[0])
+    known = [] if middle is None else [middle, _slid_free(problem, end, middle)]
+    yield from known
+    yield from _free_postures(problem, end, known[1:], rng)
 
 
 def _apart(problem: TransportProblem, q: Array, other: Array) -> float:

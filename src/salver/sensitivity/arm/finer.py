@@ -61,7 +61,8 @@ class Smooth:
 
     def between(self, values: Array) -> Array:
         """(T, ...) of values (K, ...)."""
-        return np.asarray(self._matrix @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+        flat = values.reshape(len(values), values[0].size)  # none where nothing is uncertain
+        return np.asarray(self._matrix @ flat).reshape(len(self.nearest), *values.shape[1:])
 
     def jumping(self, after: Array, before: Array) -> Array:
         """(T, ...) of values that jump where a piece ends: before (K, ...) and after (K, ...) that."""
