@@ -1,32 +1,37 @@
 """Robots that are not their model: what they cost the tall bottle, tuned and untuned, counted in the engine.
 
-python benchmarks/robots.py -n 100 [--docs] [--only lag]
+python benchmarks/robots.py -n 1000 [--no-logs] [--docs] [--only lag]
 
 Each robot is tuned with the nominal load strapped to its tray; then the same loose loads, the 32 corners of the ranges
-first, are carried by the untuned and by the tuned plan. Another table has the excess found from noisy logs against the
-true one.
+first, are carried by the untuned and by the tuned plan: campaigns in runs/robots (--runs), which go on where they were
+stopped. Rows are kept in docs/data/robots.json. Another table has the excess found from noisy logs against the true
+one.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import salver as sv
+from salver.campaigns import run_campaign
 from salver.errors import SalverError
+from salver.files import read_json, write_json
 from salver.learning.track import Judge, track
 from salver.learning.tune import engine_robot, tune
 from salver.models.arm import load_arm
 from salver.motion_files.samples import joint_samples
-from salver.planning.plan import Plan
-from salver.sampling import draw
+from salver.planning.plan import Plan, load_plan
 from salver.simulation.physics import Experiment
 
-PAGE = Path(__file__).parents[1] / "docs" / "learning.md"
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE, KEPT = DOCS / "learning.md", DOCS / "data" / "robots.json"
 LOGS = ((0.0, 1), (2e-5, 1), (1e-4, 1), (2e-5, 5), (1e-4, 5))  # rad of noise, and which samples are kept
 SPREAD = (1.2, 0.8, 1.0, 1.1, 0.9, 1.2, 0.8)
 
@@ -50,42 +55,53 @@ ROBOTS: dict[str, dict[str, object]] = {
 }
 
 
-def counted(plan: Plan, n: int, seed: int) -> int:
+def held(folder: Path, n: int) -> int:
     """Of n loose loads, the corners of the ranges first, how many stay."""
-    uncertain, experiment = plan.scenario.payload.uncertain, Experiment(plan)
-    loads = draw(uncertain, n, seed, "corners", plan.scenario.payload.bodies)
-    runs = [dict(zip(uncertain.names, map(float, row), strict=True)) for row in loads]
-    return sum(experiment.run(run, k).outcome == "holds" for k, run in enumerate(runs))
+    made = run_campaign(folder, n, 1, "corners", ["plan"], jobs=1)
+    return int(made.summary["plans"]["plan"]["outcomes"]["holds"]["count"])
 
 
-def robots(plan: Plan, n: int, only: str) -> str:
-    rows = ["| robot | first excess | cure | price | untuned | tuned |", "|---|---|---|---|---|---|"]
+def robots(plan: Plan, n: int, only: str, runs: Path) -> None:
+    """Tune each robot, and count; what was tuned and counted before is not done again."""
     for name, changes in ROBOTS.items():
         if only not in name:
             continue
+        folder = runs / re.sub(r"[^a-z0-9]+", "-", name.lower())
         real = replace(plan, scenario=plan.scenario.with_changes(**changes))
-        try:
-            rounds = list(tune(real, engine_robot))
-        except SalverError as error:  # so far astray that it is not this plan's log
-            rows.append(f"| {name} | | refused | | {counted(real, n, 1)} of {n} | |")
-            print(rows[-1], error, file=sys.stderr, flush=True)
-            continue
-        last, margins = rounds[-1], sum(r.next == "margin" for r in rounds)
-        untuned = counted(real, n, 1)
-        if last.next == "done":
-            commands = sum(r.next == "command" for r in rounds)
-            cure = f"{commands} corrections, {margins} margins" if commands or margins else "none needed"
-            price, tuned = (
-                f"{100 * (last.plan.duration / plan.duration - 1):+.1f} %",
-                f"{counted(last.plan, n, 1)} of {n}",
-            )
-        else:
-            cure, price, tuned = "refused", "", ""
-        rows.append(
-            f"| {name} | {100 * rounds[0].tracking.excess:.1f} % | {cure} | {price} | {untuned} of {n} | {tuned} |"
-        )
-        print(rows[-1], last.sentence, file=sys.stderr, flush=True)
-    return "\n".join(rows)
+        if not (folder / "tuned.json").exists():
+            real.save(folder / "untuned")
+            write_json(folder / "tuned.json", tuned(real, folder / "tuned"))
+        row = read_json(folder / "tuned.json") | {"robot": name, "n": n, "untuned": held(folder / "untuned", n)}
+        if row["cure"] == "none needed":  # the same plan with the same command
+            row["tuned"] = row["untuned"]
+        elif row["cure"] != "refused":
+            row["tuned"] = held(folder / "tuned", n)
+        kept = {old["robot"]: old for old in (read_json(KEPT) if KEPT.exists() else [])} | {name: row}
+        write_json(KEPT, [kept[robot] for robot in ROBOTS if robot in kept])
+        print(of_robot(row), row["told"], file=sys.stderr, flush=True)
+
+
+def tuned(real: Plan, folder: Path) -> dict[str, Any]:
+    """What becomes of a robot that is tuned with the nominal load strapped to its tray; its plan is saved."""
+    try:
+        rounds = list(tune(real, engine_robot))
+    except SalverError as error:  # so far astray that it is not this plan's log
+        return {"excess": None, "cure": "refused", "price": None, "told": str(error)}
+    last, margins = rounds[-1], sum(r.next == "margin" for r in rounds)
+    found = {"excess": rounds[0].tracking.excess, "cure": "refused", "price": None, "told": last.sentence}
+    if last.next == "done":
+        last.plan.save(folder)
+        commands = sum(r.next == "command" for r in rounds)
+        found["cure"] = f"{commands} corrections, {margins} margins" if commands or margins else "none needed"
+        found["price"] = last.plan.duration / real.duration - 1
+    return found
+
+
+def of_robot(row: dict[str, Any]) -> str:
+    excess = "" if row["excess"] is None else f"{100 * row['excess']:.1f} %"
+    price = "" if row["price"] is None else f"{100 * row['price']:+.1f} %"
+    of = [f"{row[key]} of {row['n']}" if key in row else "" for key in ("untuned", "tuned")]
+    return f"| {row['robot']} | {excess} | {row['cure']} | {price} | {of[0]} | {of[1]} |"
 
 
 def logs(plan: Plan, seeds: int, only: str) -> str:
@@ -120,21 +136,32 @@ def logs(plan: Plan, seeds: int, only: str) -> str:
     return "\n".join(rows)
 
 
-if __name__ == "__main__":
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-n", type=int, default=100, help="loose loads of each robot")
+    parser.add_argument("-n", type=int, default=100, help="loose loads of each robot; 0: none is tuned or counted")
     parser.add_argument("--no-logs", action="store_true", help="leave the table of noisy logs out")
     parser.add_argument("--seeds", type=int, default=4, help="noisy logs of each robot")
     parser.add_argument("--only", default="", help="robots whose name holds this")
+    parser.add_argument("--runs", type=Path, default=Path("runs/robots"), help="where plans and campaigns are kept")
     parser.add_argument("--docs", action="store_true", help="write the tables into docs/learning.md")
     chosen = parser.parse_args()
-    made = sv.plan(sv.load_scenario("panda-tall-bottle"), "fastest")
+    plan = chosen.runs / "plan"
+    if not plan.exists():
+        sv.plan("panda-tall-bottle", "fastest").save(plan)
+    made = load_plan(plan)
     tables = {} if chosen.no_logs else {"track": logs(made, chosen.seeds, chosen.only)}
-    tables["robots"] = robots(made, chosen.n, chosen.only)
+    if chosen.n:
+        robots(made, chosen.n, chosen.only, chosen.runs)
+    rows = ["| robot | first excess | cure | price | untuned | tuned |", "|---|---|---|---|---|---|"]
+    tables["robots"] = "\n".join([*rows, *map(of_robot, read_json(KEPT))])
     for name, table in tables.items():
         print(table, end="\n\n")
         if chosen.docs:
-            sys.path.insert(0, str(PAGE.parent))
+            sys.path.insert(0, str(DOCS))
             import blocks
 
             blocks.replace(PAGE, name, table)
+
+
+if __name__ == "__main__":
+    main()

@@ -253,6 +253,7 @@ class PositionController(ArmController):
         q'' + 2 damping rate q' + rate^2 q = rate^2 told(t - delay),
 
     with a rate (n,) rad/s and a damping (n,) of critical of each joint. It knows the arm and `bodies`, nothing else.
+    Its motors give what they can at once: limits on the rate of a torque are those of the interface for torques.
     """
 
     def __init__(
@@ -261,6 +262,7 @@ class PositionController(ArmController):
     ) -> None:  # fmt: skip
         super().__init__(arm, bodies, told, None, Gains((1.0, 1.0), (1.0, 1.0)), space="joint", period=period)
         self._rate, self._damping, self._delay = rate, damping, delay
+        self._torque_step = np.full_like(self._torque_limit, np.inf)
 
     def step(self, state: ArmState, t: float) -> Array:
         """Joint torques (n,), N m, for a state at time t, s."""

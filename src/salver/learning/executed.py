@@ -149,14 +149,14 @@ def executed(plan: JointMotion, samples: JointSamples) -> Executed:
     off = q - plan.sample(t - shift)[0]
     first, last = shift, shift + plan.duration
     step = float(np.median(np.diff(t)))
+    moving = (t >= first) & (t <= last)
+    _is_of(plan, t[moving] - shift, off[moving], source)
     seen = plan.sample(np.array([0.0, t[0] - shift, t[-1] - shift, plan.duration]))[0]
     for k, missing in ((0, f"begins {t[0] - first:.3f} s after"), (2, f"ends {last - t[-1]:.3f} s before")):
         if np.abs(seen[k + 1] - seen[k]).max() > UNSEEN:
             raise FileFormatError(
                 f"{source} {missing} the motion does; it must hold the whole motion, with rest around it."
             )
-    moving = (t >= first) & (t <= last)
-    _is_of(plan, t[moving] - shift, off[moving], source)
     kept = (t >= first - BEFORE) & (t <= last + AFTER)
     t, off = t[kept] - shift, off[kept]
     even = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-6) + 1)
