@@ -5,12 +5,14 @@ python benchmarks/learning.py --loads 100 --friction open --sensor wrist [--docs
 
 Logs are made by `salver.learning.sensors`, whose errors are not those that the estimator assumes. Loads are drawn
 within mass +-50 %, centre of mass +-15 mm and friction 0.2 to 0.6, of which nothing else is known (open), or which is
-known to 10 %, for the tall bottle on a Panda. Each row of the tables is kept in docs/data/learning.json.
+known to 10 %, for the tall bottle on a Panda; a count goes on where it was stopped (--runs). Each row of the tables is
+kept in docs/data/learning.json.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Sequence
@@ -27,7 +29,7 @@ from salver.learning import identify
 from salver.learning.excite import plan_excite
 from salver.learning.identify import NAMES
 from salver.learning.sensors import SensedArm, Sensors
-from salver.learning.trips import SENSORS, trips
+from salver.learning.trips import SENSORS, trips, true_load
 from salver.models.parameters import inertial_vector
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
@@ -89,29 +91,57 @@ def of_coverage(row: dict[str, Any]) -> str:
     return f"| {name} | {row['sensor']} | {row['logs']} | {' | '.join(cells)} | {ends} |"
 
 
-def carried(friction: str, sensor: str, loads: int, count: int) -> dict[str, object]:
-    """Trips with hidden loads: durations, and whether anything was lost."""
-    durations: list[list[float]] = []
-    held, total, fixed = 0, 0, bottle(friction)
-    first = plan_fastest(fixed) if friction == "open" else None
-    for seed in range(1, loads + 1):
+def carried(friction: str, sensor: str, loads: int, count: int, folder: Path) -> dict[str, object]:
+    """Trips with hidden loads: durations, whether anything was lost, how far tilts moved them. What is in the folder
+    already is not made again."""
+    fixed, first = bottle(friction), None
+    folder.mkdir(parents=True, exist_ok=True)
+    made = folder / f"{friction}-{sensor}-{count}.jsonl"
+    lines = [json.loads(line) for line in made.read_text().splitlines()] if made.exists() else []
+    for seed in range(len(lines) + 1, loads + 1):
         scenario = fixed
         if friction == "known":  # so that the true one lies between 0.2 and 0.6
             scenario = bottle(friction, float(np.random.default_rng([13, seed]).uniform(0.2 / 0.9, 0.6 / 1.1)))
-        made = list(trips(scenario, count, seed, sensor, first))  # type: ignore[arg-type]
-        held, total = held + sum(trip.outcome == "holds" for trip in made), total + len(made)
-        durations.append([trip.plan.duration for trip in made])
-        told = {trip.told for trip in made if trip.told}
-        print(f"  {sensor} load {seed}: {durations[-1]} {held} of {total} {told or ''}", file=sys.stderr, flush=True)
-    return {"friction": friction, "sensor": sensor, "durations": durations, "held": held, "trips": total}
+        elif first is None:
+            first = plan_fastest(fixed)
+        done = list(trips(scenario, count, seed, sensor, first))  # type: ignore[arg-type]
+        tilts = [tilt for trip in done for tilt in trip.tilts]
+        known, true = done[-1].known.payload, true_load(scenario, seed)
+        off = np.abs(true[:4] - [known.first.inertial.mass, *known.first.com_G])
+        lines.append(
+            {
+                "durations": [trip.plan.duration for trip in done],
+                "held": sum(trip.outcome == "holds" for trip in done),
+                "moved": [tilt.moved for tilt in tilts],
+                "lost": sum(tilt.found is None for tilt in tilts),
+                "least": known.least_friction(known.first),
+                "true": float(true[10]),
+                "inside": bool((off <= known.uncertain.half_range[:4] + 1e-12).all()),
+                "told": sorted({trip.told for trip in done if trip.told}),
+            }
+        )
+        with made.open("a") as file:
+            file.write(json.dumps(lines[-1]) + "\n")
+        print(f"  {sensor} load {seed}: {lines[-1]}", file=sys.stderr, flush=True)
+    lines = lines[:loads]
+    durations = [line["durations"] for line in lines]
+    moved = [x for line in lines for x in line["moved"]]
+    sums: dict[str, object] = {key: sum(line[key] for line in lines) for key in ("held", "lost", "inside")}
+    below = sum(line["least"] <= line["true"] for line in lines)
+    sums |= {"trips": sum(map(len, durations)), "tilts": len(moved), "moved": max(moved, default=0.0), "below": below}
+    return {"friction": friction, "sensor": sensor, "count": count, "durations": durations} | sums
 
 
 def of_carried(row: dict[str, Any]) -> str:
-    whole = np.array([d[:2] for d in row["durations"] if len(d) > 1])
-    ratio, (first, second) = whole[:, 1] / whole[:, 0], np.median(whole, axis=0)
+    whole = np.array([d for d in row["durations"] if len(d) == row["count"]])
+    ratio, (first, second, *rest) = whole / whole[:, :1], np.median(whole, axis=0)
+    last = f"{rest[-1]:.3f} s, {np.median(ratio[:, -1]):.3f}" if rest else "-"
+    tilts = f"{row['tilts']}, {row['lost']}, {1e3 * row['moved']:.1f} mm" if row["tilts"] else "-"
+    loads = len(row["durations"])
     return (
-        f"| {FRICTION[row['friction']]} | {row['sensor']} | {len(row['durations'])} | {first:.3f} s | {second:.3f} s | "
-        f"{np.median(ratio):.3f} | {ratio.max():.3f} | {row['held']} of {row['trips']} |"
+        f"| {FRICTION[row['friction']]} | {row['sensor']} | {loads} | {first:.3f} s | {second:.3f} s | "
+        f"{np.median(ratio[:, 1]):.3f} | {ratio[:, 1].max():.3f} | {last} | {row['held']} of {row['trips']} | "
+        f"{tilts} | {row['inside']}, {row['below']} |"
     )
 
 
@@ -124,6 +154,9 @@ def main() -> None:
     asked.add_argument("--docs", action="store_true", help="write the tables into docs/howto, from all rows kept")
     asked.add_argument("--friction", choices=FRICTION, default="open")
     asked.add_argument("--sensor", choices=SENSORS, default="wrist")
+    asked.add_argument(
+        "--runs", type=Path, default=Path("runs/learning"), help="where loads that were carried are kept"
+    )
     given = asked.parse_args()
     if given.logs:
         motions = {
@@ -137,22 +170,26 @@ def main() -> None:
                 for kind in KINDS:
                     keep("identified", coverage(name, wide, kind, times, given.logs), ("motion", "sensor", "times"))
     if given.loads:
-        keep("learnt", carried(given.friction, given.sensor, given.loads, given.trips), ("friction", "sensor"))
+        row = carried(given.friction, given.sensor, given.loads, given.trips, given.runs)
+        keep("learnt", row, ("friction", "sensor", "count"))
     kept = read_json(KEPT)
     heads = "| motion | sensor | logs | 95 %: mass; x, y, z | inside | to plan with | inside | refused | time |"
     rows = sorted(kept.get("identified", []), key=lambda row: row["times"])
     written(
         "identified", DOCS / "howto" / "identify.md", [heads, "|---" * 9 + "|", *map(of_coverage, rows)], given.docs
     )
-    heads = "| friction | sensor | loads | trip 1, median | trip 2 | second over first, median | worst | held |"
+    heads = (
+        "| friction | sensor | loads | trip 1, median | trip 2 | second over first, median | worst | sixth | held | "
+        "tilts, lost, moved at most | truth in the ranges; of friction |"
+    )
     rows = kept.get("learnt", [])
-    written("learnt", DOCS / "howto" / "learn.md", [heads, "|---" * 8 + "|", *map(of_carried, rows)], given.docs)
+    written("learnt", DOCS / "howto" / "learn.md", [heads, "|---" * 11 + "|", *map(of_carried, rows)], given.docs)
 
 
 def keep(table: str, row: dict[str, Any], keys: Sequence[str]) -> None:
     """Put a row in its table, for one with the same keys or behind all others."""
     kept = read_json(KEPT) if KEPT.exists() else {}
-    rows = [old for old in kept.get(table, []) if [old[key] for key in keys] != [row[key] for key in keys]]
+    rows = [old for old in kept.get(table, []) if [old.get(key) for key in keys] != [row[key] for key in keys]]
     write_json(KEPT, kept | {table: [*rows, row]})
 
 

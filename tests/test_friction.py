@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
-from salver.learning.friction import SHAKES, friction, needed, tilt_test
+from salver.learning.friction import SHAKES, friction, needed
+from salver.learning.tilts import tilt_test
 from salver.models.arm import load_arm
 from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import joint_samples

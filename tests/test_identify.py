@@ -16,12 +16,13 @@ from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.learning import Log, identify, read_log
-from salver.learning.identify import NAMES, WIDTH, fieller
+from salver.learning.identify import NAMES, WIDTH, Run, fieller, identify_runs, prior
 from salver.learning.noise import SHARES, Noise, Times
 from salver.learning.sensors import SensedArm, Sensors
 from salver.models.parameters import inertial_vector
 from salver.planning.plan import Plan, load_plan
 from salver.scenario import load
+from salver.trajectory import JointMotion
 
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015]}
 QUIET = Sensors(times=0.0, links=0.0, friction_change=0.0)
@@ -116,6 +117,31 @@ def test_two_logs_tell_more_than_one(plan: Plan) -> None:
     arm, load_ = SensedArm(plan, 5, joints=False), drawn(plan, 5)
     empty, logs = arm.log(None), [arm.log(load_) for _ in range(2)]
     assert identify(plan, logs, empty).covariance[0, 0] < identify(plan, logs[:1], empty).covariance[0, 0]
+
+
+def test_runs_of_two_plans_are_of_one_load(plan: Plan) -> None:
+    """Their informations add up to that of both, in the B of the scenario that is asked for; ranges stay within those
+    of any other scenario that holds the load."""
+    load_, runs = drawn(plan, 6), []
+    assert plan.joint is not None
+    slower = replace(
+        plan, joint=JointMotion(1.3 * plan.joint.t, plan.joint.q, plan.joint.dq / 1.3, plan.joint.ddq / 1.69)
+    )
+    slower = replace(slower, scenario=plan.scenario.with_changes(motion__duration=1.3 * plan.duration))
+    for seed, each in enumerate((plan, slower)):
+        arm = SensedArm(each, 6 + seed, joints=False)
+        runs.append(Run(each, arm.log(load_), arm.log(None)))
+    alone = [identify_runs(plan.scenario, [run]) for run in runs]
+    both = identify_runs(plan.scenario, runs)
+    given = np.diag(1 / prior(plan.scenario)[1] ** 2)
+    told = [np.linalg.inv(found.covariance) - given for found in (*alone, both)]
+    assert told[2] == pytest.approx(told[0] + told[1], rel=1e-6, abs=1e-3 * np.abs(told[2]).max())
+    known = alone[0].learnt_scenario()
+    within = identify_runs(plan.scenario, runs, known).ranges
+    for name, x in zip(NAMES, load_[:4], strict=True):
+        assert alone[0].ranges[name].low - 1e-12 <= within[name].low <= x <= within[name].high
+        assert within[name].high <= alone[0].ranges[name].high + 1e-12
+        assert within[name].low >= both.ranges[name].low - 1e-12
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0])

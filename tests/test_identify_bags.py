@@ -29,7 +29,9 @@ def plan() -> Plan:
 
 @pytest.fixture(scope="module")
 def log(plan: Plan) -> Log:
-    return SensedArm(plan, 1, Sensors(times=0.0)).log(nominal_load(plan))
+    assert plan.joint is not None
+    t = np.arange(0.0, plan.duration + 0.0025, 0.005)  # a bag has no time before its own beginning
+    return SensedArm(plan, 1, Sensors(times=0.0)).log(nominal_load(plan), "log", (t, *plan.joint.sample(t)[:3]))
 
 
 @pytest.fixture(scope="module")

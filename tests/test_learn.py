@@ -10,8 +10,11 @@ from typer.testing import CliRunner
 
 from salver.cli import app
 from salver.errors import ScenarioError
+from salver.learning.friction import UNNOTICED
 from salver.learning.identify import NAMES
-from salver.learning.trips import trips, true_load
+from salver.learning.tilts import FARTHEST
+from salver.learning.trips import SURE, trips, true_load
+from salver.planning.fastest import plan_fastest
 from salver.scenario import load
 
 
@@ -21,6 +24,8 @@ def test_second_trip_is_quicker_nothing_is_lost_and_the_truth_stays_within_the_r
     true, made = true_load(scenario, seed), list(trips(scenario, 2, seed))
     assert [trip.outcome for trip in made] == ["holds", "holds"]
     assert made[1].plan.duration < 0.95 * made[0].plan.duration
+    assert len(made[0].tilts) >= SURE
+    assert made[1].tilts == ()
     widths = [scenario.payload.uncertain.half_range[:4]]
     for trip in made:
         assert trip.learnt is not None
@@ -29,8 +34,29 @@ def test_second_trip_is_quicker_nothing_is_lost_and_the_truth_stays_within_the_r
         values = [true[0], *(true[1:4] - body.com_G)]
         for name, value in zip(NAMES, values, strict=True):
             assert trip.learnt.ranges[name].low - 1e-9 <= value <= trip.learnt.ranges[name].high + 1e-9
-        widths.append(trip.learnt.learnt_scenario().payload.uncertain.half_range[:4])
+        widths.append(trip.known.payload.uncertain.half_range[:4])
+        assert trip.known.payload.least_friction(trip.known.payload.first) <= true[10]
     assert np.all(np.diff(widths, axis=0) <= 1e-12)
+
+
+@pytest.mark.slow
+def test_tilts_raise_the_least_friction_and_stop_when_the_load_moves() -> None:
+    """Of two loads one slides early, by less than is said; what is known of both stays true, and neither is lost."""
+    wide = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": 0.2}
+    scenario = load("panda-tall-bottle").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4)
+    first = plan_fastest(scenario)
+    for seed, slides in ((5, True), (2, False)):
+        true = true_load(scenario, seed)
+        trip = next(trips(scenario, 2, seed, first=first))
+        moved = [tilt.moved for tilt in trip.tilts]
+        assert {tilt.outcome for tilt in trip.tilts[:-1]} <= {"holds", "slides"}
+        assert max(moved) <= FARTHEST
+        assert (moved[-1] > UNNOTICED) == slides
+        assert all(x <= UNNOTICED for x in moved[:-1])
+        least = trip.known.payload.least_friction(trip.known.payload.first)
+        assert 0.2 < least <= true[10]
+        assert not slides or least > true[10] - 0.02
+    assert next(trips(scenario, 2, 2, first=first, tilts=False)).tilts == ()
 
 
 def test_true_load_lies_in_the_set_and_differs_with_the_seed() -> None:

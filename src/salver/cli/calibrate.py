@@ -17,12 +17,24 @@ def calibrate(
     shows: Annotated[
         float | None, typer.Option(help="Friction that the test is to prove; the more, the steeper it is.")
     ] = None,
+    short: Annotated[
+        bool,
+        typer.Option("--short", help="A short tilt instead, on which no load of the ranges moves by more than 20 mm."),
+    ] = False,
     log: Annotated[
         Path | None, typer.Option(help="What the joints did, from rest to rest; without it, the plan.")
     ] = None,
     held: Annotated[float | None, typer.Option(help="Until when (s) the load surely did not slide.")] = None,
     slid: Annotated[float | None, typer.Option(help="By when (s) the load surely had begun to slide.")] = None,
-    level: Annotated[float, typer.Option(min=0.0, max=5.0, help="By how much (deg) the robot's base may lean.")] = 0.5,
+    moved: Annotated[
+        float | None, typer.Option(help="By how much (m) the load was seen to have moved on a short tilt.")
+    ] = None,
+    level: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, max=5.0, help="By how much (deg) the robot's base may lean; 0.5 unless given, on short tilts 0.1."
+        ),
+    ] = None,
     scenario: Annotated[
         str | None, typer.Option(help="The scenario whose friction is to be narrowed; without it, the plan's own.")
     ] = None,
@@ -38,28 +50,37 @@ def calibrate(
     hand near. Then carry it out, and give the run directory: with nothing else, the load did not slide. A run of any
     plan without a slip proves some friction; what slid on the test has at most what was needed there.
 
+    A `--short` tilt goes as steep as the least friction of the ranges allows, so that the load moves by 20 mm at most;
+    from how far it did (against a mark, to 1 mm) follows how much friction there is at least, and the next is steeper.
+
     Example: `salver calibrate friction panda-cube --shows 0.4 -o runs/tilt`
 
     Ends with 0 when there is a test, or a range.
     """
     if (Path(source) / "scenario.toml").is_file():
-        _read(Path(source), log, held, slid, level, scenario, out, json)
+        _read(Path(source), log, {"held": held, "slid": slid, "moved": moved}, level, scenario, out, json)
     else:
-        for name, value in (("log", log), ("held", held), ("slid", slid), ("scenario", scenario)):
+        named = {"log": log, "held": held, "slid": slid, "moved": moved, "scenario": scenario}
+        for name, value in named.items():
             if value is not None:
                 raise ScenarioError(f"--{name} needs the run directory of a plan; {source} is none.")
-        _plan(source, shows, level, out, json)
+        _plan(source, shows, short, level, out, json)
 
 
-def _plan(source: str, shows: float | None, level: float, out: Path | None, json: bool) -> None:
+def _plan(source: str, shows: float | None, short: bool, level: float | None, out: Path | None, json: bool) -> None:
     from salver import scenario as scenarios
-    from salver.learning.friction import tilt_test
+    from salver.learning.friction import LEVEL
+    from salver.learning.tilts import LEVELLED, short_tilt, tilt_test
 
-    if shows is None or out is None:
-        raise ScenarioError("To plan the test, give --shows FRICTION and --out DIRECTORY.")
+    if (shows is None) != short or out is None:
+        raise ScenarioError("To plan the test, give --shows FRICTION or --short, and --out DIRECTORY.")
     if (out / "plan.npz").exists():
         raise ScenarioError(f"--out = {out} holds a plan already; give a directory that does not.")
-    plan = tilt_test(scenarios.load(source), shows, level)
+    known = scenarios.load(source)
+    if shows is None:
+        plan = short_tilt(known, level=LEVELLED if level is None else level)
+    else:
+        plan = tilt_test(known, shows, LEVEL if level is None else level)
     plan.save(out)
     if json:
         print_json({"duration": plan.duration, "sentence": plan.status.sentence, "directory": str(out)})
@@ -71,9 +92,8 @@ def _plan(source: str, shows: float | None, level: float, out: Path | None, json
 def _read(
     directory: Path,
     log: Path | None,
-    held: float | None,
-    slid: float | None,
-    level: float,
+    seen: dict[str, float | None],
+    level: float | None,
     scenario: str | None,
     out: Path | None,
     json: bool,
@@ -83,7 +103,8 @@ def _read(
     from salver import scenario as scenarios
     from salver.files import write_atomic
     from salver.learning.executed import read_joints
-    from salver.learning.friction import friction
+    from salver.learning.friction import LEVEL, SHORT, friction
+    from salver.learning.tilts import LEVELLED
     from salver.models.arm import load_arm
     from salver.planning.plan import load_plan
 
@@ -94,7 +115,9 @@ def _read(
         raise ScenarioError(f"{plan.scenario.name} has no arm; friction is shown by an arm that carries the load.")
     arm = None if log is None or plan.scenario.arm is None else load_arm(plan.scenario.arm, plan.scenario.tray)
     samples = None if log is None or arm is None else read_joints(log, arm)
-    found = friction(plan, samples, held=held, slid=slid, level=level)
+    if level is None:
+        level = LEVELLED if plan.method == SHORT else LEVEL
+    found = friction(plan, samples, **seen, level=level)
     if out is not None:
         learnt = found.learnt_scenario(None if scenario is None else scenarios.load(scenario))
         write_atomic(out, tomli_w.dumps(learnt.model_dump(mode="json", exclude_none=True)))

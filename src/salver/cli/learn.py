@@ -21,6 +21,16 @@ def learn(
     sensor: Annotated[
         Literal["wrist", "torques"], typer.Option(help="What the arm feels with: a wrist sensor, or joint torques.")
     ] = "wrist",
+    tilts: Annotated[
+        bool,
+        typer.Option(
+            "--tilts/--no-tilts",
+            help="After the first trip, tilt the tray for its friction; the load may move by 20 mm then.",
+        ),
+    ] = True,
+    level: Annotated[
+        float, typer.Option(min=0.0, max=5.0, help="By how much (deg) the robot's base may lean, for tilts.")
+    ] = 0.1,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Write the scenario with the learnt ranges to this .toml file.")
     ] = None,
@@ -29,7 +39,9 @@ def learn(
     """Carry a load whose ranges are wide carefully, learn what it is, and carry it ever faster.
 
     Each trip is the fastest safe motion for what is known; the load, which is hidden, is carried in the physics engine;
-    what the arm's sensors felt narrows the ranges for the next. See `salver identify` for the ranges and for real arms.
+    what the arm's sensors felt narrows the ranges for the next. Between the first and the second the tray tilts, a
+    little steeper each time, for a lower bound of friction. See `salver identify` and `salver calibrate` for the ranges
+    and for real arms.
 
     Example: `salver learn panda-tall-bottle --trips 6 -o learnt.toml`
 
@@ -44,19 +56,39 @@ def learn(
     if out is not None and (out.suffix != ".toml" or out.exists()):
         raise ScenarioError(f"--out = {out} must be a .toml file that does not exist yet.")
     made: list[Trip] = []
-    for trip in carried(scenarios.load(scenario), trips, seed, sensor):
+    for trip in carried(scenarios.load(scenario), trips, seed, sensor, tilts=tilts, level=level):
         made.append(trip)
         say(f"Trip {trip.number} of {trips}: {trip.plan.duration:.3f} s, {trip.outcome}. {trip.told}".rstrip())
+        if trip.tilts:
+            say(_tilted(trip))
         if out is not None and trip.learnt is not None:
-            write_atomic(out, tomli_w.dumps(trip.learnt.learnt_scenario().model_dump(mode="json", exclude_none=True)))
+            write_atomic(out, tomli_w.dumps(trip.known.model_dump(mode="json", exclude_none=True)))
     if json:
         print_json([_record(trip) for trip in made])
     else:
         _show(made)
     if out is not None and out.exists():
         say(f"Written to {out}; next: salver plan {out} --fastest.")
-    if any(trip.outcome != "holds" for trip in made):
+    if any(trip.outcome != "holds" or any(tilt.found is None for tilt in trip.tilts) for trip in made):
         raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _tilted(trip: Trip) -> str:
+    """What the tilts after a trip showed."""
+    count, moved = len(trip.tilts), 1e3 * max(tilt.moved for tilt in trip.tilts)
+    if trip.tilts[-1].found is None:
+        return f"A tilt: {trip.tilts[-1].outcome}. Nothing more is tried."
+    return (
+        f"{count} short tilts: friction is at least {_friction(trip)[0]:.3f}; the load moved by {moved:.1f} mm at "
+        "most, and was put back."
+    )
+
+
+def _friction(trip: Trip) -> tuple[float, float]:
+    """Least and largest, as known after the trip."""
+    body = trip.known.payload.first
+    least = trip.known.payload.least_friction(body)
+    return least, 2 * body.friction - least
 
 
 def _record(trip: Trip) -> dict[str, Any]:
@@ -68,6 +100,8 @@ def _record(trip: Trip) -> dict[str, Any]:
         "margin_worst_case": trip.margin,
         "plan_of_the_trip_before": trip.kept,
         "learnt": {name: [r.low, r.high] for name, r in ranges.items()},
+        "friction": list(_friction(trip)),
+        "tilts": [{"moved": tilt.moved, "outcome": tilt.outcome} for tilt in trip.tilts],
         "told": trip.told,
     }
 
@@ -76,15 +110,23 @@ def _show(made: list[Trip]) -> None:
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 3, 0, 0))
-    for title in ("trip", "duration", "load", "margin", "mass after, g", "centre of mass after, +- mm"):
+    for title in (
+        "trip",
+        "duration",
+        "load",
+        "margin",
+        "mass after, g",
+        "centre of mass after, +- mm",
+        "friction after",
+    ):
         table.add_column(title, justify="right")
     for trip in made:
         learnt = trip.learnt
         mass = "-" if learnt is None else "{:.1f} to {:.1f}".format(*(1e3 * x for x in _ends(trip)))
         half = "-" if learnt is None else ", ".join(f"{1e3 * learnt.ranges[f'com_{a}'].half:.2f}" for a in "xyz")
-        table.add_row(
-            str(trip.number), f"{trip.plan.duration:.3f} s", trip.outcome, f"{100 * trip.margin:.1f} %", mass, half
-        )
+        known = "{:.3f} to {:.3f}".format(*_friction(trip))
+        duration, margin = f"{trip.plan.duration:.3f} s", f"{100 * trip.margin:.1f} %"
+        table.add_row(str(trip.number), duration, trip.outcome, margin, mass, half, known)
     result_console().print(table)
 
 

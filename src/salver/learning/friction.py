@@ -9,43 +9,38 @@ at least |f_t| / f_n; where c and the level of the robot's base are known as ran
 (both are quasi-linear in c and linear in u: Sion 1958). Any u gives a bound, so few directions are never optimistic. It
 is said of that base and that pressure, not of each of its points, nor of how it resists being turned.
 
-A load that begins to slide on a slowly tilted tray, where nothing twists it, has no more than what is needed there.
+A load that begins to slide on a slowly tilted tray, where nothing twists it, has no more than what is needed there. On
+a short tilt (`salver.learning.tilts`) it slides the farther the less friction it has: one that moved by less than d has
+at least the friction with which it would have moved by d.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
-from salver.errors import SalverError, ScenarioError, Status
-from salver.geometry import GRAVITY_S, Array, exp
+from salver.errors import SalverError, ScenarioError
+from salver.geometry import GRAVITY_S, Array
 from salver.learning.executed import executed
 from salver.models.arm import load_arm, with_load
 from salver.models.bodies import Body
-from salver.models.contact_rows import contact_rows
 from salver.models.parameters import TILT, Parameter
-from salver.models.tray_motion import at_rest
 from salver.motion_files import JointSamples
-from salver.planning.make import with_arm
 from salver.planning.plan import Plan
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
-from salver.trajectory import MotionSamples, SampledReference
 
 GRAVITY = float(np.linalg.norm(GRAVITY_S))
 LEVEL = 0.5  # deg by which a robot's base may lean
 UNSEEN = 0.2  # deg by which a tray may be off what was planned, when there is no log
 SHAKES = 0.02  # of gravity: what may shake a tray beyond what the joints tell, and start a slip
-SPEED = 4.0  # deg/s at which a tray is tilted, at most
-REST = 1.0  # s that it stays
+UNNOTICED = 1e-3  # m that a load may have moved beyond what was seen, against a mark on the tray
 STEP = 0.02  # s
-STEEPER = 1e-3  # rad than need be
 DIRECTIONS = 72
-MOST = 1.5  # friction that can be asked for: a tilt of some 60 deg
-SPARE = 0.02  # of the weight: how far from tipping a test stays, and of friction that it asks for beyond
-METHOD = "tilt"
+METHOD, SHORT = "tilt", "short tilt"
 
 
 @dataclass(frozen=True)
@@ -78,7 +73,7 @@ class Friction:
         Raises SalverError when nothing is, ScenarioError when its centre of mass may be where it was not in the plan.
         """
         scenario = self.plan.scenario if scenario is None else scenario
-        body, tested = _lone(scenario), self.plan.scenario.payload.first
+        body, tested = lone_load(scenario), self.plan.scenario.payload.first
         further = np.abs(body.p_EB - tested.p_EB) + _reach(scenario, body) - _reach(self.plan.scenario, tested)
         if (further > 1e-9).any():
             raise ScenarioError(
@@ -105,20 +100,52 @@ def needed(w: Array, com_E: Array, reach: Array, off: float) -> tuple[Array, Arr
 
     w: (T, 12) of the tray frame E. off: m/s^2 by which the specific force may be another, in any direction.
     """
-    corner = com_E + np.array(list(product((-1.0, 1.0), repeat=3))) * reach
-    omega = w[:, [6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(-1, 3, 3)  # omega omega^T
-    spin = omega - np.trace(omega, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    force = w[:, None, :3] + np.cross(w[:, None, 3:6], corner) + np.einsum("tij,cj->tci", spin, corner)
+    force = _forces(w, com_E, reach)
     along, normal = np.linalg.norm(force[..., :2], axis=2), force[..., 2]
     angle = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
-    ways = np.broadcast_to(np.column_stack([np.cos(angle), np.sin(angle)]), (len(w), DIRECTIONS, 2))
+    round_ = np.broadcast_to(np.column_stack([np.cos(angle), np.sin(angle)]), (len(w), DIRECTIONS, 2))
     middle = force[..., :2].mean(axis=1)
     own = middle / np.maximum(np.linalg.norm(middle, axis=1), 1e-12)[:, None]
-    pushed = np.einsum("tuk,tck->tuc", np.concatenate([ways, own[:, None]], axis=1), force[..., :2]) - off
+    pushed = np.einsum("tuk,tck->tuc", np.concatenate([round_, own[:, None]], axis=1), force[..., :2]) - off
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where((pushed > 0) & (normal > off)[:, None], pushed / (normal + off)[:, None], 0.0)
         most = np.where(normal > off, (along + off) / (normal - off), np.inf)
     return ratio.min(axis=2).max(axis=1), most.max(axis=1)
+
+
+def _forces(w: Array, com_E: Array, reach: Array) -> Array:
+    """(T, 8, 3) m/s^2 that a load's centre of mass needs in E, in the corners of a box."""
+    corner = com_E + np.array(list(product((-1.0, 1.0), repeat=3))) * reach
+    omega = w[:, [6, 7, 9, 7, 8, 10, 9, 10, 11]].reshape(-1, 3, 3)  # omega omega^T
+    spin = omega - np.trace(omega, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    return np.asarray(w[:, None, :3] + np.cross(w[:, None, 3:6], corner) + np.einsum("tij,cj->tci", spin, corner))
+
+
+def ways(t: Array, w: Array, scenario: Scenario, lean: float) -> Callable[[float], tuple[float, float]]:
+    """By how many m a load of a friction slides on a tray that tilts in one direction: at least, and at most, for any
+    centre of mass and place within the ranges.
+
+    t (T,), w (T, 12) of the tray frame E. lean: rad by which the tray may tilt otherwise.
+    """
+    body = scenario.payload.first
+    box = body.p_EB, _reach(scenario, body)
+    off, normal = GRAVITY * lean, _forces(w, *box)[..., 2]
+    ratios = needed(w, *box, off)
+    lowest, highest, steps = np.maximum(normal.min(axis=1) - off, 0.0), normal.max(axis=1) + off, np.diff(t).tolist()
+
+    def far(beyond: Array, faster: Array, slower: Array) -> float:
+        pull = (np.where(beyond > 0, faster, slower) * beyond).tolist()
+        speed, way = 0.0, 0.0
+        for step, before, after in zip(steps, pull[:-1], pull[1:], strict=True):
+            then = max(0.0, speed + 0.5 * step * (before + after))
+            way, speed = way + 0.5 * step * (speed + then), then
+        return way
+
+    def both(coefficient: float) -> tuple[float, float]:
+        least, most = (ratio - coefficient for ratio in ratios)
+        return far(least, lowest, highest), far(most, highest, lowest)
+
+    return both
 
 
 def friction(
@@ -127,18 +154,20 @@ def friction(
     *,
     held: float | None = None,
     slid: float | None = None,
+    moved: float | None = None,
     level: float = LEVEL,
 ) -> Friction:
     """What a run of a plan shows of the load's friction.
 
     samples: what the joints did, from rest to rest; None: what was planned, within `UNSEEN`. held: s after the motion
     began until which the load surely did not slide; unless given, to the end when `slid` is not given either. slid: by
-    when it surely had begun to. level: deg by which the robot's base may lean.
+    when it surely had begun to. moved: m by which it was seen to have moved on a short tilt (0 unless given), to
+    `UNNOTICED`. level: deg by which the robot's base may lean.
 
     Raises ScenarioError for what this cannot be asked of, FileFormatError for a log that is not of the plan.
     """
     scenario = plan.scenario
-    body = _lone(scenario)
+    body = lone_load(scenario)
     if plan.joint is None:
         raise ScenarioError(f"{scenario.name}: this plan has no arm that moves; friction is shown by the arm's motion.")
     if slid is not None and plan.method != METHOD:
@@ -151,6 +180,14 @@ def friction(
             raise ScenarioError(f"{name} = {value:g} s is not within the {plan.duration:.3g} s of the motion.")
     if held is not None and slid is not None and held >= slid:
         raise ScenarioError(f"held = {held:g} s must be before slid = {slid:g} s.")
+    short = plan.method == SHORT
+    if moved is not None and not (short and 0 <= moved < 1):
+        raise ScenarioError(
+            f"moved = {moved:g} m: how far a load moved, 0 m to 1 m, tells its friction on a short tilt only (salver "
+            "calibrate friction SCENARIO --short)."
+        )
+    if short and (held is not None or slid is not None):
+        raise ScenarioError("A short tilt is over before anybody can tell when a load slid: give by how much it moved.")
     arm = load_arm(plan.scenario.arm, scenario.tray)  # type: ignore[arg-type]
     if samples is None:
         t = np.linspace(0.0, plan.duration, 1 + int(np.ceil(plan.duration / STEP)))
@@ -159,8 +196,12 @@ def friction(
         done = executed(plan.joint, samples)
         t, motion, lean = done.t, (done.q, done.dq, done.ddq), level
     terms = motion_terms(with_load(arm, scenario.payload.bodies).pin_model, arm.tray_id, *motion)
-    off = GRAVITY * float(np.deg2rad(lean) + np.linalg.norm([_half(scenario, p) for p in TILT]))
-    least, most = needed(terms.w, body.p_EB, _reach(scenario, body), off)
+    lean = leaning(scenario, lean)
+    least, most = needed(terms.w, body.p_EB, _reach(scenario, body), GRAVITY * lean)
+    if short:
+        at = int(np.argmax(least))
+        known = proves(t, terms.w, scenario, lean, moved or 0.0)
+        return Friction(plan, known or None, float(t[at]), None, 0.0)
     high = most + SHAKES * (1 + most)
     until = plan.duration if held is None else held
     before = (t >= 0) & (t <= until) & (held is not None or slid is None)
@@ -175,41 +216,21 @@ def friction(
     )
 
 
-def tilt_test(scenario: Scenario, shown: float, level: float = LEVEL) -> Plan:
-    """A slow tilt of the tray where the motion starts, and back: that the load does not slide proves `shown`.
-
-    It is safe from tipping for the whole set; of friction it asks for `shown` and what may be wrong about the angle.
-    The plan's scenario is one of that friction. Raises ScenarioError when it would tip, or the arm cannot.
-    """
-    body = _lone(scenario)
-    if not 0 < shown <= MOST:
-        raise ScenarioError(f"A friction of {shown:g} was asked for; it must be above 0 and at most {MOST:g}.")
-    lean = np.deg2rad(level + UNSEEN) + float(np.linalg.norm([_half(scenario, p) for p in TILT]))
-    angle = _angle(shown, float(lean))
-    rough = _tested(scenario, 2 * MOST)
-    steepest = {heading: _steepest(rough, heading) for heading in np.arange(0.0, 2 * np.pi, np.pi / 4)}
-    headings = [h for h, most in sorted(steepest.items(), key=lambda item: -item[1]) if most >= angle]
-    if not headings:
-        most = max(steepest.values())
-        gentler = most - STEEPER
-        can = max(0.0, (np.sin(gentler) - lean) / (np.cos(gentler) + lean))
-        raise ScenarioError(
-            f"{body.name} could tip at {np.rad2deg(most):.1f} deg, and to show a friction of {shown:g} the tray must "
-            f"tilt by {np.rad2deg(angle):.1f} deg; at most {np.floor(1000 * can) / 1000:g} can be asked for."
-        )
-    tested = _tested(scenario, (np.tan(angle) + 2 * lean) * (1 + SPARE) + SPARE)
-    plans = (_tilted(tested, heading, angle, shown) for heading in headings)
-    made = [next(plans)]
-    while not made[-1].ok and (another := next(plans, None)) is not None:
-        made.append(another)
-    if not made[-1].ok:
-        arm = made[0].arm_status
-        why = arm.sentence if arm is not None and not arm.ok else made[0].verification.sentence
-        raise ScenarioError(f"{scenario.name}: no tilt of {np.rad2deg(angle):.1f} deg was found for this arm. {why}")
-    return made[-1]
+def proves(t: Array, w: Array, scenario: Scenario, lean: float, moved: float = 0.0) -> float:
+    """The friction that a short tilt shows: with less, a load slides farther than it was seen to have moved (m)."""
+    slides, low, high = ways(t, w, scenario, lean), 0.0, 2.0
+    for _ in range(24):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if slides(middle)[0] > moved + UNNOTICED else (low, middle)
+    return low
 
 
-def _lone(scenario: Scenario) -> Body:
+def leaning(scenario: Scenario, level: float) -> float:
+    """rad by which a tray may lean when the robot's base does by `level` deg, and as the scenario's ranges say."""
+    return float(np.deg2rad(level) + np.linalg.norm([_half(scenario, p) for p in TILT]))
+
+
+def lone_load(scenario: Scenario) -> Body:
     """The one load, which stands on the tray."""
     if scenario.arm is None:
         raise ScenarioError(f"{scenario.name} has no arm; friction is shown by an arm that carries the load.")
@@ -231,75 +252,3 @@ def _reach(scenario: Scenario, body: Body) -> Array:
     own = np.abs(body.R_EB) @ np.array([half.get(f"com_{axis}", 0.0) for axis in "xyz"])
     place = np.array([half.get("position_x", 0.0), half.get("position_y", 0.0), 0.0])
     return np.asarray(own + place)
-
-
-def _angle(shown: float, lean: float) -> float:
-    """rad to tilt by, so that (sin - lean) / (cos + lean) is `shown`."""
-    a = np.arctan(shown)
-    return float(a + np.arcsin(min(1.0, lean * (1 + shown) * np.cos(a))) + STEEPER)
-
-
-def _tested(scenario: Scenario, coefficient: float) -> Scenario:
-    """The scenario with so much friction, in every direction of its linearised cone, and no way to go."""
-    motion = scenario.motion
-    start = motion.start.model_dump()
-    return scenario.with_changes(
-        contact__condition="exact",
-        contact__margin=0.0,
-        objects__0__friction=float(coefficient / np.cos(np.pi / scenario.contact.edges)),
-        objects__0__uncertainty__friction=None,
-        motion__goal=start,
-        motion__through=[],
-        motion__orientation="free",
-        motion__goal_yaw="fixed",
-        motion__max_tilt_deg=None,
-        motion__duration=1.0,
-    )
-
-
-def _turn(heading: float, angle: Array) -> Array:
-    """(..., 3, 3) turns of the tray about a level axis, so that it falls towards a heading."""
-    axis = np.array([-np.sin(heading), np.cos(heading), 0.0])
-    return exp(np.multiply.outer(angle, axis))
-
-
-def _steepest(scenario: Scenario, heading: float) -> float:
-    """rad by which a tray at rest may tilt until a load of the set could tip."""
-    R_SE = scenario.motion.start.rotation @ scenario.payload.first.R_EB.T
-    rows = contact_rows(scenario.payload)
-    angles = np.deg2rad(np.arange(0.0, 61.0, 0.25))
-    w = np.array([at_rest(turned @ R_SE) for turned in _turn(heading, angles)])
-    worst = np.full(len(angles), -np.inf)
-    for each in rows:
-        tips = each.only(np.flatnonzero(~each.label.astype(bool)))
-        worst = np.maximum(worst, tips.worst(w).max(axis=1))
-    over = np.flatnonzero(worst > -SPARE)
-    return float(angles[over[0] - 1]) if len(over) and over[0] else 0.0 if len(over) else float(angles[-1])
-
-
-def _tilted(scenario: Scenario, heading: float, angle: float, shown: float) -> Plan:
-    start = scenario.motion.start
-    one_way = 1.875 * np.rad2deg(angle) / SPEED
-    t = np.arange(0.0, 2 * one_way + REST + STEP, STEP)
-    t *= (2 * one_way + REST) / t[-1]
-    up = np.clip(t / one_way, 0, 1)
-    down = np.clip((t - one_way - REST) / one_way, 0, 1)
-    share, rate, bend = (_min_jerk(up, k) / one_way**k - _min_jerk(down, k) / one_way**k for k in range(3))
-    axis_S = np.array([-np.sin(heading), np.cos(heading), 0.0])
-    R_SB = _turn(heading, angle * share) @ start.rotation
-    axis_B = start.rotation.T @ axis_S  # the turn leaves its axis where it is
-    still = np.zeros((len(t), 3))
-    place = still + np.array(start.position)
-    turns = (np.outer(angle * x, axis_B) for x in (rate, bend))
-    samples = MotionSamples(t, place, still, still, R_SB, *turns)
-    timed = scenario.with_changes(motion__duration=float(t[-1]))
-    told = f"Tilts by {np.rad2deg(angle):.1f} deg in {one_way:.1f} s and back"
-    status = Status(METHOD, f"{told}; that the load does not slide proves a friction of {shown:g}.", True)
-    return with_arm(Plan(timed, METHOD, SampledReference(samples), status))
-
-
-def _min_jerk(u: Array, order: int) -> Array:
-    """u^3 (10 - 15 u + 6 u^2) and its derivatives, 0 of these outside."""
-    inside = (u > 0) & (u < 1)
-    values = (u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u))
-    return np.asarray(values[order] if order == 0 else values[order] * inside)

@@ -43,6 +43,7 @@ BANDWIDTH = 10.0  # Hz, of what is believed of a measured deviation from the pla
 ENDS = 0.08  # s at each end, where smoothing has only one side: left out when the deviation still moves there,
 RESTS = 0.01  # rad/s, faster than this; else only
 EDGE = 0.02  # s
+REST = 0.5  # s before and after the motion, of which a log is used too
 BLOCK = 0.005  # s over which samples are averaged,
 BLOCKS = 160  # and not more of them
 MOVES = 0.02  # rad that some joint must move, for a motion
@@ -112,16 +113,33 @@ class Identified:
         return self.scenario.with_changes(**changes)
 
 
+@dataclass(frozen=True)
+class Run:
+    """A plan carried out with the load, and with nothing on the tray."""
+
+    plan: Plan
+    loaded: Log
+    empty: Log
+
+
 def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
     """What logs of a plan's motion tell of its load. empty: the same motion with nothing on the tray.
 
     Raises ScenarioError for a scenario that this cannot be asked of, FileFormatError for logs that do not belong to it,
     SalverError when the logs contradict the scenario's ranges.
     """
+    return identify_runs(plan.scenario, [Run(plan, log, empty) for log in loaded])
+
+
+def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | None = None) -> Identified:
+    """What runs of any plans tell of a scenario's load, which stood at the same place in all of them.
+
+    within: a scenario of the same load whose ranges are known to hold it too (the scenario's own unless given): what is
+    told lies within these. Raises as `identify` does.
+    """
     from salver.models.arm import load_arm
 
-    scenario = plan.scenario
-    if scenario.arm is None or plan.joint is None:
+    if scenario.arm is None or any(run.plan.joint is None for run in runs):
         raise ScenarioError(f"{scenario.name} has no arm that moves; a load is identified by the arm that carries it.")
     if len(scenario.objects) > 1:
         raise ScenarioError(
@@ -129,13 +147,18 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
             "by one, each in a scenario of its own."
         )
     arm = load_arm(scenario.arm, scenario.tray)
-    empty, loaded = _timed(plan, empty), [_timed(plan, log) for log in loaded]
-    without = _state(plan, arm, empty)
-    _of_this_arm(arm, without, empty)
     phi_0, spread = prior(scenario)
     information, pull = np.diag(1 / spread**2), np.zeros(10)
     used, shift = list[Channel](), np.zeros(3)
-    for log in loaded:
+    seen: dict[int, tuple[Log, State]] = {}
+    for run in runs:
+        plan = replace(run.plan, scenario=scenario)
+        if id(run.empty) not in seen:
+            empty = _timed(plan, run.empty)
+            seen[id(run.empty)] = empty, _state(plan, arm, empty)
+            _of_this_arm(arm, seen[id(run.empty)][1], empty)
+        empty, without = seen[id(run.empty)]
+        log = _timed(plan, run.loaded)
         state = _state(plan, arm, log)
         _same_motion(plan, log, empty)
         channels = differences(state, without, log, empty, (phi_0, spread))
@@ -149,13 +172,13 @@ def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
     worst = max(used, key=lambda channel: channel.residual)
     if worst.residual > STRANGE:
         raise FileFormatError(
-            f"{', '.join(log.source for log in loaded)}: {worst.name} differ from those of one rigid load by "
+            f"{', '.join(run.loaded.source for run in runs)}: {worst.name} differ from those of one rigid load by "
             f"{worst.residual:.0f} times the noise: something slid, or the arm or the empty tray is another."
         )
     sensors = {channel.name for channel in used}
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
     phi = phi_0 + covariance @ pull
-    ranges = _ranges(scenario, phi, covariance, shift)
+    ranges = _ranges(scenario, phi, covariance, shift, scenario if within is None else within)
     told = _not_identified(ranges, sensors)
     return Identified(scenario, ranges, phi, covariance, worst.residual, tuple(sorted(sensors)), told)
 
@@ -200,10 +223,10 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
         )
     strayed = _smooth(off, step)
     q, dq, ddq = (a + b for a, b in zip(wanted[:3], strayed, strict=True))
-    every = max(1, round(max(BLOCK, plan.duration / BLOCKS) / step))
     near = max(1, round(ENDS / step))
     left_out = [ENDS if np.abs(strayed[1][end]).max() > RESTS else EDGE for end in (slice(near), slice(-near, None))]
-    inside = (log.t > max(log.t[0], 0.0) + left_out[0]) & (log.t < min(log.t[-1], plan.duration) - left_out[1])
+    inside = (log.t > max(log.t[0] + left_out[0], -REST)) & (log.t < min(log.t[-1] - left_out[1], plan.duration + REST))
+    every = max(1, round(max(BLOCK, np.count_nonzero(inside) * step / BLOCKS) / step))
     index = np.flatnonzero(inside)
     blocks = index[: len(index) // every * every].reshape(-1, every)
     if len(blocks) < 20:
@@ -308,11 +331,13 @@ def _moved(channels: Sequence[Channel], log: Log, prior: tuple[Array, Array]) ->
     return moved, error
 
 
-def _ranges(scenario: Scenario, phi: Array, covariance: Array, shift: Array) -> dict[str, Range]:
-    """Ranges of mass and centre of mass, within those of the scenario. shift: (3,) m that the latter may have moved."""
-    payload = scenario.payload
+def _ranges(scenario: Scenario, phi: Array, covariance: Array, shift: Array, within: Scenario) -> dict[str, Range]:
+    """Ranges of mass and centre of mass in the scenario's B, within those of a scenario of the same load. shift: (3,) m
+    that the centre of mass may have moved."""
+    payload = within.payload
     half = {p.quantity: h for p, h in payload.uncertain.ranges.items()}
     nominal = inertial_vector(payload.first.inertial)
+    nominal[1:4] += payload.first.com_G - scenario.payload.first.com_G
     found = {}
     for k, name in enumerate(NAMES):
         before = (nominal[k] - half.get(name, 0.0), nominal[k] + half.get(name, 0.0))

@@ -19,6 +19,7 @@ from salver.models.tray_motion import frame_map, wrench_map
 from salver.planning.plan import Plan
 from salver.sensitivity.arm.terms import motion_terms
 
+RESTS = 0.2  # s that a log begins before the motion, and ends after it
 COLOURED = 10.0  # Hz, of the second-order filter through which slow noise went: it forgets in 34 ms
 Done = tuple[Array, Array, Array, Array]  # t (K,), q, dq, ddq (K, n)
 
@@ -76,11 +77,11 @@ class SensedArm:
     def log(self, inertial: Array | None, source: str = "log", done: Done | None = None) -> Log:
         """A run with a load of values (10,) of `parameters.INERTIAL` in B, or with the empty tray.
 
-        done: what the arm did; unless given, the plan itself, `Sensors.rate` times a second.
+        done: what the arm did; unless given, the plan itself and `RESTS` around it, `Sensors.rate` times a second.
         """
         s, rng, n = self.sensors, self.rng, self.arm.n
         if done is None:
-            t = np.arange(0.0, self.plan.duration + 0.5 / s.rate, 1 / s.rate)
+            t = np.arange(-RESTS, self.plan.duration + RESTS, 1 / s.rate)
             done = (t, *self.joint.sample(t)[:3])
         t, q, dq, ddq = done
         terms = motion_terms(self.model, self.arm.tray_id, q, dq, ddq)

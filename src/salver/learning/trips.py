@@ -4,6 +4,10 @@ Each trip's plan is safe for all loads within the ranges of its scenario, and th
 the load is meant to stay on every trip. A plan that is slower than the one before is not taken: that one was safe for
 wider ranges.
 
+No carry tells more of friction than its plan was told. So between the first trip and the second the tray tilts, shortly
+and each time a little steeper (`salver.learning.tilts`), until the load moves by more than a mark on the tray hides, or
+could tip: by two centimetres at most, whatever its friction is. Then it is put back. The first of these runs are logs.
+
 Here the load is carried in the physics engine, which alone knows the true one, and judged there. What the arm's
 sensors say (`salver.learning.sensors`) is made along what the engine's arm does with the load strapped to the tray, and
 with the empty tray: what loose contacts of the engine do to an arm is no property of a load.
@@ -12,16 +16,20 @@ with the empty tray: what loose contacts of the engine do to an arm is no proper
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
-from salver.learning.identify import Identified, identify
-from salver.learning.sensors import Done, SensedArm
+from salver.learning.friction import UNNOTICED, Friction, friction
+from salver.learning.identify import Identified, Run, identify_runs
+from salver.learning.sensors import Done, SensedArm, Sensors
+from salver.learning.tilts import LEVELLED, short_tilt
+from salver.models.arm import load_arm
 from salver.models.parameters import INERTIAL, inertial_vector
+from salver.motion_files.samples import joint_samples
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
 from salver.sampling import draw
@@ -30,14 +38,29 @@ from salver.simulation.physics import Experiment, simulate
 
 SENSORS = ("wrist", "torques")
 RATE = 1000.0  # samples of the sensors a second
+TILTS = 12  # at most
+SURE = 4  # are made in any case, with a wrist sensor, and are logs: they show how steep the next may be;
+WORTH = 0.003  # of friction: one that promises less is not
 Sensor = Literal["wrist", "torques"]
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """A short tilt. moved: m by which the load was seen to have. outcome: of the engine, where a load that moved
+    "slides". found: what it shows of friction, or None for a load that was lost.
+    """
+
+    plan: Plan
+    moved: float
+    outcome: str
+    found: Friction | None
 
 
 @dataclass(frozen=True)
 class Trip:
     """plan: what was carried out; its scenario has the ranges it was planned for. outcome: of the engine, "holds" or
-    what became of the load. kept: whether the plan is that of the trip before. learnt: from the trip's logs; None if
-    they contradict the ranges or the load was lost, as told says.
+    what became of the load. kept: whether the plan is that of the trip before. learnt: from the logs so far; None if
+    they contradict the ranges or the load was lost, as told says. known: with all ranges after it. tilts: made then.
     """
 
     number: int
@@ -45,6 +68,8 @@ class Trip:
     outcome: str
     kept: bool
     learnt: Identified | None
+    known: Scenario
+    tilts: tuple[Tilt, ...] = ()
     told: str = ""
 
     @property
@@ -70,43 +95,118 @@ def true_load(scenario: Scenario, seed: int) -> Array:
 
 
 def trips(
-    scenario: Scenario, count: int, seed: int = 0, sensor: Sensor = "wrist", first: Plan | None = None
+    scenario: Scenario,
+    count: int,
+    seed: int = 0,
+    sensor: Sensor = "wrist",
+    first: Plan | None = None,
+    *,
+    tilts: bool = True,
+    level: float = LEVELLED,
 ) -> Iterator[Trip]:
     """So many trips with one hidden true load, drawn with the seed; ends early when the load is lost. first: the plan
-    to begin with, of this scenario; unless given it is made.
+    to begin with, of this scenario; unless given it is made. tilts: whether friction is looked for after the first
+    trip, with a robot whose base is level to so many deg.
 
     Raises ScenarioError for a scenario without an arm or with several objects, or for which no safe motion is found.
     """
     if scenario.arm is None or len(scenario.objects) > 1:
         raise ScenarioError(f"{scenario.name}: learning needs an arm, and one object on its tray.")
-    true, known, plan = true_load(scenario, seed), scenario, None
+    hidden, plan = _Hidden(scenario, true_load(scenario, seed), seed, sensor), None
     for number in range(1, count + 1):
-        made = first if first is not None and number == 1 else plan_fastest(known)
+        made = first if first is not None and number == 1 else plan_fastest(hidden.known)
         better = made.ok and (plan is None or made.duration < plan.duration)
         if plan is None and not made.ok:
             raise ScenarioError(f"{scenario.name}: no safe motion for its ranges to begin with. {made.status.sentence}")
         plan = made if better or plan is None else plan
-        named = dict(zip(INERTIAL, _in_frame(plan.scenario, true), strict=True)) | {"friction": float(true[10])}
-        outcome = simulate(plan, parameters=named, seed=seed).outcome
+        outcome = simulate(plan, parameters=hidden.named(plan), seed=seed).outcome
         if outcome != "holds":
-            yield Trip(
-                number, plan, outcome, not better, None, "The load did not stay: nothing is learnt from this trip."
-            )
+            told = "The load did not stay: nothing is learnt from this trip."
+            yield Trip(number, plan, outcome, not better, None, hidden.known, told=told)
             return
-        seen = replace(plan, scenario=known)  # the same motion, in the frame and with the ranges that are the latest
-        arm = SensedArm(seen, 1000 * seed + number, wrist=sensor == "wrist", joints=sensor == "torques")
-        load = np.array(_in_frame(known, true))
+        told, learnt, made_tilts = "", None, list[Tilt]()
         try:
-            logs = (
-                arm.log(load, f"trip {number}", _done(plan, named, seed)),
-                arm.log(None, f"trip {number}, empty", _done(*_empty(plan, named), seed)),
-            )
-            learnt = identify(seen, [logs[0]], logs[1])
+            learnt = hidden.identify(plan, f"trip {number}")
+            if tilts and number == 1 and count > 1:
+                made_tilts += hidden.climb(level)
         except SalverError as error:
-            yield Trip(number, plan, outcome, not better, None, str(error))
-            continue
-        known = learnt.learnt_scenario()
-        yield Trip(number, plan, outcome, not better, learnt)
+            told = str(error)
+        if learnt is not None:
+            learnt = hidden.learnt  # with what the tilts told
+        yield Trip(number, plan, outcome, not better, learnt, hidden.known, tuple(made_tilts), told)
+        if any(tilt.found is None for tilt in made_tilts):
+            return
+
+
+@dataclass
+class _Hidden:
+    """A load that only the engine knows, and what is known of it. base: the scenario to begin with, in whose frame B
+    all runs are understood; known: with the ranges of now."""
+
+    base: Scenario
+    true: Array
+    seed: int
+    sensor: Sensor
+    runs: list[Run] = field(default_factory=list)
+    learnt: Identified | None = None
+
+    def __post_init__(self) -> None:
+        self.known = self.base
+
+    def named(self, plan: Plan) -> dict[str, float]:
+        values = dict(zip(INERTIAL, _in_frame(plan.scenario, self.true), strict=True))
+        return values | {"friction": float(self.true[10])}
+
+    def identify(self, plan: Plan, name: str) -> Identified:
+        """Narrow the ranges by logs of a plan, and all before. Raises SalverError when these contradict each other."""
+        arm = SensedArm(
+            replace(plan, scenario=self.base),
+            1000 * self.seed + len(self.runs) + 1,
+            Sensors(rate=RATE),
+            wrist=self.sensor == "wrist",
+            joints=self.sensor == "torques",
+        )
+        load, named = np.array(_in_frame(self.base, self.true)), self.named(plan)
+        run = Run(
+            plan,
+            arm.log(load, name, _done(plan, named, self.seed)),
+            arm.log(None, f"{name}, empty", _done(*_empty(plan, named), self.seed)),
+        )
+        found = identify_runs(self.base, [*self.runs, run], self.known)
+        self.runs.append(run)
+        self.learnt, self.known = found, _with_friction(found.learnt_scenario(), self.known)
+        return found
+
+    def climb(self, level: float) -> Iterator[Tilt]:
+        """Tilt, each time as steep as what is known allows, until the load moves, or could tip."""
+        for number in range(1, TILTS + 1):
+            plan = short_tilt(self.known, level=level)
+            promised, before = friction(plan, level=level).low, self.known.payload
+            sure = SURE if self.sensor == "wrist" else 0
+            if number > sure and (promised or 0.0) < before.least_friction(before.first) + WORTH:
+                return
+            record = simulate(plan, parameters=self.named(plan), seed=self.seed)
+            moved = float(record.slip.max())
+            if record.outcome not in ("holds", "slides"):  # meant never to be
+                yield Tilt(plan, moved, record.outcome, None)
+                return
+            assert plan.scenario.arm is not None
+            names = load_arm(plan.scenario.arm, plan.scenario.tray).joint_names
+            done = joint_samples(record.t, tuple(names), record.q, None, None, f"tilt {number}")
+            found = friction(plan, done, moved=moved, level=level)
+            self.known = _with_friction(self.known, found.learnt_scenario(self.known))
+            yield Tilt(plan, moved, record.outcome, found)
+            if moved > UNNOTICED:
+                return
+            if number <= sure:
+                self.identify(plan, f"tilt {number}")
+
+
+def _with_friction(scenario: Scenario, other: Scenario) -> Scenario:
+    """The scenario with the friction of another of the same load."""
+    item = other.objects[0]
+    half = None if item.uncertainty is None else item.uncertainty.friction
+    return scenario.with_changes(objects__0__friction=item.friction, objects__0__uncertainty__friction=half)
 
 
 def _empty(plan: Plan, named: dict[str, float]) -> tuple[Plan, dict[str, float]]:
@@ -122,7 +222,7 @@ def _done(plan: Plan, named: dict[str, float], seed: int) -> Done:
     trace = Experiment(plan).strapped(named, seed)
     ddq = np.gradient(trace.dq, trace.t, axis=0)
     every = max(1, round(1 / (RATE * (trace.t[1] - trace.t[0]))))
-    kept = slice(int(np.argmax(trace.t > -1e-9)), None, every)
+    kept = slice(None, None, every)
     return trace.t[kept], trace.q[kept], trace.dq[kept], ddq[kept]
 
 
