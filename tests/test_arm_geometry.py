@@ -115,12 +115,11 @@ def test_no_distance_changes_faster_than_its_levers_say() -> None:
 
 @pytest.mark.parametrize("path", [[0.8], [-0.8, 0.8, -0.8], [-0.8, -0.8, 0.8, -0.8, -0.8]])
 def test_from_one_side_to_the_other_is_a_long_way(path: list[float]) -> None:
-    """A joint that goes from -0.8 to 0.8 rad: what was far on one side is near on the other."""
+    """Joints that go from where they are to as much on the other side: what was far there is near here."""
     here = np.array([0.8, -1.2, 1.5, -0.3, 1.6, 0.0])
     parts = _with_balls(here)
-    q = np.tile(here, (len(path), 1))
-    q[:, 0] = path
-    parts.clearance(q * np.array([-1, 1, 1, 1, 1, 1]), 0.06)  # what is remembered when as many are asked for again
+    q = np.outer(path, here) / 0.8
+    parts.clearance(-q, 0.06)  # what is remembered when as many are asked for again
     for known in (parts, parts.apart()):
         exact, bounded = parts.clearance(q), known.clearance(q, 0.06)
         near, ball = exact < 0.06, [parts.names[j].startswith("ball") for _, j in parts.pairs]

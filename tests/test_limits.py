@@ -13,7 +13,7 @@ from salver import scenario
 from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
-from salver.models.arm_limits import LIMITS, JointLimits
+from salver.models.arm_limits import LIMITS, JointLimits, joint_limits
 from salver.planning.fastest import FastestOptions, TransportProblem, fastest, transport_problem
 from salver.planning.fastest.retiming import SplinePath, retime
 from salver.planning.follow.limits import peaks, verdict
@@ -31,6 +31,14 @@ def limits(**tight: float) -> JointLimits:
     for key, value in tight.items():
         values[key][0] = value
     return JointLimits(np.full(7, -10.0), np.full(7, 10.0), **values)
+
+
+def test_what_nobody_limits_is_unlimited() -> None:
+    made, sources = joint_limits(2, [("a table", {"velocity": [1.0, np.nan]})])
+    assert made.q_min.tolist() == [-np.inf, -np.inf]
+    assert made.q_max.tolist() == [np.inf, np.inf]
+    assert made.velocity.tolist() == [1.0, np.inf]
+    assert sources["velocity"] == ("a table", None)
 
 
 def test_the_limit_that_is_named_is_the_one_on_the_side_of_the_value() -> None:

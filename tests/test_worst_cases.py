@@ -13,8 +13,9 @@ import nasty
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.contact_rows import contact_rows
+from salver.models.contents import Filling, Hull
 from salver.models.parameters import Parameter
-from salver.models.worst_case import Drift, UncertainRows, WorstCase
+from salver.models.worst_case import SURE, Drift, UncertainRows, WorstCase
 from salver.scenario import Scenario
 
 LOADS = {"single": nasty.single, "stack": nasty.stack, "pair": nasty.pair}
@@ -190,6 +191,95 @@ def test_worst_case_with_a_drift_is_its_definition() -> None:
                     expected[:, row] = np.maximum(expected[:, row], value)
         worst = WorstCase.of(rows, w, Drift(drifts, dw, swing))
         assert_allclose(worst.values, expected, atol=1e-12)
+
+
+def random_rows(rng: np.random.Generator, kind: str) -> tuple[UncertainRows, tuple[tuple[Parameter, ...], ...]]:
+    """Two rows with a parameter, a mass and, if wanted, contents that move with another; and terms of a drift."""
+    acting, mass = (Parameter("box", "com", "x"), Parameter("box", "com", "y")), Parameter("box", "mass")
+    inside = Parameter("can", "com", "x")
+    corners = np.array(list(product((-0.1, 0.3), (-0.2, 0.1), (-0.3, 0.2))))
+    filling = Filling(
+        Hull.of(corners),
+        np.array([0.02, 0.03, 0.04]),
+        rng.normal(size=(9, 2, 12)),
+        0.01 * rng.normal(size=(2, 9)),
+        (inside,),
+        3 * rng.normal(size=(1, 2, 9)),
+        rng.normal(size=1),
+    )
+    rows = UncertainRows(
+        rng.normal(size=(2, 12)),
+        acting,
+        rng.normal(size=(2, 2, 12)),
+        rng.normal(size=(1, 2, 12)),
+        rng.normal(size=(2, 2)) if kind == "ellipsoid" else None,
+        (mass,),
+        np.array([[1.0], [-1.0]]),
+        fillings=(filling,) if kind == "filled" else (),
+    )
+    drifts = ((acting[0],), (mass,), (mass, acting[1]), (Parameter("beside", "mass"),))
+    return rows, (*drifts, (inside,)) if kind == "filled" else drifts
+
+
+@pytest.mark.parametrize("kind", ["box", "ellipsoid", "filled"])
+def test_slopes_support_worst_cases_and_the_side_of_a_swing_is_the_worse_one(kind: str) -> None:
+    """A worst case is convex in what is felt: wherever one looks it lies above every tangent."""
+    rng, near = np.random.default_rng(9), 2e-2 if kind == "filled" else 1e-5  # contents: EXACT of their coefficients
+    for _ in range(6):
+        rows, terms = random_rows(rng, kind)
+        w, swing = rng.normal(size=(3, 12)), 0.3 * rng.normal(size=(3, 12))
+        dw = 0.3 * rng.normal(size=(3, 12, len(terms)))
+        for drift in (None, Drift(terms, dw), Drift(terms, dw, swing)):
+            here = WorstCase.of(rows, w, drift)
+            node, row = (x.ravel() for x in np.indices(here.values.shape))
+            slope, side = here.attained_swinging(node, row)
+            sure = here.values[node, row] > SURE  # others are bounds
+            for size in (0.01, 0.3, 3.0):
+                away = size * rng.normal(size=(3, 12))
+                there = WorstCase.of(rows, w + away, drift).values[node, row]
+                least = here.values[node, row] + np.einsum("rk,rk->r", slope, away[node])
+                assert np.all(there[sure] >= least[sure] - near)
+            if drift is None:  # then it is as many times as large as what is felt
+                through = np.einsum("rk,rk->r", slope, w[node])
+                assert_allclose(through[sure], here.values[node, row][sure], atol=near)
+            if drift is None or drift.swing is None:
+                assert not side.any()
+                continue
+            assert set(np.abs(side)) == {1.0}
+            plain = Drift(terms, dw)
+            sides = [WorstCase.of(rows, w + s * swing, plain).values[node, row] for s in (-1.0, 1.0)]
+            assert_allclose(np.maximum(*sides)[sure], here.values[node, row][sure], atol=near)
+            assert_allclose(np.where(side > 0, sides[1], sides[0])[sure], here.values[node, row][sure], atol=near)
+
+
+@pytest.mark.parametrize("kind", ["box", "ellipsoid"])
+def test_what_terms_add_is_their_sum_or_their_length_whatever_they_are_stacked_in(kind: str) -> None:
+    """Of a box the sum of sizes, of an ellipsoid the length of A^T c and the sizes of products."""
+    rng = np.random.default_rng(3)
+    rows, _ = random_rows(rng, kind)
+    terms = rng.normal(size=(4, 3, 3))
+    own = terms[..., :2] if rows.spread is None else terms[..., :2] @ rows.spread
+    most = np.abs(own).sum(axis=-1) if rows.spread is None else np.sqrt((own**2).sum(axis=-1))
+    assert_allclose(rows.radius(terms), most + np.abs(terms[..., 2]), atol=1e-12)
+    step = 1e-6
+    for k in range(3):
+        more, less = (rows.radius(terms + s * step * np.eye(3)[k]) for s in (1, -1))
+        assert_allclose(rows.dual(terms)[..., k], (more - less) / (2 * step), atol=1e-6)
+
+
+def test_what_need_not_be_worked_out_is_never_told_better_than_it_is() -> None:
+    rng, far = np.random.default_rng(5), 0
+    for _ in range(20):
+        rows, terms = random_rows(rng, "box")
+        rows = rows.mapped(lambda array: 0.1 * array)
+        w, swing = 0.3 * rng.normal(size=(5, 12)), 0.1 * rng.normal(size=(5, 12))
+        drift = Drift(terms, 0.1 * rng.normal(size=(5, 12, len(terms))), swing)
+        w = w - 3 * rows.nominal[0]  # one row is well within its edge
+        coarse, exact = (WorstCase.of(rows, w, drift, coarsely).values for coarsely in (True, False))
+        assert np.all(coarse >= exact - 1e-12)
+        assert_allclose(coarse[exact > SURE], exact[exact > SURE], atol=1e-12)
+        far += int((coarse <= SURE).sum())
+    assert far > 0
 
 
 def test_contacts_that_cannot_be_worked_with_are_refused() -> None:

@@ -20,6 +20,8 @@ from salver.models.wrench_cone import (
     margin,
     reach_lp,
     rectangle_cone,
+    support_length,
+    support_rows,
     tip_over_margin,
 )
 
@@ -103,6 +105,28 @@ def test_margin_is_the_smallest_disturbance() -> None:
         assert reach_by_facets(cone.rows, wrench, d * scale) >= m * (1 - 1e-12)
     worst = cone.rows[np.argmax(cone.rows @ wrench)]
     assert_allclose(reach_lp(contacts, wrench, worst * scale**2), m, rtol=1e-8)
+
+
+def test_how_far_a_pressure_point_is_beyond_an_edge_by_hand() -> None:
+    """A rectangle of 0.2 x 0.1 m beside the origin; forces of 1 N upwards, and some sideways, through points of it."""
+    corners = np.array([[x, y, -0.02] for x, y in ((0.3, 0.05), (0.1, 0.05), (0.1, -0.05), (0.3, -0.05))])
+    contacts = support_contacts(corners, 0.4, 4)
+    assert support_length(contacts) == pytest.approx(np.hypot(0.1, 0.05))
+    rows, normal = support_rows(contacts)
+    for x, y, beyond in (
+        (0.2, 0.0, -0.05),
+        (0.32, 0.0, 0.02),
+        (0.3, 0.08, 0.03),
+        (0.07, 0.01, 0.03),
+        (0.15, -0.09, 0.04),
+    ):
+        force = np.array([0.2, -0.1, 1.0])
+        wrench = np.concatenate([force, np.cross([x, y, -0.02], force)])
+        assert (rows @ wrench).max() / (normal @ wrench) == pytest.approx(beyond)
+    many = np.random.default_rng(0).normal(size=(2, 3, 6))
+    cone = facets(contacts)
+    expected = [[margin(cone, one[None])[0] for one in each] for each in many]
+    assert_allclose(margin(cone, many), expected, atol=1e-12)
 
 
 def test_level_acceleration_by_hand() -> None:
