@@ -19,6 +19,7 @@ from salver.auditing.doubts import CANNOT_TELL, Borne, Doubt, cannot_tell
 from salver.auditing.motion import HIGHEST, TrayMotion, tray_motion
 from salver.auditing.pace import Pace, pace, pace_of_liquids
 from salver.auditing.slip import NOTICED, Slip, slide
+from salver.auditing.waves import unseen
 from salver.contact_margins import MarginModel, Margins, margin_model
 from salver.display import Shown
 from salver.errors import Status
@@ -27,7 +28,7 @@ from salver.geometry import Array, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.scenario import Scenario
-from salver.sensitivity.sloshing import Liquids
+from salver.sensitivity.sloshing import Liquids, Spill
 from salver.tables import Table, Tabular
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ EDGES = 16  # of the friction pyramids: at most 2 % short of the round cone
 
 AT_ONCE = 4096  # instants whose margins are in memory together
 SPILLS = ("spills", "unsettled")
-SURELY_SPILT = 0.5  # of the room by which waves must be higher, for a recording to say that they are
 AT_REST = 1e-3  # m/s or rad/s
 
 
@@ -60,8 +60,20 @@ class Audit(Shown, Tabular):
 
     @cached_property
     def _liquids(self) -> Liquids | None:
-        """Along the whole motion: they remember."""
-        return Liquids.along(self._model.payload, self.motion.samples.t, self._w)
+        """Along the whole motion: they remember. Where it stands still at an end nothing accelerates the liquid before
+        or after, whatever the samples there say."""
+        s, w = self.motion.samples, self._w.copy()
+        still, zero = self._resting(), np.zeros((1, 3))
+        for k in (0, -1):
+            if still[k]:
+                w[k] = motion_vector(s.R_SB[[k]], zero, zero, zero)[0]
+        return Liquids.along(self._model.payload, s.t, w)
+
+    def _resting(self) -> tuple[bool, bool]:
+        """Whether the tray stands still at the beginning, and at the end."""
+        s = self.motion.samples
+        speed = np.maximum(np.abs(s.v_S).max(axis=1), np.abs(s.omega_B).max(axis=1))
+        return bool(speed[0] <= AT_REST), bool(speed[-1] <= AT_REST)
 
     def _margins_at(self, index: npt.NDArray[np.intp]) -> Margins:
         liquids = None if self._liquids is None else self._liquids.at(index)
@@ -140,32 +152,48 @@ class Audit(Shown, Tabular):
             status = self._margins_at(at).verdict(worst)
             if np.isinf(borne.error[borne.unsure]).any() or slide(self.motion.samples.t, borne.reserve) > NOTICED:
                 doubts = [borne.edge()]
-        if status.code in SPILLS and self.motion.recording is not None and self._least_room(worst) > -SURELY_SPILT:
-            return cannot_tell(self._waves(), worst)
+        if status.code in SPILLS and self.motion.recording is not None and (unsure := self._unsure(worst)):
+            return cannot_tell(unsure, worst)
         if not status.ok:
             return status
-        doubts += [*self.motion.doubts, *borne.unseen(), *self._waves()]
+        doubts += [*self.motion.doubts, *borne.unseen(), *self._begun(), *self._unsure(worst)]
         if doubts:
             return cannot_tell(doubts, worst)
         return replace(status, sentence=borne.left_out() + status.sentence)
 
-    def _least_room(self, worst: bool) -> float:
-        """Share of its room that is left to the liquid that has the least; negative where it spills."""
-        assert self._liquids is not None
-        return min(float(spill.slack.min()) for spill in self._liquids.spills(worst))
-
-    def _waves(self) -> list[Doubt]:
-        """What is not known of liquids: how they move at the beginning, and what a recording leaves in the dark."""
-        if self._liquids is None:
+    def _begun(self) -> list[Doubt]:
+        """That it is not known how liquids move at the beginning."""
+        if self._liquids is None or self._resting()[0]:
             return []
-        doubts, s = [], self.motion.samples
-        if max(np.abs(s.v_S[0]).max(), np.abs(s.omega_B[0]).max()) > AT_REST:
-            doubts.append(("begun", "the motion begins moving, and how the liquid moves then is not known"))
-        if self.motion.recording is not None:
-            clause = (
-                "what waves make of the noise of a recording is not judged: a planned motion, without noise, would tell"
-            )
-            doubts.append(("waves", clause))
+        return [("begun", "the motion begins moving, and how the liquid moves then is not known")]
+
+    def _unsure(self, worst: bool) -> list[Doubt]:
+        """Liquids of which a recording does not tell whether they spill."""
+        if self._liquids is None or self.motion.recording is None:
+            return []
+        doubts = []
+        for name, parts in (self._liquids.worst if worst else self._liquids.nominal).items():
+            known = Spill.of(name, parts)
+            most, pushed = unseen(name, parts, self.motion)
+            told, lost = known.slack.min(), known.slack.min() - most.slack.min()
+            if not (told - lost >= 0 or told + lost < 0):
+                higher = 1e3 * float((most.crest - known.crest).max())
+                doubts.append(
+                    (
+                        "waves",
+                        f"waves in {name} may be {higher:.2g} mm higher or lower than what is recorded says, which "
+                        f"leaves {100 * told:.2g} % of what they may reach: a finer recording, or the planned motion "
+                        "with its velocities (salver export --format moveit), would tell",
+                    )
+                )
+            elif told >= 0 and pushed > self._borne[worst].reserve.min():
+                doubts.append(
+                    (
+                        "waves",
+                        f"waves in {name} may push it by {pushed:.2g} m/s^2 more than what is recorded says, and "
+                        f"{self._borne[worst].reserve.min():.2g} are left",
+                    )
+                )
         return doubts
 
     def hidden(self, worst: bool = False) -> tuple[Slip, float]:

@@ -1,0 +1,70 @@
+"""What a recording does not say of waves, and what an audit then says."""
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+
+import salver as sv
+from recordings import HEADER, write_csv
+from salver.auditing import audit
+from salver.auditing.motion import tray_motion
+from salver.auditing.waves import _gain, unseen
+from salver.geometry import quat_wxyz_from_matrix
+from salver.models.tray_motion import at_rest
+from salver.motion_files.samples import TraySamples
+from salver.sensitivity.sloshing import Slosh
+from salver.sensitivity.waves import Case, along
+
+
+@pytest.fixture(scope="module")
+def cup():
+    return sv.load_scenario("panda-coffee").with_changes(objects__0__friction=2.0)
+
+
+def line(duration, noise=0.0, rate=800.0):
+    """A level line over 0.48 m, with rest before and after."""
+    t = np.arange(round((duration + 0.4) * rate) + 1) / rate
+    u = np.clip((t - 0.2) / duration, 0, 1)
+    p = np.array([0.5, 0.0, 0.4]) + np.outer(0.48 * u**3 * (10 - 15 * u + 6 * u**2), [0.0, 1.0, 0.0])
+    p += noise * np.random.default_rng(0).standard_normal(p.shape)
+    return t, p, np.tile(quat_wxyz_from_matrix(np.eye(3)), (len(t), 1))
+
+
+@pytest.mark.parametrize(
+    ("duration", "noise", "outcome"),
+    [(2.2, 0.0, "holds"), (1.0, 0.0, "does_not_hold"), (2.2, 1e-6, "holds"), (2.2, 2e-3, "cannot_tell")],
+)
+def test_a_recorded_line_is_dry_or_spills_or_is_seen_too_badly(cup, tmp_path, duration, noise, outcome):
+    found = audit(write_csv(tmp_path / "line.csv", HEADER, *line(duration, noise)), cup)
+    assert found.outcome == outcome, (found.nominal.sentence, found.worst.sentence)
+    if noise == 2e-3:
+        assert "waves" in found.worst.details["reasons"] or "noise" in found.worst.details["reasons"]
+
+
+def test_a_shake_that_noise_hides_raises_no_wave_by_more_than_is_allowed_for(cup):
+    """Shakes of every frequency, as large as would just be found, begun anywhere: against the filters themselves."""
+    t, p, quat = line(1.2, noise=1e-4)
+    motion = tray_motion(TraySamples(t, p, quat, "E", "line", ()), None, np.zeros(3), np.eye(3))
+    case, t = Case(cup.payload.first, 0.05, 0.0), motion.samples.t
+    w = np.tile(at_rest(), (len(t), 1))
+    part = Slosh.of(along((case,), t, w))
+    most, _ = unseen("cup", (part,), motion)
+    noise = motion.recording.sensor.displacement
+    for frequency in (1.0, 3.0, 3.35, 4.0, 5.76, 8.0):
+        shaken = w.copy()
+        amplitude = 7 * noise * np.sqrt(2 * frequency / (800 * frequency * np.ptp(t)))
+        shaken[:, 0] += amplitude * (2 * np.pi * frequency) ** 2 * np.sin(2 * np.pi * frequency * t)
+        waves = along((case,), t, shaken)
+        assert np.all(waves.crest <= most.crest), frequency
+    assert np.median(most.crest) < 0.5 * case.room  # and it is no empty statement
+
+
+@pytest.mark.parametrize("ratio", [0.3, 0.9, 1.0, 1.1, 4.0])
+@pytest.mark.parametrize("cycles", [1, 5, 20])
+def test_a_mass_moves_by_no_more_than_its_gain(ratio, cycles):
+    """A shake that swells and fades, x'' + x = -a'': x + a is the convolution of sin with a."""
+    t = np.linspace(0, 2 * np.pi * cycles / ratio, 20000)
+    a = np.sin(np.pi * t / t[-1]) ** 2 * np.sin(ratio * t)
+    sine, cosine = (cumulative_trapezoid(f(t) * a, t, initial=0.0) for f in (np.sin, np.cos))
+    x = np.sin(t) * cosine - np.cos(t) * sine - a
+    assert np.abs(x).max() <= _gain(ratio, np.array(1.0), cycles)
