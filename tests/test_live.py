@@ -18,7 +18,7 @@ from salver.live.motion import between, joined, resting
 from salver.live.replan import straight
 from salver.live.verify import instants, verified
 from salver.models.arm_limits import POSITION
-from salver.planning.fastest import fastest, joint_plan
+from salver.planning.fastest import fastest, joint_plan, transport_problem
 from salver.planning.fastest.constraints import Contact, evaluate
 from salver.planning.fastest.ends import AtPose, AtPosture
 from salver.planning.fastest.exchange import optimise
@@ -375,6 +375,20 @@ class TestWishes:
     def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(self, cube):
         with pytest.raises(ScenarioError, match="the load is not safe at rest at q"):
             Live(cube, q=np.array([0.0, 0.5, 0.0, -1.5, 0.0, 2.6, 0.0]))  # the tray leans
+        start = transport_problem(cube).start.q
+        p, _ = transport_problem(cube).arm.tray_pose(start)
+        wall = {"name": "wall", "type": "box", "size": [0.1, 0.02, 0.1]}
+        free = cube.with_changes(arm__start_posture=None)
+
+        def beside(room):
+            place = p + np.array([0.0, 0.1 + 0.01 + room, 0.0])  # half the tray and half the wall
+            return Live(free.with_changes(obstacles=[{**wall, "position": place.tolist()}]), start)
+
+        with pytest.raises(ScenarioError, match=r"clearance of tray from wall would be (3|3\.\d) mm too small"):
+            beside(-0.003)
+        parts = beside(0.003).problem.keep_out  # nearer than the 5 mm that are kept elsewhere
+        pair = [(parts.parts.names[i], parts.parts.names[j]) for i, j in parts.parts.pairs].index(("tray", "wall"))
+        assert parts.required[pair] == pytest.approx(0.0015, abs=1e-6)
 
     def test_a_posture_that_is_clear_is_found_where_the_first_one_is_not(self, cube):
         """Near the base the posture that is nearest to the middle of the joints' ranges has the tray in the forearm."""

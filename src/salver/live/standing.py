@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
 
 from salver.errors import ScenarioError, Status, UnreachableError
+from salver.geometry import Array
 from salver.live.motion import Committed, resting
 from salver.live.verify import verified
 from salver.live.wishes import numbers
 from salver.planning.fastest import AtPosture, TransportProblem
+from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.starts import standing_at
 
 LOOKS = 8  # at postures at the scenario's start, when none is given
 
 
-def standing(problem: TransportProblem, q: npt.ArrayLike | None) -> Committed:
+def standing(problem: TransportProblem, q: npt.ArrayLike | None) -> tuple[TransportProblem, Committed]:
     """At rest at q (n,), rad; unless given, in the scenario's start posture or one at its start pose.
+
+    And the problem, in which what is too near there has to keep half of that distance, as with a start posture that is
+    given.
 
     Raises ScenarioError when the load is not safe there, UnreachableError when no posture reaches the pose.
     """
@@ -28,17 +34,25 @@ def standing(problem: TransportProblem, q: npt.ArrayLike | None) -> Committed:
         posture = numbers(begin, (problem.n,), "q")
         if isinstance(posture, Status):
             raise ScenarioError(f"{name}: {posture.sentence}.")
-        found = verified(problem, resting(posture), 0.0, None)
+        here = _from(problem, posture)
+        found = verified(here, resting(posture), 0.0, None)
         if found.committed is None:
             raise ScenarioError(f"{name}: the load is not safe at rest at q: {found.sentence}.")
-        return found.committed
+        return here, found.committed
     reasons: list[str] = []
     for posture in islice(standing_at(problem, problem.start, np.random.default_rng(0)), LOOKS):
-        found = verified(problem, resting(posture), 0.0, None)
+        here = _from(problem, posture)
+        found = verified(here, resting(posture), 0.0, None)
         if found.committed is not None:
-            return found.committed
+            return here, found.committed
         reasons.append(found.sentence)
     if not reasons:
         raise UnreachableError(f"{name}: no posture reaches motion.start.")
     tried = f"in any of {len(reasons)} postures at motion.start" if len(reasons) > 1 else "at motion.start"
     raise ScenarioError(f"{name}: the load is not safe at rest {tried}; in the first, {reasons[0]}.")
+
+
+def _from(problem: TransportProblem, q: Array) -> TransportProblem:
+    """Beginning at q (n,)."""
+    out = problem.keep_out
+    return problem if out is None else replace(problem, keep_out=KeepOut.of(out.parts, q[None]))

@@ -84,7 +84,9 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
     excess = float(margins.row[worst])
     if excess > 0.0:
         name = margins.names[int(margins.what[worst])]
-        sentence = f"{name} would be exceeded by {100 * excess:.2g} % {t[worst]:.2f} s after it begins"
+        far = name.startswith("clearance of ")  # in metres, not as a share of anything
+        beyond = f"{1e3 * excess / PER_METRE:.2g} mm too small" if far else f"exceeded by {100 * excess:.2g} %"
+        sentence = f"{name} would be {beyond} {t[worst]:.2f} s after it begins"
         return Finding(None, excess if np.isfinite(excess) else np.inf, sentence, name)
     if keep_out is not None and not _apart(keep_out, blocks, t[nodes], evaluation.at_nodes[:3]):
         met = sweep(keep_out.parts, motion).touch
