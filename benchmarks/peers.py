@@ -1,13 +1,15 @@
 """Planners of others and salver on the same loads: how fast, and does the load stay?
 
     python benchmarks/peers.py [-n 20] [--only "tall bottle" ...] [--planners toppra ruckig ...] [--again] [--docs]
+    python benchmarks/peers.py -n 1000 --hopeless 100    # a motion that keeps nothing in 100 runs is run no more
     python benchmarks/peers.py --agreement     # time laws by toppra and by salver on one path, at the same points
 
 The loads are those of benchmarks/fastest.py. Each motion is run n times in the engine under the same controller, with
 parameters drawn from the scenario's uncertain set, its corners first, the same for every planner. Score:
 
     duration         s
-    kept             runs in which the load stays and the arm keeps its limits; and those in which the load stays
+    kept             runs in which the load stays and the arm keeps its limits; and those in which the load stays;
+                     with the 95 % interval that the runs drawn at random give (the extremes of the ranges come first)
     limits broken    of the planned motion itself: the worst joint's share of the maker's limit, where that is above 1
     planning time    processor time, s, from the task to the motion
 
@@ -37,6 +39,8 @@ import numpy as np
 
 from fastest import ROOT, line_path, plan_of, scenarios, survival
 from peer_planners import PLANNERS, Motion, Planner, Task, toppra_law, without_contact
+from salver.campaigns.engine import TABLE
+from salver.campaigns.summary import read_table
 from salver.errors import SalverError
 from salver.files import read_json, write_atomic, write_json
 from salver.motion_files import JointSamples, read, write
@@ -46,6 +50,7 @@ from salver.planning.fastest.retiming import reachable_law
 from salver.planning.follow.limits import peaks
 from salver.planning.plan import Plan, load_plan
 from salver.scenario import Scenario
+from salver.statistics import clopper_pearson
 from salver.trajectory import JointMotion
 
 PUBLISHED = ROOT / "docs" / "data" / "peers.json"
@@ -136,6 +141,7 @@ def score(planner: Planner, task: Task, n: int, jobs: int, work: Path) -> dict[s
         plan = replace(plan, solver={**plan.solver, "processor_time": seconds, "kind": kind})
         plan.save(place)
     outcomes = survival(place, n, jobs, f"{task.scenario.name} {planner.name}") if n else {}
+    ends = read_table(place / "campaign" / TABLE)["outcome"][_extremes(task.scenario, n) :] if n else []
     return {
         "kind": kind,
         "duration": plan.duration,
@@ -143,7 +149,14 @@ def score(planner: Planner, task: Task, n: int, jobs: int, work: Path) -> dict[s
         "broken": broken(task, plan),
         "runs": n,
         "outcomes": outcomes,
+        "drawn": "".join("1" if end == "holds" else "0" for end in ends),
     }
+
+
+def _extremes(scenario: Scenario, n: int) -> int:
+    """How many of the first n runs are extremes of the ranges, which come first; 0 where all are: a sample of them."""
+    count = 2**scenario.uncertain.size
+    return count if count < n else 0
 
 
 # What is told ----------------------------------------------------------------------------------------------------
@@ -162,6 +175,7 @@ def totals(results: dict[str, Any], name: str) -> dict[str, Any]:
         "stayed": sum(row["outcomes"].get("holds", 0) + row["outcomes"].get("limit", 0) for row in rows),
         "kept share": _mean_share(rows, ("holds",)),  # each load counts the same, however many runs it has
         "stayed share": _mean_share(rows, ("holds", "limit")),
+        "kept between": _between(rows),
         "duration": float(np.mean([row["duration"] for row in rows])) if rows else None,
         "seconds": float(np.median([row["seconds"] for row in rows])) if rows else None,
         "broken": {
@@ -176,6 +190,17 @@ def _mean_share(rows: list[dict[str, Any]], outcomes: tuple[str, ...]) -> float:
     """Mean over loads of the share of runs that end so; 0 without runs."""
     shares = [sum(row["outcomes"].get(name, 0) for name in outcomes) / row["runs"] for row in rows if row["runs"]]
     return float(np.mean(shares)) if shares else 0.0
+
+
+def _between(rows: list[dict[str, Any]]) -> tuple[float, float]:
+    """95 % interval (Clopper and Pearson 1934) of the share that is kept of what the ranges allow, mean of the loads.
+
+    Of the runs drawn at random, as many of each load; where loads differ it covers more often (Hoeffding 1956).
+    """
+    least = min((len(row["drawn"]) for row in rows), default=0)
+    kept = sum(row["drawn"][:least].count("1") for row in rows)
+    rate = clopper_pearson(kept, least * len(rows))
+    return rate.low, rate.high
 
 
 def counts(results: dict[str, Any]) -> str:
@@ -198,8 +223,9 @@ def tables(results: dict[str, Any]) -> list[str]:
     lines = [
         counts(results),
         "",
-        "| planner | plans for | mean duration | kept | load stays | limits broken by the plan | planning time | |",
-        "|---|---|---|---|---|---|---|---|",
+        "| planner | plans for | mean duration | kept | 95 % interval | load stays | limits broken by the plan "
+        "| planning time | |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for name in names:
         all_ = totals(results, name)
@@ -210,9 +236,10 @@ def tables(results: dict[str, Any]) -> list[str]:
         seconds = "" if all_["seconds"] is None else f"{all_['seconds']:.2f} s"
         lines.append(
             f"| {name} | {PLANNERS[name].knows} | {mean} | {all_['held']} of {all_['runs']} | "
-            f"{all_['stayed']} of {all_['runs']} | {worst} | {seconds} | {all_['kind']} |"
+            f"{_percent(all_['kept between'])} | {all_['stayed']} of {all_['runs']} | {worst} | {seconds} | "
+            f"{all_['kind']} |"
         )
-    lines += ["", "Each cell: duration, kept of all runs (load stays, where that is more).", ""]
+    lines += ["", "Each cell: duration, kept of all runs, 95 % interval; how many loads stay, where that is more.", ""]
     lines += [f"| load | {' | '.join(names)} |", "|---|" + "---|" * len(names)]
     for load, found in results.items():
         lines.append(f"| {load} | {' | '.join(_cell(found.get(name, {})) for name in names)} |")
@@ -224,7 +251,13 @@ def _cell(found: dict[str, Any]) -> str:
         return "none" if "failed" in found else ""
     held = found["outcomes"].get("holds", 0)
     stayed = held + found["outcomes"].get("limit", 0)
-    return f"{found['duration']:.3f} s, {held}/{found['runs']}" + (f" ({stayed})" if stayed > held else "")
+    stays = f"; {stayed} stay" if stayed > held else ""
+    return f"{found['duration']:.3f} s, {held}/{found['runs']}, {_percent(_between([found]))}{stays}"
+
+
+def _percent(between: tuple[float, float]) -> str:
+    low, high = between
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
 def plot(results: dict[str, Any], path: Path) -> None:
@@ -241,13 +274,14 @@ def plot(results: dict[str, Any], path: Path) -> None:
         x, kept, stayed = all_["duration"], 100 * all_["kept share"], 100 * all_["stayed share"]
         colour = style.BLUE if name.startswith("salver") else style.GREY
         axes.plot([x, x], [kept, stayed], color=colour, linewidth=1)
+        axes.plot([x, x], [100 * share for share in all_["kept between"]], color=colour, linewidth=4, alpha=0.4)
         axes.plot(x, stayed, "o", markersize=6, markerfacecolor="white", color=colour)
         axes.plot(x, kept, "o", markersize=6, color=colour)
         crowded = any(0 <= other["duration"] - x < CROWDED for key, other in told.items() if key != name)
         at, side = ((-6, 5), "right") if crowded else ((6, 5), "left")
         axes.annotate(name, (x, stayed), xytext=at, ha=side, textcoords="offset points", fontsize=8)
     axes.set(xlabel="mean duration, s", ylabel="runs, %, mean of all loads", ylim=(-6, 112))
-    axes.set_title("full: load and limits kept; open: the load stays", fontsize=9)
+    axes.set_title("full: load and limits kept (bar: 95 % of those drawn at random); open: the load stays", fontsize=9)
     axes.margins(x=0.22)
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=150)
@@ -299,10 +333,12 @@ def study(chosen: argparse.Namespace, results: dict[str, Any]) -> Iterator[dict[
             if planner.missing and not (FROZEN / planner.name / f"{scenario.name}.csv").is_file():
                 print(f"{name:20s} {planner.name:20s} left out: {planner.package} is not installed, nothing is frozen")
                 continue
-            if found.get(planner.name, {}).get("runs", -1) >= chosen.n:
+            if found.get(planner.name, {}).get("runs", -1) >= _wanted(found.get(planner.name, {}), chosen):
                 continue
             try:
-                found[planner.name] = score(planner, task, chosen.n, chosen.jobs, chosen.work)
+                for n in sorted({min(chosen.hopeless, chosen.n), chosen.n}):
+                    if found.get(planner.name, {}).get("runs", -1) < n <= _wanted(found.get(planner.name, {}), chosen):
+                        found[planner.name] = score(planner, task, n, chosen.jobs, chosen.work)
                 print(f"{name:20s} {planner.name:20s} {_cell(found[planner.name])}", flush=True)
             except SalverError as error:
                 found[planner.name] = {"failed": str(error)}
@@ -310,9 +346,16 @@ def study(chosen: argparse.Namespace, results: dict[str, Any]) -> Iterator[dict[
             yield results
 
 
+def _wanted(row: dict[str, Any], chosen: argparse.Namespace) -> int:
+    """How many runs a motion shall have, after those that it has."""
+    hopeless = row.get("runs", 0) >= chosen.hopeless and not row["outcomes"].get("holds", 0)
+    return int(chosen.hopeless if hopeless else chosen.n)
+
+
 def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("-n", type=int, default=20, help="perturbed runs of each motion")
+    options.add_argument("--hopeless", type=int, default=100, help="runs after which one that kept nothing is given up")
     options.add_argument("--only", nargs="*", help="names of loads")
     options.add_argument("--planners", nargs="*", help="names of planners")
     options.add_argument("--again", action="store_true", help="forget what is known of these loads and planners")

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import tomllib
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 import peers  # noqa: E402
 from fastest import scenarios  # noqa: E402
 from peer_planners import PLANNERS, Task, toppra_law  # noqa: E402
+from salver import sampling  # noqa: E402
 
 LIMITED = ("velocity", "acceleration", "torque")
 
@@ -38,13 +40,16 @@ def test_a_motion_twice_as_fast_as_a_limit_is_told_so(task):
 def test_totals_are_sums_over_loads():
     def row(duration, holds, limit, broken):
         return {"duration": duration, "seconds": duration, "runs": 4, "kind": "live", "broken": broken,
-                "outcomes": {"holds": holds, "limit": limit, "tips": 4 - holds - limit}}  # fmt: skip
+                "outcomes": {"holds": holds, "limit": limit, "tips": 4 - holds - limit}, "drawn": "101"}  # fmt: skip
 
     results = {"a": {"x": row(1.0, 3, 1, {"jerk": 2.0})}, "b": {"x": row(2.0, 1, 0, {})}, "c": {"x": {"failed": "no"}}}
     found = peers.totals(results, "x")
     assert (found["solved"], found["of"], found["runs"], found["held"], found["stayed"]) == (2, 3, 8, 4, 5)
     assert (found["duration"], found["broken"]) == (1.5, {"jerk": 2.0})
     assert (found["kept share"], found["stayed share"]) == (0.5, 0.625)
+    assert found["kept between"] == pytest.approx((0.223, 0.957), abs=1e-3)  # 4 of 6, as tables of Clopper-Pearson say
+    results["b"]["x"]["drawn"] = "10100000"  # more of one load than of the other are not counted
+    assert peers.totals(results, "x")["kept between"] == found["kept between"]
     results["a"]["x"] |= {"runs": 8, "outcomes": {"holds": 6, "limit": 2}}  # more runs of a load weigh no more
     found = peers.totals(results, "x")
     assert (found["kept share"], found["stayed share"], found["runs"]) == (0.5, 0.625, 12)
@@ -58,6 +63,21 @@ def test_the_page_says_how_many_runs_there_are_of_which_loads():
     }
     sentence = peers.counts(runs)
     assert sentence.startswith("18 runs in all: 4 of each motion for *a*, *b*; 2 to 4 of each motion for *c*.")
+
+
+def test_intervals_are_of_what_was_drawn_and_hopeless_motions_are_given_up():
+    chosen = Namespace(n=1000, hopeless=100)
+    assert [peers._wanted({"runs": k, "outcomes": {"holds": h}}, chosen) for k, h in ((99, 0), (100, 0), (100, 1))] == [
+        1000,
+        100,
+        1000,
+    ]
+    five = scenarios()["tall bottle"]
+    assert [peers._extremes(five, n) for n in (32, 33, 1000)] == [0, 32, 32]
+    drawn = sampling.draw(five.uncertain, 33, 0, "corners", five.bodies)
+    inside = np.abs(drawn - five.uncertain.nominal) < 0.999 * five.uncertain.half_range
+    assert not inside[:32].any()
+    assert inside[32].all()
 
 
 def test_frozen_motions_are_of_the_task_and_say_where_they_come_from():
