@@ -9,7 +9,7 @@ DOCS   := $(VENV)/.docs-ready
 OUT    ?= out/demo
 SOURCES = src tests $(wildcard benchmarks examples docs tools)
 
-.PHONY: help setup demo test quick mutate fuzz lint format types layers check bench scenario-table pages docs lock clean
+.PHONY: help setup demo test quick mutate fuzz lint format types layers check bench scenario-table pages docs dist lock clean
 
 help:
 	@echo "make demo    the paper's experiment and a tall bottle, planned, checked and simulated; pages and figures in $(OUT)"
@@ -22,6 +22,7 @@ help:
 	@echo "make scenario-table   docs/scenarios.md: the shortest safe durations, checked in the engine"
 	@echo "make pages   write options, keys and names of the program into the pages of docs/ again"
 	@echo "make docs    build the documentation into site/"
+	@echo "make dist    build wheel and sdist into dist/, the same bytes each time"
 	@echo "make lock    resolve the dependencies again"
 	@echo "make clean   remove what was built (the virtual environment too)"
 
@@ -91,6 +92,9 @@ docs: $(DOCS)
 	$(BIN)/python docs/make_figures.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@! grep -rnoE '<(script|link|img|iframe)[^>]*(src|href)="?(https?:)?//[^ >]*' site --include='*.html' | grep -v 'rel="canonical"' || { echo 'the site would ask other servers' >&2; exit 1; }
+
+dist: $(READY)
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python tools/dist.py
 
 LOCK = $(BIN)/uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
   --no-emit-find-links --custom-compile-command "make lock" --quiet

@@ -1,7 +1,9 @@
 """What is built is what the repository holds: all data, the same bytes each time, for the Pythons it says."""
 
+import os
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -11,12 +13,16 @@ import pytest
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tools"))
+
+import dist  # noqa: E402
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 @pytest.fixture(scope="module")
-def wheels(tmp_path_factory):
-    """Two wheels, built one after the other."""
+def built(tmp_path_factory):
+    """(sdist, wheel), twice: from two copies of the repository's files, of other times and rights."""
     files = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -24,35 +30,36 @@ def wheels(tmp_path_factory):
         text=True,
         check=True,
     ).stdout.split("\n")
-    built = []
-    for name in ("first", "second"):
+    both = []
+    for name, mode, age in (("first", 0o644, 0), ("second", 0o664, 1e6)):
         place = tmp_path_factory.mktemp(name)
-        source = place / "source"
         for file in filter(None, files):
-            if (ROOT / file).is_file() and file.startswith(("src/", "pyproject", "README", "LICENSE")):
-                (source / file).parent.mkdir(parents=True, exist_ok=True)
-                (source / file).write_bytes((ROOT / file).read_bytes())
-        subprocess.run(
-            [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", place, source],
-            check=True,
-            capture_output=True,
-            env={"SOURCE_DATE_EPOCH": "1700000000", "PATH": "/usr/bin:/bin"},
-        )
-        built.append(next(place.glob("*.whl")))
-    return built
+            if (ROOT / file).is_file() and file.startswith(("src/", "pyproject", "README", "LICENSE", "MANIFEST")):
+                copy = place / "source" / file
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.write_bytes((ROOT / file).read_bytes())
+                copy.chmod(mode)
+                os.utime(copy, (age, age + 1.6e9))
+        both.append(dist.build(place / "source", place / "dist"))
+    return both
 
 
-def test_a_wheel_holds_every_file_of_the_package(wheels):
-    inside = set(zipfile.ZipFile(wheels[0]).namelist())
+def test_a_wheel_holds_every_file_of_the_package(built):
+    """It is built from the sdist, so that holds them too; and no tests, which are of no use without the rest."""
+    sdist, wheel = built[0]
+    inside = set(zipfile.ZipFile(wheel).namelist())
     own = [p for p in (ROOT / "src" / "salver").rglob("*") if p.is_file() and "__pycache__" not in p.parts]
     missing = [str(p) for p in own if str(p.relative_to(ROOT / "src")) not in inside]
     assert len(own) > 150
     assert missing == []
+    with tarfile.open(sdist) as archive:
+        assert not [name for name in archive.getnames() if "/tests" in name]
 
 
-def test_a_wheel_is_built_the_same_twice(wheels):
-    first, second = (wheel.read_bytes() for wheel in wheels)
-    assert first == second
+def test_what_is_built_is_the_same_twice(built):
+    (sdist, wheel), (other_sdist, other_wheel) = built
+    assert wheel.read_bytes() == other_wheel.read_bytes()
+    assert sdist.read_bytes() == other_sdist.read_bytes()
 
 
 def test_the_pythons_it_names_are_the_pythons_it_takes():
