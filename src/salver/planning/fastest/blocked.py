@@ -55,13 +55,11 @@ def why_touching(problem: TransportProblem, pairs: list[Ends], status: Status) -
 def _stuck(parts: ArmGeometry, name: str, target: PoseTarget) -> Status | None:
     """Why the tray cannot be at an end, whatever the arm does, or None."""
     headings = HEADINGS if target.yaw_free else HEADINGS[:1]
+    whatever = f" whichever way it points (at {len(headings)} headings)" if target.yaw_free else ""
     stuck = None
     for heading in headings:
         turned = replace(target, R_SB=target.R_SB @ exp([0.0, 0.0, heading]))
-        stuck = blocked_end(parts, {name: turned.tray_pose})
+        stuck = blocked_end(parts, {name: turned.tray_pose}, whatever)
         if stuck is None:
             return None
-    if stuck is not None and target.yaw_free:
-        told = stuck.sentence.replace(";", f" whichever way it points (at {len(headings)} headings);")
-        stuck = replace(stuck, sentence=told)
     return stuck

@@ -69,12 +69,13 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
     return found
 
 
-def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]]) -> Status | None:
-    """Why nothing can stand at an end of a motion, or None; ends: name -> (p_SE, R_SE) of the tray."""
+def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], whatever: str = "") -> Status | None:
+    """Why nothing can stand at an end of a motion, or None; ends: name -> (p_SE, R_SE) of the tray. whatever: words for
+    what was tried at that end beside this."""
     for name, (p_SE, R_SE) in ends.items():
         found = parts.in_the_way(p_SE, R_SE)
         if found is not None:
-            sentence = f"At the {name} the {found[0]} is inside the obstacle {found[1]}; move one of them."
+            sentence = f"At the {name} the {found[0]} is inside the obstacle {found[1]}{whatever}; move one of them."
             return Status(COLLISION, sentence, False, {COLLISION: {"first": found[0], "second": found[1]}})
     return None
 
