@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from salver import scenario
-from salver.errors import ScenarioError
+from salver.errors import ScenarioError, UnreachableError
 from salver.models import urdf
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.urdf import find_mesh
+from salver.planning.fastest import plan_fastest
 from salver.planning.follow.limits import peaks, verdict
 from salver.planning.make import make_plan
 from salver.simulation.loads import true_world
@@ -337,6 +338,19 @@ def test_a_urdf_made_from_xacro_is_an_arm(tmp_path: Path) -> None:
     arm = load_arm(scenario.Arm(model=str(made), flange="roll"), scenario.Tray())
     assert arm.limits.velocity == pytest.approx([1.5] * 6)
     assert arm_geometry(arm).unchecked == ("links that share a joint against one another",)
+
+
+def test_an_arm_of_one_joint_is_told_that_it_does_not_reach(tmp_path: Path) -> None:
+    """Its Jacobian has one column."""
+    file = tmp_path / "one.urdf"
+    links = LINK.format(name="base", mass=1, com="0 0 0", size="0.05 0.05 0.05") + LINK.format(
+        name="tool", mass=1, com="0 0 0.05", size="0.05 0.05 0.05"
+    )
+    turn = joint("turn", "revolute", "base", "tool", "0 0 0.1", "0 0 1")
+    file.write_text(f'<robot name="one">{links}{turn}</robot>')
+    case = scenario.parse({**CELL, "arm": {"model": str(file), "flange": "tool", "collisions": "unchecked"}}, "one")
+    with pytest.raises(UnreachableError, match="No posture within the joint limits reaches"):
+        plan_fastest(case)
 
 
 def test_a_file_too_large_for_a_robot_is_not_read(tmp_path, monkeypatch):
