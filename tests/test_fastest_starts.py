@@ -19,6 +19,7 @@ from salver.planning.fastest.around import LEAN, STEP, way_around
 from salver.planning.fastest.bound import least_by_friction, least_duration, least_time
 from salver.planning.fastest.constraints import Clearance, evaluate
 from salver.planning.fastest.curves import FreeCurve
+from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.exchange import rough
 from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.obstacles import AT_NODES, KeepOut
@@ -27,7 +28,10 @@ from salver.planning.fastest.search import few_pieces, refitted
 from salver.planning.fastest.sides import DEEPEST, past
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.starts import (
+    ATTEMPTS,
+    BATCHES,
     Start,
+    _sought,
     bendable,
     bent,
     between,
@@ -495,3 +499,57 @@ def test_a_search_that_nothing_stopped_goes_on_from_there_and_counts_all_its_ste
     one = search._Search(transport_problem(scenario.load("panda-cube")), options, Watch(), [], np.random.default_rng(0))
     assert one._refined(one.problem, begun) is ends[1]
     assert one.iterations == 5 + 3
+
+
+@pytest.mark.slow
+def test_another_start_takes_the_place_of_one_that_becomes_longer_when_it_is_refined():
+    """In the goal posture that promises most, something is within a millimetre of something else, about as near
+    as the arm may stray; to the other posture the way is free, and takes 1.199 s."""
+    case = scenario.parse(
+        {
+            "name": "two-ends",
+            "motion": {
+                "start": {"position": [0.49670281, 0.61522311, 0.5464039]},
+                "goal": {"position": [0.48675431, -0.31498546, 0.54518059]},
+                "goal_yaw": "fixed",
+            },
+            "objects": [
+                {
+                    "shape": {"type": "box", "size": [0.09449807, 0.09449807, 0.09091334]},
+                    "mass": 0.16143063,
+                    "friction": 0.44288296,
+                    "support_inset": 0.002,
+                    "uncertainty": {"mass": "10%", "friction": "10%"},
+                }
+            ],
+            "contact": {"condition": "exact"},
+            "tray": {"size": [0.18, 0.18], "mass": 0.2, "height": 0.05},
+            "arm": {"model": "ur10"},
+            "obstacles": [
+                {"type": "box", "position": [0.42032934, -0.08351663, 0.37796455], "size": [0.18, 0.18, 0.12]}
+            ],
+        },
+        "two-ends",
+    )
+    found = fastest(transport_problem(case))
+    assert found.status.ok
+    assert found.duration < 1.21
+
+
+def test_a_start_posture_is_followed_once(monkeypatch):
+    """An arm of six joints has few postures at a pose: goals are sought from each of them once, however many guesses
+    lead there."""
+    problem = transport_problem(scenario.load("ur5-bottle"))
+    goals, starts = [], []
+    nearest = AtPose.nearest
+
+    def noted(end, arm, limits, q, *more):
+        (goals if end is problem.goal else starts).append(q)
+        return nearest(end, arm, limits, q, *more)
+
+    monkeypatch.setattr(AtPose, "nearest", noted)
+    _sought(problem, np.random.default_rng(0), 0)
+    apart = [np.abs(one - other).max() for k, one in enumerate(goals) for other in goals[:k]]
+    assert len(starts) == ATTEMPTS // BATCHES
+    assert 2 <= len(goals) < len(starts)
+    assert min(apart) > 1e-6

@@ -19,6 +19,7 @@ AT_NODES = 1e-3  # m more at the nodes of a programme, for what may happen betwe
 REACH = 5e-3  # m; pairs that are further apart than this and what they must be are left out of a programme
 EXACT = 1.5 * REACH + AT_NODES  # m up to which distances are exact: what comes to within reach from there came far
 ENOUGH_AT_ENDS = 1.5e-3  # m beyond what is required, at which an end posture needs no exception
+KEPT_AT_ENDS = 0.1  # share of the distance at an end that does need one
 NEAR = 0.05  # m; pairs that are nowhere nearer along a path are left out until they are
 
 
@@ -40,10 +41,10 @@ class KeepOut:
         return cls(parts, required)
 
     def kept_by(self, ends: Array) -> KeepOut:
-        """The same with less to keep for pairs that are too near in end postures (N, n) that cannot be helped: half of
-        what there is, less what the nodes of a programme keep beside it."""
+        """The same with less to keep for pairs that are too near in end postures (N, n) that cannot be helped: a tenth
+        of what there is, as the arm may stray into the rest, less what the nodes of a programme keep beside it."""
         there = self.parts.clearance(ends).min(axis=0)
-        less = np.minimum(0.5 * np.maximum(there, 0.0) - AT_NODES, self.required)
+        less = np.minimum(KEPT_AT_ENDS * np.maximum(there, 0.0) - AT_NODES, self.required)
         return KeepOut(self.parts, np.where(there < self.required + ENOUGH_AT_ENDS, less, self.required))
 
     def near(self, q: Array) -> KeepOut:

@@ -53,11 +53,15 @@ WORSE = 1.03  # times longer: not to be refined, as first optima of such motions
 NEAR = 0.1  # and from the optimum of a similar problem
 NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
 BENDS = 3  # detours that are tried at last
-SIDES_TRIED = 4  # paths past what is in the way that are tried, for each pair of ends
+SIDES_TRIED = 10  # paths that are tried where something is in the way, for each pair of ends that would be else
 SHORTENED = 0.5  # of its own least time a motion hardly becomes shorter
-IN_VAIN = 4  # of them in turn that are not shorter than what was found: the others are left out,
+IN_VAIN = 6  # of them in turn that are not shorter than what was found: the others are left out,
 ENOUGH_SIDES = 3  # of those that are found for a pair, with which no way around is looked for
-DEEP = 4.0  # by which share a path counts as longer that is so deep in something, 1/m
+DEEP = 8.0  # by which share a path counts as longer that is so deep in something, 1/m
+REFINING = 0.96  # times its duration a rough optimum takes when refined, or less;
+NEARLY_BEATEN = 0.05  # violation at which one was given up that may become the best all the same,
+INSTEAD = 2  # of which so many are refined when the first falls short of that
+SAME = 0.1  # rad; iterates that differ by less become one
 AGAIN = 3  # times a motion that nothing hinders is made shorter
 
 
@@ -110,7 +114,8 @@ class _Search:
         """The best of the first few rough optima is refined; when none is feasible, the next that is; at last the
         others."""
         touching = not any(pair.free for pair in self.pairs)
-        first, further = (self._lines(), iter(())) if touching else (self._first(), self._further())
+        first = self._lines(self.options.first(self.problem)) if touching else self._first()
+        further = iter(()) if touching else self._further()
         steps = len(first) + self.options.starts
         roughs: list[tuple[TransportProblem, Solution]] = []
         vain = 0
@@ -123,38 +128,54 @@ class _Search:
             if self.watch.over() or (vain >= IN_VAIN * self.options.starts and np.isfinite(beat)):
                 break
         best: FastestMotion | None = None
-        refined = 0
+        begun: list[Iterate] = []
         while True:
             roughs.sort(key=_merit)
             hopeful = bool(roughs) and roughs[0][1].iterate.violation < NEARLY
-            more = None if hopeful or self.watch.over() else next(further, None)
+            safe = best is not None and best.status.ok
+            more = None if hopeful or safe or self.watch.over() else next(further, None)
             if more is not None:
                 roughs.append(self._rough(*more))
                 continue
             if not roughs:
                 break
             problem, rough = roughs.pop(0)
-            if refined == 0 and isinstance(problem.goal, AtPose) and problem.goal.target.yaw_free:
+            if not begun and isinstance(problem.goal, AtPose) and problem.goal.target.yaw_free:
                 turned = [(problem, rough), *((problem, other) for other in self._turned(problem, rough))]
                 (problem, rough), *others = sorted(turned, key=_merit)
                 roughs += others
-            found, begun = self._refined(problem, rough.iterate), (problem, rough.iterate)
-            refined += 1
+            found, last = self._refined(problem, rough.iterate), (problem, rough.iterate)
+            begun.append(rough.iterate)
             if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
                 best = found
                 self.watch.best = best.duration if best.status.ok else None
-            self.watch.share = min(1.0, (len(first) + refined) / steps)
-            enough = refined >= self.options.starts
+            self.watch.share = min(1.0, (len(first) + len(begun)) / steps)
+            enough = len(begun) >= self.options.starts
+            others = self._instead(best, begun, roughs) if enough else []
+            if others and not self.watch.over():
+                roughs = others
+                continue
             if (best.status.ok and enough) or (not hopeful and enough) or self.watch.over():
                 break
         assert best is not None
         if self.watch.ended == INTERRUPTED and not best.status.ok:
             # What was begun is mended, in a moment, before it is given back.
             briefly = replace(self.options, iterations=0.25 * self.options.iterations)
-            mended = replace(self, options=briefly, watch=Watch())._refined(*begun)
+            mended = replace(self, options=briefly, watch=Watch())._refined(*last)
             best = mended if mended.status.ok else best
         status = best.status if best.status.ok or not touching else why_touching(self.problem, self.pairs, best.status)
         return replace(best, status=_ended(status, self.watch), iterations=self.iterations)
+
+    def _instead(
+        self, best: FastestMotion, begun: list[Iterate], roughs: list[tuple[TransportProblem, Solution]]
+    ) -> list[tuple[TransportProblem, Solution]]:
+        """Of the rough optima that are left the one, unlike those that were begun, that may well beat the best, which
+        became little shorter when it was refined; none if there is none, or enough were tried."""
+        if not best.status.ok or len(begun) >= self.options.starts + INSTEAD:
+            return []
+        few = [x for x in roughs if x[1].iterate.violation < NEARLY_BEATEN and not _alike(x[1].iterate, begun)]
+        few.sort(key=lambda x: x[1].iterate.duration)
+        return [x for x in few[:1] if REFINING * x[1].iterate.duration < best.duration]
 
     def _beat(self, roughs: list[tuple[TransportProblem, Solution]]) -> float:
         """What another rough optimum has to be shorter than to be refined, s."""
@@ -163,28 +184,27 @@ class _Search:
         return (1 - ROUGH_GAIN) * hopeful[enough - 1] if len(hopeful) >= enough else np.inf
 
     def _first(self) -> list[Begin]:
-        """Straight paths between the most promising ends; where those cannot be gone along, what passes on either side
-        too, the most promising first."""
+        """Straight paths between the most promising ends; where those cannot be gone along, ways around, which mostly
+        hold, then straight ones between others and what passes on either side, the most promising first."""
         count = self.options.first(self.problem)
-        lines = [*self._lines(), *self._lines(count)]
-        free = [open_to(problem, line) for problem, line in lines]
+        lines = self._lines(len(self.pairs))
+        free = [open_to(problem, line) for problem, line in lines[: 2 * count]]
         if all(free[:count]):
             return lines[:count]
+        free += [open_to(problem, line) for problem, line in lines[2 * count :]]
         found = [line for line, is_free in zip(lines, free, strict=True) if is_free]
         few = self.options.starts > 1
-        for pair, (problem, line), is_free in zip(self.pairs[:count], lines, free, strict=False):
+        for pair, (problem, line), is_free in zip(self.pairs[: 2 * count], lines, free, strict=False):
             if not is_free:
                 beside = past(problem, pair)
                 few = few or len(beside) < ENOUGH_SIDES
                 found += [(problem, path) for path in (line, tray_line(problem, pair), *beside) if path is not None]
-        if few:
-            found += self._promising(self._ways([]))
-        return sorted(found, key=_promise)[: SIDES_TRIED * count]
+        ways = self._promising(self._ways([])) if few else []
+        return [*ways, *sorted(found, key=_promise)[: SIDES_TRIED * count]]
 
-    def _lines(self, first: int = 0) -> list[Begin]:
-        """Straight paths between as many pairs of ends as are tried first, from one of them on."""
-        few = self.pairs[first : first + self.options.first(self.problem)]
-        return [(between(self.problem, pair), straight(pair)) for pair in few]
+    def _lines(self, count: int) -> list[Begin]:
+        """Straight paths between so many pairs of ends."""
+        return [(between(self.problem, pair), straight(pair)) for pair in self.pairs[:count]]
 
     def _ways(self, pairs: list[Ends]) -> list[Start]:
         """Ways around between the ends of each of some pairs, and from any start to any goal that is known."""
@@ -256,14 +276,18 @@ class _Search:
         best = _optimum(problem, self.options, start, self.watch, damping, also=also)
         self.iterations += best.iterations
         for _ in range(AGAIN):
-            if not best.status.ok or best.binding or self.watch.over():
+            hindered = best.binding and best.duration < found.duration
+            if not best.status.ok or hindered or self.watch.over():
                 break
             start = SplineMotion(spline, best.coefficients, best.duration)
             again = _optimum(problem, self.options, start, self.watch, REFINED)
             self.iterations += again.iterations
             if not again.status.ok or again.duration >= best.duration:
                 break
+            little = again.duration > (1 - ROUGH_GAIN) * best.duration
             best = again
+            if little and best.binding:
+                break
         return best
 
     @property
@@ -290,6 +314,11 @@ def _promise(begin: Begin) -> float:
 
 def _merit(found: tuple[TransportProblem, Solution]) -> tuple[bool, float]:
     return found[1].iterate.violation >= NEARLY, found[1].iterate.duration
+
+
+def _alike(found: Iterate, others: list[Iterate]) -> bool:
+    """Whether an iterate is nearly one of others with as many coefficients, but for how the last joint is turned."""
+    return any(np.abs(found.coefficients - other.coefficients)[:, :-1].max() < SAME for other in others)
 
 
 def _ended(status: Status, watch: Watch) -> Status:
