@@ -246,7 +246,7 @@ def page(records: list[dict[str, Any]], corners: list[dict[str, Any]]) -> str:
         if best and found and found > 1.03 * best
     ]
     unsolved = [f"{r['number']} ({r['arm']})" for r, _, best in default if best is None]
-    compared = sum(bool(r["thorough"]) for r in records)
+    compared, known = (sum(bool(r.get(key)) for r in records) for key in ("thorough", "known"))
     in_engine = (
         "In the physics engine, with the arm and with objects at corners of what is uncertain (`--corners 10`), "
         f"{held} runs hold, of {len(ran)} of the {solved} solved tasks. {sum(r['distinct'] for r in ran)} of them are "
@@ -261,10 +261,11 @@ def page(records: list[dict[str, Any]], corners: list[dict[str, Any]]) -> str:
             "",
             f"Tasks {records[0]['number']} to {records[-1]['number']} of the survey: random ends, loads and cells on",
             "the arms that salver knows and on two URDFs; every other one has one to three obstacles near the way.",
-            f"Each is planned at the default effort, {compared} of them at `--effort thorough` too, with another seed:",
-            "what any of these or an earlier state of the program solves counts as solvable, and the shortest duration",
-            "is the best known; nothing says that no shorter one exists. A task that was planned at the default effort",
-            "only has nothing to be compared with. Processor times on a machine that was busy with other things.",
+            f"Each is planned at the default effort, {compared} of them at `--effort thorough` too, with another",
+            f"seed, and {known} by earlier states of the program at both: what any of these solves counts as solvable,",
+            "and the shortest duration is the best known; nothing says that no shorter one exists. A task that was",
+            "planned at the default effort only has nothing to be compared with. Processor times on a machine that was",
+            "busy with other things.",
             "",
             table(records),
             "",
@@ -296,9 +297,10 @@ def main() -> None:
     if not (given.table or given.docs):
         survey(range(given.first, given.n), given.out, thorough=not given.quick)
     records = sorted(read(given.out), key=lambda record: int(record["number"]))
-    earlier = {known["number"]: best_known(known) for path in given.known for known in read(path) if best_known(known)}
+    earlier = [(known["number"], best_known(known)) for path in given.known for known in read(path)]
     for record in records:
-        record["known"] = [*record.get("known", []), *filter(None, [earlier.get(record["number"])])]
+        known = [best for number, best in earlier if best and number == record["number"]]
+        record["known"] = [*record.get("known", []), *sorted(known)[:1]]
     if given.docs:
         DATA.write_text("".join(json.dumps(record) + "\n" for record in records), encoding="utf-8")
         PAGE.write_text(page(records, read(corners_of(given.out))), encoding="utf-8")
