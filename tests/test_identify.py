@@ -119,6 +119,22 @@ def test_two_logs_tell_more_than_one(plan: Plan) -> None:
     assert identify(plan, logs, empty).covariance[0, 0] < identify(plan, logs[:1], empty).covariance[0, 0]
 
 
+@pytest.mark.parametrize(
+    ("part", "said"), [(slice(6), "forces are .* in N[.]"), (slice(3, 6), "moments are .* in N m[.]")]
+)
+def test_a_wrist_in_other_units_is_told(plan: Plan, part: slice, said: str) -> None:
+    """In mN and N mm, or moments in N mm only: it is no slip that is spoken of."""
+    arm, load_ = SensedArm(plan, 2, joints=False), drawn(plan, 2)
+    logs = []
+    for log in (arm.log(load_), arm.log(None)):
+        assert log.wrench_F is not None
+        wrench = log.wrench_F.copy()
+        wrench[:, part] *= 1000
+        logs.append(replace(log, wrench_F=wrench))
+    with pytest.raises(FileFormatError, match=said):
+        identify(plan, [logs[0]], logs[1])
+
+
 def test_runs_of_two_plans_are_of_one_load(plan: Plan) -> None:
     """Their informations add up to that of both, in the B of the scenario that is asked for; ranges stay within those
     of any other scenario that holds the load."""

@@ -49,6 +49,8 @@ BLOCKS = 160  # and not more of them
 MOVES = 0.02  # rad that some joint must move, for a motion
 WHOLE = 0.8  # of the motion that both logs must hold
 SAME = 0.02  # rad by which the empty run may differ from the loaded one
+OTHER_UNIT = 20.0  # times what the heaviest load needs, that a wrist cannot feel,
+ARM = 0.05  # m from which a force makes a moment
 FOREIGN = 0.3  # of the largest torque of a joint: by how much a model of the arm may err,
 FRICTION_SHARE = 0.1  # and of its limit, by friction
 SLIPPED = 3.5  # standard deviations by which the centres of mass of a run's halves differ when the load slid
@@ -161,6 +163,7 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
         log = _timed(plan, run.loaded)
         state = _state(plan, arm, log)
         _same_motion(plan, log, empty)
+        _in_units(log, state, float(phi_0[0] + spread[0]) + scenario.tray.mass, phi_0)
         channels = differences(state, without, log, empty, (phi_0, spread))
         moved, error = _moved(channels, log, (phi_0, spread))
         shift = np.maximum(shift, np.maximum(np.abs(moved) - error, 0.0))
@@ -247,6 +250,22 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
     wrench = None if log.wrench_F is None else mean(log.wrench_F) - _tray_wrench(plan, arm, terms.w)
     t = mean(log.t)
     return State(t, every, mean(dq), tau, wrench, terms.torque, to_tau, at_F)
+
+
+def _in_units(log: Log, state: State, heaviest: float, phi_0: Array) -> None:
+    """Raise FileFormatError when a wrist feels far more than the heaviest load and tray, kg, can make it feel."""
+    if state.wrench is None:
+        return
+    most = np.linalg.norm((state.to_wrench @ (phi_0 * heaviest / phi_0[0])).reshape(-1, 2, 3), axis=2)
+    most[:, 1] += ARM * most[:, 0]
+    felt = np.linalg.norm(state.wrench.reshape(-1, 2, 3), axis=2)
+    times = np.median(felt, axis=0) / np.median(most, axis=0)
+    for name, unit, x in zip(("forces", "moments"), ("N", "N m"), times, strict=True):
+        if x > OTHER_UNIT:
+            raise FileFormatError(
+                f"{log.source}: wrist {name} are {x:.0f} times what the tray and the heaviest load of the ranges need; "
+                f"they must be in {unit}."
+            )
 
 
 def _of_this_arm(arm: ArmModel, without: State, empty: Log) -> None:
