@@ -20,7 +20,7 @@ from salver.geometry import log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.planning.fastest import transport_problem
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.exchange import SHORTEST
-from salver.planning.fastest.legs import _status, chains
+from salver.planning.fastest.legs import _end_of, _merit, _status, chains
 from salver.planning.fastest.passing import Passing
 from salver.planning.fastest.programme import Programme
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
@@ -223,6 +223,14 @@ def test_legs_that_do_not_meet_are_not_ok(planned, tmp_path):
     found = load_round(tmp_path / "moved")
     assert found.apart == pytest.approx(1e-3)
     assert not found.ok
+
+
+def test_a_task_that_lacks_a_leg_is_worse_than_a_slow_one(planned):
+    first, second = planned.legs
+    both = [transport_problem(leg.scenario, passing=True) for leg in planned.legs]
+    assert _merit([first, second], both) == (False, 0, pytest.approx(first.duration + second.duration))
+    assert _merit([first], both) == (True, 1, first.duration)
+    assert _end_of(first) == pytest.approx(first.joint.sample([first.duration])[0][0])
 
 
 def test_a_task_is_as_good_as_its_worst_leg(planned):
