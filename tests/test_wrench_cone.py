@@ -123,6 +123,11 @@ def test_how_far_a_pressure_point_is_beyond_an_edge_by_hand() -> None:
         force = np.array([0.2, -0.1, 1.0])
         wrench = np.concatenate([force, np.cross([x, y, -0.02], force)])
         assert (rows @ wrench).max() / (normal @ wrench) == pytest.approx(beyond)
+    triangle = support_contacts(np.array([[0.1, 0.0, 0.0], [0.3, 0.0, 0.0], [0.1, 0.1, 0.0]]), 0.4, 4)
+    rows, normal = support_rows(triangle)
+    for x, y, beyond in ((0.07, 0.04, 0.03), (0.2, -0.02, 0.02), (0.3, 0.1, 0.1 * 0.2 / np.hypot(0.1, 0.2))):
+        wrench = np.array([0.0, 0.0, 1.0, y, -x, 0.0])
+        assert (rows @ wrench).max() / (normal @ wrench) == pytest.approx(beyond)
     many = np.random.default_rng(0).normal(size=(2, 3, 6))
     cone = facets(contacts)
     expected = [[margin(cone, one[None])[0] for one in each] for each in many]
