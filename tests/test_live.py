@@ -389,6 +389,11 @@ class TestWishes:
         parts = beside(0.003).problem.keep_out  # nearer than the 5 mm that are kept elsewhere
         pair = [(parts.parts.names[i], parts.parts.names[j]) for i, j in parts.parts.pairs].index(("tray", "wall"))
         assert parts.required[pair] == pytest.approx(0.0015, abs=1e-6)
+        live = beside(0.003)
+        states = drive(live, 2.0, [(0.0, place(0.5, -0.1, 0.5))])
+        assert not live.state.refused
+        assert live.problem.arm.tray_pose(states[0][-1])[0][1] > -0.11
+        check(live, states)
 
     def test_a_posture_that_is_clear_is_found_where_the_first_one_is_not(self, cube):
         """Near the base the posture that is nearest to the middle of the joints' ranges has the tray in the forearm."""

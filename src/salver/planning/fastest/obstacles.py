@@ -20,6 +20,7 @@ REACH = 5e-3  # m; pairs that are further apart than this and what they must be 
 EXACT = 1.5 * REACH + AT_NODES  # m up to which distances are exact: what comes to within reach from there came far
 ENOUGH_AT_ENDS = 1.5e-3  # m beyond what is required, at which an end posture needs no exception
 KEPT_AT_ENDS = 0.1  # share of the distance at an end that does need one
+KEPT_WHERE_GIVEN = 0.5  # and of that in a posture that was given, where the arm stands
 NEAR = 0.05  # m; pairs that are nowhere nearer along a path are left out until they are
 
 
@@ -33,18 +34,20 @@ class KeepOut:
 
     @classmethod
     def of(cls, parts: ArmGeometry, q: Array | None) -> KeepOut:
-        """All pairs; one that is nearer than `SAFETY` at some of the postures (N, n) that are given has to keep half of
-        that distance."""
+        """All pairs; one that is nearer than `SAFETY` at some of the postures (N, n) that are given has to keep a share
+        of that distance."""
         required = np.full(len(parts.pairs), SAFETY)
         if q is not None:
-            required = np.minimum(required, 0.5 * np.maximum(parts.clearance(q).min(axis=0), 0.0))
+            required = np.minimum(required, KEPT_WHERE_GIVEN * np.maximum(parts.clearance(q).min(axis=0), 0.0))
         return cls(parts, required)
 
     def kept_by(self, ends: Array) -> KeepOut:
         """The same with less to keep for pairs that are too near in end postures (N, n) that cannot be helped: a tenth
-        of what there is, as the arm may stray into the rest, less what the nodes of a programme keep beside it."""
+        of what there is, as the arm may stray into the rest, less what the nodes of a programme keep beside it. What a
+        given posture keeps is kept: by that motions are judged that begin there."""
         there = self.parts.clearance(ends).min(axis=0)
-        less = np.minimum(KEPT_AT_ENDS * np.maximum(there, 0.0) - AT_NODES, self.required)
+        share = np.where(self.required < SAFETY, KEPT_WHERE_GIVEN, KEPT_AT_ENDS)
+        less = np.minimum(share * np.maximum(there, 0.0) - AT_NODES, self.required)
         return KeepOut(self.parts, np.where(there < self.required + ENOUGH_AT_ENDS, less, self.required))
 
     def near(self, q: Array) -> KeepOut:
