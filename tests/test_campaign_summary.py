@@ -10,6 +10,8 @@ import pytest
 from salver import scenario as scenarios
 from salver.campaigns.runners import round_scalars, run_scalars, tube_scalars
 from salver.campaigns.summary import read_table, summarise, table, write_table
+from salver.errors import FileFormatError
+from salver.reports.run import _column
 
 
 class _FlatPlan:
@@ -165,3 +167,40 @@ def test_figures_of_a_run_of_several_legs_are_the_worst_of_them_and_say_which_le
         "leg2.outcome": "slides",
         "leg2.peak_slip": 4e-3,
     }
+
+
+def test_a_table_is_what_another_reader_of_parquet_reads(tmp_path):
+    """Every kind of value, what is missing, what is mixed, numbers to the last bit; and the other way round."""
+    parquet, pyarrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+    path = tmp_path / "runs.parquet"
+    rows = [
+        {"stem": "plan", "run": 0, "sliced": True, "slip": 0.1 + 0.2, "mixed": 1, "never": None, "said": None},
+        {"stem": "Brücke", "run": 1, "sliced": None, "slip": None, "mixed": 2.5, "never": None, "said": "tips"},
+        {"stem": "plan", "run": 2**40, "sliced": False, "slip": float("inf"), "mixed": None, "never": None},
+    ]
+    digest = write_table(path, rows)
+    expected = {name: [row.get(name) for row in rows] for name in rows[0]}
+    assert read_table(path) == expected == parquet.read_table(path).to_pydict()
+    types = [type(value) for value in parquet.read_table(path).to_pydict()["mixed"]]
+    assert types == [float, float, type(None)]
+    assert write_table(tmp_path / "again.parquet", rows) == digest
+    parquet.write_table(pyarrow.table(expected), path, compression="zstd")  # as salver wrote them once
+    assert read_table(path) == expected
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1", b"stem,run\nplan,0\n", b"PAR1" + bytes(40)])
+def test_what_is_no_table_is_refused(tmp_path, content):
+    (tmp_path / "runs.parquet").write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"runs\.parquet is no Parquet file, or was cut off\."):
+        read_table(tmp_path / "runs.parquet")
+
+
+def test_numbers_that_are_missing_are_no_numbers_to_a_report():
+    """As in any table of numbers; words and truths that are missing stay so."""
+    slips = _column([1e-3, None, 2])
+    assert slips.dtype == float
+    np.testing.assert_array_equal(slips, [1e-3, np.nan, 2.0])
+    assert np.all(np.isnan(_column([None, None])))
+    assert _column([True, None]).tolist() == [True, None]
+    assert _column(["tips", None]).tolist() == ["tips", None]
+    assert _column([3, 4]).dtype.kind == "i"

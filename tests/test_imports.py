@@ -15,6 +15,7 @@ import pytest
 import salver
 
 HEAVY = (
+    "arro3",
     "casadi",
     "coal",
     "matplotlib",
@@ -22,7 +23,6 @@ HEAVY = (
     "numpy",
     "pinocchio",
     "piqp",
-    "pyarrow",
     "pydantic",
     "rosbags",
     "scipy",
@@ -47,7 +47,7 @@ def test_importing_loads_nothing_heavy(module):
 def test_planning_needs_no_physics_engine_and_no_plotting():
     code = "import json, sys; import salver.planning.plan; print(json.dumps(sorted(sys.modules)))"
     loaded = _run(code)
-    assert not {"mujoco", "matplotlib", "pyarrow", "rosbags", "trimesh"} & set(loaded)
+    assert not {"mujoco", "matplotlib", "arro3", "rosbags", "trimesh"} & set(loaded)
 
 
 def test_importing_changes_no_global_state():

@@ -48,7 +48,7 @@ def command(folder: Path) -> Iterator[Path]:
 
 
 # What most commands need; each is loaded by the command that needs it otherwise.
-LOADED = ("salver.planning.make", "salver.simulation.physics", "matplotlib.pyplot", "pyarrow.parquet", "scipy.stats")
+LOADED = ("salver.planning.make", "salver.simulation.physics", "matplotlib.pyplot", "arro3.io", "scipy.stats")
 
 
 def serve(address: str) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 # Loaded once: they take longer than most tests. None of them starts a thread or keeps a state that a test could see.
 LIBRARIES = ["pytest", "hypothesis", "numpy", "scipy.optimize", "scipy.signal", "scipy.spatial", "casadi", "mujoco"]
-LIBRARIES += ["pinocchio", "coal", "clarabel", "piqp", "trimesh", "pydantic", "typer", "matplotlib.pyplot", "pyarrow"]
+LIBRARIES += ["pinocchio", "coal", "clarabel", "piqp", "trimesh", "pydantic", "typer", "matplotlib.pyplot", "arro3.io"]
 
 
 @dataclass

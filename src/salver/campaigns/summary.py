@@ -12,11 +12,13 @@ from typing import Any
 
 from salver.campaigns.definition import DEFAULT_FOLDER
 from salver.campaigns.journal import Item, Record
+from salver.errors import FileFormatError
 from salver.files import write_atomic
 from salver.statistics import clopper_pearson, mcnemar, quantiles
 
 DROPPED = ("tips", "lifts", "lost")  # outcomes of a load that did not stay, and
 FAR = 5e-3  # m of slip from where on it counts as lost too
+MAGIC = b"PAR1"  # at both ends of a Parquet file
 TUBE_TOLERANCE = 0.01  # of the largest radius: what first order may miss before a run counts as outside
 
 # From what was wanted to what must not be; an outcome that is not listed is worst.
@@ -48,9 +50,10 @@ def table(records: Mapping[Item, Record], stems: Sequence[str]) -> list[Row]:
 
 def write_table(path: Path, rows: Sequence[Row]) -> str:
     """Parquet, columns in the order of first appearance; returns its digest. The same rows give the same bytes."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    from arro3.core import Array, DataType, Table
+    from arro3.io import write_parquet
 
+    types = {bool: DataType.bool(), int: DataType.int64(), float: DataType.float64(), str: DataType.string()}
     names = list(dict.fromkeys(name for row in rows for name in row))
     columns = {}
     for name in names:
@@ -60,19 +63,27 @@ def write_table(path: Path, rows: Sequence[Row]) -> str:
             values = [None if v is None else float(v) for v in values]
         elif len(kinds) > 1:
             values = [None if v is None else str(v) for v in values]
-        columns[name] = pa.array(values)
+        kind = next((type(v) for v in values if v is not None), float)
+        columns[name] = Array(values, types[kind])
     buffer = io.BytesIO()
-    pq.write_table(pa.table(columns), buffer, compression="zstd")
+    write_parquet(Table.from_pydict(columns), buffer, compression="zstd(3)")
     write_atomic(path, buffer.getvalue())
     return hashlib.sha256(buffer.getvalue()).hexdigest()
 
 
 def read_table(path: str | Path) -> dict[str, list[Any]]:
-    """Columns of a runs.parquet."""
-    import pyarrow.parquet as pq
+    """Columns of a runs.parquet, None where a run has no such value. Raises FileFormatError."""
+    return columns_of(Path(path).read_bytes(), Path(path))
 
-    columns: dict[str, list[Any]] = pq.read_table(path).to_pydict()
-    return columns
+
+def columns_of(content: bytes, path: Path) -> dict[str, list[Any]]:
+    """The columns of what a runs.parquet holds."""
+    from arro3.io import read_parquet
+
+    if len(content) < 2 * len(MAGIC) or {content[: len(MAGIC)], content[-len(MAGIC) :]} != {MAGIC}:
+        raise FileFormatError(f"{path} is no Parquet file, or was cut off.")
+    found = read_parquet(io.BytesIO(content)).read_all()
+    return {name: [value.as_py() for value in found[name]] for name in found.column_names}
 
 
 def summarise(

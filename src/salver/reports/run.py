@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -205,7 +204,7 @@ def read_campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | N
     ):
         notes.append(f"Not shown: {path} is a campaign of other plans than those of {directory}.")
         return None, {}
-    from pyarrow import parquet
+    from salver.campaigns.summary import columns_of
 
     content = path.with_name("runs.parquet").read_bytes()
     if hashlib.sha256(content).hexdigest() != summary.get("table_digest"):
@@ -213,6 +212,13 @@ def read_campaign(directory: Path, notes: list[str]) -> tuple[dict[str, Any] | N
             f"{path.with_name('runs.parquet')} was damaged or edited since it was written; run `salver campaign` "
             "again, it resumes."
         )
-    table = parquet.read_table(io.BytesIO(content))
-    columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
-    return summary, columns
+    columns = columns_of(content, path.with_name("runs.parquet"))
+    return summary, {name: _column(values) for name, values in columns.items()}
+
+
+def _column(values: list[Any]) -> Array:
+    """Numbers that are missing are no numbers; of anything else None stays."""
+    numbers = all(
+        isinstance(value, (int, float)) and not isinstance(value, bool) for value in values if value is not None
+    )
+    return np.array([np.nan if value is None and numbers else value for value in values])
