@@ -200,10 +200,12 @@ def test_what_the_machine_refuses_is_no_defect(error, words, capfd):
 @pytest.mark.slow
 def test_a_full_disk_behind_the_output_is_one_sentence():
     for arguments in (["scenarios"], ["scenarios", "--json"]):
-        with open("/dev/full", "w") as full:
-            done = subprocess.run([SALVER, *arguments], stdout=full, stderr=subprocess.PIPE, text=True)
-        assert done.returncode == 2
-        assert done.stderr == "salver: the output: no space left on device.\n"
+        for columns in ("80", "200"):  # more than the buffer holds, or less
+            with open("/dev/full", "w") as full:
+                narrow = {**os.environ, "COLUMNS": columns}
+                done = subprocess.run([SALVER, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, env=narrow)
+            assert done.returncode == 2
+            assert done.stderr == "salver: the output: no space left on device.\n"
 
 
 @pytest.mark.slow

@@ -76,6 +76,7 @@ def handled(command: Command) -> Command:
             raise
         except OSError as error:  # a full disk, a directory that is not ours
             say(f"salver: {error.filename or 'the output'}: {(error.strerror or str(error)).lower()}.")
+            _give_up_output()
             raise typer.Exit(WRONG_USE) from None
         except MemoryError:
             say("salver: the memory of this machine was not enough; what was written to disk before is complete.")
@@ -90,6 +91,14 @@ def handled(command: Command) -> Command:
             raise typer.Exit(DEFECT) from None
 
     return wrapper  # type: ignore[return-value]
+
+
+def _give_up_output() -> None:
+    """Where the output takes no more, what is left of it goes nowhere: Python would try again at its end and fail."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 # What the loader says of a library of the system that a package needs.
