@@ -202,7 +202,7 @@ def test_a_full_disk_behind_the_output_is_one_sentence():
     for arguments in (["scenarios"], ["scenarios", "--json"]):
         for columns in ("80", "200"):  # more than the buffer holds, or less
             with open("/dev/full", "w") as full:
-                narrow = {**os.environ, "COLUMNS": columns}
+                narrow = {**os.environ, "COLUMNS": columns, "PYTHONUNBUFFERED": ""}
                 done = subprocess.run([SALVER, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, env=narrow)
             assert done.returncode == 2
             assert done.stderr == "salver: the output: no space left on device.\n"
