@@ -483,22 +483,63 @@ def test_the_time_that_a_search_took_is_told(place):
     assert 0 < found.wall_time <= took
 
 
-def test_a_search_that_nothing_stopped_goes_on_from_there_and_counts_all_its_steps(monkeypatch):
-    """The first refinement ends where nothing binds; the second is faster and bound, and that is the end."""
+def a_refined(monkeypatch, rows, *ends):
+    """Of a rough optimum of 1 s with these rows: what of ends (what binds, s, steps) in turn is kept, and the steps."""
     options, ok = FastestOptions(), Status("optimal", "It is.", True)
     few = few_pieces(options)
     size = refitted(SplineMotion(few, np.zeros((few.size, 7)), 1.0), options.spans).coefficients.shape
-    ends = [
+    results = [
         SimpleNamespace(status=ok, binding=binding, iterations=steps, duration=seconds, coefficients=np.zeros(size))
-        for binding, steps, seconds in (((), 5, 1.0), (("torque",), 3, 0.9), ((), 7, 0.8))
+        for binding, seconds, steps in ends
     ]
-    found = iter(ends)
+    found = iter(results)
     monkeypatch.setattr(search, "_optimum", lambda *_, **__: next(found))
     grid = SimpleNamespace(s=np.linspace(0, 1, 21), nodes=np.arange(0, 21, 5))
-    begun = SimpleNamespace(coefficients=np.zeros((few.size, 7)), duration=1.0, curve=SimpleNamespace(grid=grid))
+    begun = SimpleNamespace(
+        coefficients=np.zeros((few.size, 7)),
+        duration=1.0,
+        curve=SimpleNamespace(grid=grid),
+        blocks=[SimpleNamespace(name=name) for name in rows],
+    )
     one = search._Search(transport_problem(scenario.load("panda-cube")), options, Watch(), [], np.random.default_rng(0))
-    assert one._refined(one.problem, begun) is ends[1]
-    assert one.iterations == 5 + 3
+    kept = one._refined(one.problem, begun)
+    return results.index(kept), one.iterations
+
+
+def test_a_search_that_nothing_stopped_goes_on_from_there_and_counts_all_its_steps(monkeypatch):
+    """The first refinement ends where nothing binds; the second is faster and bound, and that is the end."""
+    ends = ((), 1.0, 5), (("torque",), 0.9, 3), ((), 0.8, 7)
+    assert a_refined(monkeypatch, ["torque", "acceleration"], *ends) == (1, 5 + 3)
+
+
+def test_a_refined_motion_may_be_longer_where_the_rough_one_knew_less(monkeypatch):
+    """With more pieces the shortest motion is no longer; with more conditions it may be, and the rough one's time then
+    says nothing."""
+    ends = (("torque", "waves in cup"), 1.1, 5), (("torque", "waves in cup"), 1.05, 3), (("torque",), 0.8, 7)
+    assert a_refined(monkeypatch, ["torque"], *ends) == (0, 5)
+    assert a_refined(monkeypatch, ["torque", "waves in cup"], *ends) == (2, 5 + 3 + 7)
+
+
+def test_of_rough_optima_that_know_less_the_others_too_become_longer():
+    """One takes 1 s and becomes 1.03 s long: if the same binds, one of 1.07 s may still take 0.96 of that; if something
+    binds that none of them knows, not even one of 1.01 s is worth it."""
+    rough = SimpleNamespace(duration=1.0, blocks=[SimpleNamespace(name="torque")])
+    refining = [search._refining(rough, SimpleNamespace(duration=1.03, binding=x)) for x in (["torque"], ["waves"])]
+    assert refining == [search.REFINING, 1.03]
+    shorter = SimpleNamespace(duration=0.8, binding=["waves"])
+    assert search._refining(rough, shorter) == search.REFINING
+
+
+@pytest.mark.slow
+def test_a_coffee_is_refined_once(monkeypatch):
+    """Its rough motions know of no waves: 0.709 s; with them none takes less than 0.72 s."""
+    spent = []
+    optimum = search._optimum
+    monkeypatch.setattr(search, "_optimum", lambda *a, **k: spent.append(optimum(*a, **k)) or spent[-1])
+    found = fastest(transport_problem(scenario.load("panda-coffee")))
+    assert found.status.ok
+    assert 0.72 < found.duration < 0.73
+    assert len(spent) == 1
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ SHORTENED = 0.5  # of its own least time a motion hardly becomes shorter
 IN_VAIN = 6  # of them in turn that are not shorter than what was found: the others are left out,
 ENOUGH_SIDES = 3  # of those that are found for a pair, with which no way around is looked for
 DEEP = 8.0  # by which share a path counts as longer that is so deep in something, 1/m
-REFINING = 0.96  # times its duration a rough optimum takes when refined, or less;
+REFINING = 0.96  # times its duration a rough optimum takes when refined, or less, if the same conditions bind;
 NEARLY_BEATEN = 0.05  # violation at which one was given up that may become the best all the same,
 INSTEAD = 2  # of which so many are refined when the first falls short of that
 SAME = 0.1  # rad; iterates that differ by less become one
@@ -129,6 +129,7 @@ class _Search:
                 break
         best: FastestMotion | None = None
         begun: list[Iterate] = []
+        refining = REFINING
         while True:
             roughs.sort(key=_merit)
             hopeful = bool(roughs) and roughs[0][1].iterate.violation < NEARLY
@@ -147,11 +148,11 @@ class _Search:
             found, last = self._refined(problem, rough.iterate), (problem, rough.iterate)
             begun.append(rough.iterate)
             if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
-                best = found
+                best, refining = found, _refining(rough.iterate, found)
                 self.watch.best = best.duration if best.status.ok else None
             self.watch.share = min(1.0, (len(first) + len(begun)) / steps)
             enough = len(begun) >= self.options.starts
-            others = self._instead(best, begun, roughs) if enough else []
+            others = self._instead(best, begun, roughs, refining) if enough else []
             if others and not self.watch.over():
                 roughs = others
                 continue
@@ -167,15 +168,19 @@ class _Search:
         return replace(best, status=_ended(status, self.watch), iterations=self.iterations)
 
     def _instead(
-        self, best: FastestMotion, begun: list[Iterate], roughs: list[tuple[TransportProblem, Solution]]
+        self,
+        best: FastestMotion,
+        begun: list[Iterate],
+        roughs: list[tuple[TransportProblem, Solution]],
+        refining: float,
     ) -> list[tuple[TransportProblem, Solution]]:
-        """Of the rough optima that are left the one, unlike those that were begun, that may well beat the best, which
-        became little shorter when it was refined; none if there is none, or enough were tried."""
+        """Of the rough optima that are left the one, unlike those that were begun, that may well beat the best, when it
+        takes so many times its duration refined; none if there is none, or enough were tried."""
         if not best.status.ok or len(begun) >= self.options.starts + INSTEAD:
             return []
         few = [x for x in roughs if x[1].iterate.violation < NEARLY_BEATEN and not _alike(x[1].iterate, begun)]
         few.sort(key=lambda x: x[1].iterate.duration)
-        return [x for x in few[:1] if REFINING * x[1].iterate.duration < best.duration]
+        return [x for x in few[:1] if refining * x[1].iterate.duration < best.duration]
 
     def _beat(self, roughs: list[tuple[TransportProblem, Solution]]) -> float:
         """What another rough optimum has to be shorter than to be refined, s."""
@@ -268,7 +273,8 @@ class _Search:
                 yield self._rough_from(problem, start, TURNED, WORSE * self._beat([(problem, found)]))
 
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
-        """The optimum with all pieces. Where nothing hinders a shorter time it is none: then on from there."""
+        """The optimum with all pieces. Where nothing hinders a shorter time it is none, nor where a motion of fewer
+        pieces that knew all that hinders was shorter: then on from there."""
         start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
         spline, grid = start.spline, found.curve.grid
         also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
@@ -276,7 +282,7 @@ class _Search:
         best = _optimum(problem, self.options, start, self.watch, damping, also=also)
         self.iterations += best.iterations
         for _ in range(AGAIN):
-            hindered = best.binding and best.duration < found.duration
+            hindered = best.binding and (best.duration < found.duration or _unknown(found, best))
             if not best.status.ok or hindered or self.watch.over():
                 break
             start = SplineMotion(spline, best.coefficients, best.duration)
@@ -314,6 +320,18 @@ def _promise(begin: Begin) -> float:
 
 def _merit(found: tuple[TransportProblem, Solution]) -> tuple[bool, float]:
     return found[1].iterate.violation >= NEARLY, found[1].iterate.duration
+
+
+def _unknown(rough: Iterate, found: FastestMotion) -> bool:
+    """Whether something hinders a motion that the rough optimum it was made of did not know. That one is then the
+    optimum of a looser problem: what it takes is less than can be had, however well it is refined."""
+    return not set(found.binding) <= {block.name for block in rough.blocks}
+
+
+def _refining(rough: Iterate, found: FastestMotion) -> float:
+    """What rough optima may take when they are refined, times their duration: where something comes in that they do not
+    know, it makes them longer, as it did one that was refined."""
+    return max(REFINING, found.duration / rough.duration) if _unknown(rough, found) else REFINING
 
 
 def _alike(found: Iterate, others: list[Iterate]) -> bool:
