@@ -27,10 +27,10 @@ from salver.errors import SalverError
 from salver.files import read_json, write_json
 from salver.learning import identify
 from salver.learning.excite import plan_excite
-from salver.learning.identify import NAMES
 from salver.learning.sensors import SensedArm, Sensors
 from salver.learning.trips import SENSORS, trips, true_load
-from salver.models.parameters import inertial_vector
+from salver.models.parameters import INERTIAL, inertial_vector
+from salver.models.physical import random_inertia
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
 from salver.scenario import Scenario, load
@@ -54,13 +54,18 @@ def bottle(friction: str = "known", nominal: float = 0.4) -> Scenario:
 
 
 def coverage(name: str, plan: Plan, kind: str, times: float, count: int) -> dict[str, object]:
-    """How many of the four parameters of each load lie within their ranges, and how wide these are."""
-    inside, half, spent, refused = np.zeros((2, 4), dtype=int), [], [], 0
+    """How many of the ten parameters of each load lie within their ranges, and how wide these are: g, mm, kg mm^2.
+
+    Loads are random masses inside the shape.
+    """
+    inside, learnt, half, spent, refused = np.zeros((2, 10), dtype=int), np.zeros(10, dtype=int), [], [], 0
+    scale, body = np.array([1e3] * 4 + [1e6] * 6), plan.scenario.payload.first
     nominal, (wrist, sensors) = inertial_vector(plan.scenario.payload.first.inertial), KINDS[kind]
     for k in range(count):
         rng, values = np.random.default_rng([11, k]), nominal.copy()
         share = 1 + 0.5 * rng.uniform(-1, 1)
-        values[0], values[1:4], values[4:] = share * values[0], 0.015 * rng.uniform(-1, 1, 3), share * values[4:]
+        values[0], values[1:4] = share * values[0], 0.015 * rng.uniform(-1, 1, 3)
+        values[4:] = values[0] * random_inertia(body, values[1:4], rng)
         arm = SensedArm(plan, k, replace(sensors, times=times), wrist=wrist, joints=not wrist)
         loaded, empty = arm.log(values), arm.log(None)
         begun = time.process_time()
@@ -71,21 +76,30 @@ def coverage(name: str, plan: Plan, kind: str, times: float, count: int) -> dict
             print(f"  log {k}: {error}", file=sys.stderr)
             continue
         spent.append(time.process_time() - begun)
-        both = [[ranges[n].likely for n in NAMES], [(ranges[n].low, ranges[n].high) for n in NAMES]]
-        inside += [[low <= x <= high for (low, high), x in zip(each, values[:4], strict=True)] for each in both]
-        half.append([[500 * (high - low) for low, high in each] for each in both])
+        both = np.array([[r.likely, (r.low, r.high)] for r in (ranges[name] for name in INERTIAL)])
+        inside += ((both[..., 0] <= values[:, None]) & (values[:, None] <= both[..., 1])).T
+        learnt += [ranges[name].learnt for name in INERTIAL]
+        half.append((0.5 * scale[:, None] * (both[..., 1] - both[..., 0])).T)
     found = {"inside": inside.tolist(), "half": np.median(half, axis=0).tolist(), "refused": refused}
-    found |= {"logs": count - refused, "cpu_ms": 1e3 * float(np.median(spent)), "times": times}
+    found |= {
+        "learnt": learnt.tolist(),
+        "logs": count - refused,
+        "cpu_ms": 1e3 * float(np.median(spent)),
+        "times": times,
+    }
     print(f"{name} | {kind} | {found}", file=sys.stderr, flush=True)
     return {"motion": name, "sensor": kind} | found
 
 
 def of_coverage(row: dict[str, Any]) -> str:
     cells = []
-    for (mass, *com), inside in zip(row["half"], row["inside"], strict=True):
-        where = ", ".join(f"{x:.2f}" for x in com) + " mm" if max(com) < 14.9 else "not identified"
-        held = "/".join(map(str, inside)) + f" ({100 * min(inside) / row['logs']:.1f} %)"
-        cells.append(f"{mass:.1f} g; {where} | {held}")
+    for half, inside in zip(row["half"], row["inside"], strict=True):
+        mass, com, inertia = half[0], half[1:4], np.array(half[4:])[[0, 2, 5]]
+        shown = 2 * np.array(row["learnt"]) > row["logs"]
+        where = ", ".join(f"{x:.2f}" for x in com) + " mm" if shown[1:4].all() else "-"
+        turning = ", ".join(f"{x:.0f}" for x in inertia) + " kg mm^2" if shown[[4, 6, 9]].all() else "-"
+        held = "/".join(map(str, inside[:4])) + f"; {min(inside[4:])} ({100 * min(inside) / row['logs']:.1f} %)"
+        cells.append(f"{mass:.1f} g; {where}; {turning} | {held}")
     name = row["motion"] + (", noise doubled" if row["times"] == 2 else "")
     ends = f"{row['refused']} | {row['cpu_ms']:.0f} ms"
     return f"| {name} | {row['sensor']} | {row['logs']} | {' | '.join(cells)} | {ends} |"
@@ -169,14 +183,17 @@ def main() -> None:
         plans = {name: made() for name, made in motions.items() if asked_for[name]}
         for times in given.times:
             for name, plan in plans.items():
-                wide = replace(plan, scenario=plan.scenario.with_changes(objects__0__uncertainty=WIDE))
+                ranges = WIDE | {"contents": "any"}
+                wide = replace(plan, scenario=plan.scenario.with_changes(objects__0__uncertainty=ranges))
                 for kind in asked_for[name]:
                     keep("identified", coverage(name, wide, kind, times, given.logs), ("motion", "sensor", "times"))
     if given.loads:
         row = carried(given.friction, given.sensor, given.loads, given.trips, given.runs)
         keep("learnt", row, ("friction", "sensor", "count"))
     kept = read_json(KEPT)
-    heads = "| motion | sensor | logs | 95 %: mass; x, y, z | inside | to plan with | inside | refused | time |"
+    heads = (
+        "| motion | sensor | logs | 95 %: mass; x, y, z; xx, yy, zz | inside | to plan with | inside | refused | time |"
+    )
     rows = sorted(kept.get("identified", []), key=lambda row: row["times"])
     written(
         "identified", DOCS / "howto" / "identify.md", [heads, "|---" * 9 + "|", *map(of_coverage, rows)], given.docs

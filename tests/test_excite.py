@@ -14,7 +14,7 @@ from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning import identify
 from salver.learning.excite import Information, plan_excite
-from salver.learning.identify import WIDTH
+from salver.learning.ranges import WIDTH
 from salver.learning.sensors import SensedArm, Sensors, nominal_load
 from salver.planning.fastest import AtPosture, Point, transport_problem
 from salver.planning.fastest.curves import FreeCurve, Grid

@@ -16,8 +16,10 @@ from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.learning import Log, identify, read_log
-from salver.learning.identify import NAMES, WIDTH, Run, fieller, identify_runs, prior
+from salver.learning.identify import Run, identify_runs
+from salver.learning.narrowing import prior
 from salver.learning.noise import SHARES, Noise, Times
+from salver.learning.ranges import NAMES, WIDTH, fieller
 from salver.learning.sensors import SensedArm, Sensors
 from salver.models.parameters import inertial_vector
 from salver.planning.plan import Plan, load_plan
@@ -195,6 +197,12 @@ def test_learnt_scenario_is_narrower_and_leaves_the_tray_where_it_was(plan: Plan
     for end in ("start", "goal"):
         at = [np.array(getattr(s.motion, end).position) - s.payload.first.p_EB for s in (plan.scenario, learnt)]
         assert at[0] == pytest.approx(at[1], abs=1e-12)
+
+
+def test_a_liquid_is_no_rigid_load() -> None:
+    coffee = load("panda-coffee")
+    with pytest.raises(ScenarioError, match=r"the liquid in .* moves"):
+        identify_runs(coffee, [])
 
 
 def broken(log: Log, what: str) -> Log:

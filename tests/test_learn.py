@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning.friction import UNNOTICED
-from salver.learning.identify import NAMES
+from salver.learning.ranges import NAMES
 from salver.learning.tilts import FARTHEST
 from salver.learning.trips import SURE, trips, true_load
 from salver.planning.fastest import plan_fastest

@@ -11,7 +11,7 @@ from salver.cli.common import Json, headed, print_json, result_console, say
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
-    from salver.learning import Identified
+    from salver.learning import Ellipsoid, Identified
 
 
 def identify(
@@ -27,14 +27,15 @@ def identify(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Mass and centre of mass of the load, as ranges that cover the truth, from joint torques or a wrist sensor.
+    """Mass, centre of mass and inertia of the load, as ranges that cover the truth, from joint or wrist torques.
 
     The load is what logs with it show beyond a log of the same motion with the empty tray: the arm's own model error
     cancels. Logs are what `salver execute` writes (t, q, tau), or CSV with the columns t, q1 ... qn (rad) and tau1 ...
     taun (N m), or fx, fy, fz, tx, ty, tz at the flange (N, N m; tared with the empty tray), or ROS bags with a
     JointState that has efforts, a WrenchStamped of the flange, or both. Ranges of the scenario are narrowed, never
     widened. The centre of mass is found relative to the sensor: where the object stands on the tray
-    (uncertainty.position) stays as uncertain as it was. Inertia and friction keep their ranges.
+    (uncertainty.position) stays as uncertain as it was. Ranges of inertia are written where the scenario has them;
+    friction keeps its range. What is known much better together than one by one is written as an ellipsoid.
 
     Example: `salver identify loaded.csv --plan runs/panda-tall-bottle --empty empty.csv -o learnt.toml`
 
@@ -79,10 +80,17 @@ def summary(found: Identified) -> dict[str, object]:
         "sensors": list(found.sensors),
         "residual": found.residual,
         "not_identified": found.told,
+        "ellipsoid": None if found.ellipsoid is None else _ellipsoid(found.ellipsoid),
     }
 
 
+def _ellipsoid(of: Ellipsoid) -> dict[str, object]:
+    values = {"centre": of.centre.tolist(), "half": of.half.tolist(), "correlation": of.correlation.tolist()}
+    return {"parameters": list(of.names), **values}
+
+
 def _show(found: Identified) -> None:
+    import numpy as np
     from rich.table import Table
 
     console = result_console()
@@ -90,12 +98,16 @@ def _show(found: Identified) -> None:
     for column in ("", "95 %", "low", "high", "before"):
         table.add_column(column, justify="left" if not column else "right")
     for name, r in found.ranges.items():
-        unit, scale = ("g", 1e3) if name == "mass" else ("mm", 1e3)
+        unit, scale = {"m": ("g", 1e3), "c": ("mm", 1e3), "i": ("kg mm^2", 1e6)}[name[0]]
         before = f"{scale * r.before[0]:.1f} to {scale * r.before[1]:.1f}"
         likely = f"{scale * r.likely[0]:.2f} to {scale * r.likely[1]:.2f}"
         table.add_row(f"{name}, {unit}", likely, f"{scale * r.low:.2f}", f"{scale * r.high:.2f}", before)
     console.print(f"From {', '.join(found.sensors)} (centre of mass from the nominal one; plan with low to high):")
     console.print(table)
+    if found.ellipsoid is not None:
+        box = np.prod([2 * found.ranges[name].half for name in found.ellipsoid.names])
+        share = 100 * found.ellipsoid.volume / box
+        console.print(f"Together they lie in an ellipsoid of {share:.2g} % of the volume of these ranges.")
     for sentence in found.told:
         console.print(headed("not identified", sentence))
     if found.residual > 1.5:

@@ -16,7 +16,8 @@ from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, hat
 from salver.learning import noise
 from salver.learning.channels import RUNS
-from salver.learning.identify import WIDTH, prior
+from salver.learning.narrowing import prior
+from salver.learning.ranges import WIDTH
 from salver.models.interfaces import to_tray
 from salver.models.tray_motion import frame_map, wrench_map
 from salver.planning.fastest import (

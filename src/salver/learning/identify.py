@@ -8,15 +8,18 @@ load, less what they read along the same motion with the empty tray, is
 with Z n what joint friction is in one run and not in the other: it changes in between, and acts at each run's own
 velocity. The arm's own model errs the same in both runs, and cancels; of each run its inverse dynamics at its own state
 is taken off first. Noise is coloured (`salver.learning.noise`), as large as the log shows it: generalised least
-squares. The middle of the scenario's ranges is the
-prior, with their half-ranges as standard deviations. Ranges are `WIDTH` standard deviations, of the centre of mass (a
-ratio) by Fieller (1954), and the scenario's own where those are narrower. Those of `LIKELY` are told beside them.
+squares. The middle of the scenario's ranges is the prior, with their half-ranges as standard deviations; of inertia
+it is whatever the shape allows, unless the scenario has ranges of it. Ranges are `WIDTH` standard deviations
+(`salver.learning.ranges`), and the scenario's own where those are narrower. Those of `LIKELY` are told beside them.
+The estimate is the nearest that a mass inside the shape can have.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,9 +29,11 @@ from salver.geometry import Array, hat
 from salver.learning.channels import Channel, State, differences
 from salver.learning.executed import lateness
 from salver.learning.logs import Log
-from salver.models.contents import inertia_ranges
+from salver.learning.narrowing import correlated, half_ranges, narrowed, not_shown, prior
+from salver.learning.ranges import NAMES, Ellipsoid, Range
 from salver.models.interfaces import to_tray
-from salver.models.parameters import inertial_vector, phi_of
+from salver.models.parameters import INERTIAL, inertial_vector, phi_of
+from salver.models.physical import nearest, realisable
 from salver.models.rigid_body import inertia_entries
 from salver.models.tray_motion import frame_map, wrench_map
 
@@ -37,8 +42,6 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
     from salver.scenario import Scenario
 
-WIDTH = 3.0  # standard deviations, of ranges that are taken for certain
-LIKELY = 2.0  # and of those that hold the truth in 95 % of runs or more
 BANDWIDTH = 10.0  # Hz, of what is believed of a measured deviation from the plan
 ENDS = 0.08  # s at each end, where smoothing has only one side: left out when the deviation still moves there,
 RESTS = 0.01  # rad/s, faster than this; else only
@@ -55,37 +58,15 @@ FOREIGN = 0.3  # of the largest torque of a joint: by how much a model of the ar
 FRICTION_SHARE = 0.1  # and of its limit, by friction
 SLIPPED = 3.5  # standard deviations by which the centres of mass of a run's halves differ when the load slid
 STRANGE = 6.0  # times the noise that was told, in the residual: not one rigid load on this arm
-LEARNT = 0.9  # of the range before: a parameter whose range is not narrower than this was not identified
-NAMES = ("mass", "com_x", "com_y", "com_z")
-
-
-@dataclass(frozen=True)
-class Range:
-    """low, high: of a parameter of the scenario, SI units, to plan for. before: (low, high) that it had. likely: what
-    holds it in 95 % of runs."""
-
-    low: float
-    high: float
-    before: tuple[float, float]
-    likely: tuple[float, float]
-
-    @property
-    def half(self) -> float:
-        return 0.5 * (self.high - self.low)
-
-    @property
-    def middle(self) -> float:
-        return 0.5 * (self.high + self.low)
-
-    @property
-    def learnt(self) -> bool:
-        return self.half < LEARNT * 0.5 * (self.before[1] - self.before[0])
+IMPOSSIBLE = 6.5  # standard deviations of ten parameters from anything that a mass inside the shape can have
 
 
 @dataclass(frozen=True)
 class Identified:
-    """ranges: of mass (kg) and centre of mass (m from the nominal one, in B). phi (10,), covariance (10, 10): in B.
+    """ranges: of mass (kg), centre of mass (m from the nominal one, in B) and inertia about it (kg m^2, axes of B). phi
+    (10,), covariance (10, 10): in B; phi is of a mass inside the shape.
 
+    ellipsoid: of what the scenario has ranges of, when it is much smaller than these; None otherwise.
     residual: by how much the worst channel is noisier than was told. sensors: what was used.
     """
 
@@ -95,24 +76,45 @@ class Identified:
     covariance: Array
     residual: float
     sensors: tuple[str, ...]
+    ellipsoid: Ellipsoid | None = None
     told: list[str] = field(default_factory=list)
 
-    def learnt_scenario(self) -> Scenario:
-        """The scenario with the new ranges. B moves with the nominal centre of mass, and so do start and goal."""
+    def learnt_scenario(self, correlated: bool = True) -> Scenario:
+        """The scenario with the new ranges, or the ellipsoid if there is one and correlations are to be kept. B moves
+        with the nominal centre of mass, and so do start and goal."""
         item, motion = self.scenario.objects[0], self.scenario.motion
-        shift = np.array([self.ranges[name].middle for name in NAMES[1:]])
+        keep = self.ellipsoid if correlated else None
+        middle = {name: r.middle for name, r in self.ranges.items()}
+        half = {name: r.half for name, r in self.ranges.items()}
+        shape: dict[str, object] = {"uncertainty__set": "box", "uncertainty__correlation": {}}
+        if keep is not None:
+            middle |= zip(keep.names, keep.centre.tolist(), strict=True)
+            half |= zip(keep.names, keep.half.tolist(), strict=True)
+            pairs = combinations(range(len(keep.names)), 2)
+            said = {f"{keep.names[i]},{keep.names[j]}": float(keep.correlation[i, j]) for i, j in pairs}
+            shape = {"uncertainty__set": "ellipsoid", "uncertainty__correlation": said}
+        shift = np.array([middle[name] for name in NAMES[1:]])
         changes: dict[str, object] = {
-            "objects__0__mass": self.ranges["mass"].middle,
+            "objects__0__mass": middle["mass"],
             "objects__0__com": (np.array(item.com) + shift).tolist(),
-            "objects__0__uncertainty__mass": self.ranges["mass"].half,
-            "objects__0__uncertainty__com": [self.ranges[name].half for name in NAMES[1:]],
+            "objects__0__uncertainty__mass": half["mass"],
+            "objects__0__uncertainty__com": [half[name] for name in NAMES[1:]],
         }
-        if item.inertia is not None:
-            changes["objects__0__inertia"] = [x * self.ranges["mass"].middle / item.mass for x in item.inertia]
+        before, values = half_ranges(self.scenario), inertial_vector(self.scenario.payload.first.inertial)
+        values *= middle["mass"] / item.mass
+        ranged = [INERTIAL.index(p.quantity) for p in self.scenario.payload.uncertain.parameters if p.kind == "inertia"]
+        values[ranged] = [middle[INERTIAL[k]] for k in ranged]
+        values[1:4] = 0
+        if ranged and item.uncertainty.inertia is not None and realisable(self.scenario.payload.first, values)[0]:
+            before[ranged] = [half[INERTIAL[k]] for k in ranged]
+            changes["objects__0__inertia"] = values[4:].tolist()
+            changes["objects__0__uncertainty__inertia"] = before[4:].tolist()
+        elif item.inertia is not None and not ranged:
+            changes["objects__0__inertia"] = [x * middle["mass"] / item.mass for x in item.inertia]
         for end in ("start", "goal"):
             pose = getattr(motion, end)
             changes[f"motion__{end}__position"] = (np.array(pose.position) + pose.rotation @ shift).tolist()
-        return self.scenario.with_changes(**changes)
+        return self.scenario.with_changes(**changes, **shape)
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,11 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
             f"{scenario.name} carries {len(scenario.objects)} objects, and an arm feels only their sum; load them one "
             "by one, each in a scenario of its own."
         )
+    if scenario.payload.liquids:
+        raise ScenarioError(
+            f"{scenario.name}: the liquid in {scenario.payload.liquids[0].name} moves, and what is identified is one "
+            "rigid load; identify the container empty."
+        )
     arm = load_arm(scenario.arm, scenario.tray)
     phi_0, spread = prior(scenario)
     information, pull = np.diag(1 / spread**2), np.zeros(10)
@@ -181,21 +188,21 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
     sensors = {channel.name for channel in used}
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
     phi = phi_0 + covariance @ pull
-    ranges = _ranges(scenario, phi, covariance, shift, scenario if within is None else within)
-    told = _not_identified(ranges, sensors)
-    return Identified(scenario, ranges, phi, covariance, worst.residual, tuple(sorted(sensors)), told)
-
-
-def prior(scenario: Scenario) -> tuple[Array, Array]:
-    """phi (10,) in the middle of the scenario's ranges, and standard deviations as wide as they are."""
-    payload, body = scenario.payload, scenario.payload.first
-    ranges = {p.quantity: h for p, h in payload.uncertain.ranges.items()}
-    half = np.array([ranges.get(name, 0.0) for name in NAMES])
-    nominal = inertial_vector(body.inertial)
-    heaviest = nominal[0] + half[0]
-    moment = heaviest * np.maximum(half[1:], 1e-4)
-    inertia = inertia_ranges(body.points_B, half[1:], heaviest, nominal[4:])
-    return phi_of(nominal), np.concatenate([[max(half[0], 1e-3 * nominal[0])], moment, inertia])
+    body = scenario.payload.first
+    inside = bool(
+        realisable(body, inertial_vector(body.inertial))[0]
+    )  # a scenario may say more than its shape can have
+    possible, off = nearest(body, phi, covariance, within_shape=inside)
+    if off > IMPOSSIBLE:
+        raise SalverError(
+            f"{', '.join(run.loaded.source for run in runs)}: what was felt is {off:.1f} standard deviations from any "
+            f"distribution of mass inside {body.name}; at most {IMPOSSIBLE:g} is accepted: its shape or "
+            "its place, the empty tray or the sensor's axes are others."
+        )
+    ranges = narrowed(scenario, phi, covariance, shift, scenario if within is None else within, inside)
+    narrow = correlated(scenario, phi, covariance, shift, ranges)
+    told = not_shown(ranges, sensors)
+    return Identified(scenario, ranges, possible, covariance, worst.residual, tuple(sorted(sensors)), narrow, told)
 
 
 def _timed(plan: Plan, log: Log) -> Log:
@@ -296,12 +303,19 @@ def _tray_wrench(plan: Plan, arm: ArmModel, w: Array) -> Array:
 
 def _smooth(off: Array, step: float) -> tuple[Array, Array, Array]:
     """A measured deviation (K, n) from the plan and its derivatives, forth and back through a low pass."""
-    from scipy.signal import butter, sosfiltfilt
+    from scipy.signal import sosfiltfilt
 
-    share = min(0.9, 2 * BANDWIDTH * step)
-    value = np.asarray(sosfiltfilt(butter(2, share, output="sos"), off, axis=0))
+    value = np.asarray(sosfiltfilt(_low_pass(min(0.9, 2 * BANDWIDTH * step)), off, axis=0))
     rate = np.gradient(value, step, axis=0)
     return value, rate, np.gradient(rate, step, axis=0)
+
+
+@lru_cache(maxsize=8)
+def _low_pass(share: float) -> Array:
+    """Second-order sections, of a share of half the sampling rate."""
+    from scipy.signal import butter
+
+    return np.asarray(butter(2, share, output="sos"))
 
 
 def _same_motion(plan: Plan, log: Log, empty: Log) -> None:
@@ -348,61 +362,3 @@ def _moved(channels: Sequence[Channel], log: Log, prior: tuple[Array, Array]) ->
             "sensor is not at the flange in its axes."
         )
     return moved, error
-
-
-def _ranges(scenario: Scenario, phi: Array, covariance: Array, shift: Array, within: Scenario) -> dict[str, Range]:
-    """Ranges of mass and centre of mass in the scenario's B, within those of a scenario of the same load. shift: (3,) m
-    that the centre of mass may have moved."""
-    payload = within.payload
-    half = {p.quantity: h for p, h in payload.uncertain.ranges.items()}
-    nominal = inertial_vector(payload.first.inertial)
-    nominal[1:4] += payload.first.com_G - scenario.payload.first.com_G
-    found = {}
-    for k, name in enumerate(NAMES):
-        before = (nominal[k] - half.get(name, 0.0), nominal[k] + half.get(name, 0.0))
-        low, high = _interval(phi, covariance, k, WIDTH, shift)
-        both = float(max(low, before[0])), float(min(high, before[1]))
-        if both[0] > both[1]:
-            unit = "kg" if k == 0 else "m"
-            turned = " (wrist forces are those that the arm exerts: f_z > 0 at rest)" if k == 0 and high < 0 else ""
-            raise SalverError(
-                f"The logs put {name} between {low:.4g} and {high:.4g} {unit}, the scenario between {before[0]:.4g} "
-                f"and {before[1]:.4g}: one of them is wrong{turned}; the scenario's range is not widened."
-            )
-        likely = np.clip(_interval(phi, covariance, k, LIKELY, shift), *both)
-        found[name] = Range(both[0], both[1], before, (float(likely[0]), float(likely[1])))
-    return found
-
-
-def _interval(phi: Array, covariance: Array, k: int, width: float, shift: Array) -> tuple[float, float]:
-    """The mass (k = 0), or one coordinate of the centre of mass, within so many standard deviations."""
-    if k == 0:
-        radius = width * np.sqrt(covariance[0, 0])
-        return float(phi[0] - radius), float(phi[0] + radius)
-    low, high = fieller(phi[0], phi[k], covariance[np.ix_([0, k], [0, k])], width)
-    return low - float(shift[k - 1]), high + float(shift[k - 1])
-
-
-def fieller(m: float, h: float, covariance: Array, width: float = WIDTH) -> tuple[float, float]:
-    """Range of h / m at so many standard deviations, covariance (2, 2) of (m, h): where a quadratic is 0."""
-    a = m**2 - width**2 * covariance[0, 0]
-    b = m * h - width**2 * covariance[0, 1]
-    c = h**2 - width**2 * covariance[1, 1]
-    inner = b**2 - a * c
-    if a <= 0 or inner < 0:
-        return -np.inf, np.inf
-    return float((b - np.sqrt(inner)) / a), float((b + np.sqrt(inner)) / a)
-
-
-def _not_identified(ranges: dict[str, Range], sensors: set[str]) -> list[str]:
-    """What this motion does not show, and what would."""
-    open_ = [name for name, r in ranges.items() if r.before[1] > r.before[0] and not r.learnt]
-    if not open_:
-        return []
-    if sensors == {"joint torques"} and any(name.startswith("com") for name in open_):
-        way = "joint torques weigh a light load and do not locate it; a wrist force-torque sensor would"
-    elif "com_z" in open_:
-        way = "a motion that tilts the tray would"
-    else:
-        way = "a longer or faster motion, or several logs of it, would"
-    return [f"This does not show {', '.join(open_)}: {way}."]

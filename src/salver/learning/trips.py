@@ -114,7 +114,7 @@ def trips(
         raise ScenarioError(f"{scenario.name}: learning needs an arm, and one object on its tray.")
     hidden, plan = _Hidden(scenario, true_load(scenario, seed), seed, sensor), None
     for number in range(1, count + 1):
-        made = first if first is not None and number == 1 else plan_fastest(hidden.known)
+        made = first if first is not None and number == 1 else hidden.fastest()
         better = made.ok and (plan is None or made.duration < plan.duration)
         if plan is None and not made.ok:
             raise ScenarioError(f"{scenario.name}: no safe motion for its ranges to begin with. {made.status.sentence}")
@@ -174,8 +174,16 @@ class _Hidden:
         )
         found = identify_runs(self.base, [*self.runs, run], self.known)
         self.runs.append(run)
-        self.learnt, self.known = found, _with_friction(found.learnt_scenario(), self.known)
+        self.learnt, self.known = found, _with_friction(found.learnt_scenario(correlated=False), self.known)
         return found
+
+    def fastest(self) -> Plan:
+        """The fastest plan for what is known: for the ranges or, where that is quicker, for the ellipsoid."""
+        plan = plan_fastest(self.known)
+        if self.learnt is None or self.learnt.ellipsoid is None:
+            return plan
+        narrow = plan_fastest(_with_friction(self.learnt.learnt_scenario(), self.known))
+        return narrow if narrow.ok and not (plan.ok and plan.duration <= narrow.duration) else plan
 
     def climb(self, level: float) -> Iterator[Tilt]:
         """Tilt, each time as steep as what is known allows, until the load moves, or could tip."""

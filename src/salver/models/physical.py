@@ -22,6 +22,17 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
 
 _TOLERANCE = 1e-9  # relative to the size of the shape
+_ROUNDS = 60
+
+
+def _pseudo_inertia(phi: Array) -> Array:
+    """(4, 4) mass moments of order 0, 1, 2 of (x, 1), linear in phi (10,)."""
+    inertia = inertia_matrix(phi[4:])
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    return np.block([[second, phi[1:4, None]], [phi[None, 1:4], phi[:1, None]]])
+
+
+_PSEUDO = np.stack([_pseudo_inertia(unit) for unit in np.eye(10)])
 
 
 def hull_faces(body: Body) -> Array:
@@ -63,6 +74,38 @@ def realisable(body: Body, values: npt.ArrayLike, *, within_shape: bool = True) 
     result = np.zeros(len(values), dtype=bool)
     result[possible] = fine
     return result
+
+
+def nearest(body: Body, phi: Array, covariance: Array, *, within_shape: bool = True) -> tuple[Array, float]:
+    """phi (10,) of a mass distribution (`realisable`) that lies nearest to a phi with a covariance (10, 10), both in B;
+    and how far away that is, in standard deviations.
+
+    The conditions are linear in phi but for the pseudo-inertia (Wensing, Kim and Slotine 2018), which is positive
+    semidefinite: v^T J v >= 0, for ever more v, of what is linear (least distance programming: Lawson and Hanson 1974).
+    """
+    from scipy.optimize import nnls
+
+    faces, size = hull_faces(body), float(np.ptp(body.solid.bounding_points_G, axis=0).max())
+    first, second = np.triu_indices(len(faces) if within_shape else 0, 1)
+    along = np.vstack([np.einsum("ia,kab,ib->ik", faces[first], _PSEUDO, faces[second]), -faces @ _PSEUDO[:, 3].T])
+    scale = np.array([size, size, size, 1.0])
+    root, z = np.linalg.cholesky(covariance), np.zeros(10)
+    cuts = np.zeros((0, 10))
+    for _ in range(_ROUNDS):
+        found = phi + root @ z
+        values, vectors = np.linalg.eigh(np.einsum("k,kab->ab", found, _PSEUDO) / np.outer(scale, scale))
+        allowed = 0.01 * _TOLERANCE * phi[0]
+        short = along @ found < -allowed * size**2
+        bent = (vectors[:, values < -allowed] / scale[:, None]).T
+        if not short.any() and not len(bent):
+            break
+        cuts = np.vstack([cuts, along[short], np.einsum("ia,kab,ib->ik", bent, _PSEUDO, bent)])
+        rows = cuts @ root
+        length = np.linalg.norm(rows, axis=1)
+        both = np.column_stack([rows, -cuts @ phi]) / length[:, None]
+        left = both.T @ nnls(both.T, np.eye(11)[10])[0] - np.eye(11)[10]
+        z = -left[:10] / left[10]
+    return phi + root @ z, float(np.linalg.norm(z))
 
 
 def random_inertia(body: Body, com: Array, rng: np.random.Generator, points: int = 6) -> Array:

@@ -1,0 +1,189 @@
+"""From an estimate of a load's inertial parameters to ranges of what scenarios speak of, and to an ellipsoid of them.
+
+Mass, centre of mass c = h / m and inertia about it, I - m (|c|^2 1 - c c^T), are no linear functions of phi. What an
+estimate with a covariance says of each within so many standard deviations is worked out without linearising: of the
+centre of mass by Fieller (1954), of the inertia with u = h - m c_0, c_0 that of the estimate, of which
+
+    h h^T / m = m c_0 c_0^T + c_0 u^T + u c_0^T + u u^T / m
+
+is linear but for its last term, which is bounded. Principal second moments are no less than 0 and no more than a mass
+within the shape can have (the pseudo-inertia is positive semidefinite: Wensing, Kim and Slotine 2018), so that the
+inertias bound each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import gamma
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from salver.geometry import Array
+from salver.models.contents import PAIRS
+from salver.models.parameters import INERTIAL
+from salver.models.rigid_body import inertia_entries, parallel_axis
+
+WIDTH = 3.0  # standard deviations, of ranges that are taken for certain
+LIKELY = 2.0  # and of those that hold the truth in 95 % of runs or more
+LEARNT = 0.9  # of the range before: a parameter whose range is not narrower than this was not identified
+NAMES = INERTIAL[:4]
+_SQUARES = [k for k, (i, j) in enumerate(PAIRS) if i == j]
+
+
+@dataclass(frozen=True)
+class Range:
+    """low, high: of a parameter of the scenario, SI units, to plan for. before: (low, high) that it had. likely: what
+    holds it in 95 % of runs."""
+
+    low: float
+    high: float
+    before: tuple[float, float]
+    likely: tuple[float, float]
+
+    @property
+    def half(self) -> float:
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def middle(self) -> float:
+        return 0.5 * (self.high + self.low)
+
+    @property
+    def learnt(self) -> bool:
+        return self.half < LEARNT * 0.5 * (self.before[1] - self.before[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """names: d parameters. centre, half (d,): in the unit of each. correlation (d, d). Centre + half A s, |s| <= 1 and
+    A A^T the correlation, holds the true values as often as the box of `WIDTH` standard deviations of each is sure to.
+    """
+
+    names: tuple[str, ...]
+    centre: Array
+    half: Array
+    correlation: Array
+
+    @property
+    def volume(self) -> float:
+        """In the product of all units."""
+        ball = np.pi ** (len(self.half) / 2) / gamma(len(self.half) / 2 + 1)
+        return float(ball * np.prod(self.half) * np.sqrt(np.linalg.det(self.correlation)))
+
+
+def fieller(m: float, h: float, covariance: Array, width: float = WIDTH) -> tuple[float, float]:
+    """Range of h / m at so many standard deviations, covariance (2, 2) of (m, h): where a quadratic is 0."""
+    a = m**2 - width**2 * covariance[0, 0]
+    b = m * h - width**2 * covariance[0, 1]
+    c = h**2 - width**2 * covariance[1, 1]
+    inner = b**2 - a * c
+    if a <= 0 or inner < 0:
+        return -np.inf, np.inf
+    return float((b - np.sqrt(inner)) / a), float((b + np.sqrt(inner)) / a)
+
+
+def interval(phi: Array, covariance: Array, k: int, width: float = WIDTH) -> tuple[float, float]:
+    """The mass (k = 0), or one coordinate of the centre of mass (1 to 3), within so many standard deviations."""
+    if k == 0:
+        radius = width * float(np.sqrt(covariance[0, 0]))
+        return float(phi[0]) - radius, float(phi[0]) + radius
+    return fieller(phi[0], phi[k], covariance[np.ix_([0, k], [0, k])], width)
+
+
+def inertia_intervals(phi: Array, covariance: Array, width: float = WIDTH) -> tuple[Array, Array]:
+    """(6,) least and largest entries of the inertia about the centre of mass within so many standard deviations."""
+    value, by_phi, moment = _about_com(phi)
+    lightest = interval(phi, covariance, 0, width)[0]
+    if lightest <= 0:
+        return np.full(6, -np.inf), np.full(6, np.inf)
+    linear = width * np.sqrt(_variances(by_phi, covariance))
+    less, more = _curved(width * np.sqrt(_variances(moment, covariance)), lightest)
+    return value - linear - less, value + linear + more
+
+
+def intervals(phi: Array, covariance: Array, width: float = WIDTH) -> tuple[Array, Array]:
+    """(10,) least and largest values of `INERTIAL`, each within so many standard deviations."""
+    each = np.array([interval(phi, covariance, k, width) for k in range(4)])
+    low, high = inertia_intervals(phi, covariance, width)
+    return np.append(each[:, 0], low), np.append(each[:, 1], high)
+
+
+def slid(phi: Array, covariance: Array, shift: Array) -> Array:
+    """(10,) by how much values of `INERTIAL` may be off in an estimate of a load that slid by up to shift (3,) m."""
+    com, heaviest = np.abs(phi[1:4] / phi[0]), interval(phi, covariance, 0)[1]
+    each = np.outer(com, shift) + np.outer(shift, com) + np.outer(shift, shift)
+    entries = [np.trace(each) - each[i, i] if i == j else each[i, j] for i, j in PAIRS]
+    return np.concatenate([[0.0], shift, heaviest * np.array(entries)])
+
+
+def consistent(low: Array, high: Array, most: Array) -> tuple[Array, Array]:
+    """Entries (6,) of an inertia within low and high of which every one fits to others: second moments s_x, s_y, s_z
+    about the centre of mass, I_xx = s_y + s_z, lie between 0 and most (3,), and s_xy^2 <= s_x s_y."""
+    least, largest = (x[_SQUARES] for x in (low, high))
+    lower = np.maximum(0.5 * (np.sum(least) - least - largest), 0.0)  # s_x = (I_yy + I_zz - I_xx) / 2
+    upper = np.minimum(0.5 * (np.sum(largest) - largest - least), most)
+    upper = np.minimum(upper, [min(largest[1:]), min(largest[::2]), min(largest[:2])])  # I_yy, I_zz >= s_x
+    low, high = low.copy(), high.copy()
+    for k, (i, j) in enumerate(PAIRS):
+        if i == j:
+            others = [a for a in range(3) if a != i]
+            low[k], high[k] = max(low[k], lower[others].sum()), min(high[k], upper[others].sum())
+        else:
+            bound = np.sqrt(max(upper[i] * upper[j], 0.0))
+            low[k], high[k] = max(low[k], -bound), min(high[k], bound)
+    return low, high
+
+
+def ellipsoid(phi: Array, covariance: Array, names: tuple[str, ...], off: Array | None = None) -> Ellipsoid | None:
+    """Of some of `INERTIAL`, around those of phi, which may be off by as much (10,) besides; None when the mass is not
+    known to be above 0.
+
+    What is not linear in phi makes it larger: a quadratic form over the mass, of which each axis is at most its norm.
+    """
+    keep = [INERTIAL.index(name) for name in names]
+    d = len(keep)
+    radius = float(np.sqrt(chi2.isf(min(0.5, d * 2 * norm.sf(WIDTH)), d)))
+    m, com = phi[0], phi[1:4] / phi[0]
+    lightest = interval(phi, covariance, 0, radius)[0]
+    if lightest <= 0:
+        return None
+    inertia, by_phi, moment = _about_com(phi)
+    jacobian = np.vstack([np.eye(10)[:1], moment / m, by_phi])[keep]
+    shape = jacobian @ covariance @ jacobian.T
+    # c - c_0 - u / m_0 = -u (m - m_0) / (m m_0), and what u u^T / m takes off the inertia
+    root = np.linalg.cholesky(covariance)
+    u, heavier = moment @ root, root[:1] / m
+    products = np.einsum("ia,jb->ijab", u, u)
+    bent = [np.zeros((10, 10)), *(-np.einsum("a,b->ab", x, heavier[0]) for x in u)]
+    bent += [np.einsum("iiab->ab", products) - products[i, i] if i == j else -products[i, j] for i, j in PAIRS]
+    each = np.linalg.solve(np.linalg.cholesky(shape), np.array(bent)[keep].reshape(d, -1)).reshape(d, 10, 10)
+    sizes = np.abs(np.linalg.eigvalsh(0.5 * (each + np.swapaxes(each, 1, 2)))).max(axis=1)
+    radius += radius**2 / lightest * float(np.linalg.norm(sizes))
+    if off is not None:
+        radius += float(off[keep] @ np.sqrt(np.diag(np.linalg.inv(shape))))
+    deviation = np.sqrt(np.diag(shape))
+    centre = np.concatenate([[m], com, inertia])[keep]
+    return Ellipsoid(names, centre, radius * deviation, shape / np.outer(deviation, deviation))
+
+
+def _about_com(phi: Array) -> tuple[Array, Array, Array]:
+    """(6,) inertia about the centre of mass of phi; (6, 10) the derivative of its linear part; (3, 10) u per phi."""
+    m, com = phi[0], phi[1:4] / phi[0]
+    about = inertia_entries(parallel_axis(1.0, com))
+    # Twice what is linear in c and in e, for each unit vector e.
+    by_moment = [inertia_entries(parallel_axis(1.0, com + e) - parallel_axis(1.0, com - e)) / 2 for e in np.eye(3)]
+    by_phi = np.hstack([about[:, None], -np.column_stack(by_moment), np.eye(6)])
+    return phi[4:] - m * about, by_phi, np.hstack([-com[:, None], np.eye(3), np.zeros((3, 6))])
+
+
+def _curved(u: Array, lightest: float) -> tuple[Array, Array]:
+    """(6,) by how much at most u u^T / m, |u_i| <= u (3,), m >= lightest, makes an inertia less, and more."""
+    products = np.outer(u, u) / lightest
+    less = np.array([np.trace(products) - products[i, i] if i == j else products[i, j] for i, j in PAIRS])
+    more = np.array([0.0 if i == j else products[i, j] for i, j in PAIRS])
+    return less, more
+
+
+def _variances(rows: Array, covariance: Array) -> Array:
+    return np.asarray(np.einsum("ij,jk,ik->i", rows, covariance, rows))
