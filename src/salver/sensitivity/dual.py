@@ -9,6 +9,7 @@ Shapes: value (T, P, 3), tangent (T, P, 3, n_z) or None for zero; T instants, P 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class Dual:
             return Dual(value, rows.reshape(len(rows), len(matrix), 3, rows.shape[2]))
         return Dual(value, matrix @ self.tangent)
 
-    @property
+    @cached_property
     def vanishes(self) -> bool:
         """Whether it is zero whatever the variables are."""
         return self.tangent is None and not self.value.any()

@@ -82,6 +82,11 @@ class LinearFilter:
         """For a drive known at `grid.times`, with the answer at `grid.t`."""
         return _on_grid(kp, kd, float(grid.t[1] - grid.t[0]), len(grid.t) - 1, grid.substeps)
 
+    @property
+    def nodes(self) -> int:
+        """T."""
+        return self.step.shape[-3] + 1
+
     def respond(self, drive: Array, start: Array | None = None) -> tuple[Array, Array]:
         """x and x' at the nodes, each (..., T, c...), for a drive (..., Q, c...). start: (..., 2, c...) at the first, 0
         unless given."""

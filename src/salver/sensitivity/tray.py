@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.control.object import Gains
 from salver.geometry import GRAVITY_S, Array
@@ -20,6 +21,8 @@ from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.sensitivity.dual import Dual, DualRotation, joined
 from salver.sensitivity.filter import LinearFilter, QuadratureGrid
 from salver.trajectory import MotionSamples, Reference
+
+Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -84,11 +87,26 @@ class BodyMotion:
 
         Columns may as well be directions d phi: then these are the columns of Y(t) d phi.
         """
-        mass, moment, inertia = phi[0, :, None], Dual(phi[1:4].T[None]), inertia_matrix(phi[4:].T)
-        omega, alpha, force = self.omega, self.alpha, self.force
-        f = force.scaled(mass) + alpha.cross(moment) + omega.cross(omega.cross(moment))
-        tau = moment.cross(force) + alpha.mapped(inertia) + omega.cross(omega.mapped(inertia))
-        return f, tau
+        return self.push(phi), self.turn(phi)
+
+    @cached_property
+    def still(self) -> bool:
+        """Whether it does not turn, whatever the variables are."""
+        return self.omega.vanishes and self.alpha.vanishes
+
+    def push(self, phi: Array) -> Dual:
+        """f of `wrench`: of mass and first moment."""
+        pushed, moment = self.force.scaled(phi[0, :, None]), Dual(phi[1:4].T[None])
+        if self.still or moment.vanishes:
+            return pushed
+        return pushed + self.alpha.cross(moment) + self.omega.cross(self.omega.cross(moment))
+
+    def turn(self, phi: Array) -> Dual:
+        """tau of `wrench`: of first moment and inertia."""
+        levered, inertia, omega = Dual(phi[1:4].T[None]).cross(self.force), inertia_matrix(phi[4:].T), self.omega
+        if self.still:
+            return levered
+        return levered + self.alpha.mapped(inertia) + omega.cross(omega.mapped(inertia))
 
 
 @dataclass(frozen=True)
@@ -165,9 +183,19 @@ class TrayLoop:
     def grid(self, t: Array) -> QuadratureGrid:
         return QuadratureGrid.for_gains(t, zip(self.gains.kp, self.gains.kd, strict=True))
 
+    @cached_property
+    def pushing(self) -> Indices:
+        """Parameters that act on the force, and so on the place: what changes mass or first moment."""
+        return np.flatnonzero(self.phi_jacobian[:4].any(axis=0))
+
+    @cached_property
+    def turning(self) -> Indices:
+        """Parameters that act on the torque, and so on the orientation: what changes first moment or inertia."""
+        return np.flatnonzero(self.phi_jacobian[1:].any(axis=0))
+
     def forcing(self, motion: BodyMotion) -> tuple[Dual, Dual]:
-        """D: (R D_v in S, D_w in B), each (T, n_p, 3)."""
-        f, tau = motion.wrench(self.phi_jacobian)
+        """D: R D_v in S of the parameters `pushing`, D_w in B of those `turning`, each (T, some of n_p, 3)."""
+        f, tau = motion.push(self.phi_jacobian[:, self.pushing]), motion.turn(self.phi_jacobian[:, self.turning])
         return (
             motion.rotation.to_world(f.scaled(1 / self.body.mass)),
             tau.mapped(np.asarray(np.linalg.inv(self.body.inertia_com), dtype=float)),
@@ -177,8 +205,9 @@ class TrayLoop:
         """Pi and the wrench sensitivity on `grid.t`, of a motion given there and at `grid.times`."""
         (kp, kp_R), (kd, kd_R) = self.gains.kp, self.gains.kd
         forcing_S, forcing_B = self.forcing(at_times)
-        e_p, e_v = _respond(LinearFilter.on_grid(grid, kp, kd), forcing_S)
-        e_R, e_w = _respond(LinearFilter.on_grid(grid, kp_R, kd_R), forcing_B)
+        count = self.phi_jacobian.shape[1]
+        e_p, e_v = _respond(LinearFilter.on_grid(grid, kp, kd), forcing_S, self.pushing, count)
+        e_R, e_w = _respond(LinearFilter.on_grid(grid, kp_R, kd_R), forcing_B, self.turning, count)
         return TraySensitivity(self, at_grid, e_p, e_v, e_R, e_w)
 
     def along(self, reference: Reference, t: Array) -> TraySensitivity:
@@ -188,14 +217,19 @@ class TrayLoop:
         return self.sensitivity(grid, at_grid, at_times)
 
 
-def _respond(error_filter: LinearFilter, forcing: Dual) -> tuple[Dual, Dual]:
-    e, rate = error_filter.respond(forcing.value)
+def _respond(error_filter: LinearFilter, forcing: Dual, which: Indices, count: int) -> tuple[Dual, Dual]:
+    """Errors and their rates of `count` parameters, of which the forcing is that of `which`."""
+    errors = np.zeros((2, error_filter.nodes, count, 3))
+    errors[:, :, which] = error_filter.respond(forcing.value)
     if forcing.tangent is None:
-        return Dual(e), Dual(rate)
+        return Dual(errors[0]), Dual(errors[1])
     # Most variables leave most components alone: one axis of a position moves one axis of the error.
     drive = forcing.tangent.reshape(len(forcing.tangent), forcing.tangent[0].size)
     moved = drive.any(axis=0)
-    tangents = np.zeros((2, len(e), drive.shape[1]))
-    tangents[..., moved] = error_filter.respond(drive[:, moved])
-    de, drate = tangents.reshape(2, len(e), *forcing.tangent.shape[1:])
-    return Dual(e, de), Dual(rate, drate)
+    n_z = forcing.tangent.shape[-1]
+    columns = np.zeros((count, 3 * n_z), dtype=bool)
+    columns[which] = moved.reshape(len(which), 3 * n_z)
+    tangents = np.zeros((2, error_filter.nodes, columns.size))
+    tangents[..., columns.ravel()] = error_filter.respond(drive[:, moved])
+    e, rate = tangents.reshape(2, error_filter.nodes, count, 3, n_z)
+    return Dual(errors[0], e), Dual(errors[1], rate)

@@ -25,7 +25,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array, exp, invert
 from salver.models.bodies import TRAY, Body
 from salver.models.contact_rows import ContactRows, contact_rows
-from salver.models.interfaces import networks, sure_contacts
+from salver.models.interfaces import sure_contacts
 from salver.models.parameters import Parameter
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, PRODUCTS, frame_map, wrench_map
@@ -138,7 +138,7 @@ class WrenchRows:
     def slack(self, step: Array | None = None) -> tuple[Array, Array]:
         wrench, spread = self.wrench, self.spread
         if step is not None:
-            wrench, spread = wrench + self.wrench_jacobian @ step, spread + self.spread_jacobian @ step
+            wrench, spread = _moved(wrench, self.wrench_jacobian, step), _moved(spread, self.spread_jacobian, step)
         terms = self.map @ spread
         radius = np.abs(terms).sum(axis=-1) if self.box else np.linalg.norm(terms, axis=-1)
         return wrench @ self.map.T - radius, terms
@@ -160,14 +160,15 @@ def _paper(payload: Payload, body: Body) -> Condition:
     """Lambda of one body: the closed loop's tube for the first, that of a body that follows its tray for others."""
     first, uncertain = payload.first, payload.uncertain
     jacobian = body.phi_jacobian(uncertain.parameters)
-    contacts = sure_contacts(networks([body])[0], payload.tray_half, uncertain)[0]
+    (network,) = (one for one in payload.networks if one.bodies[0] is body)  # nothing else touches it
+    contacts = sure_contacts(network, payload.tray_half, uncertain)[0]
     distribution: Array = np.linalg.pinv(contacts.grasp_map).astype(float)
     p_BX, R_BX = first.R_EB.T @ (body.p_EB - first.p_EB), first.R_EB.T @ body.R_EB
     placed = _place_map(body, uncertain.parameters, first)
 
     def rows(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> WrenchRows:
         assert liquids is None
-        own_motion = motion.of_frame(p_BX, R_BX)
+        own_motion = motion if body is first else motion.of_frame(p_BX, R_BX)
         wrench, wrench_jacobian = _stacked(*own_motion.wrench(body.inertial.phi[:, None]), n_z)
         change = (loop.df, loop.dtau) if body is first else own_motion.wrench(jacobian)
         spread, spread_jacobian = _stacked(*change, n_z)
@@ -175,14 +176,15 @@ def _paper(payload: Payload, body: Body) -> Condition:
             w, w_jacobian = motion_vector(motion, n_z)
             spread = spread + np.einsum("pik,tk->tpi", placed, w)
             spread_jacobian = spread_jacobian + np.einsum("pik,tkz->tpiz", placed, w_jacobian)
-        factor = uncertain.factor
+        factor = uncertain.factor.T
+        by_z = (factor @ spread_jacobian.reshape(*spread.shape[:2], 6 * n_z)).reshape(*spread.shape, n_z)
         return WrenchRows(
             (body.name,) * len(distribution),
             distribution,
             wrench[:, 0],
             wrench_jacobian[:, 0],
-            np.einsum("tpi,pq->tiq", spread, factor),
-            np.einsum("tpiz,pq->tiqz", spread_jacobian, factor, optimize=True),
+            np.swapaxes(factor @ spread, 1, 2),
+            np.ascontiguousarray(np.swapaxes(by_z, 1, 2)),
             uncertain.kind == "box",
         )
 
@@ -221,7 +223,7 @@ class MotionRows:
     sloshed: Array | float = 0.0
 
     def slack(self, step: Array | None = None) -> tuple[Array, Array]:
-        w = self.w if step is None else self.w + self.w_jacobian @ step
+        w = self.w if step is None else _moved(self.w, self.w_jacobian, step)
         seen = np.broadcast_to(w[:, None], (len(w), len(self.rows.nominal), N_MOTION))
         return -self.rows.worst(w), np.concatenate([self.rows.terms(w), seen], axis=2)
 
@@ -337,6 +339,11 @@ def _tilt(limit: float) -> Condition:
         )
 
     return along
+
+
+def _moved(value: Array, jacobian: Array, step: Array) -> Array:
+    """value (...) after a step (n_z,), with its jacobian (..., n_z)."""
+    return value + (jacobian.reshape(value.size, len(step)) @ step).reshape(value.shape)
 
 
 def _unit(terms: Array) -> Array:

@@ -29,7 +29,7 @@ from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual
 from salver.sensitivity.filter import QuadratureGrid, fastest_rate
 from salver.sensitivity.sloshing import Liquids
-from salver.sensitivity.tray import BodyMotion, TrayLoop, TraySensitivity
+from salver.sensitivity.tray import BodyMotion, Indices, TrayLoop, TraySensitivity
 from salver.trajectory import (
     MotionSamples,
     PolynomialReference,
@@ -115,8 +115,8 @@ class Problem:
 
     @cached_property
     def _turn(self) -> float:
-        motion = self.scenario.motion
-        return float(np.linalg.norm(log(motion.start.rotation.T @ motion.goal.rotation)))
+        start, goal = self.scenario.motion.start.rotation, self.scenario.motion.goal.rotation
+        return 0.0 if np.array_equal(start, goal) else float(np.linalg.norm(log(start.T @ goal)))
 
     @property
     def is_affine(self) -> bool:
@@ -291,20 +291,28 @@ class Problem:
 
     def _goal(self, R_end: Array, theta_end: Array) -> tuple[Array, Array]:
         """What is left to the goal orientation, (3,), with its derivative; (2,), of the vertical, with free yaw."""
-        turn = self.scenario.motion.goal.rotation.T @ R_end
+        turn, goal = self.scenario.motion.goal.rotation.T @ R_end, self._missed(R_end)
         if self.scenario.motion.goal_yaw == "fixed":
-            goal = log(turn)
             return goal, right_jacobian_inverse(goal) @ theta_end
-        return turn[:2, 2], -(turn @ hat([0.0, 0.0, 1.0]) @ theta_end)[:2]
+        return goal, -(turn @ hat([0.0, 0.0, 1.0]) @ theta_end)[:2]
+
+    def _missed(self, R_end: Array) -> Array:
+        turn = self.scenario.motion.goal.rotation.T @ R_end
+        return log(turn) if self.scenario.motion.goal_yaw == "fixed" else turn[:2, 2]
+
+    def goal_missed(self, z: Array) -> Array:
+        """What is left to the goal orientation, of a problem that rotates: `Linearisation.goal`."""
+        return self._missed(self.reference(z).R_end)
 
     def _cost(self, sensitivity: TraySensitivity) -> tuple[Array, Array]:
         """Weighted Pi as residuals (n_r,), with their Jacobian (n_r, n_z)."""
         weights = np.sqrt(self.time_weights)[:, None, None]
         residual, jacobian = [np.zeros(0)], [np.zeros((0, self.size))]
         blocks = (sensitivity.dp, sensitivity.dtheta, sensitivity.dv, sensitivity.domega)
-        for scale, block in zip(self.row_scale, blocks, strict=True):
-            if scale > 0:
-                value, tangent = _times_columns(block, self.column_scale, self.size)
+        moving = (self.loop.pushing, self.loop.turning) * 2  # the others' rows are zero
+        for scale, block, which in zip(self.row_scale, blocks, moving, strict=True):
+            if scale > 0 and len(which):
+                value, tangent = _times_columns(block, which, self.column_scale, self.size)
                 residual.append((scale * weights * value).ravel())
                 jacobian.append((scale * weights[..., None] * tangent).reshape(value.size, self.size))
         return np.concatenate(residual), np.concatenate(jacobian)
@@ -319,10 +327,13 @@ class _Bases:
     alpha: Array | None
 
 
-def _times_columns(block: Dual, columns: Array, n_z: int) -> tuple[Array, Array]:
-    """(T, n_p, 3) and its tangent with the parameter axis multiplied by a matrix."""
-    value = columns.T @ block.value
+def _times_columns(block: Dual, which: Indices, columns: Array, n_z: int) -> tuple[Array, Array]:
+    """(T, n_p, 3) and its tangent with the parameter axis multiplied by a matrix: of these parameters, others being
+    zero, and without the columns that are then zero."""
+    some = columns[which]
+    weights = some[:, some.any(axis=0)].T
+    value = weights @ block.value[:, which]
     if block.tangent is None:
         return value, np.zeros((*value.shape, n_z))
-    count, n_p = block.tangent.shape[:2]
-    return value, (columns.T @ block.tangent.reshape(count, n_p, 3 * n_z)).reshape(*value.shape, n_z)
+    tangent = block.tangent[:, which].reshape(len(value), len(which), 3 * n_z)
+    return value, (weights @ tangent).reshape(*value.shape, n_z)

@@ -15,6 +15,7 @@ from salver.planning.object.subproblem import TOLERANCE, Step, solve_model
 _PROGRESS = 1e-6  # the sequential method ends when a step promises less, relative to the cost
 _SMALLEST_RADIUS = 1e-8  # of its trust region
 _HIGHEST_PENALTY = 1e7  # price at which a violation that no step lowers is taken for infeasible
+_LINEAR = 1e-8  # of z, m and rad/s: after a step this small a linear model is right to rounding
 _PENALTY = 10.0  # first price of a unit of violation in the sequential method, in units of the starting cost
 
 
@@ -127,10 +128,10 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
         if radius < _SMALLEST_RADIUS:
             reason = "optimal"
             break
-    z, model = _meet_goal(problem, z, model)
-    violation = _violation(model, margin)
+    z, model, d = _meet_goal(problem, z, model)
+    violation = _violation(model, margin, d)
     if violation > 1e-7:
-        status = infeasible(problem, model, None, False)
+        status = infeasible(problem, model, d, False)
     else:
         words = {
             "optimal": "Locally optimal: a small change of the reference would save less than a millionth of the cost.",
@@ -138,7 +139,8 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
         }
         status = Status(reason, words[reason], True)
     bound = _convex_bound(problem)
-    return Solution(z, _cost(model), bound, violation, programmes, "sequential convex programming, PIQP", status)
+    method = "sequential convex programming, PIQP"
+    return Solution(z + d, _cost(model, d), bound, violation, programmes, method, status)
 
 
 def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: bool) -> Status:
@@ -239,14 +241,21 @@ def _convex_bound(problem: Problem) -> float | None:
     return _cost(model, d)
 
 
-def _meet_goal(problem: Problem, z: Array, model: Linearisation) -> tuple[Array, Linearisation]:
-    """Newton steps of least norm until the goal orientation is met to rounding."""
+def _meet_goal(problem: Problem, z: Array, model: Linearisation) -> tuple[Array, Linearisation, Array]:
+    """Newton steps of least norm until the goal orientation is met to rounding: z, the model there, and a step from
+    there too small for another model."""
+    goal, d = model.goal, np.zeros(len(z))
     for _ in range(5):
-        if np.abs(model.goal).max(initial=0.0) < 1e-13:
+        if np.abs(goal).max(initial=0.0) < 1e-13:
             break
-        z = z - np.linalg.pinv(model.goal_jacobian) @ model.goal
-        model = problem.linearise(z)
-    return z, model
+        d = d - np.linalg.pinv(model.goal_jacobian) @ goal
+        if np.abs(d).max() < _LINEAR:
+            goal = problem.goal_missed(z + d)
+        else:
+            z, d = z + d, np.zeros(len(z))
+            model = problem.linearise(z)
+            goal = model.goal
+    return z, model, d
 
 
 def _relative(cost: float, bound: float) -> float:

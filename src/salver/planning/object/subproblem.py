@@ -6,7 +6,7 @@ Every relaxed programme bounds the optimum from below, which gives the duality g
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,13 +51,13 @@ def solve_model(
     """
     n = model.residual_jacobian.shape[1]
     jacobian, residual = model.residual_jacobian, model.residual
-    hessian, gradient, constant = 2 * jacobian.T @ jacobian, 2 * jacobian.T @ residual, float(residual @ residual)
+    hessian, gradient, constant = 2 * (jacobian.T @ jacobian), 2 * (jacobian.T @ residual), float(residual @ residual)
     ridge = 2 * damping + 1e-14 * np.trace(hessian) / max(n, 1)
     hessian = hessian + ridge * np.eye(n)
     if elastic and penalty is None:
         unit = max(constant, 1e-12)
         hessian, gradient, penalty = 1e-6 * hessian / unit, 1e-6 * gradient / unit, 1.0
-    offset, slope = np.zeros(0), np.zeros((0, n))
+    programme = _Programme(hessian, gradient, model, radius, penalty if elastic else None)
     d = _least(hessian, gradient, model.goal, model.goal_jacobian, radius)
     bound, violation, s, price = -np.inf, np.inf, 0.0, 0.0
     solved = False
@@ -65,13 +65,13 @@ def solve_model(
         bound = constant + float(gradient @ d + 0.5 * d @ hessian @ d)
     for rounds in range(1, _CUT_LIMIT + 1):
         if d is not None:
-            new_offset, new_slope, violation = _violated(model.rows, d, margin, s)
-            if len(new_offset) == 0:
+            offset, slope, violation = _violated(model.rows, d, margin, s)
+            if len(offset) == 0:
                 return Step(d, bound, violation, rounds, price)
             if n == 0:  # the boundary conditions leave nothing free
                 return Step(d, bound, violation, rounds) if elastic else None
-            offset, slope = np.concatenate([offset, new_offset]), np.concatenate([slope, new_slope])
-        answer = _quadratic(hessian, gradient, model, offset, slope, radius, penalty if elastic else None)
+            programme.add(offset, slope)
+        answer = programme.solve()
         if answer is None:
             if elastic and solved and d is not None:  # the latest cuts differ by rounding: the step before is as good
                 return Step(d, bound, violation, rounds, price)
@@ -100,53 +100,65 @@ def _violated(rows: tuple[Rows, ...], d: Array, margin: float, s: float) -> tupl
     for item in rows:
         slack, sides = item.slack(d)
         slack = slack - margin
-        violation = max(violation, -float(slack.min()))
-        before = np.vstack([np.full((1, slack.shape[1]), np.inf), slack[:-1]])
-        after = np.vstack([slack[1:], np.full((1, slack.shape[1]), np.inf)])
-        instant, row = np.nonzero((slack + s < -TOLERANCE) & (slack <= before) & (slack <= after))
-        if len(instant):
+        least = float(slack.min())
+        violation = max(violation, -least)
+        if least + s < -TOLERANCE:
+            around = np.full((len(slack) + 2, slack.shape[1]), np.inf)
+            around[1:-1] = slack
+            lowest = (slack <= around[:-2]) & (slack <= around[2:])
+            instant, row = np.nonzero((slack + s < -TOLERANCE) & lowest)
             offset, slope = item.cuts(instant, row, sides[instant, row])
             offsets.append(offset - margin)
             slopes.append(slope)
     return np.concatenate(offsets), np.concatenate(slopes), violation
 
 
-def _quadratic(
-    hessian: Array,
-    gradient: Array,
-    model: Linearisation,
-    offset: Array,
-    slope: Array,
-    radius: float,
-    penalty: float | None,
-) -> tuple[Array, float, float, float] | None:
-    """One dense quadratic programme: (d, s, value of its dual, sum of multipliers), or None when it is infeasible.
+class _Programme:
+    """The dense quadratic programme of a subproblem, which gets more rows from round to round.
 
-    Scaled so that cost and rows are of order one, whatever their units. The dual value is computed from the
-    multipliers themselves, so it is a bound even where the solver stopped early.
+    Scaled so that cost and rows are of order one, whatever their units. With a penalty, one unknown more: the common
+    violation s.
     """
-    n, elastic = len(gradient), penalty is not None
-    size = n + elastic
-    unit = max(float(np.abs(gradient).max()), float(np.abs(hessian).max()), 1e-300)
-    h, g = np.zeros((size, size)), np.zeros(size)
-    h[:n, :n], g[:n] = hessian / unit, gradient / unit
-    rows = np.zeros((len(offset), size))
-    # What d cannot change keeps a row of order one when s can: its slope is rounding.
-    norm = np.maximum(np.linalg.norm(slope, axis=1), 1.0 if elastic else 1e-12)
-    rows[:, :n] = slope / norm[:, None]
-    low, high = np.full(size, -radius), np.full(size, radius)
-    if elastic:
-        assert penalty is not None
-        rows[:, n] = 1 / norm
-        g[n], h[n, n] = penalty / unit, 1e-9 * penalty / unit
-        low[n], high[n] = 0.0, np.inf
-    goal_jacobian = np.hstack([model.goal_jacobian, np.zeros((len(model.goal), int(elastic)))])
-    programme = Quadratic(h, g, -rows, offset / norm, goal_jacobian, -model.goal, low, high)
-    found = qp.solve(programme, PROGRAMME_TOLERANCE)
-    if found is None:
-        return None
-    price = unit * float(np.sum(found.rows / norm) + np.abs(found.equal).max(initial=0.0))
-    return found.x[:n], float(found.x[n]) if elastic else 0.0, unit * _dual_value(programme, found), price
+
+    def __init__(
+        self, hessian: Array, gradient: Array, model: Linearisation, radius: float, penalty: float | None
+    ) -> None:
+        self.n, self.elastic = len(gradient), penalty is not None
+        n, size = self.n, self.n + self.elastic
+        self.unit = max(float(np.abs(gradient).max(initial=0.0)), float(np.abs(hessian).max(initial=0.0)), 1e-300)
+        h, g = np.zeros((size, size)), np.zeros(size)
+        h[:n, :n], g[:n] = hessian / self.unit, gradient / self.unit
+        low, high = np.full(size, -radius), np.full(size, radius)
+        if penalty is not None:
+            g[n], h[n, n] = penalty / self.unit, 1e-9 * penalty / self.unit
+            low[n], high[n] = 0.0, np.inf
+        equal = np.hstack([model.goal_jacobian, np.zeros((len(model.goal), int(self.elastic)))])
+        self.norm = np.zeros(0)
+        self.quadratic = Quadratic(h, g, np.zeros((0, size)), np.zeros(0), equal, -model.goal, low, high)
+
+    def add(self, offset: Array, slope: Array) -> None:
+        """Rows offset (m,) + slope (m, n) d >= 0."""
+        # What d cannot change keeps a row of order one when s can: its slope is rounding.
+        norm = np.maximum(np.linalg.norm(slope, axis=1), 1.0 if self.elastic else 1e-12)
+        rows = np.empty((len(slope), self.n + self.elastic))
+        rows[:, : self.n] = slope / -norm[:, None]
+        rows[:, self.n :] = -1 / norm[:, None]
+        self.norm, before = np.concatenate([self.norm, norm]), self.quadratic
+        self.quadratic = replace(
+            before,
+            rows=np.concatenate([before.rows, rows]),
+            bound=np.concatenate([before.bound, offset / norm]),
+        )
+
+    def solve(self) -> tuple[Array, float, float, float] | None:
+        """(d, s, value of the dual, sum of multipliers), or None when it is infeasible. The dual value is computed from
+        the multipliers themselves, so it is a bound even where the solver stopped early."""
+        found = qp.solve(self.quadratic, PROGRAMME_TOLERANCE)
+        if found is None:
+            return None
+        price = self.unit * float(np.sum(found.rows / self.norm) + np.abs(found.equal).max(initial=0.0))
+        s = float(found.x[self.n]) if self.elastic else 0.0
+        return found.x[: self.n], s, self.unit * _dual_value(self.quadratic, found), price
 
 
 def _dual_value(p: Quadratic, found: Optimum) -> float:
