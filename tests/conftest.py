@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+import typer.testing
 
 if TYPE_CHECKING:
     from driver_rig import Rig
+    from salver.planning.fastest import TransportProblem
 
 
 @pytest.fixture(scope="session")
@@ -54,6 +57,22 @@ def cube_run(cube_plans: Path) -> Path:
         simulate(load_plan(folder, stem)).save(folder, stem)
     run_campaign(folder, n=6, engine="closed-loop", jobs=1)
     return folder
+
+
+@pytest.fixture(scope="session")
+def behind_a_post() -> TransportProblem:
+    """The paper's cube, known exactly, which a post hinders from going straight."""
+    from salver import scenario
+    from salver.planning.fastest import transport_problem
+
+    post = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
+    changes = {"objects__0__uncertainty": {}, "motion__orientation": "free", "obstacles": [post]}
+    return transport_problem(scenario.load("panda-cube").with_changes(**changes))
+
+
+def pytest_configure() -> None:
+    """Typer puts the command together again for each call of a test's runner, which takes 20 ms: once is enough."""
+    typer.testing._get_command = functools.cache(typer.testing._get_command)
 
 
 def pytest_collection_finish() -> None:

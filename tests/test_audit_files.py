@@ -79,7 +79,7 @@ def test_the_motion_of_the_object_is_told_of_the_tray(tmp_path):
     assert np.allclose(motion.a_S[middle], np.array([0.2, 0, 0]) + centripetal, atol=1e-4)
 
 
-def test_joint_columns_by_name_in_any_order_or_by_number(tmp_path, arm):
+def test_joint_columns_by_name_in_any_order_or_by_number(tmp_path):
     t, q = joint_motion()
     mixed = [3, 1, 0, 2, 6, 5, 4]
     named = write_csv(tmp_path / "a.csv", "t," + ",".join(JOINTS[i] for i in mixed) + ",gripper", t, q[:, mixed], t)
@@ -88,9 +88,8 @@ def test_joint_columns_by_name_in_any_order_or_by_number(tmp_path, arm):
     )
     numbered = write_csv(tmp_path / "b.csv", "t," + ",".join(f"q{i}" for i in range(1, 8)), t, q)
     position = write_csv(tmp_path / "c.csv", "t," + ",".join(f"{name}_position" for name in JOINTS), t, q)
-    expected = tray_motion(read(numbered, lambda: JOINTS), arm, AT_B, NO_TURN).samples
-    for path in (named, position, exported):
-        assert np.allclose(tray_motion(read(path, lambda: JOINTS), arm, AT_B, NO_TURN).samples.a_S, expected.a_S)
+    for path in (numbered, named, position, exported):
+        assert np.allclose(read(path, lambda: JOINTS).q, q, rtol=0, atol=1e-9)
 
 
 def trajectory_message(t, q, dq=None, ddq=None, stamp=("sec", "nanosec")):

@@ -32,7 +32,12 @@ def line(duration, noise=0.0, rate=800.0):
 
 @pytest.mark.parametrize(
     ("duration", "noise", "outcome"),
-    [(2.2, 0.0, "holds"), (1.0, 0.0, "does_not_hold"), (2.2, 1e-6, "holds"), (2.2, 2e-3, "cannot_tell")],
+    [
+        pytest.param(2.2, 0.0, "holds", marks=pytest.mark.slow),
+        (1.0, 0.0, "does_not_hold"),
+        (2.2, 1e-6, "holds"),
+        (2.2, 2e-3, "cannot_tell"),
+    ],
 )
 def test_a_recorded_line_is_dry_or_spills_or_is_seen_too_badly(cup, tmp_path, duration, noise, outcome):
     found = audit(write_csv(tmp_path / "line.csv", HEADER, *line(duration, noise)), cup)

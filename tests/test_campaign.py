@@ -344,6 +344,7 @@ def test_on_a_ray_cluster_a_lost_worker_costs_nothing(finished, run_dir):
     assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_ray_cluster_that_does_not_answer_is_one_sentence(run_dir):
     pytest.importorskip("ray")
     with pytest.raises(SalverError, match=r"No Ray cluster answers at 127.0.0.1:1"):

@@ -169,6 +169,7 @@ def test_figures_of_a_run_of_several_legs_are_the_worst_of_them_and_say_which_le
     }
 
 
+@pytest.mark.slow
 def test_a_table_is_what_another_reader_of_parquet_reads(tmp_path):
     """Every kind of value, what is missing, what is mixed, numbers to the last bit; and the other way round."""
     parquet, pyarrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")

@@ -95,6 +95,7 @@ def test_ctrl_c_takes_the_planned_stop_of_the_instant_and_the_load_stays(safe: R
     assert summary["joint_error_peak"] < 1e-3  # against what the stop wants, not against the plan
 
 
+@pytest.mark.slow
 def test_what_becomes_of_the_arm_in_a_stop_is_said_as_it_is(safe: Rig) -> None:
     """A planned stop that fails, one in which the arm is not seen, and one that it does not follow."""
     ask = Fault("read", 250, 1, "", signals=(signal.SIGINT,))
@@ -108,6 +109,7 @@ def test_what_becomes_of_the_arm_in_a_stop_is_said_as_it_is(safe: Rig) -> None:
     assert cannot["load_kept_in_stop"] is False
 
 
+@pytest.mark.slow
 def test_an_arm_that_is_elsewhere_is_not_drawn_back_but_goes_the_same_way_beside(safe: Rig) -> None:
     """And its speed beyond the plan's fades within what the maker allows."""
     plan, arm, carried = safe.plan, safe.arm, safe.carried

@@ -315,7 +315,9 @@ def test_start_posture_of_another_pose_is_refused():
 
 
 def test_unreachable_goal_has_a_status():
+    begun = time.perf_counter()
     found = fastest(transport_problem(cube(motion__goal__position=[1.8, 0.0, 0.4])))
+    assert 0 < found.wall_time <= time.perf_counter() - begun
     assert not found.status.ok
     assert found.status.code == "unreachable"
 

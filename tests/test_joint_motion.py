@@ -148,16 +148,15 @@ def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda,
         assert usage.cost > 1.1 * Usage(arm, arm_geometry(panda), joints).cost
     gradient = usage.gradient(choice.rows)[order]
     rng = np.random.default_rng(order)
-    for _ in range(3):
-        direction = rng.normal(size=gradient.shape)
-        costs = []
-        for h in (-1e-5, 1e-5):
-            changed = tuple(x + h * direction * (k == order) for k, x in enumerate(profile))
-            joints = solve_path(arm, path, choice.path.q, choice.rows, changed)
-            costs.append(Usage(arm, parts, joints).cost)
-        scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
-        assert np.vdot(gradient, direction) == pytest.approx((costs[1] - costs[0]) / 2e-5, abs=1e-4 * scale)
-        assert scale > 1e-3
+    direction = rng.normal(size=gradient.shape)
+    costs = []
+    for h in (-1e-5, 1e-5):
+        changed = tuple(x + h * direction * (k == order) for k, x in enumerate(profile))
+        joints = solve_path(arm, path, choice.path.q, choice.rows, changed)
+        costs.append(Usage(arm, parts, joints).cost)
+    scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
+    assert np.vdot(gradient, direction) == pytest.approx((costs[1] - costs[0]) / 2e-5, abs=1e-4 * scale)
+    assert scale > 1e-3
 
 
 @pytest.mark.slow

@@ -35,12 +35,24 @@ def cube():
 
 
 @pytest.fixture(scope="module")
+def problem(cube):
+    return transport_problem(cube)
+
+
+@pytest.fixture(scope="module")
 def bottle():
     return sv.load_scenario("panda-tall-bottle")
 
 
 def place(x, y, z):
     return lambda live: live.goto((x, y, z))
+
+
+def beside_a_wall(problem, room):
+    """The arm where the cube starts, with a wall beside the tray, room m away."""
+    place = problem.arm.tray_pose(problem.start.q)[0] + [0.0, 0.1 + 0.01 + room, 0.0]  # half the tray and half the wall
+    wall = {"name": "wall", "type": "box", "size": [0.1, 0.02, 0.1], "position": place.tolist()}
+    return Live(problem.scenario.with_changes(arm__start_posture=None, obstacles=[wall]), problem.start.q)
 
 
 def check(live, states):
@@ -372,24 +384,18 @@ class TestWishes:
         )
         assert live.plan(60.0).doing == "stopping"
 
-    def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(self, cube):
+    def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(self, cube, problem):
         with pytest.raises(ScenarioError, match="the load is not safe at rest at q"):
             Live(cube, q=np.array([0.0, 0.5, 0.0, -1.5, 0.0, 2.6, 0.0]))  # the tray leans
-        start = transport_problem(cube).start.q
-        p, _ = transport_problem(cube).arm.tray_pose(start)
-        wall = {"name": "wall", "type": "box", "size": [0.1, 0.02, 0.1]}
-        free = cube.with_changes(arm__start_posture=None)
-
-        def beside(room):
-            place = p + np.array([0.0, 0.1 + 0.01 + room, 0.0])  # half the tray and half the wall
-            return Live(free.with_changes(obstacles=[{**wall, "position": place.tolist()}]), start)
-
         with pytest.raises(ScenarioError, match=r"clearance of tray from wall would be (3|3\.\d) mm too small"):
-            beside(-0.003)
-        parts = beside(0.003).problem.keep_out  # nearer than the 5 mm that are kept elsewhere
+            beside_a_wall(problem, -0.003)
+        parts = beside_a_wall(problem, 0.003).problem.keep_out  # nearer than the 5 mm that are kept elsewhere
         pair = [(parts.parts.names[i], parts.parts.names[j]) for i, j in parts.parts.pairs].index(("tray", "wall"))
         assert parts.required[pair] == pytest.approx(0.0015, abs=1e-6)
-        live = beside(0.003)
+
+    @pytest.mark.slow
+    def test_it_leaves_a_wall_that_it_is_beside(self, problem):
+        live = beside_a_wall(problem, 0.003)
         states = drive(live, 2.0, [(0.0, place(0.5, -0.1, 0.5))])
         assert not live.state.refused
         assert live.problem.arm.tray_pose(states[0][-1])[0][1] > -0.11

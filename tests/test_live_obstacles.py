@@ -98,6 +98,7 @@ def test_between_the_postures_that_are_looked_at_no_pair_moves_unseen(problem):
     assert len(few(parts, problem.start.q + np.zeros((65, 1)))) == 9
 
 
+@pytest.mark.slow
 def test_a_ball_that_would_hit_is_evaded_and_one_that_misses_is_not(cube):
     live = Live(cube, lead=0.1)
     parts, q = live.problem.keep_out.parts, live.command(0.0)[0].copy()

@@ -107,13 +107,13 @@ def test_accepted_values_have_a_distribution(body: Body) -> None:
     draws[:, 1:4] += rng.uniform(-1, 1, (count, 3)) * 0.3 * np.ptp(body.solid.bounding_points_G, axis=0)
     draws[:, [4, 6, 9]] *= rng.uniform(0.05, 3, (count, 3))
     draws[:, [5, 7, 8]] += rng.uniform(-1, 1, (count, 3)) * 0.5 * nominal[[4, 4, 6]]
-    accepted = draws[realisable(body, draws)][:40]
-    assert len(accepted) == 40
+    accepted = draws[realisable(body, draws)][:20]
+    assert len(accepted) == 20
     found = [mass_distribution(body, value) for value in accepted]
     proven = [f for f in found if f is not None]
-    assert len(proven) >= 36
+    assert len(proven) >= 18
     for value, pair in zip(accepted, found, strict=True):
         if pair is not None:
             assert_allclose(of_points(*pair), value, atol=1e-9)
-    refused = draws[~realisable(body, draws)][:20]
+    refused = draws[~realisable(body, draws)][:8]
     assert all(mass_distribution(body, value) is None for value in refused)

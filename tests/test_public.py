@@ -74,6 +74,7 @@ def test_what_is_no_motion_is_one_sentence(motion):
         sv.audit(motion, "panda-cube")
 
 
+@pytest.mark.slow
 def test_a_plan_is_retimed_as_its_directory_is_and_is_not_audited(plan, directory):
     retimed, same = sv.retime(plan), sv.retime(directory)
     assert retimed.duration == same.duration < plan.duration

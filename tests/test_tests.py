@@ -45,6 +45,7 @@ def _checked_processes(node: ast.AST) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_every_test_can_fail(every: Nodes) -> None:
     asserting = _asserting(every)
     silent = [
@@ -68,6 +69,7 @@ def _same(assertion: ast.Assert) -> bool:
     return isinstance(test, ast.Tuple)  # assert (this, "said")
 
 
+@pytest.mark.slow
 def test_no_assertion_is_true_by_its_words(every: Nodes) -> None:
     same = [
         f"{name}.py:{node.lineno}"

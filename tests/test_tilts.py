@@ -132,6 +132,7 @@ def test_what_tells_nothing_is_refused(scenario: Scenario, plan: Plan) -> None:
             short_tilt(scenario, farthest)
 
 
+@pytest.mark.slow
 def test_command_plans_and_reads(tmp_path: Path) -> None:
     def said(*words: str) -> str:
         done = CliRunner().invoke(app, ["calibrate", "friction", *words])

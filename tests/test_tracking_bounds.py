@@ -207,7 +207,9 @@ def test_terms_of_the_load_add_up_to_the_true_load(name: str) -> None:
     assert np.median(first) > 5 * max(left)
 
 
-@pytest.mark.parametrize(("name", "kind"), CASES)
+@pytest.mark.parametrize(
+    ("name", "kind"), [case if case in SOME else pytest.param(*case, marks=pytest.mark.slow) for case in CASES]
+)
 def test_tubes_of_the_chain_hold_every_load_and_touch_one(name: str, kind: str) -> None:
     """Of torques, tray and joints: first order is attained; with products no sample of the set is outside."""
     chain = chain_of(name, kind, 0)
