@@ -78,6 +78,28 @@ def loaded(tmp_path: Path, text: str, **arm: object) -> ArmModel:
     return load_arm(case.arm, case.tray)
 
 
+@pytest.mark.slow
+def test_what_is_out_of_reach_is_told_with_how_far_and_with_the_heading_that_would_do(tmp_path):
+    """By hand: the slide along y ends at 0.8 m, so a tray that stays level misses y = 1.8 by 1 m, and one that leans on
+    its 0.3 m of wrist by no less than 0.7. A wrist that turns 0.5 rad either way reaches no heading of 60 degrees."""
+    stiff = gantry(turn="revolute").replace('lower="-2.0" upper="2.0"', 'lower="-0.5" upper="0.5"', 1)
+    case = cell(tmp_path, stiff)
+    assert plan_fastest(case).ok
+    far = case.with_changes(motion__start__position=[-0.2, 1.8, 0.9])
+    with pytest.raises(UnreachableError, match="reaches the start: the nearest found misses it by") as told:
+        plan_fastest(far)
+    missed = re.search(r"by ([\d.]+) mm", str(told.value))
+    assert missed is not None
+    assert 700 < float(missed[1]) < 1020
+    assert "Turned" not in str(told.value)
+    with pytest.raises(UnreachableError, match="reaches the goal") as told:
+        plan_fastest(case.with_changes(motion__goal__rpy_deg=[0, 0, 60]))
+    turn = re.search(r"Turned by (-\d+) deg about its vertical it is reached", str(told.value))
+    assert turn is not None
+    assert abs(60 + int(turn[1])) < np.rad2deg(0.5)
+    assert plan_fastest(case.with_changes(motion__goal__rpy_deg=[0, 0, 60 + int(turn[1])])).ok
+
+
 # ---- joints that slide, joints that turn for ever --------------------------------------------------------------
 
 

@@ -1,5 +1,5 @@
-"""Why no motion can begin or end as it should: what is inside an obstacle there, whatever the arm does, and what
-touches in every posture that was found."""
+"""Why no motion can begin or end as it should: what is out of reach, what is inside an obstacle there, whatever the arm
+does, and what touches in every posture that was found."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import exp
+from salver.geometry import Array, exp
 from salver.models.arm_geometry import ArmGeometry
 from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.starts import Ends
+from salver.planning.fastest.starts import Ends, guess
 from salver.planning.follow.limits import COLLISION, blocked_end
-from salver.planning.postures import PoseTarget
+from salver.planning.postures import REACHED, PoseTarget, posture_at
 
 HEADINGS = np.linspace(0, 2 * np.pi, 36, endpoint=False)  # rad; at which an end that leaves it open is looked at
+TRIES = 48  # postures from which an end is sought before it is called out of reach
 
 
 def why_blocked(problem: TransportProblem) -> Status | None:
@@ -34,6 +35,38 @@ def why_blocked(problem: TransportProblem) -> Status | None:
     if touch is None:
         return None
     return Status("collision", f"In the start posture {touch.first} and {touch.second} touch.", False)
+
+
+def why_unreached(problem: TransportProblem) -> Status:
+    """Which end no posture reaches, by how much the nearest that was found misses it, and whether another heading would
+    do."""
+    told = "No posture within the joint limits was found at the goal that goes with one at the start."
+    for name, end in (("start", problem.start), ("goal", problem.goal)):
+        if not isinstance(end, AtPose):
+            continue
+        q, missed = _nearest(problem, end.target)
+        if missed < REACHED:
+            continue
+        error = end.target.residual(problem.arm, q)[0]
+        by = f"{1e3 * np.linalg.norm(error[:3]):.3g} mm and {np.rad2deg(np.linalg.norm(error[3:])):.3g} deg"
+        told = f"No posture within the joint limits reaches the {name}: the nearest found misses it by {by}."
+        q, missed = _nearest(problem, replace(end.target, yaw_free=True))
+        if missed < REACHED and not end.target.yaw_free:
+            turn = np.rad2deg(end.target.residual(problem.arm, q)[0][5])
+            told += f" Turned by {-turn:.0f} deg about its vertical it is reached."
+        break
+    return Status("unreachable", told, False)
+
+
+def _nearest(problem: TransportProblem, target: PoseTarget) -> tuple[Array, float]:
+    """The posture that meets a target best that was found, and by how much it misses it (m, rad)."""
+    rng, best = np.random.default_rng(0), (np.zeros(problem.n), np.inf)
+    for attempt in range(TRIES):
+        found = posture_at(problem.arm, target, guess(problem, rng, attempt), limits=problem.limits)
+        best = min(best, found, key=lambda pair: pair[1])
+        if best[1] < REACHED:
+            break
+    return best
 
 
 def why_touching(problem: TransportProblem, pairs: list[Ends], status: Status) -> Status:

@@ -15,7 +15,7 @@ import numpy as np
 
 from salver.errors import Status, UnreachableError
 from salver.geometry import Array
-from salver.planning.fastest.blocked import why_blocked, why_touching
+from salver.planning.fastest.blocked import why_blocked, why_touching, why_unreached
 from salver.planning.fastest.bound import least_duration
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.ends import AtPose
@@ -88,8 +88,7 @@ def fastest(
     pairs = [] if blocked is not None else ends(problem, rng, few=2 * options.first(problem))
     if not pairs:
         spline = RestSpline(DEGREE, options.spans)
-        unreached = "No posture within the joint limits reaches the start or the goal pose."
-        status = blocked or Status("unreachable", unreached, False)
+        status = blocked or why_unreached(problem)
         wall = time.perf_counter() - begun
         return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, status, {}, (), wall, 0)
     pairs = unlike(problem, pairs)
@@ -374,7 +373,7 @@ def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotio
     """
     pairs = ends(problem, np.random.default_rng(FastestOptions().seed))
     if not pairs:
-        raise UnreachableError("No posture within the joint limits reaches the start or the goal pose.")
+        raise UnreachableError(why_unreached(problem).sentence)
     return straight(pairs[0]).motion(problem, spline)
 
 

@@ -108,10 +108,10 @@ def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False
         if isinstance(problem.start, AtPosture) and problem.start.moving:
             coasting = 0.5 * problem.start.rates[0] * braking_time(problem)
         for attempt in range(OTHERS):
-            guess, spread = _guess(problem, rng, attempt), attempt / OTHERS
+            random, spread = guess(problem, rng, attempt), attempt / OTHERS
             found.add(
                 given,
-                problem.goal.nearest(problem.arm, problem.limits, (1 - spread) * (given + coasting) + spread * guess),
+                problem.goal.nearest(problem.arm, problem.limits, (1 - spread) * (given + coasting) + spread * random),
             )
             if few is not None and len(found.pairs) >= few and found.pairs[0].free:
                 break
@@ -126,7 +126,7 @@ def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False
     return [pair for pair in pairs if pair.free] or pairs
 
 
-def _guess(problem: TransportProblem, rng: np.random.Generator, attempt: int) -> Array:
+def guess(problem: TransportProblem, rng: np.random.Generator, attempt: int) -> Array:
     """The middle of the joints' ranges, then random postures around it."""
     centre, half = problem.limits.range(POSITION)
     half = np.where(np.isfinite(half), half, np.pi)
@@ -140,7 +140,7 @@ def _sought(problem: TransportProblem, rng: np.random.Generator, first: int) -> 
     found: list[tuple[float, Array, Array]] = []
     starts: list[Array] = []
     for attempt in range(first, first + ATTEMPTS // BATCHES):
-        start = problem.start.nearest(arm, limits, _guess(problem, rng, attempt), STEPS)
+        start = problem.start.nearest(arm, limits, guess(problem, rng, attempt), STEPS)
         if start is None or any(np.abs(start - other).max() < SAME for other in starts):
             continue
         starts.append(start)
