@@ -125,3 +125,17 @@ def test_from_one_side_to_the_other_is_a_long_way(path: list[float]) -> None:
         near, ball = exact < 0.06, [parts.names[j].startswith("ball") for _, j in parts.pairs]
         assert near[:, ball].any(axis=1).tolist() == [x > 0 for x in path]
         assert np.abs(bounded - exact)[near].max() < 2e-6
+
+
+def test_pairs_come_near_whatever_was_asked_for_before():
+    """On random ways, one after the other, of as many postures and of others: the pairs that are within it."""
+    parts = _with_balls(np.array([0.8, -1.2, 1.5, -0.3, 1.6, 0.0]))
+    rng = np.random.default_rng(2)
+    for k in range(40):
+        first = rng.uniform(-1.5, 1.5, 6)
+        ways = np.linspace(0, 1, int(rng.integers(2, 40)) if k % 2 else 20)[:, None] * rng.normal(size=6)
+        exact = parts.clearance(first + ways)
+        found = parts.near(first + ways, 0.06)
+        assert found.pairs == tuple(parts.pairs[i] for i in np.flatnonzero(exact.min(axis=0) < 0.06))
+        within = exact[:, exact.min(axis=0) < 0.06]
+        assert np.abs(found.clearance(first + ways, 0.06) - within)[within < 0.06].max(initial=0.0) < 2e-6

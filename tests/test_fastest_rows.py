@@ -78,9 +78,11 @@ def test_motion_terms_match_differences_and_pinocchio():
         assert np.allclose((ahead.w - behind.w) / (2 * h), here.w_z[:, :, k], atol=2e-7, rtol=1e-6)
         assert np.allclose((ahead.torque - behind.torque) / (2 * h), here.torque_z[:, :, k], atol=2e-6, rtol=1e-6)
     loaded = with_load(problem.arm, problem.items)
-    change = rng.normal(size=(3, 4, 7, 2))
-    felt = here.changed(*change)[2]  # sums of products are cheaper than the derivatives by every joint
-    assert np.allclose(felt, here.w_z @ np.concatenate(change, axis=1), atol=1e-9)
+    change = rng.normal(size=(4, 21, 2))
+    shift, rate, felt = here.changed(change)
+    assert np.allclose(shift, here.jacobian @ change[:, :7], atol=1e-9)
+    assert np.allclose(rate, here.twist_q @ change[:, :7] + here.jacobian @ change[:, 7:14], atol=1e-9)
+    assert np.allclose(felt, here.w_z @ change, atol=1e-9)
     for i in range(4):
         assert np.allclose(here.torque[i], loaded.inverse_dynamics(z[i, :7], z[i, 7:14], z[i, 14:]), atol=1e-10)
         assert np.allclose(here.mass_matrix[i], loaded.mass_matrix(z[i, :7]), atol=1e-10)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import salver as sv
-from salver.live.verify import COARSE, FINER, STEADY, UNHURRIED, seen, told
+from salver.live.verify import COARSE, STEADY, UNHURRIED, seen, told
 from salver.models.arm_limits import LIMITS
 from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import fastest, transport_problem
@@ -35,10 +35,10 @@ def along(problem, motion, t, z, **given):
 def both(motion):
     """What the verdict sees at its nodes, and what there is."""
     problem, whole = motion
-    found, some, _ = seen(problem, whole)
+    found, known, _ = seen(problem, whole)
     t = found.s[found.nodes] * whole.duration
-    assert len(some) < 0.6 * len(t)
-    return found, some // FINER, t, along(problem, whole, t, found.at_nodes)
+    assert len(known.t) < 0.6 * len(t)
+    return found, np.searchsorted(t, known.t - 1e-9), t, along(problem, whole, t, found.at_nodes)
 
 
 def test_what_is_felt_and_the_torque_known_at_some_instants_are_those_of_all_of_them(both):
@@ -112,12 +112,34 @@ def test_where_it_is_known_it_is_what_was_worked_out(both):
     assert np.abs(finer.torque_radius()[some] - finer.known.torque_radius()).max() < 1e-12
 
 
+def test_what_a_verdict_worked_out_is_known_at_other_instants_of_the_motion(motion, both):
+    """And after its end, where the arm rests: against everything worked out at all of them."""
+    problem, whole = motion
+    known = seen(problem, whole)[1]
+    t = np.append(np.linspace(0.0, whole.duration, 57)[:-1] + 1e-3, whole.duration + np.array([0.01, 0.05]))
+    z = np.stack([*whole.sample(t), whole.jerk(t) * (t < whole.duration)[:, None]])
+    recalled = known.along(along(problem, whole, t, z), t)
+    moving = t < whole.duration
+    full = along(problem, whole, t, z).terms
+    assert np.abs(recalled.terms.w - full.w).max() < 2e-4 * 9.81
+    assert np.abs(recalled.terms.w_z - full.w_z).max() < 2e-3 * np.abs(full.w_z).max()
+    assert np.abs(recalled.terms.torque_z - full.torque_z).max() < 2e-3 * np.abs(full.torque_z).max()
+    dense = np.unique(np.concatenate([t[moving], both[2]]))
+    z = np.stack([*whole.sample(dense), whole.jerk(dense)])
+    w, drift = recalled.response.felt()
+    w_full, drift_full = along(problem, whole, dense, z).response.felt()
+    there = np.searchsorted(dense, t[moving])
+    assert np.abs(drift.dw[moving] - drift_full.dw[there]).max() < 1e-3 * 9.81
+    assert np.abs((w + drift.swing)[moving] - (w_full + drift_full.swing)[there]).max() < 2e-3 * 9.81
+    assert not drift.swing[~moving].any()
+
+
 def test_cubics_within_a_piece_know_nothing_of_the_next_one():
     """A cubic that jumps to another one at a knot is met everywhere, to rounding; pieces of few instants too."""
     t = np.unique(np.concatenate([np.linspace(0, 0.1, 51), np.linspace(0.1, 0.102, 2), np.linspace(0.102, 0.2, 50)]))
     knots = np.isin(t, [0.0, 0.1, 0.102, 0.2])
     some = some_of(t, knots, COARSE)
-    nearest, weights, _ = _cubic(t, some, knots)
+    nearest, weights, _ = _cubic(t[some], knots[some], t)
     values = np.where(t < 0.1, 1 + t**3, np.where(t < 0.102, 1.001 + 40 * (t - 0.1), 1.081 - (t - 0.102) ** 3))
     assert np.abs((weights * values[some][nearest]).sum(axis=1) - values)[t != 0.1].max() < 1e-9
 

@@ -59,7 +59,7 @@ class Firm(Constraint):
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         for block in self.judged.blocks(motion):
             nodes, check = block.margins[0], kept(block, self.judged)
-            yield replace(block, values=block.values + check, margins=(2 * nodes, 0.5 * nodes))
+            yield block.having(values=block.values + check, margins=(2 * nodes, 0.5 * nodes))
 
 
 class Sought(TransportProblem):

@@ -16,10 +16,11 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array, hat, log
+from salver.live.known import Recent
 from salver.live.motion import Committed, between
-from salver.live.verify import verified
+from salver.live.verify import Finding, verified
 from salver.planning import qp
-from salver.planning.fastest import AtPosture, Block, Evaluation, TransportProblem, evaluate
+from salver.planning.fastest import Block, Evaluation, TransportProblem, evaluate
 from salver.planning.fastest.curves import Grid, united
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.programme import Mask
@@ -217,6 +218,7 @@ class Steering:
     curvature: Array  # (size n, size n) of the cost that does not change
     nearness: Array  # (size n, size n) square of a bend's size
     caution: Caution
+    recent: Recent
 
     @classmethod
     def of(cls, problem: TransportProblem, sought: TransportProblem) -> Steering:
@@ -230,14 +232,14 @@ class Steering:
             (grid.basis[0].T * grid.weights) @ grid.basis[0] + BENT_RATE * (basis[2].T * grid.weights) @ basis[2]
         )
         each = np.eye(problem.n)
-        return cls(problem, sought, spline, grid, smooth, np.kron(gram, each), np.kron(size, each), Caution())
+        return cls(problem, sought, spline, grid, smooth, np.kron(gram, each), np.kron(size, each), Caution(), Recent())
 
     def tick(self, wanted: Wanted, base: Committed, begins: float) -> tuple[Committed | None, Status]:
         """What is committed bent towards what is wanted, from live time `begins` on."""
         if self.caution.easy >= SURE:  # the first programme was enough of late: no trial of it but the verdict
             found = self._bend(wanted, base, begins, 1)
             if found is not None:
-                finding = verified(self.problem, self.bent(base, begins, found[0]), begins, base)
+                finding = self._judged(base, begins, found[0])
                 if finding.committed is not None:
                     self.caution.passed(True)
                     return finding.committed, Status("optimal", "", True)
@@ -246,19 +248,26 @@ class Steering:
         if found is None:
             return None, Status("refused", "the programme of the tick was not solved", False)
         bend, margins = found
-        finding = verified(self.problem, self.bent(base, begins, bend), begins, base)
+        finding = self._judged(base, begins, bend)
         whole = finding.committed is not None
         if not whole:
             self.caution.broken(finding.what, finding.excess)
             # What a bend breaks is of second order in it.
             kept = max((x for name, x in margins.items() if of_block(finding.what, name)), default=0.0)
             share = np.clip(0.9 * np.sqrt(kept / (kept + finding.excess)), LEAST_SHARE, MOST_SHARE)
-            finding = verified(self.problem, self.bent(base, begins, share * bend), begins, base)
+            finding = self._judged(base, begins, share * bend)
         if finding.committed is None:
             self.caution.failed()
             return None, Status("refused", finding.sentence, False)
         self.caution.passed(whole)
         return finding.committed, Status("optimal", "", True)
+
+    def _judged(self, base: Committed, begins: float, bend: Array) -> Finding:
+        """The verdict on what is committed with a bend."""
+        finding = verified(self.problem, self.bent(base, begins, bend), begins, base)
+        if finding.committed is not None and finding.known is not None:
+            self.recent.add(finding.committed, finding.known)
+        return finding
 
     def bent(self, base: Committed, begins: float, bend: Array) -> JointMotion:
         """The committed motion from `begins` on with a bend (size, n) added."""
@@ -278,16 +287,19 @@ class Steering:
     ) -> tuple[Array, dict[str, float]] | None:
         """The bend after at most so many programmes, and what was kept from the edges of which rows."""
         grid, n = self.grid, self.problem.n
-        t = begins + HORIZON * grid.s
-        own = t - base.begins
+        ahead = TICK * round((begins - base.begins) / TICK)  # the same from tick to tick, to the last digit
+        ahead = ahead if abs(begins - base.begins - ahead) < SAME_KNOT else begins - base.begins
+        t, own = begins + HORIZON * grid.s, ahead + HORIZON * grid.s
         moving = (own < base.motion.duration)[:, None]
         z = np.stack([*base.motion.sample(own), base.motion.jerk(own) * moving])
-        sought = replace(self.sought, start=AtPosture(*base.state(begins)))
-        deviation = base.deviation_at(begins, self.problem)
+        sought, deviation = self.sought, base.deviation_at(begins, self.problem)
         if sought.tracking is not None and deviation is not None:
             sought = replace(sought, tracking=sought.tracking.begun(deviation))
         motion = replace(sought.at(grid.s, z, HORIZON, grid.nodes), moving=False)
-        constraints = [constraint.near(motion.at_nodes[0]) for constraint in sought.constraints]
+        known = self.recent.of(base)
+        if known is not None:
+            known.along(motion, own[grid.nodes])
+        constraints = [constraint.near(motion.at_nodes[0]) for constraint in self.sought.constraints]
         blocks = evaluate(constraints, motion)
         more_kept = [self.caution.margin(block) for block in blocks]
         # What margins there are not along what is committed need not be there: only no less of them.
@@ -322,8 +334,9 @@ class Steering:
             bend = np.vstack([np.zeros(n), found.x.reshape(-1, n)])
             if not left:
                 break  # the verdict is another's
-            bent = sought.at(grid.s, z + grid.motion(bend, HORIZON), HORIZON, grid.nodes)
-            trial = evaluate(constraints, replace(bent, moving=False))
+            bent = replace(sought.at(grid.s, z + grid.motion(bend, HORIZON), HORIZON, grid.nodes), moving=False)
+            # What the arm strays from what is committed is nearly what it strays from a bend of it.
+            trial = evaluate(constraints, bent.straying_as(motion))
             for block, lack in zip(trial, lacking, strict=True):
                 block.values[:] -= lack
             excess = max(float(block.values.max()) for block in trial)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.geometry import Array
+from salver.live.known import Known
 from salver.live.motion import SAME, Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
@@ -50,12 +51,13 @@ CONTINUOUS = (1e-8, 1e-7, 1e-5)  # rad, rad/s, rad/s^2: by which a motion may be
 @dataclass(frozen=True)
 class Finding:
     """What became of a motion that was looked at: committed, or why not. excess: of the worst row, beyond its edge;
-    what: which one it is."""
+    what: which one it is. known: what was worked out for it."""
 
     committed: Committed | None
     excess: float
     sentence: str
     what: str = ""
+    known: Known | None = None
 
 
 def verified(problem: TransportProblem, motion: JointMotion, begins: float, before: Committed | None) -> Finding:
@@ -67,8 +69,8 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
     begun = problem
     if problem.tracking is not None and start is not None:
         begun = replace(problem, tracking=problem.tracking.begun(start))
-    evaluation, some, knots = seen(begun, motion)
-    response: Finer | None = evaluation.__dict__.get("response")
+    evaluation, known, knots = seen(begun, motion)
+    response = known.response
     nodes, t = evaluation.nodes, evaluation.s * motion.duration
     keep_out, constraints = problem.keep_out, list(problem.constraints)
     if keep_out is not None:
@@ -93,19 +95,20 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
         if met is not None:
             return Finding(None, np.inf, f"{met.first} and {met.second} would touch")
     deviation = None
+    instants = t[nodes]
     if response is not None:
-        known = response.known
-        e = np.concatenate([-known.joints.q, -known.held.q[:, :, None]], axis=2)
-        rate = np.concatenate([-known.joints.dq, -known.held.dq[:, :, None]], axis=2)
+        joints, held = response.known.joints, response.known.held
+        e = np.concatenate([-joints.q, -held.q[:, :, None]], axis=2)
+        rate = np.concatenate([-joints.dq, -held.dq[:, :, None]], axis=2)
         deviation = np.stack([e, rate], axis=1)
-        nodes = some
-    committed = Committed(begins, motion, begins + t[nodes], deviation, margins)
-    return Finding(committed, excess, "")
+        instants = known.t
+    return Finding(Committed(begins, motion, begins + instants, deviation, margins), excess, "", known=known)
 
 
-def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Indices, Mask]:
-    """A motion at the instants at which it is looked at; indices (K,) of those at which dynamics and what a wrong load
-    does to the arm were worked out, from where they are continued to all nodes; (N,) which nodes are knots."""
+def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Known, Mask]:
+    """A motion at the instants at which it is looked at; what is known at some of them, at which dynamics and what a
+    wrong load does to the arm were worked out, and from where they are continued to all nodes; (N,) which nodes are
+    knots."""
     counts = _counts(motion)
     t, z = motion.evenly(FINER * counts)
     nodes = np.arange(0, len(t), FINER)
@@ -114,15 +117,16 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, In
     smooth = Smooth.of(t[nodes], knots, COARSE)
     some = nodes[smooth.some]
     evaluation = replace(problem.at(t / motion.duration, z, motion.duration, nodes, imposed=False), moving=False)
-    known = motion_terms(problem.model, problem.arm.tray_id, *z[:3, some])
-    terms = known.continued(smooth.between)
-    evaluation.feeling(terms)
+    terms = motion_terms(problem.model, problem.arm.tray_id, *z[:3, some])
+    evaluation.feeling(terms.continued(smooth.each))
+    slow = Smooth.of(t[some], knots[smooth.some], SLOW, fewest=2)
+    response = None
     if problem.tracking is not None:
-        slow = Smooth.of(t[some], knots[smooth.some], SLOW, fewest=2)
-        known.deriving(slow.some, slow.between)
+        terms.deriving(slow.some, slow.each)
         jerk = motion.jerk(t[some] - SAME)
-        evaluation.straying(Finer.of(problem.tracking, t[nodes], terms, known, z[1:, some], jerk, smooth))
-    return evaluation, some, knots
+        response = Finer.of(problem.tracking, t[nodes], evaluation.terms, terms, z[1:, some], jerk, smooth)
+        evaluation.straying(response)
+    return evaluation, Known(t[some], knots[smooth.some], terms, slow.some, slow, response), knots
 
 
 def instants(motion: JointMotion) -> tuple[Array, Indices]:
@@ -231,20 +235,20 @@ def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> Ma
     names: list[str] = []
     largest, what = np.full(len(t), -np.inf), np.zeros(len(t), dtype=np.intp)
     for block in blocks:
-        if not block.values.size or (isinstance(block.of, Level) and np.all(block.values <= 0.0)):
-            continue  # a tray that has to stay level is always as near to that as this, and nothing is limited by it
-        column = np.argmax(block.values, axis=1)  # the first that is no number, if there is one
-        value = block.values[np.arange(len(column)), column]
+        if not block.values.size:
+            continue
+        value = block.values.max(axis=1)
         value[np.isnan(value)] = np.inf
-        label = _labels(block, problem)
-        offset = len(names)
-        names += label
+        if isinstance(block.of, Level) and np.all(value <= 0.0):
+            continue  # a tray that has to stay level is always as near to that as this, and nothing is limited by it
         at = block.points[: len(value)]
-        above = value > largest[at]
-        largest[at[above]] = value[above]
-        what[at[above]] = offset + (column[above] if len(label) > 1 else 0)
-    known = np.flatnonzero(np.isfinite(largest))
-    if not len(known):
+        above = np.flatnonzero(value > largest[at])
+        if len(above):
+            label = _labels(block, problem)
+            row = np.argmax(block.values[above], axis=1) if len(label) > 1 else 0  # the first that is no number, if any
+            largest[at[above]], what[at[above]] = value[above], len(names) + row
+            names += label
+    if not np.isfinite(largest).any():
         return Margins(t, np.full(len(t), -1.0), what, ("nothing",))
     return Margins(t, largest, what, tuple(names))
 

@@ -101,10 +101,13 @@ class ArmGeometry:
                 if known:
                     low[new] = np.maximum(*(low[near] - np.abs(q[new] - q[near]) @ levers for near in known))
                 self._measure(q, low, new, within)
+        self._remember(q, low)
+        return low
+
+    def _remember(self, q: Array, low: Array) -> None:
         self._last[len(q)] = q.copy(), low.copy()
         if len(self._last) > _REMEMBERED:
             del self._last[next(iter(self._last))]
-        return low
 
     def _measure(self, q: Array, low: Array, nodes: npt.NDArray[np.intp], within: float | Array) -> None:
         """Put exact distances where those in `low` (N, pairs) are below `within`, at some of the postures (N, n)."""
@@ -195,11 +198,32 @@ class ArmGeometry:
 
     def near(self, q: Array, distance: float) -> ArmGeometry:
         """The same parts with only those pairs that come within a distance (m) at one of the postures (N, n)."""
-        low = self.clearance(q, distance)
-        pairs = np.flatnonzero(low.min(axis=0) < distance)
+        low, close = self._coming_near(q, distance)
+        self._remember(q, low)
+        pairs = np.flatnonzero(close)
         found = self.only(pairs)
-        found._last[len(q)] = q.copy(), low[:, pairs]
+        found._remember(q, low[:, pairs])
         return found
+
+    def _coming_near(self, q: Array, distance: float) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """What is known of the distances at postures (N, n) (N, pairs), and which pairs come near at one of them."""
+        if len(q) > _LONG:
+            low = self.clearance(q, distance)
+            return low, low.min(axis=0) < distance
+        levers = self.levers(q).T
+        before, there = self._last.pop(len(q), (q, np.full((len(q), len(self.pairs)), -np.inf)))
+        low = there - np.abs(q - before) @ levers
+        # One posture is enough to know that a pair comes near: first that at which each may be nearest.
+        nearest, maybe = low.argmin(axis=0), low.min(axis=0) < distance
+        first = np.unique(nearest[maybe])
+        self._measure(q, low, first, np.where(nearest == first[:, None], distance, -np.inf))
+        close = maybe & (low[nearest, np.arange(len(self.pairs))] < distance)
+        if np.any(~close & (low < distance)):
+            for k in first:
+                low = np.maximum(low, low[k] - np.abs(q - q[k]) @ levers)
+            self._measure(q, low, np.arange(len(q)), np.where(close, -np.inf, distance))
+            close |= low.min(axis=0, where=~close, initial=np.inf) < distance
+        return low, close
 
     def only(self, pairs: Iterable[int]) -> ArmGeometry:
         """The same parts with some of the pairs, by their indices."""

@@ -127,13 +127,16 @@ class UncertainRows:
     def only(self, rows: Indices) -> Self:
         """Some of the rows."""
         chosen = self.mapped(lambda array: array[..., rows, :])
-        return replace(
+        made = replace(
             chosen,
             mass_signs=self.mass_signs[rows],
             fillings=tuple(
                 replace(f.only(rows), rows=c.rows) for f, c in zip(self.fillings, chosen.fillings, strict=True)
             ),
         )
+        if "_roles" in vars(self):  # of parameters, whichever the rows
+            vars(made)["_roles"] = vars(self)["_roles"]
+        return made
 
     def _support(self, terms: Array) -> Array:
         """h (...) of terms (..., n_p)."""
@@ -213,7 +216,13 @@ class _Roles:
 
 
 def _roles(rows: UncertainRows, drift: Drift) -> _Roles:
-    return _roles_of(rows.acting, rows.masses, tuple(filling.moved for filling in rows.fillings), drift.terms)
+    """Those that were found last are kept with the rows: only to look them up by what they are of takes long."""
+    last: tuple[object, _Roles] | None = vars(rows).get("_roles")
+    if last is not None and last[0] is drift.terms:
+        return last[1]
+    found = _roles_of(rows.acting, rows.masses, tuple(filling.moved for filling in rows.fillings), drift.terms)
+    vars(rows)["_roles"] = drift.terms, found
+    return found
 
 
 @lru_cache(maxsize=256)
@@ -291,6 +300,7 @@ def _values_near(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
     if len(instants):
         felt = None
         if drift is not None:
+            _roles(rows, drift)
             felt = Drift(drift.terms, drift.dw[instants], None if drift.swing is None else drift.swing[instants])
         values[np.ix_(instants, some)] = _values(rows.only(some), w[instants], felt)
     return values

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -163,7 +163,7 @@ class Evaluation:
     def straying_as(self, other: Evaluation) -> Evaluation:
         """This motion, with an arm that strays from it as from a motion like it, at the same instants."""
         like = other.response
-        return self if like is None else self.straying(replace(like, terms=self.terms))
+        return self if like is None else self.straying(like.along(self.terms))
 
     def giving_way_as(self, other: Evaluation) -> Evaluation:
         """This motion, with an arm that gives way to its load and to its waves as along a motion like it, at the same

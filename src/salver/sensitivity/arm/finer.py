@@ -8,7 +8,8 @@ and J l to either side of that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -51,6 +52,11 @@ class Smooth:
         """At instants t (T,); jumps: (T,) whether a piece ends there, as at both ends; the others: see `some_of`."""
         return _smooth(t.tobytes(), jumps.tobytes(), apart, fewest)
 
+    @classmethod
+    def onto(cls, known: Array, jumps: npt.NDArray[np.bool_], t: Array) -> Smooth:
+        """From instants known (K,) to others, t (T,), none of them outside; jumps: (K,) whether a piece ends there."""
+        return _smooth_onto(known.tobytes(), jumps.tobytes(), t.tobytes())
+
     @cached_property
     def _matrix(self) -> Any:
         from scipy.sparse import csr_matrix  # a fifth of a second
@@ -63,6 +69,12 @@ class Smooth:
         """(T, ...) of values (K, ...)."""
         flat = values.reshape(len(values), values[0].size)  # none where nothing is uncertain
         return np.asarray(self._matrix @ flat).reshape(len(self.nearest), *values.shape[1:])
+
+    def each(self, several: Sequence[Array]) -> list[Array]:
+        """`between` of several, all at once."""
+        flat = np.concatenate([values.reshape(len(values), values[0].size) for values in several], axis=1)
+        parts = np.split(self.between(flat), np.cumsum([values[0].size for values in several])[:-1], axis=1)
+        return [x.reshape(len(x), *values.shape[1:]) for x, values in zip(parts, several, strict=True)]
 
     def jumping(self, after: Array, before: Array) -> Array:
         """(T, ...) of values that jump where a piece ends: before (K, ...) and after (K, ...) that."""
@@ -78,18 +90,25 @@ def _smooth(t: bytes, jumps: bytes, apart: float, fewest: int) -> Smooth:
     """`Smooth.of`: ticks ask for the same ones again and again."""
     instants, jump = np.frombuffer(t), np.frombuffer(jumps, dtype=bool)
     some = some_of(instants, jump, apart, fewest)
-    return Smooth(some, *_cubic(instants, some, jump))
+    return Smooth(some, *_cubic(instants[some], jump[some], instants))
 
 
-def _cubic(t: Array, some: Indices, jumps: Array) -> tuple[Indices, Array, Indices]:
-    """Which four (T, 4) of the K instants t[some] stand for each of t (T,), and Lagrange's weights; of those within its
-    piece as many as there are. And (T,) which one its piece ends at."""
+@lru_cache(maxsize=16)
+def _smooth_onto(known: bytes, jumps: bytes, t: bytes) -> Smooth:
+    instants = np.frombuffer(known)
+    nearest, weights, last = _cubic(instants, np.frombuffer(jumps, dtype=bool), np.frombuffer(t))
+    return Smooth(np.arange(len(instants)), nearest, weights, last)
+
+
+def _cubic(instants: Array, jumps: Array, t: Array) -> tuple[Indices, Array, Indices]:
+    """Which four (T, 4) of K instants stand for each of t (T,), and Lagrange's weights; of those within its piece as
+    many as there are. And (T,) which one its piece ends at. jumps: (K,) whether a piece ends there."""
     at = np.flatnonzero(jumps)
-    piece = np.clip(np.searchsorted(at, np.arange(len(t)), side="right") - 1, 0, len(at) - 2)
-    low, high = np.searchsorted(some, at[piece]), np.searchsorted(some, at[piece + 1])
-    first = np.clip(np.searchsorted(t[some], t, side="right") - 2, low, np.maximum(high - 3, low))
+    piece = np.clip(np.searchsorted(instants[at], t, side="right") - 1, 0, len(at) - 2)
+    low, high = at[piece], at[piece + 1]
+    first = np.clip(np.searchsorted(instants, t, side="right") - 2, low, np.maximum(high - 3, low))
     nearest = np.minimum(first[:, None] + np.arange(4), high[:, None])
-    known = t[some[nearest]]
+    known = instants[nearest]
     double = np.diff(nearest, axis=1, prepend=-1) == 0  # a piece of fewer than four: its last one counts once
     weights = np.ones((len(t), 4))
     for j in range(4):
@@ -103,14 +122,33 @@ def _cubic(t: Array, some: Indices, jumps: Array) -> tuple[Indices, Array, Indic
 
 
 @dataclass(frozen=True, eq=False)
+class _Continued:
+    """Of a deviation, at all instants: joints' q and dq, torque, the tray's displacement and what it feels, for each
+    term and what held commands make of them; and the tray's Jacobian."""
+
+    q: Array
+    held_q: Array
+    dq: Array
+    held_dq: Array
+    torque: Array
+    held_torque: Array
+    moved: Array
+    held_moved: Array
+    w: Array
+    held_w: Array
+    jacobian: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Finer:
     """known: at instants that are some of those of `terms`; smooth: how to come from these to all. late: (T, n)
-    rad/s^2, what a command that is late is short of."""
+    rad/s^2, what a command that is late is short of; before: (K, n) the same just before each instant that is known."""
 
     known: Deviation
     terms: MotionTerms
     smooth: Smooth
     late: Array
+    before: Array
 
     @classmethod
     def of(
@@ -121,40 +159,76 @@ class Finer:
         known = loop.along(t[smooth.some], some, rates)
         after = known.held.late
         before = after - loop.delay * (rates[2] - jerk)  # M^-1 times M of what jumps
-        return cls(known, terms, smooth, smooth.jumping(after, before))
+        return cls(known, terms, smooth, smooth.jumping(after, before), before)
 
-    def between(self, values: Array) -> Array:
-        """(T, ...) of values (K, ...)."""
-        return self.smooth.between(values)
+    @cached_property
+    def _continued(self) -> _Continued:
+        """Of what is smooth, not of its radius, which has kinks."""
+        known, held = self.known, self.known.held
+        joints, tray = known.joints, known.tray
+        return _Continued(
+            *self.smooth.each(
+                [
+                    joints.q,
+                    held.q,
+                    joints.dq,
+                    held.dq,
+                    known.torque,
+                    held.torque,
+                    tray.state[:, :6],
+                    held.tray[:, :6],
+                    tray.w * known.load.half_range,
+                    held.w + held.swing,
+                    known.terms.jacobian,
+                ]
+            )
+        )
+
+    def along(self, terms: MotionTerms) -> Finer:
+        """The same along a motion like it, with its terms."""
+        other = replace(self, terms=terms)
+        vars(other).update(_continued=self._continued, _radii=self._radii)
+        return other
+
+    @cached_property
+    def _radii(self) -> tuple[Array, ...]:
+        """Of q, dq, torque, and of the tray's displacement."""
+        found, radius = self._continued, self.known.load.radius
+        pairs = (
+            (found.q, found.held_q),
+            (found.dq, found.held_dq),
+            (found.torque, found.held_torque),
+            (found.moved, found.held_moved),
+        )
+        return tuple(radius(terms) + np.abs(held) for terms, held in pairs)
 
     def joint_radius(self, order: int) -> Array:
         """(T, n) as of a deviation, for position (0) and velocity (1)."""
-        name = ("q", "dq")[order]
-        return self._radius(getattr(self.known.joints, name), getattr(self.known.held, name))
+        return self._radii[order]
 
     def torque_radius(self) -> Array:
         """(T, n), N m, as of a deviation."""
-        return self._radius(self.known.torque, self.known.held.torque)
+        return self._radii[2]
 
     def tray_radius(self) -> tuple[Array, Array]:
         """Each (T, 3), as of a deviation."""
-        moved = self._radius(self.known.tray.state[:, :6], self.known.held.tray[:, :6])
+        moved = self._radii[3]
         return moved[:, :3], moved[:, 3:]
 
-    def _radius(self, terms: Array, held: Array) -> Array:
-        """Of what is smooth, not of its radius, which has kinks."""
-        return self.known.load.radius(self.between(terms)) + np.abs(self.between(held))
+    def onto(self, terms: MotionTerms, smooth: Smooth, moving: Array) -> Finer:
+        """At other instants, with terms (T,) there; smooth: how to come to them from those that are known. moving: (T,)
+        whether the motion has not ended yet."""
+        late = smooth.jumping(self.known.held.late, self.before)
+        return Finer(self.known, terms, smooth, late * moving[:, None], self.before)
 
     @cached_property
     def swing(self) -> Array:
         """(T, 12) as of held commands."""
         swing = np.zeros_like(self.terms.w)
-        swing[:, :6] = (self.between(self.known.terms.jacobian) @ self.late[:, :, None])[:, :, 0]
+        swing[:, :6] = (self._continued.jacobian @ self.late[:, :, None])[:, :, 0]
         return swing
 
     def felt(self) -> tuple[Array, Drift]:
         """As of a deviation with held commands."""
-        known, swing = self.known, self.swing
-        smooth = self.between(known.held.w + known.held.swing)
-        drift = Drift(known.load.terms, self.between(known.tray.w * known.load.half_range), swing)
-        return self.terms.w + smooth - swing, drift
+        found, swing = self._continued, self.swing
+        return self.terms.w + found.held_w - swing, Drift(self.known.load.terms, found.w, swing)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -63,7 +64,7 @@ class LoadChange:
         first, second = self.pairs.T
         return np.concatenate([each, each[..., first] * each[..., second]], axis=-1)
 
-    @property
+    @cached_property
     def terms(self) -> tuple[tuple[Parameter, ...], ...]:
         """The factors of each term: one parameter, or two."""
         p = self.uncertain.parameters

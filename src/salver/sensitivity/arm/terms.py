@@ -6,7 +6,7 @@ RSS 2018, as Pinocchio provides them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -55,18 +55,20 @@ class MotionTerms:
     torque: Array
     w: Array
 
-    def continued(self, between: Callable[[Array], Array]) -> MotionTerms:
-        """At more instants, by what continues what is known at these, (T, ...), to all."""
+    def continued(self, each: Callable[[Sequence[Array]], list[Array]], derivatives: bool = False) -> MotionTerms:
+        """At more instants, by what continues several that are known at these, (T, ...), to all; with derivatives, if
+        these are known too."""
         values = [getattr(self, name) for name in _VALUES]
-        all_ = between(np.concatenate([x.reshape(len(x), -1) for x in values], axis=1))
-        parts = np.split(all_, np.cumsum([x[0].size for x in values])[:-1], axis=1)
-        found = [x.reshape(-1, *y.shape[1:]) for x, y in zip(parts, values, strict=True)]
-        return MotionTerms(self.model, self.frame_id, *found)
+        found = each([*values, *vars(self.derivatives).values()] if derivatives else values)
+        terms = MotionTerms(self.model, self.frame_id, *found[: len(values)])
+        if derivatives:
+            terms.__dict__["derivatives"] = Derivatives(*found[len(values) :])
+        return terms
 
-    def deriving(self, some: npt.NDArray[np.intp], between: Callable[[Array], Array]) -> MotionTerms:
+    def deriving(self, some: npt.NDArray[np.intp], each: Callable[[Sequence[Array]], list[Array]]) -> MotionTerms:
         """The same, with derivatives that are worked out at some of the instants and continued to all."""
         few = self.only(some).derivatives
-        self.__dict__["derivatives"] = Derivatives(*(between(x) for x in vars(few).values()))
+        self.__dict__["derivatives"] = Derivatives(*each([*vars(few).values()]))
         return self
 
     def only(self, some: npt.NDArray[np.intp]) -> MotionTerms:
@@ -139,34 +141,35 @@ class MotionTerms:
         """(T, 3) -g in E."""
         return -np.einsum("tji,j->ti", self.R_SE, GRAVITY_S)
 
-    def changed(self, q: Array, dq: Array, ddq: Array) -> tuple[Array, Array, Array]:
-        """What changes (T, n, c) of the joints' motion make of the tray's: its displacement (T, 6, c) and twist, in E,
-        and what it feels (T, 12, c), which is `w_z` times them."""
-        jacobian, twist_q = self.jacobian, self.twist_q
-        shift, rate = jacobian @ q, twist_q @ q + jacobian @ dq
-        felt = np.empty((len(q), N_MOTION, q.shape[2]))
-        felt[:, :6] = self.acceleration_q @ q + self.acceleration_dq @ dq + jacobian @ ddq
-        omega, spun = self.twist[:, 3:, None], rate[:, 3:]
-        felt[:, :3] += hat(omega[:, :, 0]) @ rate[:, :3] - hat(self.twist[:, :3]) @ spun + hat(self.up) @ shift[:, 3:]
-        felt[:, 6:] = omega[:, _FIRST] * spun[:, _SECOND] + omega[:, _SECOND] * spun[:, _FIRST]
-        return shift, rate, felt
+    def changed(self, state: Array) -> tuple[Array, Array, Array]:
+        """What changes (T, 3 n, c) of the joints' q, dq and ddq make of the tray's motion: its displacement (T, 6, c)
+        and twist, in E, and what it feels (T, 12, c), which is `w_z` times them."""
+        found = self._changed_z @ state
+        return found[:, :6], found[:, 6:12], found[:, 12:]
 
-    @cached_property
+    @property
     def w_z(self) -> Array:
         """(T, 12, 3 n) derivative of w by (q, dq, ddq)."""
-        jacobian, twist_q = self.jacobian, self.twist_q
-        count, _, n = jacobian.shape
-        v, omega = self.twist[:, :3], self.twist[:, 3:]
-        w_z = np.zeros((count, N_MOTION, 3 * n))
-        w_z[:, :6, :n], w_z[:, :6, n : 2 * n], w_z[:, :6, 2 * n :] = self.acceleration_q, self.acceleration_dq, jacobian
-        turning, moving, upward = hat(omega), hat(v), hat(self.up)
-        for part, twist_part in ((slice(0, n), twist_q), (slice(n, 2 * n), jacobian)):
-            w_z[:, :3, part] += turning @ twist_part[:, :3] - moving @ twist_part[:, 3:]
-            omega_part = twist_part[:, 3:]
-            w_z[:, 6:, part] = omega[:, _FIRST, None] * omega_part[:, _SECOND]
-            w_z[:, 6:, part] += omega[:, _SECOND, None] * omega_part[:, _FIRST]
-        w_z[:, :3, :n] += upward @ jacobian[:, 3:]  # E turns by the Jacobian's rotation
-        return w_z
+        return self._changed_z[:, 12:]
+
+    @cached_property
+    def _changed_z(self) -> Array:
+        """(T, 24, 3 n) derivative of displacement, twist and w by (q, dq, ddq)."""
+        count, n = self.q.shape
+        found = np.zeros((count, 12 + N_MOTION, 3 * n))
+        moved, felt = found[:, :12], found[:, 12:]
+        moved[:, :6, :n], moved[:, 6:, :n], moved[:, 6:, n : 2 * n] = self.jacobian, self.twist_q, self.jacobian
+        omega, each = self.twist[:, 3:], np.arange(len(PRODUCTS))
+        by_moved = np.zeros((count, N_MOTION, 12))
+        by_moved[:, :3, 3:6] = hat(self.up)  # E turns by the Jacobian's rotation
+        by_moved[:, :3, 6:9], by_moved[:, :3, 9:] = hat(omega), -hat(self.twist[:, :3])
+        by_moved[:, 6 + each, 9 + np.array(_SECOND)] += omega[:, _FIRST]
+        by_moved[:, 6 + each, 9 + np.array(_FIRST)] += omega[:, _SECOND]
+        felt[:, :, : 2 * n] = by_moved @ moved[:, :, : 2 * n]  # neither moves with ddq
+        felt[:, :6, :n] += self.acceleration_q
+        felt[:, :6, n : 2 * n] += self.acceleration_dq
+        felt[:, :6, 2 * n :] += self.jacobian
+        return found
 
 
 def motion_terms(model: Any, frame_id: int, q: Array, dq: Array, ddq: Array) -> MotionTerms:

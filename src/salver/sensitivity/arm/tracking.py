@@ -99,6 +99,10 @@ class Deviation:
     held: Held
     law: Law
 
+    def along(self, terms: MotionTerms) -> Deviation:
+        """The same along a motion like it, with its terms."""
+        return replace(self, terms=terms)
+
     def reaction(self, wrench: Array) -> Array:
         """(K, T, 12) how what the tray feels changes, to first order, when the load needs wrenches (K, T, 6) at E
         beyond what the controller knows of."""
@@ -227,7 +231,7 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law) -> De
 
 def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:
     """The tray's deviation that the joints' deviation brings."""
-    shift, rate, felt = terms.changed(joints.q, joints.dq, joints.ddq)
+    shift, rate, felt = terms.changed(joints.state)
     R, theta = terms.R_SE, shift[:, 3:]
     slid = rate[:, :3] - hat(terms.twist[:, :3]) @ theta
     return TrayDeviation(np.concatenate([R @ shift[:, :3], theta, R @ slid, rate[:, 3:]], axis=1), felt)

@@ -1,0 +1,58 @@
+"""What was worked out when a motion was looked at, for a programme that bends it: the arm's terms and what a wrong load
+does to the arm along what is committed are those that the verdict on it rests on."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.live.motion import Committed
+from salver.planning.fastest import Evaluation
+from salver.planning.fastest.evaluation import Indices
+from salver.planning.fastest.programme import Mask
+from salver.sensitivity.arm.finer import Finer, Smooth
+from salver.sensitivity.arm.terms import MotionTerms
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Of a motion of its own time, s, to its end at rest: t (K,) instants at which its terms were worked out, ends (K,)
+    which of them are knots, slow (S,) at which of them the derivatives are, continued to all by `slower`. response:
+    what a wrong load does to the arm, or None."""
+
+    t: Array
+    ends: Mask
+    terms: MotionTerms
+    slow: Indices
+    slower: Smooth
+    response: Finer | None
+
+    def along(self, motion: Evaluation, own: Array) -> Evaluation:
+        """The same motion at other nodes, at own times (N,), with all this known; it rests after its end."""
+        if "derivatives" not in self.terms.__dict__:
+            self.terms.deriving(self.slow, self.slower.each)
+        last = self.t[-1]
+        onto = Smooth.onto(self.t, self.ends, np.minimum(own, last))
+        terms = self.terms.continued(onto.each, derivatives=True)
+        motion.feeling(terms)
+        return motion if self.response is None else motion.straying(self.response.onto(terms, onto, own < last))
+
+
+class Recent:
+    """What was worked out for the motions that were committed last."""
+
+    def __init__(self) -> None:
+        self._found: deque[tuple[Committed, Known]] = deque(maxlen=2)
+
+    def add(self, committed: Committed, known: Known) -> None:
+        self._found.append((committed, known))
+
+    def of(self, base: Committed) -> Known | None:
+        """None when it is not one of them. It may have come back from another process."""
+        for one, known in self._found:
+            if one is base or (one.begins == base.begins and np.array_equal(one.motion.q, base.motion.q)):
+                return known
+        return None
