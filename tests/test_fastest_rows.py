@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.interpolate import BSpline
 
 from salver.geometry import Array
 from salver.models.arm import with_load
@@ -20,7 +21,7 @@ from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.programme import Programme
-from salver.planning.fastest.spline import RestSpline, min_jerk_blend
+from salver.planning.fastest.spline import RestSpline, b_splines, min_jerk_blend
 from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm.terms import motion_terms
@@ -40,6 +41,15 @@ def test_spline_rests_at_both_ends_whatever_its_coefficients():
     assert np.abs(q - coefficients[[0, -1]]).max() < 1e-12
     assert np.abs(dq).max() < 1e-9
     assert np.abs(ddq).max() < 1e-7
+
+
+@pytest.mark.parametrize(("degree", "spans"), [(4, 1), (5, 20), (7, 3)])
+def test_b_splines_are_those_of_another_library(degree, spans):
+    spline = RestSpline(degree, spans)
+    s, n = np.union1d(np.linspace(0, 1, 101), spline.breaks()), spans + degree
+    other = BSpline(spline.knots(), np.eye(n), degree)
+    for k, rows in enumerate(b_splines(spline.knots(), degree, s, 4)):
+        assert rows == pytest.approx(other.derivative(k)(s) if k else other(s), abs=1e-13 * (degree * 30 * spans) ** k)
 
 
 def test_spline_derivatives_are_derivatives():

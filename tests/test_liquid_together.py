@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from salver.geometry import Array
+from salver.models.worst_case import SURE
+from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.evaluation import Evaluation, Sloshing
 from salver.planning.fastest.problem import TransportProblem, transport_problem
@@ -23,13 +27,13 @@ BOX = {
 }
 
 
-def moved(problem: TransportProblem, faster: float = 1.0) -> Evaluation:
-    """A straight motion with a swing of the wrist in it."""
+def moved(problem: TransportProblem, faster: float = 1.0, swing: float = 0.1) -> Evaluation:
+    """A straight motion with a swing of the wrist in it, rad."""
     spline = RestSpline(5, 8)
     start = straight_start(problem, spline)
     grid, t = Grid.of(spline, spline.nodes(3)), start.duration / faster
     coefficients = start.coefficients.copy()
-    coefficients[3:-3, 4:] += 0.1 * np.sin(np.arange(coefficients[3:-3, 4:].size)).reshape(-1, problem.n - 4)
+    coefficients[3:-3, 4:] += swing * np.sin(np.arange(coefficients[3:-3, 4:].size)).reshape(-1, problem.n - 4)
     curve = FreeCurve(problem, grid)
     return problem.at(grid.s, curve.motion(coefficients, t), t, grid.nodes)
 
@@ -83,6 +87,27 @@ def test_taken_to_give_way_as_one_near_by_waves_err_by_less_than_they_change(gla
         assert np.abs(guessed - after).max() < 0.25 * np.abs(after - before).max(), name
         assert taken.sloshing[name][1].planned is taken.sloshing[name][0].planned
         assert len(parts) == 2
+
+
+@pytest.mark.parametrize(("swing", "faster"), [(0.0, 1.0), (0.1, 2.5)], ids=["slow", "beyond"])
+def test_looked_at_coarsely_what_is_near_its_edge_is_as_it_is(
+    glasses: TransportProblem, swing: float, faster: float
+) -> None:
+    """Contact with all that liquids add: rows within 2 % of the weight, and the largest, however far; others no better
+    than they are. A scenario that asks for a margin has its edge there."""
+    here, told = moved(glasses, faster, swing), []
+    for margin in (0.0, 0.05):
+        for rows in glasses.contacts[:2]:
+            contact = Contact(rows, margin)
+            exact, coarse = (next(iter(contact.blocks(replace(here, coarsely=x)))).values for x in (False, True))
+            assert np.all(coarse >= exact - 1e-12)
+            near = exact > SURE - margin
+            np.testing.assert_allclose(coarse[near], exact[near], atol=1e-12)
+            np.testing.assert_allclose(coarse.max(), exact.max(), atol=1e-12)
+            told.append((near.any(), (coarse > exact + 1e-6).any()))
+    near, bounded = np.array(told).T
+    assert near.all() == (swing > 0)
+    assert bounded.any() == near.any()  # where nothing is near, all is told as it is
 
 
 @pytest.mark.parametrize("columns", [filters.MANY, filters.MANY + 1])

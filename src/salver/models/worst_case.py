@@ -37,7 +37,10 @@ from salver.models.parameters import Parameter
 from salver.models.tray_motion import frame_map
 
 Indices = npt.NDArray[np.intp]
-_CHUNK = 80_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
+Some = Indices | slice
+ALL = slice(None)
+Added = Callable[[Some, Some, bool], Array]
+_CHUNK = 160_000  # terms worked on at once: they fit in the cache, and the product is too small to be threaded
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,7 @@ class WorstCase:
     @classmethod
     def of(cls, rows: UncertainRows, w: Array, drift: Drift | None = None, coarsely: bool = False) -> WorstCase:
         """See `UncertainRows.worst`. coarsely: of rows that are surely beyond `SURE` a bound is enough."""
-        return cls(rows, w, drift, _values_near(rows, w, drift) if coarsely else _values(rows, w, drift))
+        return cls(rows, w, drift, values_near(rows, w, drift) if coarsely else _values(rows, w, drift))
 
     def attained(self, node: Indices, row: Indices) -> Array:
         """(r, 12) derivative of the worst case by w, at nodes and rows (r,); that of the drift is left out."""
@@ -286,23 +289,32 @@ def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
     return values
 
 
-def _values_near(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
-    """(T, n) worst case; where each term at its largest, one by one, leaves a row beyond `SURE`, that bound."""
+def values_near(
+    rows: UncertainRows, w: Array, drift: Drift | None, added: Added | None = None, margin: float = 0.0
+) -> Array:
+    """(T, n) worst case; where each term at its largest, one by one, leaves a row beyond `SURE` with a margin, that
+    bound.
+
+    added: what else is added to rows, of instants and rows that are asked for, or no less than that.
+    """
     if rows.fillings or rows.spread is not None:
-        return _values(rows, w, drift)
+        return _values(rows, w, drift) + (0.0 if added is None else added(ALL, ALL, False))
     moved = np.zeros_like(w) if drift is None else np.abs(drift.dw).sum(axis=2)
     swing = np.zeros_like(w) if drift is None or drift.swing is None else np.abs(drift.swing)
     each = np.abs(np.concatenate([rows.parameter, rows.remainder])).sum(axis=0)
     largest = np.hstack([rows.nominal, each, np.abs(rows.nominal)])
     values = np.hstack([w, np.abs(w) + swing, swing + moved]) @ largest.T
-    due = values > SURE
+    if added is not None:
+        values += added(ALL, ALL, True)
+    due = values > SURE - margin
     instants, some = np.flatnonzero(due.any(axis=1)), np.flatnonzero(due.any(axis=0))
     if len(instants):
         felt = None
         if drift is not None:
             _roles(rows, drift)
             felt = Drift(drift.terms, drift.dw[instants], None if drift.swing is None else drift.swing[instants])
-        values[np.ix_(instants, some)] = _values(rows.only(some), w[instants], felt)
+        exact = _values(rows.only(some), w[instants], felt)
+        values[np.ix_(instants, some)] = exact if added is None else exact + added(instants, some, False)
     return values
 
 
@@ -316,15 +328,19 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None) -> Callable[[slic
     fillings = tuple(filling.mapped(lambda array: array[..., felt]) for filling in rows.fillings)
     if drift is not None:
         roles = _roles(rows, drift)
-        moved = np.ascontiguousarray(np.swapaxes(drift.dw, 1, 2))
+        # What rows do not know of comes last: where its sizes are summed, no copy is made of it.
+        order = [*roles.own, *(k for k, _ in roles.mass), *(k for k, _, _ in roles.filled), *roles.other]
+        moved, place = np.swapaxes(drift.dw, 1, 2)[:, order], {k: i for i, k in enumerate(order)}
+        there = replace(roles, filled=[(place[k], f, q) for k, f, q in roles.filled])
 
     def cases(part: slice) -> Iterator[_Case]:
         count = len(w[part])
         if drift is not None:
             change = (moved[part].reshape(-1, moved.shape[2]) @ rows.nominal.T).reshape(count, n_k, n)
-            extra = np.abs(change[:, roles.other]).sum(axis=1)
+            other = change[:, n_k - len(roles.other) :]
+            extra = np.abs(other, out=other).sum(axis=1)
             for k, j in roles.mass:
-                extra += rows.mass_signs[:, j] * change[:, k]
+                extra += rows.mass_signs[:, j] * change[:, place[k]]
         for side in sides:
             terms = (side[part] @ flat).reshape(count, len(columns), n)
             own = [filling.coefficients(side[part]) for filling in fillings]
@@ -336,12 +352,12 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None) -> Callable[[slic
                 yield _Case(level + radius, own)
             if drift is None:
                 continue
-            terms[:, roles.column] += change[:, roles.own]
+            terms[:, roles.column] += change[:, : len(roles.own)]
             straying = _support(rows, terms[:, :n_p]) + extra
             if not fillings:
                 yield _Case(level + np.maximum(radius, straying), own)
                 continue
-            strayed, less = _strayed(fillings, roles, change, own)
+            strayed, less = _strayed(fillings, there, change, own)
             yield _Case(level + straying - less, strayed)
 
     return cases

@@ -2,10 +2,10 @@
 
     minimise 1/2 x'Hx + c'x   subject to   E x = e,   R x <= b,   low <= x <= high
 
-`solve` takes the method that is faster for the size: a dual active-set method (DAQP: Arnstrom, Bemporad, Axehill, IEEE
-TAC 67(8), 2022), whose work grows with the rows that bind, or an interior-point method (PIQP: Schwan, Jiang, Kuhn,
-Jones, CDC 2023) that makes use of the band that splines leave in the matrices. Where one fails the other is asked. Any
-other `Solver` can stand in for them: `SOLVERS` is what is asked, in turn.
+`solve` takes the method that is the faster one: a dual active-set method (DAQP: Arnstrom, Bemporad, Axehill, IEEE TAC
+67(8), 2022), whose work grows with the rows that bind, or, with many unknowns, an interior-point method (PIQP: Schwan,
+Jiang, Kuhn, Jones, CDC 2023) that makes use of the band that splines leave in the matrices, if they do. Where one fails
+the other is asked. Any other `Solver` can stand in for them: `SOLVERS` is what is asked, in turn.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scipy.sparse import csc_matrix
 
 from salver.geometry import Array
 
-FEW = 64  # unknowns up to which the active-set method is the faster one
+FEW = 64  # unknowns up to which the active-set method is the faster one, whatever the rows
 MOST_CHANGES = 2000  # of the active set; a programme of a few hundred rows takes some hundred
 MOST_ITERATIONS = 100  # of the interior-point method; it takes some twenty
 DENSE = 0.25  # share of the rows' entries beyond which a band is no help
@@ -63,12 +63,17 @@ Solver = Callable[[Quadratic, float], Optimum | None]
 
 def solve(programme: Quadratic, tolerance: float) -> Optimum | None:
     """The minimiser, with rows kept to the tolerance; None when none was found, as when the rows contradict."""
-    few = len(programme.cost) <= FEW
-    for solver in SOLVERS if few else reversed(SOLVERS):
+    for solver in reversed(SOLVERS) if _banded(programme) else SOLVERS:
         found = solver(programme, tolerance)
         if found is not None and np.all(np.isfinite(found.x)):
             return replace(found, x=np.clip(found.x, programme.low, programme.high))
     return None
+
+
+def _banded(programme: Quadratic) -> bool:
+    """Whether there are many unknowns, of which a row has few."""
+    rows = programme.rows
+    return bool(len(programme.cost) > FEW and np.count_nonzero(rows) < DENSE * rows.size)
 
 
 def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
@@ -104,9 +109,9 @@ def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:
 
 def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
     """By PIQP."""
-    p, n = programme, len(programme.cost)
+    p = programme
     form: Callable[[Array], Any]
-    if n > FEW and np.count_nonzero(p.rows) < DENSE * p.rows.size:
+    if _banded(p):
         solver, form = piqp.SparseSolver(), _sparse
         solver.settings.kkt_solver = piqp.sparse_multistage
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from salver.models.contact_rows import ContactRows
 from salver.models.liquid import GRAVITY, LEFT_OVER, TILTING
 from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
+from salver.models.worst_case import ALL, Some
 from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by, wrench_by
 from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Waves, along, cases
 
@@ -217,13 +218,11 @@ class Sloshed:
     @classmethod
     def of(cls, rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]]) -> Sloshed:
         """sloshing: the cases of each liquid, in parts, by the name of its body."""
-        index = {body.name: j for j, body in enumerate(rows.network.bodies)}
         total, chosen, liquids = np.zeros((1, 1)), list[Indices](), []
-        for name, sloshes in sloshing.items():
-            j = index.get(name)
-            added = np.concatenate([_added(part, rows, j) for part in sloshes])
-            most = added.max(axis=0)
-            worst = np.zeros(1, dtype=np.intp) if j is None else added.argmax(axis=0)
+        for j, sloshes, added in _each_added(rows, sloshing):
+            most, worst = _most(added), np.zeros(1, dtype=np.intp)
+            if j is not None:
+                worst = np.concatenate(added).argmax(axis=0)
             total = total + most
             chosen.append(np.broadcast_to(worst, most.shape))
             liquids.append((j, sloshes))
@@ -254,17 +253,46 @@ def of_parts(sloshes: Sequence[Slosh], which: Indices) -> Iterator[tuple[Slosh, 
         before += count
 
 
-def _added(part: Slosh, rows: ContactRows, j: int | None) -> Array:
-    """(K, T, n) of the cases of a part; j: which body of the network the liquid is in, None for one that stands
-    elsewhere."""
-    K, T, _ = part.wrench.shape
-    added = np.zeros((K, T, len(rows.nominal)))
+def most_added(
+    rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]], at: Some, some: Some, coarsely: bool
+) -> Array:
+    """What liquids add to some rows at some instants, (T, n), each at its worst case. coarsely: no less than that."""
+    return sum((_most(added) for _, _, added in _each_added(rows, sloshing, at, some, coarsely)), np.zeros((1, 1)))
+
+
+def _most(added: list[Array]) -> Array:
+    """(T, n) of all cases of all parts."""
+    return np.asarray(reduce(np.maximum, [part.max(axis=0) for part in added]))
+
+
+def _each_added(
+    rows: ContactRows,
+    sloshing: Mapping[str, tuple[Slosh, ...]],
+    at: Some = ALL,
+    some: Some = ALL,
+    coarsely: bool = False,
+) -> Iterator[tuple[int | None, tuple[Slosh, ...], list[Array]]]:
+    """Of each liquid the body of the network that it is in, None for one that stands elsewhere, its parts, and what
+    each adds to some rows at some instants, (K, T, n) in its cases, or 0 (1, 1, 1)."""
+    index = {body.name: j for j, body in enumerate(rows.network.bodies)}
+    for name, sloshes in sloshing.items():
+        j = index.get(name)
+        held = None if j is None else rows.wrench[j][some].T
+        yield j, sloshes, [_added(part, rows.nominal[some].T, held, at, coarsely) for part in sloshes]
+
+
+def _added(part: Slosh, nominal: Array, held: Array | None, at: Some, coarsely: bool) -> Array:
+    """Of a part to rows nominal (12, n), and held (6, n) of the wrench that its container must give."""
+    added = np.zeros((1, 1, 1))
     if part.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
-        added += part.reaction @ rows.nominal.T
-    if j is not None:
-        added += part.wrench @ rows.wrench[j].T
-        if part.change is not None:
-            swung = np.swapaxes(part.change.wrench, 2, 3) @ rows.wrench[j].T  # (K, T, n_c, n)
+        added = part.reaction[:, at] @ nominal
+    if held is not None:
+        added = added + part.wrench[:, at] @ held
+        if part.change is not None and coarsely:
+            added += np.abs(part.change.wrench[:, at]).sum(axis=3) @ np.abs(held)
+        elif part.change is not None:
+            swings = np.swapaxes(part.change.wrench[:, at], 2, 3)
+            swung = (swings.reshape(-1, 6) @ held).reshape(*swings.shape[:3], -1)  # (K, T, n_c, n)
             added += np.abs(swung, out=swung).sum(axis=2)
     return added
 

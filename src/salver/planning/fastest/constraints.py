@@ -18,10 +18,10 @@ import numpy as np
 from salver.geometry import Array, hat
 from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
-from salver.models.worst_case import WorstCase
+from salver.models.worst_case import ALL, SURE, Drift, Some, WorstCase, values_near
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import AT_NODES, REACH, KeepOut
-from salver.sensitivity.sloshing import Sloshed
+from salver.sensitivity.sloshing import Sloshed, most_added
 from salver.sensitivity.wave_gradients import Unknowns
 
 Gradient = Callable[[Indices, Indices], Array]
@@ -274,11 +274,15 @@ class Contact(Constraint):
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         tracking = None if self.exactly else motion.tracking
         w, drift = (motion.terms.w, None) if self.exactly or motion.response is None else motion.response.felt()
-        worst = WorstCase.of(self.rows, w, drift, self.coarsely)
-        values, history = worst.values, None
-        if motion.sloshing:
-            sloshed = Sloshed.of(self.rows, motion.sloshing)
-            values, history = values + sloshed.values, sloshed.history
+        if motion.coarsely:
+            worst, history = self._near(motion, w, drift), None
+            values = worst.values
+        else:
+            worst = WorstCase.of(self.rows, w, drift, self.coarsely)
+            values, history = worst.values, None
+            if motion.sloshing:
+                sloshed = Sloshed.of(self.rows, motion.sloshing)
+                values, history = values + sloshed.values, sloshed.history
 
         def gradient(i: Indices, f: Indices) -> Array:
             slope, side = worst.attained_swinging(i, f)
@@ -294,6 +298,18 @@ class Contact(Constraint):
         margins = (self.margin + 1e-3, max(self.margin, FINEST))
         name = f"contact of {carried}{' when the arm follows exactly' * self.exactly}"
         yield Block(name, values, gradient, motion.nodes, margins, most=most, history=history, remembers=SLOSH_REACH)
+
+    def _near(self, motion: Evaluation, w: Array, drift: Drift | None) -> WorstCase:
+        """Rows with what liquids add to them, exact where they come near their edge; the largest of all always."""
+        rows = self.rows
+
+        def added(at: Some, some: Some, coarsely: bool) -> Array:
+            return most_added(rows, motion.sloshing, at, some, coarsely)
+
+        values = values_near(rows, w, drift, added if motion.sloshing else None, self.margin)
+        if values.max() <= SURE - self.margin:
+            values = WorstCase.of(rows, w, drift).values + added(ALL, ALL, False)
+        return WorstCase(rows, w, drift, values)
 
 
 @dataclass(frozen=True)

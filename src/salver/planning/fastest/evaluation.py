@@ -120,9 +120,9 @@ class Evaluation:
 
     model: Pinocchio's, with all objects bolted on at nominal parameters; frame_id: of the tray in it. tracking: what
     a wrong load does to the arm, or None. nodes: (N,) indices of the points at which dynamics and distances are
-    looked at; the joints' own motion costs little and is looked at at all points. liquids: the cases of each. imposed:
-    whether the rows are
-    conditions of a programme; otherwise they are checked between its nodes. moving: whether it begins moving.
+    looked at; the joints' own motion costs little and is looked at at all points. imposed: whether the rows are
+    conditions of a programme; otherwise they are checked between its nodes. moving: whether it begins moving. liquids:
+    the cases of each. coarsely: whether of rows that are far from their edge a bound is enough.
 
     All further quantities are computed when they are first read, and once.
     """
@@ -137,6 +137,7 @@ class Evaluation:
     imposed: bool
     moving: bool
     liquids: tuple[tuple[Case, ...], ...] = ()
+    coarsely: bool = False
 
     @property
     def n(self) -> int:

@@ -243,7 +243,8 @@ def _status(solution: Solution, worst: dict[str, float], sought: str, duration: 
 def _seen(fine: Curve, point: Point) -> Evaluation:
     """The motion at a point, on the fine grid."""
     z = fine.motion(point.coefficients, point.duration)
-    return fine.problem.at(fine.grid.s, z, point.duration, fine.grid.nodes, imposed=False)
+    motion = fine.problem.at(fine.grid.s, z, point.duration, fine.grid.nodes, imposed=False)
+    return replace(motion, coarsely=point.margin == 0.0)  # where a margin is sought, rows further away count too
 
 
 def _between(

@@ -65,16 +65,40 @@ class RestSpline:
 @lru_cache(maxsize=16)
 def _matrices(spline: RestSpline, points: bytes) -> Array:
     """`RestSpline.matrices`: searches ask for the same ones again and again."""
-    from scipy.interpolate import BSpline  # a quarter of a second
-
-    s = np.frombuffer(points)
-    full = BSpline(spline.knots(), np.eye(spline.spans + spline.degree), spline.degree)
-    rows = np.stack([full.derivative(k)(s) if k else full(s) for k in range(DERIVATIVES)])
+    rows = b_splines(spline.knots(), spline.degree, np.frombuffer(points), DERIVATIVES)
     merged = rows[:, :, 2:-2].copy()
     merged[:, :, 0] += rows[:, :, 0] + rows[:, :, 1]
     merged[:, :, -1] += rows[:, :, -1] + rows[:, :, -2]
     merged.setflags(write=False)
     return merged
+
+
+def b_splines(knots: Array, degree: int, s: Array, derivatives: int) -> Array:
+    """(derivatives, len(s), len(knots) - degree - 1): all B-splines over clamped knots at s within them, and their
+    derivatives up to that order, by the recursions of de Boor (A Practical Guide to Splines, 1978, chapter X).
+
+    SciPy has the same; to import it takes longer than all else that is done with them.
+    """
+    last = len(knots) - degree - 2  # of the pieces that are not empty
+    piece = np.clip(np.searchsorted(knots, s, side="right") - 1, degree, last)
+    found = (piece[:, None] == np.arange(len(knots) - 1)).astype(float)
+    by_degree = [found]
+    for d in range(1, degree + 1):
+        rising = (s[:, None] - knots[:-d]) * _over(knots, d)
+        found = rising[:, :-1] * found[:, :-1] + (1 - rising[:, 1:]) * found[:, 1:]
+        by_degree.append(found)
+    rows, slopes = [found], np.eye(found.shape[1])
+    for d in range(degree, degree - derivatives + 1, -1):
+        each = np.diag(d * _over(knots, d))
+        slopes = (each[:, :-1] - each[:, 1:]) @ slopes  # of degree d by those of degree d - 1
+        rows.append(by_degree[d - 1] @ slopes)
+    return np.stack(rows)
+
+
+def _over(knots: Array, d: int) -> Array:
+    """1 / (t_(i+d) - t_i), 0 where knots coincide."""
+    apart = knots[d:] - knots[:-d]
+    return np.divide(1.0, apart, out=np.zeros_like(apart), where=apart > 0)
 
 
 @dataclass(frozen=True)
