@@ -277,11 +277,11 @@ def _half_spaces(points: Array) -> tuple[Array, Array]:
 
 def _interior_direction(rays: Array) -> Array:
     """Unit vector with a positive product with every ray (n, d)."""
-    from scipy.optimize import linprog
-
     mean = rays.mean(axis=0)
     if np.linalg.norm(mean) > 0 and (rays @ mean).min() > 1e-2 * np.linalg.norm(mean):
         return mean / np.linalg.norm(mean)
+    from scipy.optimize import linprog  # a tenth of a second, and seldom needed
+
     d = rays.shape[1]
     result = linprog(
         np.append(np.zeros(d), -1.0),

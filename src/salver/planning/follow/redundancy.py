@@ -24,6 +24,7 @@ from salver.geometry import Array, invert, log
 from salver.models.arm import ArmModel
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS
+from salver.planning.follow.descent import descend
 from salver.planning.postures import REACHED
 from salver.trajectory import MotionSamples, Reference
 
@@ -33,6 +34,7 @@ _CLEAR = 0.04  # m; parts of the arm that are further apart than this do not cou
 _NEAR = 0.2  # m; parts further apart than this along the first guess are not looked at again
 _FAINT = 1e-6  # share of the largest effect on the cost below which a distance is not differentiated
 _SEARCH = 1e-6  # m and rad; accuracy of postures while coefficients are searched for
+_STEPS, _FLAT = 12, 1e-3  # of the search for coefficients: how many, and the slope of the cost at which it ends
 _SINGULAR = 0.04  # smallest singular value of the body Jacobian (m or 1 per rad) that counts as a full limit
 
 
@@ -263,8 +265,6 @@ def first_choice(arm: ArmModel, parts: ArmGeometry, path: TrayPath, postures: Ar
 
 def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, free_start: bool) -> Choice:
     """Improve the coefficients of s(t), and where it starts if that is free, by BFGS on `Usage`."""
-    from scipy.optimize import minimize  # a quarter of a second
-
     rows = start.rows
     free = len(rows)
     if free == 0:
@@ -289,5 +289,5 @@ def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, f
         return usage.cost, np.concatenate([by_s.sum(axis=0) * free_start, by_coefficients.ravel()])
 
     x = np.concatenate([np.zeros(free), start.coefficients.ravel()])
-    minimize(at, x, method="BFGS", jac=True, options={"maxiter": 12, "gtol": 1e-3})
+    descend(at, x, _STEPS, _FLAT)
     return best
