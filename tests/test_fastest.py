@@ -20,7 +20,7 @@ from salver.planning.fastest.objectives import Distance, LeastMargin, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Options, minimise
-from salver.planning.fastest.tradeoff import SCALES, scaled, tradeoff
+from salver.planning.fastest.tradeoff import SCALES, Asked, scaled, tradeoff
 from salver.planning.make import make_plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
 from salver.scenario import load
@@ -279,6 +279,25 @@ def test_more_robustness_takes_longer():
     assert points[1].friction_needed <= 0.16
     assert points[1].margin > points[0].margin >= scenario.contact.margin
     assert not points[2].status.ok  # friction would reach below zero
+
+
+@pytest.mark.slow
+def test_at_the_scenarios_own_ranges_the_curve_is_what_fastest_finds_with_the_duration_left_open():
+    """The scenario has 2.5 s, in which the tray stays level; a shortest motion has it tilt unless told not to."""
+    friction, options = {"friction": "10%"}, FastestOptions(spans=8)
+    case = cube(0.2, objects__0__uncertainty=friction, motion__duration=2.5)
+    for changes, tray in (({}, "so the tray may tilt"), ({"motion__orientation": "fixed"}, "and the tray stays level")):
+        asked = case.with_changes(**changes)
+        points = {point.scale: point.duration for point in tradeoff(asked, (0.5, 1.0), options)}
+        assert points[1.0] == plan_fastest(asked.with_changes(motion__duration=None), options=options).duration
+        assert points[0.5] < points[1.0]
+        assert tray in Asked.of(asked).sentence
+    known = Asked.of(cube(0.2, objects__0__uncertainty={}, motion__duration=None, motion__orientation="fixed"))
+    assert known.sentence == (
+        "The tray stays level, as with salver plan --fastest. Nothing is uncertain in the scenario: friction, by 10 %, "
+        "is taken to be."
+    )
+    assert scaled(known.scenario, known.own).payload.uncertain.size == 0
 
 
 def test_the_curve_is_by_itself_from_what_is_known_exactly_to_twice_the_ranges_in_even_steps():

@@ -27,7 +27,8 @@ def tradeoff(
 ) -> None:
     """Shortest safe duration for ever larger uncertainty: a table and a figure.
 
-    Read off what being slower buys. Needs a scenario with an arm.
+    Read off what being slower buys. Needs a scenario with an arm. At the scenario's own uncertainty it asks what
+    `salver plan --fastest` asks: the duration is left open, and the tray may tilt unless motion.orientation is "fixed".
 
     Example: `salver tradeoff panda-cube --scales 0,0.5,1,2`
 
@@ -36,6 +37,7 @@ def tradeoff(
     from salver import scenario as scenarios
     from salver.errors import ScenarioError
     from salver.files import provenance, to_json, write_atomic
+    from salver.planning.fastest.tradeoff import Asked
     from salver.planning.fastest.tradeoff import tradeoff as curve
 
     try:
@@ -49,7 +51,9 @@ def tradeoff(
     if file_format not in ("pdf", "svg", "png"):
         raise ScenarioError(f'--format = "{file_format}" must be pdf, svg or png.')
     chosen = scenarios.load(scenario)
-    points = []
+    asked, points = Asked.of(chosen), []
+    if not json:
+        say(asked.sentence)
     for point in curve(chosen, wanted):
         points.append(point)
         step(len(points), len(wanted))
@@ -57,14 +61,15 @@ def tradeoff(
             say(f"{point.scale:g} times the uncertainty: {point.status}")
     directory = out if out is not None else Path("runs") / f"{chosen.name}-tradeoff"
     records = [point.record() for point in points]
-    document = to_json({"points": records, "provenance": provenance(chosen)})
+    told = {"asked": asked.sentence, "points": records}
+    document = to_json({**told, "provenance": provenance(chosen)})
     write_atomic(directory / "tradeoff.json", document, keep=True)
     solved = [point for point in points if point.status.ok]
     picture = directory / f"tradeoff.{file_format}"
     if solved:
         write_atomic(picture, draw(solved, file_format), keep=True)
     if json:
-        print_json({"directory": directory, "points": records})
+        print_json({"directory": directory, **told})
     else:
         show(chosen.name, points)
         say(f"Written to {directory}")

@@ -49,6 +49,18 @@ def plan_problem(
     near: SplineMotion | None = None,
 ) -> Plan:
     """The plan of a problem, as `plan_fastest` makes it. near: a motion of a similar problem, tried first."""
+    return found_and_planned(problem, robust=robust, options=options, watch=watch, near=near)[1]
+
+
+def found_and_planned(
+    problem: TransportProblem,
+    *,
+    robust: bool = True,
+    options: FastestOptions | None = None,
+    watch: Watch | None = None,
+    near: FastestMotion | SplineMotion | None = None,
+) -> tuple[FastestMotion, Plan]:
+    """`plan_problem`, and the motion that the plan is of."""
     scenario = problem.scenario
     found = fastest(problem, options, near, watch)
     for rounds in range(MISSED + 1):
@@ -71,11 +83,12 @@ def plan_problem(
             replace(found.problem, extra=(*found.problem.extra, *exactly)), options, near=found, watch=watch
         )
         if again.status.ok and _missed(again) is None:
-            plan = _planned(scenario, again.after(found), robust)
+            found = again.after(found)
+            plan = _planned(scenario, found, robust)
     if robust and plan.status.ok and not plan.verification.ok:
         said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
         plan = replace(plan, status=Status("unsafe", said, False))
-    return plan
+    return found, plan
 
 
 def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:

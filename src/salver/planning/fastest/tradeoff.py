@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from salver.contact_margins import margins
-from salver.errors import ScenarioError, Status
-from salver.planning.fastest import FastestMotion, FastestOptions, fastest
+from salver.errors import ScenarioError, Status, UnreachableError
+from salver.planning.fastest.found import FastestMotion, FastestOptions
+from salver.planning.fastest.planned import found_and_planned
 from salver.planning.fastest.problem import transport_problem
 from salver.scenario import Scenario
 
@@ -62,42 +63,72 @@ def _times(value: Any, factor: float) -> Any:
     return factor * value
 
 
-def with_something_uncertain(scenario: Scenario) -> Scenario:
-    """The scenario itself, or with friction uncertain by `FRICTION_SHARE` when it names nothing uncertain."""
-    if (
-        any(item.uncertainty.model_dump(exclude_none=True, exclude_defaults=True) for item in scenario.objects)
-        or scenario.uncertainty.tilt_deg
-    ):
-        return scenario
-    changes = {
-        f"objects__{i}__uncertainty": {"friction": FRICTION_SHARE * item.friction}
-        for i, item in enumerate(scenario.objects)
-    }
-    return scenario.with_changes(**changes)
+@dataclass(frozen=True)
+class Asked:
+    """What a curve is of. scenario: with its duration left open, and something uncertain. own: the scale that is the
+    given scenario's own set. tray: what it may do. assumed: what was taken to be uncertain, as the scenario names
+    nothing; "" if it does. left_open: s, the duration that was; None if none was given."""
+
+    scenario: Scenario
+    own: float
+    tray: str
+    assumed: str
+    left_open: float | None
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Asked:
+        """Of a scenario what `salver plan --fastest` asks, with something uncertain."""
+        left_open, asked = scenario.motion.duration, scenario.with_changes(motion__duration=None)
+        tray = "may tilt" if asked.motion.may_turn else "stays level"
+        named = asked.uncertainty.tilt_deg or any(
+            item.uncertainty.model_dump(exclude_none=True, exclude_defaults=True) for item in asked.objects
+        )
+        if named:
+            return cls(asked, 1.0, tray, "", left_open)
+        changes = {
+            f"objects__{i}__uncertainty": {"friction": FRICTION_SHARE * item.friction}
+            for i, item in enumerate(asked.objects)
+        }
+        assumed = f"friction, by {100 * FRICTION_SHARE:g} %"
+        return cls(asked.with_changes(**changes), 0.0, tray, assumed, left_open)
+
+    @property
+    def sentence(self) -> str:
+        """What is asked, and how it differs from what the scenario says."""
+        then = "so" if self.scenario.motion.orientation is None else "and"
+        left = "" if self.left_open is None else f"The duration of {self.left_open:g} s is left open, {then} "
+        found = f"{left}the tray {self.tray}, as with salver plan --fastest."
+        if self.assumed:
+            found += f" Nothing is uncertain in the scenario: {self.assumed}, is taken to be."
+        return found[0].upper() + found[1:]
 
 
 def tradeoff(
     scenario: Scenario, scales: Sequence[float] = SCALES, options: FastestOptions | None = None
 ) -> Iterator[TradeoffPoint]:
-    """Points of the curve, smallest scale first, each from the one before. Ends early where no motion is safe, or no
-    such object can exist.
+    """Points of the curve, smallest scale first, each from the one before; at the scenario's own ranges it is what
+    `plan_fastest` finds with the duration left open. Ends early where no motion is safe, or no such object can exist.
 
     Raises ScenarioError when the scenario has no arm.
     """
-    scenario = with_something_uncertain(scenario)
+    asked = Asked.of(scenario)
     before: FastestMotion | None = None
     for scale in sorted(scales):
         try:
-            larger = scaled(scenario, scale)
+            larger = scaled(asked.scenario, scale)
         except ScenarioError as error:
             yield TradeoffPoint(scale, np.nan, np.nan, np.nan, Status("impossible", str(error), False))
             return
-        problem = transport_problem(larger)
-        found = fastest(problem, options, None if before is None or not before.status.ok else before)
-        if not found.status.ok:
-            yield TradeoffPoint(scale, np.nan, np.nan, np.nan, found.status)
+        problem, near = transport_problem(larger), None if scale == asked.own else before
+        try:
+            found, plan = found_and_planned(problem, options=options, near=near)
+        except UnreachableError as error:
+            yield TradeoffPoint(scale, np.nan, np.nan, np.nan, Status("unreachable", str(error), False))
             return
-        seen = margins(scaled(scenario, 0.0), found.reference().samples)
+        if not plan.status.ok:
+            yield TradeoffPoint(scale, np.nan, np.nan, np.nan, plan.status)
+            return
+        seen = margins(scaled(asked.scenario, 0.0), found.reference().samples)
         needed = max(float(np.max(m.friction_needed)) for m in seen.interfaces)
-        yield TradeoffPoint(scale, found.duration, needed, float(seen.exact.min()), found.status)
+        yield TradeoffPoint(scale, plan.duration, needed, float(seen.exact.min()), plan.status)
         before = found
