@@ -249,6 +249,8 @@ def test_the_tray_goes_straight_along_its_line():
     p = np.array([problem.arm.tray_pose(q)[0] for q in line.postures])
     along = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
     assert np.abs(np.cross(p - p[0], along)).max() < 1e-9
+    assert np.all(np.diff((p - p[0]) @ along) > 0)
+    assert np.abs(problem.goal.residual(problem.arm, line.postures[-1])[0]).max() < 1e-9
 
 
 @pytest.mark.slow

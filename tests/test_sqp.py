@@ -392,7 +392,7 @@ def test_a_step_that_leads_nowhere_is_shortened():
 
 def test_the_foremost_rows_of_each_node_are_considered_and_three_times_as_many_may_join():
     """What joins is at its edge, or beyond, and was not known."""
-    values = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 30))
+    values = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 300))
     block = Block("rows", values, lambda node, row: np.zeros((len(row), 8)), np.arange(40), most=4)
     last = np.sort(values, axis=1)[:, ::-1]
     assert np.array_equal(block.near(1.0), values >= last[:, 3:4])

@@ -1,0 +1,310 @@
+"""Where searches for a motion begin, each piece by hand: what a pair of ends costs, and which paths there are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from salver import scenario
+from salver.errors import Status
+from salver.geometry import Array
+from salver.models.arm_limits import POSITION
+from salver.planning.fastest import FastestOptions, search, sides, transport_problem
+from salver.planning.fastest.ends import AtPose, AtPosture
+from salver.planning.fastest.exchange import ROUGH_GAIN
+from salver.planning.fastest.found import FastestMotion
+from salver.planning.fastest.obstacles import ENOUGH_AT_ENDS, KeepOut
+from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.search import DEEP, IN_VAIN, few_pieces
+from salver.planning.fastest.sides import FURTHEST, SIDES, STEP, TURN, past
+from salver.planning.fastest.spline import RestSpline
+from salver.planning.fastest.starts import (
+    ALIKE,
+    AT_LIMITS,
+    BATCHES,
+    NEAR_BY,
+    OTHERS,
+    TOO_NEAR,
+    Ends,
+    Start,
+    _apart,
+    _cost,
+    _Found,
+    _shape,
+    _slid_free,
+    _sought,
+    between,
+    braking_time,
+    ends,
+    guess,
+    straight,
+    touches,
+)
+from salver.planning.fastest.watch import Watch
+
+
+@pytest.fixture(scope="module")
+def plain() -> TransportProblem:
+    """The paper's cube, known exactly, with nothing around."""
+    return replace(
+        transport_problem(scenario.load("panda-cube").with_changes(objects__0__uncertainty={})), keep_out=None
+    )
+
+
+@pytest.fixture(scope="module")
+def pair(behind_a_post: TransportProblem) -> Ends:
+    return ends(behind_a_post, np.random.default_rng(0))[0]
+
+
+def test_whole_turns_bring_an_arm_nowhere_and_rails_do() -> None:
+    problem: Any = SimpleNamespace(arm=SimpleNamespace(linear=np.array([False, False, True])))
+    q, turn = np.array([0.4, -0.3, 0.1]), 2 * np.pi
+    for more, less, apart in (
+        ([0.1, -0.2, 0.0], [0.0, 0.0, 0.0], 0.2),
+        ([turn, -2 * turn, 0.0], [0.1, -0.3, 0.05], 0.3),
+        ([0.0, 0.0, turn], [0.0, 0.0, 0.0], turn),
+    ):
+        assert _apart(problem, q + np.array(more), q + np.array(less)) == pytest.approx(apart)
+
+
+def test_a_pair_of_ends_is_dearer_where_a_joint_is_at_its_limit(plain) -> None:
+    """Without a way to go a pair costs nothing in the middle of the joints' ranges, and AT_LIMITS at their ends."""
+    centre, half = plain.limits.range(POSITION)
+    assert _cost(plain, centre, centre) == pytest.approx(0.0, abs=1e-9)
+    for joint in range(plain.n):
+        for side in (-1, 1):
+            q = centre + side * half * np.eye(plain.n)[joint]
+            assert _cost(plain, q, q) == pytest.approx(AT_LIMITS)
+
+
+def test_a_pair_of_ends_is_dearer_where_something_is_near(behind_a_post, pair) -> None:
+    keep_out = behind_a_post.keep_out
+    there = keep_out.parts.clearance(np.stack([pair.start, pair.goal])).min(axis=0)
+    base, costs = _cost(behind_a_post, pair.start, pair.goal), []
+    for room in (0.01, 0.02, 0.05):
+        found = _Found(replace(behind_a_post, keep_out=KeepOut(keep_out.parts, there - room)))
+        found.add(pair.start, pair.goal)
+        costs.append(found.pairs[0].cost - base)
+        assert found.pairs[0].free
+    assert costs == pytest.approx([0.02 * TOO_NEAR, 0.01 * TOO_NEAR, 0.0], abs=1e-5)  # distances to 3 um
+
+
+def test_pairs_differ_by_what_both_of_their_ends_do(plain, pair) -> None:
+    found = _Found(plain)
+    for start, goal in ((0.0, 0.0), (0.1, 0.1), (0.2, 0.2), (0.0, 0.4)):
+        found.add(pair.start + start, pair.goal + goal)
+    assert [round(float((x.goal - pair.goal)[0]), 6) for x in found.pairs] == [0.0, 0.2, 0.4]
+
+
+def test_a_path_is_gone_along_by_its_length_from_its_first_posture_to_its_last() -> None:
+    postures = np.array([[0.0, 0.0], [0.0, 0.0], [3.0, 0.0], [3.0, 1.0]])  # it stays, and then goes 3 and 1
+    assert Start("", postures).path(np.array([0.0, 0.5, 1.0])) == pytest.approx(np.array([[0, 0], [2, 0], [3, 1]]))
+    assert Start("", postures[:2]).path(np.array([0.3])) == pytest.approx(np.zeros((1, 2)))
+
+
+def test_an_arm_that_moves_is_given_the_time_to_brake_and_to_go(plain, pair) -> None:
+    """Twice as long as braking takes at even deceleration, and what the slowest joint needs at its full speed."""
+    limits, velocity = plain.limits, np.array([0.3, -0.6, 0.0, 0.2, 0.0, 0.0, 0.1])
+    moving = replace(plain, start=AtPosture(pair.start, dq=velocity))
+    brake = 4 * np.max(np.abs(velocity) / limits.acceleration)
+    assert brake > 0.1
+    assert braking_time(moving) == pytest.approx(brake)
+    start = Start("", np.stack([pair.start, pair.goal + 1.0, pair.goal]))
+    go = np.max(np.abs(pair.goal - pair.start) / limits.velocity)
+    assert start.motion(moving, few_pieces(FastestOptions())).duration == pytest.approx(brake + go)
+
+
+def test_goals_are_sought_from_where_a_moving_arm_would_coast_to_and_from_further_and_further_away(
+    plain, pair, monkeypatch
+) -> None:
+    """Half its velocity times the time it has; then shares of the way to random postures."""
+    velocity, asked = np.array([0.3, -0.6, 0.0, 0.2, 0.0, 0.0, 0.1]), []
+    moving = replace(plain, start=AtPosture(pair.start, dq=velocity))
+    monkeypatch.setattr(AtPose, "nearest", lambda end, arm, limits, q, *more: asked.append(q))
+    ends(moving, np.random.default_rng(3))
+    coasted, rng = pair.start + 0.5 * velocity * braking_time(moving), np.random.default_rng(3)
+    for k, q in enumerate(asked[:OTHERS]):
+        assert q == pytest.approx(coasted + k / OTHERS * (guess(moving, rng, k) - coasted))
+    assert asked[0] == pytest.approx(coasted)
+
+
+def test_of_postures_in_which_an_arm_stands_and_moves_alike_one_is_kept(monkeypatch) -> None:
+    """An arm with a spherical shoulder and wrist, of which each posture has twins."""
+    case = scenario.load("gen3-cup").with_changes(arm__start_posture=None, arm__gains=None)
+    problem = transport_problem(case)
+    monkeypatch.setattr("salver.planning.fastest.starts.ATTEMPTS", 20 * BATCHES)
+    found = _sought(problem, np.random.default_rng(0), 0)
+    shapes = [np.stack([_shape(problem, q) for q in pair[1:]]) for pair in found]
+    costs = [cost for cost, _, _ in found]
+    assert costs == sorted(costs)
+    for k in range(len(found)):
+        for j in range(k):
+            stands_alike = np.abs(shapes[k] - shapes[j]).max() < NEAR_BY
+            assert not (stands_alike and costs[k] < (1 + ALIKE) * costs[j])
+    assert 2 < len(found) < 15  # of 20
+
+
+def test_a_posture_that_is_slid_free_has_the_room_that_an_end_needs(behind_a_post) -> None:
+    problem = transport_problem(behind_a_post.scenario.with_changes(arm__start_posture=None, motion__goal_yaw="fixed"))
+    rng, free = np.random.default_rng(1), 0
+    for attempt in range(12):
+        q = problem.start.nearest(problem.arm, problem.limits, guess(problem, rng, attempt))
+        if q is None or problem.keep_out.distances(q[None]).min() >= ENOUGH_AT_ENDS:
+            continue
+        slid = _slid_free(problem, problem.start, q)
+        assert np.abs(problem.start.residual(problem.arm, slid)[0]).max() < 1e-6
+        left = problem.keep_out.distances(slid[None]).min()
+        assert not -0.01 < left < ENOUGH_AT_ENDS  # not left as soon as it hardly touches
+        free += left >= ENOUGH_AT_ENDS
+    assert free > 0
+
+
+# Past what stands in the way ------------------------------------------------------------------------------------
+
+
+def moved(problem: TransportProblem, pair: Ends) -> tuple[Array, Array, list[list[Array]]]:
+    """The middle of the straight path, which way the tray goes, and the postures to each side."""
+    q = straight(pair).path(np.array([0.5]))[0]
+    p_0, p_1 = (problem.arm.tray_pose(x)[0] for x in (pair.start, pair.goal))
+    return q, p_1 - p_0, [list(postures) for postures in sides._moved(problem, pair, q)]
+
+
+def test_the_tray_is_moved_across_its_way_to_eight_sides_step_by_step(behind_a_post, pair) -> None:
+    q, along, found = moved(behind_a_post, pair)
+    arm, (p, _) = behind_a_post.arm, behind_a_post.arm.tray_pose(q)
+    away = [np.array([arm.tray_pose(x)[0] - p for x in postures]) for postures in found[:SIDES]]
+    directions = np.array([way[0] for way in away if len(way)]) / STEP
+    assert len(directions) >= 6
+    assert np.abs(directions @ along).max() < 1e-4
+    assert np.linalg.norm(directions, axis=1) == pytest.approx(1.0, abs=1e-4)
+    nearest = [np.sort(directions @ x)[-2] for x in directions]
+    assert np.max(nearest) == pytest.approx(np.sqrt(0.5), abs=1e-3)  # 45 degrees apart
+    for way in away:
+        assert np.linalg.norm(way, axis=1) == pytest.approx(STEP * np.arange(1, len(way) + 1), abs=1e-4)
+    assert max(len(way) for way in away) == round(FURTHEST / STEP)
+    for postures in found[:SIDES]:
+        assert all(arm.tray_pose(x)[1][2, 2] > 1 - 1e-6 for x in postures)
+
+
+def test_an_arm_with_a_joint_to_spare_is_turned_about_its_tray_to_both_sides(behind_a_post, pair, monkeypatch) -> None:
+    """Whatever sign a singular vector comes with."""
+    svd, calls = np.linalg.svd, []
+
+    def either(matrix: Array) -> Any:
+        calls.append(matrix)
+        u, sizes, vectors = svd(matrix)
+        return u, sizes, vectors * (-1) ** len(calls)
+
+    monkeypatch.setattr(np.linalg, "svd", either)
+    q, _, found = moved(behind_a_post, pair)
+    arm, (p, _) = behind_a_post.arm, behind_a_post.arm.tray_pose(q)
+    ways = [np.array(postures) for postures in found[SIDES:]]
+    assert len(ways) == 2
+    for way in ways:
+        assert len(way) >= 2
+        assert np.abs(np.array([arm.tray_pose(x)[0] for x in way]) - p).max() < 1e-5
+        steps = np.diff(way, axis=0)
+        assert np.all(np.linalg.norm(steps[:3], axis=1) > 0.5 * TURN)  # less only at a joint's limit
+        assert np.all(np.sum(steps[1:] * steps[:-1], axis=1) > 0)  # it does not turn back
+    assert (ways[0][0] - q) @ (ways[1][0] - q) < 0
+
+
+def test_a_path_past_something_is_moved_as_far_as_was_looked_and_no_further(behind_a_post, pair) -> None:
+    """Beside the straight one by what was found there, wherever that is the most."""
+    arm, u = behind_a_post.arm, np.linspace(0, 1, 61)
+    line = np.array([arm.tray_pose(q)[0] for q in straight(pair).path(u)])
+    found = past(behind_a_post, pair)
+    assert found
+    for start in found:
+        p = np.array([arm.tray_pose(q)[0] for q in start.postures])
+        far = np.linalg.norm(p[:, None] - line, axis=2).min(axis=1)
+        assert far.max() < FURTHEST + 0.05
+        assert far[[0, -1]].max() < 1e-9
+
+
+# Which of them are begun, and how long ---------------------------------------------------------------------------
+
+
+def a_rough(duration: float, violation: float = 0.0) -> Any:
+    coefficients = np.full((few_pieces(FastestOptions()).size, 7), duration)  # unlike others by its duration
+    return SimpleNamespace(
+        iterate=SimpleNamespace(duration=duration, violation=violation, coefficients=coefficients, blocks=[])
+    )
+
+
+def searching(problem: TransportProblem, **options: Any) -> search._Search:
+    return search._Search(problem, FastestOptions(**options), Watch(), [], np.random.default_rng(0))
+
+
+def test_another_start_has_to_be_a_hundredth_shorter_than_those_that_are_refined(plain) -> None:
+    one = searching(plain, starts=2)
+    roughs = [(plain, a_rough(x, y)) for x, y in ((1.5, 0.0), (0.7, 0.1), (1.0, 0.0), (1.2, 0.0))]
+    assert one._beat(roughs) == pytest.approx((1 - ROUGH_GAIN) * 1.2)  # what breaks a row does not count
+    assert one._beat(roughs[:3]) == pytest.approx((1 - ROUGH_GAIN) * 1.5)
+    assert one._beat(roughs[:2]) == np.inf
+
+
+def test_a_path_promises_the_less_the_deeper_it_is_in_something(behind_a_post, pair) -> None:
+    line = straight(pair)
+    deep, free = touches(behind_a_post, line), replace(behind_a_post, keep_out=None)
+    assert deep > 0.01
+    assert search._promise((behind_a_post, line)) == pytest.approx(line.least(free) * (1 + DEEP * deep))
+    assert search._promise((free, line)) == pytest.approx(line.least(free))
+
+
+def test_where_a_straight_path_is_blocked_ways_around_and_past_are_begun(behind_a_post, pair) -> None:
+    """Each from a start to a goal."""
+    one = searching(behind_a_post, starts=2, ways=1)
+    one.pairs = [pair]
+    begun = one._first()
+    names = [start.name for _, start in begun]
+    assert names[0] == "way around"
+    assert {"straight", "past"} <= set(names)
+    promises = [search._promise(begin) for begin in begun if begin[1].name != "way around"]
+    assert promises == sorted(promises)
+    for problem, start in begun:
+        assert np.abs(start.postures[0] - pair.start).max() < 1e-9
+        assert np.abs(problem.goal.residual(problem.arm, start.postures[-1])[0]).max() < 1e-6
+
+
+def test_on_a_way_the_distances_are_kept_that_both_of_its_ends_keep(behind_a_post, pair) -> None:
+    """Here no more than there is at the goal."""
+    parts = behind_a_post.keep_out.parts
+    near = replace(behind_a_post, keep_out=KeepOut(parts, parts.clearance(pair.goal[None])[0] + 1e-3))
+    way = Start("way", np.stack([pair.start, 0.5 * (pair.start + pair.goal), pair.goal]))
+    ((problem, start),) = searching(near)._promising([way])
+    assert start is way
+    assert np.array_equal(problem.keep_out.required, between(near, pair).keep_out.required)
+    assert np.all(problem.keep_out.distances(pair.goal[None]) > 0)
+
+
+def test_the_shortest_safe_motion_is_kept_and_what_brings_nothing_is_given_up(plain, pair, monkeypatch) -> None:
+    """Of many starts that all take as long only some are tried; of those that are refined the best that is safe is
+    kept, whichever came first."""
+    rough_s, spline, shares = [], RestSpline(5, 8), []
+    refined = iter([(True, 1.2), (False, 0.5), (True, 0.9), (True, 1.0)])
+
+    def finish(self: Any, problem: TransportProblem, found: Any) -> FastestMotion:
+        ok, duration = next(refined)
+        status = Status("optimal" if ok else "infeasible", "", ok)
+        return FastestMotion(problem, spline, np.zeros((spline.size, 7)), duration, status, {}, ("torque",), 0.0, 1)
+
+    def begin(self: Any, problem: TransportProblem, start: Start, beat: float = np.inf) -> Any:
+        rough_s.append(1.0 + 0.2 * len(rough_s) if len(rough_s) < 4 else 2.0)
+        return problem, a_rough(rough_s[-1])
+
+    monkeypatch.setattr(search._Search, "_refined", finish)
+    monkeypatch.setattr(search._Search, "_rough", begin)
+    monkeypatch.setattr(search._Search, "_first", lambda self: [(plain, straight(pair))] * 200)
+    one = searching(plain, starts=4)
+    one.pairs, one.watch = [pair], Watch(tell=lambda share, best: shares.append(share))
+    found = one.best()
+    assert found.status.ok
+    assert found.duration == 0.9
+    assert len(rough_s) == 4 + IN_VAIN * 4
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx((200 + 3) / (200 + 4))  # when the last refinement began
