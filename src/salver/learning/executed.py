@@ -3,13 +3,17 @@
 Two differentiations of a joint angle turn 20 micro-radians of noise at 1 kHz into tens of rad/s^2. So not the angle is
 smoothed, but the *deviation* from the plan, and of that only what does not follow from the plan: first each joint's is
 fitted (least squares) with the answers of second-order lags to what the plan asks of that joint, its velocity, its
-acceleration and its direction (friction); their derivatives are exact. What is left is smoothed in the cosine
-transform by 1 / (1 + (f / f_c)^6), f_c of each joint by generalised cross-validation (Craven and Wahba 1979; in this
-transform Garcia 2010, "Robust smoothing of gridded data"). What is left over then is the noise.
+acceleration and its direction (friction), or with what else is expected of the arm (`Expected`); their derivatives are
+exact. The lag that fits best is then made to fit better: its rate, its damping, its delay (Gauss and Newton). What is
+left is smoothed in the cosine transform by 1 / (1 + (f / f_c)^6) (Garcia 2010, "Robust smoothing of gridded data").
+What of each joint is fitted, and f_c, is what is most likely of a deviation whose spectrum falls so and white noise
+(Patterson and Thompson 1971; Schwarz 1978): cross-validation took noise for motion in one of twenty logs. What is left
+over then is the noise.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,6 +39,8 @@ DAMPINGS = (0.4, 0.7, 1.0)  # and of critical
 ALIKE = 1e-6  # shapes that differ by less are one
 STILL = 0.02  # rad/s around standstill over which friction changes its sign
 CUTS = 40  # cut-offs tried
+STEPS = 4  # in which a lag is made to fit
+RATES, DAMPED = (12.0, 400.0), (0.1, 2.0)  # rad/s, and of critical: of what a lag may be
 SPARSE = 90.0  # samples a second; with fewer nothing is known of what shakes a load
 LONGEST = 600.0  # s of a log
 GAP = 0.03  # s
@@ -88,47 +94,124 @@ class Executed:
         return _smoothed(self.source, self.t, noisy, self.shift, self.plan, self.answers, self.each, wider)
 
 
+Shapes = tuple[list[list[Array]], list[list[Array]]]
+"""Sets of shapes (3, K, n), deviations with two derivatives: of one multiple for all joints; of one for each."""
+Expected = Callable[[Array, JointMotion], Shapes]
+"""Of times t (K,) and a plan."""
+
+
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What each joint would deviate if it were a lag: (3, n, K, m) m shapes with first and second derivatives; and the
-    least squares by them (n, m, K)."""
+    """What each joint would deviate for one reason: m shapes (3, n, K, m) with first and second derivatives, the least
+    squares by them (n, m, K), and what comes before them (3, K, n)."""
 
     shapes: Array
     solve: Array
+    base: Array
 
     @classmethod
-    def along(cls, t: Array, plan: JointMotion) -> tuple[Answers, ...]:
-        """No lag, and each of some lags, without and with friction: which it is, is found for each joint."""
+    def along(cls, t: Array, plan: JointMotion, noisy: Array, expected: Expected | None) -> tuple[Answers, ...]:
+        """None; each of some lags, without and with friction; what else is expected; and for each joint the lag that
+        fits a deviation noisy (K, n) best. Which it is, is found for each joint."""
         here = np.stack(plan.sample(t))
-        out = [cls.of([], here)]
-        for hertz in LAGS:
-            for damping in DAMPINGS:
-                rate, both = 2 * np.pi * hertz, []
-                lag = LinearFilter.on_nodes(t, rate**2, 2 * damping * rate, 3)
-                # Of a lag that was asked so much earlier that it is late by nothing.
-                q, dq, ddq = plan.sample(t + 2 * damping / rate)
-                for drive in (-ddq - 2 * damping * rate * dq, np.tanh(here[1] / STILL)):
-                    x, v = lag.respond(drive)
-                    both.append(np.stack([x, v, lag.acceleration(drive, x, v)]))
-                z = np.stack([q, dq, ddq]) + both[0]
-                jerk = rate**2 * (dq - z[1]) - 2 * damping * rate * z[2]
-                snap = rate**2 * (ddq - z[2]) - 2 * damping * rate * jerk
-                lags = [z - here, np.stack([z[1], z[2], jerk]), np.stack([z[2], jerk, snap])]
-                out += [cls.of(lags, here), cls.of([*lags, both[1]], here)]
+        out, lags = [cls.of([], here)], [Lag(2 * np.pi * hertz, damping) for hertz in LAGS for damping in DAMPINGS]
+        for lag in lags:
+            z, friction, _ = lag.answer(t, plan, slice(None))
+            jerk = lag.rate**2 * (z.asked[1] - z.z[1]) - lag.kd * z.z[2]
+            snap = lag.rate**2 * (z.asked[2] - z.z[2]) - lag.kd * jerk
+            shapes = [z.z - here, np.stack([z.z[1], z.z[2], jerk]), np.stack([z.z[2], jerk, snap])]
+            out += [cls.of(shapes, here), cls.of([*shapes, friction], here)]
+        left = np.array([np.sum((noisy - answer.fitted(noisy)[0]) ** 2, axis=0) for answer in out[1::2]])
+        bases, tangents = [], []
+        for j, best in enumerate(np.argmin(left, axis=0)):
+            base, tangent = lags[best].fitted(t, plan, noisy[:, j], j)
+            bases.append(base)
+            tangents.append(tangent)
+        base, each = np.stack(bases, axis=2), [np.stack(x, axis=2) for x in zip(*tangents, strict=True)]
+        out += [cls.of(each[:3], here, base), cls.of(each, here, base)]
+        shared, own = ([], []) if expected is None else expected(t, plan)
+        for shapes in shared:
+            columns = np.stack([x[0].ravel() for x in shapes], axis=1)
+            multiples = np.linalg.lstsq(columns / np.linalg.norm(columns, axis=0), noisy.ravel(), rcond=ALIKE)[0]
+            base = np.einsum("m,mdkj->dkj", multiples / np.linalg.norm(columns, axis=0), np.stack(shapes))
+            out.append(cls.of([], here, base))
+        out += [cls.of(shapes, here) for shapes in own]
         return tuple(out)
 
     @classmethod
-    def of(cls, found: list[Array], like: Array) -> Answers:
+    def of(cls, found: list[Array], like: Array, base: Array | None = None) -> Answers:
         shapes = np.moveaxis(np.stack(found, axis=3) if found else like[..., None][..., :0], 1, 2)
         size = np.linalg.norm(shapes[0], axis=1)[None, :, None]
         shapes = shapes / np.where(size > 0, size, 1.0)
         count, width = shapes.shape[2:]
         solve = np.linalg.pinv(shapes[0], rcond=ALIKE) if width else np.zeros((len(shapes[0]), 0, count))
-        return cls(shapes, solve)
+        return cls(shapes, solve, np.zeros_like(like) if base is None else base)
 
     def fitted(self, off: Array) -> Array:
         """(3, K, n) of a deviation (K, n) what these shapes make of it."""
-        return np.einsum("djkm,jm->dkj", self.shapes, np.einsum("jmk,kj->jm", self.solve, off))
+        by = np.einsum("jmk,kj->jm", self.solve, off - self.base[0])
+        return self.base + np.einsum("djkm,jm->dkj", self.shapes, by)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """asked, z (3, K, m): what a lag was asked, and what it did."""
+
+    asked: Array
+    z: Array
+
+
+@dataclass(frozen=True)
+class Lag:
+    """Of the second order: rate, rad/s; damping, of critical; delay, s, beyond that of the whole arm."""
+
+    rate: float
+    damping: float
+    delay: float = 0.0
+
+    @property
+    def kd(self) -> float:
+        return 2 * self.damping * self.rate
+
+    def answer(self, t: Array, plan: JointMotion, joints: slice) -> tuple[Answer, Array, tuple[Array, Array]]:
+        """What it makes of some joints of a plan, of their friction (3, K, m), and its derivatives by the logarithm of
+        its rate and by its damping. It was asked so much earlier that it is late by nothing but its delay."""
+        lag = LinearFilter.on_nodes(t, self.rate**2, self.kd, 3)
+
+        def respond(drive: Array) -> Array:
+            x, v = lag.respond(drive)
+            return np.stack([x, v, lag.acceleration(drive, x, v)])
+
+        early = 2 * self.damping / self.rate
+        asked = np.stack([x[:, joints] for x in plan.sample(t + early - self.delay)])
+        z = asked + respond(-asked[2] - self.kd * asked[1])
+        friction = respond(np.tanh(plan.sample(t)[1][:, joints] / STILL))
+        # d/d(log rate) and d/d(damping) of z'' + kd z' + rate^2 (z - asked) = 0, with what is asked as early as that.
+        by_rate = respond(2 * self.rate**2 * (asked[0] - z[0] - 0.5 * early * asked[1]) - self.kd * z[1])
+        by_damping = respond(2 * self.rate * (asked[1] - z[1]))
+        return Answer(asked, z), friction, (by_rate, by_damping)
+
+    def fitted(self, t: Array, plan: JointMotion, off: Array, joint: int) -> tuple[Array, list[Array]]:
+        """The deviation (3, K) of a lag made to fit that of a joint (K,), and what it changes by (3, K): with the
+        logarithm of its rate, its damping, its delay; and friction."""
+        here, one = np.stack(plan.sample(t))[:, :, joint], slice(joint, joint + 1)
+        lag, found = self, (np.inf, np.zeros_like(here), list[Array]())
+        step = np.zeros(3)
+        for _ in range(STEPS):
+            answer, friction, (by_rate, by_damping) = lag.answer(t, plan, one)
+            z = answer.z[:, :, 0]
+            jerk = lag.rate**2 * (answer.asked[1, :, 0] - z[1]) - lag.kd * z[2]
+            tangents = [by_rate[..., 0], by_damping[..., 0], -np.stack([z[1], z[2], jerk]), friction[..., 0]]
+            left = off - (z - here)[0]
+            size = float(left @ left)
+            if size >= found[0]:
+                break
+            found = size, z - here, tangents
+            step = np.linalg.lstsq(np.stack([x[0] for x in tangents], axis=1), left, rcond=ALIKE)[0]
+            rate = float(np.clip(lag.rate * np.exp(np.clip(step[0], -0.3, 0.3)), *RATES))
+            damping = float(np.clip(lag.damping + np.clip(step[1], -0.2, 0.2), *DAMPED))
+            lag = Lag(rate, damping, lag.delay + float(np.clip(step[2], -0.01, 0.01)))
+        return found[1], found[2]
 
 
 def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> JointSamples:
@@ -141,7 +224,7 @@ def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> Jo
     return reordered(samples, tuple(arm.joint_names))
 
 
-def executed(plan: JointMotion, samples: JointSamples) -> Executed:
+def executed(plan: JointMotion, samples: JointSamples, expected: Expected | None = None) -> Executed:
     """What a log (in the arm's order of joints) says was done of a plan. Raises FileFormatError, one sentence."""
     t, q, source = samples.t, samples.q, samples.source
     _check(t, q, plan, source)
@@ -172,7 +255,7 @@ def executed(plan: JointMotion, samples: JointSamples) -> Executed:
     if every > 1:  # means of some samples: what is slower than SEEN stays as it is
         whole = len(t) // every * every
         t, off = t[:whole].reshape(-1, every).mean(axis=1), off[:whole].reshape(-1, every, off.shape[1]).mean(axis=1)
-    return _smoothed(source, t, off, shift, plan, Answers.along(t, plan), every)
+    return _smoothed(source, t, off, shift, plan, Answers.along(t, plan, off, expected), every)
 
 
 def _is_of(plan: JointMotion, t: Array, off: Array, source: str) -> None:
@@ -259,23 +342,27 @@ def _smoothed(
     gains = 1 / (1 + (f / cuts[:, None]) ** ORDER)  # (cuts, K)
     fits = np.stack([answer.fitted(noisy) for answer in answers])  # (models, 3, K, n)
     coefficients = dct(noisy - fits[:, 0], axis=1, norm="ortho")
-    left = (1 - gains) ** 2 @ coefficients**2  # (models, cuts, n)
-    taken = np.array([answer.shapes.shape[3] for answer in answers])[:, None] + gains.sum(axis=1)
-    free = np.maximum(count - taken, 1.0)[..., None]
-    joint = np.arange(noisy.shape[1])
-    model, cut = np.unravel_index(np.argmin((left / free**2).reshape(-1, len(joint)), axis=0), left.shape[:2])
-    noise = np.sqrt(left[model, cut, joint] / free[model, cut, 0])
-    followed = np.minimum(wider * cuts[cut], cuts[-1])
-    kept = coefficients[model, :, joint].T / (1 + (f[:, None] / followed) ** ORDER)
+    lost = 1 - gains[:, 1:]  # the constant is free
+    left = lost @ coefficients[:, 1:] ** 2  # (models, cuts, n)
+    taken = np.array([answer.shapes.shape[3] for answer in answers])[:, None, None]
+    free = np.maximum(count - 1 - taken, 1)
+    unlikely = free * np.log(left / free) - np.log(lost).sum(axis=1)[:, None] + taken * np.log(count)
+    likely = np.exp(0.5 * (unlikely.min(axis=(0, 1)) - unlikely))
+    likely /= likely.sum(axis=(0, 1))
+    noise = np.sqrt(np.sum(likely * left / free, axis=(0, 1)))
+    followed = np.minimum(wider * cuts, cuts[-1])
+    gains = 1 / (1 + (f / followed[:, None]) ** ORDER)
+    kept = np.einsum("mcj,cf,mfj->fj", likely, gains, coefficients, optimize=True)
     omega = 2 * np.pi * f[:, None]
     rate = np.zeros_like(kept)
     rate[:-1] = (-omega * kept)[1:]
-    off = np.moveaxis(fits[model, :, :, joint], 0, 2) + np.stack(
+    off = np.einsum("mcj,mdkj->dkj", likely, fits, optimize=True) + np.stack(
         [
             idct(kept, axis=0, norm="ortho"),
             dst(rate, type=3, axis=0) / np.sqrt(2 * count),
             idct(-(omega**2) * kept, axis=0, norm="ortho"),
         ]
     )
+    cut = np.exp(np.einsum("mcj,c->j", likely, np.log(followed)))
     q, dq, ddq = plan.sample(t) + off
-    return Executed(source, t, q, dq, ddq, off[0], noise, followed, shift, noisy, plan, answers, each)
+    return Executed(source, t, q, dq, ddq, off[0], noise, cut, shift, noisy, plan, answers, each)

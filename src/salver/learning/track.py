@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy as np
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.learning.executed import Executed, executed
+from salver.learning.expected import expected
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.worst_case import Drift, WorstCase
@@ -153,7 +154,7 @@ def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: i
     if plan.joint is None:
         raise ScenarioError(f"{plan.scenario.name}: this plan has no arm that moves; what is compared are its joints.")
     judge = judge or Judge.of(plan.scenario)
-    done = executed(plan.joint, samples)
+    done = executed(plan.joint, samples, partial(expected, judge.scenario, judge.model, judge.arm.tray_id))
     t = done.t
     terms = judge.terms(done.q, done.dq, done.ddq)
     drift = judge.drift(t, terms)
