@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import subprocess
 import sys
 import tarfile
@@ -40,23 +41,37 @@ def worker(checkout: Path) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, "-c", WORKER, str(checkout / "benchmarks" / "fastest_solve.py")]
     environment = {**os.environ, **one_thread, "PYTHONPATH": str(checkout / "src")}
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
     ) as process:
         yield process
         assert process.stdin is not None
         process.stdin.close()
 
 
-def solve(process: subprocess.Popen[str], case: str) -> tuple[float, float]:
+def solve(process: subprocess.Popen[str], case: str, whose: str) -> tuple[float, float]:
     """Processor time, s, and duration, s, of a case."""
     assert process.stdin is not None
     assert process.stdout is not None
-    process.stdin.write(f"{case}\n")
-    process.stdin.flush()
-    seconds, duration, ok = process.stdout.readline().split()
+    try:
+        process.stdin.write(f"{case}\n")
+        process.stdin.flush()
+    except BrokenPipeError:
+        pass  # it has ended already, and says why
+    answer = process.stdout.readline()
+    if not answer:
+        raise SystemExit(f"{whose} does not run in this environment: {_last_words(process)}")
+    seconds, duration, ok = answer.split()
     if ok != "True":
         raise SystemExit(f"{case}: not solved")
     return float(seconds), float(duration)
+
+
+def _last_words(process: subprocess.Popen[str]) -> str:
+    """Why a process ended; with what to install, where it lacked a package."""
+    assert process.stderr is not None
+    said = process.stderr.read().strip().rpartition("\n")[2] or "it ended without a word"
+    missing = re.search(r"No module named '(\w+)", said)
+    return f"{said}; pip install {missing[1].replace('_', '-')}" if missing else said
 
 
 def main() -> None:
@@ -64,7 +79,10 @@ def main() -> None:
     options.add_argument("commit", help="what to compare with")
     options.add_argument("-n", type=int, default=5, help="times that each of the four cases is solved by either")
     chosen = options.parse_args()
-    packed = subprocess.run(["git", "-C", str(ROOT), "archive", chosen.commit], check=True, capture_output=True).stdout
+    unpacked = subprocess.run(["git", "-C", str(ROOT), "archive", chosen.commit], check=False, capture_output=True)
+    if unpacked.returncode:
+        raise SystemExit(f"{chosen.commit}: {unpacked.stderr.decode().strip()}")
+    packed = unpacked.stdout
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         with tarfile.open(fileobj=BytesIO(packed)) as archive:
@@ -74,7 +92,10 @@ def main() -> None:
             for friction in (0.4, 0.2):
                 for orientation, name in (("fixed", "level"), ("free", "tilting")):
                     case = f"{friction} {orientation}"
-                    runs = [(solve(other, case), solve(this, case)) for _ in range(chosen.n + 1)]
+                    runs = [
+                        (solve(other, case, chosen.commit), solve(this, case, "this checkout"))
+                        for _ in range(chosen.n + 1)
+                    ]
                     times, durations = np.moveaxis(np.array(runs), 2, 0)
                     before, now = np.median(times[1:], axis=0)
                     ratios.append(before / now)
