@@ -332,6 +332,11 @@ def test_two_objects_of_one_name():
     [
         (None, "mine.toml cannot be read (No such file or directory); a scenario is a .toml file."),
         (b"name = ", "mine.toml is not valid TOML: Invalid value (at end of document)."),
+        (
+            b'name = "a"\nmass = 1\nmass = 2\n',
+            "mine.toml is not valid TOML: The same key is given twice (at line 3, column 9): mass = 2.",
+        ),
+        (b"mass = .5\n", "mine.toml is not valid TOML: Invalid value (at line 1, column 8): mass = .5."),
         (b"\xff\xfe", "mine.toml is not a text file in UTF-8; a scenario is a .toml file."),
     ],
 )

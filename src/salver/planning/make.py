@@ -154,6 +154,11 @@ def make_plan(
     Raises ScenarioError when the scenario does not say what the method needs.
     """
     scenario.check_one_leg(f"the {method} plan" if method in METHODS else "this")
+    if method == "robust" and scenario.motion.duration is None and scenario.arm is None:
+        raise ScenarioError(
+            f"{scenario.name}: motion.duration is missing, and the shortest that is safe is found with an arm only; "
+            'give it in seconds, or add an [arm] table, for example model = "panda".'
+        )
     if method == "fastest" or (method == "robust" and scenario.motion.duration is None):
         from salver.planning.fastest import plan_fastest
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from salver.scenario.model import Scenario, parse
 
 SCENARIO_DIR = Path(__file__).parent.parent / "scenarios"
 LONGEST_TEXT = 1_000_000  # bytes of a scenario file
+LONGEST_LINE = 60  # letters of a line of it that a sentence shows
 
 
 def load(name_or_path: str | Path) -> Scenario:
@@ -36,9 +38,16 @@ def load(name_or_path: str | Path) -> Scenario:
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and numbers and nesting beyond Python's
-        raise ScenarioError(f"{path} is not valid TOML: {error}.") from None
+        raise ScenarioError(f"{path} is not valid TOML: {_explained(error, text)}.") from None
     _find_files(data, path.parent)
     return parse(data, str(path))
+
+
+def _explained(error: Exception, text: str) -> str:
+    """What a reader of TOML says is wrong, with the line that it is in."""
+    said = str(error).replace("Cannot overwrite a value", "The same key is given twice")
+    line = re.search(r"at line (\d+)", said)
+    return said if line is None else f"{said}: {text.split(chr(10))[int(line[1]) - 1].strip()[:LONGEST_LINE]}"
 
 
 def _find_files(data: dict[str, Any], folder: Path) -> None:
