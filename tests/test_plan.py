@@ -152,7 +152,7 @@ def test_foreign_and_damaged_run_directories_get_a_sentence(tmp_path, plan):
 
 
 def test_methods_and_durations_that_do_not_exist_get_a_sentence():
-    with pytest.raises(ScenarioError, match="robust, baseline, fastest and safest"):
+    with pytest.raises(ScenarioError, match="robust, baseline, fastest, safest and least-sensitive"):
         make_plan(PAPER, "best")
     with pytest.raises(ScenarioError, match=r"motion\.duration is missing"):
         plan_object(PAPER.with_changes(motion__duration=None))

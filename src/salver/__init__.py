@@ -79,10 +79,10 @@ def plan(scenario: Scenario | str | Path, method: str = "robust", *, arm: bool =
     """Plan a motion that keeps the objects on the tray.
 
     method: "robust" (the paper's optimisation, eqs 13-17), "baseline" (straight min-jerk line), "fastest" (the
-    shortest safe duration; also what "robust" means for a scenario without one) or "safest" (the largest worst-case
-    margin in the scenario's duration). arm: follow it with the
-    scenario's arm, when it has one. Infeasible problems give a plan whose `ok` is False and whose `status` says
-    which constraint fails, when and by how much. Raises ScenarioError for mistakes in the scenario.
+    shortest safe duration; also what "robust" means for a scenario without one), "safest" (the largest worst-case
+    margin in the scenario's duration) or "least-sensitive" (eq 13 in that duration, within the arm's limits). arm:
+    follow it with the scenario's arm, when it has one. Infeasible problems give a plan whose `ok` is False and whose
+    `status` says which constraint fails, when and by how much. Raises ScenarioError for mistakes in the scenario.
     """
     from salver.planning.make import make_plan
 

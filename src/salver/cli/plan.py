@@ -48,6 +48,14 @@ def plan(
             "and within the arm's limits.",
         ),
     ] = False,
+    least_sensitive: Annotated[
+        bool,
+        typer.Option(
+            "--least-sensitive",
+            help="Find the motion along which the closed loop reacts least to wrong parameters in the given duration "
+            "(what the paper minimises), clear of obstacles and within the arm's limits.",
+        ),
+    ] = False,
     beside: Annotated[
         str | None,
         typer.Option(
@@ -68,8 +76,8 @@ def plan(
     effort: Annotated[
         Effort | None,
         typer.Option(
-            help="How much the search for a fastest or safest plan tries, in starts and iterations; default normal. "
-            "The same effort gives the same plan on any machine.",
+            help="How much the search for a fastest, safest or least sensitive plan tries, in starts and iterations; "
+            "default normal. The same effort gives the same plan on any machine.",
         ),
     ] = None,
     time_limit: Annotated[
@@ -100,6 +108,7 @@ def plan(
             out,
             fastest=fastest,
             safest=safest,
+            least_sensitive=least_sensitive,
             beside=beside,
             duration=duration,
             arm=arm,
@@ -114,15 +123,21 @@ def plan(
     chosen = scenarios.load(scenario)
     if duration is not None:
         chosen = chosen.with_changes(motion__duration=duration)
-    if fastest and safest:
-        raise typer.BadParameter("--fastest finds the duration, --safest needs one: give one of them.")
-    method = "safest" if safest else "fastest" if fastest or chosen.motion.duration is None else "robust"
+    asked = {"fastest": fastest, "safest": safest, "least-sensitive": least_sensitive}
+    methods = [name for name, wanted in asked.items() if wanted]
+    if len(methods) > 1:
+        raise typer.BadParameter("--fastest, --safest and --least-sensitive are three questions: give one of them.")
+    method = methods[0] if methods else "fastest" if chosen.motion.duration is None else "robust"
     if method == "robust" and (effort is not None or time_limit is not None):
-        raise typer.BadParameter("--effort and --time-limit are for the searches of --fastest and --safest.")
+        raise typer.BadParameter(
+            "--effort and --time-limit are for the searches of --fastest, --safest and --least-sensitive."
+        )
     directory = out if out is not None else Path("runs") / chosen.name
     if chosen.legs:
         if beside is not None or not arm:
             raise typer.BadParameter("--beside and --no-arm are not for a task of several legs; leave them out.")
+        if least_sensitive:
+            raise typer.BadParameter("--least-sensitive is not for a task of several legs; ask for --safest.")
         _plan_legs(chosen, directory, safest, stops, force, options_of(effort), time_limit, json)
         return
     beside = beside or "baseline"

@@ -41,7 +41,7 @@ def check(
 ) -> None:
     """Raise FileFormatError, one sentence with what differs, unless a plan's files are what its certificate says."""
     certified = record.get(CERTIFICATE)
-    asked = f" --{record['method']}" if record.get("method") in ("fastest", "safest") else ""
+    asked = f" --{record['method']}" if record.get("method") in ("fastest", "safest", "least-sensitive") else ""
     again = f"plan again with `salver plan {quote(f'{directory}/scenario.toml')}{asked} -o ANOTHER_DIRECTORY`"
     if not isinstance(certified, dict):
         raise FileFormatError(

@@ -16,12 +16,13 @@ from salver.planning.plan import FINER, Plan
 from salver.run_directory import STEMS
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, min_jerk_line
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.planning.fastest import FastestOptions
     from salver.planning.fastest.watch import Watch
 
-METHODS = ("robust", "baseline", "fastest", "safest")
+METHODS = ("robust", "baseline", "fastest", "safest", "least-sensitive")
 _REPLANS = 6  # how often a plan that fails between the nodes is planned again
 
 
@@ -146,10 +147,10 @@ def make_plan(
     options: FastestOptions | None = None,
     watch: Watch | None = None,
 ) -> Plan:
-    """A plan by method: "robust", "baseline", "fastest" or "safest" (in the scenario's duration), with the arm's motion
-    when the scenario has an arm.
+    """A plan by method: "robust", "baseline", "fastest", "safest" or "least-sensitive" (these two in the scenario's
+    duration), with the arm's motion when the scenario has an arm.
 
-    options, watch: of the search for fastest and safest motions.
+    options, watch: of the search for the last three.
 
     Raises ScenarioError when the scenario does not say what the method needs.
     """
@@ -167,9 +168,13 @@ def make_plan(
         from salver.planning.fastest.safest import plan_safest
 
         return plan_safest(scenario, options=options, watch=watch)
+    if method == "least-sensitive":
+        from salver.planning.fastest.sensitive import plan_least_sensitive
+
+        return plan_least_sensitive(scenario, options=options, watch=watch)
     makers = {"robust": plan_object, "baseline": plan_baseline}
     if method not in makers:
-        raise ScenarioError(f'There is no planning method "{method}"; there are {", ".join(METHODS[:-1])} and safest.')
+        raise ScenarioError(f'There is no planning method "{method}"; there are {listed(METHODS)}.')
     plan = makers[method](scenario)
     return with_arm(plan) if arm and scenario.arm is not None and plan.status.code != "infeasible" else plan
 

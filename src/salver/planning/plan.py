@@ -89,10 +89,10 @@ class Verification:
 class Plan(Shown, Tabular):
     """A motion of the carried object (and of the arm, when there is one) with its guarantees.
 
-    method: "robust" (eqs 13-17), "baseline" (straight min-jerk line), "fastest", "safest" (in its duration), "live"
-    (steered by hand, as it was commanded), "excite" or "tilt" (to learn what is carried). reference: the motion of B.
-    joint: the arm's motion, or None. status: how planning ended; arm_status: whether the arm can follow, None without
-    an arm. solver: method, cost, duality gap, iterations, times.
+    method: "robust" (eqs 13-17), "baseline" (straight min-jerk line), "fastest", "safest" and "least-sensitive" (in
+    their duration), "live" (steered by hand, as it was commanded), "excite" or "tilt" (to learn what is carried).
+    reference: the motion of B. joint: the arm's motion, or None. status: how planning ended; arm_status: whether the
+    arm can follow, None without an arm. solver: method, cost, duality gap, iterations, times.
     tau: (T, n) feed-forward torque at `t`, or None. Arrays have the time axis first (docs/conventions.md).
     stops: ways to rest on the way that keep the load (`salver.planning.stops`), or None.
     command: what the joints of one robot are told so that they do `joint` (`salver tune`), from `COMMAND_LEAD` s before
@@ -126,7 +126,7 @@ class Plan(Shown, Tabular):
     @property
     def space(self) -> Literal["object", "joint"]:
         """Where the controller closes its loop: what was planned in the joints knows its tracking errors there."""
-        return "joint" if self.method in ("fastest", "safest", "live", "excite") else "object"
+        return "joint" if self.method in ("fastest", "safest", "least-sensitive", "live", "excite") else "object"
 
     @property
     def t(self) -> Array:

@@ -66,7 +66,8 @@ class Motion:
         if self.stem != "plan":
             return self.stem.capitalize()
         method = self.summary.get("method")
-        return str(method).capitalize() if method in ("fastest", "safest", "live", "excite", "tilt") else "Robust"
+        searched = ("fastest", "safest", "least-sensitive", "live", "excite", "tilt")
+        return str(method).replace("-", " ").capitalize() if method in searched else "Robust"
 
     @property
     def t(self) -> Array:

@@ -16,7 +16,7 @@ from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.legs import plan_legs
-from salver.planning.fastest.objectives import LeastMargin
+from salver.planning.fastest.objectives import LeastMargin, Objective
 from salver.planning.fastest.planned import joint_plan, solver_record
 from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.search import DEGREE, fastest, nearby
@@ -43,21 +43,11 @@ def plan_safest(
     It is the best of the local optima from the shortest motion, made slower, and from straight paths between its ends.
     Raises ScenarioError without an arm or a duration, UnreachableError when no motion was found that is as short.
     """
-    duration = scenario.motion.duration
-    if duration is None:
-        raise ScenarioError(f"{scenario.name}: motion.duration is missing; the safest plan is of a given one.")
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
-    problem = transport_problem(scenario, level=scenario.motion.orientation == "fixed", robust=robust)
-    quickest = fastest(problem, options, watch=watch)
-    if not quickest.status.ok:
-        raise UnreachableError(f"{scenario.name}: {quickest.status.sentence}")
-    if quickest.duration > duration:
-        raise UnreachableError(
-            f"{scenario.name}: no safe motion in {duration:g} s was found; the shortest that was takes "
-            f"{quickest.duration:.4f} s."
-        )
-    found = optima(quickest, duration, options, watch)
+    quickest, duration = quickest_within(scenario, "safest", robust, options, watch)
+    problem = quickest.problem
+    found = optima(LeastMargin(), quickest, duration, options, watch)
     best = max(found, key=lambda motion: (motion.status.ok, motion.margin))
     status = best.status
     if status.ok:
@@ -74,15 +64,42 @@ def plan_safest(
     return joint_plan(scenario, problem, best.joint_motion(), status, record, method="safest")
 
 
+def quickest_within(
+    scenario: Scenario, sought: str, robust: bool, options: FastestOptions, watch: Watch
+) -> tuple[FastestMotion, float]:
+    """The shortest motion found, where a search in the scenario's duration begins, and that duration, s.
+
+    Raises ScenarioError without a duration, UnreachableError when the motion does not exist or takes longer.
+    """
+    duration = scenario.motion.duration
+    if duration is None:
+        raise ScenarioError(f"{scenario.name}: motion.duration is missing; the {sought} plan is of a given one.")
+    problem = transport_problem(scenario, level=scenario.motion.orientation == "fixed", robust=robust)
+    quickest = fastest(problem, options, watch=watch)
+    if not quickest.status.ok:
+        raise UnreachableError(f"{scenario.name}: {quickest.status.sentence}")
+    if quickest.duration > duration:
+        raise UnreachableError(
+            f"{scenario.name}: no safe motion in {duration:g} s was found; the shortest that was takes "
+            f"{quickest.duration:.4f} s."
+        )
+    return quickest, duration
+
+
 def optima(
-    quickest: FastestMotion, duration: float, options: FastestOptions, watch: Watch, anew: bool = True
+    objective: Objective,
+    quickest: FastestMotion,
+    duration: float,
+    options: FastestOptions,
+    watch: Watch,
+    anew: bool = True,
 ) -> list[FastestMotion]:
-    """Local optima of the margin in a duration, s: from a motion made slower and, anew, from straight paths between its
-    ends."""
+    """Local optima of an objective in a duration, s: from a motion made slower and, anew, from straight paths between
+    its ends."""
     pair = Ends(quickest.coefficients[0], quickest.coefficients[-1], 0.0, True)
     begins = [None, straight(pair), tray_line(quickest.problem, pair)] if anew else [None]
     return [
-        nearby(quickest, LeastMargin(), duration, options, begin=begin, watch=watch)
+        nearby(quickest, objective, duration, options, begin=begin, watch=watch)
         for k, begin in enumerate(begins)
         if k == 0 or (begin is not None and not watch.ended)
     ]
@@ -118,7 +135,10 @@ def plan_safest_legs(scenario: Scenario, *, options: FastestOptions | None = Non
     spent = float(quickest.solver["seconds"])
     for sharing in range(SHARINGS):
         found = [
-            max(optima(begin, float(time), options, watch, anew=not sharing), key=lambda m: (m.status.ok, m.margin))
+            max(
+                optima(LeastMargin(), begin, float(time), options, watch, anew=not sharing),
+                key=lambda m: (m.status.ok, m.margin),
+            )
             for begin, time in zip(begins, times, strict=True)
         ]
         spent += sum(motion.wall_time for motion in found)

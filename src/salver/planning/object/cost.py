@@ -9,7 +9,11 @@ from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.models.parameters import UncertainSet
 from salver.scenario import Scenario
-from salver.sensitivity.tray import TrayLoop
+from salver.sensitivity.dual import Dual
+from salver.sensitivity.filter import fastest_rate
+from salver.sensitivity.tray import Indices, TrayLoop, TraySensitivity
+
+_STEP = 0.35  # of the fastest rate times h: the integral of the cost is then right to some 1e-4
 
 
 def tray_loop(scenario: Scenario) -> TrayLoop:
@@ -42,6 +46,12 @@ def column_scale(weighting: str, uncertain: UncertainSet) -> Array:
     return uncertain.factor if weighting == "scaled" else np.eye(uncertain.size)
 
 
+def refinement(loop: TrayLoop, step: float) -> int:
+    """Into how many parts a step of s is to be divided, for the integral of the cost."""
+    fastest = max(fastest_rate(*pair) for pair in zip(loop.gains.kp, loop.gains.kd, strict=True))
+    return max(1, int(np.ceil(fastest * step / _STEP)))
+
+
 def integration_weights(instants: int, duration: float) -> Array:
     """(T,) fourth-order end-corrected trapezoidal weights of a uniform grid, s (Gregory)."""
     weights = np.full(instants, duration / (instants - 1))
@@ -58,3 +68,38 @@ def sensitivity_cost(scenario: Scenario, t: Array, state_sensitivity: Array) -> 
     columns = column_scale(weighting, scenario.payload.uncertain)
     weighted = np.repeat(blocks, 3)[:, None] * (state_sensitivity @ columns)
     return float(np.einsum("t,tij->", integration_weights(len(t), float(t[-1])), weighted**2))
+
+
+def cost_residual(
+    sensitivity: TraySensitivity,
+    rows: tuple[float, float, float, float],
+    columns: Array,
+    time_weights: Array,
+    size: int,
+) -> tuple[Array, Array]:
+    """Weighted Pi as residuals (n_r,), whose squares add up to the integral (13), with their Jacobian (n_r, size).
+
+    rows, columns, time_weights: see `row_scale`, `column_scale`, `integration_weights`.
+    """
+    weights = np.sqrt(time_weights)[:, None, None]
+    residual, jacobian = [np.zeros(0)], [np.zeros((0, size))]
+    blocks = (sensitivity.dp, sensitivity.dtheta, sensitivity.dv, sensitivity.domega)
+    moving = (sensitivity.loop.pushing, sensitivity.loop.turning) * 2  # the others' rows are zero
+    for scale, block, which in zip(rows, blocks, moving, strict=True):
+        if scale > 0 and len(which):
+            value, tangent = _times_columns(block, which, columns, size)
+            residual.append((scale * weights * value).ravel())
+            jacobian.append((scale * weights[..., None] * tangent).reshape(value.size, size))
+    return np.concatenate(residual), np.concatenate(jacobian)
+
+
+def _times_columns(block: Dual, which: Indices, columns: Array, n_z: int) -> tuple[Array, Array]:
+    """(T, n_p, 3) and its tangent with the parameter axis multiplied by a matrix: of these parameters, others being
+    zero, and without the columns that are then zero."""
+    some = columns[which]
+    weights = some[:, some.any(axis=0)].T
+    value = weights @ block.value[:, which]
+    if block.tangent is None:
+        return value, np.zeros((*value.shape, n_z))
+    tangent = block.tangent[:, which].reshape(len(value), len(which), 3 * n_z)
+    return value, (weights @ tangent).reshape(*value.shape, n_z)

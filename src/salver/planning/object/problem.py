@@ -24,12 +24,18 @@ from salver.models.bodies import Body
 from salver.models.parameters import UncertainSet
 from salver.models.tray_motion import N_MOTION
 from salver.planning.object.conditions import Condition, Rows, conditions_for
-from salver.planning.object.cost import column_scale, integration_weights, row_scale, tray_loop
+from salver.planning.object.cost import (
+    column_scale,
+    cost_residual,
+    integration_weights,
+    refinement,
+    row_scale,
+    tray_loop,
+)
 from salver.scenario import Scenario
-from salver.sensitivity.dual import Dual
-from salver.sensitivity.filter import QuadratureGrid, fastest_rate
+from salver.sensitivity.filter import QuadratureGrid
 from salver.sensitivity.sloshing import Liquids
-from salver.sensitivity.tray import BodyMotion, Indices, TrayLoop, TraySensitivity
+from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.trajectory import (
     MotionSamples,
     PolynomialReference,
@@ -38,9 +44,6 @@ from salver.trajectory import (
     geodesic_angular_velocity,
     position_boundary,
 )
-
-_COST_STEP = 0.35  # of the fastest rate times h: the integral of the cost is then right to some 1e-4
-
 
 _SMOOTH = 1e-9  # share of the jerk in what is minimised
 
@@ -101,9 +104,7 @@ class Problem:
 
     @cached_property
     def every(self) -> int:
-        gains = zip(self.loop.gains.kp, self.loop.gains.kd, strict=True)
-        step = max(fastest_rate(*pair) for pair in gains) * self.duration / (self.nodes - 1)
-        return max(1, int(np.ceil(step / _COST_STEP)))
+        return refinement(self.loop, self.duration / (self.nodes - 1))
 
     @cached_property
     def grid(self) -> QuadratureGrid:
@@ -277,7 +278,8 @@ class Problem:
         reference = self.reference(z)
         on_grid, motion, between, theta = self._motions(reference)
         sensitivity = self.loop.sensitivity(self.grid, motion, between)
-        residual, jacobian = self._cost(sensitivity)
+        scales = self.row_scale, self.column_scale, self.time_weights
+        residual, jacobian = cost_residual(sensitivity, *scales, self.size)
         smooth, smooth_jacobian = self.smoothness
         residual = np.concatenate([residual, smooth + smooth_jacobian @ z])
         jacobian = np.concatenate([jacobian, smooth_jacobian])
@@ -304,19 +306,6 @@ class Problem:
         """What is left to the goal orientation, of a problem that rotates: `Linearisation.goal`."""
         return self._missed(self.reference(z).R_end)
 
-    def _cost(self, sensitivity: TraySensitivity) -> tuple[Array, Array]:
-        """Weighted Pi as residuals (n_r,), with their Jacobian (n_r, n_z)."""
-        weights = np.sqrt(self.time_weights)[:, None, None]
-        residual, jacobian = [np.zeros(0)], [np.zeros((0, self.size))]
-        blocks = (sensitivity.dp, sensitivity.dtheta, sensitivity.dv, sensitivity.domega)
-        moving = (self.loop.pushing, self.loop.turning) * 2  # the others' rows are zero
-        for scale, block, which in zip(self.row_scale, blocks, moving, strict=True):
-            if scale > 0 and len(which):
-                value, tangent = _times_columns(block, which, self.column_scale, self.size)
-                residual.append((scale * weights * value).ravel())
-                jacobian.append((scale * weights[..., None] * tangent).reshape(value.size, self.size))
-        return np.concatenate(residual), np.concatenate(jacobian)
-
 
 @dataclass(frozen=True)
 class _Bases:
@@ -325,15 +314,3 @@ class _Bases:
     a: Array
     omega: Array | None
     alpha: Array | None
-
-
-def _times_columns(block: Dual, which: Indices, columns: Array, n_z: int) -> tuple[Array, Array]:
-    """(T, n_p, 3) and its tangent with the parameter axis multiplied by a matrix: of these parameters, others being
-    zero, and without the columns that are then zero."""
-    some = columns[which]
-    weights = some[:, some.any(axis=0)].T
-    value = weights @ block.value[:, which]
-    if block.tangent is None:
-        return value, np.zeros((*value.shape, n_z))
-    tangent = block.tangent[:, which].reshape(len(value), len(which), 3 * n_z)
-    return value, (weights @ tangent).reshape(*value.shape, n_z)

@@ -1,0 +1,173 @@
+"""The least sensitive motion in a given time: the integral of the squared Pi, eq (13) of the paper, over the motions of
+the arm's joints, within its limits, clear of obstacles, every contact kept for the whole uncertain set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from salver.errors import ScenarioError, Status
+from salver.geometry import Array
+from salver.planning.fastest.curves import Curve, FreeCurve, Grid
+from salver.planning.fastest.found import FastestMotion, FastestOptions
+from salver.planning.fastest.objectives import Model, Objective, Point
+from salver.planning.fastest.planned import joint_plan, solver_record
+from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.safest import optima, quickest_within
+from salver.planning.fastest.spline import RestSpline
+from salver.planning.fastest.watch import Watch
+from salver.planning.object.cost import (
+    column_scale,
+    cost_residual,
+    integration_weights,
+    refinement,
+    row_scale,
+    sensitivity_cost,
+    tray_loop,
+)
+from salver.scenario import Scenario
+from salver.sensitivity.arm.terms import motion_terms
+from salver.sensitivity.dual import Dual, DualRotation
+from salver.sensitivity.filter import QuadratureGrid
+from salver.sensitivity.tray import BodyMotion, TrayLoop
+from salver.trajectory import min_jerk_line
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
+
+INSTANTS = 61  # between which the cost is integrated, at least
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity(Objective):
+    """The cost of the first object's closed loop, eq (13), in units of `unit`, of a duration in s that is given."""
+
+    problem: TransportProblem
+    spline: RestSpline
+    duration: float
+    unit: float = 1.0
+    sought = "least sensitive"
+    _last: dict[str, tuple[Array, Model]] = field(default_factory=dict, repr=False)
+
+    def value(self, curve: Curve, at: Point) -> float:
+        return float(np.sum(np.square(self._residual(at.coefficients, derivatives=False)[0])))
+
+    def model(self, curve: Curve, at: Point) -> Model:
+        """By Gauss and Newton."""
+        known = self._last.get("model")
+        if known is None or known[0] is not at.coefficients:
+            residual, jacobian = self._residual(at.coefficients, derivatives=True)
+            known = at.coefficients, Model(2 * residual @ jacobian, 0.0, 2 * jacobian.T @ jacobian)
+            self._last["model"] = known
+        return known[1]
+
+    def _residual(self, coefficients: Array, derivatives: bool) -> tuple[Array, Array]:
+        """Residuals whose squares add up to the cost, and their Jacobian by the coefficients."""
+        at_grid, at_times = (self._felt(curve, coefficients, derivatives) for curve in self._curves)
+        sensitivity = self.loop.sensitivity(self.grid, at_grid, at_times)
+        residual, jacobian = cost_residual(sensitivity, *self._scales, coefficients.size if derivatives else 0)
+        return residual / np.sqrt(self.unit), jacobian / np.sqrt(self.unit)
+
+    def _felt(self, curve: FreeCurve, coefficients: Array, derivatives: bool) -> BodyMotion:
+        """What the object's frame B feels at the points of a curve, with derivatives by the coefficients."""
+        z = curve.motion(coefficients, self.duration)
+        terms = motion_terms(self.problem.model, self.problem.arm.tray_id, z[0], z[1], z[2])
+        tangents: list[Array | None] = [None] * 4
+        if derivatives:
+            count, n = z.shape[1:]
+            displacement, twist, felt = terms.changed(np.eye(3 * n)[None])
+            by_state = np.concatenate([displacement[:, 3:], twist[:, 3:], felt[:, :6]], axis=1)
+            parts = np.zeros((12 * count, 4, n))
+            parts[:, :3] = by_state.reshape(-1, 3, n)
+            columns = curve.columns(coefficients, self.duration, parts, np.repeat(np.arange(count), 12))
+            blocks = columns.reshape(count, 4, 1, 3, -1)
+            tangents = [blocks[:, k] for k in range(4)]
+        turned, turning, force, alpha = tangents
+        in_E = BodyMotion(
+            DualRotation(terms.R_SE[:, None], turned),
+            Dual(terms.w[:, None, :3], force),
+            Dual(terms.twist[:, None, 3:], turning),
+            Dual(terms.w[:, None, 3:6], alpha),
+        )
+        first = self.problem.payload.first
+        return in_E.of_frame(first.p_EB, first.R_EB)
+
+    @cached_property
+    def loop(self) -> TrayLoop:
+        return tray_loop(self.problem.scenario)
+
+    @cached_property
+    def grid(self) -> QuadratureGrid:
+        """Where the cost is integrated."""
+        steps = (INSTANTS - 1) * refinement(self.loop, self.duration / (INSTANTS - 1))
+        return self.loop.grid(np.linspace(0, self.duration, steps + 1))
+
+    @cached_property
+    def _curves(self) -> tuple[FreeCurve, FreeCurve]:
+        """At the instants of the grid, and at those between them."""
+        at_grid, at_times = (Grid.of(self.spline, t / self.duration) for t in (self.grid.t, self.grid.times))
+        return FreeCurve(self.problem, at_grid), FreeCurve(self.problem, at_times)
+
+    @cached_property
+    def _scales(self) -> tuple[tuple[float, float, float, float], Array, Array]:
+        scenario, payload = self.problem.scenario, self.problem.payload
+        weighting = scenario.objective.weighting
+        rows = row_scale(weighting, payload.first, self.loop.gains)
+        weights = integration_weights(len(self.grid.t), self.duration)
+        return rows, column_scale(weighting, payload.uncertain), weights
+
+
+def plan_least_sensitive(
+    scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None
+) -> Plan:
+    """The plan along which the closed loop reacts least to wrong parameters, eq (13), in the scenario's duration, with
+    the arm's limits kept, obstacles avoided and every contact kept for the whole uncertain set by the exact condition;
+    the tray may tilt unless motion.orientation is "fixed".
+
+    It is the best of the local optima from the shortest motion, made slower, and from straight paths between its ends.
+    Raises ScenarioError without an arm or a duration, and where nothing uncertain acts on the closed loop,
+    UnreachableError when no motion was found that is as short.
+    """
+    options = options or FastestOptions()
+    watch = watch or Watch(options.time_limit)
+    quickest, duration = quickest_within(scenario, "least sensitive", True, options, watch)
+    problem = quickest.problem
+    line = _cost_of_line(scenario)
+    if line == 0.0:
+        raise ScenarioError(
+            f"{scenario.name}: nothing that is uncertain acts on the closed loop of {problem.payload.first.name}; its "
+            "mass, centre of mass or inertia must be, or ask for the safest plan."
+        )
+    objective = Sensitivity(problem, quickest.spline, duration, line)
+    found = optima(objective, quickest, duration, options, watch)
+
+    def cost(motion: FastestMotion) -> float:
+        curve = FreeCurve(problem, Grid.of(motion.spline, np.linspace(0, 1, 2)))
+        return objective.value(curve, Point(motion.coefficients, duration))
+
+    best = min(found, key=lambda motion: (not motion.status.ok, cost(motion)))
+    status, share = best.status, cost(best)
+    if status.ok:
+        ended = " The search was ended before it was done." if watch.ended else ""
+        sentence = (
+            f"The least sensitive motion found in {duration:.4g} s costs {share:.3g} times what the straight line "
+            f"does; the shortest found takes {quickest.duration:.4f} s.{ended}"
+        )
+        status = Status(watch.ended or "optimal", sentence, True)
+    best = best.after(quickest, *(motion for motion in found if motion is not best))
+    record = {**solver_record(best, True), "cost": share * line, "line": line, "shortest": quickest.duration}
+    return joint_plan(scenario, problem, best.joint_motion(), status, record, method="least-sensitive")
+
+
+def _cost_of_line(scenario: Scenario) -> float:
+    """Of the straight min-jerk line in the same duration, eq (13)."""
+    motion, loop = scenario.motion, tray_loop(scenario)
+    assert motion.duration is not None
+    ends = (np.array(motion.start.position), np.array(motion.goal.position))
+    line = min_jerk_line(motion.duration, *ends, motion.start.rotation, motion.goal.rotation)
+    step = motion.duration / (INSTANTS - 1)
+    t = np.linspace(0, motion.duration, (INSTANTS - 1) * refinement(loop, step) + 1)
+    return sensitivity_cost(scenario, t, loop.along(line, t).state)
