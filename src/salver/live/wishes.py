@@ -55,6 +55,7 @@ Wish = Goal | Halt | Follow | Evade
 
 MOST_SPEED, MOST_TURN, FARTHEST = 5.0, 20.0, 100.0  # m/s, rad/s, m; what is beyond is in another unit
 SILENCE = 0.1  # s after a twist at which it counts no more
+HEADINGS = 16  # of a goal with any, at which it is looked whether something is in the way
 HEARD = 0.06  # s of twists from which it is told how they change
 LEAST_HEARD = 4e-3  # s
 
@@ -185,10 +186,15 @@ def why_not(problem: TransportProblem, goal: Goal) -> str:
     if problem.keep_out is None:
         return ""
     parts = problem.keep_out.parts
-    if isinstance(goal.end, AtPose) and not goal.end.target.yaw_free:
-        met = parts.in_the_way(*goal.end.target.tray_pose)
+    if isinstance(goal.end, AtPose):
+        headings = goal.end.target.headings(HEADINGS)
+        met = None
+        for target in headings:
+            met = parts.in_the_way(*target.tray_pose)
+            if met is None:
+                break
         if met is not None:
-            return f"there the {met[0]} would be inside {met[1]}"
+            return f"there the {met[0]} would be inside {met[1]}{', whichever way it faces' * (len(headings) > 1)}"
     if isinstance(goal.end, AtPosture):
         touch = parts.first_touch(goal.end.q[None])
         if touch is not None:

@@ -9,7 +9,7 @@ continuation, each from the one before.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,7 @@ import pinocchio as pin
 from scipy.linalg.lapack import dgesv
 
 from salver.errors import ScenarioError
-from salver.geometry import Array
+from salver.geometry import Array, exp
 from salver.models.arm import ArmModel, tray_to_object
 from salver.models.arm_limits import POSITION, JointLimits
 
@@ -57,6 +57,13 @@ class PoseTarget:
         """(p_SE, R_SE) of the tray when B is there."""
         R_SE = self.R_SB @ self.R_EB.T
         return self.p_SB - R_SE @ self.p_EB, R_SE
+
+    def headings(self, count: int) -> list[PoseTarget]:
+        """As many poses that it stands for, evenly turned; itself where it has its heading."""
+        if not self.yaw_free:
+            return [self]
+        turns = exp(np.linspace(0.0, 2 * np.pi, count, endpoint=False)[:, None] * np.array([0.0, 0.0, 1.0]))
+        return [replace(self, R_SB=self.R_SB @ turn, yaw_free=False) for turn in turns]
 
     def residual(self, arm: ArmModel, q: Array) -> tuple[Array, Array]:
         """Pose error (6 or 5,) at q, position in S and turn in B, and the Jacobian that a step dq should satisfy
