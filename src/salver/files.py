@@ -11,6 +11,7 @@ import json
 import math
 import os
 import platform
+import re
 import secrets
 import zipfile
 import zlib
@@ -252,7 +253,10 @@ def versions() -> dict[str, str]:
 
 @cache
 def _version(package: str) -> str:
-    return metadata.version(package)
+    """As `metadata.version`, which reads the package's whole description for it, in five times the time."""
+    head = (metadata.distribution(package).read_text("METADATA") or "").partition("\n\n")[0]
+    found = re.search(r"^Version: *(\S+)", head, re.MULTILINE)
+    return found[1] if found else metadata.version(package)
 
 
 def _reason(error: OSError) -> str:

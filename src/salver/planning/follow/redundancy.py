@@ -215,13 +215,13 @@ class Usage:
         by_q, by_dq, by_ddq = (by_value[key].copy() for key in ("position", "velocity", "acceleration"))
         model, data, frame = arm.pin_model, arm.data, arm.tray_id
         smallest, left, right = self._singular_values
-        velocity_by_q = np.empty_like(joints.jacobian)
+        velocity_by_q, masses = np.empty_like(joints.jacobian), np.empty((len(joints.q), arm.n, arm.n))
         acceleration_by_q, acceleration_by_dq = np.empty_like(joints.jacobian), np.empty_like(joints.jacobian)
         for k, (q, dq, ddq) in enumerate(zip(joints.q, joints.dq, joints.ddq, strict=True)):
             torque_by_q, torque_by_dq, mass = pin.computeRNEADerivatives(model, data, q, dq, ddq)
             by_q[k] += by_value["torque"][k] @ torque_by_q
             by_dq[k] += by_value["torque"][k] @ torque_by_dq
-            by_ddq[k] += np.triu(mass) @ by_value["torque"][k] + np.triu(mass, 1).T @ by_value["torque"][k]
+            masses[k] = mass
             # How the Jacobian turns is how the velocity of one direction of the joints changes with the posture.
             pin.computeForwardKinematicsDerivatives(model, data, q, right[k], ddq)
             turned = pin.getFrameVelocityDerivatives(model, data, frame, pin.LOCAL)[0]
@@ -230,6 +230,8 @@ class Usage:
             velocity_by_q[k], acceleration_by_q[k], acceleration_by_dq[k], _ = pin.getFrameAccelerationDerivatives(
                 model, data, frame, pin.LOCAL
             )
+        torque, mirrored = by_value["torque"][:, :, None], np.swapaxes(np.triu(masses, 1), 1, 2)
+        by_ddq += (np.triu(masses) @ torque + mirrored @ torque)[:, :, 0]  # Pinocchio fills the upper half
         node, pair = np.nonzero(by["clearance"] > _FAINT * max(np.abs(b).max() for b in by.values()))
         distance_by_q = self.parts.clearance_gradient(joints.q, node, pair)
         np.subtract.at(by_q, node, by["clearance"][node, pair, None] / _CLEAR * distance_by_q)
