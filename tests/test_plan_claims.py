@@ -199,6 +199,16 @@ def test_seeds_choose_other_postures() -> None:
     assert not any(np.allclose(first[1], q, atol=1e-6) for q in other[:2])
 
 
+def test_a_fastest_motion_is_another_with_another_seed_and_the_same_with_the_same() -> None:
+    """With both postures free to choose."""
+    case = load("panda-cube").with_changes(arm__start_posture=None, objects__0__uncertainty={})
+    problem = transport_problem(case, robust=False)
+    briefly = FastestOptions(spans=4, pairs=1, iterations=0.1)
+    one, again, other = (fastest(problem, replace(briefly, seed=seed)) for seed in (0, 0, 3))
+    assert np.array_equal(one.coefficients, again.coefficients)
+    assert not np.array_equal(one.coefficients, other.coefficients)
+
+
 @pytest.mark.slow
 def test_fastest_motions_depend_on_the_seed_and_the_best_start_is_kept() -> None:
     """With the start posture free to choose: which is found depends on the seed, and refining a second cannot hurt.

@@ -193,15 +193,18 @@ def test_a_motion_that_loses_the_load_is_refused_by_its_contact(plan: Plan, arm:
     assert "reference" not in said
 
 
-@pytest.mark.slow
-def test_a_motion_must_begin_and_end_at_rest(plan: Plan, arm: ArmModel) -> None:
+@pytest.mark.parametrize("end", [0, pytest.param(-1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("name", "value"), [("dq", 1e-3), pytest.param("ddq", 0.1, marks=pytest.mark.slow)])
+def test_a_motion_must_begin_and_end_at_rest(plan: Plan, arm: ArmModel, end: int, name: str, value: float) -> None:
+    assert plan.joint is not None
+    array = getattr(plan.joint, name).copy()
+    array[end, 2] = value
+    assert f"{value:.1g} rad/s" in failed(replace(plan, joint=replace(plan.joint, **{name: array})), arm)["rest"]
+
+
+def test_what_is_cut_out_of_a_motion_does_not_end_at_rest(plan: Plan, arm: ArmModel) -> None:
     j = plan.joint
     assert j is not None
-    for end in (0, -1):
-        for name, value in (("dq", 1e-3), ("ddq", 0.1)):
-            array = getattr(j, name).copy()
-            array[end, 2] = value
-            assert f"{value:.1g} rad/s" in failed(replace(plan, joint=replace(j, **{name: array})), arm)["rest"]
     cut = slice(0, 150)
     begun = JointMotion(j.t[cut], j.q[cut], j.dq[cut], j.ddq[cut])
     assert "it must be at rest there" in failed(carried_by(plan, arm, begun), arm)["rest"]
