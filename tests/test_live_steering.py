@@ -7,7 +7,7 @@ import pytest
 
 import salver as sv
 from live_runs import drive, in_turn, jolts, rows_of
-from salver.live import Live
+from salver.live import Live, steer
 from salver.live.steer import TICK, ChunkWanted, TwistWanted
 
 EVERY = round(TICK * 1e3)
@@ -140,3 +140,45 @@ def test_what_cannot_be_followed_is_refused_in_a_sentence(cube):
         assert not status.ok
         assert re.search(sentence, status.sentence), status.sentence
     assert live.idle
+
+
+def test_where_a_step_led_the_rows_of_the_next_programme_are_exact(cube, monkeypatch):
+    """Those that were near there: R x - b is what they are along the bend that was tried."""
+    bends, found = [], {}
+    bend, evaluate, programme, solve = steer.Steering._bend, steer.evaluate, steer._programme, steer.qp.solve
+
+    def bending(*given):
+        bends.append(([], []))
+        return bend(*given)
+
+    def evaluating(*given):
+        bends[-1][0].append(evaluate(*given))
+        return bends[-1][0][-1]
+
+    def posing(hessian, cost, matrix, bound, n):
+        bends[-1][1].append((matrix, bound, programme(hessian, cost, matrix, bound, n)))
+        return bends[-1][1][-1][-1]
+
+    def solving(programme, tolerance):
+        found[id(programme)] = solve(programme, tolerance)
+        return found[id(programme)]
+
+    live = Live(cube, lead=TICK)
+    monkeypatch.setattr(steer.Steering, "_bend", bending)
+    monkeypatch.setattr(steer, "evaluate", evaluating)
+    monkeypatch.setattr(steer, "_programme", posing)
+    monkeypatch.setattr(steer.qp, "solve", solving)
+    drive(live, 0.2, said(lambda t: np.array([1.5, -1.5, 0.5]), 0.2), EVERY)
+    looked = 0
+    for evaluated, posed in bends:
+        if len(posed) < 2:
+            continue
+        (before, _, first), (_, bound, _) = posed[:2]
+        masks = [block.near(steer.DEPTH) & np.ones(block.values.shape, dtype=bool) for block in evaluated[0]]
+        value = np.concatenate([block.values[mask] for block, mask in zip(evaluated[1], masks, strict=True)])
+        x = found[id(first)].x
+        bent = np.append(np.zeros(before.shape[1] - len(x)), x)
+        exact = (value <= steer.BENT) & (bound[: len(before)] > 0)
+        looked += exact.sum()
+        assert (before @ bent - bound[: len(before)])[exact] == pytest.approx(value[exact], abs=1e-9)
+    assert looked > 100

@@ -308,3 +308,29 @@ def test_half_spaces_of_points_on_a_line_are_its_two_ends():
     beside = np.array([[-1.21], [-1.19], [0.89], [0.91]])
     assert (points @ normal.T + offset).max(axis=0) == pytest.approx([0.0, 0.0])
     assert np.all(beside @ normal.T + offset <= 0, axis=1).tolist() == [False, True, True, False]
+
+
+def test_what_presses_at_a_corner_needs_no_friction() -> None:
+    """The centre of pressure is at the edge of the support, not beyond it."""
+    contacts = support_contacts(CUBE, 0.3, 8)
+    for x, y in ((0.02, 0.02), (-0.02, 0.02), (0.02, 0.0), (0.0, -0.02)):
+        wrench = np.array([[0.0, 0.0, 5.0, 5.0 * y, -5.0 * x, 0.0]])
+        assert tip_over_margin(contacts, wrench) == pytest.approx([0.0], abs=1e-15)
+        assert friction_needed(contacts, wrench)[0] == 0.0
+        assert coulomb_friction_needed(contacts, wrench)[0] == 0.0
+        assert np.isinf(friction_needed(contacts, wrench * [1, 1, 1, 1 + 1e-6, 1 + 1e-6, 1])[0])
+
+
+def test_contacts_in_a_line_are_no_support_wherever_it_is() -> None:
+    line = np.column_stack([np.linspace(0.01, 0.05, 4), np.full(4, 0.03), np.full(4, -0.02)])
+    with pytest.raises(ValueError, match="in one plane"):
+        friction_needed(support_contacts(line, 0.3, 8), np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]))
+
+
+def test_a_direction_within_a_cone_has_length_one_also_where_its_rays_mean_nothing() -> None:
+    """Nine rays to one side and one nearly to the other: their mean is not within."""
+    angle = np.deg2rad([0.0] * 9 + [170.0])
+    rays = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    inner = _interior_direction(rays)
+    assert np.linalg.norm(inner) == pytest.approx(1.0)
+    assert (rays @ inner).min() == pytest.approx(np.sin(np.deg2rad(5.0)), rel=0.2)  # the middle of 10 degrees
