@@ -282,6 +282,8 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
         console.print(headed(name, item.status))
         if item.arm_status is not None:
             console.print(f"  arm: {item.arm_status}")
+    if plan.method == "robust" and plan.status.ok and plan.arm_status is not None and not plan.arm_status.ok:
+        console.print("This plan is of the object alone; --least-sensitive seeks the same within the arm's limits.")
     console.print(plan.verification.sentence)
     if plan.stops is not None:
         console.print(plan.stops.sentence)
