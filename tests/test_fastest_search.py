@@ -18,9 +18,7 @@ from salver.planning.fastest.exchange import rough
 from salver.planning.fastest.search import few_pieces, refitted
 from salver.planning.fastest.sides import past
 from salver.planning.fastest.spline import SplineMotion
-from salver.planning.fastest.starts import (
-    ends,
-)
+from salver.planning.fastest.starts import WAY, Start, ends
 from salver.planning.fastest.watch import Watch
 
 
@@ -167,6 +165,37 @@ def test_a_coffee_is_refined_once(monkeypatch):
     assert found.status.ok
     assert 0.72 < found.duration < 0.73
     assert len(spent) == 1
+
+
+def test_where_nothing_holds_but_ways_that_were_drawn_more_are_drawn(monkeypatch):
+    """A way around is one of many, by chance: where a line holds too, the search has what it needs."""
+    problem = transport_problem(scenario.load("panda-cube"))
+    postures, drawn, holding = np.zeros((2, 7)), [], []
+    made = {"straight": Start("straight", postures), WAY: Start(WAY, postures)}
+
+    def rough(self, problem, start, beat=np.inf):
+        drawn.append(start.name)
+        holds = start.name in holding
+        return problem, SimpleNamespace(iterate=SimpleNamespace(violation=0.0 if holds else 0.5, duration=1.0))
+
+    def refined(self, problem, found):
+        raise InterruptedError
+
+    monkeypatch.setattr(search._Search, "_first", lambda self: [(problem, made["straight"]), (problem, made[WAY])])
+    monkeypatch.setattr(search._Search, "_further", lambda self: iter(()))
+    monkeypatch.setattr(search._Search, "_ways", lambda self, pairs: [made[WAY]])
+    monkeypatch.setattr(search._Search, "_promising", lambda self, found: [(problem, start) for start in found])
+    monkeypatch.setattr(search._Search, "_rough", rough)
+    monkeypatch.setattr(search._Search, "_turned", lambda self, problem, found: [])
+    monkeypatch.setattr(search._Search, "_refined", refined)
+    monkeypatch.setattr(Start, "least", lambda self, problem: 0.1)
+    pair = SimpleNamespace(free=True)
+    for names, again in ({"straight", WAY}, 0), ({"straight"}, 0), (set(), 0), ({WAY}, search.DRAWN_AGAIN):
+        holding[:], drawn[:] = names, []
+        one = search._Search(problem, FastestOptions(), Watch(), [pair], np.random.default_rng(0))
+        with pytest.raises(InterruptedError):
+            one.best()
+        assert drawn == ["straight", WAY, *[WAY] * again]
 
 
 @pytest.mark.slow

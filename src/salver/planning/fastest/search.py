@@ -30,6 +30,7 @@ from salver.planning.fastest.sqp import Solution
 from salver.planning.fastest.starts import (
     FEW_LOOKS,
     LOOKS,
+    WAY,
     Ends,
     Start,
     around,
@@ -57,6 +58,7 @@ SIDES_TRIED = 10  # paths that are tried where something is in the way, for each
 SHORTENED = 0.5  # of its own least time a motion hardly becomes shorter
 IN_VAIN = 6  # of them in turn that are not shorter than what was found: the others are left out,
 ENOUGH_SIDES = 3  # of those that are found for a pair, with which no way around is looked for
+DRAWN_AGAIN = 2  # times that ways around are drawn once more, where only such hold: by chance there are better ones
 DEEP = 8.0  # by which share a path counts as longer that is so deep in something, 1/m
 REFINING = 0.96  # times its duration a rough optimum takes when refined, or less, if the same conditions bind;
 NEARLY_BEATEN = 0.05  # violation at which one was given up that may become the best all the same,
@@ -96,6 +98,7 @@ def fastest(
 
 
 Begin = tuple[TransportProblem, Start]
+Rough = tuple[TransportProblem, Solution]
 
 
 @dataclass(eq=False)
@@ -116,16 +119,11 @@ class _Search:
         first = self._lines(self.options.first(self.problem)) if touching else self._first()
         further = iter(()) if touching else self._further()
         steps = len(first) + self.options.starts
-        roughs: list[tuple[TransportProblem, Solution]] = []
-        vain = 0
-        for done, begin in enumerate(first, 1):
-            beat = self._beat(roughs)
-            if SHORTENED * begin[1].least(begin[0]) < beat:
-                roughs.append(self._rough(*begin, beat=beat))
-                vain = vain + 1 if self._beat(roughs) == beat else 0
-            self.watch.share = done / steps
-            if self.watch.over() or (vain >= IN_VAIN * self.options.starts and np.isfinite(beat)):
-                break
+        roughs: list[Rough] = []
+        self.watch.share = 0.0
+        if self._tried(first, roughs, steps) == {WAY}:  # what was drawn holds, and nothing else: then more is drawn
+            drawn = [begin for _ in range(DRAWN_AGAIN) for begin in self._ways([])]
+            self._tried(self._promising(drawn), roughs, steps)
         best: FastestMotion | None = None
         begun: list[Iterate] = []
         refining = REFINING
@@ -166,13 +164,29 @@ class _Search:
         status = best.status if best.status.ok or not touching else why_touching(self.problem, self.pairs, best.status)
         return replace(best, status=_ended(status, self.watch), iterations=self.iterations)
 
+    def _tried(self, first: list[Begin], roughs: list[Rough], steps: int) -> set[str]:
+        """Add the rough optima of what is begun with, as long as one may become the best; by name what led to some that
+        hold."""
+        vain, held = 0, set()
+        for done, begin in enumerate(first, 1):
+            beat = self._beat(roughs)
+            if SHORTENED * begin[1].least(begin[0]) < beat:
+                found = self._rough(*begin, beat=beat)
+                roughs.append(found)
+                vain = vain + 1 if self._beat(roughs) == beat else 0
+                held |= {begin[1].name} if found[1].iterate.violation < NEARLY else set()
+            self.watch.share = max(self.watch.share, min(1.0, done / steps))
+            if self.watch.over() or (vain >= IN_VAIN * self.options.starts and np.isfinite(beat)):
+                break
+        return held
+
     def _instead(
         self,
         best: FastestMotion,
         begun: list[Iterate],
-        roughs: list[tuple[TransportProblem, Solution]],
+        roughs: list[Rough],
         refining: float,
-    ) -> list[tuple[TransportProblem, Solution]]:
+    ) -> list[Rough]:
         """Of the rough optima that are left the one, unlike those that were begun, that may well beat the best, when it
         takes so many times its duration refined; none if there is none, or enough were tried."""
         if not best.status.ok or len(begun) >= self.options.starts + INSTEAD:
@@ -181,7 +195,7 @@ class _Search:
         few.sort(key=lambda x: x[1].iterate.duration)
         return [x for x in few[:1] if refining * x[1].iterate.duration < best.duration]
 
-    def _beat(self, roughs: list[tuple[TransportProblem, Solution]]) -> float:
+    def _beat(self, roughs: list[Rough]) -> float:
         """What another rough optimum has to be shorter than to be refined, s."""
         hopeful = sorted(found.iterate.duration for _, found in roughs if found.iterate.violation < NEARLY)
         enough = self.options.starts
@@ -243,9 +257,7 @@ class _Search:
         for _ in range(BENDS):
             yield between(self.problem, self.pairs[0]), bent(self.pairs[0], self.rng)
 
-    def _rough(
-        self, problem: TransportProblem, start: Start, beat: float = np.inf
-    ) -> tuple[TransportProblem, Solution]:
+    def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:
         """A first optimum with few spline pieces, from a comfortable duration."""
         return problem, self._rough_from(problem, start.motion(problem, self._few), 1.0, beat)
 
@@ -317,7 +329,7 @@ def _promise(begin: Begin) -> float:
     return start.least(problem) * (1 + DEEP * touches(problem, start))
 
 
-def _merit(found: tuple[TransportProblem, Solution]) -> tuple[bool, float]:
+def _merit(found: Rough) -> tuple[bool, float]:
     return found[1].iterate.violation >= NEARLY, found[1].iterate.duration
 
 

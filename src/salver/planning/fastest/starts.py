@@ -37,6 +37,7 @@ ALONG = 31  # postures by which a path is looked at
 LOOKS, FEW_LOOKS = 6000, 1500  # postures that are looked at for a way around, and for one between two given ones
 TOUCHES = 5e-3  # m; where something is touched by more than this
 OTHERWISE = 1.0  # rad; ends that are further apart are never of the same way
+WAY = "way around"  # name of one
 BEND = 0.25  # rad; standard deviation of what a bent path strays
 
 
@@ -322,7 +323,7 @@ def around(problem: TransportProblem, pairs: list[Ends], rng: np.random.Generato
         _different(problem, postures) for postures in zip(*((p.start, p.goal) for p in pairs), strict=True)
     )
     way = way_around(problem, starts, goals, rng, looks)
-    return None if way is None else Start("way around", way)
+    return None if way is None else Start(WAY, way)
 
 
 def _different(problem: TransportProblem, postures: Iterable[Array]) -> list[Array]:
