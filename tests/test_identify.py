@@ -199,6 +199,14 @@ def test_learnt_scenario_is_narrower_and_leaves_the_tray_where_it_was(plan: Plan
         assert at[0] == pytest.approx(at[1], abs=1e-12)
 
 
+def test_forces_of_the_other_sign_are_told_as_such(plan: Plan) -> None:
+    arm = SensedArm(plan, 3, joints=False)
+    logs = [arm.log(drawn(plan, 3)), arm.log(None)]
+    turned = [replace(log, wrench_F=-log.wrench_F) for log in logs if log.wrench_F is not None]
+    with pytest.raises(SalverError, match=r"one of them is wrong \(wrist forces are those that the arm exerts"):
+        identify(plan, turned[:1], turned[1])
+
+
 def test_a_liquid_is_no_rigid_load() -> None:
     coffee = load("panda-coffee")
     with pytest.raises(ScenarioError, match=r"the liquid in .* moves"):

@@ -193,7 +193,7 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
         realisable(body, inertial_vector(body.inertial))[0]
     )  # a scenario may say more than its shape can have
     possible, off = nearest(body, phi, covariance, within_shape=inside)
-    if off > IMPOSSIBLE:
+    if off > IMPOSSIBLE and phi[0] > 0:  # a mass below 0 is told as such
         raise SalverError(
             f"{', '.join(run.loaded.source for run in runs)}: what was felt is {off:.1f} standard deviations from any "
             f"distribution of mass inside {body.name}; at most {IMPOSSIBLE:g} is accepted: its shape or "

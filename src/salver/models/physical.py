@@ -94,7 +94,7 @@ def nearest(body: Body, phi: Array, covariance: Array, *, within_shape: bool = T
     for _ in range(_ROUNDS):
         found = phi + root @ z
         values, vectors = np.linalg.eigh(np.einsum("k,kab->ab", found, _PSEUDO) / np.outer(scale, scale))
-        allowed = 0.01 * _TOLERANCE * phi[0]
+        allowed = 0.01 * _TOLERANCE * abs(phi[0])
         short = along @ found < -allowed * size**2
         bent = (vectors[:, values < -allowed] / scale[:, None]).T
         if not short.any() and not len(bent):
