@@ -299,7 +299,7 @@ def test_the_shortest_safe_motion_is_kept_and_what_brings_nothing_is_given_up(pl
 
     monkeypatch.setattr(search._Search, "_refined", finish)
     monkeypatch.setattr(search._Search, "_rough", begin)
-    monkeypatch.setattr(search._Search, "_first", lambda self: [(plain, straight(pair))] * 200)
+    monkeypatch.setattr(search._Search, "_first", lambda self: [(plain, straight(pair))] * 60)
     one = searching(plain, starts=4)
     one.pairs, one.watch = [pair], Watch(tell=lambda share, best: shares.append(share))
     found = one.best()
@@ -307,4 +307,4 @@ def test_the_shortest_safe_motion_is_kept_and_what_brings_nothing_is_given_up(pl
     assert found.duration == 0.9
     assert len(rough_s) == 4 + IN_VAIN * 4
     assert shares == sorted(shares)
-    assert shares[-1] == pytest.approx((200 + 3) / (200 + 4))  # when the last refinement began
+    assert shares[-1] == pytest.approx((60 + 3) / (60 + 4))  # when the last refinement began

@@ -101,7 +101,8 @@ def test_what_all_joints_are_late_together_costs_nothing(plan: Plan, judge: Judg
     assert found.planned == pytest.approx(-float(plan.margins.exact_worst.min()), abs=0.02)
 
 
-@pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 2e-5])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, 2e-5])
 def test_excess_is_that_of_the_true_states(plan: Plan, noise: float) -> None:
     """Within 20 % or half a per cent of the weight."""
     slow = with_robot(plan, physics__robot={"control": "position", "bandwidth": UNEQUAL})

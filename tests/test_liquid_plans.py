@@ -1,0 +1,263 @@
+"""Loads with a liquid in plans, audits and the engine: what is kept, what is told, what it weighs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import salver as sv
+from salver.contact_margins import margins
+from salver.errors import ScenarioError
+from salver.models.parameters import Parameter
+from salver.models.wrench_cone import facets
+from salver.planning.fastest.brim import Brim
+from salver.planning.fastest.evaluation import Sloshing, of_cases
+from salver.planning.fastest.found import EFFORTS, object_motion
+from salver.planning.fastest.problem import transport_problem
+from salver.planning.fastest.retiming import plan_retimed
+from salver.planning.fastest.safest import plan_safest
+from salver.planning.object.problem import Problem
+from salver.sensitivity.waves import Case
+from salver.simulation.physics import simulate_tray
+from salver.trajectory import SampledReference, min_jerk_line
+
+
+@pytest.fixture(scope="module")
+def coffee():
+    return sv.load_scenario("panda-coffee")
+
+
+BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
+BOX = {"objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]}, "objects__0__liquid": BOX_IN}
+LEVEL = {"motion__orientation": "fixed", "motion__goal_yaw": "fixed"}
+
+
+@pytest.mark.slow
+def test_a_level_plan_of_a_given_duration_keeps_the_coffee(coffee):
+    """In 1 s, in which the straight line does not: over all fills and dampings, on the finer grid of the check."""
+    made = coffee.with_changes(motion__duration=1.0, motion__degree=12, **LEVEL)
+    line, plan = sv.plan(made, "baseline", arm=False), sv.plan(made, arm=False)
+    assert not line.verification.ok
+    assert plan.status.ok, plan.status.sentence
+    assert plan.verification.ok, plan.verification.sentence
+    assert plan.margins.verdict(worst=True).ok
+
+
+@pytest.mark.slow
+def test_a_given_path_is_run_so_slowly_that_nothing_spills(coffee):
+    """Straight in joint space by a quarter radian: alone as fast as the joints go; with the coffee slower, and the
+    engine agrees at the fullest. Faster than that, the verdict says, it spills."""
+    q = np.array(coffee.arm.start_posture) + np.outer(np.linspace(0, 1, 9), [0.9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    plan = plan_retimed(coffee, q)
+    assert plan.status.ok, plan.status.sentence
+    assert plan.duration > 1.1 * plan.solver["lower_bound"]
+    assert plan.margins.verdict(worst=True).ok
+    record = sv.simulate(plan, parameters={"fill": 0.065, "damping": 0.002, "mass": 0.275, "friction": 0.36})
+    assert record.outcome == "holds"
+    quick = replace(plan.joint, t=0.8 * plan.joint.t, dq=plan.joint.dq / 0.8, ddq=plan.joint.ddq / 0.8**2)
+    problem = transport_problem(coffee)
+    hasty = SampledReference(object_motion(problem, quick.t, quick.q, quick.dq, quick.ddq))
+    assert not margins(plan.scenario, hasty.sample(quick.t)).verdict(worst=True).ok
+
+
+@pytest.mark.slow
+def test_the_safest_motion_of_a_coffee_keeps_as_much_of_its_room_as_of_its_weight(coffee):
+    """At every fill and damping that a verdict looks at, in the given time."""
+    plan = plan_safest(coffee.with_changes(motion__duration=1.0), options=replace(EFFORTS["quick"], spans=8))
+    assert plan.status.ok, plan.status.sentence
+    kept = plan.solver["margin"]
+    assert kept > 0.1
+    assert f"{100 * kept:.2g} % of its room" in plan.status.sentence
+    assert plan.verification.slack > kept - 5e-3
+    assert min(spill.slack.min() for spill in plan.margins.spills(worst=True)) > kept - 5e-3
+
+
+def test_tangents_of_a_level_plan_agree_with_differences(coffee):
+    """Of the room that waves leave, of their steepness, of what is left at the end, and of contact with the slosh."""
+    problem = Problem(coffee.with_changes(motion__duration=1.1, **LEVEL), 61)
+    rows = problem.linearise(np.zeros(problem.size)).rows
+    rng = np.random.default_rng(5)
+    residual, jacobian = problem.smoothness  # near the straight line: z = 0 is a wild motion
+    step = np.linalg.lstsq(jacobian, -residual, rcond=None)[0] + 1e-3 * rng.normal(size=problem.size)
+    move = rng.normal(size=problem.size)
+    for part, columns in ((rows[0], [0, 7, 30]), (rows[1], [0, 3, 5, 7, 9])):
+        slack, terms = part.slack(step)
+        instant, row = np.repeat([20, 41, 60], len(columns)), np.tile(columns, 3)
+        known = (row < 8) | (instant == 60) | (part is rows[0])  # what is left after it, at the end alone
+        instant, row = instant[known], row[known]
+        offset, slope = part.cuts(instant, row, terms[instant, row])
+        np.testing.assert_allclose(offset + slope @ step, slack[instant, row], atol=1e-12)
+        up, down = (part.slack(step + sign * 1e-6 * move)[0][instant, row] for sign in (1, -1))
+        np.testing.assert_allclose(slope @ move, (up - down) / 2e-6, atol=1e-4 * np.abs(slope @ move).max())
+
+
+def test_what_does_not_know_liquids_says_so(coffee):
+    from salver.planning.fastest import Anywhere, AtPosture
+
+    with pytest.raises(ScenarioError, match="plan with --fastest"):
+        sv.plan(coffee.with_changes(motion__duration=2.0))
+    with pytest.raises(ScenarioError, match="knows no liquids"):
+        sv.plan(coffee.with_changes(motion__duration=2.0, contact__condition="paper"), "baseline").verify()
+    problem = transport_problem(coffee)
+    q = problem.start_posture
+    moving = replace(problem, start=AtPosture(q, 0.1 * np.ones(7), np.zeros(7)), goal=Anywhere())
+    with pytest.raises(ScenarioError, match="begins moving"):
+        moving.constraints  # noqa: B018
+
+
+def test_rows_of_a_liquid_are_its_crest_what_is_left_and_what_settles_in_units_of_their_room(coffee):
+    """Against the waves themselves; under a lid there is no room to keep, and nothing settles that was not asked to."""
+    s, swing = np.linspace(0, 1, 41), 0.3 * np.array([1.0, 0.7, 0.0, 0.4, 0.0, 0.3, 0.0])
+    u = s[:, None]
+    blend = (u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u), 0 * u)
+
+    def rows(case):
+        problem = transport_problem(case)
+        z = np.stack([x * swing for x in blend])
+        z[0] += problem.start_posture
+        motion = problem.at(s, z, 1.0)
+        (brim,) = (x for x in problem.constraints if isinstance(x, Brim))
+        return motion, {block.name.removesuffix(f" in {brim.body.name}"): block.values for block in brim.blocks(motion)}
+
+    settling = {"objects__0__liquid__settled_wave": 0.006, "objects__0__liquid__settled_within": 0.5}
+    motion, found = rows(coffee.with_changes(**settling))
+    assert set(found) == {"steepness", "waves", "waves left", "settled waves"}
+    parts = motion.sloshing["cup"]
+    room = np.concatenate([part.waves.cases.room for part in parts])
+    crest = np.concatenate([part.crest for part in parts])
+    now, later = (np.concatenate([part.left(wait) for part in parts]) for wait in (0.0, 0.5))
+    assert found["waves"] == pytest.approx((crest / room[:, None] - 1).T, abs=1e-12)
+    assert found["waves left"] == pytest.approx((now / room - 1)[None], abs=1e-12)
+    assert found["settled waves"] == pytest.approx((later / 0.006 - 1)[None], abs=1e-12)
+    assert np.all(later < now)
+    assert set(rows(coffee)[1]) == {"steepness", "waves", "waves left"}
+    lid = coffee.with_changes(objects__0__liquid__sealed=True)
+    assert not {"waves", "waves left"} & set(rows(lid)[1])
+
+
+@pytest.mark.slow
+def test_fastest_plan_keeps_the_coffee_and_the_engine_agrees(coffee, tmp_path):
+    from salver.planning.fastest import plan_fastest
+    from salver.reports.page import write_report
+
+    plan = plan_fastest(coffee)
+    assert plan.ok, plan.verification.sentence
+    assert plan.duration < 0.80
+    full = {"mass": 0.275, "com_x": -0.002, "com_y": -0.002, "com_z": -0.00224, "fill": 0.065}
+    for parameters in (
+        {"fill": 0.065, "damping": 0.002},
+        {"fill": 0.035, "damping": 0.03},
+        {**full, "friction": 0.44, "damping": 0.03},
+        {**full, "com_x": 0.002, "friction": 0.36, "damping": 0.0017},
+    ):
+        record = sv.simulate(plan, parameters=parameters)
+        assert record.outcome == "holds"
+        room = coffee.payload.first.liquid.brim - parameters["fill"]
+        assert 0.3 * room < np.nanmax(record.surface[:, 0, 2]) < room
+    plan.save(tmp_path)
+    record.save(tmp_path)
+    page = write_report(tmp_path).read_text(encoding="utf-8")
+    assert "Highest point of the liquid in cup" in page
+    assert "Fastest, in the engine" in page
+
+
+@pytest.mark.slow
+def test_a_beaker_is_still_when_it_should_be():
+    """Half a second after the arm stands no wave of the engine is higher than was asked for, at either end of the
+    fill; two kinds of condition, of the motion and of what comes after it, on another arm."""
+    made = sv.load_scenario("ur10-beaker", physics__settle_after=0.9)
+    plan, liquid = sv.fastest(made), made.payload.first.liquid
+    assert plan.ok, plan.verification.sentence
+    for fill in (0.0385, 0.0715):
+        record = sv.simulate(plan, parameters={"fill": fill, "damping": liquid.damping[0], "mass": 0.09})
+        assert record.outcome == "holds"
+        after = record.surface[record.t > plan.duration + liquid.within, 0, 2]
+        assert len(after) > 10
+        assert np.nanmax(after) < liquid.settled
+
+
+def test_a_thin_glass_of_oil_stands_in_the_engine_with_all_its_weight(coffee):
+    """What moves of its second mode is under a gram on millimetres: an inertia that is nothing to the engine."""
+    shape = {"type": "cylinder", "radius": 0.022, "height": 0.11}
+    oil = {"kind": "oil", "radius": 0.018, "fill": 0.07, "brim": 0.105}
+    glass = {"objects__0__shape": shape, "objects__0__liquid": oil, "objects__0__mass": 0.1}
+    made = coffee.with_changes(arm=None, physics__settle_before=0.3, physics__settle_after=0.0, **glass)
+    at = np.array(made.motion.start.position)
+    record = simulate_tray(min_jerk_line(0.3, at, at, np.eye(3), np.eye(3)), made)
+    weight = 9.81 * (0.1 + made.payload.first.liquid.density * np.pi * 0.018**2 * 0.07)
+    assert record.outcome == "holds"
+    np.testing.assert_allclose(record.contact_force_E[-1, 0], [0, 0, weight], atol=2e-3 * weight)
+
+
+def test_audit_knows_that_a_line_spills(coffee):
+    """The straight line in 0.9 s slides and spills; with enough friction it spills; in 2.5 s it does neither."""
+    sticky = coffee.with_changes(objects__0__friction=2.0)
+    for duration, word in ((0.95, "spills"), (2.5, "holds")):
+        plan = sv.plan(sticky.with_changes(motion__duration=duration), "baseline", arm=False)
+        assert plan.margins.verdict(worst=True).code == word
+        assert plan.verification.ok == (word == "holds")
+
+
+def test_what_is_not_known_of_a_liquid_is_said_first(coffee):
+    """By the plan and by every verdict that calls it dry; a box says more of itself than a cup."""
+    made = coffee.with_changes(motion__duration=2.5, objects__0__friction=2.0)
+    plan = sv.plan(made, "baseline", arm=False)
+    said = "swirling or breaking waves in cup"
+    assert plan.unchecked[0] == said
+    assert plan.margins.verdict(worst=True).sentence.startswith(f"Not checked: {said}. Everything holds")
+    assert sv.plan(made, "baseline").unchecked[0] == said
+    boxed = made.with_changes(**BOX).payload.unmodelled
+    assert boxed[0].endswith("when it turns about its upright axis")
+    assert not sv.load_scenario("panda-cube").payload.unmodelled
+
+
+def test_a_case_knows_what_its_fill_weighs(coffee):
+    """Mass and fill away from nominal at once: what is sure of a fill, with what a mass still may do, is all of both,
+    but for the square of the mass."""
+    problem, rng = transport_problem(coffee), np.random.default_rng(4)
+    assert problem.tracking is not None
+    load, body = problem.tracking.load, problem.items[0]
+    dw, mass, fill = rng.normal(size=(5, 12, len(load.terms))), Parameter("cup", "mass"), Parameter("cup", "fill")
+    for share in (-1.0, 0.3, 1.0):
+        case = Case(body, 0.05 + share * 0.015, 0.01)
+        sure, unsure = of_cases([case], load, dw)
+        others = [p for p in load.uncertain.parameters if p != fill]
+        assert unsure.shape == (1, 5, 12, len(others))
+        values = {mass: -0.7, fill: share}
+        whole = sum(
+            dw[:, :, k] * np.prod([values.get(p, 0.0) for p in factors])
+            for k, factors in enumerate(load.terms)
+            if factors != (mass, mass)
+        )
+        np.testing.assert_allclose(sure[0] - 0.7 * unsure[0, ..., others.index(mass)], whole, atol=1e-12)
+
+
+def test_what_the_support_gives_holds_the_waves_as_contact_rows_count_them(coffee):
+    """The facets of the cup's cone, applied to the wrench that friction and tip-over are told from."""
+    line = sv.plan(coffee.with_changes(motion__duration=2.0), "baseline", arm=False)
+    (cup,) = line.margins.interfaces
+    waves = line.margins.liquids.nominal["cup"][0].wrench[0]
+    assert np.abs(waves[:, :2]).max() > 0.01  # N
+    rows = facets(cup.interface.contacts)
+    share = cup.exact / (-cup.wrench_B @ rows.T).min(axis=1)  # rows of one length there, of another here
+    assert np.ptp(share) < 1e-6 * share.mean()
+
+
+def test_waves_that_an_arm_with_a_known_load_feels_are_nearly_those_that_were_planned(coffee):
+    """It gives way to the waves alone, by less than a sixth of them; gravity would be a hundred times as much."""
+    problem = transport_problem(coffee)
+    problem = replace(problem, tracking=replace(problem.tracking, delay=0.0))
+    s = np.linspace(0, 1, 101)[:, None]
+    swing = np.array([0.35, 0.25, 0.0, 0.15, 0.0, 0.1, 0.0])
+    blend = (s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s))
+    rates = [x * swing for x in blend]
+    motion = problem.at(s[:, 0], np.stack([problem.start_posture + rates[0], *rates[1:], 0 * rates[0]]), 1.0)
+    response = motion.response
+    planned, given = Sloshing.of(problem.liquids[:1], s[:, 0], motion.terms.w, response).each["cup"]
+    assert np.abs(planned.waves.eta).max() > 1e-3  # m
+    np.testing.assert_allclose(given.waves.eta, planned.waves.eta, atol=0.15 * np.abs(planned.waves.eta).max())
+    # What waves and arm do to each other goes round and round, less each time.
+    once, thrice = (response.reaction(x.wrench) for x in (planned, given.waves))
+    assert np.abs(thrice - given.reaction).max() < 0.8 * np.abs(given.reaction - once).max()
