@@ -255,9 +255,9 @@ def longer() -> str:
     rate = clopper_pearson(broken + gone, len(each))
     rows = [row(*what.split(", "), kept) for what, kept in runs.items()]
     return (
-        f"Streams of 10 s, {len(each)}, each in the engine too (`--length 10 --engine 1 --data docs/data/live-long.json`):\n"
-        f"{broken} broke a row, {gone} lost the load (95 % interval of either: {100 * rate.low:.2g} to "
-        f"{100 * rate.high:.2g} %).\n\n{TABLE}\n" + "\n".join(rows)
+        f"Streams of 10 s, {len(each)}, each in the engine too (`--length 10 --engine 1 --data "
+        f"docs/data/live-long.json`):\n{broken} broke a row, {gone} lost the load (95 % interval of either: "
+        f"{100 * rate.low:.2g} to {100 * rate.high:.2g} %).\n\n{TABLE}\n" + "\n".join(rows)
     )
 
 
@@ -304,8 +304,8 @@ HEAD = """# Changing the motion while it runs, measured
 one core of the machine it ran on, which others used too. Steps: of planning. Committed: share of them that brought a
 verified motion. Lost: in the engine, what was executed, with the load at a random corner of its ranges. Filter: what
 one makes of the same streams that knows the arm's limits of speed, acceleration and jerk, and no load, at such corners.
-Gentle: followed as it is told, a stream keeps all limits and leaves {spared:.0f} % of what contact keeps at rest; the error,
-rms, and how late the tray is are those of the stream in the middle (and the largest of all).
+Gentle: followed as it is told, a stream keeps all limits and leaves {spared:.0f} % of what contact keeps at rest; the
+error, rms, and how late the tray is are those of the stream in the middle (and the largest of all).
 
 {table}
 {rows}
@@ -339,8 +339,8 @@ def faster(runs: dict[str, list[dict[str, Any]]]) -> str:
         return ""
     ours, filtered, gone = (np.array(x) for x in zip(*pairs, strict=True))
     return (
-        f"Of the {len(pairs)} shorter streams that the filter was given as well, it loses {int(gone.sum())}. The tray's "
-        f"speed,\nrms: {np.median(ours / filtered):.2f} of the filter's at the median."
+        f"Of the {len(pairs)} shorter streams that the filter was given as well, it loses {int(gone.sum())}.\n"
+        f"The tray's speed, rms: {np.median(ours / filtered):.2f} of the filter's at the median."
     )
 
 
