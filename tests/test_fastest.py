@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from salver.contact_margins import margins
-from salver.errors import ScenarioError
+from salver.errors import ScenarioError, Status
 from salver.geometry import Array
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
 from salver.planning.fastest.constraints import FINEST, Contact, evaluate, worst_of
@@ -17,6 +17,7 @@ from salver.planning.fastest.curves import FreeCurve, Grid, united
 from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.exchange import programme_of
 from salver.planning.fastest.objectives import Distance, LeastMargin, Point
+from salver.planning.fastest.planned import joint_plan, slowed
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Options, minimise
@@ -339,6 +340,33 @@ def test_unreachable_goal_has_a_status():
     assert 0 < found.wall_time <= time.perf_counter() - begun
     assert not found.status.ok
     assert found.status.code == "unreachable"
+
+
+def test_what_oversteps_a_limit_by_a_hair_between_the_optimisers_instants_is_made_slower_by_that():
+    """The verdict looks at more instants. Run in .9995 of its time a motion is some .1 % too quick; in .98, 4 %: then
+    the optimiser is at fault, and nothing is covered up. An acceleration grows as the square of the pace, so half of
+    what is given away is needed."""
+    scenario = cube()
+    problem = transport_problem(scenario.with_changes(motion__duration=None))
+    found = fastest(problem, FastestOptions(spans=8))
+
+    def judged(motion: FastestMotion) -> Status | None:
+        return joint_plan(scenario, problem, motion.joint_motion(), motion.status, {}).arm_status
+
+    hasty = replace(found, duration=0.9995 * found.duration)
+    verdict = judged(hasty)
+    assert verdict is not None
+    assert not verdict.ok
+    slower = slowed(hasty, verdict)
+    assert slower is not None
+    again = judged(slower)
+    assert again is not None
+    assert again.ok
+    assert found.duration < slower.duration < 1.0005 * found.duration
+    assert f"{slower.duration:.4f} s" in slower.status.sentence
+    assert slowed(found, judged(found)) is None
+    much = replace(found, duration=0.98 * found.duration)
+    assert slowed(much, judged(much)) is None
 
 
 @pytest.mark.slow

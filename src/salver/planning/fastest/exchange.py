@@ -229,10 +229,15 @@ def hastened(programme: Programme, begun: Iterate) -> Iterate:
         begun = shorter
 
 
+def reached(sought: str, duration: float) -> Status:
+    """Of a motion that keeps everything."""
+    return Status("optimal", f"The {sought} safe motion found takes {duration:.4f} s.", True)
+
+
 def _status(solution: Solution, worst: dict[str, float], sought: str, duration: float) -> Status:
     excess = max(worst.values())
     if excess <= 0.0:
-        return Status("optimal", f"The {sought} safe motion found takes {duration:.4f} s.", True)
+        return reached(sought, duration)
     if excess > HOPELESS and not solution.status.ok:
         return solution.status
     name = max(worst, key=lambda key: worst[key])

@@ -9,13 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import Status, UnreachableError
+from salver.models.arm_limits import LIMITS, POSITION
 from salver.planning.fastest.bound import least_by_friction, least_duration
 from salver.planning.fastest.constraints import LEVEL_TOLERANCE, Contact
+from salver.planning.fastest.exchange import SHORTEST, reached
 from salver.planning.fastest.found import FastestMotion, FastestOptions, object_motion
 from salver.planning.fastest.problem import TransportProblem, transport_problem, with_missed_cases
 from salver.planning.fastest.search import fastest
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.watch import Watch
+from salver.planning.follow.limits import LIMIT_EXCEEDED
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion, SampledReference
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
 MISSED = 4  # times that cases of a liquid are added which a motion does not keep
 CHECKED = 401  # instants at which that is looked at
+SLIGHT = 1e-3  # share of a limit that is seen too late to be overstepped: then a motion is that much slower
 
 
 def plan_fastest(
@@ -76,6 +80,9 @@ def found_and_planned(
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     plan = _planned(scenario, found, robust)
+    slower = slowed(found, plan.arm_status)
+    if slower is not None and _missed(slower) is None:
+        found, plan = slower, _planned(scenario, slower, robust)
     if robust and plan.status.ok and plan.verification.violation > 0:
         # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
         exactly = tuple(Contact(rows, scenario.contact.margin, exactly=True) for rows in found.problem.contacts)
@@ -89,6 +96,19 @@ def found_and_planned(
         said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
         plan = replace(plan, status=Status("unsafe", said, False))
     return found, plan
+
+
+def slowed(found: FastestMotion, arm_status: Status | None) -> FastestMotion | None:
+    """The motion, made slower by as much as the arm's verdict finds a limit overstepped, which looks at more instants
+    than the optimiser; None where that is nothing, more than `SLIGHT`, or not a matter of time."""
+    if not found.status.ok or arm_status is None or arm_status.code != LIMIT_EXCEEDED:
+        return None
+    over = max(arm_status.details[kind.name.replace(" ", "_")]["share"] for kind in LIMITS if kind is not POSITION) - 1
+    if not 0 < over <= SLIGHT:
+        return None
+    duration = found.duration * (1 + 1.01 * over)  # torque is not all a matter of time: its rate may shrink like 1 / T
+    status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
+    return replace(found, duration=duration, status=status)
 
 
 def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:
