@@ -100,11 +100,6 @@ class Body:
         return float(self.contacts.friction[0])
 
     @property
-    def com_height(self) -> float:
-        """Height of the nominal centre of mass over the base, m."""
-        return float(self.com_G[2] - self.solid.base_z)
-
-    @property
     def z_range_E(self) -> tuple[float, float]:
         """Heights of base and top over the tray, m."""
         centre = float(self.p_EB[2] - self.com_G[2])
