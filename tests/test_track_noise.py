@@ -13,6 +13,7 @@ from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
 from salver.scenario import load
 from salver.simulation.physics import Experiment
+from salver.trajectory import JointMotion
 from test_track import UNEQUAL, lagging, logged
 
 SETTLED = {"physics__settle_before": 1.0}
@@ -86,3 +87,18 @@ def test_a_deviation_that_one_number_explains_is_fitted_by_one(plan: Plan) -> No
     shape = np.stack([np.outer(np.sin(k * 9 * t), np.arange(1, n + 1)) for k in (1, 2, 3)])
     answers = Answers.along(t, plan.joint, 3e-4 * shape[0], lambda *_: ([[shape]], []))
     assert answers[-1].fitted(np.zeros((len(t), n))) == pytest.approx(3e-4 * shape, rel=1e-9)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_joint_that_stands_still_and_is_read_so_leaves_the_others_as_they_are(plan: Plan) -> None:
+    """A coarse encoder reads one number all along: no noise there, and no deviation."""
+    assert plan.joint is not None
+    t = np.arange(-0.2, plan.duration + 0.3, 1e-3)
+    moved = [np.where(np.arange(7) == 2, 0.0, x) for x in (plan.joint.q, plan.joint.dq, plan.joint.ddq)]
+    joint = JointMotion(plan.joint.t, *moved)
+    q = joint.sample(t)[0] + 2e-5 * np.random.default_rng(0).standard_normal((len(t), 7))
+    q[:, 2] = 0.0
+    done = executed(joint, logged(plan, t, q))
+    assert np.abs(done.q - joint.sample(done.t)[0]).max() < 1e-5
+    assert done.noise[2] < 1e-12
+    assert np.all(np.delete(done.noise, 2) > 1e-5)

@@ -342,8 +342,10 @@ def _smoothed(
     gains = 1 / (1 + (f / cuts[:, None]) ** ORDER)  # (cuts, K)
     fits = np.stack([answer.fitted(noisy) for answer in answers])  # (models, 3, K, n)
     coefficients = dct(noisy - fits[:, 0], axis=1, norm="ortho")
-    lost = 1 - gains[:, 1:]  # the constant is free
+    slow = (f[1:] / cuts[:, None]) ** ORDER
+    lost = slow / (1 + slow)  # 1 - gains, which is 0 to rounding in a long log; the constant is free
     left = lost @ coefficients[:, 1:] ** 2  # (models, cuts, n)
+    left = np.maximum(left, np.finfo(float).tiny)  # a joint may have done exactly what was planned
     taken = np.array([answer.shapes.shape[3] for answer in answers])[:, None, None]
     free = np.maximum(count - 1 - taken, 1)
     unlikely = free * np.log(left / free) - np.log(lost).sum(axis=1)[:, None] + taken * np.log(count)
