@@ -15,9 +15,11 @@ from salver.planning.fastest import FastestOptions, transport_problem
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.found import object_motion
 from salver.planning.fastest.objectives import Point
+from salver.planning.fastest.safest import optima, quickest_within
 from salver.planning.fastest.search import DEGREE, straight_start
 from salver.planning.fastest.sensitive import Sensitivity, plan_least_sensitive
 from salver.planning.fastest.spline import RestSpline
+from salver.planning.fastest.watch import Watch
 from salver.planning.make import make_plan
 from salver.planning.object.cost import sensitivity_cost, tray_loop
 from salver.planning.plan import Plan
@@ -43,7 +45,7 @@ def test_the_cost_of_a_joint_motion_is_that_of_what_the_object_does_and_its_slop
     turned = rng.standard_normal(begun.shape)
     turned[[0, -1]] = 0.0
     q = begun + 0.05 * turned
-    objective, curve = Sensitivity(problem, spline, 1.2), FreeCurve(problem, Grid.of(spline, np.linspace(0, 1, 2)))
+    objective, curve = Sensitivity(problem, spline, 1.2, 1.0), FreeCurve(problem, Grid.of(spline, np.linspace(0, 1, 2)))
 
     def cost(coefficients):
         return objective.value(curve, Point(coefficients, 1.2))
@@ -75,6 +77,21 @@ def test_it_reacts_less_than_the_papers_plan_which_the_arm_cannot_follow_and_tha
     assert cost_of(plan) == pytest.approx(plan.solver["cost"], rel=1e-3)
     assert cost_of(plan) < 0.98 * cost_of(paper)
     assert cost_of(plan) < 0.9 * cost_of(safest)
+
+
+@pytest.mark.slow
+def test_of_the_optima_that_were_found_the_least_sensitive_is_taken():
+    """A level cube in 1 s: some of the places to begin from lead to dearer optima than others."""
+    case = scenario.load("panda-cube").with_changes(motion__duration=1.0, motion__orientation="fixed")
+    taken = plan_least_sensitive(case, options=FEW).solver
+    watch = Watch(None)
+    quickest, duration = quickest_within(case, "least sensitive", True, FEW, watch)
+    objective = Sensitivity(quickest.problem, quickest.spline, duration, taken["line"])
+    curve = FreeCurve(quickest.problem, Grid.of(quickest.spline, np.linspace(0, 1, 2)))
+    found = [m for m in optima(objective, quickest, duration, FEW, watch) if m.status.ok]
+    costs = [objective.value(curve, Point(m.coefficients, duration)) for m in found]
+    assert max(costs) > (1 + 1e-4) * min(costs)
+    assert taken["cost"] / taken["line"] == pytest.approx(min(costs), rel=1e-6)
 
 
 @pytest.mark.slow

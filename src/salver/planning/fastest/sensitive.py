@@ -43,12 +43,15 @@ INSTANTS = 61  # between which the cost is integrated, at least
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity(Objective):
-    """The cost of the first object's closed loop, eq (13), in units of `unit`, of a duration in s that is given."""
+    """The cost of the first object's closed loop, eq (13), in units of `unit`, of a duration in s that is given.
+
+    The unit must be the size of the cost: tolerances and the price of a broken row are shares of 1.
+    """
 
     problem: TransportProblem
     spline: RestSpline
     duration: float
-    unit: float = 1.0
+    unit: float
     sought = "least sensitive"
     _last: dict[str, tuple[Array, Model]] = field(default_factory=dict, repr=False)
 
