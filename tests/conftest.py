@@ -5,6 +5,9 @@ from __future__ import annotations
 import functools
 import gc
 import shutil
+import signal
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +17,26 @@ import typer.testing
 if TYPE_CHECKING:
     from driver_rig import Rig
     from salver.planning.fastest import TransportProblem
+
+PATIENCE = 20.0  # s of processor time for an everyday test, ten times what the longest takes
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """An everyday test that searches for ever fails. Processor time: a busy machine ends nothing."""
+    if item.get_closest_marker("slow") or threading.current_thread() is not threading.main_thread():
+        return (yield)
+
+    def late(*_: object) -> None:
+        pytest.fail(f"takes more than {PATIENCE:g} s of processor time")
+
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, PATIENCE, 0.25 * PATIENCE)  # again, should it be caught
+    try:
+        return (yield)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 @pytest.fixture(scope="session")

@@ -356,6 +356,7 @@ def test_rows_of_all_legs_change_as_their_derivatives_say_with_the_shares_of_the
     again = curve.repaired(at)
     assert again is not None
     assert curve.durations(again, 1.4).sum() == pytest.approx(1.4)
+    np.testing.assert_allclose(curve.repaired(again), again, atol=1e-9)  # what is right already stays
     for k, problem in enumerate(problems):
         assert np.abs(problem.goal.residual(problem.arm, again[curve.rows(k)][-1])[0]).max() < 1e-10
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,13 +15,15 @@ from salver import scenario, simulate_legs
 from salver.cli import app
 from salver.cli.plan import Effort
 from salver.cli.searching import searching
-from salver.errors import ScenarioError, UnreachableError
+from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import exp
 from salver.models.contact_rows import contact_rows
 from salver.models.tray_motion import at_rest
-from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
+from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest, safest
+from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.legs import plan_legs
 from salver.planning.fastest.safest import _as_found, _margin_at_rest, plan_safest, plan_safest_legs, shared
+from salver.planning.fastest.spline import RestSpline
 from salver.planning.make import make_plan
 
 FEW = FastestOptions(spans=8)
@@ -29,15 +33,15 @@ POST = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "len
 @pytest.mark.slow
 def test_the_safest_motion_keeps_more_than_the_fastest_and_what_it_says_is_verified():
     case = scenario.load("panda-cube").with_changes(motion__duration=1.0)
-    safest = plan_safest(case, options=FEW)
-    assert safest.ok, (safest.status, safest.arm_status)
-    assert safest.duration == pytest.approx(1.0)
-    assert safest.method == "safest"
-    assert safest.space == "joint"
+    plan = plan_safest(case, options=FEW)
+    assert plan.ok, (plan.status, plan.arm_status)
+    assert plan.duration == pytest.approx(1.0)
+    assert plan.method == "safest"
+    assert plan.space == "joint"
     fastest = plan_fastest(case.with_changes(motion__duration=None), options=FEW)
-    assert safest.verification.slack > fastest.verification.slack + 0.1
-    assert safest.verification.slack == pytest.approx(safest.solver["margin"], abs=5e-3)
-    assert safest.solver["shortest"] == pytest.approx(fastest.duration)
+    assert plan.verification.slack > fastest.verification.slack + 0.1
+    assert plan.verification.slack == pytest.approx(plan.solver["margin"], abs=5e-3)
+    assert plan.solver["shortest"] == pytest.approx(fastest.duration)
 
 
 @pytest.mark.slow
@@ -110,6 +114,59 @@ def test_a_leg_is_taken_up_as_it_was_planned_with_the_margin_that_its_ends_have_
     level, tilted = (-rows.worst(at_rest(R)[None]).max() for R in (np.eye(3), exp(np.array([np.deg2rad(10), 0, 0]))))
     assert tilted < level - 0.05
     assert _margin_at_rest(found) == pytest.approx(tilted, abs=1e-3)
+
+
+def test_the_time_of_a_round_is_shared_until_its_legs_keep_the_same_margin(monkeypatch):
+    """Of two legs that lack c / T^3 of their margin at rest: from the first two sharings it is seen which power it is,
+    and the third is right. All searches are counted, and what is told counts from the edge of the contact."""
+    at_rest, c = {"a": 0.3, "b": 0.25}, {"a": 0.10, "b": 0.02}
+    good, asked = Status("optimal", "", True), []
+
+    def optima(objective, begin, time, options, watch, anew):
+        asked.append(anew)
+        margin = at_rest[begin.name] - c[begin.name] / time**3
+        return [replace(begin, margin=x, duration=time) for x in (margin - 0.1, margin)]
+
+    @dataclass(frozen=True)
+    class Leg:
+        name: str
+        duration: float = 0.9
+        margin: float = 0.0
+        wall_time: float = 0.5
+        status: Status = good
+
+    quickest = SimpleNamespace(
+        ok=True, duration=1.8, legs=(Leg("a"), Leg("b")), solver={"seconds": 2.0, "name": "it"}, status=good
+    )
+    monkeypatch.setattr(safest, "plan_legs", lambda *_, **__: quickest)
+    monkeypatch.setattr(safest, "_as_found", lambda leg, options: leg)
+    monkeypatch.setattr(safest, "_margin_at_rest", lambda begin: at_rest[begin.name])
+    monkeypatch.setattr(safest, "optima", optima)
+    monkeypatch.setattr(safest, "_planned", lambda leg, motion, said: motion)
+    case = scenario.load("waiters-round").with_changes(motion__duration=2.4, contact__margin=0.05)
+    found = plan_safest_legs(case, options=FEW)
+    margins = [leg.margin for leg in found.legs]
+    assert found.duration == pytest.approx(2.4)
+    assert np.ptp(margins) < 1e-3
+    assert asked == [True, True, False, False, False, False]
+    assert found.solver["seconds"] == pytest.approx(2.0 + 3 * 2 * 0.5)
+    assert f"every contact {100 * (min(margins) + 0.05):.2g} % of the weight from its edge" in found.status.sentence
+
+
+def test_how_far_the_safest_motion_keeps_a_contact_from_its_edge_is_told(monkeypatch):
+    """What is sought is beyond the margin that the scenario asks for anyway."""
+    good, problem = Status("optimal", "", True), SimpleNamespace(liquids=())
+    motion = FastestMotion(problem, RestSpline(5, 8), np.zeros((9, 7)), 0.7, good, {}, (), 0.1, 1)
+    monkeypatch.setattr(safest, "quickest_within", lambda *_: (motion, 1.0))
+    monkeypatch.setattr(safest, "optima", lambda *_: [replace(motion, margin=x) for x in (0.1, 0.2)])
+    monkeypatch.setattr(FastestMotion, "joint_motion", lambda self: None)
+    monkeypatch.setattr(safest, "solver_record", lambda found, robust: {})
+    told = []
+    monkeypatch.setattr(safest, "joint_plan", lambda case, problem, joint, status, record, method: told.append(status))
+    plan_safest(scenario.load("panda-cube").with_changes(contact__margin=0.05))
+    assert (
+        "keeps every contact 25 % of the weight from its edge; the shortest found takes 0.7000 s." in told[0].sentence
+    )
 
 
 @pytest.mark.slow

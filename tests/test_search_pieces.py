@@ -14,7 +14,8 @@ from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.models.arm_limits import JointLimits
 from salver.planning.fastest import transport_problem
-from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY, Clearance
+from salver.planning.fastest.around import CUTS, STEP, FreeSpace, _cut_short
+from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY, Block, Clearance
 from salver.planning.fastest.curves import launch_basis
 from salver.planning.fastest.ends import Anywhere
 from salver.planning.fastest.evaluation import Evaluation
@@ -37,6 +38,44 @@ def test_between_nodes_values_are_joined_by_straight_lines() -> None:
     expected = np.column_stack([np.interp(s, s[nodes], column) for column in values.T])
     assert motion.between_nodes(values) == pytest.approx(expected)
     assert motion.steps == pytest.approx(0.8 * np.diff(s[nodes]))
+
+
+def test_rows_have_their_peaks_at_the_ends_too_and_of_many_the_foremost_are_looked_at() -> None:
+    values = np.random.default_rng(3).normal(size=(9, 40))
+    block = Block("rows", values, lambda i, f: np.zeros((len(i), 4)), np.arange(9), most=3)
+    for row, told in zip(values.T, block.peaks.T, strict=True):
+        assert told[0] == (row[0] >= row[1])
+        assert told[-1] == (row[-1] >= row[-2])
+        assert told[1:-1].tolist() == [row[k] >= max(row[k - 1], row[k + 1]) for k in range(1, 8)]
+    for most, found in ((3, block.near(np.inf)), (9, block.joining(np.zeros((9, 40), dtype=bool)) | (values < -0.02))):
+        for row, told in zip(values, found, strict=True):
+            assert set(np.argsort(row)[-most:]) <= set(np.flatnonzero(told))
+    assert block.near(np.inf).sum(axis=1).tolist() == [3] * 9
+
+
+def test_a_way_is_cut_short_where_a_straight_piece_is_free_and_nowhere_else() -> None:
+    """In a plane in which a wall from the origin to (0, 1) is in the way: around its end, the detours cut off."""
+
+    class Plane(FreeSpace):
+        def nearest(self, q: Array) -> Array | None:
+            self.looks -= 1
+            return None if abs(q[0]) < 0.6 * STEP and q[1] < 1.0 else q
+
+    corners = np.array([[-1.0, 0.0], [-1.0, 2.0], [0.0, 2.2], [1.0, 2.0], [1.0, 0.0]])
+    space = Plane(None, None, 0.0, 0)  # type: ignore[arg-type]
+    dense = np.vstack([a + np.linspace(0, 1, 25)[:-1, None] * (b - a) for a, b in pairwise(corners)] + [corners[-1:]])
+    for way in (corners, dense):
+        cut = _cut_short(space, way, np.random.default_rng(0))
+        assert cut[[0, -1]].tolist() == way[[0, -1]].tolist()
+        u = np.linspace(0, 1, 200)[:, None]
+        path = np.vstack([a + u * (b - a) for a, b in pairwise(cut)])
+        assert not np.any((np.abs(path[:, 0]) < 0.1 * STEP) & (path[:, 1] < 0.9))
+        assert 2 * np.sqrt(2) <= np.linalg.norm(np.diff(cut, axis=0), axis=1).sum() < 3.3  # it was six long
+    assert space.looks > 0
+    assert _cut_short(space, corners[:2], np.random.default_rng(0)).tolist() == corners[:2].tolist()
+    bend = np.array([[0.2, 0.0], [0.6, 0.5], [1.0, 0.0]])
+    assert np.abs(_cut_short(space, bend, np.random.default_rng(0))[:, 1]).max() == 0.0
+    assert CUTS > 20
 
 
 def test_a_launch_begins_with_a_speed_or_an_acceleration_and_ends_with_nothing() -> None:

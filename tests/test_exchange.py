@@ -1,0 +1,157 @@
+"""Conditions for all times: what a check between nodes finds, where nodes are added, and what comes of it. Motions of
+one joint, of which the answer is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from salver.geometry import Array
+from salver.planning.fastest import exchange
+from salver.planning.fastest.constraints import Block, Constraint
+from salver.planning.fastest.curves import FreeCurve, Grid
+from salver.planning.fastest.ends import AtPosture
+from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.exchange import BINDING, SHORTEST, _between, _touched, optimise
+from salver.planning.fastest.objectives import Point
+from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.fastest.starts import TOUCHES
+
+
+def nothing(node: Indices, row: Indices) -> Array:
+    return np.zeros((len(node), 4))
+
+
+@dataclass(frozen=True)
+class Given(Constraint):
+    """Blocks that are what they are."""
+
+    each: tuple[Block, ...]
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        yield from self.each
+
+
+def checked(*blocks: Block, s: Array) -> tuple[dict[str, float], tuple[str, ...], float, list[int]]:
+    """What a check on points s finds."""
+    fine: Any = SimpleNamespace(grid=SimpleNamespace(s=s), problem=SimpleNamespace(constraints=[Given(blocks)]))
+    motion: Any = SimpleNamespace(imposed=False, moving=False)
+    largest, binding, slower, peaks = _between(fine, SHORTEST, Point(np.zeros((1, 1)), 1.0), motion)
+    return largest, binding, slower, peaks.tolist()
+
+
+def test_nodes_are_added_where_a_row_is_broken_the_most_and_at_both_ends_of_what_couples_two() -> None:
+    """Not where it is kept, however near, and not beside a peak. A row of a step between two nodes names both."""
+    s, kept = np.linspace(0.0, 1.0, 12), (0.0, 0.0)
+    at, rate = np.full((12, 1), -1.0), np.full((11, 1), -1.0)
+    at[[2, 3, 4, 8], 0] = 0.1, 0.3, 0.2, -0.01
+    rate[6] = 0.05
+    points = np.arange(12)
+    state = Block("state", at, nothing, points, kept, slows=1.5)
+    step = Block("step", rate, nothing, points, kept, following=nothing, slows=4.0)
+    largest, _, slower, peaks = checked(state, step, s=s)
+    assert largest == {"state": 0.3, "step": 0.05}
+    assert slower == pytest.approx(1.5 * 0.3)
+    assert peaks == [3, 6, 7]
+    ends = np.linspace(0.2, -0.5, 12)[:, None]
+    assert checked(replace(state, values=ends), s=s)[3] == [0]
+    assert checked(replace(state, values=ends[::-1]), s=s)[3] == [11]
+    assert checked(replace(state, values=-np.ones((12, 1))), s=s)[2:] == (0.0, [])
+
+
+def test_what_hinders_a_shorter_time_is_what_depends_on_time_and_is_at_its_edge() -> None:
+    def block(name: str, value: float, **more: Any) -> Block:
+        return Block(name, np.full((3, 1), value), nothing, np.arange(3), (0.0, 0.0), **more)
+
+    near, far = -0.5 * BINDING, -1.5 * BINDING
+    blocks = block("at", near), block("below", far), block("place", 0.0, scales=False), block("beyond", 0.5)
+    slows = block("by T", near, scales=False, by_duration=np.ones((3, 1)))
+    assert checked(*blocks, slows, s=np.linspace(0, 1, 3))[1] == ("at", "beyond", "by T")
+
+
+def test_a_rough_motion_is_looked_at_again_where_it_is_deepest_in_something() -> None:
+    """Of all that is watched; not where it only comes near, and where nothing is watched nowhere."""
+    s = np.linspace(0.0, 1.0, 9)
+    distances = np.full((9, 2), 0.05)
+    distances[[1, 2, 3], 0] = -0.01, -0.02, -0.01
+    distances[6, 1] = -0.5 * TOUCHES
+    distances[8, 1] = -2.0 * TOUCHES
+
+    def touched(required: int) -> list[float]:
+        keep_out = SimpleNamespace(required=np.zeros(required), distances=lambda q: distances)
+        grid = SimpleNamespace(s=s)
+        fine: Any = SimpleNamespace(
+            grid=grid, problem=SimpleNamespace(keep_out=keep_out), motion=lambda *_: np.zeros((1, 9, 1))
+        )
+        found: Any = SimpleNamespace(coefficients=None, duration=1.0)
+        return _touched(fine, found).tolist()
+
+    assert touched(2) == [s[2], s[8]]
+    assert touched(0) == []
+
+
+@dataclass(frozen=True)
+class Slower(Constraint):
+    """dq/dt at most v(q), and a place that is of no matter to time."""
+
+    most: Callable[[Array], Array]
+
+    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        q, dq = motion.at_nodes[:2]
+        h = 1e-6
+
+        def gradient(node: Indices, row: Indices) -> Array:
+            out = np.zeros((len(node), 4))
+            slope = (1 / self.most(q[node] + h) - 1 / self.most(q[node] - h)) / (2 * h)
+            out[:, 0], out[:, 1] = (dq[node] * slope)[:, 0], 1 / self.most(q[node])[:, 0]
+            return out
+
+        yield Block("speed", dq / self.most(q) - 1, gradient, motion.nodes)
+        yield Block("place", q - 2.0, lambda i, f: np.eye(4)[np.zeros(len(i), dtype=int)], motion.nodes, scales=False)
+
+
+def a_joint(constraint: Constraint) -> TransportProblem:
+    """From 0 to 1."""
+    made: Any = SimpleNamespace(
+        n=1, arm=SimpleNamespace(n=1), limits=None, constraints=(constraint,), liquids=(), moving=False, keep_out=None
+    )
+    made.start, made.goal = AtPosture(np.zeros(1)), AtPosture(np.ones(1))
+
+    def at(s: Array, z: Array, duration: float, nodes: Indices, imposed: bool = True) -> Evaluation:
+        return Evaluation(None, 0, None, s, duration, z, nodes, imposed, False)
+
+    made.at = at
+    return made
+
+
+def test_a_narrow_place_between_the_nodes_is_gone_through_slowly_and_every_step_is_counted(monkeypatch) -> None:
+    """About q = 0.3 a joint may be no faster than 0.85 of what it may be elsewhere, and with 25 nodes that is between
+    two of them; looked at 4001 times it is kept. No motion takes less than the sum of dq / v(q)."""
+    steps, minimise = [], exchange.minimise
+
+    def counted(*arguments: Any) -> Any:
+        found = minimise(*arguments)
+        steps.append(found.iterations)
+        return found
+
+    def most(q: Array) -> Array:
+        return np.asarray(1.0 - 0.15 * np.exp(-(((q - 0.3) / 0.02) ** 2)))
+
+    monkeypatch.setattr(exchange, "minimise", counted)
+    spline, s = RestSpline(5, 8), np.linspace(0, 1, 101)
+    begin = SplineMotion(spline, spline.fit(s, min_jerk_blend(s)[:, None]), 4.0)
+    found = optimise(a_joint(Slower(most)), FreeCurve, begin, 3)
+    assert found.status.ok, found.status
+    assert found.binding == ("speed",)
+    assert len(steps) > 1
+    assert found.iterations == sum(steps)
+    q, dq = Grid.of(spline, np.linspace(0, 1, 4001)).motion(found.coefficients, found.duration)[:2]
+    assert np.max(dq / most(q)) < 1 + 0.15 * (0.5 / (6 * 24) / 0.02) ** 2  # between points of the check, 1 / 144 apart
+    u = np.linspace(0, 1, 10001)
+    assert np.trapezoid(1 / most(u), u) < found.duration < 1.5

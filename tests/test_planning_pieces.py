@@ -1,0 +1,133 @@
+"""What plans are put together from, but for the search for the fastest: each piece by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from salver import scenario
+from salver.errors import Status
+from salver.geometry import Array
+from salver.models.arm import ArmModel, load_arm
+from salver.models.arm_geometry import arm_geometry
+from salver.models.arm_limits import LIMITS, POSITION, JointLimits
+from salver.planning import make
+from salver.planning.follow import redundancy
+from salver.planning.follow.limits import _room
+from salver.planning.follow.motion import _unreachable
+from salver.planning.follow.redundancy import TrayPath, first_choice, improved, tray_path
+from salver.planning.object.conditions import MotionRows
+from salver.planning.object.problem import Problem
+from salver.planning.object.solvers import Solution
+from salver.planning.plan import FINER
+from salver.planning.postures import INSIDE, PoseTarget, posture_at, postures_along
+from salver.trajectory import min_jerk_line
+
+CUBE = scenario.load("panda-cube")
+POSTURE = np.array(CUBE.arm.start_posture)
+
+
+@pytest.fixture(scope="module")
+def panda() -> ArmModel:
+    return load_arm(CUBE.arm, CUBE.tray)
+
+
+def test_what_is_out_of_reach_is_so_far_from_the_base_of_the_arm() -> None:
+    arm: Any = SimpleNamespace(name="arm", base_position=np.array([1.0, -2.0, 0.5]))
+    path: Any = SimpleNamespace(p_SE=np.array([[1.0, 1.0, 4.5], [4.0, -2.0, 0.5]]), t=np.array([0.0, 0.7]))
+    first, second = (_unreachable(arm, path, k) for k in (0, 1))
+    assert first.details["distance_from_base"] == pytest.approx(5.0)  # 3 and 4
+    assert "where the motion starts; that is 5.00 m from its base" in first.sentence
+    assert "at t = 0.70 s; that is 3.00 m from its base" in second.sentence
+
+
+def test_a_part_of_a_limit_may_be_overstepped_between_points_and_the_makers_limit_may_not() -> None:
+    """Of parts of 80, 99.5 and 100 %, by 1 %; nothing where nobody gave a limit."""
+    kind = next(kind for kind in LIMITS if kind.key == "velocity")
+    whole = np.array([2.0, 2.0, 2.0, np.inf])
+    limits = [JointLimits(*[x] * 7) for x in (np.array([0.8, 0.995, 1.0, 1.0]) * whole, whole)]
+    arm: Any = SimpleNamespace(planning_limits=limits[0], limits=limits[1])
+    assert _room(arm, kind, 0.01) == pytest.approx([1.01, 1 / 0.995, 1.0, 1.0])
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_no_posture_is_beyond_the_limits_less_a_little(panda: ArmModel, side: int) -> None:
+    """Not even for a pose that is far out of reach, at which several joints end at a limit."""
+    p, R = panda.tray_pose(POSTURE)
+    low, high = POSTURE - 0.3, POSTURE + 0.3
+    limits = replace(panda.limits, q_min=low, q_max=high)
+    q, missed = posture_at(panda, PoseTarget(p + np.array([0.0, 2.0 * side, 1.0]), R), POSTURE, limits=limits)
+    assert missed > 1.0
+    assert np.all(q >= low + INSIDE)
+    assert np.all(q <= high - INSIDE)
+    at_ends = [np.isclose(q, end, rtol=0, atol=1e-12).any() for end in (low + INSIDE, high - INSIDE)]
+    assert all(at_ends)
+
+
+def crossing(duration: float) -> TrayPath:
+    start, goal = (np.array(pose.position) for pose in (CUBE.motion.start, CUBE.motion.goal))
+    line = min_jerk_line(duration, start, goal, np.eye(3), np.eye(3))
+    return tray_path(line, np.array([0.0, 0.0, 0.02]), np.eye(3), np.linspace(0, duration, 13))
+
+
+def test_a_swivel_of_the_elbow_is_improved_along_the_slope_that_differences_give(panda: ArmModel, monkeypatch) -> None:
+    """By where it starts and by its coefficients, to what is left out as faint."""
+    path, seen = crossing(0.8), []
+
+    def looked(at: Any, x: Array, *_: Any) -> None:
+        x = x + 0.05 * np.random.default_rng(0).normal(size=len(x))
+        for step in (np.eye(len(x))[0], np.random.default_rng(1).normal(size=len(x))):
+            behind, ahead = (at(x + h * step)[0] for h in (-1e-5, 1e-5))
+            seen.append((at(x)[1] @ step, (ahead - behind) / 2e-5))
+
+    monkeypatch.setattr(redundancy, "descend", looked)
+    postures, reached = postures_along(panda, path.p_SE, path.R_SE, POSTURE)
+    assert reached == len(path.t)
+    choice = first_choice(panda, arm_geometry(panda), path, postures)
+    assert choice is not None
+    improved(panda, arm_geometry(panda), path, choice, True)
+    assert len(seen) == 2
+    for claimed, found in seen:
+        assert claimed == pytest.approx(found, rel=1e-2)
+
+
+def test_a_plan_that_fails_between_its_nodes_is_made_at_more_of_them_up_to_all_that_are_checked(monkeypatch) -> None:
+    """What is solved for stays where it is: the straight line, too fast for the cube."""
+    case, asked = CUBE.with_changes(motion__duration=0.5, motion__nodes=11), []
+
+    def solve(problem: Problem) -> Solution:
+        asked.append(problem.nodes)
+        found = Status("optimal", "Found.", True)
+        return Solution(np.zeros(problem.size), 1.0, None, 0.0, 1, "none", found)
+
+    monkeypatch.setattr(make, "solve", solve)
+    plan = make.plan_object(case)
+    assert not plan.status.ok
+    assert asked == [11, 21, 41, 81, 101, 101]
+    assert asked[-1] == FINER * (11 - 1) + 1  # the instants of the check
+
+
+def test_waves_take_from_what_a_contact_keeps() -> None:
+    rows: Any = SimpleNamespace(worst=lambda w: np.array([[-0.3, -0.2]]))
+    found = MotionRows(("it",), rows, np.zeros((1, 12)), np.zeros((1, 12, 0)), np.array([[0.1, -0.05]]))
+    assert found.least() == pytest.approx(np.array([[0.2, 0.25]]))
+
+
+@pytest.mark.parametrize("degree", [9, 12])
+def test_unknowns_of_a_plan_are_what_its_polynomials_have_beyond_rest_at_both_ends(degree: int) -> None:
+    """Eq (26): positions of degree n have n + 1 coefficients and six conditions for each axis; the body's angular
+    velocity is of degree n - 1, with n coefficients and four conditions."""
+    problem = Problem(CUBE.with_changes(motion__degree=degree, motion__orientation="free"), 11)
+    assert problem.size == 3 * (degree + 1 - 6) + 3 * (degree - 4)
+    reference = problem.reference(np.random.default_rng(0).normal(size=problem.size))
+    assert reference.angular_velocity.shape == (degree, 3)
+
+
+def test_the_middle_of_joints_is_between_their_ends(panda: ArmModel) -> None:
+    middle, half = panda.limits.range(POSITION)
+    assert middle + half == pytest.approx(panda.limits.q_max)
+    assert middle - half == pytest.approx(panda.limits.q_min)
