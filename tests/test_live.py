@@ -15,14 +15,16 @@ from live_runs import drive, executed, in_turn, jolts, rows_of
 from salver.errors import ScenarioError
 from salver.live import Live, Worker
 from salver.live.motion import between, joined, resting
-from salver.live.replan import straight
+from salver.live.replan import Replanner, straight
 from salver.live.verify import instants, verified
+from salver.live.wishes import pose_goal
 from salver.models.arm_limits import POSITION
 from salver.planning.fastest import fastest, joint_plan, transport_problem
 from salver.planning.fastest.constraints import Contact, evaluate
 from salver.planning.fastest.ends import AtPose, AtPosture
 from salver.planning.fastest.exchange import optimise
 from salver.planning.fastest.obstacles import AT_NODES
+from salver.planning.fastest.sqp import minimise
 from salver.planning.postures import PoseTarget
 from salver.trajectory import JointMotion
 
@@ -261,11 +263,17 @@ class TestVerdict:
             found = optimise(problem, curve_of, start, *args, **kwargs)
             return replace(found, duration=0.5 * found.duration)
 
+        def careless_at_nodes(*args):
+            found = minimise(*args)
+            point = found.iterate.point
+            return replace(found, iterate=replace(found.iterate, point=replace(point, duration=0.5 * point.duration)))
+
         def also_careless(problem, options):
             found = fastest(problem, options)
             return replace(found, duration=0.5 * found.duration)
 
         monkeypatch.setattr("salver.live.replan.optimise", careless)
+        monkeypatch.setattr("salver.live.replan.minimise", careless_at_nodes)
         monkeypatch.setattr("salver.live.replan.fastest", also_careless)
         live = Live(cube, lead=LEAD)
         states = drive(live, 0.2, [(0.0, place(0.45, 0.1, 0.45))])
@@ -427,6 +435,23 @@ def test_where_nothing_is_uncertain_too_rows_are_kept_with_commands_that_are_hel
     assert np.abs(states[0][-1] - states[0][0]).max() > 0.05
     worst = rows_of(live.problem, states)
     assert max(worst.values()) <= 0.0, worst
+
+
+@pytest.mark.slow
+def test_a_goal_is_found_from_every_state_of_a_way_elsewhere(cube):
+    """And the motion there takes hardly longer than one that a thorough search finds."""
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.3, [(0.0, place(0.5, -0.3, 0.5))])
+    base, replanner, rng = live.committed, Replanner.of(live.problem), np.random.default_rng(22)
+    longer = []
+    for begins in base.nodes[:: len(base.nodes) // 6]:
+        end = pose_goal(live.problem, rng.uniform([0.4, -0.4, 0.35], [0.55, 0.15, 0.6])).end
+        found, status = replanner.to(end, base, begins, 60.0)
+        assert found is not None, status.sentence
+        at = replace(replanner.sought, start=AtPosture(*base.state(begins)), goal=end)
+        at = replace(at, tracking=at.tracking.begun(base.deviation_at(begins, live.problem)))
+        longer.append(found.motion.duration / fastest(at).duration)
+    assert max(longer) < 1.15, longer
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import numpy as np
 from salver.errors import Status
 from salver.live.motion import SHORTEST, Committed, between
 from salver.live.obstacles import Passing, Predicted, nearest
-from salver.live.replan import Replanner
+from salver.live.replan import Replanner, Sought
 from salver.live.steer import Steering
 from salver.live.verify import instants
 from salver.live.wishes import Evade, Follow, Halt, Wish, why_not
@@ -54,7 +54,7 @@ class Planner:
     def __init__(self, problem: TransportProblem) -> None:
         self.problem = problem
         self._replanner = Replanner.of(problem)
-        self._steering = Steering.of(problem, self._replanner.sought)
+        self._steering = Steering.of(problem, Sought.of(problem))
 
     def answer(self, job: Job) -> Answer:
         wish, base, begins = job.wish, job.base, job.begins
@@ -64,7 +64,9 @@ class Planner:
             return self._evading(job, problem, replanner)
         if isinstance(wish, Follow):
             wanted = wish.wanted if begins <= wish.until else wish.then
-            steering = replace(self._steering, problem=problem, sought=replanner.sought)
+            steering = self._steering
+            if problem is not self.problem:
+                steering = replace(steering, problem=problem, sought=Sought.of(problem))
             return Answer(*steering.tick(wanted, base, begins))
         if isinstance(wish, Halt):
             found, status = replanner.to(Anywhere(), base, begins, job.budget)

@@ -10,13 +10,15 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import ClassVar, Self
 
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import Array
+from salver.geometry import GRAVITY_S, Array
 from salver.live.motion import Committed
 from salver.live.verify import Finding, coarse, kept, verified
+from salver.models.arm_limits import JointLimits
 from salver.planning.fastest import (
     Anywhere,
     AtPose,
@@ -30,52 +32,70 @@ from salver.planning.fastest import (
     TransportProblem,
     fastest,
 )
+from salver.planning.fastest.bound import least_time
 from salver.planning.fastest.curves import FreeCurve, Grid, launch_basis
 from salver.planning.fastest.evaluation import Indices
-from salver.planning.fastest.exchange import Checked, optimise
+from salver.planning.fastest.exchange import HOPELESS_AT_NODES, ITERATIONS, REPAIR, Checked, optimise, programme_of
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.fastest.sqp import Options, Solution, minimise
 from salver.planning.fastest.starts import braking_time
 from salver.planning.fastest.watch import Watch
 from salver.planning.postures import candidate_postures
 from salver.trajectory import JointMotion
 
 SPLINE = RestSpline(degree=5, spans=8)
-NODES_PER_SPAN = 2
+NODES_PER_SPAN, FEW_NODES = 6, 2  # of a motion that is judged at once; to which nodes are added
+DISTANCES = 2.0
+STRETCHES, STRETCHED = 2, 0.02  # times a motion is made longer, each by at most so much, relatively,
+AMPLY = 1.1  # and by so many times what would do
 GAIN = 1e-2  # relative shortening below which an iteration counts as idle
-LEAST_DURATION = 0.1  # s of a first guess
+LEAST_DURATION = 0.1  # s of a first guess,
+LIKELY = 1.1  # times what every joint, and friction, take at least; and
+SLOWLY = 1.4  # times as much, where that led nowhere
 OTHERS = 16  # guesses from which a goal's postures are sought when none is near
 
 
 @dataclass(frozen=True, eq=False)
 class Firm(Constraint):
     """A constraint under which motions are sought: what the verdict keeps of its rows is kept from the beginning on,
-    also where the margins of a motion that begins moving are eased, and beyond that twice the planner's margin."""
+    also where the margins of a motion that begins moving are eased, and beyond that so many `times` the planner's
+    margin; of distances, of which every millimetre counts, twice."""
 
     judged: Constraint
+    times: float = 2.0
 
     def near(self, q: Array) -> Constraint:
-        return Firm(coarse(self.judged).near(q))
+        return Firm(coarse(self.judged).near(q), self.times)
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         for block in self.judged.blocks(motion):
             nodes, check = block.margins[0], kept(block, self.judged)
-            yield block.having(values=block.values + check, margins=(2 * nodes, 0.5 * nodes))
+            times = DISTANCES if block.kinked else self.times
+            yield block.having(values=block.values + check, margins=(times * nodes, 0.5 * nodes))
 
 
 class Sought(TransportProblem):
-    """The problem that motions are sought under. The state that one begins in is given, at rest too: what it lacks of
-    a planner's margins is made up for on the way."""
+    """The problem that bends are sought under. The state that a motion begins in is given, at rest too: what it lacks
+    of a planner's margins is made up for on the way."""
+
+    times: ClassVar[float] = 2.0  # as of `Firm`
 
     @cached_property
     def constraints(self) -> tuple[Constraint, ...]:
-        return tuple(Firm(constraint) for constraint in super().constraints)
+        return tuple(Firm(constraint, self.times) for constraint in super().constraints)
 
     def at(self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True) -> Evaluation:
         return replace(super().at(s, z, duration, nodes, imposed), moving=True)
 
     @classmethod
-    def of(cls, problem: TransportProblem) -> Sought:
+    def of(cls, problem: TransportProblem) -> Self:
         return cls(**{field.name: getattr(problem, field.name) for field in fields(problem)})
+
+
+class Firmer(Sought):
+    """The problem that whole motions are sought under: between nodes that are further apart, rows rise by more."""
+
+    times: ClassVar[float] = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +107,7 @@ class Replanner:
 
     @classmethod
     def of(cls, problem: TransportProblem) -> Replanner:
-        return cls(problem, Sought.of(problem))
+        return cls(problem, Firmer.of(problem))
 
     def to(
         self, end: End, before: Committed, begins: float, time_limit: float, *, around: bool = True
@@ -103,23 +123,51 @@ class Replanner:
         guess = going_on(at, before, begins) if isinstance(end, Anywhere) else straight(at)
         if guess is None:
             return None, Status("unreachable", "no posture of the arm within its limits reaches it", False)
-        found: Checked | FastestMotion = optimise(at, FreeCurve, guess, NODES_PER_SPAN, Watch(time_limit), gain=GAIN)
-        finding = self._judged(at, guess.spline, found, before, begins)
+        found, finding = self._shortest(at, guess, before, begins, Watch(time_limit))
         left = time_limit - (time.perf_counter() - began)
         if around and finding.committed is None and not start.moving and left > 0:
             searched = fastest(at, FastestOptions(time_limit=left))
             if searched.status.ok:
-                found, finding = searched, self._judged(at, searched.spline, searched, before, begins)
+                motion = SplineMotion(searched.spline, searched.coefficients, searched.duration)
+                found, finding = searched, self._judged(at, motion, before, begins)
         if finding.committed is None:
             return None, Status("refused", finding.sentence if found.status.ok else found.status.sentence, False)
         return finding.committed, Status("optimal", f"A motion of {finding.committed.motion.duration:.3f} s.", True)
 
-    def _judged(
-        self, at: TransportProblem, spline: RestSpline, found: Checked | FastestMotion, before: Committed, begins: float
-    ) -> Finding:
+    def _shortest(
+        self, at: TransportProblem, guess: SplineMotion, before: Committed, begins: float, watch: Watch
+    ) -> tuple[Checked | FastestMotion | Solution, Finding]:
+        """The shortest motion from a guess, and the verdict on it.
+
+        What is broken between the nodes is mostly little, and kept by a motion that takes as much longer; only where
+        that does not help are nodes added. Among what moves, it seldom does.
+        """
+        damping = 1.0
+        if not at.liquids and not at.extra:
+            programme = programme_of(at, FreeCurve, guess, guess.spline.nodes(NODES_PER_SPAN))
+            begun = programme.begin(guess.coefficients, guess.duration)
+            solution = minimise(programme, begun, Options(ITERATIONS, watch, gain=GAIN))
+            best = solution.iterate
+            motion = SplineMotion(guess.spline, best.coefficients, best.duration)
+            for _ in range(STRETCHES + 1):
+                finding = self._judged(at, motion, before, begins)
+                if finding.committed is not None:
+                    return solution, finding
+                if finding.slower > STRETCHED:
+                    break
+                motion = replace(motion, duration=motion.duration * (1.0 + AMPLY * finding.slower))
+            if best.violation > HOPELESS_AT_NODES:  # from another beginning, perhaps
+                guess = replace(guess, duration=SLOWLY * guess.duration)
+            else:
+                guess, damping = SplineMotion(guess.spline, best.coefficients, best.duration), REPAIR
+        found = optimise(at, FreeCurve, guess, FEW_NODES, watch, damping=damping, gain=GAIN)
+        motion = SplineMotion(guess.spline, found.coefficients, found.duration)
+        return found, self._judged(at, motion, before, begins)
+
+    def _judged(self, at: TransportProblem, found: SplineMotion, before: Committed, begins: float) -> Finding:
         """The verdict on what was found."""
-        breaks = spline.breaks()
-        q, dq, ddq, _ = FreeCurve(at, Grid.of(spline, breaks)).motion(found.coefficients, found.duration)
+        breaks = found.spline.breaks()
+        q, dq, ddq, _ = FreeCurve(at, Grid.of(found.spline, breaks)).motion(found.coefficients, found.duration)
         for rate in (dq, ddq):
             rate[-1] = 0.0  # but for the last digits, it is
         return verified(self.problem, JointMotion(breaks * found.duration, q, dq, ddq), begins, before)
@@ -147,9 +195,30 @@ def straight(at: TransportProblem) -> SplineMotion | None:
         goal = min(others, key=lambda q: float(np.abs(q - start.q).max()), default=None)
     if goal is None:
         return None
-    duration = braking + 2.0 * float(np.max(np.abs(goal - start.q) / at.limits.velocity)) + LEAST_DURATION
+    duration = max(LEAST_DURATION, LIKELY * max(_by_joints(at.limits, start, goal), _by_friction(at, start, goal)))
     s = np.linspace(0, 1, 121)
     return SplineMotion(SPLINE, SPLINE.fit(s, start.q + min_jerk_blend(s)[:, None] * (goal - start.q)), duration)
+
+
+def _by_joints(limits: JointLimits, start: AtPosture, goal: Array) -> float:
+    """About the least time, s, in which every joint can be at rest at the goal (n,): braked, and then from rest to rest
+    by its limits."""
+    velocity, acceleration = start.rates[0], limits.acceleration
+    braked = start.q + 0.5 * velocity * np.abs(velocity) / acceleration
+    joints = zip(np.abs(goal - braked), limits.velocity, acceleration, limits.jerk, strict=True)
+    moving = np.array([least_time(*map(float, joint)) for joint in joints])
+    return float(np.max(np.abs(velocity) / acceleration + moving))
+
+
+def _by_friction(at: TransportProblem, start: AtPosture, goal: Array) -> float:
+    """About the least time, s, in which friction brings what stands on a level tray to rest at the goal (n,): braked,
+    and then from rest to rest."""
+    most = min(body.friction for body in at.items) * -GRAVITY_S[2]
+    p_SE, R_SE = at.arm.tray_pose(start.q)
+    v_S = R_SE @ (at.arm.body_jacobian(start.q) @ start.rates[0])[:3]
+    speed = float(np.linalg.norm(v_S))
+    left = at.arm.tray_pose(goal)[0] - p_SE - 0.5 * speed / most * v_S
+    return speed / most + 2.0 * float(np.sqrt(np.linalg.norm(left) / most))
 
 
 def _launched(start: AtPosture, s: Array, duration: float) -> Array:

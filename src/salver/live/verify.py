@@ -51,12 +51,14 @@ CONTINUOUS = (1e-8, 1e-7, 1e-5)  # rad, rad/s, rad/s^2: by which a motion may be
 @dataclass(frozen=True)
 class Finding:
     """What became of a motion that was looked at: committed, or why not. excess: of the worst row, beyond its edge;
-    what: which one it is. known: what was worked out for it."""
+    what: which one it is. slower: by how much longer, relatively, it would be put right; infinite when that would not
+    do. known: what was worked out for it."""
 
     committed: Committed | None
     excess: float
     sentence: str
     what: str = ""
+    slower: float = np.inf
     known: Known | None = None
 
 
@@ -89,7 +91,7 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
         far = name.startswith("clearance of ")  # in metres, not as a share of anything
         beyond = f"{1e3 * excess / PER_METRE:.2g} mm too small" if far else f"exceeded by {100 * excess:.2g} %"
         sentence = f"{name} would be {beyond} {t[worst]:.2f} s after it begins"
-        return Finding(None, excess if np.isfinite(excess) else np.inf, sentence, name)
+        return Finding(None, excess if np.isfinite(excess) else np.inf, sentence, name, _slower(blocks))
     if keep_out is not None and not _apart(keep_out, blocks, t[nodes], evaluation.at_nodes[:3]):
         met = sweep(keep_out.parts, motion).touch
         if met is not None:
@@ -214,6 +216,14 @@ def _begun(block: Block, t: Array) -> Block:
         first = block.values[: np.searchsorted(t[block.points], BEGINNING)]
         first[:] = np.where(first < FORGIVEN * margin, np.minimum(first, 0.0), first)
     return block
+
+
+def _slower(blocks: Sequence[Block]) -> float:
+    """By how much longer, relatively, all rows would be kept; infinite when time is not what they lack."""
+    excess = [(block, float(block.values.max(initial=0.0))) for block in blocks]
+    if not all(np.isfinite(most) and (block.by_time or most <= 0.0) for block, most in excess):
+        return np.inf
+    return max(block.slows * most for block, most in excess)
 
 
 def _jolt(motion: JointMotion, begins: float, before: Committed | None) -> str:
