@@ -149,3 +149,9 @@ def parameters_of_run(directory: str | Path, run: int, folder: str = DEFAULT_FOL
         raise SalverError(f"There is no run {run}; the campaign has the runs 0 to {definition.n - 1}.")
     names, values = samples(Path(directory), definition)
     return dict(zip(names, map(float, values[run]), strict=True)), seed_of_run(definition.seed, run)
+
+
+def stop_of_run(directory: str | Path, run: int, duration: float, folder: str = DEFAULT_FOLDER) -> float | None:
+    """When run number `run` of a directory's campaign stops a plan of that duration, s; None where it does not."""
+    definition = read_definition(directory, folder)
+    return instant_of_run(definition.seed, run, duration) if definition.stops else None

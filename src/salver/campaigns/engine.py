@@ -88,18 +88,8 @@ def run_campaign(
     Raises SalverError when the folder holds another campaign: nothing is overwritten.
     """
     directory = Path(directory)
-    legs = bool(load_scenario(directory).legs)
     folder = (STOPS_FOLDER if stops else DEFAULT_FOLDER) if folder is None else folder
-    known = known_stems(directory)
-    if stops and not legs:
-        known = [stem for stem in known if load_plan(directory, stem).stops is not None]
-        lacking = [stem for stem in stems or () if stem not in known]
-        if lacking or not known:
-            stem = lacking[0] if lacking else "plan"
-            raise SalverError(f"{directory / stem}.npz holds no plan with stops; plan it with `salver plan --stops`.")
-    stems = list(dict.fromkeys(stems or known[:2]))
-    if not stems:
-        raise SalverError(f"{directory} holds no plan; make one with `salver plan`.")
+    stems = _chosen(directory, stems or (), stops)
     if jobs is not None and jobs < 1:
         raise SalverError(f"{jobs} jobs were asked for; it needs at least 1.")
     definition = define(directory, stems, n, seed, method, engine, folder, stops)
@@ -140,6 +130,21 @@ def run_campaign(
     }
     write_json(place / SUMMARY, sealed(summary))
     return Campaign(place, definition, summary, tuple(journal.notes))
+
+
+def _chosen(directory: Path, stems: Sequence[str], stops: bool) -> list[str]:
+    """Whose runs are made: of the plans named, or of the plan and what stands beside it. Raises SalverError."""
+    legs, known = bool(load_scenario(directory).legs), known_stems(directory)
+    if stops and not legs:
+        known = [stem for stem in known if load_plan(directory, stem).stops is not None]
+        lacking = [stem for stem in stems if stem not in known]
+        if lacking or not known:
+            stem = lacking[0] if lacking else "plan"
+            raise SalverError(f"{directory / stem}.npz holds no plan with stops; plan it with `salver plan --stops`.")
+    chosen = list(dict.fromkeys(stems or known[:2]))
+    if not chosen:
+        raise SalverError(f"{directory} holds no plan; make one with `salver plan`.")
+    return chosen
 
 
 def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:

@@ -33,6 +33,9 @@ DEFECT = 70  # as sysexits.h has it: salver itself failed
 INTERRUPTED = 130  # 128 + SIGINT, as a shell reports it
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON document on standard output.")]
+ScenarioName = Annotated[
+    str, typer.Argument(help="Name of a ready-made scenario (see `salver scenarios`) or a .toml file.")
+]
 Stops = Annotated[
     bool,
     typer.Option(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -12,9 +11,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, Stops, headed, print_json, result_console, save_plans, say
-from salver.cli.progress import step
-from salver.cli.searching import searching
+from salver.cli.common import (
+    NO_SAFE_PLAN,
+    Json,
+    ScenarioName,
+    Stops,
+    headed,
+    print_json,
+    result_console,
+    save_plans,
+    say,
+)
+from salver.cli.searching import searching, stopping
 from salver.cli.watch import watched
 
 if TYPE_CHECKING:
@@ -35,9 +43,7 @@ class Effort(StrEnum):
 
 
 def plan(
-    scenario: Annotated[
-        str, typer.Argument(help="Name of a ready-made scenario (see `salver scenarios`) or a .toml file.")
-    ],
+    scenario: ScenarioName,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Run directory; default runs/NAME.")] = None,
     fastest: Annotated[bool, typer.Option("--fastest", help="Find the shortest duration that is safe.")] = False,
     safest: Annotated[
@@ -96,104 +102,106 @@ def plan(
     prove that there is none. Ctrl-C ends the search for a fastest plan with the best found so far, which is written
     with a status that says so; Ctrl-C once more ends the command.
     """
+    again = partial(plan, **{**locals(), "watch": False})
     from salver import scenario as scenarios
-    from salver.planning.make import plan_pair
-    from salver.planning.plan_files import check_place
-    from salver.run_directory import check_free
+
+    def place() -> Path:
+        return out if out is not None else Path("runs") / scenarios.load(scenario).name
 
     if watch:
-        again = partial(
-            plan,
-            scenario,
-            out,
-            fastest=fastest,
-            safest=safest,
-            least_sensitive=least_sensitive,
-            beside=beside,
-            duration=duration,
-            arm=arm,
-            stops=stops,
-            force=force,
-            effort=effort,
-            time_limit=time_limit,
-            json=json,
-        )
-        watched(Path(scenario), again, lambda: out if out is not None else Path("runs") / scenarios.load(scenario).name)
+        watched(Path(scenario), again, place)
         return
     chosen = scenarios.load(scenario)
     if duration is not None:
         chosen = chosen.with_changes(motion__duration=duration)
     asked = {"fastest": fastest, "safest": safest, "least-sensitive": least_sensitive}
-    methods = [name for name, wanted in asked.items() if wanted]
-    if len(methods) > 1:
-        raise typer.BadParameter("--fastest, --safest and --least-sensitive are three questions: give one of them.")
-    method = methods[0] if methods else "fastest" if chosen.motion.duration is None else "robust"
+    method = _method(chosen, [name for name, wanted in asked.items() if wanted])
     if method == "robust" and (effort is not None or time_limit is not None):
         raise typer.BadParameter(
             "--effort and --time-limit are for the searches of --fastest, --safest and --least-sensitive."
         )
-    directory = out if out is not None else Path("runs") / chosen.name
+    directory, options = place(), options_of(effort)
     if chosen.legs:
         if beside is not None or not arm:
             raise typer.BadParameter("--beside and --no-arm are not for a task of several legs; leave them out.")
-        if least_sensitive:
-            raise typer.BadParameter("--least-sensitive is not for a task of several legs; ask for --safest.")
-        _plan_legs(chosen, directory, safest, stops, force, options_of(effort), time_limit, json)
-        return
-    beside = beside or "baseline"
-    if method == "fastest":  # the scenario that is saved is known when the plan is
-        check_free(directory)
+        plans = _legs(chosen, method, directory, options, time_limit)
     else:
-        check_place(chosen, directory, edited=True, force=force)
-    searches = method != "robust" or beside == "nominal"
-    with searching(time_limit) if searches else nullcontext() as search:
-        options = options_of(effort) if searches else None
-        found, other = plan_pair(chosen, method, arm, beside, options=options, watch=search)
-    if stops and found.ok:
-        from salver.planning.stops import with_stops
-
-        found = with_stops(found, lambda done, total: step(done, total, "stops"))
-    save_plans(directory, {"plan": found, beside: other}, force)
+        plans = _pair(chosen, method, arm, beside or "baseline", directory, force, options, time_limit)
+    if stops:
+        plans["plan"] = stopping(plans["plan"])
+    save_plans(directory, plans, force)
     if json:
-        print_json({"directory": directory, "plan": found.summary(), beside: other.summary()})
+        print_json({"directory": directory, **{stem: made.summary() for stem, made in plans.items()}})
     else:
-        show(found, other, beside)
-        quoted = quote(str(directory))
-        simulate = f"salver simulate {quoted}, or " if found.joint is not None or chosen.arm is None else ""
-        say(f"Written to {directory}; next: {simulate}salver report {quoted}")
-    if not found.ok:
+        _tell(directory, plans)
+    if not plans["plan"].ok:
         raise typer.Exit(NO_SAFE_PLAN)
 
 
-def _plan_legs(
+def _method(scenario: Scenario, asked: list[str]) -> str:
+    """What is asked, by the options given, or by what the scenario leaves open."""
+    if len(asked) > 1:
+        raise typer.BadParameter("--fastest, --safest and --least-sensitive are three questions: give one of them.")
+    return asked[0] if asked else "fastest" if scenario.motion.duration is None else "robust"
+
+
+def _pair(
     scenario: Scenario,
+    method: str,
+    arm: bool,
+    beside: str,
     directory: Path,
-    safest: bool,
-    stops: bool,
     force: bool,
     options: FastestOptions,
     time_limit: float | None,
-    json: bool,
-) -> None:
-    """The plan of a task of several legs."""
-    from salver.planning.fastest.legs import plan_legs
-    from salver.planning.fastest.safest import plan_safest_legs
-    from salver.planning.stops import with_stops
+) -> dict[str, Plan | Round]:
+    """By stem: the plan, and what it is compared with."""
+    from salver.planning.make import plan_pair
+    from salver.planning.plan_files import check_place
     from salver.run_directory import check_free
 
+    if method == "fastest":  # the scenario that is saved is known when the plan is
+        check_free(directory)
+    else:
+        check_place(scenario, directory, edited=True, force=force)
+    with searching(time_limit) if method != "robust" or beside == "nominal" else nullcontext() as search:
+        found, other = plan_pair(scenario, method, arm, beside, options=options, watch=search)
+    return {"plan": found, beside: other}
+
+
+def _legs(
+    scenario: Scenario, method: str, directory: Path, options: FastestOptions, time_limit: float | None
+) -> dict[str, Plan | Round]:
+    """By stem, the one there is: the plan of a task of several legs."""
+    from salver.planning.fastest.legs import plan_legs
+    from salver.planning.fastest.safest import plan_safest_legs
+    from salver.run_directory import check_free
+
+    if method == "least-sensitive":
+        raise typer.BadParameter("--least-sensitive is not for a task of several legs; ask for --safest.")
     check_free(directory)
     with searching(time_limit) as search:
-        found = (plan_safest_legs if safest else plan_legs)(scenario, options=options, watch=search)
-    if stops and found.ok:
-        found = replace(found, legs=tuple(with_stops(leg) for leg in found.legs))
-    save_plans(directory, {"plan": found}, force)
-    if json:
-        print_json({"directory": directory, "plan": found.summary()})
+        found = (plan_safest_legs if method == "safest" else plan_legs)(scenario, options=options, watch=search)
+    return {"plan": found}
+
+
+def _tell(directory: Path, plans: dict[str, Plan | Round]) -> None:
+    """What was planned, for a person, and what may come next."""
+    from salver.planning.plan import Plan
+
+    found, quoted = plans["plan"], quote(str(directory))
+    commands = [f"salver simulate {quoted}", f"salver report {quoted}"]
+    if isinstance(found, Plan):
+        beside = next(stem for stem in plans if stem != "plan")
+        other = plans[beside]
+        assert isinstance(other, Plan)
+        show(found, other, beside)
+        runs = found.joint is not None or found.scenario.arm is None
+        commands = commands if runs else commands[1:]
     else:
         _show_legs(found)
-        say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
-    if not found.ok:
-        raise typer.Exit(NO_SAFE_PLAN)
+        commands = commands[:1]
+    say(f"Written to {directory}; next: {', or '.join(commands)}")
 
 
 def _show_legs(plan: Round) -> None:

@@ -10,11 +10,12 @@ import typer
 
 from salver.cli.audit import Gap, Highest, Noise, Topic
 from salver.cli.common import NO_SAFE_PLAN, Json, Stops, print_json, result_console, save_plans, say
-from salver.cli.progress import step
+from salver.cli.searching import stopping
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
     from salver.motion_files import Samples
+    from salver.planning.plan import Plan
     from salver.scenario import Scenario
 
 
@@ -60,9 +61,11 @@ def retime(
     Ends with 0 when the path can be run safely, with 3 when it cannot.
     """
     from salver import scenario as scenarios
+    from salver.export.motion import read_motion
     from salver.given import read_waypoints
     from salver.motion_files import form_of
-    from salver.planning.fastest.retiming import PATH_TOLERANCE, plan_retimed
+    from salver.motion_files import write as write_motion
+    from salver.planning.fastest.retiming import plan_retimed
     from salver.run_directory import SCENARIO, check_free
 
     if scenario is None:
@@ -81,35 +84,33 @@ def retime(
     directory = out if out is not None else Path("runs") / f"{chosen.name}-retimed"
     check_free(directory)
     plan = plan_retimed(chosen, read_waypoints(path, chosen, topic), robust=robust)
-    if stops and plan.ok:
-        from salver.planning.stops import with_stops
-
-        plan = with_stops(plan, lambda done, total: step(done, total, "stops"))
+    if stops:
+        plan = stopping(plan)
     save_plans(directory, {"plan": plan})
     if write is not None:
-        from salver.export.motion import read_motion
-        from salver.motion_files import write as write_motion
-
         for file in write_motion(read_motion(directory), write):
             say(f"Wrote {file}")
     if json:
         print_json({"directory": directory, "plan": plan.summary()})
     else:
-        tell = result_console().print
-        tell(str(plan.status))
-        tell(plan.verification.sentence)
-        if plan.arm_status is not None:
-            tell(str(plan.arm_status))
-        if plan.stops is not None:
-            tell(plan.stops.sentence)
-        tell(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
-        if plan.solver["waypoints_missed"] > PATH_TOLERANCE:
-            tell(
-                f"The path passes the waypoints by up to {plan.solver['waypoints_missed']:.2g} rad: they are too many."
-            )
+        _tell(plan)
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _tell(plan: Plan) -> None:
+    """A plan along a given path, for a person, on standard output."""
+    from salver.planning.fastest.retiming import PATH_TOLERANCE
+
+    tell = result_console().print
+    sentences = [plan.status, plan.verification.sentence, plan.arm_status, plan.stops and plan.stops.sentence]
+    for sentence in sentences:
+        if sentence is not None:
+            tell(str(sentence))
+    tell(f"No law on this path is faster than {plan.solver['lower_bound']:.4f} s.")
+    if (missed := plan.solver["waypoints_missed"]) > PATH_TOLERANCE:
+        tell(f"The path passes the waypoints by up to {missed:.2g} rad: they are too many.")
 
 
 def _beside(path: Path) -> Path:

@@ -1,4 +1,5 @@
-"""A watch on a search that a command runs: its bar, its time limit, and Ctrl-C, which ends it with the best so far."""
+"""A watch on a search that a command runs: its bar, its time limit, and Ctrl-C, which ends it with the best so far.
+And the stops that a plan is given."""
 
 from __future__ import annotations
 
@@ -7,14 +8,19 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from salver.cli.common import say
 from salver.cli.progress import step
 
 if TYPE_CHECKING:
     from salver.planning.fastest.watch import Watch
+    from salver.planning.plan import Plan
+    from salver.planning.round import Round
+
+Planned = TypeVar("Planned", bound="Plan | Round")
 
 ONCE = 0.3  # s within which a second signal is the same: some shells send it to a process and to its group
 
@@ -48,3 +54,15 @@ def searching(time_limit: float | None = None) -> Iterator[Watch]:
         yield watch
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def stopping(plan: Planned) -> Planned:
+    """The same plan with its stops, of each leg where there are several; as it is where it is not safe."""
+    from salver.planning.round import Round
+    from salver.planning.stops import with_stops
+
+    if not plan.ok:
+        return plan
+    if isinstance(plan, Round):
+        return replace(plan, legs=tuple(with_stops(leg) for leg in plan.legs))
+    return replace(plan, stops=with_stops(plan, lambda done, total: step(done, total, "stops")).stops)

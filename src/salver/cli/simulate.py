@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -71,72 +72,104 @@ def simulate(
     Ends with 0 when the run was made, whatever became of the object.
     """
     from salver.motion_files import form_of
-    from salver.planning.plan import load_plan
     from salver.planning.round import has_legs
     from salver.run_directory import STEMS, leg_number
-    from salver.simulation.physics import simulate as run_physics
 
     if stem not in (*STEMS, "both") and leg_number(stem) is None:
         raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both; or leg1, leg2, ...')
-    parameters = true_values(set_ or [])
-    stopping = None  # seed of the instants of a campaign of stops
+    asked = _Asked(directory, stem, true_values(set_ or []), seed, run, folder, stop_at, write)
     if run is not None:
-        from salver.campaigns import instant_of_run, parameters_of_run, read_definition
-
-        if parameters:
-            raise ScenarioError("--run takes its parameters from the campaign; leave out --set.")
-        parameters, seed = parameters_of_run(directory, run, folder)
-        if (campaign := read_definition(directory, folder)).stops:
-            stopping = campaign.seed
-            if stop_at is not None:
-                raise ScenarioError("--run of a campaign of stops has its own instant; leave out --stop-at.")
+        asked = _repeated(asked)
     if write is not None:
         form_of(write)  # told before anything is computed
+        if stem == "both" and scenario is None:
+            raise ScenarioError("--write is for one run; name its plan with --stem.")
     if scenario is not None:
-        if run is not None or stop_at is not None or stem != "plan":
-            raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
-        _motion(directory, scenario, parameters, topic, write, json)
+        results = _motion(asked, scenario, topic)
+    elif stem == "plan" and has_legs(directory):
+        _legs(asked, json)
         return
-    if write is not None and stem == "both":
-        raise ScenarioError("--write is for one run; name its plan with --stem.")
-    if has_legs(directory):
-        if stem == "plan":
-            if stop_at is not None:
-                raise ScenarioError("--stop-at is a time on one leg: name that too, as --stem leg1.")
-            if write is not None:
-                raise ScenarioError("--write is for one leg: name it, as --stem leg1.")
-            _legs(directory, parameters, seed, json)
-            return
-        if run is not None:
-            raise ScenarioError("--run is a run of all legs; leave out --stem.")
-    results: dict[str, SimulationRecord] = {}
-    both = [name for name in STEMS if (directory / f"{name}.npz").is_file()]
-    for name in both if stem == "both" else (stem,):
-        plan = load_plan(directory, name)
-        _warn(plan, name)
-        if stopping is not None and run is not None:
-            stop_at = instant_of_run(stopping, run, plan.duration)
-        record = run_physics(plan, parameters=parameters, seed=seed, stop_at=stop_at)
-        record.save(directory, name, "" if stop_at is None else "-stop")
-        results[name] = record
-        if write is not None:
-            _write(record, plan.scenario, write)
+    else:
+        results = _plans(asked)
     if json:
-        print_json({name: {"parameters": record.parameters, **record.summary} for name, record in results.items()})
+        told = {name: {"parameters": record.parameters, **record.summary} for name, record in results.items()}
+        print_json(told if scenario is None else told[directory.name])
     else:
         show(results)
-        say(f"Written to {directory / 'simulation'}.")
+        if scenario is None:
+            say(f"Written to {directory / 'simulation'}.")
 
 
-def _legs(directory: Path, parameters: dict[str, float], seed: int, json: bool) -> None:
+@dataclass(frozen=True)
+class _Asked:
+    """What was asked of runs. run: number in the campaign of `folder`, None for a run that belongs to none."""
+
+    directory: Path
+    stem: str
+    parameters: dict[str, float]
+    seed: int
+    run: int | None
+    folder: str
+    stop_at: float | None
+    write: Path | None
+
+    def stop(self, plan: Plan) -> float | None:
+        """When a run of that plan is asked to stop, s; None for never."""
+        from salver.campaigns import stop_of_run
+
+        return self.stop_at if self.run is None else stop_of_run(self.directory, self.run, plan.duration, self.folder)
+
+
+def _repeated(asked: _Asked) -> _Asked:
+    """The same with the parameters and the seed of a campaign's run."""
+    from salver.campaigns import parameters_of_run, read_definition
+
+    if asked.parameters:
+        raise ScenarioError("--run takes its parameters from the campaign; leave out --set.")
+    assert asked.run is not None
+    parameters, seed = parameters_of_run(asked.directory, asked.run, asked.folder)
+    if asked.stop_at is not None and read_definition(asked.directory, asked.folder).stops:
+        raise ScenarioError("--run of a campaign of stops has its own instant; leave out --stop-at.")
+    return replace(asked, parameters=parameters, seed=seed)
+
+
+def _plans(asked: _Asked) -> dict[str, SimulationRecord]:
+    """One run of each plan, by stem."""
+    from salver.planning.plan import load_plan
+    from salver.planning.round import has_legs
+    from salver.run_directory import STEMS
+    from salver.simulation.physics import simulate as run_physics
+
+    directory = asked.directory
+    if asked.run is not None and has_legs(directory):
+        raise ScenarioError("--run is a run of all legs; leave out --stem.")
+    both = [name for name in STEMS if (directory / f"{name}.npz").is_file()]
+    results: dict[str, SimulationRecord] = {}
+    for name in both if asked.stem == "both" else (asked.stem,):
+        plan = load_plan(directory, name)
+        _warn(plan, name)
+        stop_at = asked.stop(plan)
+        record = results[name] = run_physics(plan, parameters=asked.parameters, seed=asked.seed, stop_at=stop_at)
+        record.save(directory, name, "" if stop_at is None else "-stop")
+        if asked.write is not None:
+            _write(record, plan.scenario, asked.write)
+    return results
+
+
+def _legs(asked: _Asked, json: bool) -> None:
     """All legs in the engine, one after the other."""
     from salver.planning.round import load_round
     from salver.simulation.round import simulate_round
 
+    if asked.stop_at is not None:
+        raise ScenarioError("--stop-at is a time on one leg: name that too, as --stem leg1.")
+    if asked.write is not None:
+        raise ScenarioError("--write is for one leg: name it, as --stem leg1.")
+    directory = asked.directory
     plan = load_round(directory)
     for k, leg in enumerate(plan.legs, 1):
         _warn(leg, f"leg{k}")
-    record = simulate_round(plan, parameters=parameters, seed=seed)
+    record = simulate_round(plan, parameters=asked.parameters, seed=asked.seed)
     record.save(directory)
     if json:
         print_json({"plan": {"parameters": record.parameters, **record.summary}})
@@ -157,22 +190,19 @@ def _write(record: SimulationRecord, scenario: Scenario, path: Path) -> None:
         say(f"Wrote {file}")
 
 
-def _motion(
-    path: Path, scenario: str, parameters: dict[str, float], topic: str | None, write: Path | None, json: bool
-) -> None:
+def _motion(asked: _Asked, scenario: str, topic: str | None) -> dict[str, SimulationRecord]:
     """A motion file in the engine."""
     from salver import scenario as scenarios
     from salver.auditing import read_for
     from salver.given import simulate_given
 
-    chosen = scenarios.load(scenario)
-    record = simulate_given(read_for(chosen, path, topic), chosen, parameters)
-    if write is not None:
-        _write(record, chosen, write)
-    if json:
-        print_json({"parameters": record.parameters, **record.summary})
-    else:
-        show({path.name: record})
+    if asked.run is not None or asked.stop_at is not None or asked.stem != "plan":
+        raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
+    chosen, path = scenarios.load(scenario), asked.directory
+    record = simulate_given(read_for(chosen, path, topic), chosen, asked.parameters)
+    if asked.write is not None:
+        _write(record, chosen, asked.write)
+    return {path.name: record}
 
 
 def true_values(settings: list[str]) -> dict[str, float]:

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salver.cli.common import NO_SAFE_PLAN, Json, headed, print_json, result_console, say
+from salver.cli.common import NO_SAFE_PLAN, Json, ScenarioName, headed, print_json, result_console, say
 from salver.cli.progress import step
+from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
     from salver.planning.fastest.tradeoff import TradeoffPoint
 
 
 def tradeoff(
-    scenario: Annotated[
-        str, typer.Argument(help="Name of a ready-made scenario (see `salver scenarios`) or a .toml file.")
-    ],
+    scenario: ScenarioName,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Directory; default runs/NAME-tradeoff.")] = None,
     scales: Annotated[
         str, typer.Option(help="Sizes of the uncertainty, in multiples of the scenario's, separated by commas.")
@@ -35,19 +34,11 @@ def tradeoff(
     Ends with 0 when at least the smallest uncertainty has a safe motion, with 3 otherwise.
     """
     from salver import scenario as scenarios
-    from salver.errors import ScenarioError
-    from salver.files import provenance, to_json, write_atomic
+    from salver.files import provenance
     from salver.planning.fastest.tradeoff import Asked
     from salver.planning.fastest.tradeoff import tradeoff as curve
 
-    try:
-        wanted = [float(word) for word in scales.split(",")]
-    except ValueError:
-        wanted = [-1.0]
-    if not all(0 <= scale <= 100 for scale in wanted) or len(wanted) > 100:
-        raise ScenarioError(
-            f'--scales = "{scales[:80]}" must be at most 100 numbers from 0 to 100, separated by commas.'
-        )
+    wanted = _scales(scales)
     if file_format not in ("pdf", "svg", "png"):
         raise ScenarioError(f'--format = "{file_format}" must be pdf, svg or png.')
     chosen = scenarios.load(scenario)
@@ -60,21 +51,38 @@ def tradeoff(
         if not json:
             say(f"{point.scale:g} times the uncertainty: {point.status}")
     directory = out if out is not None else Path("runs") / f"{chosen.name}-tradeoff"
-    records = [point.record() for point in points]
-    told = {"asked": asked.sentence, "points": records}
-    document = to_json({**told, "provenance": provenance(chosen)})
-    write_atomic(directory / "tradeoff.json", document, keep=True)
-    solved = [point for point in points if point.status.ok]
-    picture = directory / f"tradeoff.{file_format}"
-    if solved:
-        write_atomic(picture, draw(solved, file_format), keep=True)
+    told = {"asked": asked.sentence, "points": [point.record() for point in points]}
+    _write(directory, {**told, "provenance": provenance(chosen)}, points, file_format)
     if json:
         print_json({"directory": directory, **told})
     else:
         show(chosen.name, points)
         say(f"Written to {directory}")
-    if not solved:
+    if not any(point.status.ok for point in points):
         raise typer.Exit(NO_SAFE_PLAN)
+
+
+def _scales(text: str) -> list[float]:
+    try:
+        scales = [float(word) for word in text.split(",")]
+    except ValueError:
+        scales = [-1.0]
+    if not all(0 <= scale <= 100 for scale in scales) or len(scales) > 100:
+        raise ScenarioError(f'--scales = "{text[:80]}" must be at most 100 numbers from 0 to 100, separated by commas.')
+    return scales
+
+
+def _write(directory: Path, document: dict[str, Any], points: list[TradeoffPoint], file_format: str) -> None:
+    """The points, and a picture of those at which a motion was found."""
+    from salver.files import to_json, write_atomic
+    from salver.reports.figures import render, tradeoff_curve
+    from salver.reports.style import paper_style
+
+    write_atomic(directory / "tradeoff.json", to_json(document), keep=True)
+    if solved := [point for point in points if point.status.ok]:
+        with paper_style():
+            picture = render(tradeoff_curve(solved), file_format)
+        write_atomic(directory / f"tradeoff.{file_format}", picture, keep=True)
 
 
 def show(name: str, points: list[TradeoffPoint]) -> None:
@@ -99,23 +107,3 @@ def show(name: str, points: list[TradeoffPoint]) -> None:
     console = result_console()
     console.print(headed(name, "fastest motion that is safe for so much uncertainty"))
     console.print(table)
-
-
-def draw(points: list[TradeoffPoint], file_format: str) -> bytes:
-    """Duration over the size of the uncertainty, and over the friction needed."""
-    from matplotlib.figure import Figure
-
-    from salver.reports.figures import render
-    from salver.reports.style import BLUE, COLUMN, GREY, paper_style
-
-    with paper_style():
-        figure = Figure(figsize=(2 * COLUMN, 2.4), layout="constrained")
-        left, right = figure.subplots(1, 2, sharey=True)
-        duration = [point.duration for point in points]
-        left.plot([point.scale for point in points], duration, "o-", color=BLUE, markersize=3)
-        left.axvline(1.0, color=GREY, linewidth=0.6, linestyle=":")
-        left.set_xlabel("uncertainty survived, multiples of the scenario's")
-        left.set_ylabel("shortest safe duration [s]")
-        right.plot([point.friction_needed for point in points], duration, "o-", color=BLUE, markersize=3)
-        right.set_xlabel("least friction at which it holds, all else nominal")
-        return render(figure, file_format)

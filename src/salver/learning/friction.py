@@ -170,24 +170,8 @@ def friction(
     body = lone_load(scenario)
     if plan.joint is None:
         raise ScenarioError(f"{scenario.name}: this plan has no arm that moves; friction is shown by the arm's motion.")
-    if slid is not None and plan.method != METHOD:
-        raise ScenarioError(
-            f"slid = {slid:g} s: a slip shows friction only where nothing twists the load; make the test with salver "
-            "calibrate friction."
-        )
-    for name, value in (("held", held), ("slid", slid)):
-        if value is not None and not 0 <= value <= plan.duration:
-            raise ScenarioError(f"{name} = {value:g} s is not within the {plan.duration:.3g} s of the motion.")
-    if held is not None and slid is not None and held >= slid:
-        raise ScenarioError(f"held = {held:g} s must be before slid = {slid:g} s.")
     short = plan.method == SHORT
-    if moved is not None and not (short and 0 <= moved < 1):
-        raise ScenarioError(
-            f"moved = {moved:g} m: how far a load moved, 0 m to 1 m, tells its friction on a short tilt only (salver "
-            "calibrate friction SCENARIO --short)."
-        )
-    if short and (held is not None or slid is not None):
-        raise ScenarioError("A short tilt is over before anybody can tell when a load slid: give by how much it moved.")
+    _can_be_seen(plan, held, slid, moved)
     arm = load_arm(plan.scenario.arm, scenario.tray)  # type: ignore[arg-type]
     if samples is None:
         t = np.linspace(0.0, plan.duration, 1 + int(np.ceil(plan.duration / STEP)))
@@ -214,6 +198,27 @@ def friction(
         None if slid is None else float(high[high_at]),
         float(t[high_at]),
     )
+
+
+def _can_be_seen(plan: Plan, held: float | None, slid: float | None, moved: float | None) -> None:
+    """Raise ScenarioError for what nobody can have seen in a run of the plan, or what would show nothing."""
+    if slid is not None and plan.method != METHOD:
+        raise ScenarioError(
+            f"slid = {slid:g} s: a slip shows friction only where nothing twists the load; make the test with salver "
+            "calibrate friction."
+        )
+    for name, value in (("held", held), ("slid", slid)):
+        if value is not None and not 0 <= value <= plan.duration:
+            raise ScenarioError(f"{name} = {value:g} s is not within the {plan.duration:.3g} s of the motion.")
+    if held is not None and slid is not None and held >= slid:
+        raise ScenarioError(f"held = {held:g} s must be before slid = {slid:g} s.")
+    if moved is not None and not (plan.method == SHORT and 0 <= moved < 1):
+        raise ScenarioError(
+            f"moved = {moved:g} m: how far a load moved, 0 m to 1 m, tells its friction on a short tilt only (salver "
+            "calibrate friction SCENARIO --short)."
+        )
+    if plan.method == SHORT and (held is not None or slid is not None):
+        raise ScenarioError("A short tilt is over before anybody can tell when a load slid: give by how much it moved.")
 
 
 def proves(t: Array, w: Array, scenario: Scenario, lean: float, moved: float = 0.0) -> float:

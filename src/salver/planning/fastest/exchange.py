@@ -138,16 +138,8 @@ def optimise(
             problem, fine = more, curve_of(more, check)
             seen = _seen(fine, point).feeling(seen.terms).straying(seen.response)
         worst, binding, slower, peaks = _between(fine, objective, point, seen)
-        excess = max(worst.values())
-        longer, small = point, SMALL_EXCESS_OF_WAVES if problem.liquids else SMALL_EXCESS
-        for stretch in range(STRETCHES if problem.liquids else 1):
-            if not 0.0 < excess < small or objective.scalar is not Scalar.DURATION:
-                break
-            longer = replace(longer, duration=longer.duration * (1.0 + 2**stretch * slower))
-            stretched, still, slower, _ = _between(fine, objective, longer, _seen(fine, longer))
-            small, excess = excess, max(stretched.values())
-            if excess <= 0.0:
-                worst, binding, point = stretched, still, longer
+        if objective.scalar is Scalar.DURATION:
+            worst, binding, point = _slowed(fine, objective, point, worst, binding, slower)
         excess = max(worst.values())
         late = watch.over()
         hopeless = excess > HOPELESS or solution.iterate.violation > HOPELESS_AT_NODES
@@ -250,6 +242,25 @@ def _seen(fine: Curve, point: Point) -> Evaluation:
     z = fine.motion(point.coefficients, point.duration)
     motion = fine.problem.at(fine.grid.s, z, point.duration, fine.grid.nodes, imposed=False)
     return replace(motion, coarsely=point.margin == 0.0)  # where a margin is sought, rows further away count too
+
+
+def _slowed(
+    fine: Curve, objective: Objective, point: Point, worst: dict[str, float], binding: tuple[str, ...], slower: float
+) -> tuple[dict[str, float], tuple[str, ...], Point]:
+    """A motion that oversteps by little between the nodes, as much slower as keeps everything: its largest rows, what
+    binds it, the motion; as given where that is not enough. The last three: of the motion, from `_between`."""
+    waves = bool(fine.problem.liquids)
+    longer, excess = point, max(worst.values())
+    small = SMALL_EXCESS_OF_WAVES if waves else SMALL_EXCESS
+    for stretch in range(STRETCHES if waves else 1):
+        if not 0.0 < excess < small:
+            break
+        longer = replace(longer, duration=longer.duration * (1.0 + 2**stretch * slower))
+        stretched, still, slower, _ = _between(fine, objective, longer, _seen(fine, longer))
+        small, excess = excess, max(stretched.values())
+        if excess <= 0.0:
+            return stretched, still, longer
+    return worst, binding, point
 
 
 def _between(

@@ -36,7 +36,7 @@ from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.passing import Passing
 from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
-from salver.scenario import Scenario
+from salver.scenario import Motion, Scenario
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 from salver.sensitivity.sloshing import Spill
 from salver.sensitivity.waves import VERDICT_APART, Case, cases
@@ -191,15 +191,8 @@ def transport_problem(
         level = not scenario.motion.may_turn
     tilt = scenario.motion.max_tilt_deg
     max_tilt = 0.0 if level else float(np.deg2rad(tilt)) if tilt is not None else np.inf
-    on_the_way = [(f"through[{k}]", pose) for k, pose in enumerate(scenario.motion.through)]
-    for key, pose in (("start", scenario.motion.start), *on_the_way, ("goal", scenario.motion.goal)):
-        leans = float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))
-        if leans > max(max_tilt, np.sqrt(2) * LEVEL_TOLERANCE):  # about each of two axes: a stop may end so
-            raise ScenarioError(
-                f"motion.{key} tilts the tray by {np.rad2deg(leans):.3g} deg, and the motion may tilt it by at most "
-                f'{np.rad2deg(max_tilt):.3g} deg; give motion.orientation = "free" and a max_tilt_deg that allows it.'
-            )
     motion, first = scenario.motion, payload.bodies[0]
+    _level_enough(motion, max_tilt)
     yaw_free = motion.goal_yaw == "free" if goal_yaw_free is None else goal_yaw_free
     begin = PoseTarget(np.array(motion.start.position), motion.start.rotation, first.p_EB, first.R_EB)
     end = PoseTarget(np.array(motion.goal.position), motion.goal.rotation, first.p_EB, first.R_EB, yaw_free)
@@ -228,3 +221,15 @@ def transport_problem(
             for pose in scenario.motion.through
         ),
     )
+
+
+def _level_enough(motion: Motion, max_tilt: float) -> None:
+    """Raise ScenarioError for a pose that tilts the tray by more than max_tilt, rad."""
+    on_the_way = [(f"through[{k}]", pose) for k, pose in enumerate(motion.through)]
+    for key, pose in (("start", motion.start), *on_the_way, ("goal", motion.goal)):
+        leans = float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))
+        if leans > max(max_tilt, np.sqrt(2) * LEVEL_TOLERANCE):  # about each of two axes: a stop may end so
+            raise ScenarioError(
+                f"motion.{key} tilts the tray by {np.rad2deg(leans):.3g} deg, and the motion may tilt it by at most "
+                f'{np.rad2deg(max_tilt):.3g} deg; give motion.orientation = "free" and a max_tilt_deg that allows it.'
+            )
