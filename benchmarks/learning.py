@@ -18,7 +18,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from salver.files import read_json, write_json
 from salver.learning import identify
 from salver.learning.excite import plan_excite
 from salver.learning.sensors import SensedArm, Sensors
-from salver.learning.trips import SENSORS, trips, true_load
+from salver.learning.trips import Sensor, trips, true_load
 from salver.models.parameters import INERTIAL, inertial_vector
 from salver.models.physical import random_inertia
 from salver.planning.fastest import plan_fastest
@@ -168,7 +168,7 @@ def main() -> None:
     asked.add_argument("--trips", type=int, default=2)
     asked.add_argument("--docs", action="store_true", help="write the tables into docs/howto, from all rows kept")
     asked.add_argument("--friction", choices=FRICTION, default="open")
-    asked.add_argument("--sensor", choices=SENSORS, default="wrist")
+    asked.add_argument("--sensor", choices=get_args(Sensor), default="wrist")
     asked.add_argument(
         "--runs", type=Path, default=Path("runs/learning"), help="where loads that were carried are kept"
     )

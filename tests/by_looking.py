@@ -10,6 +10,7 @@ import numpy as np
 
 from nasty import TrueRows
 from salver.geometry import Array
+from salver.models.arm import ArmModel, tray_to_object
 from salver.models.parameters import UncertainSet
 from salver.scenario import Scenario
 
@@ -142,3 +143,8 @@ def sampled(rows: TrueRows, w: Array | Felt, count: int = 60) -> Array:
 
 def _under(w: Array | Felt, change: dict[str, float]) -> Array:
     return w(change) if callable(w) else w
+
+
+def object_jacobian(arm: ArmModel, q: Array, p_EB: Array, R_EB: Array) -> Array:
+    """J_b (6, n): dq to the twist of B in B, for B fixed to the tray at (p_EB, R_EB)."""
+    return tray_to_object(p_EB, R_EB) @ arm.body_jacobian(q)

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from scipy.linalg import expm
 
+from by_looking import object_jacobian
 from salver import scenario
 from salver.control.arm import POSTURE_GAINS, ArmController, ArmState, controller_for
 from salver.control.object import Gains, command, distribute, errors, wrench_command
@@ -45,7 +46,7 @@ def joint(panda, reference):
 def state_at(arm, q, dq, body):
     """An `ArmState` with the object exactly where it sits on the tray."""
     p, rotation = arm.object_pose(q, body.p_EB, body.R_EB)
-    twist = arm.object_jacobian(q, body.p_EB, body.R_EB) @ dq
+    twist = object_jacobian(arm, q, body.p_EB, body.R_EB) @ dq
     return ArmState(q, dq, p, rotation, rotation @ twist[:3], twist[3:])
 
 
@@ -88,8 +89,8 @@ def torque_of_the_paper(panda, joint, reference, state, t, inverse):
     seen = state.p_SB[None], state.R_SB[None], state.v_S[None], state.omega_B[None]
     a_cmd, alpha_cmd = command(GAINS, now, errors(now, *seen))
     rate = np.concatenate([state.R_SB.T @ a_cmd[0] - np.cross(state.omega_B, state.R_SB.T @ state.v_S), alpha_cmd[0]])
-    jacobian, h = panda.object_jacobian(q, cube.p_EB, cube.R_EB), 1e-6
-    ahead, behind = (panda.object_jacobian(q + sign * h * dq, cube.p_EB, cube.R_EB) for sign in (1, -1))
+    jacobian, h = object_jacobian(panda, q, cube.p_EB, cube.R_EB), 1e-6
+    ahead, behind = (object_jacobian(panda, q + sign * h * dq, cube.p_EB, cube.R_EB) for sign in (1, -1))
     drift = (ahead - behind) @ dq / (2 * h)
     kp, kd = POSTURE_GAINS
     posture = ddq_star + kp * (q_star - q) + kd * (dq_star - dq)
@@ -98,8 +99,7 @@ def torque_of_the_paper(panda, joint, reference, state, t, inverse):
     forces = cube.contacts.cone_edges @ distribute(cube.contacts.grasp_map, wrench_B)
     return (
         panda.contact_jacobian(q, cube.contacts, cube.p_EB, cube.R_EB).T @ forces
-        + panda.coriolis(q, dq) @ dq
-        + panda.gravity(q)
+        + panda.bias(q, dq)
         + panda.mass_matrix(q) @ u
     )
 
@@ -192,7 +192,7 @@ def test_wrong_mass_shows_as_a_tracking_error(panda, reference, joint):
     p, _ = panda.object_pose(path[-1], cube.p_EB, cube.R_EB)
     sag = reference.sample(DURATION).p_SB[0] - p
     # At rest: M u = J^T dw with u = J^+ (0, 0, kp sag, ...), so J u = J M^-1 J^T dw.
-    jacobian = panda.object_jacobian(path[-1], cube.p_EB, cube.R_EB)
+    jacobian = object_jacobian(panda, path[-1], cube.p_EB, cube.R_EB)
     mass = with_load(panda, [cube]).mass_matrix(path[-1])
     _, rotation = panda.object_pose(path[-1], cube.p_EB, cube.R_EB)
     weight = np.concatenate([rotation.T @ [0, 0, 0.5 * 9.81], np.zeros(3)])
@@ -230,7 +230,7 @@ def test_singular_posture_is_left_by_damped_least_squares(panda, reference, join
     controller = ArmController(panda, [cube], joint, reference, GAINS, limit_torque=False)
     stretched, slow = np.zeros(7), np.full(7, 0.01)
     state = state_at(panda, stretched, slow, cube)
-    assert np.linalg.svd(panda.object_jacobian(stretched, cube.p_EB, cube.R_EB))[1][-1] < 1e-3
+    assert np.linalg.svd(object_jacobian(panda, stretched, cube.p_EB, cube.R_EB))[1][-1] < 1e-3
 
     def damped(jacobian):
         stacked = np.vstack([jacobian, 1e-3 * np.eye(7)])

@@ -13,9 +13,9 @@ from salver.models.rigid_body import RigidBody
 from salver.sensitivity import engine
 from salver.sensitivity.engine import ClosedLoop, closed_loop_rate, sensitivity, simulate, variational
 from salver.sensitivity.tray import TrayLoop
-from salver.sensitivity.tray_casadi import _exp, _right_jacobian_inverse, sampled, tray_loop, tray_sensitivity
 from salver.simulation.closed_loop import rollout
 from salver.trajectory import PolynomialReference, SampledReference
+from tray_casadi import _exp, _right_jacobian_inverse, sampled, tray_loop, tray_sensitivity
 
 GAINS = Gains(kp=(500.0, 300.0), kd=(25.0, 15.0))
 CUBE = scenario.load("panda-cube").payload.first

@@ -114,7 +114,7 @@ sys.modules["casadi"] = None  # as if it were not installed
 from salver.errors import MissingDependencyError
 import salver.sensitivity.tray, salver.planning.plan
 try:
-    import salver.sensitivity.tray_casadi
+    import salver.sensitivity.engine
 except MissingDependencyError as error:
     print(json.dumps(str(error)))
 """

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.polynomial import Chebyshev
 
+from by_looking import object_jacobian
 from salver import scenario
 from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log
@@ -74,13 +75,13 @@ def test_tray_carries_the_object_along_the_reference(name, place):
         p, rotation = arm.object_pose(q[k], p_EB, R_EB)
         assert p == pytest.approx(wanted.p_SB[k], abs=1e-9)
         assert np.linalg.norm(log(rotation.T @ wanted.R_SB[k])) < 1e-9
-        jacobian = arm.object_jacobian(q[k], p_EB, R_EB)
+        jacobian = object_jacobian(arm, q[k], p_EB, R_EB)
         twist = jacobian @ dq[k]
         assert rotation @ twist[:3] == pytest.approx(wanted.v_S[k], abs=1e-7)
         assert twist[3:] == pytest.approx(wanted.omega_B[k], abs=1e-7)
         h = 1e-6
         rate = jacobian @ ddq[k] + (
-            (arm.object_jacobian(q[k] + h * dq[k], p_EB, R_EB) - arm.object_jacobian(q[k] - h * dq[k], p_EB, R_EB))
+            (object_jacobian(arm, q[k] + h * dq[k], p_EB, R_EB) - object_jacobian(arm, q[k] - h * dq[k], p_EB, R_EB))
             @ dq[k]
         ) / (2 * h)
         acceleration = rotation @ (rate[:3] + np.cross(twist[3:], twist[:3]))
@@ -268,7 +269,7 @@ def test_position_beyond_its_limit(panda):
 def test_load_counts_in_the_torque(panda, cube):
     motion = min_jerk_of_one_joint(0, 0.0, 1.0)
     extra = torques(panda, motion, [cube])[0] - torques(panda, motion)[0]
-    v = panda.object_jacobian(POSTURE, cube.p_EB, cube.R_EB)[:3]
+    v = object_jacobian(panda, POSTURE, cube.p_EB, cube.R_EB)[:3]
     _, rotation = panda.object_pose(POSTURE, cube.p_EB, cube.R_EB)
     assert extra == pytest.approx(-v.T @ rotation.T @ (0.256 * GRAVITY_S), abs=1e-12)
     heavy = CUBE.with_changes(objects__0__mass=40.0, objects__0__inertia=[0.1, 0.1, 0.1])

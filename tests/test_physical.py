@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import linprog
 
 from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.models.parameters import inertial_vector
-from salver.models.physical import mass_distribution, random_inertia, realisable
+from salver.models.physical import hull_faces, random_inertia, realisable, second_moments
 from salver.models.rigid_body import inertia_entries, parallel_axis
 from salver.scenario import load, parse
 
@@ -95,6 +96,32 @@ def test_inertia_of_the_papers_cube_needs_more_than_the_cube() -> None:
     value = inertial_vector(cube.inertial)
     assert not realisable(cube, value)[0]
     assert realisable(cube, value, within_shape=False)[0]
+
+
+def mass_distribution(body: Body, values: Array, per_axis: int = 9) -> tuple[Array, Array] | None:
+    """Point masses (points in B (k, 3), masses (k,)) within the shape's hull with the given inertial values (10,).
+
+    On a lattice of `per_axis` points along each side of the bounding box, and the hull's corners; None if there is
+    none on that lattice. A distribution proves that the values are possible.
+    """
+    faces = hull_faces(body)
+    corners = body.points_B
+    axes = [
+        np.linspace(low, high, per_axis) for low, high in zip(corners.min(axis=0), corners.max(axis=0), strict=True)
+    ]
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    size = float(np.ptp(corners, axis=0).max())
+    lattice = lattice[np.all(lattice @ faces[:, :3].T + faces[:, 3] <= 1e-9 * size, axis=1)]
+    points = np.vstack([lattice, corners])
+    away = (points - values[1:4]) / size
+    pairs = np.triu_indices(3)
+    moments = np.vstack([np.ones(len(points)), away.T, (away[:, pairs[0]] * away[:, pairs[1]]).T])
+    target = np.concatenate([[1.0, 0, 0, 0], second_moments(values[None])[0][pairs] / size**2])
+    result = linprog(np.zeros(len(points)), A_eq=moments, b_eq=target, bounds=(0, None), method="highs")
+    if result.status != 0:
+        return None
+    used = result.x > 0
+    return points[used], values[0] * result.x[used]
 
 
 @pytest.mark.parametrize("body", [BOX, WEDGE])

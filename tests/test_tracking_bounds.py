@@ -214,7 +214,8 @@ def test_tubes_of_the_chain_hold_every_load_and_touch_one(name: str, kind: str) 
     """Of torques, tray and joints: first order is attained; with products no sample of the set is outside."""
     chain = chain_of(name, kind, 0)
     n_p = chain.uncertain.size
-    for quantity in (chain.torque, chain.tray, chain.joint_state, chain.wrench):
+    joints = np.concatenate([chain.joints.q, chain.joints.dq], axis=1)
+    for quantity in (chain.torque, chain.tray, joints, chain.wrench):
         part = quantity[::20]
         linear = part[..., :n_p]
         farthest = by_looking.steepest(linear, chain.uncertain)

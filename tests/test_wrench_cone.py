@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy import sparse
+from scipy.optimize import linprog
 
 from salver.geometry import exp
 from salver.models import shapes
@@ -18,8 +19,6 @@ from salver.models.wrench_cone import (
     friction_needed,
     hull_facets,
     margin,
-    reach_lp,
-    rectangle_cone,
     support_length,
     support_rows,
     tip_over_margin,
@@ -42,6 +41,39 @@ def reach_by_facets(rows: np.ndarray, wrench: np.ndarray, direction: np.ndarray)
     up = np.min(-value[rate > 1e-13] / rate[rate > 1e-13], initial=np.inf)
     down = np.max(-value[rate < -1e-13] / rate[rate < -1e-13], initial=-np.inf)
     return up if up >= down else -np.inf
+
+
+def reach_lp(contacts: ContactSet, wrench_B: np.ndarray, direction_B: np.ndarray) -> float:
+    """Largest s with F + s d in the cone, for one wrench and direction (6,), by a linear programme.
+
+    Works on the lifted contact forces Lambda >= 0 and knows nothing of facets: the reference for them.
+    Infinite if every s >= some value does; minus infinity if the line misses the cone.
+    """
+    scale = np.array([1, 1, 1, *([1 / support_length(contacts)] * 3)])
+    balance = np.hstack([contacts.grasp_map, -direction_B[:, None]]) * scale[:, None]
+    cost = np.zeros(balance.shape[1])
+    cost[-1] = -1.0
+    bounds = [(0, None)] * (len(cost) - 1) + [(None, None)]
+    result = linprog(cost, A_eq=balance, b_eq=scale * wrench_B, bounds=bounds, method="highs")
+    if result.status == 3:
+        return float("inf")
+    return float(result.x[-1]) if result.status == 0 else float("-inf")
+
+
+def rectangle_cone(half_x: float, half_y: float, friction: float) -> np.ndarray:
+    """A (16, 6) of a rectangular contact with |f_x|, |f_y| <= mu f_z at each point, moments at its centre.
+
+    Closed form of Caron, Pham, Nakamura, "Stability of surface contacts for humanoid robots", ICRA 2015,
+    eqs 17-23. The same cone as `facets` of four corners with four edges at phase 45 degrees and sqrt(2) mu.
+    """
+    x, y, mu = half_x, half_y, friction
+    rows = [[s, 0, -mu, 0, 0, 0] for s in (1, -1)] + [[0, s, -mu, 0, 0, 0] for s in (1, -1)]
+    rows += [[0, 0, -y, s, 0, 0] for s in (1, -1)] + [[0, 0, -x, 0, s, 0] for s in (1, -1)]
+    for s in (1, -1):
+        for e in (1, -1):
+            rows.append([s * y, e * x, -mu * (x + y), mu * s, mu * e, 1])
+            rows.append([s * y, e * x, -mu * (x + y), -mu * s, -mu * e, -1])
+    return np.array(rows, dtype=float)
 
 
 @pytest.mark.parametrize(("n", "edges"), [(3, 3), (3, 4), (4, 4), (5, 7), (6, 4), (8, 8), (12, 4), (12, 12)])

@@ -72,16 +72,8 @@ def log(rotation: npt.ArrayLike) -> Array:
     return factor[..., None] * xyz
 
 
-def right_jacobian(theta: npt.ArrayLike) -> Array:
-    """J_r (..., 3, 3): Exp(theta + d) = Exp(theta) Exp(J_r d) to first order."""
-    theta = np.asarray(theta, dtype=float)
-    _, b, c = _series(np.linalg.norm(theta, axis=-1))
-    skew = hat(theta)
-    return np.eye(3) - b[..., None, None] * skew + c[..., None, None] * (skew @ skew)
-
-
 def right_jacobian_inverse(theta: npt.ArrayLike) -> Array:
-    """Inverse of `right_jacobian`, for angles below 2 pi."""
+    """J_r^-1 (..., 3, 3) for angles below 2 pi, with Exp(theta + d) = Exp(theta) Exp(J_r d) to first order."""
     theta = np.asarray(theta, dtype=float)
     angle = np.linalg.norm(theta, axis=-1)
     a, b, _ = _series(angle)

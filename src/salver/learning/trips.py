@@ -36,7 +36,6 @@ from salver.sampling import draw
 from salver.scenario import Scenario
 from salver.simulation.physics import Experiment, simulate
 
-SENSORS = ("wrist", "torques")
 RATE = 1000.0  # samples of the sensors a second
 TILTS = 12  # at most
 SURE = 4  # are made in any case, with a wrist sensor, and are logs: they show how steep the next may be;

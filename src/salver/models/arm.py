@@ -95,20 +95,10 @@ class ArmModel:
         """J_e (6, n): dq to the twist of E in E; the manipulator body Jacobian of eq (21)."""
         return pin.computeFrameJacobian(self.pin_model, self.data, q, self.tray_id, pin.LOCAL)
 
-    def body_jacobian_rate(self, q: Array, dq: Array) -> Array:
-        """dJ_e/dt (6, n) when the joints move at dq."""
-        pin.computeJointJacobiansTimeVariation(self.pin_model, self.data, q, dq)
-        pin.updateFramePlacement(self.pin_model, self.data, self.tray_id)
-        return pin.getFrameJacobianTimeVariation(self.pin_model, self.data, self.tray_id, pin.LOCAL)
-
     def drift(self, q: Array, dq: Array) -> Array:
         """dJ_e/dt dq (6,): rate of E's body twist when ddq = 0."""
         pin.forwardKinematics(self.pin_model, self.data, q, dq, np.zeros(self.n))
         return pin.getFrameAcceleration(self.pin_model, self.data, self.tray_id, pin.LOCAL).vector.copy()
-
-    def object_jacobian(self, q: Array, p_EB: Array, R_EB: Array) -> Array:
-        """J_b (6, n): dq to the twist of B in B, for B fixed to the tray at (p_EB, R_EB)."""
-        return tray_to_object(p_EB, R_EB) @ self.body_jacobian(q)
 
     def contact_jacobian(self, q: Array, contacts: ContactSet, p_EB: Array, R_EB: Array) -> Array:
         """J_c (3 n_c, n) of eq (21), with the selection B_c^T that it needs: velocities of the tray's material
@@ -124,10 +114,6 @@ class ArmModel:
         pin.crba(self.pin_model, self.data, q)
         upper = np.triu(self.data.M)
         return upper + np.triu(upper, 1).T
-
-    def coriolis(self, q: Array, dq: Array) -> Array:
-        """C_r (n, n) of eq (20), by Christoffel symbols, so that dM/dt - 2 C is skew."""
-        return pin.computeCoriolisMatrix(self.pin_model, self.data, q, dq).copy()
 
     def gravity(self, q: Array) -> Array:
         """N_r (n,) of eq (20), N m."""

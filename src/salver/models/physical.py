@@ -5,7 +5,7 @@ all needs mass > 0 and positive second moments (which contains the triangle ineq
 moments; Traversaro et al. 2016, Wensing et al. 2018). One that lies within the shape's convex hull needs
 more: for any two faces with distances h_i(x), h_j(x) >= 0 inside, the mean of h_i h_j is not negative (moment
 conditions of order one; Heins and Schoellig, "Robust Nonprehensile Object Transportation with Uncertain Inertial
-Parameters", 2025). These are necessary. `mass_distribution` shows sufficiency: it finds point masses, or none.
+Parameters", 2025). These are necessary; the tests count how far they are from sufficient.
 """
 
 from __future__ import annotations
@@ -124,32 +124,3 @@ def random_inertia(body: Body, com: Array, rng: np.random.Generator, points: int
     weight = np.append(share * far, 1.0) / (1.0 + far)
     second = np.einsum("p,pi,pj->ij", weight, away, away)
     return inertia_entries(np.trace(second) * np.eye(3) - second)
-
-
-def mass_distribution(body: Body, values: npt.ArrayLike, per_axis: int = 9) -> tuple[Array, Array] | None:
-    """Point masses (points in B (k, 3), masses (k,)) within the shape's hull with the given inertial values (10,).
-
-    On a lattice of `per_axis` points along each side of the bounding box, and the hull's corners; None if there is
-    none on that lattice. A distribution proves that the values are possible.
-    """
-    from scipy.optimize import linprog
-
-    row = np.asarray(values, dtype=float)
-    faces = hull_faces(body)
-    corners = body.points_B
-    axes = [
-        np.linspace(low, high, per_axis) for low, high in zip(corners.min(axis=0), corners.max(axis=0), strict=True)
-    ]
-    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    size = float(np.ptp(corners, axis=0).max())
-    lattice = lattice[np.all(lattice @ faces[:, :3].T + faces[:, 3] <= _TOLERANCE * size, axis=1)]
-    points = np.vstack([lattice, corners])
-    away = (points - row[1:4]) / size
-    pairs = np.triu_indices(3)
-    moments = np.vstack([np.ones(len(points)), away.T, (away[:, pairs[0]] * away[:, pairs[1]]).T])
-    target = np.concatenate([[1.0, 0, 0, 0], second_moments(row[None])[0][pairs] / size**2])
-    result = linprog(np.zeros(len(points)), A_eq=moments, b_eq=target, bounds=(0, None), method="highs")
-    if result.status != 0:
-        return None
-    used = result.x > 0
-    return points[used], row[0] * result.x[used]

@@ -114,25 +114,6 @@ def tip_over_margin(contacts: ContactSet, wrench_B: Array) -> Array:
     return np.where(pressing, distance, -np.inf)
 
 
-def reach_lp(contacts: ContactSet, wrench_B: Array, direction_B: Array) -> float:
-    """Largest s with F + s d in the cone, for one wrench and direction (6,), by a linear programme.
-
-    Works on the lifted contact forces Lambda >= 0 and knows nothing of facets: the reference for them.
-    Infinite if every s >= some value does; minus infinity if the line misses the cone.
-    """
-    from scipy.optimize import linprog
-
-    scale = np.array([1, 1, 1, *([1 / support_length(contacts)] * 3)])
-    balance = np.hstack([contacts.grasp_map, -direction_B[:, None]]) * scale[:, None]
-    cost = np.zeros(balance.shape[1])
-    cost[-1] = -1.0
-    bounds = [(0, None)] * (len(cost) - 1) + [(None, None)]
-    result = linprog(cost, A_eq=balance, b_eq=scale * wrench_B, bounds=bounds, method="highs")
-    if result.status == 3:
-        return float("inf")
-    return float(result.x[-1]) if result.status == 0 else float("-inf")
-
-
 def unit_friction_rows(contacts: ContactSet) -> tuple[Array, Array]:
     """Rows (t, n), each (n_f, 6), of the facets that friction limits: (t / mu + n) F_B <= 0 for a coefficient mu."""
     length = support_length(contacts)
@@ -217,22 +198,6 @@ def _largest_scale(xy: Array, unit: Array, direction: Array) -> float:
         unit_forces = np.where(pressing[:, None], forces / np.where(pressing, size, 1.0)[:, None], [1.0, 0.0])
         tangents.append(unit_forces[None])
     return best
-
-
-def rectangle_cone(half_x: float, half_y: float, friction: float) -> Array:
-    """A (16, 6) of a rectangular contact with |f_x|, |f_y| <= mu f_z at each point, moments at its centre.
-
-    Closed form of Caron, Pham, Nakamura, "Stability of surface contacts for humanoid robots", ICRA 2015,
-    eqs 17-23. The same cone as `facets` of four corners with four edges at phase 45 degrees and sqrt(2) mu.
-    """
-    x, y, mu = half_x, half_y, friction
-    rows = [[s, 0, -mu, 0, 0, 0] for s in (1, -1)] + [[0, s, -mu, 0, 0, 0] for s in (1, -1)]
-    rows += [[0, 0, -y, s, 0, 0] for s in (1, -1)] + [[0, 0, -x, 0, s, 0] for s in (1, -1)]
-    for s in (1, -1):
-        for e in (1, -1):
-            rows.append([s * y, e * x, -mu * (x + y), mu * s, mu * e, 1])
-            rows.append([s * y, e * x, -mu * (x + y), -mu * s, -mu * e, -1])
-    return np.array(rows, dtype=float)
 
 
 def hull_facets(rays: Array) -> Array:

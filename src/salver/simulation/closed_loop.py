@@ -138,7 +138,6 @@ def _from_deviation(deviation: npt.ArrayLike | None, n: int, reference: MotionSa
     return np.concatenate([-d[:, :3], -d[:, 3:6], -d[:, 6:9], e_w], axis=1)
 
 
-STATE_NAMES = tuple(f"{part}_{axis}" for part in ("dp", "dtheta", "dv", "domega") for axis in "xyz")
 ROUNDING = 1e-9  # in the unit of each quantity; leaving a tube by less is not leaving it
 
 
@@ -169,11 +168,6 @@ class Coverage:
         return int(self.outside.any(axis=1).sum())
 
     @property
-    def inside_share(self) -> float:
-        """Share of the records that stayed in all of their tubes."""
-        return 1 - self.left / len(self.excess)
-
-    @property
     def worst(self) -> tuple[int, int]:
         """(sample, quantity) with the largest relative excess among those outside; of all when none is."""
         score = np.where(self.outside, self.relative, -np.inf)
@@ -201,7 +195,7 @@ def coverage(
 ) -> Coverage:
     """Which of the sampled records `values` (n, T, c) left the tubes nominal +- radius, each (T, c).
 
-    For states pass `Rollout.deviation`, nominal zero and `STATE_NAMES`; for inputs `Rollout.cone_coefficients`.
+    For states pass `Rollout.deviation`, nominal zero; for inputs `Rollout.cone_coefficients`.
     The default tolerance is the rollouts' own accuracy.
     """
     beyond = tubes.excess(values, nominal, radius)

@@ -159,11 +159,6 @@ class ArmChain(Outlined):
     def uncertain(self) -> UncertainSet:
         return self.model.load.uncertain
 
-    @property
-    def joint_state(self) -> Array:
-        """(T, 2 n, n_c): deviation of q, then of dq."""
-        return np.concatenate([self.joints.q, self.joints.dq], axis=1)
-
     def radius(self, sensitivity: Array) -> Array:
         """Half-width (T, ...) of the tube of one of these quantities over the scenario's uncertain set: eq (11)."""
         if sensitivity.shape[-1] == self.uncertain.size:

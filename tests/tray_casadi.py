@@ -1,9 +1,10 @@
-"""The carried object and its controller, eqs (18) and (19), as expressions for the general engine.
+"""The carried object and its controller, eqs (18) and (19), as expressions for the general engine: what the linear
+filter of `salver.sensitivity.tray` is held against.
 
 The state is the deviation from the reference in the tangent space, so that Pi has the rows of
 docs/conventions.md: (dp in S, dtheta in B with R = R* Exp(dtheta), dv in S, domega = omega - omega* in B).
 Nominally it stays zero. The plant is Newton's and Euler's law at the true centre of mass, which is not how
-`salver.control.object` writes it; the tests hold the two against each other.
+`salver.control.object` writes it.
 """
 
 from __future__ import annotations
