@@ -21,8 +21,8 @@ APART = 1e-4  # s: between nearer instants a quintic's jerk is lost in rounding
 class Linear(JointLoop):
     """A loop for which what is missing is linear between the nodes."""
 
-    def along(self, t, terms, rates, order=1):
-        return super().along(t, terms, rates, order)
+    def along(self, t, terms, rates, order=1, shares=None):
+        return super().along(t, terms, rates, order, shares)
 
 
 class Told(NamedTuple):

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from salver.errors import ScenarioError
-from salver.geometry import Array
+from salver.geometry import Array, cross
 from salver.models.arm import ArmModel
 from salver.models.bodies import Body
 from salver.models.described import ObstacleDescription
@@ -172,17 +172,17 @@ class ArmGeometry:
         model, data, results = self.arm.pin_model, self.arm.data, list(self.data.distanceResults)
         normal, points = np.empty((len(node), 1, 3)), np.empty((len(node), 2, 3))
         velocity = np.empty((len(node), 6, self.arm.n))  # of each joint: of the point at the world's origin, and turn
-        for k in np.unique(node):
-            pin.computeJointJacobians(model, data, q[k])
-            pin.updateGeometryPlacements(model, data, self.model, self.data)
-            mine = np.flatnonzero(node == k)
-            velocity[mine] = data.J
-            for r in mine.tolist():
-                pin.computeDistance(self.model, self.data, int(pair[r]))
-                result = results[int(pair[r])]
-                normal[r] = result.normal
-                points[r] = result.getNearestPoint1(), result.getNearestPoint2()
-        along = normal @ velocity[:, :3] + np.cross(points, normal) @ velocity[:, 3:]  # (r, 2, n)
+        last = -1
+        for r, (k, one) in enumerate(zip(node.tolist(), pair.tolist(), strict=True)):
+            if k != last:
+                pin.computeJointJacobians(model, data, q[k])
+                pin.updateGeometryPlacements(model, data, self.model, self.data)
+                last, columns = k, data.J
+            pin.computeDistance(self.model, self.data, one)
+            result = results[one]
+            normal[r], velocity[r] = result.normal, columns
+            points[r, 0], points[r, 1] = result.getNearestPoint1(), result.getNearestPoint2()
+        along = normal @ velocity[:, :3] + cross(points, normal) @ velocity[:, 3:]  # (r, 2, n)
         along *= self._carried[pair]
         return np.asarray(along[:, 1] - along[:, 0])
 

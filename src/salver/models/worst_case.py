@@ -178,7 +178,7 @@ class WorstCase:
             level, dual = rows.radius(terms), rows.dual(terms)
             own = [np.einsum("rk,prk->rp", w, f.rows) for f in fillings]
             cases = [(level, dual, own, np.zeros(len(row)))]
-            if self.drift is not None:
+            if self.drift is not None and self.drift.terms:
                 change = np.einsum("rk,rkp->rp", nominal, self.drift.dw[node])
                 roles = _roles(rows, self.drift)
                 strayed = terms.copy()
@@ -325,6 +325,7 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None) -> Callable[[slic
     columns = np.concatenate([rows.parameter, rows.remainder])[:, :, felt]
     nominal, flat = rows.nominal[:, felt].T, np.ascontiguousarray(columns.reshape(-1, columns.shape[2]).T)
     sides = [np.ascontiguousarray(side[:, felt]) for _, side in _sides(w, drift)]
+    drift = drift if n_k else None  # what only swings has no more cases than sides
     fillings = tuple(filling.mapped(lambda array: array[..., felt]) for filling in rows.fillings)
     if drift is not None:
         roles = _roles(rows, drift)

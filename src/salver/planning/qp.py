@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import daqp
@@ -43,6 +44,11 @@ class Quadratic:
     low: Array
     high: Array
 
+    @cached_property
+    def share(self) -> float:
+        """Of the rows' entries that are not zero."""
+        return np.count_nonzero(self.rows) / max(1, self.rows.size)
+
 
 @dataclass(frozen=True)
 class Optimum:
@@ -72,8 +78,7 @@ def solve(programme: Quadratic, tolerance: float) -> Optimum | None:
 
 def _banded(programme: Quadratic) -> bool:
     """Whether there are many unknowns, of which a row has few."""
-    rows = programme.rows
-    return bool(len(programme.cost) > FEW and np.count_nonzero(rows) < DENSE * rows.size)
+    return len(programme.cost) > FEW and programme.share < DENSE
 
 
 def active_set(programme: Quadratic, tolerance: float) -> Optimum | None:

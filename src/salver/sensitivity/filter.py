@@ -45,11 +45,15 @@ class LinearFilter:
     samples: npt.NDArray[np.intp] | None
 
     @classmethod
-    def on_nodes(cls, t: Array, kp: float, kd: float, order: int = 1) -> LinearFilter:
-        """For a drive known at increasing nodes t (T,), linear (order 1) or cubic (order 3; T >= 4) between them."""
+    def on_nodes(cls, t: Array, kp: float, kd: float, order: int = 1, shares: Array | None = None) -> LinearFilter:
+        """For a drive known at increasing nodes t (T,), linear (order 1) or cubic (order 3; T >= 4) between them.
+
+        shares: the same nodes in a unit in which they come again when motions become longer or shorter.
+        """
         if len(t) <= order:
             raise ValueError(f"a filter of order {order} needs at least {order + 1} nodes, not {len(t)}")
-        return _on_nodes(t.tobytes(), kp, kd, order)
+        t = np.asarray(t, dtype=float)
+        return _on_nodes(t.tobytes(), kp, kd, order, (t if shares is None else shares).tobytes())
 
     @classmethod
     def stiffened(cls, t: Array, kp: Array, kd: Array, extra: Array) -> LinearFilter:
@@ -60,7 +64,8 @@ class LinearFilter:
         step implicit: (1 + F) X_(k+1) = (step - G) X_k + gain d.
         """
         h, fastest = np.diff(t), int(np.argmax(kp))
-        u, weights = _fine(float(kp.flat[fastest]), float(kd.flat[fastest]), h)
+        u, weights = _fine(_pieces(float(kp.flat[fastest]), float(kd.flat[fastest]), h))
+        weights = weights * h[:, None]
         samples, basis = _lagrange(t, 3, u)
         sigma = 0.5 * kd[..., None, None]
         omega = np.sqrt(kp[..., None, None] - sigma**2)
@@ -154,11 +159,24 @@ def _swinging(sigma: Array, omega: Array, kp: Array, h: Array) -> Array:
     return np.moveaxis(np.array([[cosine + own, sine], [-stiff, cosine - own]]), (0, 1), (-2, -1))
 
 
-def _fine(kp: float, kd: float, h: Array) -> tuple[Array, Array]:
-    """Fractions (G,) of a step at which its integral is taken, and weights (T - 1, G), s, for steps h (T - 1,)."""
-    pieces = int(np.clip(np.ceil(fastest_rate(kp, kd) * h.max()), 1, _MOST_PIECES))
+def _pieces(kp: float, kd: float, h: Array) -> int:
+    """Into how many each of steps h (T - 1,) is cut where an integral over it is taken."""
+    return min(max(int(np.ceil(fastest_rate(kp, kd) * float(h.max()))), 1), _MOST_PIECES)
+
+
+@lru_cache(maxsize=_MOST_PIECES)
+def _fine(pieces: int) -> tuple[Array, Array]:
+    """Fractions (G,) of a step at which its integral is taken, and their weights (G,)."""
     inside = ((np.arange(pieces)[:, None] + 0.5 + _FINE_POINTS) / pieces).ravel()
-    return inside, np.tile(_FINE_WEIGHTS, pieces) / pieces * h[:, None]
+    return inside, np.tile(_FINE_WEIGHTS, pieces) / pieces
+
+
+@lru_cache(maxsize=64)
+def _weighed(shares: bytes, order: int, pieces: int) -> tuple[npt.NDArray[np.intp], Array]:
+    """`_lagrange` where integrals are taken, with their weights: the same in any unit of time."""
+    inside, weights = _fine(pieces)
+    samples, basis = _lagrange(np.frombuffer(shares), order, inside)
+    return samples, weights[:, None] * basis
 
 
 def _lagrange(t: Array, order: int, inside: Array) -> tuple[npt.NDArray[np.intp], Array]:
@@ -181,19 +199,48 @@ def fastest_rate(kp: float, kd: float) -> float:
 def transition(kp: float, kd: float, t: npt.ArrayLike) -> Array:
     """(..., 2, 2): (x, x') at t = 0 to those t seconds later, without a drive."""
     t = np.asarray(t, dtype=float)
+    cosine, sine = _ringing(kp, kd, t)
+    own = 0.5 * kd * sine
+    found = np.empty((*t.shape, 2, 2))
+    found[..., 0, 0], found[..., 0, 1], found[..., 1, 0], found[..., 1, 1] = (
+        cosine + own,
+        sine,
+        -kp * sine,
+        cosine - own,
+    )
+    return found
+
+
+def pushed(kp: float, kd: float, t: Array) -> Array:
+    """(2, ...): x and x' t seconds after a unit push, from rest: the second column of `transition`."""
+    cosine, sine = _ringing(kp, kd, t)
+    return np.array([sine, cosine - 0.5 * kd * sine])
+
+
+def _ringing(kp: float, kd: float, t: Array) -> tuple[Array, Array]:
+    """Real part, and imaginary part over omega, of e^((-sigma + i omega) t), the poles -sigma +- i omega."""
     sigma = 0.5 * kd
-    omega = np.sqrt(complex(kp - sigma**2))
-    forward, backward = np.exp((1j * omega - sigma) * t), np.exp((-1j * omega - sigma) * t)
-    cosine = np.real(forward + backward) / 2
-    sine = t * np.exp(-sigma * t) if abs(omega) < 1e-9 else np.real((forward - backward) / (2j * omega))
-    shifted = np.array([[sigma, 1.0], [-kp, -sigma]])
-    return cosine[..., None, None] * np.eye(2) + sine[..., None, None] * shifted
+    squared = kp - sigma**2
+    omega = abs(squared) ** 0.5
+    if omega < 1e-9:
+        fading = np.exp(-sigma * t)
+        return fading, t * fading
+    if squared > 0:
+        fading = np.exp(-sigma * t)
+        return fading * np.cos(omega * t), fading * np.sin(omega * t) / omega
+    slow, quick = np.exp((omega - sigma) * t), np.exp((-omega - sigma) * t)
+    return 0.5 * (slow + quick), 0.5 * (slow - quick) / omega
 
 
 def settled(kp: float, kd: float, seconds: float, drive: Array) -> Array:
     """(2, ...) state after a constant drive (...) has been there for so long, from rest."""
+    return np.multiply.outer(_settled(kp, kd, seconds), drive)
+
+
+@lru_cache(maxsize=64)
+def _settled(kp: float, kd: float, seconds: float) -> Array:
     end = np.array([1.0 / kp, 0.0])
-    return np.multiply.outer(end - transition(kp, kd, seconds) @ end, drive)
+    return end - transition(kp, kd, seconds) @ end
 
 
 @dataclass(frozen=True)
@@ -256,21 +303,20 @@ _PARTIAL = _partial_weights()
 
 
 @lru_cache(maxsize=16)
-def _on_nodes(t: bytes, kp: float, kd: float, order: int) -> LinearFilter:
+def _on_nodes(t: bytes, kp: float, kd: float, order: int, shares: bytes) -> LinearFilter:
     """`LinearFilter.on_nodes`: of motions that change while they run, the same nodes come again and again."""
     nodes = np.frombuffer(t)
     h = np.diff(nodes)
-    inside, weights = _fine(kp, kd, h)
-    samples, basis = _lagrange(nodes, order, inside)
-    after = transition(kp, kd, h[:, None] * (1 - inside))[..., 1]
-    gain = np.einsum("tg,tgi,tgj->tij", weights, after, basis)
+    pieces = _pieces(kp, kd, h)
+    samples, basis = _weighed(shares, order, pieces)
+    after = pushed(kp, kd, h[:, None] * (1 - _fine(pieces)[0]))  # (2, T - 1, G)
+    gain = np.swapaxes(after * h[:, None], 0, 1) @ basis
     return LinearFilter(kp, kd, transition(kp, kd, h), gain, samples)
 
 
 @lru_cache(maxsize=64)
 def _on_grid(kp: float, kd: float, h: float, intervals: int, substeps: int) -> LinearFilter:
     grid = QuadratureGrid(np.array([0.0, h]), substeps)
-    after = transition(kp, kd, h * (1 - grid.fractions))[..., 1]
-    gain = after.T * grid.interval_weights
+    gain = pushed(kp, kd, h * (1 - grid.fractions)) * grid.interval_weights
     step, gain = (np.broadcast_to(x, (intervals, *x.shape)) for x in (transition(kp, kd, h), gain))
     return LinearFilter(kp, kd, step, gain, None)

@@ -152,14 +152,16 @@ class Evaluation:
     @cached_property
     def terms(self) -> MotionTerms:
         """What the tray feels and the torque it takes at the nodes; derivatives too, when they are read."""
-        return motion_terms(self.model, self.frame_id, *self.at_nodes[:3])
+        q, dq, ddq = self.at_nodes[:3]
+        return motion_terms(self.model, self.frame_id, q, dq, ddq, deriving=self.tracking is not None)
 
     @cached_property
     def response(self) -> Deviation | None:
         """What a wrong load and held commands do to the arm at the nodes."""
         if self.tracking is None:
             return None
-        return self.tracking.along(self.s[self.nodes] * self.duration, self.terms, self.at_nodes[1:])
+        shares = self.s[self.nodes]
+        return self.tracking.along(shares * self.duration, self.terms, self.at_nodes[1:], shares=shares)
 
     def straying_as(self, other: Evaluation) -> Evaluation:
         """This motion, with an arm that strays from it as from a motion like it, at the same instants."""

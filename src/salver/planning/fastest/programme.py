@@ -67,9 +67,13 @@ class Iterate:
         parts[:, :3] = slope.reshape(len(parts), 3, motion.n)
         at = np.repeat(motion.nodes, slope.shape[1])
         columns = self.curve.columns(point.coefficients, point.duration, parts, at)
-        slower = self.curve.by_duration(point.coefficients, point.duration, motion.z)
-        felt = np.column_stack([columns, 0.5 * np.einsum("rkn,krn->r", parts, slower[:, at])])
+        felt = np.column_stack([columns, 0.5 * np.einsum("rkn,krn->r", parts, self.slower[:, at])])
         return Unknowns(felt.reshape(*slope.shape[:2], -1), np.append(np.zeros(columns.shape[1]), 0.5))
+
+    @cached_property
+    def slower(self) -> Array:
+        """(4, P, n) derivative of the motion by log T, the coefficients unchanged."""
+        return self.curve.by_duration(self.point.coefficients, self.point.duration, self.motion.z)
 
     @cached_property
     def worst(self) -> tuple[float, str]:
@@ -175,8 +179,7 @@ class Programme:
         parts = rows.reshape(len(point), 4, -1)
         out = np.empty((len(point), path.coefficients.size + 1))
         out[:, :-1] = self.curve.columns(path.coefficients, path.duration, parts, point)
-        slower = self.curve.by_duration(path.coefficients, path.duration, path.motion.z)
-        out[:, -1] = 0.5 * np.einsum("rkn,krn->r", parts, slower[:, point])
+        out[:, -1] = 0.5 * np.einsum("rkn,krn->r", parts, path.slower[:, point])
         return out
 
     def linearised(self, path: Iterate, masks: Sequence[Mask]) -> Linearised:
@@ -285,17 +288,18 @@ class Subproblem:
         free, count = self.free, len(rows.bound)
         known = free[free < self.extra.shape[1]]  # of the coefficients, which come first, and without a gap
         inner = slice(known[0], known[-1] + 1)
-        matrix = np.zeros((count + len(self.extra), len(free)))
-        matrix[:count, : len(known)] = rows.matrix[:, inner]
-        matrix[:count, len(known) : -1] = rows.matrix[:, free[len(known) : -1]]
-        matrix[:count, -1] = -1.0
-        matrix[count:, : len(known)] = self.extra[:, inner]
+        columns = np.empty((len(free), count + len(self.extra)))  # as solvers for what is sparse want them
+        columns[: len(known), :count] = rows.matrix[:, inner].T
+        columns[len(known) : -1, :count] = rows.matrix[:, free[len(known) : -1]].T
+        columns[-1, :count] = -1.0
+        columns[: len(known), count:] = self.extra[:, inner].T
+        columns[len(known) :, count:] = 0.0
         equal = np.zeros((len(self.target), len(free)))
         equal[:, : len(known)] = self.equal[:, inner]
         programme = qp.Quadratic(
             self.hessian[np.ix_(free, free)],
             self.cost[free],
-            matrix,
+            columns.T,
             np.concatenate([rows.bound, self.extra_bound]),
             equal,
             self.target,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -79,22 +79,7 @@ class MotionTerms:
     @cached_property
     def derivatives(self) -> Derivatives:
         """By Pinocchio, at every instant."""
-        model, data, frame_id = self.model, self.model.createData(), self.frame_id
-        count, n = self.q.shape
-        parts, torque_z = np.empty((count, 4, 6, n)), np.empty((count, n, 3 * n))
-        torque_q, torque_dq, mass_matrix = data.dtau_dq, data.dtau_dv, data.M  # what each call fills anew
-        for i, (q, dq, ddq) in enumerate(zip(self.q, self.dq, self.ddq, strict=True)):
-            pin.computeForwardKinematicsDerivatives(model, data, q, dq, ddq)
-            # Velocity by q; acceleration by q, dq and ddq. The last is the Jacobian.
-            of_velocity, *of_acceleration = pin.getFrameAccelerationDerivatives(model, data, frame_id, pin.LOCAL)
-            parts[i, 0] = of_velocity
-            parts[i, 1], parts[i, 2], parts[i, 3] = of_acceleration
-            pin.computeRNEADerivatives(model, data, q, dq, ddq)
-            torque_z[i, :, :n], torque_z[i, :, n : 2 * n], torque_z[i, :, 2 * n :] = torque_q, torque_dq, mass_matrix
-        half = torque_z[:, :, 2 * n :]
-        upper = np.triu(half)  # Pinocchio fills this half
-        half[:] = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
-        return Derivatives(parts[:, 0], parts[:, 1], parts[:, 2], parts[:, 3], torque_z)
+        return _all_of(self.model, self.frame_id, self.q, self.dq, self.ddq)[1]
 
     @property
     def twist_q(self) -> Array:
@@ -172,8 +157,16 @@ class MotionTerms:
         return found
 
 
-def motion_terms(model: Any, frame_id: int, q: Array, dq: Array, ddq: Array) -> MotionTerms:
-    """Terms of a Pinocchio model, load included, whose frame `frame_id` is E, at states (T, n)."""
+def motion_terms(model: Any, frame_id: int, q: Array, dq: Array, ddq: Array, deriving: bool = False) -> MotionTerms:
+    """Terms of a Pinocchio model, load included, whose frame `frame_id` is E, at states (T, n).
+
+    deriving: derivatives will be read; found with the values they cost less.
+    """
+    if deriving:
+        values, derivatives = _all_of(model, frame_id, q, dq, ddq)
+        terms = _of_values(model, frame_id, q, dq, ddq, *values)
+        terms.__dict__["derivatives"] = derivatives
+        return terms
     (count, n), data, frame = q.shape, model.createData(), model.frames[frame_id]
     p, rotation = np.empty((count, 3)), np.empty((count, 3, 3))  # of the last joint, as twist and acceleration first
     twist, spatial, torque = np.empty((count, 6)), np.empty((count, 6)), np.empty((count, n))
@@ -187,9 +180,73 @@ def motion_terms(model: Any, frame_id: int, q: Array, dq: Array, ddq: Array) -> 
     to_frame = frame.placement.inverse().action  # both are of the last link, seen from its joint
     twist, felt = twist @ to_frame.T, spatial @ to_frame.T
     p_SE, R_SE = p + rotation @ frame.placement.translation, rotation @ frame.placement.rotation
+    return _of_values(model, frame_id, q, dq, ddq, p_SE, R_SE, twist, felt, torque)
+
+
+def _of_values(
+    model: Any,
+    frame_id: int,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    p_SE: Array,
+    R_SE: Array,
+    twist: Array,
+    falling: Array,
+    torque: Array,
+) -> MotionTerms:
+    """Terms by the twist of E and `falling` (T, 6), its spatial acceleration against free fall, both in E."""
     v, omega = twist[:, :3], twist[:, 3:]
-    spatial = felt.copy()
-    spatial[:, :3] += GRAVITY_S @ R_SE  # Pinocchio's acceleration is that against free fall
-    felt = felt[:, :3] + (hat(omega) @ v[:, :, None])[:, :, 0]
+    spatial = falling.copy()
+    spatial[:, :3] += GRAVITY_S @ R_SE
+    felt = falling[:, :3] + (hat(omega) @ v[:, :, None])[:, :, 0]
     w = np.concatenate([felt, spatial[:, 3:], omega[:, _FIRST] * omega[:, _SECOND]], axis=1)
     return MotionTerms(model, frame_id, q, dq, ddq, p_SE, R_SE, twist, spatial, torque, w)
+
+
+def _all_of(
+    model: Any, frame_id: int, q: Array, dq: Array, ddq: Array
+) -> tuple[tuple[Array, Array, Array, Array, Array], Derivatives]:
+    """p_SE, R_SE, twist and falling (see `_of_values`), torque, and derivatives, from one call for each instant.
+
+    With twists of the world's origin, S_j the axis of joint j, V and A velocity and acceleration of the link before it,
+    Pinocchio leaves the columns S_j, V x S_j (its rate) and A x S_j + V x (V x S_j). As each joint moves about
+    one axis, the last link's twist and acceleration are sums over them, and so are the derivatives.
+    """
+    (count, n), data, frame = q.shape, model.createData(), model.frames[frame_id]
+    last, place = list(model.supports[frame.parentJoint])[1:], data.oMi[frame.parentJoint]
+    p, rotation, torque = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, n))
+    columns, torque_z = np.empty((count, 3, 6, n)), np.empty((count, 3, n, n))
+    now = [place.translation, place.rotation, data.tau, data.J, data.dJ, data.dAdq, data.dtau_dq, data.dtau_dv, data.M]
+    p_now, rotation_now, torque_now, *by_joint = now  # what each call fills anew
+    for i, state in enumerate(zip(q, dq, ddq, strict=True)):
+        pin.computeRNEADerivatives(model, data, *state)
+        p[i], rotation[i], torque[i] = p_now, rotation_now, torque_now
+        columns[i, 0], columns[i, 1], columns[i, 2], torque_z[i, 0], torque_z[i, 1], torque_z[i, 2] = by_joint
+    row, column = _lower(n)
+    torque_z[:, 2, row, column] = torque_z[:, 2, column, row]  # Pinocchio fills the upper half
+    p_SE, R_SE = p + rotation @ frame.placement.translation, rotation @ frame.placement.rotation
+
+    if len(last) < n:
+        columns[..., [j for j in range(n) if j + 1 not in last]] = 0.0
+    columns[:, :, :3] += hat(p_SE)[:, None].swapaxes(-1, -2) @ columns[:, :, 3:]  # now of twists of E,
+    columns = (R_SE.swapaxes(-1, -2)[:, None, None] @ columns.reshape(count, 3, 2, 3, n)).reshape(columns.shape)
+    S, twist_q, felt_q = columns.swapaxes(0, 1)  # in E
+    rates = np.stack([dq, ddq], axis=2)
+    (twist, pushed), carried = (S @ rates).transpose(2, 0, 1), (twist_q @ dq[:, :, None])[:, :, 0]
+    falling = pushed + carried
+    falling[:, :3] -= GRAVITY_S @ R_SE
+    turning = hat(twist.reshape(count, 2, 3))
+    crossed = np.zeros((count, 6, 6))  # the twist, as it acts on others
+    crossed[:, :3, :3] = crossed[:, 3:, 3:] = turning[:, 1]
+    crossed[:, :3, 3:] = turning[:, 0]
+    by_q = felt_q - crossed @ twist_q
+    by_dq = 2 * twist_q - crossed @ S
+    derivatives = Derivatives(twist_q, by_q, by_dq, S, np.swapaxes(torque_z, 1, 2).reshape(count, n, 3 * n))
+    return (p_SE, R_SE, twist, falling, torque), derivatives
+
+
+@lru_cache(maxsize=16)
+def _lower(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Row and column of what is below the diagonal of (n, n)."""
+    return np.tril_indices(n, -1)

@@ -159,12 +159,15 @@ class JointLoop:
         """The same loop for a motion that begins in a deviation (2, n, n_c + 1), as `Deviation.state_at` gives it."""
         return replace(self, start=start)
 
-    def along(self, t: Array, terms: MotionTerms, rates: Array, order: int = 3) -> Deviation:
+    def along(
+        self, t: Array, terms: MotionTerms, rates: Array, order: int = 3, shares: Array | None = None
+    ) -> Deviation:
         """The deviation along a motion at nodes t (T,) of any spacing; rates: (3, T, n) dq, ddq, dddq.
 
-        order: of the polynomial that stands for what is missing between the nodes, 1 or 3.
+        order: of the polynomial that stands for what is missing between the nodes, 1 or 3. shares: of the motion's
+        time, at which the nodes are, if they come again at those in other motions.
         """
-        response = LinearFilter.on_nodes(t, self.kp, self.kd, order)
+        response = LinearFilter.on_nodes(t, self.kp, self.kd, order, shares)
 
         def law(missing: Array, before: Array) -> tuple[JointDeviation, TrayDeviation]:
             start = settled(self.kp, self.kd, self.settle, missing[0] * before)
