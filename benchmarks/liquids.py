@@ -34,7 +34,7 @@ from salver.planning.plan import Plan
 from salver.sampling import draw
 from salver.scenario import Scenario, load
 from salver.sensitivity.waves import Case
-from salver.simulation.physics import simulate, simulate_tray
+from salver.simulation.physics import Experiment, simulate_tray
 from salver.simulation.record import SimulationRecord
 
 sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests", "docs")]
@@ -120,12 +120,8 @@ def motions(name: str, n: int, beside: int) -> Iterator[Motion]:
     uncertain = scenario.payload.uncertain
     values = draw(uncertain, max(n, DRAWS), seed=SEED, bodies=scenario.payload.bodies)
     draws = [dict(zip(uncertain.names, row.tolist(), strict=True)) for row in values]
-    yield Motion(
-        name, "planned with the liquid", plan.duration, spent, n, lambda p: simulate(plan, parameters=p), draws
-    )
-    yield Motion(
-        name, "liquid taken for a solid", solid.duration, "", beside, lambda p: simulate(solid, parameters=p), draws
-    )
+    yield Motion(name, "planned with the liquid", plan.duration, spent, n, Experiment(plan).run, draws)
+    yield Motion(name, "liquid taken for a solid", solid.duration, "", beside, Experiment(solid).run, draws)
     yield Motion(
         name, "straight line, no arm", plan.duration, "", beside, lambda p: simulate_tray(line, scenario, p), draws
     )

@@ -110,15 +110,17 @@ def test_looked_at_coarsely_what_is_near_its_edge_is_as_it_is(
     assert bounded.any() == near.any()  # where nothing is near, all is told as it is
 
 
-@pytest.mark.parametrize("columns", [filters.MANY, filters.MANY + 1])
-def test_few_and_many_drives_are_answered_alike(columns: int) -> None:
+@pytest.mark.parametrize("columns", [filters.MANY, filters.MANY + 1, 29, 30])  # of 30 nodes
+@pytest.mark.parametrize("moving", [True, False])
+def test_few_and_many_drives_are_answered_alike(columns: int, moving: bool) -> None:
     rng, t = np.random.default_rng(1), np.sort(np.random.default_rng(2).uniform(0, 1, 30))
     kp = rng.uniform(300, 700, (3, 2, 1))
     kd, extra = 0.02 * np.sqrt(kp), 0.1 * kp[..., None] * rng.standard_normal((3, 2, 1, 30))
     several = LinearFilter.stiffened(t, kp, kd, extra)
     drive, start = rng.standard_normal((3, 2, 1, 30, columns)), rng.standard_normal((3, 2, 1, 2, columns))
-    x, rate = several.respond(drive, start)
+    x, rate = several.respond(drive, start if moving else None)
     for column in (0, columns - 1):
-        alone = several.respond(drive[..., column : column + 1], start[..., column : column + 1])
+        some = slice(column, column + 1)
+        alone = several.respond(drive[..., some], start[..., some] if moving else None)
         np.testing.assert_allclose(x[..., column : column + 1], alone[0], rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(rate[..., column : column + 1], alone[1], rtol=1e-10, atol=1e-12)

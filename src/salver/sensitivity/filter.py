@@ -100,6 +100,10 @@ class LinearFilter:
         if drive.size == 0:  # no parameter or no variable: LAPACK writes out of bounds for no columns
             return np.zeros(shape), np.zeros(shape)
         flat = drive.reshape(*lead, drive.shape[len(lead)], -1)
+        if lead and self.samples is not None and flat.shape[-1] > steps:
+            begin = np.zeros((*lead, 2, flat.shape[-1])) if start is None else start.reshape(*lead, 2, -1)
+            x, rate = self._answers @ np.concatenate([begin, flat], axis=-2)
+            return x.reshape(shape), rate.reshape(shape)
         state = np.zeros((*lead, steps + 1, 2, flat.shape[-1]))
         if start is not None:
             state[..., 0, :, :] = start.reshape(*lead, 2, -1)
@@ -109,6 +113,18 @@ class LinearFilter:
             state[..., 1:, :, :] = self.gain @ flat[..., self.samples, :]
         state = self._stepped(state) if lead and flat.shape[-1] > MANY else self._solved(state)
         return state[..., 0, :].reshape(shape), state[..., 1, :].reshape(shape)
+
+    @cached_property
+    def _answers(self) -> Array:
+        """(2, ..., T, 2 + T) x and x' at the nodes, to x and x' of 1 at the first and a drive of 1 at each: where
+        there are more drives than nodes, their answers are these, put together."""
+        assert self.samples is not None
+        *lead, steps, _, _ = self.gain.shape
+        state = np.zeros((*lead, steps + 1, 2, steps + 3))
+        state[..., 0, :, :2] = np.eye(2)
+        at = np.arange(steps)[:, None], 2 + self.samples
+        state[..., 1:, :, :].swapaxes(-2, -1)[..., at[0], at[1], :] = self.gain.swapaxes(-2, -1)
+        return np.ascontiguousarray(np.moveaxis(self._stepped(state), -2, 0))
 
     def acceleration(self, drive: Array, x: Array, rate: Array) -> Array:
         """x'' (..., T, c...) at nodes at which the drive is known."""

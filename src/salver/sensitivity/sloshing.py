@@ -207,26 +207,22 @@ class Slosh:
 
 @dataclass(frozen=True, eq=False)
 class Sloshed:
-    """What liquids add to contact rows (T, n): each at its worst case. worst: by liquid, (T, n) which case that is, of
-    all parts of it, one after the other."""
+    """What liquids add to contact rows (T, n): each at its worst case. liquids: of each that is held by one of the
+    rows' bodies which one, its parts, and what these add, (K, T, n) in their cases."""
 
     rows: ContactRows
-    liquids: list[tuple[int | None, tuple[Slosh, ...]]]
+    liquids: list[tuple[int, tuple[Slosh, ...], list[Array]]]
     values: Array
-    worst: list[Indices]
 
     @classmethod
     def of(cls, rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]]) -> Sloshed:
         """sloshing: the cases of each liquid, in parts, by the name of its body."""
-        total, chosen, liquids = np.zeros((1, 1)), list[Indices](), []
+        total, liquids = np.zeros((1, 1)), []
         for j, sloshes, added in _each_added(rows, sloshing):
-            most, worst = _most(added), np.zeros(1, dtype=np.intp)
+            total = total + _most(added)
             if j is not None:
-                worst = np.concatenate(added).argmax(axis=0)
-            total = total + most
-            chosen.append(np.broadcast_to(worst, most.shape))
-            liquids.append((j, sloshes))
-        return cls(rows, liquids, total, chosen)
+                liquids.append((j, sloshes, added))
+        return cls(rows, liquids, total)
 
     def history(self, node: Indices, row: Indices, unknowns: Unknowns) -> Array:
         """(m, c) derivatives of what liquids add to rows at nodes (m,), by unknowns of the motion.
@@ -234,10 +230,9 @@ class Sloshed:
         How the arm gives way is taken as given.
         """
         found = np.zeros((len(node), unknowns.felt.shape[2]))
-        for (j, sloshes), worst in zip(self.liquids, self.worst, strict=True):
-            if j is None:
-                continue
-            for part, case, mine in of_parts(sloshes, worst[node, row]):
+        for j, sloshes, added in self.liquids:
+            worst = np.concatenate([part[:, node, row] for part in added]).argmax(axis=0)
+            for part, case, mine in of_parts(sloshes, worst):
                 found[mine] += wrench_by(part.planned, unknowns, case, node[mine], self.rows.wrench[j][row[mine]])
         return found
 

@@ -13,6 +13,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY
 from salver.models.tray_motion import N_MOTION
+from salver.sensitivity.filter import LinearFilter
 from salver.sensitivity.waves import TURNING, Indices, Waves, across, turned
 
 
@@ -33,6 +34,7 @@ class Unknowns:
     felt: Array
     stretch: Array | None = None
     _known: dict[int, tuple[Waves, Swings]] = field(default_factory=dict)
+    _spun: dict[tuple[LinearFilter, bool], Array] = field(default_factory=dict)
 
     def of(self, waves: Waves) -> Swings:
         """What they make of waves; worked out once."""
@@ -41,7 +43,11 @@ class Unknowns:
         return self._known[id(waves)][1]
 
     def _swings(self, waves: Waves) -> Swings:
-        r, rate, spun = waves.swung(self.felt[None], before=True)
+        key = waves.turning, waves.cases.round
+        if key not in self._spun:
+            self._spun[key] = waves.spun(self.felt[None])
+        spun = self._spun[key]
+        r, rate = waves.swung(self.felt[None], spun)
         spun = np.array(np.broadcast_to(spun, (*r.shape[:2], spun.shape[2])))
         if self.stretch is not None:
             some = np.flatnonzero(self.stretch)

@@ -272,22 +272,22 @@ class Waves:
         """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of what the tray feels:
         pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the motion
         too."""
-        drive, _ = self._driven(dw)
+        drive = self._driven(dw, self.spun(dw))
         return self.respond(drive, self.level(drive) if before else None)
 
-    def swung(self, dw: Array, before: bool) -> tuple[Array, Array, Array]:
-        """As `_pushed` r and r', and the change (K or 1, T, c) of `spin`."""
-        force, spun = self._driven(dw)
-        x, rate = self.filters.respond(*self._drives(force, self.level(force) if before else None))
-        return self._by_mode(x), self._by_mode(rate), spun
+    def swung(self, dw: Array, spun: Array) -> tuple[Array, Array]:
+        """As `_pushed` r and r', before the motion too. spun: what dw makes of `spin`, where that is known."""
+        force = self._driven(dw, spun)
+        x, rate = self.filters.respond(*self._drives(force, self.level(force)))
+        return self._by_mode(x), self._by_mode(rate)
 
-    def _driven(self, dw: Array) -> tuple[Array, Array]:
-        """(K, T, n_modes, 2, c) by which changes dw (K or 1, T, 12, c) change the force that drives each mode; and what
-        they change of `spin`."""
-        force, spun = self._drive_map @ dw, self._spun(dw)
+    def _driven(self, dw: Array, spun: Array) -> Array:
+        """(K, T, n_modes, 2, c) by which changes dw (K or 1, T, 12, c) change the force that drives each mode; spun:
+        what they change of `spin`."""
+        force = self._drive_map @ dw
         if self.cases.round:
             force += across(self.at_modes).reshape(*force.shape[:3], 1) * spun[:, :, None]
-        return force.reshape(*self.r.shape, -1), spun
+        return np.asarray(force.reshape(*self.r.shape, -1))
 
     @cached_property
     def _drive_map(self) -> Array:
@@ -301,8 +301,8 @@ class Waves:
         found += stiffer[..., None] * which.at_O[:, None, None, None, 2]
         return np.asarray(found.reshape(K, T, 2 * n, -1))
 
-    def _spun(self, dw: Array) -> Array:
-        """(K or 1, T, c) change of `spin`."""
+    def spun(self, dw: Array) -> Array:
+        """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c): the same of all that are round."""
         if not self.cases.round:
             return np.zeros((1, 1, dw.shape[-1]))
         return np.moveaxis(self.turning.respond(np.moveaxis(dw[:, :, 5], 1, 0))[0], 0, 1)
@@ -413,7 +413,7 @@ class Waves:
         """To first order, by changes dw (K or 1, T, 12, c) of what the tray feels, before the motion too."""
         which = self.cases
         r, rate, second = self._pushed(dw, before=True)
-        spun = self._spun(dw)[:, :, None]  # (K or 1, T, 1, c)
+        spun = self.spun(dw)[:, :, None]  # (K or 1, T, 1, c)
         force = which.at_O[:, None] @ dw  # (K, T, 3, c)
 
         def last(x: Array) -> Array:
