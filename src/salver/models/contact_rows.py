@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations, product
 from typing import Any
 
@@ -54,8 +55,9 @@ class ContactRows(UncertainRows):
     wrench: Array
 
 
+@lru_cache(maxsize=8)
 def contact_rows(payload: Payload) -> tuple[ContactRows, ...]:
-    """The rows of every network, over w of the tray frame E and the payload's uncertain set.
+    """The rows of every network, over w of the tray frame E and the payload's uncertain set; worked out once.
 
     A plan keeps `rows.worst(w) <= -margin`. `payload.nominal` and `payload.with_edges` answer other questions.
     Raises ScenarioError when an object may stand beside its support (`Payload.check_places`), or when its contact has

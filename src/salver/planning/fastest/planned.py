@@ -170,7 +170,9 @@ def joint_plan(
     from salver.planning.follow.limits import torques, verdict
     from salver.planning.plan import Plan
 
-    exact = scenario.with_changes(contact__condition="exact")
+    exact = scenario
+    if scenario.contact.condition != "exact":
+        exact = scenario.with_changes(contact__condition="exact")
     reference = SampledReference(object_motion(problem, joint.t, joint.q, joint.dq, joint.ddq))
     parts = None if problem.keep_out is None else problem.keep_out.parts
     plan = Plan(exact, method, reference, status, joint, verdict(problem.arm, joint, problem.items, parts))

@@ -68,8 +68,10 @@ class Rows(Protocol):
         ...
 
 
-Condition = Callable[[BodyMotion, TraySensitivity, int, Liquids | None], Rows]
-"""Rows along a motion of B, its closed loop's sensitivity and liquids, with derivatives by n_z variables (or none)."""
+Loop = Callable[[], TraySensitivity]
+Condition = Callable[[BodyMotion, Loop, int, Liquids | None], Rows]
+"""Rows along a motion of B, its closed loop's sensitivity, for those that ask for it, and its liquids, with derivatives
+by n_z variables (or none)."""
 
 
 def conditions_for(scenario: Scenario) -> list[Condition]:
@@ -166,11 +168,11 @@ def _paper(payload: Payload, body: Body) -> Condition:
     p_BX, R_BX = first.R_EB.T @ (body.p_EB - first.p_EB), first.R_EB.T @ body.R_EB
     placed = _place_map(body, uncertain.parameters, first)
 
-    def rows(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> WrenchRows:
+    def rows(motion: BodyMotion, loop: Loop, n_z: int, liquids: Liquids | None) -> WrenchRows:
         assert liquids is None
         own_motion = motion if body is first else motion.of_frame(p_BX, R_BX)
         wrench, wrench_jacobian = _stacked(*own_motion.wrench(body.inertial.phi[:, None]), n_z)
-        change = (loop.df, loop.dtau) if body is first else own_motion.wrench(jacobian)
+        change = (loop().df, loop().dtau) if body is first else own_motion.wrench(jacobian)
         spread, spread_jacobian = _stacked(*change, n_z)
         if np.any(placed):
             w, w_jacobian = motion_vector(motion, n_z)
@@ -239,7 +241,7 @@ def _exact(rows: ContactRows, first: Body, known: Known) -> Condition:
     owner = tuple(rows.network.interfaces[int(e)].name for e in rows.interface)
     of_B = rows.seen_from(first.p_EB, first.R_EB)
 
-    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> Rows:
+    def along(motion: BodyMotion, loop: Loop, n_z: int, liquids: Liquids | None) -> Rows:
         del loop  # a body that follows its tray needs the same wrench whatever the controller does
         if liquids is not None and n_z:
             return SloshingRows(owner, rows, _wet(known, liquids, motion, n_z, first))
@@ -286,7 +288,7 @@ class RoomLeft:
 
 
 def _brim(body: Body, first: Body, known: Known) -> Condition:
-    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> Rows:
+    def along(motion: BodyMotion, loop: Loop, n_z: int, liquids: Liquids | None) -> Rows:
         assert liquids is not None
         if n_z:
             only = {body.name: known[body.name]}
@@ -325,7 +327,7 @@ class TiltRows:
 
 
 def _tilt(limit: float) -> Condition:
-    def along(motion: BodyMotion, loop: TraySensitivity, n_z: int, liquids: Liquids | None) -> TiltRows:
+    def along(motion: BodyMotion, loop: Loop, n_z: int, liquids: Liquids | None) -> TiltRows:
         upright = motion.rotation.matrix[:, 0, 2, :]  # e_z of S, in B
         left = (upright[:, 2] - np.cos(limit)) / np.sin(limit)
         jacobian = np.zeros((len(left), n_z))

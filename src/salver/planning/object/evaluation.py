@@ -7,18 +7,21 @@ check of a plan does not share the planner's linear algebra.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from salver.display import Outlined
 from salver.geometry import Array, invert
+from salver.models.parameters import UncertainSet
 from salver.models.tray_motion import frame_map
 from salver.planning.object.conditions import apart, conditions_for, motion_vector
 from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
+from salver.sensitivity.filter import QuadratureGrid
 from salver.sensitivity.sloshing import Liquids
-from salver.sensitivity.tray import BodyMotion
+from salver.sensitivity.tray import BodyMotion, TrayLoop, TraySensitivity
 from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference
 
@@ -27,20 +30,35 @@ from salver.trajectory import MotionSamples, Reference
 class Evaluation(Outlined):
     """A motion at T uniform instants and what it asks of the contact, time axis first.
 
-    samples: the motion of B. wrench_B (T, 6): nominal. cone_coefficients (T, n_lambda): Lambda of eq (19), and
-    cone_radius its tube (eq 11). state_sensitivity (T, 12, n_p), input_sensitivity (T, n_lambda, n_p).
+    samples: the motion of B. wrench_B (T, 6): nominal. cone_coefficients (T, n_lambda): Lambda of eq (19).
     slack (T, n_c): the scenario's own contact conditions minus their tubes, in the condition's unit, before the
-    margin; slack_owner names the object or interface of each column.
+    margin; slack_owner names the object or interface of each column. closed_loop: what the loop makes of wrong
+    parameters, worked out when it is first read. distribution (n_lambda, 6): of the wrench on the coefficients.
     """
 
     samples: MotionSamples
     wrench_B: Array
     cone_coefficients: Array
-    cone_radius: Array
-    state_sensitivity: Array
-    input_sensitivity: Array
     slack: Array
     slack_owner: tuple[str, ...]
+    closed_loop: ClosedLoop
+    distribution: Array
+    uncertain: UncertainSet
+
+    @property
+    def state_sensitivity(self) -> Array:
+        """(T, 12, n_p)."""
+        return self.closed_loop.sensitivity.state
+
+    @cached_property
+    def input_sensitivity(self) -> Array:
+        """(T, n_lambda, n_p)."""
+        return np.asarray(self.distribution @ self.closed_loop.sensitivity.wrench)
+
+    @cached_property
+    def cone_radius(self) -> Array:
+        """(T, n_lambda) tube of the coefficients (eq 11)."""
+        return radius(self.input_sensitivity, self.uncertain)
 
     @property
     def t(self) -> Array:
@@ -56,27 +74,41 @@ class Evaluation(Outlined):
         return float(slack[k, i]), float(self.t[k]), self.slack_owner[i]
 
 
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """The object's loop along a reference, at a grid's instants; motion: the reference there."""
+
+    loop: TrayLoop
+    grid: QuadratureGrid
+    motion: BodyMotion
+    reference: Reference
+
+    @cached_property
+    def sensitivity(self) -> TraySensitivity:
+        between = BodyMotion.of(self.reference.sample(self.grid.times))
+        return self.loop.sensitivity(self.grid, self.motion, between)
+
+
 def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluation:
     """Evaluate a reference at uniform instants from its start to its end."""
-    loop, uncertain = tray_loop(scenario), scenario.payload.uncertain
+    loop, payload = tray_loop(scenario), scenario.payload
     grid = loop.grid(np.linspace(0, reference.duration, instants))
     samples = reference.sample(grid.t)
     motion = BodyMotion.of(samples)
-    sensitivity = loop.sensitivity(grid, motion, BodyMotion.of(reference.sample(grid.times)))
+    closed_loop = ClosedLoop(loop, grid, motion, reference)
     wrench_B = joined(*motion.wrench(loop.body.phi[:, None]))[:, 0]
-    distribution = np.linalg.pinv(scenario.payload.first.contacts.grasp_map)
-    theta = distribution @ sensitivity.wrench
-    first = scenario.payload.first
+    first = payload.first
+    distribution: Array = np.linalg.pinv(first.contacts.grasp_map).astype(float)
     w_E = motion_vector(motion, 0)[0] @ frame_map(*invert(first.p_EB, first.R_EB)).T
-    liquids = Liquids.along(scenario.payload, grid.t, w_E)
-    rows = [condition(motion, sensitivity, 0, liquids) for condition in conditions_for(scenario)]
+    liquids = Liquids.along(payload, grid.t, w_E)
+    rows = [condition(motion, lambda: closed_loop.sensitivity, 0, liquids) for condition in conditions_for(scenario)]
     return Evaluation(
         samples,
         wrench_B,
         wrench_B @ distribution.T,
-        radius(theta, uncertain),
-        sensitivity.state,
-        theta,
         np.concatenate([part.least() for part in rows], axis=1),
         tuple(owner for part in rows for owner in part.owner),
+        closed_loop,
+        distribution,
+        payload.uncertain,
     )

@@ -285,7 +285,7 @@ class Problem:
         jacobian = np.concatenate([jacobian, smooth_jacobian])
         motion, sensitivity = motion.thinned(self.every), sensitivity.thinned(self.every)
         liquids = Liquids.along(self.scenario.payload, self.grid.t[:: self.every], np.zeros((0, N_MOTION)))
-        rows = tuple(condition(motion, sensitivity, self.size, liquids) for condition in self.conditions)
+        rows = tuple(condition(motion, lambda: sensitivity, self.size, liquids) for condition in self.conditions)
         goal, goal_jacobian = np.zeros(0), np.zeros((0, self.size))
         if theta is not None:
             goal, goal_jacobian = self._goal(on_grid.R_SB[-1], theta[-1])
