@@ -13,18 +13,21 @@ from salver.errors import ScenarioError
 from salver.learning.friction import UNNOTICED
 from salver.learning.ranges import NAMES
 from salver.learning.tilts import FARTHEST
-from salver.learning.trips import SURE, trips, true_load
+from salver.learning.trips import trips, true_load
 from salver.planning.fastest import plan_fastest
 from salver.scenario import load
 
 
 @pytest.mark.slow
 def test_second_trip_is_quicker_nothing_is_lost_and_the_truth_stays_within_the_ranges() -> None:
-    scenario, seed = load("panda-tall-bottle"), 3
-    true, made = true_load(scenario, seed), list(trips(scenario, 2, seed))
-    assert [trip.outcome for trip in made] == ["holds", "holds"]
+    """With the engine's steps of .5 ms the load of the third trip rocks on soft contacts and slides by 5.6 mm."""
+    scenario, seed = load("panda-tall-bottle"), 0
+    true, made = true_load(scenario, seed), list(trips(scenario, 3, seed))
+    assert [trip.outcome for trip in made] == ["holds"] * 3
     assert made[1].plan.duration < 0.95 * made[0].plan.duration
-    assert len(made[0].tilts) >= SURE
+    assert made[0].telling is not None
+    assert made[0].telling.outcome == "holds"
+    assert made[1].telling is None
     assert made[1].tilts == ()
     widths = [scenario.payload.uncertain.half_range[:4]]
     for trip in made:

@@ -4,9 +4,11 @@ Each trip's plan is safe for all loads within the ranges of its scenario, and th
 the load is meant to stay on every trip. A plan that is slower than the one before is not taken: that one was safe for
 wider ranges.
 
-No carry tells more of friction than its plan was told. So between the first trip and the second the tray tilts, shortly
-and each time a little steeper (`salver.learning.tilts`), until the load moves by more than a mark on the tray hides, or
-could tip: by two centimetres at most, whatever its friction is. Then it is put back. The first of these runs are logs.
+A first trip is short and gentle, and so hides the height of the centre of mass. So between it and the second an arm
+with a wrist sensor makes the motion that tells most of the load, safe as any trip (`salver.learning.excite`). And no
+carry tells more of friction than its plan was told. So the tray tilts, shortly and each time a little steeper
+(`salver.learning.tilts`), until the load moves by more than a mark on the tray hides, or could tip: by two centimetres
+at most, whatever its friction is. Then it is put back.
 
 Here the load is carried in the physics engine, which alone knows the true one, and judged there. What the arm's
 sensors say (`salver.learning.sensors`) is made along what the engine's arm does with the load strapped to the tray, and
@@ -21,8 +23,9 @@ from typing import Literal
 
 import numpy as np
 
-from salver.errors import SalverError, ScenarioError
+from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.geometry import Array
+from salver.learning.excite import plan_excite
 from salver.learning.friction import UNNOTICED, Friction, friction
 from salver.learning.identify import Identified, Run, identify_runs
 from salver.learning.sensors import Done, SensedArm, Sensors
@@ -30,16 +33,19 @@ from salver.learning.tilts import LEVELLED, short_tilt
 from salver.models.arm import load_arm
 from salver.models.parameters import INERTIAL, inertial_vector
 from salver.motion_files.samples import joint_samples
-from salver.planning.fastest import plan_fastest
+from salver.planning.fastest import EFFORTS, plan_fastest
 from salver.planning.plan import Plan
 from salver.sampling import draw
 from salver.scenario import Scenario
 from salver.simulation.physics import Experiment, simulate
+from salver.simulation.record import SimulationRecord
 
 RATE = 1000.0  # samples of the sensors a second
+EFFORT = EFFORTS["thorough"]  # of each plan: a second of search is nothing beside a trip
+TELLING = 4.0  # s, of the motion that tells most
 TILTS = 12  # at most
-SURE = 4  # are made in any case, with a wrist sensor, and are logs: they show how steep the next may be;
-WORTH = 0.003  # of friction: one that promises less is not
+WORTH = 0.003  # of friction: a tilt that promises less is not made
+STIFF = 2e-4  # s, of the engine's steps at most: with longer ones a tall load rocks on its soft contacts
 Sensor = Literal["wrist", "torques"]
 
 
@@ -56,10 +62,19 @@ class Tilt:
 
 
 @dataclass(frozen=True)
+class Telling:
+    """The motion that tells most of the load, from where a trip begins and back. outcome: of the engine."""
+
+    plan: Plan
+    outcome: str
+
+
+@dataclass(frozen=True)
 class Trip:
     """plan: what was carried out; its scenario has the ranges it was planned for. outcome: of the engine, "holds" or
     what became of the load. kept: whether the plan is that of the trip before. learnt: from the logs so far; None if
-    they contradict the ranges or the load was lost, as told says. known: with all ranges after it. tilts: made then.
+    they contradict the ranges or the load was lost, as told says. known: with all ranges after it. telling, tilts: made
+    then, before the next; telling is None where there was none to make.
     """
 
     number: int
@@ -68,8 +83,15 @@ class Trip:
     kept: bool
     learnt: Identified | None
     known: Scenario
+    telling: Telling | None = None
     tilts: tuple[Tilt, ...] = ()
     told: str = ""
+
+    @property
+    def lost(self) -> bool:
+        """Whether the load was lost, on the trip or on what was made then."""
+        then = self.telling is not None and self.telling.outcome != "holds"
+        return self.outcome != "holds" or then or any(tilt.found is None for tilt in self.tilts)
 
     @property
     def margin(self) -> float:
@@ -118,22 +140,25 @@ def trips(
         if plan is None and not made.ok:
             raise ScenarioError(f"{scenario.name}: no safe motion for its ranges to begin with. {made.status.sentence}")
         plan = made if better or plan is None else plan
-        outcome = simulate(plan, parameters=hidden.named(plan), seed=seed).outcome
+        outcome = hidden.carried(plan).outcome
         if outcome != "holds":
             told = "The load did not stay: nothing is learnt from this trip."
             yield Trip(number, plan, outcome, not better, None, hidden.known, told=told)
             return
-        told, learnt, made_tilts = "", None, list[Tilt]()
+        told, learnt, telling, made_tilts = "", None, None, list[Tilt]()
         try:
             learnt = hidden.identify(plan, f"trip {number}")
-            if tilts and number == 1 and count > 1:
-                made_tilts += hidden.climb(level)
+            if number == 1 and count > 1:
+                telling = hidden.tell()
+                if tilts and (telling is None or telling.outcome == "holds"):
+                    made_tilts += hidden.climb(level)
         except SalverError as error:
             told = str(error)
         if learnt is not None:
-            learnt = hidden.learnt  # with what the tilts told
-        yield Trip(number, plan, outcome, not better, learnt, hidden.known, tuple(made_tilts), told)
-        if any(tilt.found is None for tilt in made_tilts):
+            learnt = hidden.learnt  # with what was told then
+        trip = Trip(number, plan, outcome, not better, learnt, hidden.known, telling, tuple(made_tilts), told)
+        yield trip
+        if trip.lost:
             return
 
 
@@ -155,6 +180,13 @@ class _Hidden:
     def named(self, plan: Plan) -> dict[str, float]:
         values = dict(zip(INERTIAL, _in_frame(plan.scenario, self.true), strict=True))
         return values | {"friction": float(self.true[10])}
+
+    def carried(self, plan: Plan) -> SimulationRecord:
+        """What becomes of it on the tray."""
+        physics = plan.scenario.physics
+        step = min(physics.timestep, physics.command_period / np.ceil(physics.command_period / STIFF))
+        stiff = replace(plan, scenario=plan.scenario.with_changes(physics__timestep=float(step)))
+        return simulate(stiff, parameters=self.named(plan), seed=self.seed)
 
     def identify(self, plan: Plan, name: str) -> Identified:
         """Narrow the ranges by logs of a plan, and all before. Raises SalverError when these contradict each other."""
@@ -178,21 +210,33 @@ class _Hidden:
 
     def fastest(self) -> Plan:
         """The fastest plan for what is known: for the ranges or, where that is quicker, for the ellipsoid."""
-        plan = plan_fastest(self.known)
+        plan = plan_fastest(self.known, options=EFFORT)
         if self.learnt is None or self.learnt.ellipsoid is None:
             return plan
-        narrow = plan_fastest(_with_friction(self.learnt.learnt_scenario(), self.known))
+        narrow = plan_fastest(_with_friction(self.learnt.learnt_scenario(), self.known), options=EFFORT)
         return narrow if narrow.ok and not (plan.ok and plan.duration <= narrow.duration) else plan
+
+    def tell(self) -> Telling | None:
+        """Make the motion that tells a wrist sensor most; None when there is no such sensor or no such motion."""
+        if self.sensor != "wrist":
+            return None
+        try:
+            plan = plan_excite(self.known, TELLING)
+        except UnreachableError:
+            return None
+        outcome = self.carried(plan).outcome
+        if outcome == "holds":
+            self.identify(plan, "telling motion")
+        return Telling(plan, outcome)
 
     def climb(self, level: float) -> Iterator[Tilt]:
         """Tilt, each time as steep as what is known allows, until the load moves, or could tip."""
         for number in range(1, TILTS + 1):
             plan = short_tilt(self.known, level=level)
             promised, before = friction(plan, level=level).low, self.known.payload
-            sure = SURE if self.sensor == "wrist" else 0
-            if number > sure and (promised or 0.0) < before.least_friction(before.first) + WORTH:
+            if (promised or 0.0) < before.least_friction(before.first) + WORTH:
                 return
-            record = simulate(plan, parameters=self.named(plan), seed=self.seed)
+            record = self.carried(plan)
             moved = float(record.slip.max())
             if record.outcome not in ("holds", "slides"):  # meant never to be
                 yield Tilt(plan, moved, record.outcome, None)
@@ -205,8 +249,6 @@ class _Hidden:
             yield Tilt(plan, moved, record.outcome, found)
             if moved > UNNOTICED:
                 return
-            if number <= sure:
-                self.identify(plan, f"tilt {number}")
 
 
 def _with_friction(scenario: Scenario, other: Scenario) -> Scenario:
