@@ -5,8 +5,10 @@ import re
 
 import pytest
 
+from salver import scenario
 from salver.cli.demo import bottle
 from salver.errors import ScenarioError
+from salver.planning.fastest import EFFORTS
 from salver.planning.make import plan_pair
 from salver.planning.plan import load_plan
 
@@ -45,6 +47,30 @@ def test_the_page_shows_the_same_bottle_with_both_motions(found):
     assert fastest["caption"].endswith("holds")
     assert nominal["caption"].endswith("tips")
     assert fastest["caption"].split(":")[0] == nominal["caption"].split(":")[0]  # the same true parameters
+
+
+def test_a_plan_of_a_given_duration_and_the_fastest_nominal_one_stand_in_one_directory(tmp_path):
+    """Both are judged by one condition, the plan's own."""
+    asked = scenario.load("panda-cube").with_changes(motion__duration=1.2)
+    plans = plan_pair(asked, beside="nominal", options=EFFORTS["quick"])
+    for stem, plan in zip(("plan", "nominal"), plans, strict=True):
+        plan.save(tmp_path, stem)
+    plan, nominal = (load_plan(tmp_path, stem) for stem in ("plan", "nominal"))
+    assert plan.duration == 1.2
+    assert 0.6 < nominal.duration < 0.7
+    assert nominal.scenario.digest == plan.scenario.digest
+    for each in (plan, nominal):
+        assert each.status.ok == (each.verification.violation == 0)
+        assert each.status.ok or each.verification.sentence in each.status.sentence
+
+
+def test_the_straight_line_beside_a_fastest_plan_is_judged_as_that_is():
+    asked = scenario.load("panda-cube")
+    plan, line = plan_pair(asked, "fastest", options=EFFORTS["quick"])
+    assert line.duration == plan.duration
+    assert line.scenario.contact == plan.scenario.contact
+    assert not line.status.ok
+    assert line.verification.sentence in line.status.sentence
 
 
 def test_an_unknown_comparison_is_refused_in_a_sentence():

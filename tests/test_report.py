@@ -14,8 +14,10 @@ from pages import data_of
 from run_files import rewrite
 from salver import scenario
 from salver.errors import FileFormatError
+from salver.models.parameters import Parameter
 from salver.planning.make import make_plan
 from salver.reports.page import write_report
+from salver.reports.parameters import half_range
 from salver.reports.run import Run, read_run
 from salver.reports.words import asked, verdict
 
@@ -143,6 +145,27 @@ def test_a_plan_of_another_scenario_gets_a_sentence(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("mass = 0.256", "mass = 0.3"))
     with pytest.raises(FileFormatError, match=r"scenario\.toml was edited since"):
         read_run(tmp_path)
+
+
+def test_room_below_a_brim_is_no_share_of_a_weight(tmp_path: Path) -> None:
+    """Fast and sticky: it spills, and nothing slides."""
+    case = scenario.load("panda-coffee").with_changes(
+        arm=None, objects__0__friction=2.0, motion__duration=0.9, contact__condition="exact"
+    )
+    plan = make_plan(case, "baseline")
+    plan.save(tmp_path, "plan")
+    brim = plan.evaluation.slack[:, [owner.startswith("liquid in") for owner in plan.evaluation.slack_owner]]
+    assert brim.min() < 0  # of the room
+    left = read_run(tmp_path).contact["plan"].worst.min()
+    assert left > 0
+    assert plan.left == pytest.approx(left, rel=0.02)
+    assert plan.facts()["left in the worst case"] == f"{100 * plan.left:.3g} % of the weight"
+
+
+def test_a_share_is_told_of_what_has_a_zero() -> None:
+    com, mass = (Parameter("cup", kind, axis) for kind, axis in (("com", "z"), ("mass", "")))
+    assert half_range(com, 7.5e-4, 3e-3) == "3 mm"
+    assert half_range(mass, 0.25, 0.025) == "25 g (10 %)"
 
 
 def test_the_worst_case_is_the_plans_own_and_of_contact_alone(tmp_path: Path) -> None:

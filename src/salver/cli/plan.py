@@ -116,7 +116,7 @@ def plan(
         chosen = chosen.with_changes(motion__duration=duration)
     asked = {"fastest": fastest, "safest": safest, "least-sensitive": least_sensitive}
     method = _method(chosen, [name for name, wanted in asked.items() if wanted])
-    if method == "robust" and (effort is not None or time_limit is not None):
+    if method == "robust" and beside != "nominal" and (effort is not None or time_limit is not None):
         raise typer.BadParameter(
             "--effort and --time-limit are for the searches of --fastest, --safest and --least-sensitive."
         )
@@ -219,7 +219,7 @@ def _show_legs(plan: Round) -> None:
             ", ".join(item.name for item in leg.scenario.objects),
             ", ".join([*(f"- {name}" for name in asked.taken), *(f"+ {name}" for name in asked.added)]),
             f"{leg.duration:.4g} s",
-            f"{100 * leg.margins.exact_worst.min():.1f} %",
+            f"{100 * leg.left:.1f} %",
             _friction(leg),
             "yes" if leg.arm_status is not None and leg.arm_status.ok else "NO",
         )
@@ -269,7 +269,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
             ),
         }
     lines |= {
-        "exact margin of the weight, worst case": lambda p: f"{100 * p.margins.exact_worst.min():.1f} %",
+        "exact margin of the weight, worst case": lambda p: f"{100 * p.left:.1f} %",
         "friction needed / sure, worst case": _friction,
         "distance to tipping, worst case": lambda p: (
             f"{1e3 * min(m.tip_over_worst.min() for m in p.margins.interfaces):.1f} mm"

@@ -81,10 +81,13 @@ def plan_baseline(scenario: Scenario) -> Plan:
 
 
 def plan_nominal(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> Plan:
-    """The fastest motion that is safe when every parameter is nominal; judged over the whole uncertain set."""
+    """The fastest motion that is safe when every parameter is nominal; judged over the whole uncertain set, by the
+    scenario's own contact condition where it gives a duration, which is then of what the motion is compared with."""
     from salver.planning.fastest import plan_fastest
 
     plan = plan_fastest(scenario.with_changes(motion__duration=None), robust=False, options=options, watch=watch)
+    if scenario.motion.duration is not None:
+        plan = replace(plan, scenario=scenario)
     if not plan.status.ok or plan.verification.violation == 0:
         return plan
     found = f"The shortest motion for nominal parameters takes {plan.duration:.4f} s"
@@ -132,7 +135,7 @@ def plan_pair(
     plan = make_plan(scenario, method, arm, options=options, watch=watch)
     if beside == "nominal":
         return plan, plan_nominal(plan.scenario, options=options, watch=watch)
-    timed = plan.scenario if plan.scenario.motion.duration else scenario.with_changes(motion__duration=plan.duration)
+    timed = plan.scenario.with_changes(motion__duration=plan.scenario.motion.duration or plan.duration)
     baseline = replace(plan_baseline(timed), scenario=plan.scenario)
     if arm and scenario.arm is not None:
         baseline = with_arm(baseline, None if plan.joint is None else plan.joint.q[0])

@@ -227,6 +227,14 @@ class Plan(Shown, Tabular):
             return None
         return arm_chain(model, self.joint, space=self.space)
 
+    @property
+    def left(self) -> float:
+        """What contacts have left in the worst case, a share of the weight: what an exact plan was checked to keep over
+        its tubes; with the paper's condition, which counts in newtons, the exact margin along the reference."""
+        if self.scenario.contact.condition == "paper":
+            return float(self.margins.exact_worst.min())
+        return float(self.evaluation.contacts.min())
+
     def facts(self) -> dict[str, str]:
         """What a notebook shows of it."""
         arm = {} if self.arm_status is None else {"arm": self.arm_status.sentence}
@@ -239,7 +247,7 @@ class Plan(Shown, Tabular):
             "check": self.verification.sentence,
             **arm,
             **({} if self.stops is None else {"stops": self.stops.sentence}),
-            "left in the worst case": f"{100 * float(self.margins.exact_worst.min()):.3g} % of the weight",
+            "left in the worst case": f"{100 * self.left:.3g} % of the weight",
         }
 
     def verify(self) -> Verification:

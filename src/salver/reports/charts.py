@@ -10,7 +10,7 @@ from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.models.parameters import Parameter
 from salver.reports.parameters import pretty
-from salver.reports.style import CYCLE, ROLE_COLOURS, VERMILION
+from salver.reports.style import CYCLE, ROLE_COLOURS
 from salver.sensitivity import tubes
 from salver.wording import listed
 
@@ -79,7 +79,7 @@ def margin_charts(run: Run) -> list[Spec]:
             friction,
             f"{needed} at which the contacts can give the nominal wrench. Below the line it sticks.",
             "" if one else "%",
-            lines=_friction_lines(run) if one else [{"y": 100, "label": "all there is", "colour": VERMILION}],
+            lines=_friction_lines(run) if one else [{"y": 100, "label": "all there is"}],
             zero=True,
         ),
         time_chart(
@@ -116,11 +116,11 @@ def _tip_range(curves: list[Spec]) -> list[float] | None:
 def _friction_lines(run: Run) -> list[Spec]:
     """The friction there is, and the least that is assumed."""
     mu = run.bodies[0].friction
-    lines: list[Spec] = [{"y": mu, "label": f"available: {mu:g}", "colour": VERMILION}]
+    lines: list[Spec] = [{"y": mu, "label": f"available: {mu:g}"}]
     uncertain = run.scenario.objects[0].uncertainty.friction
     if uncertain is not None:
         half = uncertain if isinstance(uncertain, float) else uncertain.relative * mu
-        lines.append({"y": mu - half, "label": f"least assumed: {mu - half:.3g}", "colour": VERMILION, "below": True})
+        lines.append({"y": mu - half, "label": f"least assumed: {mu - half:.3g}", "below": True})
     return lines
 
 
@@ -236,10 +236,7 @@ def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
             for j, column in enumerate(100 * share.T):
                 t, y = thin(m.t, column)
                 joints.append({"name": f"joint {j + 1}", "colour": CYCLE[j % len(CYCLE)], "width": 1.4, "x": t, "y": y})
-            lines = [
-                {"y": s * 100, "label": "limit" if s > 0 else "", "colour": VERMILION, "optional": True}
-                for s in (1, -1)
-            ]
+            lines = [{"y": s * 100, "label": "limit" if s > 0 else "", "optional": True} for s in (1, -1)]
             charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", joints, lines=lines))
     return charts
 

@@ -61,9 +61,8 @@ def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCu
     worst = found.exact_worst
     if scenario.contact.condition == "exact" and "contact_slack" in a:
         slack = a["contact_slack"][keep]  # the plan's own, which knows which errors go together
-        if scenario.motion.max_tilt_deg is not None:
-            slack = slack[:, :-1]  # the limit on tilt, which is no contact
-        worst = slack.min(axis=1)
+        others = len(scenario.payload.liquids) + (scenario.motion.max_tilt_deg is not None)
+        worst = slack[:, : slack.shape[1] - others].min(axis=1)  # brims and the limit on tilt come last
     return ContactCurves(
         t=samples.t,
         friction=np.max(share, axis=0),

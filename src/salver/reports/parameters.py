@@ -16,6 +16,7 @@ _UNITS = {
     "fill": (1e3, "mm"),
     "damping": (100.0, "% of critical"),
 }
+_SHARES = ("mass", "inertia", "friction", "fill", "damping")
 _NAMES = {"com": "centre of mass", "position": "place on the tray"}
 
 
@@ -30,3 +31,9 @@ def quantity(parameter: Parameter, value: float) -> str:
     factor, unit = _UNITS[parameter.kind]
     text = f"{factor * value:.{3 if parameter.kind == 'inertia' else 4}g}"
     return text + unit if unit == "°" else f"{text} {unit}".rstrip()
+
+
+def half_range(parameter: Parameter, nominal: float, half: float) -> str:
+    """ "25 g (10 %)"; without the share where 0 is no less of it: 3 mm about a centre of mass at 1 mm is not 300 %."""
+    share = nominal and parameter.kind in _SHARES
+    return quantity(parameter, half) + (f" ({100 * half / abs(nominal):.3g} %)" if share else "")

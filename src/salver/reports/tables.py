@@ -14,7 +14,7 @@ import numpy as np
 from salver.files import write_atomic
 from salver.models.arm_limits import LIMITS
 from salver.planning.object.conditions import UNITS
-from salver.reports.parameters import pretty, quantity
+from salver.reports.parameters import half_range, pretty
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -59,7 +59,7 @@ def scenario_rows(run: Run) -> Rows:
             (f"{item.name}, inertia", _vector(np.diag(inertia), "kg m²")),
         ]
     rows += [
-        (f"± {pretty(p)}", quantity(p, half) + (f" ({100 * half / abs(nominal):.3g} %)" if nominal else ""))
+        (f"± {pretty(p)}", half_range(p, nominal, half))
         for p, nominal, half in zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
     ]
     rows += [

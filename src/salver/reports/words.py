@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.reports.charts import record_curve
-from salver.reports.parameters import pretty, quantity
+from salver.reports.parameters import half_range, pretty, quantity
 from salver.wording import listed
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def _unknown(run: Run) -> str:
     if not uncertain.size:
         return "Everything about it is taken as known."
     ranges = [
-        f"{pretty(p)} ±{quantity(p, half)}" + (f" ({100 * half / abs(nominal):.3g} %)" if nominal else "")
+        f"{pretty(p)} ±{half_range(p, nominal, half)}"
         for p, nominal, half in zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
     ]
     joined = ranges[0] if len(ranges) == 1 else ", ".join(ranges[:-1]) + " and " + ranges[-1]

@@ -21,7 +21,7 @@ from salver.models.arm import ArmModel
 from salver.models.bodies import TRAY
 from salver.models.obstacle_shapes import mesh_pieces
 from salver.models.rigid_body import RigidBody
-from salver.scenario import Cylinder, Obstacle
+from salver.scenario import Cylinder, Obstacle, Tray
 from salver.simulation.engine import mujoco
 from salver.simulation.liquid_surface import WALL_OPACITY
 from salver.simulation.loads import Load
@@ -38,6 +38,8 @@ TRAY_BODY = TRAY_GEOM = "salver:tray"
 OBSTACLE, FOOT, HULL = "salver:obstacle:", "salver:foot:", "salver:hull:"
 # Geoms meet only through explicit pairs, and add no mass of their own.
 INERT: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0}
+TRAY_COLOUR, POST_COLOUR = (0.06, 0.30, 0.36, 1.0), (0.35, 0.37, 0.40, 1.0)  # dark against floor, sky and white links
+POST_RADIUS = 0.026  # m, as the replay draws it
 COLOURS = ((0.80, 0.36, 0.22), (0.20, 0.45, 0.70), (0.35, 0.60, 0.30), (0.75, 0.60, 0.20), (0.50, 0.35, 0.60))
 
 
@@ -107,6 +109,16 @@ def add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
     if visual:
         _add_meshes(spec, arm)
     return spec.body(ARM_PREFIX + arm.flange)
+
+
+def add_tray(body: Any, tray: Tray, flange_E: Array | None = None) -> None:
+    """The tray's plate on a body at E. flange_E: (3,) where the flange is, to draw what holds the plate above it."""
+    x, y = tray.size
+    box, plate = mujoco.mjtGeom.mjGEOM_BOX, [x / 2, y / 2, tray.thickness / 2]
+    body.add_geom(name=TRAY_GEOM, type=box, size=plate, pos=[0, 0, -tray.thickness / 2], rgba=TRAY_COLOUR, **INERT)
+    if flange_E is not None and -flange_E[2] > tray.thickness + POST_RADIUS / 10:
+        post = {"fromto": [0, 0, -tray.thickness, *flange_E], "size": [POST_RADIUS, 0, 0]}
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, rgba=POST_COLOUR, **post, **INERT)
 
 
 def add_surroundings(spec: Any) -> None:

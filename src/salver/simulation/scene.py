@@ -22,15 +22,14 @@ from salver.models.bodies import TRAY
 from salver.scenario import Scenario
 from salver.simulation.elements import (
     ARM_PREFIX,
-    INERT,
     OBSTACLE,
     TRAY_BODY,
-    TRAY_GEOM,
     add_arm,
     add_load,
     add_obstacle,
     add_pairs,
     add_surroundings,
+    add_tray,
     foot_name,
     foot_supports,
     set_inertia,
@@ -158,16 +157,7 @@ def specify(
         set_inertia(parent, scenario.tray.mass, com_E, inertia)
     else:
         parent = root.add_body(name=TRAY_BODY)
-    x, y = scenario.tray.size
-    thickness = scenario.tray.thickness
-    parent.add_geom(
-        name=TRAY_GEOM,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[x / 2, y / 2, thickness / 2],
-        pos=[0, 0, -thickness / 2],
-        rgba=[0.75, 0.77, 0.80, 1],
-        **INERT,
-    )
+    add_tray(parent, scenario.tray, -world.R_tilt.T @ arm.p_FE if visual and arm is not None else None)
     for k, load in enumerate(world.loads):
         add_load(spec, load, k)
     obstacles: list[str] = []

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.display import Outlined
 from salver.geometry import Array, invert
@@ -64,10 +65,19 @@ class Evaluation(Outlined):
     def t(self) -> Array:
         return self.samples.t
 
+    @property
+    def _others(self) -> npt.NDArray[np.bool_]:
+        """(n_c,) which columns are no contact, but a brim or the limit on tilt."""
+        return np.array([apart(owner) for owner in self.slack_owner])
+
+    @property
+    def contacts(self) -> Array:
+        """(T, ...) `slack` of the contact conditions alone."""
+        return self.slack[:, ~self._others]
+
     def worst(self) -> tuple[float, float, str]:
         """Least slack, its time, and the object it belongs to: of the contacts, unless only something else fails."""
-        others = np.array([apart(owner) for owner in self.slack_owner])
-        slack = self.slack
+        others, slack = self._others, self.slack
         if slack[:, ~others].min() < 0 or slack[:, others].min(initial=np.inf) >= 0:
             slack = np.where(others, np.inf, slack)  # in a unit of its own
         k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)

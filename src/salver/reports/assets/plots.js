@@ -91,12 +91,12 @@ function chart(host, spec, onTime) {
       const back = [...band.x].reverse(), low = [...band.low].reverse();
       svg("path", { d: path(band.x, band.high) + path(back, low).replace("M", "L") + "Z", fill: band.colour, opacity: band.opacity || 0.16 }, inside);
     }
-    for (const line of spec.lines || []) {
+    for (const line of spec.lines || [])
       svg("line", { x1: box.left, x2: box.right, y1: Y(line.y), y2: Y(line.y), stroke: line.colour || "var(--axis)", "stroke-dasharray": "5 4" }, inside);
-      if (line.label) svg("text", { x: box.right - 4, y: Y(line.y) + (line.below ? 13 : -5), "text-anchor": "end", class: "note", fill: line.colour || "var(--soft)" }, image, line.label);
-    }
     for (const s of spec.series)
       svg("path", { d: path(s.x, s.y), fill: "none", class: "series", stroke: s.colour, "stroke-width": s.width || 1.8, "stroke-dasharray": s.dash || "none", "stroke-linejoin": "round", opacity: s.opacity || 1 }, inside);
+    for (const line of spec.lines || [])  // last: no curve runs through a word
+      if (line.label) svg("text", { x: box.right - 4, y: Y(line.y) + (line.below ? 13 : -5), "text-anchor": "end", class: "note named", fill: line.colour || "var(--soft)" }, image, line.label);
     if (spec.time) attachCursor(host, image, box, xRange, X, Y, spec, onTime);
   };
   drawn(host, draw);

@@ -313,7 +313,7 @@ function createViewer(canvas, scene) {
     const list = [], joints = posesAt(variant.joints, variant.t, scene.joints, t);
     const tray = Mat.pose(posesAt(variant.tray, variant.t, 1, t));
     for (const link of links) list.push([link.shape, Mat.pose(joints, 7 * link.joint), link.colour]);
-    list.push([shapes.tray, tray, scene.tray.colour]);
+    list.push([shapes.tray, tray, options.dark ? scene.tray.colour.map((c) => 0.42 + 0.5 * c) : scene.tray.colour]);
     if (scene.meshes.length) list.push([shapes.post, tray, [0.35, 0.37, 0.4]]);
     const poses = posesAt(variant.objects, variant.t, objects.length, t);
     objects.forEach((o, i) => list.push([o.shape, Mat.pose(poses, 7 * i), o.colour, { ...o, liquid: variant.liquids[i] }]));
