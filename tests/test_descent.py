@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from salver.planning.follow.descent import descend
+from salver.planning.follow.descent import _thorough, descend
 
 
 def rosenbrock(x):
@@ -56,6 +56,34 @@ def test_the_same_points_as_scipy(at, steps):
 def test_the_same_points_where_a_first_step_falls_but_not_enough():
     for distance in np.linspace(0.50500, 0.50506, 7):  # the first step is 1.01 long, to just before the other side
         agrees(lambda x: (float(x @ x), 2 * x), np.array([distance, 0.0]), 12)
+
+
+def chance(x, fall):
+    """Values and slopes that have nothing to do with one another, always the same at the same place."""
+    rng = np.random.default_rng(np.frombuffer(x.tobytes(), dtype=np.uint32))
+    return 0.01 * rng.normal() - fall * np.abs(x).sum(), rng.normal(size=len(x)) * 10.0 ** rng.integers(-2, 2)
+
+
+@pytest.mark.parametrize(("fall", "seeds"), [(0.0, [0, 89, 201]), (1.0, [1, 26, 85])])
+def test_the_same_points_whatever_is_answered(fall, seeds):
+    """Among them such as lead into every branch of a line search."""
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        agrees(lambda x: chance(x, fall), rng.normal(size=1 + seed % 3) * 10.0 ** rng.integers(-2, 3), 12)
+
+
+def test_the_slope_after_a_step_is_that_of_where_it_led():
+    """Downhill without end SciPy's search gives up after some steps, and does not say the slope there."""
+    x, way = np.array([1.0]), np.array([1.0])
+
+    def at(y):
+        return float(-np.sqrt(1 + y @ y)), -y / np.sqrt(1 + y @ y)
+
+    value, slope = at(x)
+    share, there, gradient = _thorough(at, x, way, value, slope, value + 0.1)
+    assert share > 10
+    assert there == at(x + share)[0]
+    assert np.array_equal(gradient, at(x + share)[1])
 
 
 def agrees(at, start, steps):

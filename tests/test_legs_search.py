@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import pairwise, product
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from salver.geometry import Array
 from salver.planning.fastest import FastestOptions, legs
+from salver.planning.fastest.constraints import Block, Constraint
+from salver.planning.fastest.curves import Grid
 from salver.planning.fastest.ends import AtPosture
+from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.exchange import SHORTEST
 from salver.planning.fastest.legs import HALF, ROUGHS, _merit, chains, in_turn
-from salver.planning.fastest.spline import RestSpline, SplineMotion
+from salver.planning.fastest.objectives import Point
+from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.starts import Ends
+from salver.planning.fastest.together import LegsCurve, LegsProgramme
 from salver.planning.fastest.watch import Watch
 
 
@@ -100,6 +108,85 @@ def test_the_legs_share_the_work_that_is_left_evenly(monkeypatch, done: float, u
             part.over()
             told.append(part.whole.share)
     assert told == pytest.approx(np.repeat(np.linspace(done, until, 4), 2)[1:-1])
+
+
+# All legs in one programme -----------------------------------------------------------------------------------------
+
+
+def legs_in_a_plane() -> tuple[LegsCurve, Array]:
+    """Two legs of 0.3 and 0.7 of the time, from (0, 0) over (1, 0) to (1, 2), and coefficients: straight lines of the
+    joints that end elsewhere, and shares that make more than one."""
+    stops = [AtPosture(np.array(q)) for q in ((0.0, 0.0), (1.0, 0.0), (1.0, 2.0))]
+    plane: list[Any] = [
+        SimpleNamespace(n=2, arm=SimpleNamespace(n=2), limits=None, start=a, goal=b, at=seen)
+        for a, b in pairwise(stops)
+    ]
+    spline = RestSpline(5, 4)
+    grid = Grid.of(spline, spline.nodes(2), 2)
+    curve = LegsCurve(tuple(plane), spline, grid.s, grid.nodes, np.array([0.3, 0.7]))
+    at, blend = np.zeros((curve.grid.basis.shape[2], 2)), min_jerk_blend(np.linspace(0, 1, spline.size))[:, None]
+    ends = np.array([[0.1, -0.2], [1.2, 0.1], [0.7, 2.3]])
+    for k in range(2):
+        at[curve.rows(k)] = ends[k] + blend * (ends[k + 1] - ends[k])
+    at[curve.postures] = 0.1, 0.05
+    return curve, at
+
+
+def seen(s: Array, z: Array, duration: float, nodes: Any, imposed: bool = True) -> Evaluation:
+    return Evaluation(None, 0, None, s, duration, z, nodes, imposed, False)
+
+
+def test_legs_follow_one_another_in_time_each_for_its_share() -> None:
+    curve, at = legs_in_a_plane()
+    each, count = Grid.of(curve.spline, curve.spline.nodes(2), 2), len(curve.s)
+    assert curve.grid.s[:count] == pytest.approx(0.3 * each.s)
+    assert curve.grid.s[count:] == pytest.approx(0.3 + 0.7 * each.s)
+    assert curve.grid.nodes.tolist() == [*each.nodes, *(count + each.nodes)]
+    z = curve.motion(at, 2.0)
+    for k, (begin, share, log) in enumerate(((0.0, 0.3, 0.1), (0.3, 0.7, 0.05))):
+        duration = 2.0 * share * np.exp(log)
+        assert z[:, k * count : (k + 1) * count] == pytest.approx(each.motion(at[curve.rows(k)], duration), rel=1e-9)
+        assert begin == pytest.approx(curve.grid.s[k * count])
+
+
+def test_a_leg_whose_ends_are_moved_stays_the_line_that_it_is() -> None:
+    """Its stops are where they must be, the legs take all of the time, in the same proportion, and what is right stays
+    as it is."""
+    curve, at = legs_in_a_plane()
+    found = curve.repaired(at)
+    assert found is not None
+    blend = min_jerk_blend(np.linspace(0, 1, curve.spline.size))[:, None]
+    for k, (one, other) in enumerate((((0, 0), (1, 0)), ((1, 0), (1, 2)))):
+        assert found[curve.rows(k)] == pytest.approx(np.array(one) + blend * (np.array(other) - one))
+    shares = curve.durations(found, 1.0)
+    assert shares.sum() == pytest.approx(1.0)
+    assert shares[0] / shares[1] == pytest.approx(0.3 / 0.7 * np.exp(0.05))
+    assert curve.repaired(found) == pytest.approx(found)
+
+
+def test_a_leg_takes_neither_much_more_nor_much_less_of_the_time_at_once() -> None:
+    curve, at = legs_in_a_plane()
+    rows, most = curve.inequalities(at)
+    for change, allowed in ((0.19, True), (-0.19, True), (0.21, False), (-0.21, False)):
+        for k in range(2):
+            step = np.random.default_rng(0).normal(size=at.size)
+            step[curve.columns_of_shares] = 0.0
+            step[curve.columns_of_shares[k]] = change
+            assert np.all(rows @ step <= most) == allowed
+
+
+def test_rows_of_a_leg_are_at_the_points_of_that_leg() -> None:
+    curve, at = legs_in_a_plane()
+
+    class Here(Constraint):
+        def blocks(self, motion: Evaluation) -> Iterator[Block]:
+            yield Block("here", motion.at_nodes[0], lambda i, f: np.zeros((len(i), 8)), motion.nodes, (0.0, 0.0))
+
+    found = LegsProgramme(curve, (), SHORTEST, ((Here(),), (Here(), Here()))).at(Point(at, 2.0))
+    z = curve.motion(at, 2.0)
+    assert [block.points[0] // len(curve.s) for block in found.blocks] == [0, 1, 1]
+    for block in found.blocks:
+        assert block.values == pytest.approx(z[0, block.points])
 
 
 def test_a_task_that_lacks_a_leg_or_is_not_safe_is_worse_than_a_slow_one() -> None:

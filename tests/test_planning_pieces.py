@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -96,11 +97,14 @@ def test_a_swivel_of_the_elbow_is_improved_along_the_slope_that_differences_give
 
 
 def test_a_plan_that_fails_between_its_nodes_is_made_at_more_of_them_up_to_all_that_are_checked(monkeypatch) -> None:
-    """What is solved for stays where it is: the straight line, too fast for the cube."""
+    """What is solved for stays where it is, the straight line, too fast for the cube. Each time a margin is asked for:
+    half as much again as what may be missing between nodes, which goes with the square of their distance."""
     case, asked = CUBE.with_changes(motion__duration=0.5, motion__nodes=11), []
+    margins: list[float] = []
 
     def solve(problem: Problem) -> Solution:
         asked.append(problem.nodes)
+        margins.append(problem.tightening)
         found = Status("optimal", "Found.", True)
         return Solution(np.zeros(problem.size), 1.0, None, 0.0, 1, "none", found)
 
@@ -108,6 +112,11 @@ def test_a_plan_that_fails_between_its_nodes_is_made_at_more_of_them_up_to_all_t
     plan = make.plan_object(case)
     assert not plan.status.ok
     assert asked == [11, 21, 41, 81, 101, 101]
+    expected, missing = [0.0], plan.verification.violation
+    for before, after in pairwise(asked):
+        expected.append(1.5 * ((before - 1) / (after - 1)) ** 2 * (expected[-1] + missing))
+    assert missing > 0.1
+    assert margins == pytest.approx(expected)
     assert asked[-1] == FINER * (11 - 1) + 1  # the instants of the check
 
 

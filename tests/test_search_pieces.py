@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from salver.planning.fastest.curves import launch_basis
 from salver.planning.fastest.ends import Anywhere
 from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.objectives import Duration, LeastMargin, Point
-from salver.planning.fastest.obstacles import EXACT
+from salver.planning.fastest.obstacles import AT_NODES, EXACT, REACH, KeepOut
 from salver.planning.fastest.passing import ALLOWED, SCALE, Closest, Passing, _blend
 from salver.planning.fastest.retiming import PATH_TOLERANCE, SplinePath
 from salver.planning.postures import INSIDE, PoseTarget
@@ -126,6 +128,24 @@ def test_where_a_motion_is_nearest_to_a_pose_is_found_in_whichever_piece_it_is(p
     motion = Evaluation(None, 0, None, t, 1.0, z, np.arange(6), True, False)
     (rows,) = Passing(arm, PoseTarget(*arm.tray_pose(there)), "a pose").blocks(motion)
     assert rows.values == pytest.approx(np.full((1, 12), -ALLOWED / SCALE), abs=1e-4)  # as far within as can be
+
+
+def test_a_pair_that_is_too_near_at_an_end_keeps_a_share_of_that_less_what_nodes_keep() -> None:
+    """A tenth of it; half of it where a posture that was given is nearer than others need to be; never more than it had
+    to keep, and nothing is touched where it was touched already. By hand, in mm."""
+    there = np.array([[9.0, 6.0, 4.0, 4.0, -2.0], [20.0, 7.0, 6.0, 4.5, 3.0]]) * 1e-3
+    required = np.array([5.0, 5.0, 5.0, 3.0, 5.0]) * 1e-3
+    asked: list[Array] = []
+
+    def clearance(q: Array, most: Array | None = None) -> Array:
+        asked.append(most)
+        return there
+
+    parts: Any = SimpleNamespace(clearance=clearance)
+    keep_out = KeepOut(parts, required)
+    assert 1e3 * keep_out.kept_by(np.zeros((2, 7))).required == pytest.approx([5.0, -0.4, -0.6, 1.0, -1.0])
+    assert 1e3 * keep_out.distances(np.zeros((2, 7)), 0.002) == pytest.approx(1e3 * (there - required))
+    assert np.all(asked[-1] >= required + REACH + AT_NODES + 0.002)  # exact as far as the arm may stray into reach
 
 
 def straight_to(path: SplinePath, corners: Array) -> float:
