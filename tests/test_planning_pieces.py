@@ -12,11 +12,13 @@ import pytest
 
 from salver import scenario
 from salver.errors import Status
-from salver.geometry import Array
+from salver.geometry import Array, exp
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.arm_limits import LIMITS, POSITION, JointLimits
-from salver.planning import make
+from salver.planning import make, postures
+from salver.planning.fastest import blocked, bound
+from salver.planning.fastest.ends import AtPose
 from salver.planning.follow import redundancy
 from salver.planning.follow.limits import _room
 from salver.planning.follow.motion import _unreachable
@@ -69,15 +71,50 @@ def test_no_posture_is_beyond_the_limits_less_a_little(panda: ArmModel, side: in
     assert all(at_ends)
 
 
+def test_where_an_end_is_out_of_reach_the_heading_is_told_in_which_it_is_not(panda: ArmModel, monkeypatch) -> None:
+    """Of an arm that stands in a posture and could stand in no other: asked for its pose turned away by 40 degrees."""
+    p, R = panda.tray_pose(POSTURE)
+    for turn in (40.0, -70.0):
+        away = AtPose(PoseTarget(p, R @ exp(np.array([0.0, 0.0, -np.deg2rad(turn)]))))
+        problem: Any = SimpleNamespace(arm=panda, limits=None, n=7, start=away, goal=away)
+        monkeypatch.setattr(blocked, "_nearest", lambda problem, target: (POSTURE, 0.0 if target.yaw_free else 1.0))
+        told = blocked.why_unreached(problem).sentence
+        assert told.endswith(
+            f"reaches the start: the nearest found misses it by {0:.3g} mm and {abs(turn):.3g} deg. "
+            f"Turned by {turn:.0f} deg about its vertical it is reached."
+        ), told
+
+
+def test_friction_carries_the_centre_of_a_load_wherever_it_is_on_the_tray(monkeypatch) -> None:
+    """By hand, of a tray that goes by (0.3, 0.1) m and turns by 90 degrees: its load goes by (0.23, 0.13)."""
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    poses = [(np.zeros(3), np.eye(3)), (np.array([0.3, 0.1, 0.2]), quarter)]
+    arm: Any = SimpleNamespace(tray_pose=lambda q: poses[int(q[0])])
+    monkeypatch.setattr(bound, "_stacks", lambda payload: iter([(0.4, np.array([0.05, 0.02, 0.1]))]))
+    time = bound.least_by_friction(arm, CUBE.payload, 0.0, np.zeros(1), np.ones(1))
+    assert 0.5 * 0.4 * 9.81 * time**2 == pytest.approx(np.hypot(0.23, 0.13))
+
+
+def test_a_joint_that_can_turn_more_than_once_is_as_near_to_its_middle_as_may_be(monkeypatch) -> None:
+    limits = JointLimits(np.array([-1.0]), np.array([7.0]), *[np.ones(1)] * 5)
+    arm: Any = SimpleNamespace(n=1, limits=limits)
+    for found, kept in ((6.5, 6.5 - 2 * np.pi), (-0.3, 2 * np.pi - 0.3), (2.0, 2.0)):  # to 3 rad
+        monkeypatch.setattr(postures, "posture_at", lambda *_, found=found, **__: (np.array([found]), 0.0))
+        assert postures.candidate_postures(arm, None, seeds=2) == [pytest.approx(kept)]  # type: ignore[arg-type]
+
+
 def crossing(duration: float) -> TrayPath:
     start, goal = (np.array(pose.position) for pose in (CUBE.motion.start, CUBE.motion.goal))
     line = min_jerk_line(duration, start, goal, np.eye(3), np.eye(3))
     return tray_path(line, np.array([0.0, 0.0, 0.02]), np.eye(3), np.linspace(0, duration, 13))
 
 
-def test_a_swivel_of_the_elbow_is_improved_along_the_slope_that_differences_give(panda: ArmModel, monkeypatch) -> None:
-    """By where it starts and by its coefficients, to what is left out as faint."""
-    path, seen = crossing(0.8), []
+@pytest.mark.parametrize("weak", [0.8, 0.1])
+def test_a_swivel_of_the_elbow_is_improved_along_the_slope_that_differences_give(weak, monkeypatch) -> None:
+    """By where it starts and by its coefficients, to what is left out as faint; so fast that speed and acceleration are
+    what matters most, and of an arm so weak that torque is."""
+    path, seen = crossing(0.3), []
+    arm = load_arm(CUBE.arm.model_copy(update={"torque_scale": weak}), CUBE.tray)
 
     def looked(at: Any, x: Array, *_: Any) -> None:
         x = x + 0.05 * np.random.default_rng(0).normal(size=len(x))
@@ -86,11 +123,11 @@ def test_a_swivel_of_the_elbow_is_improved_along_the_slope_that_differences_give
             seen.append((at(x)[1] @ step, (ahead - behind) / 2e-5))
 
     monkeypatch.setattr(redundancy, "descend", looked)
-    postures, reached = postures_along(panda, path.p_SE, path.R_SE, POSTURE)
+    followed, reached = postures_along(arm, path.p_SE, path.R_SE, POSTURE)
     assert reached == len(path.t)
-    choice = first_choice(panda, arm_geometry(panda), path, postures)
+    choice = first_choice(arm, arm_geometry(arm), path, followed)
     assert choice is not None
-    improved(panda, arm_geometry(panda), path, choice, True)
+    improved(arm, arm_geometry(arm), path, choice, True)
     assert len(seen) == 2
     for claimed, found in seen:
         assert claimed == pytest.approx(found, rel=1e-2)

@@ -147,7 +147,7 @@ def test_the_time_of_a_round_is_shared_until_its_legs_keep_the_same_margin(monke
     found = plan_safest_legs(case, options=FEW)
     margins = [leg.margin for leg in found.legs]
     assert found.duration == pytest.approx(2.4)
-    assert np.ptp(margins) < 1e-3
+    assert np.ptp(margins) < 1e-8
     assert asked == [True, True, False, False, False, False]
     assert found.solver["seconds"] == pytest.approx(2.0 + 3 * 2 * 0.5)
     assert f"every contact {100 * (min(margins) + 0.05):.2g} % of the weight from its edge" in found.status.sentence
@@ -170,13 +170,15 @@ def test_how_far_the_safest_motion_keeps_a_contact_from_its_edge_is_told(monkeyp
 
 
 @pytest.mark.slow
-def test_the_safest_round_gives_its_legs_the_same_margin_and_takes_its_time():
-    """It keeps more than the fastest round, and holds in the engine."""
+def test_the_safest_round_gives_its_legs_the_same_margin_and_takes_its_time(monkeypatch):
+    """It keeps more than the fastest round, and holds in the engine. The fastest, which each begins from, is looked for
+    once."""
     case = scenario.load("waiters-round")
     quickest = plan_legs(case, options=FEW)
     given = case.with_changes(motion__duration=1.3 * quickest.duration)
     with pytest.raises(ScenarioError, match="--safest"):
         plan_legs(given, options=FEW)
+    monkeypatch.setattr(safest, "plan_legs", lambda *_, **__: quickest)
     found = plan_safest_legs(given, options=FEW)
     assert found.ok
     assert found.apart == 0

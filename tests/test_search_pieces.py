@@ -17,7 +17,7 @@ from salver.models.arm import load_arm
 from salver.models.arm_limits import JointLimits
 from salver.planning.fastest import transport_problem
 from salver.planning.fastest.around import CUTS, STEP, FreeSpace, _cut_short
-from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY, Block, Clearance
+from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY, UNSEEN, Block, Clearance
 from salver.planning.fastest.curves import launch_basis
 from salver.planning.fastest.ends import Anywhere
 from salver.planning.fastest.evaluation import Evaluation
@@ -49,9 +49,12 @@ def test_rows_have_their_peaks_at_the_ends_too_and_of_many_the_foremost_are_look
         assert told[0] == (row[0] >= row[1])
         assert told[-1] == (row[-1] >= row[-2])
         assert told[1:-1].tolist() == [row[k] >= max(row[k - 1], row[k + 1]) for k in range(1, 8)]
-    for most, found in ((3, block.near(np.inf)), (9, block.joining(np.zeros((9, 40), dtype=bool)) | (values < -0.02))):
-        for row, told in zip(values, found, strict=True):
-            assert set(np.argsort(row)[-most:]) <= set(np.flatnonzero(told))
+    many = np.random.default_rng(3).normal(size=(50, 300))
+    wide = Block("many", many, lambda i, f: np.zeros((len(i), 4)), np.arange(50), most=7)
+    for row, near, joining in zip(many, wide.near(np.inf), wide.joining(np.zeros(many.shape, dtype=bool)), strict=True):
+        order = np.argsort(-row)
+        assert np.flatnonzero(near).tolist() == sorted(order[:7])
+        assert np.flatnonzero(joining).tolist() == sorted(k for k in order[:21] if row[k] > UNSEEN)
     assert block.near(np.inf).sum(axis=1).tolist() == [3] * 9
 
 

@@ -1,23 +1,30 @@
 """Where a search for a stop begins, the curves on which it looks, and which stop is taken when."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import salver as sv
+from salver.errors import SalverError
+from salver.planning import stops
 from salver.planning.fastest import Anywhere, AtPosture, transport_problem
 from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid
 from salver.planning.fastest.retiming import SplinePath
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.stop_library import StopLibrary
 from salver.planning.stops import (
+    LEAST,
     SPLINE,
+    STORED,
     FoundStop,
     _braking,
     _fitted,
     _going_on,
     _law_ahead,
+    plan_stops,
+    stop_problem,
 )
 from salver.trajectory import JointMotion
 
@@ -41,6 +48,8 @@ def test_a_search_for_a_stop_may_begin_with_going_on_a_while():
     guess = _going_on(whole, now, begin, ahead)
     assert guess.t[0] == 0.0
     assert guess.duration == pytest.approx(1.4 - now, abs=1e-12)
+    beside = _going_on(whole, float(whole.t[47]) + 1e-12, begin, ahead)  # of two instants that differ by rounding one
+    assert min(np.diff(guess.t).min(), np.diff(beside.t).min()) > 1e-3
     t = np.linspace(0, 1.4 - now, 57)
     for found, true in zip(guess.sample(t), whole.sample(now + t), strict=True):
         np.testing.assert_allclose(found, true, atol=1e-6)
@@ -138,6 +147,60 @@ def test_the_longest_stop_is_asked_for_just_after_an_instant_from_which_one_begi
     assert library.longest == pytest.approx(0.5, abs=1e-6)  # after 0.5 s it can only be finished
     assert library.finishing == pytest.approx(0.5, abs=1e-6)
     assert replace(library, end=0.8).longest == pytest.approx(0.4, abs=1e-6)  # from 0.2 s on, to 0.6 s
+
+
+def test_the_stop_that_is_sooner_at_rest_is_taken_though_it_begins_later():
+    none = np.zeros((2, 2, 7))
+    ends = np.array([0.0, 1.0])
+    library = StopLibrary(np.array([0.1, 0.2]), np.array([0.4, 0.05]), ends, none, none, none, none[:, 0], 1.0)
+    assert [library.course(now).stop for now in (0.05, 0.15, 0.25)] == [1, 1, None]
+    assert "from 0.20 s on only by finishing, within 0.80 s." in library.sentence
+    always = replace(library, t=np.array([0.1, 1.0 - 1e-12]), duration=np.array([0.4, 0.0]))
+    assert "finishing" not in always.sentence
+
+
+@pytest.mark.parametrize("on_path", [False, True])
+def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(monkeypatch, on_path):
+    """Of a motion of 1 s, every tenth of a second, with the durations that are found here: those that are no sooner at
+    rest than going on are left out, and so is one by less than is worth it."""
+    found = {0.9: 0.2, 0.8: 0.1, 0.7: None, 0.6: 0.3 - 0.5 * LEAST, 0.5: 0.39, 0.4: 0.5, 0.3: 0.1, 0.2: 0.3, 0.1: 0.25}
+    asked, told = [], []
+
+    def stop(now, most):
+        asked.append((now, most))
+        duration = found[round(now, 6)]
+        rest = JointMotion(np.linspace(0, duration or 1.0, STORED.size), *np.zeros((3, STORED.size, 7)))
+        return None if duration is None else FoundStop(rest, np.zeros(7))
+
+    whole = swaying(1.0)
+    nowhere = SimpleNamespace(n=7, check_from_rest=lambda what: None)
+    monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None))
+    monkeypatch.setattr(stops, "stop_from", lambda problem, state, begun, now, most: stop(now, most))
+    monkeypatch.setattr(stops, "brake_on", lambda problem, path, end, now, begun, law, most: stop(now, most))
+    monkeypatch.setattr(stops, "_going_on", lambda motion, now, begin, ahead: now)
+    library = plan_stops(nowhere, whole, 0.1, on_path=on_path, progress=lambda *done: told.append(done))
+    assert told == [(k + 1, 9) for k in range(9)]
+    assert [now for now, _ in asked] == pytest.approx(np.arange(9, 0, -1) / 10)
+    # Until 0.8 s nothing is sooner than the end; then each has to be at rest before the one that was kept.
+    rests = [1.0, 1.0, 0.9, 0.9, 0.9, 0.89, 0.89, 0.4, 0.4]
+    assert [now + most for now, most in asked] == pytest.approx(rests)
+    assert library.t == pytest.approx([0.1, 0.3, 0.5, 0.8])
+    assert library.duration == pytest.approx([0.25, 0.1, 0.39, 0.1])
+    states = whole.t, whole.q, whole.dq, whole.ddq
+    for part in (slice(0, 100), slice(100, 201)):
+        moving = JointMotion(whole.t[part] - whole.t[part][0], *(x[part] for x in states[1:]))
+        with pytest.raises(SalverError, match="begins or ends moving"):
+            plan_stops(nowhere, moving, 0.1)
+
+
+def test_a_stop_may_lean_as_far_as_its_plan_does():
+    """A wrist that leans by 5 degrees on the way, where the scenario keeps its tray level."""
+    case = PAPER.with_changes(motion__orientation="fixed")
+    problem = transport_problem(case)
+    t = np.linspace(0, 1, 41)
+    q = problem.start_posture + np.outer(np.sin(np.pi * t) ** 2, np.deg2rad(5) * np.eye(7)[5])
+    plan = SimpleNamespace(joint=JointMotion(t, q, 0 * q, 0 * q), scenario=case)
+    assert stop_problem(plan).max_tilt == pytest.approx(1.01 * np.deg2rad(5), rel=1e-3)
 
 
 def test_a_motion_that_begins_moving_has_the_derivatives_that_differences_give():
