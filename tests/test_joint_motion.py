@@ -230,10 +230,14 @@ def min_jerk_of_one_joint(joint, distance, duration, n=7, count=401):
     return JointMotion(u * duration, q, dq, ddq)
 
 
-def test_peaks_of_a_min_jerk_move_by_hand(panda):
-    """1.875 d/T at T/2; 10 d/(sqrt(3) T^2) at T (3 - sqrt 3)/6; 60 d/T^3 at both ends."""
+@pytest.mark.parametrize("count", [2, 3, 12, 401])
+def test_peaks_of_a_min_jerk_move_by_hand(panda, count):
+    """1.875 d/T at T/2; 10 d/(sqrt(3) T^2) at T (3 - sqrt 3)/6; 60 d/T^3 at both ends. However few samples say so."""
     distance, duration, joint = 0.9, 0.5, 2
-    found = {peak.kind: peak for peak in peaks(panda, min_jerk_of_one_joint(joint, distance, duration))}
+    motion, fine = (min_jerk_of_one_joint(joint, distance, duration, count=n) for n in (count, 4001))
+    found, finely = ({peak.kind: peak for peak in peaks(panda, x)} for x in (motion, fine))
+    for kind, within in (("torque", 1e-3), ("torque rate", 0.02)):
+        assert found[kind].share == pytest.approx(finely[kind].share, rel=within)
     limits = panda.planning_limits
     velocity, acceleration, jerk = found["velocity"], found["acceleration"], found["jerk"]
     assert velocity.joint == acceleration.joint == jerk.joint == "panda_joint3"

@@ -20,6 +20,7 @@ from salver.wording import listed
 
 WITHIN_LIMITS, LIMIT_EXCEEDED, COLLISION = "within_limits", "limit_exceeded", "collision"
 _TOLERANCE = 1e-9  # relative; a motion planned up to a limit touches it
+LOOKS = 200  # at a motion, at least: where its samples are further apart, between them too
 BETWEEN = 5e-3  # of a limit: more than what a motion that keeps it at a planner's instants asks for between them
 
 
@@ -46,9 +47,10 @@ def torques(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> 
 def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> list[Peak]:
     """The largest share of each kind of the scenario's limits (`arm.planning_limits`).
 
-    Position is measured from the middle of the range. Between samples too: the spline is looked at twice as finely.
+    Position is measured from the middle of the range. Between samples too: the spline is looked at twice as finely, and
+    where samples are far apart (two of them may be a whole motion) at `LOOKS` instants.
     """
-    limits = arm.planning_limits
+    motion, limits = _finely(motion), arm.planning_limits
     t = np.sort(np.concatenate([motion.t, 0.5 * (motion.t[1:] + motion.t[:-1])]))
     torque = torques(arm, motion, bodies)
     times = {"position": t, "torque": motion.t}
@@ -67,6 +69,15 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
         unit = kind.unit_of(arm.linear[i])
         found.append(Peak(kind.name, float(abs(share[k, i])), arm.joint_names[i], time, value, bound, unit))
     return found
+
+
+def _finely(motion: JointMotion) -> JointMotion:
+    """The same motion with no samples further apart than a share 1 / `LOOKS` of it."""
+    counts = np.ceil(np.diff(motion.t) * LOOKS / (motion.t[-1] - motion.t[0]) - 1e-9).astype(np.intp)
+    if counts.max(initial=1) <= 1 or not all(np.isfinite(x).all() for x in (motion.q, motion.dq, motion.ddq)):
+        return motion
+    t, z = motion.evenly(counts)
+    return JointMotion(t, *z[:3])
 
 
 def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], whatever: str = "") -> Status | None:
