@@ -166,7 +166,7 @@ def _apart(keep_out: KeepOut, blocks: Sequence[Block], t: Array, states: Array) 
     parts = keep_out.parts
     for block in blocks:
         if isinstance(block.of, Clearance):
-            low = keep_out.required - block.values / PER_METRE
+            low = keep_out.least - block.values / PER_METRE
             return bool(np.all(low[:-1] + low[1:] - ways(t, states) @ parts.levers(states[0]).T > 2 * TOUCHING))
     return not parts.pairs
 

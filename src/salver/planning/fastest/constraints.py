@@ -368,7 +368,7 @@ class Clearance(Constraint):
             stray = np.linalg.norm(position, axis=1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1)
         distance = self.keep_out.distances(q, float(stray.max()))
         if not motion.imposed:
-            distance += np.minimum(self.keep_out.required, 0.0)
+            distance += self.keep_out.required - self.keep_out.least
         yield Block(
             "clearance",
             -PER_METRE * (distance - stray[:, None]),

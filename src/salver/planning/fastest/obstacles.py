@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from salver.geometry import Array
 from salver.models.arm_geometry import ArmGeometry
+from salver.planning.follow import clearance
 
 SAFETY = 5e-3  # m that are kept free
 AT_NODES = 1e-3  # m more at the nodes of a programme, for what may happen between them
@@ -20,6 +21,8 @@ REACH = 5e-3  # m; pairs that are further apart than this and what they must be 
 EXACT = 1.5 * REACH + AT_NODES  # m up to which distances are exact: what comes to within reach from there came far
 ENOUGH_AT_ENDS = 1.5e-3  # m beyond what is required, at which an end posture needs no exception
 KEPT_AT_ENDS = 0.1  # share of the distance at an end that does need one
+APART = 0.5 * clearance.RESOLUTION + 2 * clearance.EXACT  # m beyond which no verdict takes parts for touching,
+OF_LITTLE = 0.9  # share of what there is at an end that is kept where that is hardly more
 KEPT_WHERE_GIVEN = 0.5  # and of that in a posture that was given, where the arm stands
 NEAR = 0.05  # m; pairs that are nowhere nearer along a path are left out until they are
 
@@ -27,7 +30,7 @@ NEAR = 0.05  # m; pairs that are nowhere nearer along a path are left out until 
 @dataclass(frozen=True, eq=False)
 class KeepOut:
     """parts: geometry with the pairs that are watched. required: (pairs,) distance to keep, m; where it is below zero,
-    nothing may touch all the same."""
+    `least` is kept all the same."""
 
     parts: ArmGeometry
     required: Array
@@ -47,8 +50,15 @@ class KeepOut:
         given posture keeps is kept: by that motions are judged that begin there."""
         there = self.parts.clearance(ends).min(axis=0)
         share = np.where(self.required < SAFETY, KEPT_WHERE_GIVEN, KEPT_AT_ENDS)
-        less = np.minimum(share * np.maximum(there, 0.0) - AT_NODES, self.required)
+        there = np.maximum(there, 0.0)
+        kept = np.maximum(share * there, np.minimum(APART, OF_LITTLE * there))
+        less = np.minimum(kept - AT_NODES, self.required)
         return KeepOut(self.parts, np.where(there < self.required + ENOUGH_AT_ENDS, less, self.required))
+
+    @property
+    def least(self) -> Array:
+        """(pairs,) m that is kept at every instant: so much that no verdict takes parts for touching."""
+        return np.where(self.required < 0.0, np.minimum(APART, self.required + AT_NODES), self.required)
 
     def near(self, q: Array) -> KeepOut:
         """Only the pairs that come near at one of the postures (N, n)."""
