@@ -18,6 +18,7 @@ import typer
 
 from salver import __version__
 from salver.cli.common import handled
+from salver.cli.lazily import load_when_used
 
 # In the order of use; each is the function of that name in the module of that name.
 COMMANDS = (
@@ -99,4 +100,6 @@ def main() -> None:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
     asked = [name for name in sys.argv[1:2] if name in COMMANDS]
+    if asked and "--help" not in sys.argv:
+        load_when_used()
     (_gathered(asked) if asked else _whole())()

@@ -55,6 +55,8 @@ class LoadChange:
         `tubes.radius` of the parameters, and every product at its largest.
         """
         n_p = self.uncertain.size
+        if not len(self.half_range):
+            return np.zeros(sensitivity.shape[:-1])
         first = tubes.radius(sensitivity[..., :n_p], self.uncertain)
         return np.asarray(first + np.abs(sensitivity[..., n_p:]) @ self.half_range[n_p:])
 

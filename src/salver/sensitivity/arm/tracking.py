@@ -189,6 +189,8 @@ def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
 
 def missing_acceleration(load: LoadChange, terms: MotionTerms) -> Array:
     """M^-1 J_E^T dF (T, n, n_c)."""
+    if not len(load.half_range):
+        return np.zeros((*terms.q.shape, 0))
     wrench = np.tensordot(terms.w, load.load_p, axes=(1, 2))  # (T, n_c, 6)
     return np.asarray(terms.mass_inverse @ np.swapaxes(wrench @ terms.jacobian, 1, 2))
 
