@@ -26,6 +26,15 @@ def options(**changes):
     return [word for pair in {**ANSWERS, **{f"--{k}": v for k, v in changes.items()}}.items() for word in pair]
 
 
+def test_a_place_that_takes_no_file_is_told_before_anything_is_asked(tmp_path):
+    (tmp_path / "file").touch()
+    for place in ("/proc/x.toml", str(tmp_path / "file" / "x.toml")):
+        done = RUNNER.invoke(app, ["new", place])
+        assert done.exit_code == 2
+        assert done.stdout == ""
+        assert re.fullmatch(r"salver: .* cannot be written to: .*; name a file elsewhere\.\n", done.stderr)
+
+
 @pytest.mark.slow
 def test_answers_become_a_scenario_that_plans(tmp_path):
     file = tmp_path / "my box.toml"

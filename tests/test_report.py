@@ -103,7 +103,7 @@ def test_without_an_arm_the_page_still_works(tmp_path: Path) -> None:
 
 
 def test_other_directories_get_a_sentence(tmp_path: Path, cube_plans: Path) -> None:
-    with pytest.raises(FileFormatError, match=r"is no run directory: it has no plan\.npz"):
+    with pytest.raises(FileFormatError, match=r"is not a run directory: it holds no scenario\.toml"):
         write_report(tmp_path)
     shutil.copytree(cube_plans, tmp_path / "run")
     (tmp_path / "run" / "plan.npz").write_bytes((cube_plans / "plan.npz").read_bytes()[:5000])

@@ -10,6 +10,7 @@ import pytest
 
 from salver import scenario
 from salver.errors import ScenarioError
+from salver.planning.plan_files import write_scenario
 
 GONE = object()
 CUBE = (scenario.SCENARIO_DIR / "panda-cube.toml").read_text(encoding="utf-8")
@@ -362,6 +363,26 @@ def test_files_are_looked_for_beside_the_scenario(tmp_path, monkeypatch):
     assert item.objects[0].shape.file == str(tmp_path / "mine" / "cube.stl")
     assert item.arm.model == str(tmp_path / "mine" / "arms" / "mine.urdf")
     assert scenario.load("panda-cube").arm.model == "panda"
+
+
+def test_a_name_that_is_slightly_wrong_brings_the_right_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for wrong in ("panda_cube", "Panda-Cube", "panda-cub"):
+        with pytest.raises(ScenarioError, match=f'no ready-made scenario "{wrong}"; did you mean panda-cube'):
+            scenario.load(wrong)
+    (tmp_path / "mine.toml").touch()
+    with pytest.raises(ScenarioError, match=r"the file is mine\.toml\."):
+        scenario.load("mine")
+    with pytest.raises(ScenarioError, match=r"is a directory without scenario\.toml"):
+        scenario.load(tmp_path)
+
+
+def test_the_scenario_of_a_run_directory_is_read_and_a_ready_made_name_stays_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("runs", "panda-cube"):
+        write_scenario(scenario.load("ur10-bottle"), tmp_path / name)
+    assert scenario.load("runs").digest == scenario.load("ur10-bottle").digest
+    assert scenario.load("panda-cube").name == "panda-cube"
 
 
 def test_unknown_name_lists_the_known_ones():

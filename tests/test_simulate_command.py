@@ -81,3 +81,21 @@ def test_a_directory_without_a_plan(tmp_path):
     result = salver("simulate", tmp_path)
     assert result.exit_code == 2
     assert "salver plan" in result.stderr
+
+
+def test_a_file_where_a_run_directory_is_wanted_and_the_other_way_round(tmp_path):
+    """One sentence each, which says what to give instead."""
+    run = tmp_path / "a run"
+    run.mkdir()
+    motion, array = tmp_path / "motion.csv", run / "plan.npz"
+    for path in (motion, array, run / "scenario.toml"):
+        path.touch()
+    for command in ("simulate", "report"):
+        assert "is a file; of a motion, say also what is carried: --scenario." in salver(command, motion).stderr
+    for command in (("simulate",), ("report",), ("campaign",), ("figures",), ("render", "-o", "x.gif")):
+        told = salver(*command, array).stderr
+        assert told == f"salver: {array} is a file of a run directory; give the directory: {run}.\n", command
+        told = salver(*command, tmp_path / "none").stderr
+        assert f"{tmp_path / 'none'} is not a run directory: there is none;" in told, command
+    told = salver("audit", run, "-s", "panda-cube").stderr
+    assert told.endswith(f"write one: salver export '{run}' --format csv -o motion.csv.\n")

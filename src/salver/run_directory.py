@@ -35,6 +35,29 @@ def file_stem(directory: Path, stem: str) -> str:
     return stem if own or leg_number(stem) is None else STEMS[0]
 
 
+def scenario_of(directory: Path) -> Path:
+    """The scenario that a run directory holds. Raises FileFormatError for what is no run directory."""
+    path = directory / SCENARIO
+    if path.is_file():
+        return path
+    if directory.is_file() and (directory.parent / SCENARIO).is_file():
+        raise FileFormatError(f"{directory} is a file of a run directory; give the directory: {directory.parent}.")
+    why = f"it holds no {SCENARIO}" if directory.is_dir() else "it is a file" if directory.exists() else "there is none"
+    raise FileFormatError(f"{directory} is not a run directory: {why}; make one with `salver plan SCENARIO -o DIR`.")
+
+
+def check_writable(directory: Path, advice: str) -> None:
+    """Make a directory unless it is there; raise SalverError where nothing can be written. advice: what to do then."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        probe = directory / f".{SCENARIO}.probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        reason = error.strerror.lower() if error.strerror else str(error)
+        raise SalverError(f"{directory} cannot be written to: {reason}; {advice}.") from None
+
+
 def check_free(directory: Path) -> None:
     """Raise SalverError when a plan cannot be written there, or would replace files that salver did not write.
 
@@ -50,14 +73,7 @@ def check_free(directory: Path) -> None:
                 raise SalverError(
                     f"{path} is there already and belongs to no plan of salver; name another directory with -o."
                 )
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        probe = directory / f".{SCENARIO}.probe"
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        reason = error.strerror.lower() if error.strerror else str(error)
-        raise SalverError(f"{directory} cannot be written to: {reason}; name another directory with -o.") from None
+    check_writable(directory, "name another directory with -o")
 
 
 def make_room(directory: Path, stem: str, with_scenario: bool = False) -> Path | None:

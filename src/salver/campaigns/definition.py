@@ -13,7 +13,7 @@ from salver import sampling, scenario
 from salver.errors import FileFormatError, SalverError
 from salver.files import read_json
 from salver.geometry import Array
-from salver.run_directory import plan_digest
+from salver.run_directory import plan_digest, scenario_of
 
 Engine = Literal["physics", "closed-loop"]
 ENGINES: tuple[str, ...] = get_args(Engine)
@@ -92,10 +92,7 @@ def define(
 
 def load_scenario(directory: Path) -> scenario.Scenario:
     """The resolved scenario of a run directory."""
-    path = directory / "scenario.toml"
-    if not path.is_file():
-        raise SalverError(f"{directory} holds no scenario.toml; it is not a directory that `salver plan` made.")
-    return scenario.load(path)
+    return scenario.load(scenario_of(directory))
 
 
 def samples(directory: Path, definition: Definition) -> tuple[tuple[str, ...], Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Literal
 
 import typer
@@ -127,4 +128,4 @@ def _read(
     for sentence in found.sentences or ("Nothing of friction is shown by this run.",):
         result_console().print(sentence)
     if out is not None:
-        say(f"Written to {out}; next: salver plan {out}.")
+        say(f"Written to {out}; next: salver plan {quote(str(out))}.")

@@ -182,6 +182,14 @@ def save_plans(directory: Path, plans: Mapping[str, Plan | Round], force: bool =
         say(f"salver: {directory} held another plan; it is kept with its results in {path}.")
 
 
+def of_a_run(path: Path) -> None:
+    """Raise ScenarioError for a motion file where only a run directory needs no scenario."""
+    from salver.run_directory import SCENARIO
+
+    if path.is_file() and not (path.parent / SCENARIO).is_file():
+        raise ScenarioError(f"{path} is a file; of a motion, say also what is carried: --scenario.")
+
+
 def result_console() -> Console:
     """Console on standard output, for the result a person asked for (without --json)."""
     return _console(soft_wrap=not sys.stdout.isatty())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -67,7 +68,7 @@ def identify(
         return
     _show(found)
     if out is not None:
-        say(f"Written to {out}; next: salver plan {out}.")
+        say(f"Written to {out}; next: salver plan {quote(str(out))}.")
 
 
 def summary(found: Identified) -> dict[str, object]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -70,7 +71,7 @@ def learn(
     else:
         _show(made)
     if out is not None and out.exists():
-        say(f"Written to {out}; next: salver plan {out} --fastest.")
+        say(f"Written to {out}; next: salver plan {quote(str(out))} --fastest.")
     if any(trip.lost for trip in made):
         raise typer.Exit(NO_SAFE_PLAN)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
@@ -49,6 +50,9 @@ def new(
         raise ScenarioError(f"{file} does not end in .toml; a scenario is a .toml file.")
     if file.exists():
         raise ScenarioError(f"{file} exists already; choose another name, or remove it.")
+    from salver.run_directory import check_writable
+
+    check_writable(file.parent, "name a file elsewhere")  # before anything is asked
     given = {"load": load, "mass": mass, "friction": friction, "arm": arm, "path": path}
     answers: dict[str, Any] = {}
     for key in QUESTIONS:
@@ -75,11 +79,12 @@ def new(
         result_console().print(plan.status.sentence, markup=False)
         if plan.arm_status is not None:
             result_console().print(plan.arm_status.sentence, markup=False)
+        name, runs = quote(str(file)), quote(f"runs/{file.stem}")
         say(
-            f"Next: salver plan {file} -o runs/{file.stem}, then salver simulate and salver report of that directory."
+            f"Next: salver plan {name} -o {runs}, then salver simulate and salver report of that directory."
             if plan.ok
             else f"What often helps: start and goal higher or further from the arm's base, or a smaller tray ([tray] "
-            f"size), in {file}; then salver plan {file}."
+            f"size), in {file}; then salver plan {name}."
         )
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from salver.cli.audit import Gap, Highest, Noise, OnTray, Topic
-from salver.cli.common import Json, print_json, say
+from salver.cli.common import Json, of_a_run, print_json, say
 
 
 def report(
@@ -41,13 +41,10 @@ def report(
 
         found = audit(directory, scenarios.load(scenario), topic, highest, noise, gap)
         path = write_audit_page(found, output or directory.with_suffix(".html"))
-    elif directory.is_file():
-        from salver.errors import ScenarioError
-
-        raise ScenarioError(f"{directory} is a file; of a motion, say also what is carried: --scenario.")
     else:
         from salver.reports.page import write_report
 
+        of_a_run(directory)
         path = write_report(directory, output, say)
     if json:
         print_json({"page": str(path), "bytes": path.stat().st_size})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salver.cli.audit import OnTray, Topic
-from salver.cli.common import Json, headed, print_json, result_console, say
+from salver.cli.common import Json, headed, of_a_run, print_json, result_console, say
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -77,6 +77,8 @@ def simulate(
 
     if stem not in (*STEMS, "both") and leg_number(stem) is None:
         raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both; or leg1, leg2, ...')
+    if scenario is None:
+        of_a_run(directory)
     asked = _Asked(directory, stem, true_values(set_ or []), seed, run, folder, stop_at, write)
     if run is not None:
         asked = _repeated(asked)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -70,7 +71,7 @@ def tune(
     else:
         _show(made, plan.duration)
     if last.next != "refused":
-        more = "" if last.next == "done" else f" Next: salver export {out}, carry it out, tune again."
+        more = "" if last.next == "done" else f" Next: salver export {quote(str(out))}, carry it out, tune again."
         say(f"Written to {out}.{more}")
     if last.next != "done":
         raise typer.Exit(NO_SAFE_PLAN)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -243,6 +244,11 @@ def _messages(path: Path, chosen: Callable[[Sequence[Any]], list[Any]]) -> list[
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
+    if (path / "scenario.toml").is_file():
+        raise FileFormatError(
+            f"{path} is a run directory, and a motion file is wanted; write one: salver export {quote(str(path))} "
+            "--format csv -o motion.csv."
+        )
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise FileFormatError(f"{path} is a directory without metadata.yaml, so it is no ROS 2 bag.")
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]

@@ -15,7 +15,16 @@ from salver.errors import FileFormatError, ScenarioError
 from salver.files import load_npz, npz_bytes, read_json, to_json, write_atomic, write_json
 from salver.geometry import Array
 from salver.planning import certificate
-from salver.run_directory import CERTIFICATE, SCENARIO, check_free, file_stem, known_stems, leg_number, make_room
+from salver.run_directory import (
+    CERTIFICATE,
+    SCENARIO,
+    check_free,
+    file_stem,
+    known_stems,
+    leg_number,
+    make_room,
+    scenario_of,
+)
 from salver.scenario import Pose, Scenario
 
 NEEDED = ("t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B")
@@ -131,12 +140,7 @@ def read_files(directory: str | Path, stem: str = "plan", required: tuple[str, .
     from salver.scenario import load
 
     directory = Path(directory)
-    if not (directory / "scenario.toml").is_file():
-        raise FileFormatError(
-            f"{directory} is not a run directory: it holds no scenario.toml; "
-            "make one with `salver plan SCENARIO -o DIR`."
-        )
-    scenario = load(directory / "scenario.toml")
+    scenario = load(scenario_of(directory))
     stem = file_stem(directory, stem)
     if scenario.legs:
         required = tuple(f"leg{k + 1}.{name}" for k in range(len(scenario.legs)) for name in required)

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from salver.errors import MissingDependencyError, SalverError
 from salver.files import put_in_place, write_atomic, writing
 from salver.planning.plan import load_plan
-from salver.run_directory import SCENARIO, STEMS, leg_number
+from salver.run_directory import STEMS, leg_number, scenario_of
 from salver.scenario import load
 from salver.simulation.record import FOLDER, SimulationRecord, load_record
 
@@ -84,7 +85,7 @@ def write_film(
 def _records(directory: Path, stem: str) -> tuple[Scenario, dict[str, SimulationRecord]]:
     if stem not in (*STEMS, "both") and leg_number(stem) is None:
         raise SalverError(f'There is no motion "{stem}" to show; known are {", ".join(STEMS)} and both.')
-    if leg_number(stem) is None and (legs := len(load(directory / SCENARIO).legs)):
+    if leg_number(stem) is None and (legs := len(load(scenario_of(directory)).legs)):
         raise SalverError(
             f"{directory} is of a task of {legs} legs, each a film of its own: give --stem leg1 and so on."
         )
@@ -92,8 +93,8 @@ def _records(directory: Path, stem: str) -> tuple[Scenario, dict[str, Simulation
     missing = [s for s in wanted or ["plan"] if not (directory / FOLDER / f"{s}.npz").is_file()]
     if missing:
         raise SalverError(
-            f"{directory} holds no simulation of {missing[0]}; make one with `salver simulate {directory} --stem "
-            f"{missing[0]}`."
+            f"{directory} holds no simulation of {missing[0]}; make one with `salver simulate "
+            f"{quote(str(directory))} --stem {missing[0]}`."
         )
     return load_plan(directory, wanted[0]).scenario, {s: load_record(directory, s) for s in wanted}
 

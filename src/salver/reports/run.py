@@ -18,7 +18,7 @@ from salver.models.bodies import Body
 from salver.models.parameters import Parameter
 from salver.planning.plan_files import read_plan
 from salver.reports.contact import ContactCurves, contact_curves
-from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest
+from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest, scenario_of
 
 if TYPE_CHECKING:
     from salver.sensitivity.sloshing import Liquids
@@ -157,10 +157,9 @@ def read_leg(directory: str | Path, number: int) -> Run:
 def read_run(directory: str | Path) -> Run:
     """Read a run directory. Raises FileFormatError when it is none, or a file in it is damaged."""
     directory = Path(directory)
+    scenario_of(directory)
     if not (directory / "plan.npz").is_file():
-        raise FileFormatError(
-            f"{directory} is no run directory: it has no plan.npz; make one with `salver plan SCENARIO -o {directory}`."
-        )
+        raise FileFormatError(f"{directory} holds no plan.npz; make one with `salver plan`.")
     files = {stem: read_plan(directory, stem, _NEEDED) for stem in STEMS if (directory / f"{stem}.npz").is_file()}
     notes: list[str] = []
     motions = [_with_records(directory, Motion(stem, plan.arrays, plan.record), notes) for stem, plan in files.items()]

@@ -139,8 +139,7 @@ def _unknown(run: Run) -> str:
         f"{pretty(p)} ±{half_range(p, nominal, half)}"
         for p, nominal, half in zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
     ]
-    joined = ranges[0] if len(ranges) == 1 else ", ".join(ranges[:-1]) + " and " + ranges[-1]
-    return f"Not known exactly: {joined}."
+    return f"Not known exactly: {listed(ranges)}."
 
 
 def outcome_in_words(outcome: str) -> str:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 import tomllib
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from salver.errors import ScenarioError
+from salver.run_directory import SCENARIO
 from salver.scenario.model import Scenario, parse
+from salver.wording import listed
 
 SCENARIO_DIR = Path(__file__).parent.parent / "scenarios"
 LONGEST_TEXT = 1_000_000  # bytes of a scenario file
@@ -16,16 +19,14 @@ LONGEST_LINE = 60  # letters of a line of it that a sentence shows
 
 
 def load(name_or_path: str | Path) -> Scenario:
-    """A ready-made scenario by name, or a TOML file by path. Raises ScenarioError."""
+    """A ready-made scenario by name, or a TOML file by path, or that of a run directory. Raises ScenarioError."""
     path = Path(name_or_path)
     if path.suffix != ".toml":
         ready_made = SCENARIO_DIR / f"{name_or_path}.toml"
-        if not ready_made.is_file():
-            known = ", ".join(names())
-            raise ScenarioError(
-                f'There is no ready-made scenario "{name_or_path}"; known are {known}, or give a .toml file.'
-            )
-        path = ready_made
+        found = next((file for file in (ready_made, path / SCENARIO) if file.is_file()), None)
+        if found is None:
+            raise ScenarioError(_unknown(str(name_or_path)))
+        path = found
     try:
         if path.stat().st_size > LONGEST_TEXT:
             raise ScenarioError(f"{path} is larger than {LONGEST_TEXT // 1000} kB; a scenario is a .toml file.")
@@ -41,6 +42,18 @@ def load(name_or_path: str | Path) -> Scenario:
         raise ScenarioError(f"{path} is not valid TOML: {_explained(error, text)}.") from None
     _find_files(data, path.parent)
     return parse(data, str(path))
+
+
+def _unknown(name: str) -> str:
+    """That there is no such scenario, and what may have been meant."""
+    if Path(name).is_dir():
+        return f"{name} is a directory without {SCENARIO}; give a .toml file, a run directory or a ready-made scenario."
+    sentence = f'There is no ready-made scenario "{name}"'
+    if Path(f"{name}.toml").is_file():
+        return f"{sentence}; the file is {name}.toml."
+    near = get_close_matches(name[:LONGEST_LINE].lower().replace("_", "-"), names(), 3, 0.75)
+    meant = f"; did you mean {listed(near, 'or')}? Known" if near else "; known"
+    return f"{sentence}{meant} are {', '.join(names())}, or give a .toml file."
 
 
 def _explained(error: Exception, text: str) -> str:
