@@ -65,6 +65,16 @@ def test_nodes_are_added_where_a_row_is_broken_the_most_and_at_both_ends_of_what
     assert checked(replace(state, values=-np.ones((12, 1))), s=s)[2:] == (0.0, [])
 
 
+def test_of_rows_of_one_name_the_largest_counts_whichever_comes_last() -> None:
+    """A wide constraint of one's own hid what a tight one of the same name lacked."""
+    s, kept = np.linspace(0.0, 1.0, 12), (0.0, 0.0)
+    broken = np.full((12, 1), -1.0)
+    broken[3] = 0.1
+    tight, wide = (Block("pace", rows, nothing, np.arange(12), kept) for rows in (broken, np.full((12, 1), -1.0)))
+    for blocks in ((tight, wide), (wide, tight)):
+        assert checked(*blocks, s=s) == ({"pace": 0.1}, ("pace",), pytest.approx(0.15), [3])
+
+
 def test_what_hinders_a_shorter_time_is_what_depends_on_time_and_is_at_its_edge() -> None:
     def block(name: str, value: float, **more: Any) -> Block:
         return Block(name, np.full((3, 1), value), nothing, np.arange(3), (0.0, 0.0), **more)

@@ -270,13 +270,17 @@ def _between(
     relatively, the motion would keep them all, and the points where some row is broken at its peak."""
     grid, problem = fine.grid, fine.problem
     blocks = objective.demanded(evaluate(problem.constraints, motion), point.margin)
+    largest: dict[str, float] = {}
     marked = np.zeros(len(grid.s), dtype=bool)
     for block in blocks:
+        most = float(block.values.max())
+        largest[block.name] = max(most, largest.get(block.name, most))  # several may have one name
+        if most <= 0:
+            continue
         index = np.flatnonzero((block.peaks & (block.values > 0)).any(axis=1))
         marked[block.points[index]] = True
         if block.following is not None:
             marked[block.points[index + 1]] = True
-    largest = {block.name: float(block.values.max()) for block in blocks}
     slower = max(0.0, *(block.slows * largest[block.name] for block in blocks))
-    binding = tuple(b.name for b in blocks if b.by_time and largest[b.name] > -BINDING)
+    binding = tuple(dict.fromkeys(b.name for b in blocks if b.by_time and largest[b.name] > -BINDING))
     return largest, binding, slower, np.flatnonzero(marked)
