@@ -65,6 +65,17 @@ def test_without_errors_the_load_comes_out(plan: Plan, wrist: bool) -> None:
         assert found.phi[1:3] / found.phi[0] == pytest.approx(load_[1:3], abs=1e-3)
 
 
+def test_one_empty_log_is_noisy_once(plan: Plan) -> None:
+    """The mean of n runs less one empty run has the variance 1 + 1 / n, not 2 / n; what is given twice counts once."""
+    arm, load_ = SensedArm(plan, 3, joints=False), drawn(plan, 2)
+    logs, empty = [arm.log(load_, f"log {k}") for k in range(6)], arm.log(None)
+    one = np.mean([np.sqrt(identify(plan, [log], empty).covariance[0, 0]) for log in logs])
+    six = np.sqrt(identify(plan, logs, empty).covariance[0, 0])
+    assert six / one == pytest.approx(np.sqrt((1 + 1 / 6) / 2), rel=0.1)
+    with pytest.raises(FileFormatError, match="log 1 and log 1 are the same log"):
+        identify(plan, [logs[0], logs[1], logs[1]], empty)
+
+
 @pytest.mark.parametrize(("wrist", "off"), [(True, [1e-3, 1e-4]), (False, [3e-3, 1e-3])])
 def test_the_empty_run_may_do_something_else(plan: Plan, wrist: bool, off: list[float]) -> None:
     """What the tray needs along the empty run's own motion is taken off, and joint friction at its own velocity: 12

@@ -61,6 +61,7 @@ def record(found: Tracking) -> dict[str, Any]:
         "not_checked": unseen(found),
         "ok": found.ok,
         "row": found.row,
+        "noise": found.noise,
         "uncertainty": found.uncertainty,
         "planned": found.planned,
         "excess": found.excess,
@@ -79,7 +80,7 @@ def verdict(found: Tracking) -> str:
     known = f"+- {100 * found.uncertainty:.1f} %"
     if found.ok:
         return f"What was executed keeps {-100 * found.row:.1f} {known} of the weight in the worst case {where}."
-    if found.excess > 0:
+    if found.row > 0:
         return (
             f"What was executed exceeds what holds in the worst case by {100 * found.row:.1f} {known} of the weight "
             f"{where}."

@@ -16,6 +16,7 @@ The estimate is the nearest that a mass inside the shape can have.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -160,6 +161,8 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
     information, pull = np.diag(1 / spread**2), np.zeros(10)
     used, shift = list[Channel](), np.zeros(3)
     seen: dict[int, tuple[Log, State]] = {}
+    _each_its_own(runs)
+    with_this = Counter(id(run.empty) for run in runs)
     for run in runs:
         plan = replace(run.plan, scenario=scenario)
         if id(run.empty) not in seen:
@@ -174,16 +177,19 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
         channels = differences(state, without, log, empty, (phi_0, spread))
         moved, error = _moved(channels, log, (phi_0, spread))
         shift = np.maximum(shift, np.maximum(np.abs(moved) - error, 0.0))
+        # n runs of one motion less the same empty run know n / (1 + n) of what one run without noise in that would.
+        weight = 2 / (1 + with_this[id(run.empty)])
         for channel in channels:
             rows, left = channel.white
-            information += rows.T @ rows
-            pull += rows.T @ left
+            information += weight * rows.T @ rows
+            pull += weight * rows.T @ left
         used += channels
     worst = max(used, key=lambda channel: channel.residual)
     if worst.residual > STRANGE:
         raise FileFormatError(
             f"{', '.join(run.loaded.source for run in runs)}: {worst.name} differ from those of one rigid load by "
-            f"{worst.residual:.0f} times the noise: something slid, or the arm or the empty tray is another."
+            f"{worst.residual:.0f} times the noise: something slid or was put on late, the sensor was tared with the "
+            "load, the log's clock jitters, or the arm or the empty tray is another."
         )
     sensors = {channel.name for channel in used}
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
@@ -203,6 +209,16 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
     narrow = correlated(scenario, phi, covariance, shift, ranges)
     told = not_shown(ranges, sensors)
     return Identified(scenario, ranges, possible, covariance, worst.residual, tuple(sorted(sensors)), narrow, told)
+
+
+def _each_its_own(runs: Sequence[Run]) -> None:
+    """Raise FileFormatError when two runs are one: what was felt once would count twice."""
+    for a, b in combinations([run.loaded for run in runs], 2):
+        felt = (a.q, b.q), (a.tau, b.tau), (a.wrench_F, b.wrench_F)
+        if all(x is y or (x is not None and y is not None and np.array_equal(x, y)) for x, y in felt):
+            raise FileFormatError(
+                f"{a.source} and {b.source} are the same log: what was felt once would count twice; leave one away."
+            )
 
 
 def _timed(plan: Plan, log: Log) -> Log:

@@ -117,10 +117,20 @@ def _check(log: Log, n: int) -> None:
                 f"{log.source}: {name} has the shape {np.shape(values)}; of this arm it is ({len(log.t)}, {width})."
             )
         if values is not None and not np.isfinite(values).all():
-            raise FileFormatError(f"{log.source}: {name} has values that are no numbers.")
+            bad = np.asarray(~np.isfinite(values).all(axis=1))
+            raise FileFormatError(
+                f"{log.source}: {name} has values that are no numbers in {bad.sum()} of {bad.size} samples, first at "
+                f"t = {log.t[int(np.argmax(bad))]:.6g} s; leave a gap of at most {LONGEST_GAP:g} s instead."
+            )
     steps = np.diff(log.t)
-    if not np.isfinite(log.t).all() or steps.min() <= 0:
-        raise FileFormatError(f"{log.source}: its times do not grow from sample to sample.")
+    if not np.isfinite(log.t).all():
+        raise FileFormatError(f"{log.source}: its times do not grow from sample to sample: some are no numbers.")
+    if steps.min() <= 0:
+        k = int(np.argmin(steps > 0))
+        raise FileFormatError(
+            f"{log.source}: its times do not grow from sample to sample: {log.t[k]:.9g} s is followed by "
+            f"{log.t[k + 1]:.9g} s ({np.count_nonzero(steps <= 0)} of {len(steps)} steps)."
+        )
     if log.t[-1] - log.t[0] > LONGEST:
         raise FileFormatError(
             f"{log.source} is {log.t[-1] - log.t[0]:.4g} s long; at most {LONGEST:g} are accepted, and times are in s."

@@ -30,6 +30,7 @@ from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 from salver.trajectory import JointMotion
 
 REDRAWN = 8  # times that the noise is drawn anew, to see what it does to the excess
+SURELY = 2.0  # of those standard deviations, by which the excess is said larger than is likeliest
 WIDER = 1.4  # times the frequency up to which a deviation is followed, above which what is missing is looked for
 
 
@@ -104,8 +105,9 @@ class JointError:
 class Tracking:
     """row: largest robust row along what was executed, and of the plan itself (`planned`), of the weight; at `time`.
 
-    uncertainty: of the row: two standard deviations by the noise of the log, and what its smoothing may have taken
-    away. over_time (K,): the row at t (K,).
+    noise: standard deviation of the row by the noise of the log. uncertainty: of the row: two standard deviations of
+    one that is followed farther up in frequency, and what smoothing may have taken away. over_time (K,): the row at t
+    (K,).
     joints: what each does; the first causes most.
     """
 
@@ -117,13 +119,15 @@ class Tracking:
     planned: float
     time: float
     interface: str
+    noise: float
     uncertainty: float
     joints: tuple[JointError, ...]
 
     @property
     def excess(self) -> float:
-        """What is missing on what was executed, of the weight; 0 when nothing is."""
-        return max(0.0, self.row)
+        """What is missing on what was executed, of the weight; 0 when nothing is. Rather too much than too little: what
+        the noise that was found in this log may hide, with two standard deviations, is among it."""
+        return max(0.0, self.row + SURELY * self.noise)
 
     @property
     def ok(self) -> bool:
@@ -132,8 +136,10 @@ class Tracking:
 
     @property
     def margin(self) -> float:
-        """`contact.margin` that pays for what is missing: 1.1 times the excess, and what is not known of it."""
-        return self.plan.scenario.contact.margin + 1.1 * self.excess + self.uncertainty
+        """`contact.margin` that pays for what is missing: 1.1 times the row, and what is not known of it; no less than
+        the excess, which has a share of that in it already."""
+        lacking = max(self.excess, 1.1 * max(0.0, self.row) + self.uncertainty)
+        return self.plan.scenario.contact.margin + lacking
 
     @cached_property
     def cause(self) -> str:
@@ -161,13 +167,13 @@ def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: i
     over, of = judge.rows(terms.w, drift)
     k, wanted = int(np.argmax(over)), judge.terms(*plan.joint.sample(t))
     planned = judge.rows(wanted.w, judge.drift(t, wanted))[0].max()
-    row, _ = _without_noise(judge, done, drift, 1.0, np.random.default_rng(seed))
+    row, hidden = _without_noise(judge, done, drift, 1.0, np.random.default_rng(seed))
     # What smoothing took away is not among what it left, and is looked for above: there noise does more.
     wider, noise = _without_noise(judge, done, drift, WIDER, np.random.default_rng(seed))
     uncertainty = 2 * noise + abs(wider - row)
     names = [face.name for rows in judge.contacts for face in _interfaces(rows)]
     joints = tuple(sorted(_joints(judge, plan.joint, done, drift), key=lambda joint: -joint.row))
-    return Tracking(plan, done, t, over, row, float(planned), float(t[k]), names[of[k]], uncertainty, joints)
+    return Tracking(plan, done, t, over, row, float(planned), float(t[k]), names[of[k]], hidden, uncertainty, joints)
 
 
 def _without_noise(
