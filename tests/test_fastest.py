@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from salver.contact_margins import margins
-from salver.errors import ScenarioError, Status
+from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
 from salver.planning.fastest.constraints import FINEST, Contact, evaluate, worst_of
@@ -17,12 +17,13 @@ from salver.planning.fastest.curves import FreeCurve, Grid, united
 from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.exchange import programme_of
 from salver.planning.fastest.objectives import Distance, LeastMargin, Point
-from salver.planning.fastest.planned import joint_plan, slowed
+from salver.planning.fastest.planned import joint_plan, slow_enough
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Options, minimise
 from salver.planning.fastest.tradeoff import SCALES, Asked, scaled, tradeoff
 from salver.planning.make import make_plan
+from salver.planning.plan import Plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
 from salver.scenario import load
 from transport import bottle, cube, line
@@ -343,30 +344,25 @@ def test_unreachable_goal_has_a_status():
 
 
 def test_what_oversteps_a_limit_by_a_hair_between_the_optimisers_instants_is_made_slower_by_that():
-    """The verdict looks at more instants. Run in .9995 of its time a motion is some .1 % too quick; in .98, 4 %: then
-    the optimiser is at fault, and nothing is covered up. An acceleration grows as the square of the pace, so half of
-    what is given away is needed."""
+    """The verdict looks at more instants. Run in .9995 of its time a motion is some .1 % too quick, and an acceleration
+    grows as the square of the pace: .001 of its time mends it, .0001 does not. In .97 it is 6 %: then the optimiser is
+    at fault, and nothing is covered up."""
     scenario = cube()
     problem = transport_problem(scenario.with_changes(motion__duration=None))
     found = fastest(problem, FastestOptions(spans=8))
 
-    def judged(motion: FastestMotion) -> Status | None:
-        return joint_plan(scenario, problem, motion.joint_motion(), motion.status, {}).arm_status
+    def planned(share: float) -> tuple[FastestMotion, Plan]:
+        motion = replace(found, duration=share * found.duration)
+        return motion, joint_plan(scenario, problem, motion.joint_motion(), motion.status, {})
 
-    hasty = replace(found, duration=0.9995 * found.duration)
-    verdict = judged(hasty)
-    assert verdict is not None
-    assert not verdict.ok
-    slower = slowed(hasty, verdict)
-    assert slower is not None
-    again = judged(slower)
-    assert again is not None
-    assert again.ok
-    assert found.duration < slower.duration < 1.0005 * found.duration
-    assert f"{slower.duration:.4f} s" in slower.status.sentence
-    assert slowed(found, judged(found)) is None
-    much = replace(found, duration=0.98 * found.duration)
-    assert slowed(much, judged(much)) is None
+    hasty = planned(0.9995)
+    assert not hasty[1].ok
+    slower, plan = slow_enough(scenario, *hasty, robust=True)
+    assert plan.ok
+    assert slower.duration == plan.duration == pytest.approx(0.9995 * 1.001 * found.duration)
+    assert f"{slower.duration:.4f} s" in plan.status.sentence
+    much = planned(0.97)
+    assert slow_enough(scenario, *much, robust=True) == much
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import pytest
 
 import salver as sv
 from salver.contact_margins import margins
+from salver.contact_margins.whole import spill_status
 from salver.errors import ScenarioError
 from salver.models.parameters import Parameter
 from salver.models.wrench_cone import facets
@@ -19,9 +20,11 @@ from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
 from salver.planning.object.problem import Problem
+from salver.scenario import parse
+from salver.sensitivity.sloshing import Sloshed
 from salver.sensitivity.waves import Case
 from salver.simulation.physics import simulate_tray
-from salver.trajectory import SampledReference, min_jerk_line
+from salver.trajectory import MotionSamples, SampledReference, min_jerk_line
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +127,8 @@ def test_rows_of_a_liquid_are_its_crest_what_is_left_and_what_settles_in_units_o
 
     settling = {"objects__0__liquid__settled_wave": 0.006, "objects__0__liquid__settled_within": 0.5}
     motion, found = rows(coffee.with_changes(**settling))
-    assert set(found) == {"steepness", "waves", "waves left", "settled waves"}
+    always = {"steepness", "steepness left", "lightness", "waves", "waves left"}
+    assert set(found) == always | {"settled waves"}
     parts = motion.sloshing["cup"]
     room = np.concatenate([part.waves.cases.room for part in parts])
     crest = np.concatenate([part.crest for part in parts])
@@ -133,9 +137,80 @@ def test_rows_of_a_liquid_are_its_crest_what_is_left_and_what_settles_in_units_o
     assert found["waves left"] == pytest.approx((now / room - 1)[None], abs=1e-12)
     assert found["settled waves"] == pytest.approx((later / 0.006 - 1)[None], abs=1e-12)
     assert np.all(later < now)
-    assert set(rows(coffee)[1]) == {"steepness", "waves", "waves left"}
+    assert set(rows(coffee)[1]) == always
+    # In a round cup the largest of what both modes come to along both axes; .3 of the radius are allowed.
+    freely = np.concatenate([np.hypot(*np.moveaxis(part.waves.tail.sum(axis=1), 1, 0)) for part in parts])
+    steepest = 0.3 * coffee.objects[0].liquid.radius
+    assert found["steepness left"] == pytest.approx((freely / steepest - 1)[None], abs=0.02)  # the arm gives way
+    assert np.all(found["steepness left"][0] >= freely / steepest - 1)
+    # A fifth of the weight must press: on the tray's axis, for here nothing of it is far from that.
+    pressing = motion.terms.w[:, 2] / 9.81
+    assert found["lightness"] == pytest.approx(np.tile((1 - pressing) / 0.8 - 1, (len(room), 1)).T, abs=0.05)
     lid = coffee.with_changes(objects__0__liquid__sealed=True)
     assert not {"waves", "waves left"} & set(rows(lid)[1])
+
+
+@pytest.mark.parametrize("known", [{}, {"friction": "10%"}, {"fill": "10%"}])
+def test_contact_of_a_cup_of_which_nothing_moves_the_arm(coffee, known):
+    """No range acts through the arm that gives way: what the liquid adds is what it adds beside a mass that is all but
+    known."""
+    s = np.linspace(0, 1, 21)
+    values = []
+    for mass in ({}, {"mass": 1e-10}):
+        problem = transport_problem(coffee.with_changes(objects__0__uncertainty={**known, **mass}))
+        z = np.zeros((4, len(s), problem.n))
+        z[0] = problem.start_posture + 0.2 * (s - np.sin(2 * np.pi * s) / (2 * np.pi))[:, None]
+        z[2] = 0.8 * np.pi * np.sin(2 * np.pi * s)[:, None] * [1, 0, 0, 0, 0, 0, 0]
+        (rows,) = problem.contacts
+        added = Sloshed.of(rows, problem.at(s, z, 1.0).sloshing).values
+        values.append(np.stack([added.min(axis=1), added.max(axis=1)]))  # of facets, which both ends of the mass have
+    assert values[0] == pytest.approx(values[1], abs=1e-8)
+    assert np.abs(values[0]).max() > 1e-3
+
+
+def test_a_cup_that_is_dropped_with_its_tray_is_not_said_to_keep_its_liquid(coffee):
+    """Nine tenths of the weight are taken from it for a moment: what its surface does then is not known."""
+    t = np.linspace(0, 1, 201)
+    p, v, a, R = np.zeros((201, 3)), np.zeros((201, 3)), np.zeros((201, 3)), np.tile(np.eye(3), (201, 1, 1))
+    for share, holds in ((0.7, True), (0.9, False)):
+        a[:, 2] = -share * 9.81 * np.sin(2 * np.pi * t)
+        v[:, 2] = -share * 9.81 * (1 - np.cos(2 * np.pi * t)) / (2 * np.pi)
+        found = margins(coffee, MotionSamples(t, p, v, a, R, np.zeros((201, 3)), np.zeros((201, 3))))
+        (spill,) = found.spills()
+        status = spill_status(spill)
+        assert status.ok == holds
+        assert spill.light.max() == pytest.approx(share / 0.8, rel=1e-3)
+        assert ("only 10 % hold down the liquid in cup at 0.250 s" in status.sentence) != holds
+
+
+@pytest.mark.slow
+def test_waves_that_a_hasty_stop_leaves_are_not_steeper_than_is_known():
+    """A cup on an arm without limits of jerk, which may stop at once: during the motion alone nothing would be too
+    steep; afterwards the engine's waves came over the brim where the plan left room."""
+    shape = {"type": "cylinder", "radius": 0.0428, "height": 0.0757}
+    liquid = {"kind": "coffee", "fill": 0.0418, "brim": 0.0717, "radius": 0.0398}
+    cup = {"name": "cup", "shape": shape, "mass": 0.208, "friction": 0.5, "support_inset": 0.002, "liquid": liquid}
+    scenario = parse(
+        {
+            "name": "hasty",
+            "motion": {
+                "start": {"position": [0.456, -0.109, 0.345]},
+                "goal": {"position": [0.471, -0.178, 0.465]},
+                "goal_yaw": "free",
+            },
+            "objects": [cup],
+            "contact": {"condition": "exact"},
+            "arm": {"model": "xarm7"},
+        },
+        "hasty",
+    )
+    plan = sv.plan(scenario, "fastest")
+    assert plan.ok, plan.told
+    (spill,) = plan.margins.spills()
+    assert 0.9 < spill.steep[-1] <= 1
+    run = sv.simulate(plan)
+    assert run.outcome == "holds"
+    assert run.summary["objects"][0]["peak_wave"] < 0.03
 
 
 @pytest.mark.slow

@@ -16,8 +16,9 @@ from salver.display import Shown
 from salver.errors import Status
 from salver.geometry import Array
 from salver.models.interfaces import regions_lost
+from salver.models.liquid import LEAST_WEIGHT
 from salver.scenario import Scenario
-from salver.sensitivity.sloshing import Liquids, Spill
+from salver.sensitivity.sloshing import LIGHTEST, Liquids, Spill
 
 if TYPE_CHECKING:
     from salver.models.parameters import Parameter
@@ -147,6 +148,14 @@ def spill_status(spill: Spill, case: str = "") -> Status:
             "they may break."
         )
         return Status("spills", sentence, False, when | {"time": float(spill.t[np.argmax(spill.steep > 1)])})
+    if spill.light.max() > 1:
+        k = int(spill.light.argmax())
+        pressing = 100 * max(0.0, 1 - LIGHTEST * float(spill.light[k]))
+        sentence = (
+            f"Of its weight only {pressing:.0f} % hold down the liquid in {spill.name} at {spill.t[k]:.3f} s: below "
+            f"{100 * LEAST_WEIGHT:.0f} % nothing is known of its waves."
+        )
+        return Status("spills", sentence, False, when | {"time": float(spill.t[k])})
     if spill.after < 0:
         sentence = f"The liquid in {spill.name} {case}comes {_mm(-spill.after)} too high after the motion."
         return Status("spills", sentence, False, when | {"time": end})

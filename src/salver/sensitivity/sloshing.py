@@ -11,13 +11,14 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
-from salver.models.liquid import GRAVITY, LEFT_OVER, TILTING
+from salver.models.liquid import GRAVITY, LEAST_WEIGHT, LEFT_OVER, TILTING
 from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
 from salver.models.worst_case import ALL, Some
 from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by, wrench_by
 from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Waves, along, cases
 
+LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that a liquid may be relieved of
 LEAST_SIZE = 1e-4  # m; waves smaller than this turn as fast as they like
 
 
@@ -70,6 +71,16 @@ class Slosh:
         """(K, T) m of the free wave, at the worst of what is uncertain."""
         return self.waves.free_height + self.waves.cases.highest(self.freer + np.zeros((1, 1, 2)))
 
+    @property
+    def lightness(self) -> Array:
+        """(K, T) share of its weight that does not press on the surface."""
+        return np.asarray(1 - self.waves.force[..., 2] / GRAVITY)
+
+    @property
+    def free_left(self) -> Array:
+        """(K,) m, no free wave is higher after the motion, at the worst of what is uncertain."""
+        return self.waves.cases.highest(self.waves.amplitude(more=self.more_left))
+
     def left(self, seconds: float = 0.0) -> Array:
         """(K,) m, see `Waves.left`, at the worst of what is uncertain."""
         return self.waves.left(seconds, self.more_left)
@@ -114,8 +125,17 @@ class Slosh:
         by_free = self.waves.cases.steepest_by(self.waves.free[case, node])
         return surface_by(self.planned, unknowns, case, node, np.zeros_like(by_free), by_free, 0.0)
 
+    def lightness_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+        """Of the share of the weight that does not press."""
+        by_w = -self.waves.cases.at_O[case, 2] / GRAVITY
+        return np.asarray((by_w[:, None] @ unknowns.felt[node])[:, 0])
+
     # Factors (m, k, c) of second derivatives of rows: what of them is convex in the waves, which are all but linear in
     # the unknowns. Their squares summed over k are the second derivative.
+
+    def lightness_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+        """Of the share of the weight that does not press."""
+        return np.zeros((len(case), 0, unknowns.felt.shape[2]))
 
     def free_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Of the height of the free wave, whose direction turns."""
@@ -149,13 +169,38 @@ class Slosh:
         return np.stack(both, axis=1)
 
     def left_bends(self, case: Indices, unknowns: Unknowns, seconds: float = 0.0) -> Array:
-        """Of what is left: each mode's place and speed at the end may turn into one another, and both axes."""
+        """Of what is left."""
         waves, which, m = self.waves, self.waves.cases, len(case)
-        last, more = np.full(m, len(waves.t) - 1), np.broadcast_to(self.more_left, len(which.each))[case]
+        more = np.broadcast_to(self.more_left, len(which.each))[case]
         fading, half = waves.fading(seconds)[case], which.half[case]
-        amplitude = (waves.tail[case] * fading).sum(axis=1) + more[:, None]
+        amplitude = waves.amplitude(seconds, self.more_left)[case]
         stands = amplitude + half * np.abs(waves.slope[case, -1])
         by_amplitude = which.steepest_by(stands) + 2 * which.peaking[case] / half * amplitude
+        found, larger = self._amplitude_bends(case, unknowns, fading, stands, by_amplitude)
+        peaking = np.sqrt(2 * which.peaking[case] / half)
+        found += [peaking[:, axis, None] * larger[axis] for axis in range(2)]
+        k, peak = waves.peak[0][case], waves.peak[1][case]
+        drifted = LEFT_OVER * (peak + more) / half.min(axis=1) ** 2
+        highest = which.steepest_by(waves.eta[case, k]) * np.sqrt(6 * drifted)[:, None]
+        found.append(surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0))
+        turns = np.sqrt(3 * drifted * (peak + more))[:, None, None]
+        return np.concatenate(
+            [np.stack(found, axis=1), turns * self._turns(case, k, unknowns, waves.eta[case, k], free=False)], axis=1
+        )
+
+    def free_left_bends(self, case: Indices, unknowns: Unknowns) -> Array:
+        """Of the free wave that is left."""
+        amplitude = self.waves.amplitude(more=self.more_left)[case]
+        by_amplitude = self.waves.cases.steepest_by(amplitude)
+        return np.stack(self._amplitude_bends(case, unknowns, 1.0, amplitude, by_amplitude)[0], axis=1)
+
+    def _amplitude_bends(
+        self, case: Indices, unknowns: Unknowns, fading: Array | float, stands: Array, by_amplitude: Array
+    ) -> tuple[list[Array], list[Array]]:
+        """Of amplitudes that count by_amplitude (m, 2) and stand (m, 2) high: each mode's place and speed at the end
+        may turn into one another, and both axes. Then how they grow (m, c), along both axes."""
+        waves, which = self.waves, self.waves.cases
+        last = np.full(len(case), len(waves.t) - 1)
         to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
         away, speed = (x[case] for x in waves.ending)
         size = np.maximum(np.hypot(away, speed), LEAST_SIZE)
@@ -172,37 +217,39 @@ class Slosh:
             one = np.zeros_like(away)
             one[:, :, axis] = gain[:, :, axis] / size[:, :, axis]
             larger.append(at_node(unknowns, self.planned, case, last, one * away, one * speed * to_speed))
-        peaking = np.sqrt(2 * which.peaking[case] / half)
-        found += [peaking[:, axis, None] * larger[axis] for axis in range(2)]
         if which.round:
             height = np.maximum(np.linalg.norm(stands, axis=1), LEAST_SIZE)[:, None]
             aside = stands[:, ::-1] * [-1.0, 1.0] / height**1.5
             found.append(aside[:, :1] * larger[0] + aside[:, 1:] * larger[1])
-        k, peak = waves.peak[0][case], waves.peak[1][case]
-        drifted = LEFT_OVER * (peak + more) / half.min(axis=1) ** 2
-        highest = which.steepest_by(waves.eta[case, k]) * np.sqrt(6 * drifted)[:, None]
-        found.append(surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0))
-        turns = np.sqrt(3 * drifted * (peak + more))[:, None, None]
-        return np.concatenate(
-            [np.stack(found, axis=1), turns * self._turns(case, k, unknowns, waves.eta[case, k], free=False)], axis=1
-        )
+        return found, larger
 
     def left_by(self, case: Indices, unknowns: Unknowns, seconds: float = 0.0) -> Array:
         """Of what is left; the tray's posture at the end is taken as given."""
         waves, which, m = self.waves, self.waves.cases, len(case)
-        last, more = np.full(m, len(waves.t) - 1), np.broadcast_to(self.more_left, len(which.each))[case]
+        more = np.broadcast_to(self.more_left, len(which.each))[case]
         fading, half = waves.fading(seconds)[case], which.half[case]
-        amplitude = (waves.tail[case] * fading).sum(axis=1) + more[:, None]
+        amplitude = waves.amplitude(seconds, self.more_left)[case]
         by_amplitude = which.steepest_by(amplitude + half * np.abs(waves.slope[case, -1]))
         by_amplitude = by_amplitude + 2 * which.peaking[case] / half * amplitude
-        to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
-        away, speed = (x[case] for x in waves.ending)
-        by_size = fading * which.gain[case] * by_amplitude[:, None] / np.maximum(np.hypot(away, speed), 1e-12)
-        ending = at_node(unknowns, self.planned, case, last, by_size * away, by_size * speed * to_speed)
+        ending = self._amplitude_by(case, unknowns, fading, by_amplitude)
         k, peak = waves.peak[0][case], waves.peak[1][case]
         steep = 3 * LEFT_OVER * (peak + more) ** 2 / half.min(axis=1) ** 2
         highest = which.steepest_by(waves.eta[case, k]) * steep[:, None]
         return ending + surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0)
+
+    def free_left_by(self, case: Indices, unknowns: Unknowns) -> Array:
+        """Of the free wave that is left; the tray's posture at the end is taken as given."""
+        by_amplitude = self.waves.cases.steepest_by(self.waves.amplitude(more=self.more_left)[case])
+        return self._amplitude_by(case, unknowns, 1.0, by_amplitude)
+
+    def _amplitude_by(self, case: Indices, unknowns: Unknowns, fading: Array | float, by_amplitude: Array) -> Array:
+        """Of amplitudes at the end that count by_amplitude (m, 2)."""
+        waves, which = self.waves, self.waves.cases
+        last = np.full(len(case), len(waves.t) - 1)
+        to_speed = np.sqrt(GRAVITY / waves.upward[case, -1])[:, None, None] / which.omega[case]
+        away, speed = (x[case] for x in waves.ending)
+        by_size = fading * which.gain[case] * by_amplitude[:, None] / np.maximum(np.hypot(away, speed), 1e-12)
+        return at_node(unknowns, self.planned, case, last, by_size * away, by_size * speed * to_speed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +334,7 @@ def _added(part: Slosh, nominal: Array, held: Array | None, at: Some, coarsely: 
             added += np.abs(part.change.wrench[:, at]).sum(axis=3) @ np.abs(held)
         elif part.change is not None:
             swings = np.swapaxes(part.change.wrench[:, at], 2, 3)
-            swung = (swings.reshape(-1, 6) @ held).reshape(*swings.shape[:3], -1)  # (K, T, n_c, n)
+            swung = (swings.reshape(-1, 6) @ held).reshape(*swings.shape[:3], held.shape[1])  # (K, T, n_c, n)
             added += np.abs(swung, out=swung).sum(axis=2)
     return added
 
@@ -345,9 +392,10 @@ class Spill:
     """How near one liquid comes to its brim, at its worst case.
 
     crest: (T,) m, the highest of all cases. left: (T,) m of room over it, least of all cases; infinite under a lid.
-    after: the same for good after the motion. steep: (T,) free wave over the largest for which the model is valid.
-    settled: m that waves are lower than wanted, some time after the motion; infinite if nothing is wanted.
-    slack: (T,) the least of these as shares of what is allowed.
+    after: the same for good after the motion. steep: (T,) free wave over the largest for which the model is valid, at
+    the end of all that are left. light: (T,) share of its weight that does not press, over the largest for which it is.
+    settled: m that waves are lower than wanted, some time after the motion; infinite if nothing is wanted. slack: (T,)
+    the least of these as shares of what is allowed.
     """
 
     name: str
@@ -356,6 +404,7 @@ class Spill:
     left: Array
     after: float
     steep: Array
+    light: Array
     settled: float
     slack: Array
 
@@ -366,12 +415,17 @@ class Spill:
         liquid, room = which[0].liquid, np.concatenate([x.room for x in which])
         crest, rest = (np.concatenate(x) for x in ([p.crest for p in parts], [p.left() for p in parts]))
         left, after = room[:, None] - crest, room - rest
-        steep = np.concatenate([p.free_height / p.waves.cases.steepest[:, None] for p in parts]).max(axis=0)
+        steepest = np.concatenate([x.steepest for x in which])
+        steep = np.concatenate([p.free_height for p in parts]) / steepest[:, None]
+        steep[:, -1] = np.concatenate([p.free_left for p in parts]) / steepest  # not lower than there
+        steep = steep.max(axis=0)
+        light = np.concatenate([p.lightness for p in parts]).max(axis=0) / LIGHTEST
         settled = liquid.settled - max(float(p.left(liquid.within).max()) for p in parts)
-        slack = 1 - steep
+        slack = 1 - np.maximum(steep, light)
         if np.isfinite(room).all():
             slack = np.minimum(slack, (left / room[:, None]).min(axis=0))
             slack[-1] = min(slack[-1], float((after / room).min()))
         if np.isfinite(settled):
             slack[-1] = min(slack[-1], settled / liquid.settled)
-        return cls(name, waves.t, crest.max(axis=0), left.min(axis=0), float(after.min()), steep, float(settled), slack)
+        dry = left.min(axis=0), float(after.min())
+        return cls(name, waves.t, crest.max(axis=0), *dry, steep, light, float(settled), slack)

@@ -352,6 +352,12 @@ class Waves:
         """(K, n_modes, 2) amplitude at the wall of the waves that are left at the end, when all is at rest, m."""
         return np.asarray(self.cases.gain * np.hypot(*self.ending))
 
+    def amplitude(self, seconds: float = 0.0, more: Array | float = 0.0) -> Array:
+        """(K, 2) m, what no free wave exceeds along either axis from so many seconds after the end on, both modes at
+        their best. more: (K,) m by which they may be higher."""
+        higher = np.broadcast_to(more, len(self.r))[:, None]
+        return np.asarray((self.tail * self.fading(seconds)).sum(axis=1) + higher)
+
     @cached_property
     def ending(self) -> tuple[Array, Array]:
         """(K, n_modes, 2) how far each mass is from its rest at the end, and its speed over the frequency there, m."""
@@ -363,7 +369,7 @@ class Waves:
         """(K,) m, no crest is higher from so many seconds after the end on, the tray at rest: both modes at their best.
         more: (K,) m by which the linear waves may be higher."""
         which, more = self.cases, np.broadcast_to(more, len(self.r))
-        amplitude = (self.tail * self.fading(seconds)).sum(axis=1) + more[:, None]
+        amplitude = self.amplitude(seconds, more)
         highest = which.highest(amplitude + which.half * np.abs(self.slope[:, -1]))
         over = LEFT_OVER * (self.peak[1] + more) ** 3 / which.half.min(axis=1) ** 2
         return np.asarray(highest + (which.peaking / which.half * amplitude**2).sum(axis=1) + over)

@@ -12,7 +12,7 @@ from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.planning.fastest.constraints import FINEST, Block, Constraint, Gradient
 from salver.planning.fastest.evaluation import Evaluation, Indices
-from salver.sensitivity.sloshing import Slosh, of_parts
+from salver.sensitivity.sloshing import LIGHTEST, Slosh, of_parts
 from salver.sensitivity.wave_gradients import Unknowns
 
 WAVE_ROWS = 2  # cases of a liquid at one node: those of a fill and a damping are much alike
@@ -65,6 +65,10 @@ class Brim(Constraint):
         yield block(
             f"steepness in {name}", joined(x.free_height for x in parts), steepest, Slosh.free_by, Slosh.free_bends
         )
+        light, lightest = joined(x.lightness for x in parts), np.full(len(steepest), LIGHTEST)
+        yield block(f"lightness in {name}", light, lightest, Slosh.lightness_by, Slosh.lightness_bends)
+        after = joined(x.free_left for x in parts)[:, None]
+        yield block(f"steepness left in {name}", after, steepest, _free_left_by, _free_left_bends)
         if np.isfinite(room).all():
             yield block(f"waves in {name}", joined(x.crest for x in parts), room, Slosh.crest_by, Slosh.crest_bends)
         ends = [(0.0, f"waves left in {name}", room)]
@@ -77,6 +81,14 @@ class Brim(Constraint):
 
 def _left_by(seconds: float, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
     return part.left_by(case, unknowns, seconds)
+
+
+def _free_left_by(part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+    return part.free_left_by(case, unknowns)
+
+
+def _free_left_bends(part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+    return part.free_left_bends(case, unknowns)
 
 
 def _left_bends(seconds: float, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import Status, UnreachableError
-from salver.models.arm_limits import LIMITS, POSITION
 from salver.planning.fastest.bound import least_by_friction, least_duration
 from salver.planning.fastest.constraints import LEVEL_TOLERANCE, Contact
 from salver.planning.fastest.exchange import SHORTEST, reached
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
 MISSED = 4  # times that cases of a liquid are added which a motion does not keep
 CHECKED = 401  # instants at which that is looked at
-SLIGHT = 1e-3  # share of a limit that is seen too late to be overstepped: then a motion is that much slower
+SLOWER = (1e-4, 1e-3, 4e-3, 1.6e-2)  # by these shares of its time a motion is made slower until its check lets it pass
 
 
 def plan_fastest(
@@ -80,9 +79,6 @@ def found_and_planned(
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     plan = _planned(scenario, found, robust)
-    slower = slowed(found, plan.arm_status)
-    if slower is not None and _missed(slower) is None:
-        found, plan = slower, _planned(scenario, slower, robust)
     if robust and plan.status.ok and plan.verification.violation > 0:
         # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
         exactly = tuple(Contact(rows, scenario.contact.margin, exactly=True) for rows in found.problem.contacts)
@@ -92,23 +88,30 @@ def found_and_planned(
         if again.status.ok and _missed(again) is None:
             found = again.after(found)
             plan = _planned(scenario, found, robust)
+    if plan.status.ok and not _passes(plan, robust):
+        found, plan = slow_enough(scenario, found, plan, robust)
     if robust and plan.status.ok and not plan.verification.ok:
         said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
         plan = replace(plan, status=Status("unsafe", said, False))
     return found, plan
 
 
-def slowed(found: FastestMotion, arm_status: Status | None) -> FastestMotion | None:
-    """The motion, made slower by as much as the arm's verdict finds a limit overstepped, which looks at more instants
-    than the optimiser; None where that is nothing, more than `SLIGHT`, or not a matter of time."""
-    if not found.status.ok or arm_status is None or arm_status.code != LIMIT_EXCEEDED:
-        return None
-    over = max(arm_status.details[kind.name.replace(" ", "_")]["share"] for kind in LIMITS if kind is not POSITION) - 1
-    if not 0 < over <= SLIGHT:
-        return None
-    duration = found.duration * (1 + 1.01 * over)  # torque is not all a matter of time: its rate may shrink like 1 / T
-    status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
-    return replace(found, duration=duration, status=status)
+def slow_enough(scenario: Scenario, found: FastestMotion, plan: Plan, robust: bool) -> tuple[FastestMotion, Plan]:
+    """The motion and its plan, slower by the least of `SLOWER` with which the plan's check lets it pass, which looks
+    at more instants than the optimiser; as given where none is enough: then the optimiser is at fault."""
+    for share in SLOWER:
+        duration = found.duration * (1 + share)
+        status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
+        slower = replace(found, duration=duration, status=status)
+        if _missed(slower) is None and _passes(judged := _planned(scenario, slower, robust), robust):
+            return slower, judged
+    return found, plan
+
+
+def _passes(plan: Plan, robust: bool) -> bool:
+    """Whether a plan's check finds nothing that more time could mend."""
+    keeps = plan.arm_status is None or plan.arm_status.code != LIMIT_EXCEEDED
+    return keeps and (not robust or plan.verification.ok)
 
 
 def _planned(scenario: Scenario, found: FastestMotion, robust: bool) -> Plan:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import N_MOTION
-from salver.sensitivity.sloshing import Slosh, Sloshed
+from salver.sensitivity.sloshing import LIGHTEST, Slosh, Sloshed
 from salver.sensitivity.wave_gradients import Unknowns
 from salver.sensitivity.waves import Case, along
 
@@ -90,21 +90,29 @@ class BrimRows:
 def _conditions(part: Slosh) -> list[Kind]:
     """Of every kind the values (T, K), their scale (K,), and their derivatives by (case, node)."""
     which, liquid = part.waves.cases, part.waves.cases.liquid
-    found: list[Kind] = [(part.free_height.T, which.steepest, part.free_by)]
     ends = [(0.0, which.room), (liquid.within, np.full(len(which.each), liquid.settled))]
+    found: list[Kind] = [
+        (part.free_height.T, which.steepest, part.free_by),
+        (part.lightness.T, np.full(len(which.each), LIGHTEST), part.lightness_by),
+        (_at_end(part, part.free_left), which.steepest, _of_end(part.free_left_by)),
+    ]
     if np.isfinite(which.room).all():
         found.append((part.crest.T, which.room, part.crest_by))
     for seconds, limit in ends:
         if np.isfinite(limit).all():
-            values = np.zeros((len(part.waves.t), len(limit)))
-            values[-1] = part.left(seconds)
-            found.append((values, limit, partial(_left_by, part, seconds)))
+            found.append((_at_end(part, part.left(seconds)), limit, _of_end(partial(part.left_by, seconds=seconds))))
     return found
 
 
-def _left_by(part: Slosh, seconds: float, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-    del node  # the last
-    return part.left_by(case, unknowns, seconds)
+def _at_end(part: Slosh, value: Array) -> Array:
+    """(T, K) of which only the last instant says anything."""
+    values = np.zeros((len(part.waves.t), len(value)))
+    values[-1] = value
+    return values
+
+
+def _of_end(by: Callable[[Indices, Unknowns], Array]) -> Callable[[Indices, Indices, Unknowns], Array]:
+    return lambda case, node, unknowns: by(case, unknowns)
 
 
 @dataclass(frozen=True)
