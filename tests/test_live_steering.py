@@ -9,6 +9,7 @@ import salver as sv
 from live_runs import drive, in_turn, jolts, rows_of
 from salver.live import Live, steer
 from salver.live.steer import TICK, ChunkWanted, TwistWanted
+from salver.live.wishes import twist_wish
 
 EVERY = round(TICK * 1e3)
 
@@ -50,6 +51,22 @@ def test_a_gentle_hand_is_followed_as_if_nothing_stood_between(cube):
     error = velocities(live, states, 10)[20:] - wanted
     assert np.sqrt(np.mean(error**2)) < 0.03 * np.sqrt(np.mean(wanted**2))
     check(live, in_turn(states, drive(live, 0.9, every=None, begins=0.6)))
+
+
+def test_how_a_hand_changes_is_told_from_what_it_said_last():
+    """A kink is known two samples later; a slow stream has the slope from the last one; after silence there is none."""
+
+    def slope(times, velocity):
+        said = [(t, np.append(velocity(t), np.zeros(3))) for t in times]
+        return twist_wish(said[:-1], said[-1][1][:3], np.zeros(3), times[-1]).wanted.slope[:3]
+
+    def kinked(t):
+        return np.array([max(t, 0.0), 0.2, -2 * t])
+
+    assert np.allclose(slope(np.arange(-0.1, 0.0, 0.01), kinked), [0, 0, -2])
+    assert np.allclose(slope(np.arange(-0.1, 0.021, 0.01), kinked), [1, 0, -2])
+    assert np.allclose(slope(np.array([0.1, 0.15]), kinked), [1, 0, -2])
+    assert not slope(np.array([0.0, 0.07]), kinked).any()
 
 
 @pytest.mark.slow

@@ -240,7 +240,7 @@ def test_a_plan_in_object_space_stops_in_the_joints_and_keeps_its_load():
     stops = plan_stops(stop_problem(plan), plan.joint, every=0.25, space=plan.space)
     plan = replace(plan, stops=stops)
     assert plan.space == "object"
-    assert len(stops.t) == 4
+    assert np.abs(stops.t[:, None] - [0.25, 0.5, 0.75, 1.0]).min(axis=0).max() < 1e-9  # and between, where one is late
     assert stops.duration.max() < 0.4
     for now, mass in ((0.3, 0.2816), (0.7, 0.2304)):
         run = sv.simulate(plan, parameters={"mass": mass}, stop_at=now)
@@ -251,6 +251,17 @@ def test_a_plan_in_object_space_stops_in_the_joints_and_keeps_its_load():
         # As far as was said; at nominal parameters too the engine's arm is up to 0.2 mrad from where it is expected.
         assert np.all(off <= stops.stray[stops.course(now).stop] + 2e-4)
         assert off.max() > 0.7 * stops.stray.max()  # and that is no idle bound: this is a corner
+
+
+@pytest.mark.slow
+def test_while_the_arm_leans_into_its_first_acceleration_it_is_soon_at_rest(bottle):
+    """In at most 1.6 times what the joints take when nothing stands on the tray; instants lie closer there."""
+    early = np.flatnonzero(bottle.stops.t < 0.1)
+    assert np.abs(bottle.stops.t[:, None] - [0.06, 0.09]).min(axis=0).max() < 1e-9
+    for k in early:
+        q, dq, _ = bottle.joint.sample(bottle.stops.t[k])
+        arm = with_load(load_arm(bottle.scenario.arm, bottle.scenario.tray), bottle.scenario.payload.bodies)
+        assert bottle.stops.duration[k] < 1.6 * CoolStop(arm, ArmState(q[0], dq[0])).braking
 
 
 @pytest.mark.slow

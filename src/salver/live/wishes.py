@@ -56,7 +56,7 @@ Wish = Goal | Halt | Follow | Evade
 MOST_SPEED, MOST_TURN, FARTHEST = 5.0, 20.0, 100.0  # m/s, rad/s, m; what is beyond is in another unit
 SILENCE = 0.1  # s after a twist at which it counts no more
 HEADINGS = 16  # of a goal with any, at which it is looked whether something is in the way
-HEARD = 0.06  # s of twists from which it is told how they change
+HEARD, LAST_HEARD = 0.025, 0.06  # s of twists from which it is told how they change; of the last one, if no other is
 LEAST_HEARD = 4e-3  # s
 
 
@@ -129,7 +129,8 @@ def twist_wish(
             return refused(f"{what} is {np.linalg.norm(found):.3g}; it must be at most {most:g} {unit}, in S")
         twist.append(found)
     latest = np.concatenate(twist)
-    recent = [(t, old) for t, old in heard if now - HEARD <= t < now] + [(now, latest)]
+    before = [(t, old) for t, old in heard if now - LAST_HEARD <= t < now]
+    recent = [*([x for x in before if now - x[0] <= HEARD + 1e-9] or before[-1:]), (now, latest)]
     t = np.array([t for t, _ in recent]) - now
     slope = np.zeros(6)
     if -t[0] >= LEAST_HEARD:

@@ -24,7 +24,7 @@ from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.planning.fastest.constraints import LEVEL_TOLERANCE
-from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch_basis
+from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch_basis, united
 from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.exchange import CurveOf, optimise
 from salver.planning.fastest.obstacles import KeepOut
@@ -44,9 +44,14 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
 EVERY = 0.02  # s from one instant to the next
-SPLINE = RestSpline(degree=5, spans=6)  # of every stop
+SPLINE = RestSpline(degree=5, spans=6)  # of a stop,
 NODES_PER_SPAN = 3
-STORED = np.union1d(np.linspace(0.0, 1.0, 41), SPLINE.breaks())  # with the breaks: what is stored is what was checked
+FINE = RestSpline(degree=5, spans=10)  # and of one that is sought from another beginning,
+LATE, LATE_AT_LEAST = 0.9, 0.22  # because it is later than this share of `braking_time`, and so many s,
+IN_VAIN = 2  # unless that found none so many times in turn
+STORED = united(
+    united(np.linspace(0.0, 1.0, 41), SPLINE.breaks()), FINE.breaks()
+)  # with the breaks: what is stored is what was checked
 FINER = 4  # times as many samples as are stored are judged
 WARM = 0.3  # damping of the first step from the stop of the next instant
 GAIN = 1e-2  # relative shortening below which a stop is short enough
@@ -111,7 +116,9 @@ def plan_stops(
     """Stops along a motion that the problem's constraints allow.
 
     Found backwards in time: from an instant, going on to the next one and stopping as there is a stop already, and so
-    a place to begin. Instants whose own stop is no sooner at rest than that are left out.
+    a place to begin. Instants whose own stop is no sooner at rest than that are left out. Where a stop is late for how
+    slow the arm still is, as while the tray leans into the first acceleration, it is sought from other beginnings and
+    with more pieces, and instants are half as far apart.
     space: where the controller closes its loop along the motion. on_path: stops that never leave the motion's own
     path, of which only the timing is free; often there is none, as where a tray leans into the plan's acceleration.
     progress: called with how many of how many instants are done.
@@ -128,18 +135,33 @@ def plan_stops(
     kept: list[tuple[float, FoundStop]] = []
     ahead = JointMotion(*(np.asarray(x)[-1:] for x in (motion.t, motion.q, motion.dq, motion.ddq)))
     rest, begin = end, end  # when what is ahead is at rest, and where it leaves the plan
-    for done, now in enumerate(map(float, instants[::-1])):
+
+    def state_at(now: float) -> AtPosture:
+        return AtPosture(*(x[0] for x in motion.sample(now)))
+
+    left, vain = [float(now) for now in instants], 0
+    while left:
+        now = left.pop()
         begun = None if strayed is None else strayed.state_at(t, now)
         if path is None:
-            state = AtPosture(*(x[0] for x in motion.sample(now)))
-            found = stop_from(problem, state, begun, _going_on(motion, now, begin, ahead), rest - now)
+            state = state_at(now)
+            found = None
+            if vain < IN_VAIN and rest - now > _late(problem, state):
+                found = _anew(problem, state, begun)
+                vain = vain + 1 if found is None else 0
+            if found is None:
+                found = stop_from(problem, state, begun, _going_on(motion, now, begin, ahead), rest - now)
         else:
             found = brake_on(problem, path, end, now, begun, _law_ahead(now, begin, end, kept), rest - now)
         if found is not None and now + found.motion.duration < rest - LEAST:
             kept.append((now, found))
             ahead, rest, begin = found.motion, now + found.motion.duration, now
-        if progress:
-            progress(done + 1, len(instants))
+        before = left[-1] if left else 0.0
+        finer = path is None and not vain and now - before > 0.9 * every
+        if finer and rest - before > _late(problem, state_at(before)):
+            left.append(0.5 * (before + now))
+        elif progress:
+            progress(len(instants) - len(left), len(instants))
     kept.reverse()
     shape = (len(kept), len(STORED), problem.n)
     q, dq, ddq = (np.array([getattr(stop.motion, x) for _, stop in kept]).reshape(shape) for x in ("q", "dq", "ddq"))
@@ -186,12 +208,21 @@ def stop_from(
     """
     problem = _begun(problem, state, deviation)
     if guess is None:
-        duration = braking_time(problem) if duration is None else duration
-        coefficients = _braking(state, duration)
-    else:
-        duration = guess.duration if duration is None else duration
-        coefficients = _fitted(problem, guess, duration)
-    return _shortest(problem, FreeCurve, SplineMotion(SPLINE, coefficients, duration))
+        return _shortest(problem, FreeCurve, _braking(SPLINE, state, duration or braking_time(problem)))
+    duration = guess.duration if duration is None else duration
+    return _shortest(problem, FreeCurve, SplineMotion(SPLINE, _fitted(problem, guess, duration), duration))
+
+
+def _late(problem: TransportProblem, state: AtPosture) -> float:
+    """s after which a stop from a state is late: in about 1.6 times the time in which joints alone fade it would be at
+    rest if nothing stood on the tray."""
+    return max(LATE_AT_LEAST, LATE * braking_time(replace(problem, start=state)))
+
+
+def _anew(problem: TransportProblem, state: AtPosture, deviation: Array | None) -> FoundStop | None:
+    """A stop from a state that begins with braking, with more pieces."""
+    begin = _braking(FINE, state, _late(problem, state))
+    return _shortest(_begun(problem, state, deviation), FreeCurve, begin)
 
 
 def brake_on(
@@ -236,7 +267,7 @@ def _shortest(problem: TransportProblem, curve_of: CurveOf, begin: SplineMotion)
     if not found.status.ok:
         return None
     s = np.interp(np.arange(FINER * (len(STORED) - 1) + 1) / FINER, np.arange(len(STORED)), STORED)
-    curve = curve_of(problem, Grid.of(SPLINE, s))
+    curve = curve_of(problem, Grid.of(begin.spline, s))
     z = curve.motion(found.coefficients, found.duration)
     fine = JointMotion(s * found.duration, *z[:3])
     parts = None if problem.keep_out is None else problem.keep_out.parts
@@ -282,10 +313,11 @@ def _law_ahead(now: float, begin: float, end: float, kept: Sequence[tuple[float,
     return t - now, u
 
 
-def _braking(state: AtPosture, duration: float) -> Array:
-    """(size, n) coefficients with which every joint's velocity fades along the smooth step 1 - 3 s^2 + 2 s^3."""
+def _braking(spline: RestSpline, state: AtPosture, duration: float) -> SplineMotion:
+    """Every joint's velocity fades along the smooth step 1 - 3 s^2 + 2 s^3."""
     s = np.linspace(0.0, 1.0, 121)
-    return SPLINE.fit(s, state.q + np.outer(0.5 * duration * min_jerk_blend(s), state.rates[0]))
+    q = state.q + np.outer(0.5 * duration * min_jerk_blend(s), state.rates[0])
+    return SplineMotion(spline, spline.fit(s, q), duration)
 
 
 def _fitted(problem: TransportProblem, guess: JointMotion, duration: float) -> Array:
