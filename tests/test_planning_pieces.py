@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from salver import scenario
-from salver.errors import Status
+from salver.errors import ScenarioError, Status
 from salver.geometry import Array, exp
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
@@ -19,6 +20,8 @@ from salver.models.arm_limits import LIMITS, POSITION, JointLimits
 from salver.planning import make, postures
 from salver.planning.fastest import blocked, bound
 from salver.planning.fastest.ends import AtPose
+from salver.planning.fastest.problem import _level_enough
+from salver.planning.fastest.tradeoff import Asked
 from salver.planning.follow import redundancy
 from salver.planning.follow.limits import _room
 from salver.planning.follow.motion import _unreachable
@@ -93,6 +96,36 @@ def test_friction_carries_the_centre_of_a_load_wherever_it_is_on_the_tray(monkey
     monkeypatch.setattr(bound, "_stacks", lambda payload: iter([(0.4, np.array([0.05, 0.02, 0.1]))]))
     time = bound.least_by_friction(arm, CUBE.payload, 0.0, np.zeros(1), np.ones(1))
     assert 0.5 * 0.4 * 9.81 * time**2 == pytest.approx(np.hypot(0.23, 0.13))
+
+
+def test_what_a_curve_of_durations_is_of_is_told_in_whole_sentences() -> None:
+    certain = CUBE.with_changes(objects__0__uncertainty={}, motion__duration=None, motion__orientation="fixed")
+    assert Asked.of(certain).sentence == (
+        "The tray stays level, as with salver plan --fastest. Nothing is uncertain in the scenario: friction, by 10 %, "
+        "is taken to be."
+    )
+    assert Asked.of(CUBE).sentence == (
+        "The duration of 2.5 s is left open, so the tray may tilt, as with salver plan --fastest."
+    )
+
+
+def test_a_pose_may_lean_as_far_as_the_motion_and_no_further() -> None:
+    """Whichever of start, goal and poses on the way it is."""
+    level, leaning = (SimpleNamespace(rotation=exp(np.array([np.deg2rad(x), 0.0, 0.0]))) for x in (0.0, 10.0))
+    for name in ("start", "goal", "through[1]"):
+        poses = {"start": level, "goal": level, "through[0]": level, "through[1]": level, name: leaning}
+        motion: Any = SimpleNamespace(
+            start=poses["start"], goal=poses["goal"], through=[poses["through[0]"], poses["through[1]"]]
+        )
+        _level_enough(motion, np.deg2rad(10.1))
+        with pytest.raises(ScenarioError, match=re.escape(f"motion.{name} tilts the tray by 10 deg")):
+            _level_enough(motion, np.deg2rad(9.9))
+
+
+def test_a_plan_keeps_the_lowest_that_its_tube_reaches() -> None:
+    plan = make.plan_baseline(CUBE.with_changes(arm=None, motion__nodes=11))
+    told = plan.summary()["verification"] | plan.summary()
+    assert told["least_cone_coefficient_in_tube"] < plan.cone_coefficients.min() - 1e-3
 
 
 def test_a_joint_that_can_turn_more_than_once_is_as_near_to_its_middle_as_may_be(monkeypatch) -> None:
