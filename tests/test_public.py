@@ -42,11 +42,17 @@ print(json.dumps([callable(getattr(salver, name)) for name in salver.__all__]))
     assert all(json.loads(done.stdout))
 
 
+def standing():
+    """A plan that needs no planner."""
+    return sv.plan("panda-cube", "baseline", arm=False)
+
+
 @pytest.mark.parametrize(
     ("call", "words"),
     [
         (lambda: sv.simulate("panda-cube"), 'simulate wants a plan: sv.simulate(sv.plan("panda-cube"))'),
         (lambda: sv.simulate(None), "simulate wants a plan, as sv.plan makes it; it was given a NoneType."),
+        (lambda: sv.simulate(standing(), {"mass": 0.3}), "True values are given as parameters={...}."),
         (lambda: sv.campaign(3), "campaign wants a run directory"),
         (
             lambda: sv.campaign("panda-cube"),

@@ -331,7 +331,7 @@ def test_two_objects_of_one_name():
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (None, "mine.toml cannot be read (No such file or directory); a scenario is a .toml file."),
+        (None, "mine.toml cannot be read (no such file or directory); a scenario is a .toml file."),
         (b"name = ", "mine.toml is not valid TOML: Invalid value (at end of document)."),
         (
             b'name = "a"\nmass = 1\nmass = 2\n',

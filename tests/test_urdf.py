@@ -248,7 +248,7 @@ LIMITS = [
     ("velocity: 3", ["has no table joint_limits"]),
     ("joint_limits: {x: [", ["cannot be read"]),
     ("joint_limits: {x: {max_velocity: !python/object:os.system 1}}", ["cannot be read"]),
-    (None, ["cannot be read", "No such file"]),
+    (None, ["cannot be read", "no such file"]),
 ]
 
 

@@ -203,8 +203,13 @@ def simulate(
     parameters: true values by name where they are not nominal, for example {"mass": 0.3}. stop_at: s, when a stop is
     asked for, of a plan with stops. Raises ScenarioError.
     """
+    from salver.errors import ScenarioError
     from salver.planning.plan import Plan
 
+    if scenario is not None and isinstance(plan, Plan):
+        raise ScenarioError(
+            "A plan has a scenario of its own; leave it out. True values are given as parameters={...}."
+        )
     if scenario is not None and not isinstance(plan, Plan):
         from salver.auditing import read_for
         from salver.given import simulate_given

@@ -33,6 +33,11 @@ class UnreachableError(SalverError):
     """The arm cannot take the posture or follow the motion that was asked for."""
 
 
+def reason(error: BaseException) -> str:
+    """What an exception says, in small letters and without number and file where the system raised it."""
+    return str(getattr(error, "strerror", None) or "").lower() or str(error)
+
+
 @dataclass(frozen=True, repr=False)
 class Status:
     """How a computation ended.

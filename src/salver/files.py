@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from salver.errors import FileFormatError, SalverError
+from salver.errors import FileFormatError, SalverError, reason
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -52,7 +52,7 @@ def write_atomic(path: str | Path, data: bytes | str, *, keep: bool = False) -> 
         with contextlib.suppress(OSError):
             temporary.unlink()
         if isinstance(error, OSError):
-            raise SalverError(f"{path} cannot be written: {_reason(error)}.") from None
+            raise SalverError(f"{path} cannot be written: {reason(error)}.") from None
         raise
     return path
 
@@ -63,7 +63,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise SalverError(f"{path} cannot be written: {_reason(error)}.") from None
+        raise SalverError(f"{path} cannot be written: {reason(error)}.") from None
 
 
 def put_in_place(made: Path, path: Path, *, keep: bool) -> None:
@@ -148,7 +148,7 @@ def load_npz(path: str | Path, required: tuple[str, ...] = ()) -> dict[str, np.n
                 raise ValueError
             arrays = {name: file[name] for name in file.files}
     except OSError as error:
-        raise FileFormatError(f"{path} cannot be read: {_reason(error)}.") from None
+        raise FileFormatError(f"{path} cannot be read: {reason(error)}.") from None
     except (ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError):
         raise FileFormatError(
             f"{path} is truncated or is not a file of arrays that salver wrote; write it again with the command "
@@ -179,7 +179,7 @@ def read_json(path: str | Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise FileFormatError(f"{path} cannot be read: {_reason(error)}.") from None
+        raise FileFormatError(f"{path} cannot be read: {reason(error)}.") from None
     except UnicodeDecodeError:
         raise FileFormatError(f"{path} is not JSON: it is not text in UTF-8.") from None
     except json.JSONDecodeError as error:
@@ -257,10 +257,6 @@ def _version(package: str) -> str:
     head = (metadata.distribution(package).read_text("METADATA") or "").partition("\n\n")[0]
     found = re.search(r"^Version: *(\S+)", head, re.MULTILINE)
     return found[1] if found else metadata.version(package)
-
-
-def _reason(error: OSError) -> str:
-    return error.strerror.lower() if error.strerror else str(error)
 
 
 def _plain(obj: Any) -> Any:

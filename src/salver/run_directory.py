@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from salver.errors import FileFormatError, SalverError
+from salver.errors import FileFormatError, SalverError, reason
 from salver.files import read_json, save_result
 
 EARLIER = "earlier"  # folder with the plans that were replaced, numbered, each with its results
@@ -54,8 +54,7 @@ def check_writable(directory: Path, advice: str) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        reason = error.strerror.lower() if error.strerror else str(error)
-        raise SalverError(f"{directory} cannot be written to: {reason}; {advice}.") from None
+        raise SalverError(f"{directory} cannot be written to: {reason(error)}; {advice}.") from None
 
 
 def check_free(directory: Path) -> None:

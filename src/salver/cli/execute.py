@@ -84,12 +84,10 @@ def execute(
         result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
     elif dry_run:
         result = run_dry(directory, stem, Watchdog(watchdog), realtime, confirm=_warned)
-    elif address is None:
-        raise SalverError("Give the arm's --address, as in --address 172.16.0.2, or try --dry-run first.")
     else:
         result = run_on_franka(
             directory,
-            address,
+            _given(address),
             stem,
             Watchdog(watchdog),
             move_to_start=move_to_start,
@@ -131,8 +129,7 @@ def _told(
     source = "standard input" if listen else lines
     if dry:
         return dry_run_live(case, wishes, out, watchdog, realtime, source=source, listen=listen, confirm=_warned)
-    if address is None:
-        raise SalverError("Give the arm's --address, as in --address 172.16.0.2, or try --dry-run first.")
+    address = _given(address)
     if listen and not yes:
         raise SalverError("With --live - standard input is for the wishes; give --yes to let the arm move.")
     return run_live_on_franka(
@@ -146,6 +143,12 @@ def _told(
         listen=listen,
         confirm=_assent(yes, json),
     )
+
+
+def _given(address: str | None) -> str:
+    if address is None:
+        raise SalverError("Give the arm's --address, as in --address 172.16.0.2, or try --dry-run first.")
+    return address
 
 
 def _warned(checks: list[Check]) -> bool:

@@ -37,10 +37,10 @@ def tradeoff(
     from salver.files import provenance
     from salver.planning.fastest.tradeoff import Asked
     from salver.planning.fastest.tradeoff import tradeoff as curve
+    from salver.reports.figures import check_format
 
     wanted = _scales(scales)
-    if file_format not in ("pdf", "svg", "png"):
-        raise ScenarioError(f'--format = "{file_format}" must be pdf, svg or png.')
+    check_format(file_format)
     chosen = scenarios.load(scenario)
     asked, points = Asked.of(chosen), []
     if not json:

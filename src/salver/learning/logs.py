@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salver.errors import FileFormatError
+from salver.errors import FileFormatError, reason
 from salver.files import load_npz
 from salver.geometry import Array
 from salver.motion_files.readers import BAGS
@@ -82,7 +82,7 @@ def _read_csv(path: Path, n: int) -> dict[str, Array]:
             head = [name.strip().lower() for name in next(rows, [])]
             lines = [row for _, row in zip(range(MOST_ROWS), rows, strict=False) if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FileFormatError(f"{path} cannot be read ({error}); a log is a .npz or a .csv file.") from None
+        raise FileFormatError(f"{path} cannot be read ({reason(error)}); a log is a .npz or a .csv file.") from None
     groups = {"t": ["t"], "q": [f"q{k + 1}" for k in range(n)], "tau": [f"tau{k + 1}" for k in range(n)]}
     groups["wrench_F"] = list(FORCE)
     found = {}

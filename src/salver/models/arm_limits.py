@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from salver.errors import ScenarioError
+from salver.errors import ScenarioError, reason
 from salver.geometry import Array
 
 
@@ -176,8 +176,8 @@ def _read_yaml(path: Path) -> Any:
     try:
         return yaml.load(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, YAMLError, RecursionError) as error:
-        reason = str(error).strip().splitlines()[0]
-        raise ScenarioError(f"{path} cannot be read ({reason}); joint limits are a .yaml file.") from None
+        said = reason(error).strip().splitlines()[0]
+        raise ScenarioError(f"{path} cannot be read ({said}); joint limits are a .yaml file.") from None
 
 
 def _number(path: Path, joint: str, key: str, entry: Mapping[str, Any], positive: bool = False) -> float:

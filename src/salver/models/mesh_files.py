@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from salver.errors import reason
+
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
@@ -25,7 +27,7 @@ def read_mesh_file(file: str | Path) -> Trimesh:
     try:
         size = path.stat().st_size
     except (OSError, ValueError) as error:
-        raise ValueError(f"cannot be read ({error})") from None
+        raise ValueError(f"cannot be read ({reason(error)})") from None
     if size > LARGEST:
         raise ValueError(f"has {size / 1e6:.0f} MB; at most {LARGEST / 1e6:.0f} MB are read: simplify it")
     try:

@@ -18,7 +18,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from salver.errors import ScenarioError
+from salver.errors import ScenarioError, reason
 from salver.models.known_arms import OWN_FOLDER
 
 SUFFIXES = (".urdf", ".xml")
@@ -118,7 +118,7 @@ def read_disabled_pairs(path: Path, links: Collection[str]) -> frozenset[tuple[s
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError) as error:
-        raise ScenarioError(f"arm.srdf: {path} cannot be read ({error}); it must be an SRDF file.") from None
+        raise ScenarioError(f"arm.srdf: {path} cannot be read ({reason(error)}); it must be an SRDF file.") from None
     pairs = [(e.get("link1", ""), e.get("link2", "")) for e in root.iter("disable_collisions")]
     found = frozenset((min(pair), max(pair)) for pair in pairs if pair[0] in links and pair[1] in links)
     if pairs and not found:
@@ -175,7 +175,9 @@ def _parse(path: Path) -> ElementTree.Element:
     try:
         root = _tree(path)
     except (OSError, expat.ExpatError, UnicodeError) as error:
-        raise ScenarioError(f"The URDF {path} cannot be read ({error}); it must be an XML file of a robot.") from None
+        raise ScenarioError(
+            f"The URDF {path} cannot be read ({reason(error)}); it must be an XML file of a robot."
+        ) from None
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise ScenarioError(
             f"The file {path} is written in xacro, which has to be run to give a URDF; do that once, with "

@@ -43,8 +43,7 @@ def write_figures(
     n, seed: perturbed rollouts of Figs 5 and 6. physics: also Figs 7 and 8, for which the physics engine runs each
     motion twice. say: told what is left out and why. Raises SalverError for an unknown format.
     """
-    if file_format not in FORMATS:
-        raise SalverError(f'There is no figure format "{file_format}"; known are {", ".join(FORMATS)}.')
+    check_format(file_format)
     run = read_run(directory)
     folder = run.directory / "figures"
     rollouts = {m.stem: perturbed.perturbed_rollouts(run, m.stem, n, seed) for m in run.motions}
@@ -69,6 +68,12 @@ def write_figures(
     made += write_table(folder / "table1-parameters", table_one(run))
     made += write_table(folder / "numbers", numbers_table(run, rollouts))
     return made
+
+
+def check_format(file_format: str) -> None:
+    """Raises SalverError for an unknown one."""
+    if file_format not in FORMATS:
+        raise SalverError(f'There is no figure format "{file_format}"; known are {", ".join(FORMATS)}.')
 
 
 def render(figure: Figure, file_format: str) -> bytes:

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from salver.errors import ScenarioError
+from salver.errors import ScenarioError, reason
 from salver.run_directory import SCENARIO
 from salver.scenario.model import Scenario, parse
 from salver.wording import listed
@@ -34,8 +34,7 @@ def load(name_or_path: str | Path) -> Scenario:
     except UnicodeDecodeError:
         raise ScenarioError(f"{path} is not a text file in UTF-8; a scenario is a .toml file.") from None
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ScenarioError(f"{path} cannot be read ({reason}); a scenario is a .toml file.") from None
+        raise ScenarioError(f"{path} cannot be read ({reason(error)}); a scenario is a .toml file.") from None
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and numbers and nesting beyond Python's
