@@ -11,7 +11,7 @@ from salver.live.verify import COARSE, STEADY, UNHURRIED, seen, told
 from salver.models.arm_limits import LIMITS
 from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import fastest, transport_problem
-from salver.planning.fastest.constraints import FINEST, TorqueRateLimit, evaluate
+from salver.planning.fastest.constraints import FINEST, Block, JointLimit, TorqueRateLimit, evaluate
 from salver.sensitivity.arm.finer import _cubic, some_of
 from salver.trajectory import JointMotion
 
@@ -178,3 +178,16 @@ def test_a_swing_counts_on_either_side():
     sides = [WorstCase.of(rows, side).values for side in (w + swing, w - swing)]
     assert found == pytest.approx(np.maximum(*sides), abs=1e-12)
     assert all(np.any(found > side + 1e-3) for side in sides)
+
+
+def test_an_acceleration_that_rises_and_falls_between_two_instants_is_seen():
+    """The peak of a parabola, wherever the instants fall on it; at a knot, where it has a kink, it is left alone."""
+    limits = JointLimit(transport_problem(sv.load_scenario("panda-cube")).limits)
+    nodes, knots = np.arange(9), np.arange(9) % 4 == 0
+    for peak in (0.003, 0.0043, 0.0049):
+        t = 5e-4 * np.arange(17)
+        values = (1e-3 - 400.0 * (t - peak) ** 2)[:, None]
+        block = Block("acceleration", values.copy(), lambda i, f: np.zeros((0, 28)), np.arange(17), of=limits)
+        seen_at = told(block, 1e-3 * nodes, knots).values
+        assert np.isclose(seen_at.max(), 1e-3, rtol=1e-9)
+        assert np.array_equal(seen_at[::8], values[::8])

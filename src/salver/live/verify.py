@@ -19,7 +19,7 @@ from salver.live.motion import SAME, Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
 from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
-from salver.planning.fastest.constraints import PER_METRE, Clearance, Contact, Level, TorqueRateLimit
+from salver.planning.fastest.constraints import PER_METRE, Clearance, Contact, JointLimit, Level, TorqueRateLimit
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import NEAR, KeepOut
 from salver.planning.fastest.programme import Mask
@@ -41,6 +41,7 @@ STEADY = 1e-3
 # Of its limit, that the rate of torque keeps at least: from one period to the next, wherever the periods fall, it is up
 # to 3.1e-3 more than is found (of 72 live goals; tests/test_live_verdict.py).
 UNHURRIED = 5e-3
+BESIDE = -0.05  # of their limit: rates of joints that are nearer than this are looked at between their instants
 PERIOD = 1e-3  # s: the shortest, of a loop that is told torques
 FORGIVEN = 0.2  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
 BEGINNING = 0.02  # s
@@ -181,9 +182,17 @@ def told(block: Block, t: Array, knots: Mask) -> Block:
     """The block; if of torque's rate, not over the steps between the instants t (N,) but over any period within them.
 
     It is nearly a parabola through three steps between two knots: its peak is put where it is, and beside a knot, where
-    it has a kink, it is carried on to that.
+    it has a kink, it is carried on to that. The joints' own rates are so between their instants: from rest an
+    acceleration may rise and fall within 3 ms.
     knots: (N,) which instants are.
     """
+    if isinstance(block.of, JointLimit):
+        before, at, after = block.values[:-2], block.values[1:-1], block.values[2:]
+        kink = np.zeros(len(block.values), dtype=bool)
+        kink[::FINER] = knots
+        i, j = np.nonzero((at > BESIDE) & (at >= before) & (at >= after) & ~kink[1:-1, None])
+        bend = np.maximum(2 * at[i, j] - before[i, j] - after[i, j], 1e-12)
+        block.values[i + 1, j] += (after[i, j] - before[i, j]) ** 2 / (8 * bend)
     if isinstance(block.of, TorqueRateLimit):
         step, kink = np.diff(t), knots[1:-1]
         before, at, after = block.values[:-2], block.values[1:-1], block.values[2:]
