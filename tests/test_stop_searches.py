@@ -74,7 +74,7 @@ def test_a_search_without_a_guess_begins_with_every_joint_braking_along_a_smooth
     v, s = np.linspace(-1.0, 2.0, 7), np.linspace(0, 1, 21)
     state = AtPosture(problem.start_posture, v, np.zeros(7))
     curve = FreeCurve(replace(problem, start=state, goal=Anywhere()), Grid.of(SPLINE, s))
-    z = curve.motion(_braking(state, 0.6), 0.6)
+    z = curve.motion(_braking(SPLINE, state, 0.6).coefficients, 0.6)
     np.testing.assert_allclose(z[0, -1], state.q + 0.3 * v, atol=1e-6)
     np.testing.assert_allclose(z[1], np.outer(1 - 3 * s**2 + 2 * s**3, v), atol=0.02)
 
@@ -178,6 +178,7 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
     monkeypatch.setattr(stops, "stop_from", lambda problem, state, begun, now, most: stop(now, most))
     monkeypatch.setattr(stops, "brake_on", lambda problem, path, end, now, begun, law, most: stop(now, most))
     monkeypatch.setattr(stops, "_going_on", lambda motion, now, begin, ahead: now)
+    monkeypatch.setattr(stops, "_late", lambda problem, state: np.inf)  # none is sought from another beginning
     library = plan_stops(nowhere, whole, 0.1, on_path=on_path, progress=lambda *done: told.append(done))
     assert told == [(k + 1, 9) for k in range(9)]
     assert [now for now, _ in asked] == pytest.approx(np.arange(9, 0, -1) / 10)
