@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from salver.contact_margins import Margins, margin_model, margins
-from salver.models.wrench_cone import hull_facets
+from salver.models.hulls import cone_facets
 from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate_tray
@@ -68,7 +68,7 @@ def timings() -> None:
     rays = margin_model(PAPER, 8).networks[0].interfaces[0].contacts.grasp_map.T
     print(
         "  facets of a cube, 8 edges, not cached              {:7.2f} / {:.2f}".format(
-            *timed(lambda: hull_facets(rays))
+            *timed(lambda: cone_facets(rays))
         )
     )
 

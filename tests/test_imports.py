@@ -57,6 +57,25 @@ print(json.dumps(sorted(sys.modules)))
     assert not {"mujoco", "matplotlib", "arro3", "rosbags", "trimesh", "scipy.optimize"} & set(loaded)
 
 
+@pytest.mark.slow
+def test_planning_the_object_loads_no_search_and_of_scipy_what_it_calls(tmp_path):
+    """A third of the command's time would be theirs."""
+    code = f"""
+import contextlib, io, json, sys
+from salver.cli import main
+sys.argv = ["salver", "plan", "panda-cube", "-o", {str(tmp_path / "plan")!r}]
+with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    with contextlib.suppress(SystemExit):
+        main()
+print(json.dumps(sorted(sys.modules)))
+"""
+    loaded = set(_run(code))
+    assert (tmp_path / "plan" / "plan.json").exists()
+    idle = {"scipy.spatial", "scipy.special", "scipy.sparse", "scipy.optimize", "salver.planning.fastest.search"}
+    assert {"salver.planning.object", "scipy.linalg"} <= loaded
+    assert not idle & loaded
+
+
 def test_importing_changes_no_global_state():
     code = """
 import json, random, sys, warnings

@@ -105,11 +105,11 @@ def plan(
     again = partial(plan, **{**locals(), "watch": False})
     from salver import scenario as scenarios
 
-    def place() -> Path:
-        return out if out is not None else Path("runs") / scenarios.load(scenario).name
+    def place(named: Scenario) -> Path:
+        return out if out is not None else Path("runs") / named.name
 
     if watch:
-        watched(Path(scenario), again, place)
+        watched(Path(scenario), again, lambda: place(scenarios.load(scenario)))
         return
     chosen = scenarios.load(scenario)
     if duration is not None:
@@ -120,7 +120,7 @@ def plan(
         raise typer.BadParameter(
             "--effort and --time-limit are for the searches of --fastest, --safest and --least-sensitive."
         )
-    directory, options = place(), options_of(effort)
+    directory, options = place(chosen), options_of(effort)
     if chosen.legs:
         if beside is not None or not arm:
             raise typer.BadParameter("--beside and --no-arm are not for a task of several legs; leave them out.")
@@ -152,7 +152,7 @@ def _pair(
     beside: str,
     directory: Path,
     force: bool,
-    options: FastestOptions,
+    options: FastestOptions | None,
     time_limit: float | None,
 ) -> dict[str, Plan | Round]:
     """By stem: the plan, and what it is compared with."""
@@ -170,7 +170,7 @@ def _pair(
 
 
 def _legs(
-    scenario: Scenario, method: str, directory: Path, options: FastestOptions, time_limit: float | None
+    scenario: Scenario, method: str, directory: Path, options: FastestOptions | None, time_limit: float | None
 ) -> dict[str, Plan | Round]:
     """By stem, the one there is: the plan of a task of several legs."""
     from salver.planning.fastest.legs import plan_legs
@@ -235,11 +235,13 @@ def _show_legs(plan: Round) -> None:
     console.print(f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}.")
 
 
-def options_of(effort: Effort | None) -> FastestOptions:
-    """The options of the search for an effort; None is the normal one."""
+def options_of(effort: Effort | None) -> FastestOptions | None:
+    """The options of the search for an effort; None, the normal ones, loads no search."""
+    if effort is None:
+        return None
     from salver.planning.fastest import EFFORTS
 
-    return EFFORTS[effort or Effort.NORMAL]
+    return EFFORTS[effort]
 
 
 def show(plan: Plan, other: Plan, beside: str) -> None:

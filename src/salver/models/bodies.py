@@ -11,6 +11,7 @@ import numpy as np
 from salver.geometry import Array, exp
 from salver.models import shapes
 from salver.models.contact import ContactSet, support_contacts
+from salver.models.hulls import polytope
 from salver.models.liquid import Liquid
 from salver.models.parameters import Parameter, inertial_vector, phi_jacobian, phi_of
 from salver.models.polygons import inset, intersection
@@ -219,19 +220,12 @@ def check(item: LooseObject) -> None:
             f"inertia of {item.name} has principal moments {', '.join(f'{x:.3g}' for x in principal)} kg m^2; no mass "
             "distribution has one that is larger than the sum of the other two"
         )
-    if not _inside_hull(item.com_G, item.solid.bounding_points_G):
+    if not polytope(item.solid.bounding_points_G).holds(item.com_G, 1e-9):
         raise ValueError(f"com of {item.name} = {tuple(item.com.tolist())} m lies outside its shape; it must be inside")
     if len(inset(item.solid.base_polygon, item.support_inset)) < 3:
         raise ValueError(
             f"support_inset of {item.name} = {item.support_inset} m leaves nothing of its base to stand on"
         )
-
-
-def _inside_hull(point: Array, vertices: Array) -> bool:
-    from scipy.spatial import ConvexHull
-
-    equations = ConvexHull(vertices).equations
-    return bool(np.all(equations[:, :3] @ point + equations[:, 3] <= 1e-9))
 
 
 def check_standing(items: Sequence[Body], tray_half: Array) -> None:

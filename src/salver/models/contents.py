@@ -30,6 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
+from salver.models.hulls import polytope
 from salver.models.parameters import Parameter
 from salver.models.rigid_body import inertia_entries, inertia_matrix
 
@@ -61,18 +62,14 @@ class Hull:
     @classmethod
     def of(cls, points: Array) -> Hull:
         """The hull of points (n, 3); of those with very many faces, their bounding box."""
-        from scipy.spatial import ConvexHull
-
         low, high = points.min(axis=0), points.max(axis=0)
         centre, half = 0.5 * (low + high), 0.5 * (high - low)
         scaled = (points - centre) / half
-        hull = ConvexHull(scaled)
-        equations = np.unique(np.round(hull.equations, 9), axis=0)
-        corners = scaled[hull.vertices]
+        hull = polytope(scaled)
+        corners, normal, offset = scaled[hull.corners], hull.normal, hull.offset
         if 4 * len(corners) > MOST_FACES:  # vertices - edges + facets = 2 and facets >= 3
             corners = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
-            equations = np.hstack([np.vstack([np.eye(3), -np.eye(3)]), -np.ones((6, 1))])
-        normal, offset = equations[:, :3], -equations[:, 3]
+            normal, offset = np.vstack([np.eye(3), -np.eye(3)]), np.ones(6)
         on = np.abs(corners @ normal.T - offset) < 1e-7  # (corners, facets)
         edges = [(i, j) for i, j in combinations(range(len(corners)), 2) if (on[i] & on[j]).sum() >= 2]
         # Corners that lie within an edge, as roundings of a hull leave them, make edges that cover it twice: harmless.

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
+from salver.models.hulls import polytope
 from salver.models.rigid_body import inertia_entries, inertia_matrix
 
 if TYPE_CHECKING:
@@ -37,10 +38,8 @@ _PSEUDO = np.stack([_pseudo_inertia(unit) for unit in np.eye(10)])
 
 def hull_faces(body: Body) -> Array:
     """(k, 4) half-spaces n . x + d <= 0 of the shape's convex hull in B, each once; n are unit vectors."""
-    from scipy.spatial import ConvexHull
-
-    equations = np.asarray(ConvexHull(body.points_B).equations)
-    return equations[np.unique(np.round(equations, 9), axis=0, return_index=True)[1]]
+    hull = polytope(body.points_B)
+    return np.column_stack([hull.normal, -hull.offset])
 
 
 def second_moments(values: Array) -> Array:

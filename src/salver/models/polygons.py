@@ -6,6 +6,9 @@ import numpy as np
 
 from salver.geometry import Array
 
+STRAIGHT = 1e-13  # twice the area of a triangle that is a line, over that of the square around the points
+MANY = 200  # points of which most are inside
+
 
 def half_planes(polygon: Array) -> tuple[Array, Array]:
     """Unit outward normals (n, 2) and offsets (n,): inside where normal . x <= offset."""
@@ -15,13 +18,32 @@ def half_planes(polygon: Array) -> tuple[Array, Array]:
 
 
 def convex_hull(points: Array) -> Array:
-    """Vertices (n, 2) of the convex hull of points (m, 2); empty when they lie in a line."""
-    from scipy.spatial import ConvexHull, QhullError
+    """Vertices (n, 2) of the convex hull of points (m, 2), from the one of least x on; empty when they lie in a line.
 
-    try:
-        return np.asarray(points[ConvexHull(points).vertices])
-    except (QhullError, ValueError):
+    By the monotone chain (Andrew 1979). A vertex at which it turns by rounding only is none.
+    """
+    if len(points) < 3:
         return np.empty((0, 2))
+    size = float(np.ptp(points, axis=0).max())
+    if len(points) > MANY:  # what lies inside eight of them cannot be a vertex
+        angle = np.pi / 4 * np.arange(8)
+        far = convex_hull(points[np.unique((points @ [np.cos(angle), np.sin(angle)]).argmax(axis=0))])
+        if len(far):
+            normal, offset = half_planes(far)
+            points = points[(points @ normal.T - offset).max(axis=1) > -STRAIGHT * size]
+    ordered = points[np.lexsort((points[:, 1], points[:, 0]))].tolist()
+    corners: list[list[float]] = []
+    for way in (ordered, ordered[::-1]):
+        chain: list[list[float]] = []
+        for x, y in way:
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = chain[-2:]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > STRAIGHT * size**2:
+                    break
+                chain.pop()
+            chain.append([x, y])
+        corners += chain[:-1]
+    return np.array(corners) if len(corners) > 2 else np.empty((0, 2))
 
 
 def from_half_planes(normal: Array, offset: Array) -> Array:

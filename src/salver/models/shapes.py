@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from salver.geometry import Array
+from salver.models.hulls import polytope
 from salver.models.mesh_files import read_mesh_file
 from salver.models.polygons import convex_hull, simplified
 from salver.models.rigid_body import parallel_axis
@@ -128,8 +129,6 @@ def mesh(file: str, scale: float = 1.0) -> Solid:
 @lru_cache(maxsize=32)
 def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
     """`mesh`, read once until the file changes: a scenario asks for its shapes several times."""
-    from scipy.spatial import ConvexHull
-
     try:
         surface = read_mesh_file(path)
     except ValueError as error:
@@ -155,7 +154,7 @@ def _mesh(path: Path, modified: int, file: str, scale: float) -> Solid:
         simplified(base, MOST_VERTICES),
         scale * np.asarray(surface.center_mass) - bounds.mean(axis=0),
         unit_inertia,
-        vertices[ConvexHull(vertices).vertices],
+        vertices[polytope(vertices).corners],
         simplified(top, MOST_VERTICES),
         convex_hull(vertices[:, :2]),
         (vertices, np.asarray(surface.faces)),

@@ -18,11 +18,11 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array, hat
+from salver.models import hulls
 from salver.models.contact import ContactSet, cone_edges
-from salver.models.polygons import half_planes
+from salver.models.polygons import convex_hull, half_planes
 
 _TANGENTIAL = np.array([True, True, False, False, False, True])
-_ACTIVE = 1e-8  # a generator this close to a facet's plane (of unit size) lies in it
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,10 @@ def cone_facets(contacts: ContactSet) -> Facets:
         limited = np.any(np.abs(unit[:, _TANGENTIAL]) > 1e-9, axis=1)
     else:
         rays = contacts.grasp_map.T @ _shift_to_centre(contacts).T / np.array([1, 1, 1, length, length, length])
-        rows = hull_facets(rays)
+        try:
+            rows = hulls.cone_facets(rays)
+        except ValueError as error:
+            raise ValueError(f"the contacts press against each other: {error}") from None
         limited = np.ones(len(rows), dtype=bool)
     rows = rows / np.array([1, 1, 1, length, length, length]) @ _shift_to_centre(contacts)
     size = np.linalg.norm(rows * np.array([1, 1, 1, length, length, length]), axis=1)
@@ -200,99 +203,10 @@ def _largest_scale(xy: Array, unit: Array, direction: Array) -> float:
     return best
 
 
-def hull_facets(rays: Array) -> Array:
-    """Rows (n_f, d), unit length, of the half spaces whose intersection is the cone over rays (n, d).
-
-    The cone must be pointed (no line in it). If the rays do not span the space, the missing directions enter as
-    pairs of opposite rows. Each facet is fitted again to the rays that lie in it, so it is good to rounding.
-    Raises ValueError if the cone contains a line.
-    """
-    rays = rays / np.linalg.norm(rays, axis=1)[:, None]
-    _, singular, basis = np.linalg.svd(rays, full_matrices=True)
-    rank = int(np.sum(singular > 1e-9 * singular[0]))
-    missing, basis = basis[rank:], basis[:rank]
-    flat = rays @ basis.T
-    axis = _interior_direction(flat)
-    height = flat @ axis
-    across = np.linalg.svd(axis[None, :])[2][1:]
-    points = flat @ across.T / height[:, None]
-    normal, offset = _half_spaces(points)
-    rows = _refit(flat, normal @ across + offset[:, None] * axis) @ basis
-    return np.vstack([rows, missing, -missing])
-
-
-def _half_spaces(points: Array) -> tuple[Array, Array]:
-    """Normals (m, d) and offsets (m,) with normal . x + offset <= 0 for the convex hull of points (n, d)."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    if points.shape[1] == 0:
-        return np.zeros((1, 0)), np.array([-1.0])
-    if points.shape[1] == 1:
-        return np.array([[1.0], [-1.0]]), np.array([-points.max(), points.min()])
-    try:
-        equations = ConvexHull(points).equations
-    except QhullError:
-        # Many generators in one plane can defeat Qhull's merging. With the points jittered (by about 1e-10) a
-        # facet comes in splinters; each is fitted again to the exact generators, false ones are then dropped.
-        equations = ConvexHull(points, qhull_options="QJ").equations
-    # Qhull triangulates facets: the same plane comes once for each simplex.
-    equations = equations[np.unique(np.round(equations, 9), axis=0, return_index=True)[1]]
-    return equations[:, :-1], equations[:, -1]
-
-
-def _interior_direction(rays: Array) -> Array:
-    """Unit vector with a positive product with every ray (n, d)."""
-    mean = rays.mean(axis=0)
-    if np.linalg.norm(mean) > 0 and (rays @ mean).min() > 1e-2 * np.linalg.norm(mean):
-        return mean / np.linalg.norm(mean)
-    from scipy.optimize import linprog  # a tenth of a second, and seldom needed
-
-    d = rays.shape[1]
-    result = linprog(
-        np.append(np.zeros(d), -1.0),
-        A_ub=np.column_stack([-rays, np.ones(len(rays))]),
-        b_ub=np.zeros(len(rays)),
-        bounds=[(-1, 1)] * d + [(None, None)],
-        method="highs",
-    )
-    if result.x is None or result.x[-1] < 1e-9:
-        raise ValueError("the contacts press against each other: their wrench cone contains a line and has no facets")
-    return result.x[:-1] / np.linalg.norm(result.x[:-1])
-
-
-def _refit(rays: Array, rows: Array) -> Array:
-    """Facets (n_f, d), unit rows, each once: planes (m, d) put through the rays (n, d) that lie in them.
-
-    Planes that a ray is beyond, or that too few rays lie in to be a facet, are dropped.
-    """
-    rows = rows / np.linalg.norm(rows, axis=1)[:, None]
-    outer = (rays[:, :, None] * rays[:, None, :]).reshape(len(rays), -1)
-
-    def within(planes: Array, tolerance: float) -> tuple[npt.NDArray[np.bool_], Array, Array]:
-        """Which rays lie in each plane, and the eigenvalues and -vectors of their scatter."""
-        active = np.abs(planes @ rays.T) < tolerance
-        scatter = (active.astype(float) @ outer).reshape(len(planes), rays.shape[1], rays.shape[1])
-        return active, *np.linalg.eigh(scatter)
-
-    _, _, vectors = within(rows, 1e-7)
-    fitted = vectors[:, :, 0]
-    fitted = fitted * np.where(np.sum(fitted * rows, axis=1) > 0, 1.0, -1.0)[:, None]
-    # Neighbouring facets of a round cone can be so close that their rays were mixed: then it is not an improvement.
-    better = (fitted @ rays.T).max(axis=1) <= (rows @ rays.T).max(axis=1) + 1e-12
-    rows = np.where(better[:, None], fitted, rows)
-    active, values, _ = within(rows, _ACTIVE)
-    spanned = values[:, 1] > 1e-12 if rays.shape[1] > 1 else np.ones(len(rows), dtype=bool)
-    kept = np.flatnonzero(spanned & ((rows @ rays.T).max(axis=1) <= _ACTIVE))
-    first = np.unique(np.packbits(active[kept], axis=1), axis=0, return_index=True)[1]
-    return np.asarray(rows[kept[np.sort(first)]])
-
-
 def support_polygon(contacts: ContactSet) -> Array:
     """Convex hull (n, 2) of the contact points, counter-clockwise, in the contacts' axes about their mean, m."""
-    from scipy.spatial import ConvexHull
-
     centred = (contacts.p_BC - contacts.p_BC.mean(axis=0)) @ contacts.R_BC[0]
-    return centred[ConvexHull(centred[:, :2]).vertices, :2]
+    return convex_hull(centred[:, :2])
 
 
 def _is_planar_support(contacts: ContactSet) -> bool:
@@ -322,7 +236,7 @@ def _unit_facets(polygon: tuple[tuple[float, float], ...], edges: int, phase: fl
     """Facets (n_f, 6) for a polygon about the origin, with friction 1 and moments about the origin."""
     tangents = cone_edges(1.0, edges, phase) * np.sqrt(2)
     rays = [(e[0], e[1], 1, y, -x, x * e[1] - y * e[0]) for x, y in polygon for e in tangents.T]
-    rows = hull_facets(np.array(rays))
+    rows = hulls.cone_facets(np.array(rays))
     rows[np.abs(rows) < 1e-13] = 0.0
     rows.setflags(write=False)
     return rows

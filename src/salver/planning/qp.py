@@ -13,14 +13,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import daqp
 import numpy as np
 import piqp
-from scipy.sparse import csc_matrix
 
 from salver.geometry import Array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_matrix
 
 FEW = 64  # unknowns up to which the active-set method is the faster one, whatever the rows
 MOST_CHANGES = 2000  # of the active set; a programme of a few hundred rows takes some hundred
@@ -146,6 +148,8 @@ def interior_point(programme: Quadratic, tolerance: float) -> Optimum | None:
 
 def _sparse(matrix: Array) -> csc_matrix:
     """What is not zero of a matrix, column by column; a seventh of the time that SciPy takes."""
+    from scipy.sparse import csc_matrix  # not loaded by whoever has no band
+
     columns = np.ascontiguousarray(matrix.T)
     where = np.flatnonzero(columns != 0)
     starts = np.arange(len(columns) + 1) * max(1, len(matrix))

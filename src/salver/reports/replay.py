@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import GRAVITY_S, Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.models import hulls
 from salver.models.bodies import Body
 from salver.models.parameters import Parameter
 from salver.reports.meshes import LinkMesh, decimate, link_meshes, obstacle_meshes, pack
@@ -217,24 +218,10 @@ def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
             "open": body.liquid is not None and not body.liquid.sealed,
             "colour": rgb(colour),
         }
-    points, triangles = _hull(body.solid.bounding_points_G)
+    points, triangles = body.solid.bounding_points_G, hulls.triangles(body.solid.bounding_points_G)
     if body.solid.surface is not None:
         points, triangles = decimate(*body.solid.surface, TRIANGLES_PER_OBJECT)
     return {"points": np.round(points + offset, 6).tolist(), "triangles": triangles.tolist(), "colour": rgb(colour)}
-
-
-def _hull(points: Array) -> tuple[Array, np.ndarray]:
-    """Convex hull of points (n, 3) and its triangles, seen counter-clockwise from outside."""
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(points)
-    outward = np.einsum("ij,ij->i", np.cross(*_edges(points, hull.simplices)), hull.equations[:, :3]) > 0
-    return points, np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])
-
-
-def _edges(points: Array, triangles: np.ndarray) -> tuple[Array, Array]:
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    return b - a, c - a
 
 
 def _bounds(run: Run, arm: ArmModel | None) -> list[list[float]]:
