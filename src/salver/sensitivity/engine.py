@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -123,6 +124,27 @@ def _function(name: str, symbols: list[ca.SX], expressions: list[ca.SX]) -> ca.F
     return ca.Function(name, symbols, [ca.densify(e) for e in expressions])
 
 
+class _Evaluated:
+    """A function of arrays to arrays: CasADi's own calls take most of their time to turn arrays into its matrices and
+    back, here numbers are written to where it looks for them and read from where it leaves them."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer: Any
+        self._buffer, self._run = function.buffer()
+        self._given = [np.zeros(function.size_in(i), order="F") for i in range(function.n_in())]
+        self._found = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
+        for i, array in enumerate(self._given):
+            self._buffer.set_arg(i, array.ravel(order="K").data)
+        for i, array in enumerate(self._found):
+            self._buffer.set_res(i, array.ravel(order="K").data)
+
+    def __call__(self, *given: npt.ArrayLike) -> list[Array]:
+        for place, value in zip(self._given, given, strict=True):
+            place[...] = np.reshape(value, place.shape)
+        self._run()
+        return [array.copy() for array in self._found]
+
+
 @dataclass(frozen=True)
 class Sensitivity:
     """Nominal motion and first-order reactions, time axis first.
@@ -170,18 +192,18 @@ def sensitivity(
     motion = np.concatenate([_sized("x0", x0, (n_x,)), _sized("xi0", xi0, (n_xi,))])
     # One matrix: a column with the motion itself, then a column of (Pi, Pi_xi) for each parameter.
     state = np.column_stack([motion, np.vstack([Pi, Pi_xi])])
-    function, believed = variational(loop), p[: loop.p_nominal.numel()]
+    function, believed = _Evaluated(variational(loop)), p[: loop.p_nominal.numel()]
 
     def evaluate(s: Array, time: float, y: Array) -> list[Array]:
-        values = function(s[:n_x, 0], s[n_x:, 0], s[:n_x, 1:], s[n_x:, 1:], p, believed, time, y)
-        return [v.full() for v in values]
+        return function(s[:n_x, 0], s[n_x:, 0], s[:n_x, 1:], s[n_x:, 1:], p, believed, time, y)
 
     def rates_at(instants: Array) -> Rate:
         y = _sampled(loop, reference, instants)
 
         def rate(k: int, s: Array) -> Array:
-            dx, dxi, dPi, dPi_xi, _, _ = evaluate(s, instants[k], y[k])
-            return np.block([[dx, dPi], [dxi, dPi_xi]])
+            slope = np.empty_like(s)
+            slope[:n_x, :1], slope[n_x:, :1], slope[:n_x, 1:], slope[n_x:, 1:], _, _ = evaluate(s, instants[k], y[k])
+            return slope
 
         return rate
 
@@ -234,10 +256,10 @@ def simulate(
     believed = _sized("p_nominal", p_nominal, (n_p,))[: loop.p_nominal.numel()]
     start = [np.broadcast_to(np.asarray(z, dtype=float), (n, size)) for z, size in ((x0, n_x), (xi0, n_xi))]
     # Samples are columns; what all of them share (belief, time, reference) is handed over once.
-    function = closed_loop_rate(loop).map("closed_loops", "serial", n, [3, 4, 5], [])
+    function = _Evaluated(closed_loop_rate(loop).map("closed_loops", "serial", n, [3, 4, 5], []))
 
     def evaluate(s: Array, time: float, y: Array) -> list[Array]:
-        return [v.full() for v in function(s[:n_x], s[n_x:], p, believed, time, y)]
+        return function(s[:n_x], s[n_x:], p, believed, time, y)
 
     def rates_at(instants: Array) -> Rate:
         y = _sampled(loop, reference, instants)
