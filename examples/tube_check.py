@@ -59,11 +59,8 @@ def check(example: Example, n: int, seed: int) -> TubeCheck:
     result = sensitivity(example.loop, p.nominal, example.t, example.x0, example.xi0)
     reaction = np.concatenate([result.state_sensitivity, result.input_sensitivity], axis=1)
     nominal, tube = np.concatenate([result.x, result.u], axis=1), radius(reaction, p)
-    inside = np.random.default_rng(seed).uniform(-1, 1, (n, p.size))
-    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * p.size), axis=-1).reshape(-1, p.size)
-    scatter = np.vstack([corners, inside])[:n]
     loop, t, x0, xi0 = example.loop, example.t, example.x0, example.xi0
-    motions = simulate(loop, p.nominal + scatter * p.half_range, p.nominal, t, x0, xi0, tolerance=1e-6)
+    motions = simulate(loop, scattered(p, n, seed), p.nominal, t, x0, xi0, tolerance=1e-6)
     records = np.concatenate([motions.x, motions.u], axis=2)
 
     step = 1e-3 * p.half_range
@@ -75,6 +72,13 @@ def check(example: Example, n: int, seed: int) -> TubeCheck:
     error = float((np.abs((difference - reaction) * p.half_range).max(axis=(0, 2)) / tube.max(axis=0)).max())
     names = (*example.states, *example.inputs)
     return TubeCheck(example, result, motions, nominal, tube, coverage(t, records, nominal, tube, names), error)
+
+
+def scattered(p: UncertainSet, n: int, seed: int) -> np.ndarray:
+    """(n, n_p) parameters: the corners of their box, then uniform in it."""
+    inside = np.random.default_rng(seed).uniform(-1, 1, (n, p.size))
+    corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * p.size), axis=-1).reshape(-1, p.size)
+    return p.nominal + np.vstack([corners, inside])[:n] * p.half_range
 
 
 def report(check: TubeCheck) -> str:

@@ -94,7 +94,9 @@ def behind_a_post() -> TransportProblem:
 
 
 def pytest_configure() -> None:
-    """Typer puts the command together again for each call of a test's runner, which takes 20 ms: once is enough."""
+    """Typer puts the command together again for each call of a test's runner, which takes 20 ms: once is enough.
+    While modules are imported nothing is thrown away."""
+    gc.disable()
     typer.testing._get_command = functools.cache(typer.testing._get_command)
 
 
@@ -103,3 +105,5 @@ def pytest_collection_finish() -> None:
     asks for it."""
     gc.collect()
     gc.freeze()
+    gc.enable()
+    gc.set_threshold(20_000, 20, 20)
