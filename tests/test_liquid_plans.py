@@ -55,7 +55,7 @@ def test_a_given_path_is_run_so_slowly_that_nothing_spills(coffee):
     q = np.array(coffee.arm.start_posture) + np.outer(np.linspace(0, 1, 9), [0.9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     plan = plan_retimed(coffee, q)
     assert plan.status.ok, plan.status.sentence
-    assert plan.duration > 1.1 * plan.solver["lower_bound"]
+    assert plan.duration > 1.05 * plan.solver["lower_bound"]
     assert plan.margins.verdict(worst=True).ok
     record = sv.simulate(plan, parameters={"fill": 0.065, "damping": 0.002, "mass": 0.275, "friction": 0.36})
     assert record.outcome == "holds"
@@ -335,5 +335,7 @@ def test_waves_that_an_arm_with_a_known_load_feels_are_nearly_those_that_were_pl
     assert np.abs(planned.waves.eta).max() > 1e-3  # m
     np.testing.assert_allclose(given.waves.eta, planned.waves.eta, atol=0.15 * np.abs(planned.waves.eta).max())
     # What waves and arm do to each other goes round and round, less each time.
-    once, thrice = (response.reaction(x.wrench) for x in (planned, given.waves))
-    assert np.abs(thrice - given.reaction).max() < 0.8 * np.abs(given.reaction - once).max()
+    once, twice, thrice = (
+        x.w for x in (response.reaction(planned.wrench), given.reaction, response.reaction(given.wrench))
+    )
+    assert np.abs(thrice - twice).max() < 0.8 * np.abs(twice - once).max()

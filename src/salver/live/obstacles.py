@@ -211,7 +211,7 @@ class Passing(Constraint):
         t = motion.s[motion.nodes] * motion.duration
         stray = np.zeros(len(t))
         if motion.response is not None:
-            position, turn = motion.response.tray_radius()
+            position, turn = motion.tray_radius()
             stray = np.linalg.norm(position, axis=1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1)
         steps = np.pad(np.diff(t), 1)
         longest = 0.5 * np.maximum(steps[:-1], steps[1:])  # half of the time to the next look

@@ -3,7 +3,7 @@ to be held against the wrench of the slosh (`salver.sensitivity.waves` has the w
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
@@ -15,6 +15,7 @@ from salver.models.liquid import GRAVITY, LEAST_WEIGHT, LEFT_OVER, TILTING
 from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
 from salver.models.worst_case import ALL, Some
+from salver.sensitivity.arm.tracking import Reaction
 from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by, wrench_by
 from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Waves, along, cases
 
@@ -27,7 +28,7 @@ class Slosh:
     """What K cases of a liquid do along a motion of T instants.
 
     wrench: (K, T, 6) of `Waves`. planned: the waves on a tray that follows its motion exactly; the rest is what comes
-    of an arm that gives way. reaction: (K, T, 12) by which what the tray feels changes. change: of the waves, per
+    of an arm that gives way. reaction: how it does that. change: of the waves, per
     half-range of each of n_c terms of what is uncertain. higher: (K, T) m, by which the crest may be higher for all
     these, but for what a steeper free wave makes of it; freer: (K, T, 2) m, by which that may be higher; more_left:
     (K,) m, what is left at the end.
@@ -36,7 +37,7 @@ class Slosh:
     waves: Waves
     wrench: Array
     planned: Waves
-    reaction: Array | None = None
+    reaction: Reaction | None = None
     change: Change | None = None
     higher: Array | float = 0.0
     freer: Array | float = 0.0
@@ -48,7 +49,7 @@ class Slosh:
         return cls(waves, waves.wrench, waves)
 
     @classmethod
-    def given_way(cls, waves: Waves, planned: Waves, reaction: Array, dw: Array) -> Slosh:
+    def given_way(cls, waves: Waves, planned: Waves, reaction: Reaction, dw: Array) -> Slosh:
         """dw: (K or 1, T, 12, n_c) change of what the tray feels."""
         change, highest = waves.changed(dw), waves.cases.highest
         higher = (highest(np.moveaxis(change.eta, 2, 3)) + np.abs(change.thrown)).sum(axis=2)
@@ -94,7 +95,7 @@ class Slosh:
         waves = self.waves.part(some)
         if planned is None:
             planned = waves if self.planned is self.waves else self.planned.part(some)
-        reaction = None if self.reaction is None else self.reaction[some]
+        reaction = None if self.reaction is None else self.reaction.part(some)
         change = None if self.change is None else self.change.part(some)
         return Slosh(waves, self.wrench[some], planned, reaction, change, *self._more(some))
 
@@ -284,6 +285,14 @@ class Sloshed:
         return found
 
 
+def given_way(sloshing: Mapping[str, tuple[Slosh, ...]], what: Callable[[Reaction], Array]) -> Array:
+    """(T, m) most by which the slosh of all liquids changes something of the arm that carries them, `what` (T, m, K) of
+    each reaction: each liquid at its worst case."""
+    each = [[what(x.reaction) for x in parts if x.reaction is not None] for parts in sloshing.values()]
+    most = [reduce(np.maximum, [np.abs(x).max(axis=-1) for x in parts]) for parts in each if parts]
+    return sum(most, np.zeros((1, 1)))
+
+
 def of_parts(sloshes: Sequence[Slosh], which: Indices) -> Iterator[tuple[Slosh, Indices, Indices]]:
     """Cases counted through all parts (m,), part by part: the part, which of its cases, and where in `which`."""
     before = 0
@@ -327,7 +336,7 @@ def _added(part: Slosh, nominal: Array, held: Array | None, at: Some, coarsely: 
     """Of a part to rows nominal (12, n), and held (6, n) of the wrench that its container must give."""
     added = np.zeros((1, 1, 1))
     if part.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
-        added = part.reaction[:, at] @ nominal
+        added = part.reaction.w[:, at] @ nominal
     if held is not None:
         added = added + part.wrench[:, at] @ held
         if part.change is not None and coarsely:

@@ -79,10 +79,11 @@ def wrench_by(waves: Waves, unknowns: Unknowns, case: Indices, node: Indices, we
     mass = which.mass[case]
     weight = (weight[:, None] @ which.to_E[case])[:, 0]
     tilting = weight[:, [4, 3]] * [1.0, -1.0]  # what turns along x is a moment about y
-    by_second = mass * (weight[:, None, :2] + which.height[case] * tilting[:, None])
+    rising = which.rising[case] * weight[:, 2, None, None]
+    by_second = mass * (weight[:, None, :2] + which.height[case] * tilting[:, None]) + rising * r
     hanging = -tilting * force[:, 2:] + weight[:, 5:] * force[:, [1, 0]] * [1.0, -1.0]
     stiff = which.omega[case] ** 2 / GRAVITY
-    by_hung = mass * hanging[:, None]
+    by_hung = mass * hanging[:, None] + rising * second
     by_spin = -(by_second * across(second) + by_hung * across(r)).sum(axis=(1, 2))
     hung = (mass * r).sum(axis=1)
     by_up = -(tilting * hung).sum(axis=1) - (by_second * stiff * r).sum(axis=(1, 2))
@@ -92,7 +93,8 @@ def wrench_by(waves: Waves, unknowns: Unknowns, case: Indices, node: Indices, we
     by_second = turned(by_second, spin[:, None])
     by_r = turned(by_hung, spin[:, None]) - stiff * waves.upward[case, node, None, None] * by_second
     by_spin -= (by_second * across(waves.at_modes[case, node])).sum(axis=(1, 2))
-    return at_node(unknowns, waves, case, node, by_r, -which.kd[case] * by_second, by_w, by_spin)
+    by_rate = 2 * rising * waves.rate[case, node] - which.kd[case] * by_second
+    return at_node(unknowns, waves, case, node, by_r, by_rate, by_w, by_spin)
 
 
 def at_node(

@@ -122,6 +122,12 @@ class Cases:
     def round(self) -> bool:
         return self.liquid.round
 
+    @cached_property
+    def rising(self) -> Array:
+        """(K, n_modes, 2) kg/m: half the square of a mass's place, times this, is what its wave lifts, kg m: its energy
+        over g."""
+        return np.asarray(self.mass * self.omega**2 / GRAVITY)
+
     @property
     def wide(self) -> Array:
         """(K,) m, the larger of `half`."""
@@ -389,7 +395,8 @@ class Waves:
     @cached_property
     def wrench(self) -> Array:
         """(K, T, 6) what the container must give at E beyond what the liquid would need if a lid lay on it, N and
-        N m."""
+        N m: to first order in the waves, and the upward force, which is of second, as its centre of mass rises and
+        falls."""
         which, force = self.cases, self.force
         back = -self.spin[..., None]
         r, second = turned(self.r, back), turned(self.second, back)
@@ -398,6 +405,7 @@ class Waves:
         tilted = (mass * which.height[:, None] * second).sum(axis=2)
         out = np.zeros((*force.shape[:2], 6))
         out[..., :2] = pushed
+        out[..., 2] = (which.rising[:, None] * (self.rate**2 + self.r * self.second)).sum(axis=(2, 3))
         out[..., 3] = hung[..., 1] * force[..., 2] - tilted[..., 1]
         out[..., 4] = tilted[..., 0] - hung[..., 0] * force[..., 2]
         out[..., 5] = hung[..., 0] * force[..., 1] - hung[..., 1] * force[..., 0]
@@ -443,6 +451,9 @@ class Waves:
         f = self.force[..., None]
         out = np.zeros((*r.shape[:2], 6, dw.shape[-1]))
         out[:, :, :2] = pushed
+        by_r, by_rate, by_second = (which.rising[:, None] * x for x in (self.second, 2 * self.rate, self.r))
+        for by, dx in ((by_r, r), (by_rate, rate), (by_second, second)):
+            out[:, :, 2] += np.einsum("ktna,ktnac->ktc", by, dx)
         out[:, :, 3] = hangs[:, :, 1] * f[:, :, 2] + hung[:, :, 1] * force[:, :, 2] - tilted[:, :, 1]
         out[:, :, 4] = tilted[:, :, 0] - hangs[:, :, 0] * f[:, :, 2] - hung[:, :, 0] * force[:, :, 2]
         out[:, :, 5] = hangs[:, :, 0] * f[:, :, 1] - hangs[:, :, 1] * f[:, :, 0]

@@ -168,8 +168,8 @@ def both_sides(scaled: Array, extra: Array | float = 0.0) -> Array:
 class JointLimit(Constraint):
     """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit.
 
-    To position and velocity a wrong load and held commands add what the arm strays; acceleration and jerk are those of
-    the reference, as makers state their limits.
+    To position and velocity a wrong load, held commands and liquids add what the arm strays; acceleration and jerk are
+    those of the reference, as makers state their limits.
     """
 
     limits: JointLimits
@@ -198,7 +198,7 @@ class JointLimit(Constraint):
 
             extra: Array | float = 0.0
             if order < 2 and motion.response is not None:
-                extra = motion.between_nodes(motion.response.joint_radius(order)[:, finite]) / half
+                extra = motion.between_nodes(motion.joint_radius(order)[:, finite]) / half
             values = both_sides((motion.z[order][:, finite] - middle) / half, extra)
             # A derivative of order k goes with T^-k; a little more, for what else is nonlinear.
             slows = 1.5 if order == 0 else 1.0 / order + 0.02
@@ -207,7 +207,7 @@ class JointLimit(Constraint):
 
 @dataclass(frozen=True, eq=False)
 class TorqueLimit(Constraint):
-    """Torque, to which a wrong load adds its worst case."""
+    """Torque, to which a wrong load and what liquids push add their worst case."""
 
     limits: JointLimits
 
@@ -218,7 +218,7 @@ class TorqueLimit(Constraint):
         bound = self.limits.torque[finite]
         extra: Array | float = 0.0
         if motion.response is not None:
-            extra = motion.response.torque_radius()[:, finite] / bound
+            extra = motion.torque_radius()[:, finite] / bound
 
         def gradient(i: Indices, f: Indices) -> Array:
             column, sign = f % len(finite), np.where(f < len(finite), 1.0, -1.0)
@@ -364,7 +364,7 @@ class Clearance(Constraint):
             return
         q, stray = motion.at_nodes[0], np.zeros(1)
         if motion.response is not None:
-            position, turn = motion.response.tray_radius()
+            position, turn = motion.tray_radius()
             stray = np.linalg.norm(position, axis=1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1)
         distance = self.keep_out.distances(q, float(stray.max()))
         if not motion.imposed:

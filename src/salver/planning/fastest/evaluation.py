@@ -15,7 +15,7 @@ from salver.models.parameters import Parameter
 from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop
-from salver.sensitivity.sloshing import Slosh
+from salver.sensitivity.sloshing import Slosh, given_way
 from salver.sensitivity.waves import Case, along
 
 Indices = npt.NDArray[np.intp]
@@ -88,8 +88,8 @@ def _sloshes(group: Parted, t: Array, w: Array, response: Deviation | None) -> t
         begin += len(free)
     # The arm gives way to what the waves push, and the waves are then others: twice round is enough.
     reaction = response.reaction(planned.wrench)
-    reaction = response.reaction(planned.waves.shifted(known + reaction).wrench)
-    return planned, Slosh.given_way(planned.waves.shifted(known + reaction), planned.waves, reaction, unknown)
+    reaction = response.reaction(planned.waves.shifted(known + reaction.w).wrench)
+    return planned, Slosh.given_way(planned.waves.shifted(known + reaction.w), planned.waves, reaction, unknown)
 
 
 def of_cases(several: Sequence[Case], load: LoadChange, dw: Array) -> tuple[Array, Array]:
@@ -194,6 +194,26 @@ class Evaluation:
     @cached_property
     def _waves(self) -> Sloshing:
         return Sloshing.of(self.liquids, self.s[self.nodes] * self.duration, self.terms.w, self.response)
+
+    def joint_radius(self, order: int) -> Array:
+        """(N, n) most by which the joints' position (order 0) or velocity (1) can differ from the plan's at the nodes:
+        for a wrong load, held commands and what liquids push."""
+        assert self.response is not None
+        name = ("q", "dq")[order]
+        slosh = given_way(self.sloshing, lambda reaction: getattr(reaction.joints, name))
+        return np.asarray(self.response.joint_radius(order) + slosh)
+
+    def torque_radius(self) -> Array:
+        """(N, n) the same for the commanded torque, N m."""
+        assert self.response is not None
+        return np.asarray(self.response.torque_radius() + given_way(self.sloshing, lambda reaction: reaction.torque))
+
+    def tray_radius(self) -> tuple[Array, Array]:
+        """The same for the tray's position (N, 3) in S, m, and its orientation (N, 3) in E, rad."""
+        assert self.response is not None
+        position, turn = self.response.tray_radius()
+        moved, turned = (given_way(self.sloshing, lambda x, k=k: x.tray.state[:, k : k + 3]) for k in (0, 3))  # type: ignore[misc]
+        return position + moved, turn + turned
 
     @cached_property
     def steps(self) -> Array:

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -68,6 +69,30 @@ Law = Callable[[Array, Array], tuple[JointDeviation, TrayDeviation]]
 
 
 @dataclass(frozen=True, eq=False)
+class Reaction:
+    """How an arm whose motion is `terms` gives way to each of K wrenches that its controller does not know of."""
+
+    terms: MotionTerms
+    joints: JointDeviation
+    tray: TrayDeviation
+
+    @cached_property
+    def w(self) -> Array:
+        """(K, T, 12) by which what the tray feels changes."""
+        return np.moveaxis(self.tray.w, 2, 0)
+
+    @cached_property
+    def torque(self) -> Array:
+        """(T, n, K) by which the commanded torque changes, N m."""
+        return commanded(self.terms, self.joints)
+
+    def part(self, some: slice) -> Reaction:
+        """To some of the wrenches."""
+        joints, tray = ({name: x[..., some] for name, x in vars(of).items()} for of in (self.joints, self.tray))
+        return Reaction(self.terms, JointDeviation(**joints), TrayDeviation(**tray))
+
+
+@dataclass(frozen=True, eq=False)
 class Held:
     """How far held commands put the nominal motion off: q, dq, torque (T, n), tray, w (T, 12), see `Deviation`.
 
@@ -103,12 +128,12 @@ class Deviation:
         """The same along a motion like it, with its terms."""
         return replace(self, terms=terms)
 
-    def reaction(self, wrench: Array) -> Array:
-        """(K, T, 12) how what the tray feels changes, to first order, when the load needs wrenches (K, T, 6) at E
-        beyond what the controller knows of."""
+    def reaction(self, wrench: Array) -> Reaction:
+        """What the arm does, to first order, when the load needs wrenches (K, T, 6) at E beyond what the controller
+        knows of."""
         pushed = np.asarray(np.swapaxes(self.terms.jacobian, 1, 2) @ np.moveaxis(wrench, 0, 2), dtype=float)
         missing = self.terms.mass_inverse @ pushed
-        return np.moveaxis(self.law(missing, np.zeros(len(wrench)))[1].w, 2, 0)
+        return Reaction(self.terms, *self.law(missing, np.zeros(len(wrench))))
 
     def felt(self, held: bool = True) -> tuple[Array, Drift]:
         """w (T, 12) at nominal parameters, and how the others change it."""
@@ -195,6 +220,12 @@ def missing_acceleration(load: LoadChange, terms: MotionTerms) -> Array:
     return np.asarray(terms.mass_inverse @ np.swapaxes(wrench @ terms.jacobian, 1, 2))
 
 
+def commanded(terms: MotionTerms, joints: JointDeviation) -> Array:
+    """(T, n, n_c) by which the torque that is asked for changes, N m: what the joints' deviation takes, and what is
+    asked for and not got."""
+    return np.asarray(terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing)
+
+
 def late(terms: MotionTerms, rates: Array, delay: float) -> Array:
     """(T, n) M^-1 dtau/dt times the delay: what a late command is short of. rates: (3, T, n) dq, ddq, dddq."""
     torque_rate = terms.torque_z @ np.concatenate(list(rates), axis=1)[:, :, None]
@@ -212,7 +243,7 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law) -> De
         for first, second in zip((joints, tray), law(terms.mass_inverse @ wrench, np.ones(n_c - n_p)), strict=True):
             for name, value in vars(second).items():
                 getattr(first, name)[:, :, n_p:-1] += value
-    torque = terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing
+    torque = commanded(terms, joints)
     swing = np.zeros_like(terms.w)
     swing[:, :6] = (terms.jacobian @ late[:, :, None])[:, :, 0]
     return Deviation(
