@@ -20,10 +20,10 @@ from salver.live.verify import instants, verified
 from salver.live.wishes import pose_goal
 from salver.models.arm_limits import POSITION
 from salver.planning.fastest import fastest, joint_plan, transport_problem
-from salver.planning.fastest.constraints import Contact, evaluate
+from salver.planning.fastest.constraints import Clearance, Contact, evaluate
 from salver.planning.fastest.ends import AtPose, AtPosture
 from salver.planning.fastest.exchange import optimise
-from salver.planning.fastest.obstacles import AT_NODES
+from salver.planning.fastest.obstacles import AT_NODES, KeepOut
 from salver.planning.fastest.sqp import minimise
 from salver.planning.postures import PoseTarget
 from salver.trajectory import JointMotion
@@ -247,6 +247,15 @@ class TestVerdict:
         assert found.sentence.startswith("contact of cube would be exceeded")
         # What a wrong load does to the arm is known every 5 ms to the verdict, here at every node.
         assert found.excess == pytest.approx(contact.values.max() + more, abs=1e-5)
+
+    def test_distances_of_ones_own_are_looked_at_beside_those_that_are_kept_anyway(self, moving):
+        """A metre more than the arm's parts have."""
+        problem, motion = moving.problem, moving.committed.motion
+        wide = KeepOut(problem.keep_out.parts, problem.keep_out.required + 1.0)
+        found = verified(replace(problem, extra=(Clearance(wide),)), motion, 3.0, None)
+        assert found.what.startswith("clearance of ")
+        assert 8.0 < found.excess < 10.0  # in units of 0.1 m, less what there is beyond what is asked for
+        assert verified(replace(problem, extra=(Clearance(problem.keep_out),)), motion, 3.0, None).committed is not None
 
     def test_the_executed_is_the_same_in_pieces(self, moving):
         motion = moving.committed.motion

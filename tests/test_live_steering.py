@@ -10,6 +10,7 @@ from live_runs import drive, in_turn, jolts, rows_of
 from salver.live import Live, steer
 from salver.live.steer import TICK, ChunkWanted, TwistWanted
 from salver.live.wishes import twist_wish
+from salver.planning.fastest import Block
 
 EVERY = round(TICK * 1e3)
 
@@ -199,3 +200,19 @@ def test_where_a_step_led_the_rows_of_the_next_programme_are_exact(cube, monkeyp
         looked += exact.sum()
         assert (before @ bent - bound[: len(before)])[exact] == pytest.approx(value[exact], abs=1e-9)
     assert looked > 100
+
+
+def test_of_two_conditions_of_one_name_neither_takes_from_the_other_what_is_kept():
+    """Of one that keeps nothing from its edge, nothing more is kept; the other one's is kept all the same."""
+
+    def block(margin):
+        return Block("pace", np.zeros((3, 1)), lambda node, row: np.zeros((len(node), 28)), np.arange(3), (margin, 0.0))
+
+    for margins, kept in (((0.0, 1e-3), [0.0, 2.4e-3]), ((1e-3, 0.0), [2.4e-3, 0.0])):
+        caution = steer.Caution()
+        caution.broken("pace", 2e-3)
+        for _ in range(2):
+            assert caution.margins([block(margin) for margin in margins]) == pytest.approx(kept)
+    caution.broken("pace", 1.0)  # and of neither more than ten times a planner's margin
+    assert caution.margins([block(margin) for margin in (1e-3, 1e-4)]) == pytest.approx([1e-2, 1e-3])
+    assert caution.kept == pytest.approx({"pace": 1e-2})

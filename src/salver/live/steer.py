@@ -194,11 +194,14 @@ class Caution:
         """A whole bend broke a row."""
         self.kept[what] = self.kept.get(what, 0.0) + 1.2 * excess
 
-    def margin(self, block: Block) -> float:
-        """Of its rows."""
-        name, most = block.name, MOST_KEPT * block.margins[0]
-        self.kept = {what: min(x, most) if of_block(what, name) else x for what, x in self.kept.items()}
-        return max((x for what, x in self.kept.items() if of_block(what, name)), default=0.0)
+    def margins(self, blocks: Sequence[Block]) -> list[float]:
+        """Of the rows of each; several blocks may have one name, and each keeps no more than its own most."""
+        most = [MOST_KEPT * block.margins[0] for block in blocks]
+        for what, kept in self.kept.items():
+            own = [x for block, x in zip(blocks, most, strict=True) if of_block(what, block.name)]
+            self.kept[what] = min(kept, max(own, default=np.inf))
+        more = [max((x for what, x in self.kept.items() if of_block(what, b.name)), default=0.0) for b in blocks]
+        return [min(each) for each in zip(more, most, strict=True)]
 
 
 def of_block(what: str, name: str) -> bool:
@@ -253,7 +256,7 @@ class Steering:
         if not whole:
             self.caution.broken(finding.what, finding.excess)
             # What a bend breaks is of second order in it.
-            kept = max((x for name, x in margins.items() if of_block(finding.what, name)), default=0.0)
+            kept = min((x for name, x in margins if of_block(finding.what, name)), default=0.0)
             share = np.clip(0.9 * np.sqrt(kept / (kept + finding.excess)), LEAST_SHARE, MOST_SHARE)
             finding = self._judged(base, begins, share * bend)
         if finding.committed is None:
@@ -284,8 +287,8 @@ class Steering:
 
     def _bend(
         self, wanted: Wanted, base: Committed, begins: float, rounds: int
-    ) -> tuple[Array, dict[str, float]] | None:
-        """The bend after at most so many programmes, and what was kept from the edges of which rows."""
+    ) -> tuple[Array, list[tuple[str, float]]] | None:
+        """The bend after at most so many programmes, and what was kept from the edges of the rows of which blocks."""
         grid, n = self.grid, self.problem.n
         ahead = TICK * round((begins - base.begins) / TICK)  # the same from tick to tick, to the last digit
         ahead = ahead if abs(begins - base.begins - ahead) < SAME_KNOT else begins - base.begins
@@ -301,7 +304,7 @@ class Steering:
             known.along(motion, own[grid.nodes])
         constraints = [constraint.near(motion.at_nodes[0]) for constraint in self.sought.constraints]
         blocks = evaluate(constraints, motion)
-        more_kept = [self.caution.margin(block) for block in blocks]
+        more_kept = self.caution.margins(blocks)
         # What margins there are not along what is committed need not be there: only no less of them.
         lacking = [np.maximum(block.values + kept, 0.0) for block, kept in zip(blocks, more_kept, strict=True)]
         lacking = [lack - kept for lack, kept in zip(lacking, more_kept, strict=True)]
@@ -358,7 +361,7 @@ class Steering:
             values = np.concatenate([block.values[mask] for block, mask in zip(trial, more, strict=True)])
             matrix, bound = np.vstack([matrix, rows]), np.append(bound, rows @ bend.ravel() - values)
         margins = [block.margins[0] + kept for block, kept in zip(blocks, more_kept, strict=True)]
-        return bend, {block.name: margin for block, margin in zip(blocks, margins, strict=True)}
+        return bend, [(block.name, margin) for block, margin in zip(blocks, margins, strict=True)]
 
     def _rows(self, blocks: Sequence[Block], masks: Sequence[Mask]) -> Array:
         """Derivatives (r, size n) by the bend of the rows that masks name, block by block."""

@@ -79,7 +79,7 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
     if keep_out is not None:
         keep_out = keep_out.near(few(keep_out.parts, evaluation.at_nodes[0]))
     for k, constraint in enumerate(constraints):
-        if isinstance(constraint, Clearance) and keep_out is not None:
+        if keep_out is not None and isinstance(constraint, Clearance) and constraint.keep_out is problem.keep_out:
             constraints[k] = Clearance(keep_out)
         else:
             constraints[k] = coarse(constraint)
@@ -166,7 +166,7 @@ def _apart(keep_out: KeepOut, blocks: Sequence[Block], t: Array, states: Array) 
     and how far they go; otherwise it has to be looked."""
     parts = keep_out.parts
     for block in blocks:
-        if isinstance(block.of, Clearance):
+        if isinstance(block.of, Clearance) and block.of.keep_out is keep_out:
             low = keep_out.least - block.values / PER_METRE
             return bool(np.all(low[:-1] + low[1:] - ways(t, states) @ parts.levers(states[0]).T > 2 * TOUCHING))
     return not parts.pairs
