@@ -165,3 +165,17 @@ def test_a_narrow_place_between_the_nodes_is_gone_through_slowly_and_every_step_
     assert np.max(dq / most(q)) < 1 + 0.15 * (0.5 / (6 * 24) / 0.02) ** 2  # between points of the check, 1 / 144 apart
     u = np.linspace(0, 1, 10001)
     assert np.trapezoid(1 / most(u), u) < found.duration < 1.5
+
+
+def test_a_search_goes_on_only_while_it_may_come_below_what_is_to_be_beaten() -> None:
+    """No motion at speeds of at most 1 from 0 to 1 takes less than 1 s, and at rest at its ends somewhat more."""
+    spline, s = RestSpline(5, 6), np.linspace(0, 1, 101)
+    begin = SplineMotion(spline, spline.fit(s, min_jerk_blend(s)[:, None]), 4.0)
+    problem = a_joint(Slower(np.ones_like))
+    free, wide, tight = (optimise(problem, FreeCurve, begin, 3, beat=beat) for beat in (np.inf, 1.5, 1.0))
+    assert free.status.ok
+    assert 1.0 < free.duration < 1.5
+    assert wide.duration == free.duration
+    assert not tight.status.ok
+    assert tight.status.code == "beaten"
+    assert tight.iterations <= free.iterations

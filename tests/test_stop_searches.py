@@ -175,7 +175,7 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
     whole = swaying(1.0)
     nowhere = SimpleNamespace(n=7, check_from_rest=lambda what: None)
     monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None))
-    monkeypatch.setattr(stops, "stop_from", lambda problem, state, begun, now, most: stop(now, most))
+    monkeypatch.setattr(stops, "stop_from", lambda problem, state, begun, now, beat: stop(now, beat + LEAST))
     monkeypatch.setattr(stops, "brake_on", lambda problem, path, end, now, begun, law, most: stop(now, most))
     monkeypatch.setattr(stops, "_going_on", lambda motion, now, begin, ahead: now)
     monkeypatch.setattr(stops, "_late", lambda problem, state: np.inf)  # none is sought from another beginning

@@ -118,7 +118,7 @@ def plan_stops(
     Found backwards in time: from an instant, going on to the next one and stopping as there is a stop already, and so
     a place to begin. Instants whose own stop is no sooner at rest than that are left out. Where a stop is late for how
     slow the arm still is, as while the tray leans into the first acceleration, it is sought from other beginnings and
-    with more pieces, and instants are half as far apart.
+    with more pieces, and instants are half as far apart. What will be no sooner at rest than going on is given up.
     space: where the controller closes its loop along the motion. on_path: stops that never leave the motion's own
     path, of which only the timing is free; often there is none, as where a tray leans into the plan's acceleration.
     progress: called with how many of how many instants are done.
@@ -139,18 +139,22 @@ def plan_stops(
     def state_at(now: float) -> AtPosture:
         return AtPosture(*(x[0] for x in motion.sample(now)))
 
-    left, vain = [float(now) for now in instants], 0
+    left, vain, finely = [float(now) for now in instants], 0, False
     while left:
         now = left.pop()
         begun = None if strayed is None else strayed.state_at(t, now)
         if path is None:
-            state = state_at(now)
-            found = None
+            state, found, beat = state_at(now), None, rest - now - LEAST
+            guess = _going_on(motion, now, begin, ahead)
             if vain < IN_VAIN and rest - now > _late(problem, state):
-                found = _anew(problem, state, begun)
+                if finely:  # so is what is ahead
+                    found = stop_from(problem, state, begun, guess, spline=FINE, beat=beat)
+                if found is None:
+                    found = _anew(problem, state, begun, beat)
                 vain = vain + 1 if found is None else 0
+            finely = found is not None
             if found is None:
-                found = stop_from(problem, state, begun, _going_on(motion, now, begin, ahead), rest - now)
+                found = stop_from(problem, state, begun, guess, beat=beat)
         else:
             found = brake_on(problem, path, end, now, begun, _law_ahead(now, begin, end, kept), rest - now)
         if found is not None and now + found.motion.duration < rest - LEAST:
@@ -197,20 +201,25 @@ def stop_from(
     deviation: Array | None = None,
     guess: JointMotion | None = None,
     duration: float | None = None,
+    spline: RestSpline = SPLINE,
+    beat: float = np.inf,
 ) -> FoundStop | None:
     """The shortest motion to rest anywhere from a state of the arm; None when none was found.
 
     problem: what must hold on the way, for which uncertain set; its ends are not asked for.
     deviation: (2, n, n_c + 1) in which the arm is under a wrong load, of `Deviation.state_at`; at rest under it unless
     given. guess: a motion from the state to rest, and the `duration`, s, to begin with: braking of every joint unless
-    given. What is found is checked between the nodes of the programme, on a grid six
-    times finer (the joints' own limits on one thirty times finer), and judged by `follow.limits.verdict`.
+    given. spline: of what is found. beat: s; given up where it will hardly be shorter than this.
+
+    What is found is checked between the nodes of the programme, on a grid six times finer (the joints' own limits on
+    one thirty times finer), and judged by `follow.limits.verdict`.
     """
     problem = _begun(problem, state, deviation)
     if guess is None:
-        return _shortest(problem, FreeCurve, _braking(SPLINE, state, duration or braking_time(problem)))
+        return _shortest(problem, FreeCurve, _braking(spline, state, duration or braking_time(problem)), beat)
     duration = guess.duration if duration is None else duration
-    return _shortest(problem, FreeCurve, SplineMotion(SPLINE, _fitted(problem, guess, duration), duration))
+    begin = SplineMotion(spline, _fitted(problem, guess, duration, spline), duration)
+    return _shortest(problem, FreeCurve, begin, beat)
 
 
 def _late(problem: TransportProblem, state: AtPosture) -> float:
@@ -219,10 +228,10 @@ def _late(problem: TransportProblem, state: AtPosture) -> float:
     return max(LATE_AT_LEAST, LATE * braking_time(replace(problem, start=state)))
 
 
-def _anew(problem: TransportProblem, state: AtPosture, deviation: Array | None) -> FoundStop | None:
-    """A stop from a state that begins with braking, with more pieces."""
+def _anew(problem: TransportProblem, state: AtPosture, deviation: Array | None, beat: float) -> FoundStop | None:
+    """A stop from a state that begins with braking, with more pieces, sooner than `beat`, s."""
     begin = _braking(FINE, state, _late(problem, state))
-    return _shortest(_begun(problem, state, deviation), FreeCurve, begin)
+    return _shortest(_begun(problem, state, deviation), FreeCurve, begin, beat)
 
 
 def brake_on(
@@ -261,9 +270,11 @@ def _begun(problem: TransportProblem, state: AtPosture, deviation: Array | None)
     return replace(problem, start=state, goal=Anywhere(), tracking=tracking)
 
 
-def _shortest(problem: TransportProblem, curve_of: CurveOf, begin: SplineMotion) -> FoundStop | None:
+def _shortest(
+    problem: TransportProblem, curve_of: CurveOf, begin: SplineMotion, beat: float = np.inf
+) -> FoundStop | None:
     """The shortest motion to rest along a curve, checked between the nodes and judged; None when none was found."""
-    found = optimise(problem, curve_of, begin, NODES_PER_SPAN, damping=WARM, gain=GAIN)
+    found = optimise(problem, curve_of, begin, NODES_PER_SPAN, damping=WARM, gain=GAIN, beat=beat)
     if not found.status.ok:
         return None
     s = np.interp(np.arange(FINER * (len(STORED) - 1) + 1) / FINER, np.arange(len(STORED)), STORED)
@@ -320,14 +331,14 @@ def _braking(spline: RestSpline, state: AtPosture, duration: float) -> SplineMot
     return SplineMotion(spline, spline.fit(s, q), duration)
 
 
-def _fitted(problem: TransportProblem, guess: JointMotion, duration: float) -> Array:
+def _fitted(problem: TransportProblem, guess: JointMotion, duration: float, spline: RestSpline = SPLINE) -> Array:
     """(size, n) coefficients of a motion near to a guess in posture and acceleration, with its ends."""
     assert isinstance(problem.start, AtPosture)
     s = np.linspace(0.0, 1.0, 121)
     q, _, ddq = guess.sample(s * guess.duration)
     powers = np.array([duration, duration**2])[:, None, None]
     launch = launch_basis(s)[:, :, :, None] * problem.start.rates[:, None, None, :]
-    basis = SPLINE.matrices(s)
+    basis = spline.matrices(s)
     q = q - (launch[:, 0] * powers).sum(axis=0)
     ddq = ddq * duration**2 - (launch[:, 2] * powers).sum(axis=0)
     ends = np.stack([q[0], q[-1]])

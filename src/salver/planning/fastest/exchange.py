@@ -110,10 +110,12 @@ def optimise(
     iterations: int = ITERATIONS,
     gain: float = GAIN,
     also: Array | None = None,
+    beat: float = np.inf,
 ) -> Checked:
     """The optimum from a start, kept between the nodes too; of the duration, unless another objective is given.
 
-    gain: relative improvement below which an iteration counts as idle. also: more nodes, s in [0, 1].
+    gain: relative improvement below which an iteration counts as idle. also: more nodes, s in [0, 1]. beat: s; given up
+    where it will hardly be shorter than this: nodes that are added only make it longer.
     """
     watch = watch or Watch()
     spline = start.spline
@@ -125,13 +127,16 @@ def optimise(
 
     programme = programme_of(problem, curve_of, start, nodes, objective)
     begun = programme.begin(start.coefficients, start.duration)
-    first = Options(iterations, watch, gain=gain)
+    first = Options(iterations, watch, gain=gain, beat=beat)
     if problem.liquids:  # more cases of them will join
         first = Options(iterations, watch, gain=LOOSE_GAIN, violation=LOOSE, poor=LOOSELY_POOR)
     solution = minimise(programme, begun, first, Trust(damping))
     done = solution.iterations
     for exchange in range(EXCHANGES + 1):
         point = solution.iterate.point
+        if point.duration > beat:
+            status = Status("beaten", f"No safe motion in less than {beat:.4f} s was found.", False)
+            return Checked(problem, point.coefficients, point.duration, point.margin, status, {}, (), done)
         seen = _seen(fine, point)
         more = with_missed_cases(problem, seen, point.margin)
         if more is not None:  # fills and dampings that no row stood for
