@@ -99,6 +99,7 @@ def main() -> None:
     gc.set_threshold(RARELY)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # it would look for some in every package that is installed
     asked = [name for name in sys.argv[1:2] if name in COMMANDS]
     if asked and "--help" not in sys.argv:
         load_when_used()
