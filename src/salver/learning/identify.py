@@ -17,7 +17,7 @@ The estimate is the nearest that a mass inside the shape can have.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import combinations
@@ -142,42 +142,15 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
     within: a scenario of the same load whose ranges are known to hold it too (the scenario's own unless given): what is
     told lies within these. Raises as `identify` does.
     """
-    from salver.models.arm import load_arm
-
-    if scenario.arm is None or any(run.plan.joint is None for run in runs):
-        raise ScenarioError(f"{scenario.name} has no arm that moves; a load is identified by the arm that carries it.")
-    if len(scenario.objects) > 1:
-        raise ScenarioError(
-            f"{scenario.name} carries {len(scenario.objects)} objects, and an arm feels only their sum; load them one "
-            "by one, each in a scenario of its own."
-        )
-    if scenario.payload.liquids:
-        raise ScenarioError(
-            f"{scenario.name}: the liquid in {scenario.payload.liquids[0].name} moves, and what is identified is one "
-            "rigid load; identify the container empty."
-        )
-    arm = load_arm(scenario.arm, scenario.tray)
+    _one_rigid_load(scenario, runs)
+    _each_its_own(runs)
     phi_0, spread = prior(scenario)
     information, pull = np.diag(1 / spread**2), np.zeros(10)
     used, shift = list[Channel](), np.zeros(3)
-    seen: dict[int, tuple[Log, State]] = {}
-    _each_its_own(runs)
+    # n runs of one motion less the same empty run know n / (1 + n) of what one run without noise in that would.
     with_this = Counter(id(run.empty) for run in runs)
-    for run in runs:
-        plan = replace(run.plan, scenario=scenario)
-        if id(run.empty) not in seen:
-            empty = _timed(plan, run.empty)
-            seen[id(run.empty)] = empty, _state(plan, arm, empty)
-            _of_this_arm(arm, seen[id(run.empty)][1], empty)
-        empty, without = seen[id(run.empty)]
-        log = _timed(plan, run.loaded)
-        state = _state(plan, arm, log)
-        _same_motion(plan, log, empty)
-        _in_units(log, state, float(phi_0[0] + spread[0]) + scenario.tray.mass, phi_0)
-        channels = differences(state, without, log, empty, (phi_0, spread))
-        moved, error = _moved(channels, log, (phi_0, spread))
-        shift = np.maximum(shift, np.maximum(np.abs(moved) - error, 0.0))
-        # n runs of one motion less the same empty run know n / (1 + n) of what one run without noise in that would.
+    for run, (channels, moved) in zip(runs, _felt(scenario, runs, (phi_0, spread)), strict=True):
+        shift = np.maximum(shift, moved)
         weight = 2 / (1 + with_this[id(run.empty)])
         for channel in channels:
             rows, left = channel.white
@@ -191,7 +164,6 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
             f"{worst.residual:.0f} times the noise: something slid or was put on late, the sensor was tared with the "
             "load, the log's clock jitters, or the arm or the empty tray is another."
         )
-    sensors = {channel.name for channel in used}
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
     phi = phi_0 + covariance @ pull
     body = scenario.payload.first
@@ -205,10 +177,55 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
             f"distribution of mass inside {body.name}; at most {IMPOSSIBLE:g} is accepted: its shape or "
             "its place, the empty tray or the sensor's axes are others."
         )
+    sensors = {channel.name for channel in used}
     ranges = narrowed(scenario, phi, covariance, shift, scenario if within is None else within, inside)
     narrow = correlated(scenario, phi, covariance, shift, ranges)
     told = not_shown(ranges, sensors)
     return Identified(scenario, ranges, possible, covariance, worst.residual, tuple(sorted(sensors)), narrow, told)
+
+
+def _one_rigid_load(scenario: Scenario, runs: Sequence[Run]) -> None:
+    """Raise ScenarioError where no arm carries the load, or what it carries is not one rigid load."""
+    if scenario.arm is None or any(run.plan.joint is None for run in runs):
+        raise ScenarioError(f"{scenario.name} has no arm that moves; a load is identified by the arm that carries it.")
+    if len(scenario.objects) > 1:
+        raise ScenarioError(
+            f"{scenario.name} carries {len(scenario.objects)} objects, and an arm feels only their sum; load them one "
+            "by one, each in a scenario of its own."
+        )
+    if scenario.payload.liquids:
+        raise ScenarioError(
+            f"{scenario.name}: the liquid in {scenario.payload.liquids[0].name} moves, and what is identified is one "
+            "rigid load; identify the container empty."
+        )
+
+
+def _felt(
+    scenario: Scenario, runs: Sequence[Run], known: tuple[Array, Array]
+) -> Iterator[tuple[Sequence[Channel], Array]]:
+    """Of each run: by which channels the load was felt, and by how much (3,), m, its centre of mass surely moved.
+
+    known: what the scenario says of phi, and its spread. Raises FileFormatError for logs that belong to no such run.
+    """
+    from salver.models.arm import load_arm
+
+    assert scenario.arm is not None
+    arm = load_arm(scenario.arm, scenario.tray)
+    seen: dict[int, tuple[Log, State]] = {}
+    for run in runs:
+        plan = replace(run.plan, scenario=scenario)
+        if id(run.empty) not in seen:
+            empty = _timed(plan, run.empty)
+            seen[id(run.empty)] = empty, _state(plan, arm, empty)
+            _of_this_arm(arm, seen[id(run.empty)][1], empty)
+        empty, without = seen[id(run.empty)]
+        log = _timed(plan, run.loaded)
+        state = _state(plan, arm, log)
+        _same_motion(plan, log, empty)
+        _in_units(log, state, float(known[0][0] + known[1][0]) + scenario.tray.mass, known[0])
+        channels = differences(state, without, log, empty, known)
+        moved, error = _moved(channels, log, known)
+        yield channels, np.maximum(np.abs(moved) - error, 0.0)
 
 
 def _each_its_own(runs: Sequence[Run]) -> None:
