@@ -25,8 +25,9 @@ from salver.reports.style import BLACK, BLUE, VERMILION
 from salver.scenario import Scenario, load, parse
 from salver.sensitivity import tubes
 from salver.sensitivity.arm import ArmChain, arm_chain, chain_model
-from salver.simulation.physics import Options, simulate
+from salver.simulation.physics import simulate
 from salver.simulation.record import SimulationRecord
+from salver.simulation.run import Options
 
 RATE = 200  # recorded samples per second
 THREE = {"mass": "10%", "com": [0.002, 0.002, 0.002], "friction": "10%"}

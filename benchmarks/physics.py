@@ -23,7 +23,8 @@ from salver.planning.make import make_plan
 from salver.scenario import Scenario, load
 from salver.simulation.engine import mujoco
 from salver.simulation.loads import true_world
-from salver.simulation.physics import Options, simulate, simulate_tray
+from salver.simulation.physics import simulate, simulate_tray
+from salver.simulation.run import Options
 from salver.simulation.scene import build
 from salver.trajectory import min_jerk_line
 

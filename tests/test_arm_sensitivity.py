@@ -15,7 +15,8 @@ from salver.planning.make import plan_baseline, with_arm
 from salver.planning.plan import Plan
 from salver.sensitivity.arm import arm_chain, chain_model
 from salver.sensitivity.arm.terms import motion_terms
-from salver.simulation.physics import Options, simulate
+from salver.simulation.physics import simulate
+from salver.simulation.run import Options
 
 
 @pytest.fixture(params=["panda", "ur10"])

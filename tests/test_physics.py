@@ -20,9 +20,10 @@ from salver.models.arm import load_arm
 from salver.models.rigid_body import wrench
 from salver.planning.make import make_plan
 from salver.scenario import parse
-from salver.simulation.physics import Experiment, Options, simulate, simulate_tray
+from salver.simulation.physics import Experiment, simulate, simulate_tray
 from salver.simulation.record import load_record
 from salver.simulation.render import NoOpenGLError, View, painter, snapshots
+from salver.simulation.run import Options
 
 G = 9.81
 

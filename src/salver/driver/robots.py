@@ -200,12 +200,12 @@ class SimulatedRobot:
 
     def __init__(self, plan: Plan, arm: ArmModel, extra_time: float, realtime: bool = True) -> None:
         """extra_time: s that the run may last beyond the planned one (a cool stop)."""
-        from salver.simulation import physics
         from salver.simulation.engine import mujoco
+        from salver.simulation.run import prepare
         from salver.simulation.trace import Recorder
 
         self._plan, self._arm, self._realtime, self._engine = plan, arm, realtime, mujoco
-        self._run = physics.prepare(plan.scenario, None, None, plan.reference, arm)
+        self._run = prepare(plan.scenario, None, None, plan.reference, arm)
         period = plan.scenario.physics.command_period
         self._period, self._steps = period, round(period / plan.scenario.physics.timestep)
         self._t = np.append(self._run.t, self._run.t[-1] + period * np.arange(1, int(extra_time / period) + 1))
@@ -264,13 +264,14 @@ class SimulatedRobot:
     def record(self, summary: dict[str, Any], began: float, plan: Plan | None = None) -> SimulationRecord:
         """What happened to arm and objects, as of any simulation. plan: what was wanted, where that was not known
         beforehand."""
-        from salver.simulation import creep, physics
+        from salver.simulation import creep
+        from salver.simulation.run import measure
 
         trace = self._recorder.trace()
         bias = creep.tray_bias(self._arm, trace.q, trace.dq, self._run.scene.world.R_tilt)
         reference = (plan or self._plan).reference
         run = replace(self._run, reference=reference, wanted=reference.sample(trace.t))
-        return physics.measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
+        return measure(run, trace, bias, (trace.p_XE, trace.R_XE), summary, began)
 
 
 def wait_until(deadline: float) -> None:

@@ -19,53 +19,22 @@ from scipy.interpolate import interp1d
 
 from salver.control.arm import ArmController, ArmState, Relay, Saturation
 from salver.errors import SalverError, ScenarioError, UnreachableError
-from salver.files import provenance
-from salver.geometry import Array, invert, log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_limits import JointLimits
 from salver.scenario import Scenario
 from salver.simulation import creep, tray_frame
 from salver.simulation.engine import mujoco
 from salver.simulation.loads import true_world
-from salver.simulation.outcome import Thresholds, behaviour, judge, liquid_room, surfaces
 from salver.simulation.record import SimulationRecord
 from salver.simulation.robots import robot_for
-from salver.simulation.scene import Scene, build
-from salver.simulation.trace import Recorder, Trace, net_contact_wrench
+from salver.simulation.run import Options, Run, at_commands, measure, of_tray, prepare
+from salver.simulation.scene import build
+from salver.simulation.trace import Recorder, Trace
 from salver.trajectory import JointMotion, MotionSamples, Reference
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
-
-
-@dataclass(frozen=True)
-class Options:
-    """record_rate: samples per second kept in the record (measured at every command). thresholds: see there."""
-
-    record_rate: float = 200.0
-    thresholds: Thresholds = field(default_factory=Thresholds)
-
-
-@dataclass(frozen=True)
-class Run:
-    """One run: what is simulated, and how. wanted: the reference at the commands."""
-
-    scenario: Scenario
-    parameters: Mapping[str, float]
-    options: Options
-    reference: Reference
-    scene: Scene
-    wanted: MotionSamples
-
-    @property
-    def t(self) -> Array:
-        """(N,) times of the commands, s."""
-        return self.wanted.t
-
-    @cached_property
-    def wanted_E(self) -> MotionSamples:
-        """Motion of the assumed tray frame at the commands."""
-        return _of_tray(self.wanted, self.scene)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +86,7 @@ class Experiment:
     @cached_property
     def wanted(self) -> MotionSamples:
         """The reference at the commands."""
-        return _at_commands(self.plan.scenario, self.moved.reference)
+        return at_commands(self.plan.scenario, self.moved.reference)
 
     def run(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> SimulationRecord:
         """One run, as `simulate` makes it."""
@@ -264,7 +233,7 @@ def simulate_tray(
     run = prepare(scenario, parameters, options, reference, None)
     scene, steps = run.scene, _steps_per_command(scenario)
     fine = run.t[0] + scenario.physics.timestep * np.arange(len(run.t) * steps)
-    real = _of_tray(reference.sample(fine), scene).of_frame(np.zeros(3), scene.world.R_tilt)
+    real = of_tray(reference.sample(fine), scene).of_frame(np.zeros(3), scene.world.R_tilt)
     motion = tray_frame.TrayMotion.of(real)
     model, data = scene.model, mujoco.MjData(scene.model)
     scene.place(data, down=motion.specific[0])
@@ -285,29 +254,6 @@ def simulate_tray(
     return measure(run, recorder.trace(), creep.still_bias(len(run.t)), tray_S, summary, began)
 
 
-def prepare(
-    scenario: Scenario,
-    parameters: Mapping[str, float] | None,
-    options: Options | None,
-    reference: Reference,
-    arm: ArmModel | None,
-) -> Run:
-    """The scene with its true parameters, and the times of the commands."""
-    scene = build(scenario, true_world(scenario, parameters), arm)
-    wanted = _at_commands(scenario, reference)
-    return Run(scenario, dict(parameters or {}), options or Options(), reference, scene, wanted)
-
-
-def _at_commands(scenario: Scenario, reference: Reference) -> MotionSamples:
-    return reference.sample(_command_times(scenario, reference.duration))
-
-
-def _of_tray(wanted: MotionSamples, scene: Scene) -> MotionSamples:
-    """Motion of the assumed frame E when the first object, which moves as wanted, keeps its place on the tray."""
-    first = scene.loads[0].nominal
-    return wanted.of_frame(*invert(first.p_EB, first.R_EB))
-
-
 def _steps_per_command(scenario: Scenario) -> int:
     ratio = scenario.physics.command_period / scenario.physics.timestep
     if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
@@ -318,14 +264,6 @@ def _steps_per_command(scenario: Scenario) -> int:
     return round(ratio)
 
 
-def _command_times(scenario: Scenario, duration: float) -> Array:
-    """From rest before the motion to rest after it, with t = 0 among them."""
-    period = scenario.physics.command_period
-    before = round(scenario.physics.settle_before / period)
-    after = int(np.ceil((duration + scenario.physics.settle_after) / period - 1e-9))
-    return period * np.arange(-before, after + 1, dtype=np.float64)
-
-
 def _check_engine(data: Any, scenario: Scenario) -> None:
     bad = [mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC]
     if any(data.warning[int(w)].number for w in bad) or not np.all(np.isfinite(data.qpos)):
@@ -333,83 +271,3 @@ def _check_engine(data: Any, scenario: Scenario) -> None:
             f"The physics engine diverged {data.time:.3f} s into the run; give physics.timestep a smaller value than "
             f"{scenario.physics.timestep:g} s."
         )
-
-
-def measure(
-    run: Run,
-    trace: Trace,
-    bias: creep.TrayBias,
-    tray_S: tuple[Array, Array],
-    summary: dict[str, Any],
-    began: float,
-) -> SimulationRecord:
-    """Measure, judge and thin out. tray_S: pose of the real tray in S."""
-    scene, scenario, options = run.scene, run.scenario, run.options
-    seen = behaviour(scene, trace, bias, scenario.tray.size)
-    p_SE, R_SE = tray_S
-    p_SB = p_SE[:, None] + np.einsum("tij,tmj->tmi", R_SE, seen.p_EB)
-    R_SB = R_SE[:, None] @ seen.R_EB
-    e_p, e_o = _pose_error(run.wanted, p_SB[:, 0], R_SB[:, 0])
-    tray_e_p, tray_e_o = _pose_error(run.wanted_E, p_SE, R_SE)
-    first = scene.loads[0]
-    points = first.outline_B
-    forces = trace.foot_force_B[:, : len(points)]
-    cone = net_contact_wrench(scene, trace) @ np.linalg.pinv(first.nominal.contacts.grasp_map).T
-    names = tuple(load.name for load in scene.loads)
-    moving = trace.t >= -1e-9
-    counted = moving & ~np.logical_or.accumulate(seen.lost[:, 0])  # what falls off the tray follows no reference
-    counted[np.argmax(moving)] = True
-    surface = surfaces(scene, trace)
-    judged = judge(
-        trace.t, seen, trace.touches, options.thresholds, names, [liquid_room(x) for x in scene.loads], surface
-    )
-    if judged["outcome"] == "holds" and not summary.get("arm", {}).get("limits_kept", True):
-        judged["outcome"] = "limit"
-    every = max(1, round(1 / (options.record_rate * scenario.physics.command_period)))
-    keep = np.arange(int(np.argmax(moving)), len(trace.t), every)
-    summary = {
-        **judged,
-        **summary,
-        "duration": run.reference.duration,
-        "collides_at": float(trace.t[np.argmax(trace.collides)]) if trace.collides.any() else None,
-        "e_p_peak": float(e_p[counted].max()),
-        "e_o_peak": float(e_o[counted].max()),
-        "tray_e_p_peak": float(tray_e_p[moving].max()),
-        "tray_e_o_peak": float(tray_e_o[moving].max()),
-        "cone_coefficient_min": float(cone[counted].min()),
-        "wall_time": time.perf_counter() - began,
-        "provenance": provenance(scenario),
-    }
-    return SimulationRecord(
-        t=trace.t[keep],
-        q=trace.q[keep],
-        dq=trace.dq[keep],
-        tau=trace.tau[keep],
-        p_SE=p_SE[keep],
-        quat_SE_wxyz=quat_wxyz_from_matrix(R_SE[keep]),
-        p_SB=p_SB[keep],
-        quat_SB_wxyz=quat_wxyz_from_matrix(R_SB[keep]),
-        slip_E=seen.slip_E[keep],
-        creep_E=seen.creep_E[keep],
-        slip=seen.slip[keep],
-        lift=seen.lift[keep],
-        tip_angle=seen.tip_angle[keep],
-        in_contact=trace.touches[keep],
-        surface=surface[keep],
-        contact_force_E=np.einsum("tji,tmj->tmi", trace.R_XE, trace.force_X)[keep],
-        contact_points_B=points,
-        contact_forces_B=forces[keep],
-        cone_coefficients=cone[keep],
-        e_p=e_p[keep],
-        e_o=e_o[keep],
-        tray_e_p=tray_e_p[keep],
-        tray_e_o=tray_e_o[keep],
-        object_names=names,
-        parameters=run.parameters,
-        summary=summary,
-    )
-
-
-def _pose_error(wanted: MotionSamples, p: Array, rotation: Array) -> tuple[Array, Array]:
-    turn = log(np.swapaxes(rotation, -1, -2) @ wanted.R_SB)
-    return np.linalg.norm(wanted.p_SB - p, axis=-1), np.linalg.norm(turn, axis=-1)

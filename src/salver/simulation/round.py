@@ -18,8 +18,9 @@ from salver.models.parameters import Parameter, all_parameters
 from salver.planning.round import Round
 from salver.scenario import Scenario
 from salver.simulation.outcome import WORST_FIRST
-from salver.simulation.physics import Experiment, Options
+from salver.simulation.physics import Experiment
 from salver.simulation.record import SimulationRecord
+from salver.simulation.run import Options
 
 _ORDER = (*WORST_FIRST, "limit", "holds")
 ENDS_IT = ("lost", "lifts", "tips")  # what remains on the tray is then not where a next leg could begin

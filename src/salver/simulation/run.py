@@ -1,0 +1,167 @@
+"""One run in the physics engine: what is simulated, and what of its trace is measured, judged and kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from salver.files import provenance
+from salver.geometry import Array, invert, log, quat_wxyz_from_matrix
+from salver.models.arm import ArmModel
+from salver.scenario import Scenario
+from salver.simulation import creep
+from salver.simulation.loads import true_world
+from salver.simulation.outcome import Behaviour, Thresholds, behaviour, judge, liquid_room, surfaces
+from salver.simulation.record import SimulationRecord
+from salver.simulation.scene import Scene, build
+from salver.simulation.trace import Trace, net_contact_wrench
+from salver.trajectory import MotionSamples, Reference
+
+
+@dataclass(frozen=True)
+class Options:
+    """record_rate: samples per second kept in the record (measured at every command). thresholds: see there."""
+
+    record_rate: float = 200.0
+    thresholds: Thresholds = field(default_factory=Thresholds)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: what is simulated, and how. wanted: the reference at the commands."""
+
+    scenario: Scenario
+    parameters: Mapping[str, float]
+    options: Options
+    reference: Reference
+    scene: Scene
+    wanted: MotionSamples
+
+    @property
+    def t(self) -> Array:
+        """(N,) times of the commands, s."""
+        return self.wanted.t
+
+    @cached_property
+    def wanted_E(self) -> MotionSamples:
+        """Motion of the assumed tray frame at the commands."""
+        return of_tray(self.wanted, self.scene)
+
+
+def prepare(
+    scenario: Scenario,
+    parameters: Mapping[str, float] | None,
+    options: Options | None,
+    reference: Reference,
+    arm: ArmModel | None,
+) -> Run:
+    """The scene with its true parameters, and the times of the commands."""
+    scene = build(scenario, true_world(scenario, parameters), arm)
+    wanted = at_commands(scenario, reference)
+    return Run(scenario, dict(parameters or {}), options or Options(), reference, scene, wanted)
+
+
+def at_commands(scenario: Scenario, reference: Reference) -> MotionSamples:
+    """The reference at the commands of a run, of which there are some before it and after it."""
+    return reference.sample(_command_times(scenario, reference.duration))
+
+
+def of_tray(wanted: MotionSamples, scene: Scene) -> MotionSamples:
+    """Motion of the assumed frame E when the first object, which moves as wanted, keeps its place on the tray."""
+    first = scene.loads[0].nominal
+    return wanted.of_frame(*invert(first.p_EB, first.R_EB))
+
+
+def _command_times(scenario: Scenario, duration: float) -> Array:
+    """From rest before the motion to rest after it, with t = 0 among them."""
+    period = scenario.physics.command_period
+    before = round(scenario.physics.settle_before / period)
+    after = int(np.ceil((duration + scenario.physics.settle_after) / period - 1e-9))
+    return period * np.arange(-before, after + 1, dtype=np.float64)
+
+
+def measure(
+    run: Run,
+    trace: Trace,
+    bias: creep.TrayBias,
+    tray_S: tuple[Array, Array],
+    summary: dict[str, Any],
+    began: float,
+) -> SimulationRecord:
+    """Measure, judge and thin out. tray_S: pose of the real tray in S. summary: what is known of the run besides.
+    began: of `time.perf_counter`, before the run."""
+    scene, scenario = run.scene, run.scenario
+    seen, surface = behaviour(scene, trace, bias, scenario.tray.size), surfaces(scene, trace)
+    p_SE, R_SE = tray_S
+    p_SB = p_SE[:, None] + np.einsum("tij,tmj->tmi", R_SE, seen.p_EB)
+    R_SB = R_SE[:, None] @ seen.R_EB
+    e_p, e_o = _pose_error(run.wanted, p_SB[:, 0], R_SB[:, 0])
+    tray_e_p, tray_e_o = _pose_error(run.wanted_E, p_SE, R_SE)
+    first = scene.loads[0]
+    points = first.outline_B
+    cone = net_contact_wrench(scene, trace) @ np.linalg.pinv(first.nominal.contacts.grasp_map).T
+    moving = trace.t >= -1e-9
+    counted = moving & ~np.logical_or.accumulate(seen.lost[:, 0])  # what falls off the tray follows no reference
+    counted[np.argmax(moving)] = True
+    every = max(1, round(1 / (run.options.record_rate * scenario.physics.command_period)))
+    keep = np.arange(int(np.argmax(moving)), len(trace.t), every)
+    return SimulationRecord(
+        t=trace.t[keep],
+        q=trace.q[keep],
+        dq=trace.dq[keep],
+        tau=trace.tau[keep],
+        p_SE=p_SE[keep],
+        quat_SE_wxyz=quat_wxyz_from_matrix(R_SE[keep]),
+        p_SB=p_SB[keep],
+        quat_SB_wxyz=quat_wxyz_from_matrix(R_SB[keep]),
+        slip_E=seen.slip_E[keep],
+        creep_E=seen.creep_E[keep],
+        slip=seen.slip[keep],
+        lift=seen.lift[keep],
+        tip_angle=seen.tip_angle[keep],
+        in_contact=trace.touches[keep],
+        surface=surface[keep],
+        contact_force_E=np.einsum("tji,tmj->tmi", trace.R_XE, trace.force_X)[keep],
+        contact_points_B=points,
+        contact_forces_B=trace.foot_force_B[keep, : len(points)],
+        cone_coefficients=cone[keep],
+        e_p=e_p[keep],
+        e_o=e_o[keep],
+        tray_e_p=tray_e_p[keep],
+        tray_e_o=tray_e_o[keep],
+        object_names=tuple(load.name for load in scene.loads),
+        parameters=run.parameters,
+        summary={
+            **_judged(run, trace, seen, surface, summary),
+            **summary,
+            "duration": run.reference.duration,
+            "collides_at": float(trace.t[np.argmax(trace.collides)]) if trace.collides.any() else None,
+            "e_p_peak": float(e_p[counted].max()),
+            "e_o_peak": float(e_o[counted].max()),
+            "tray_e_p_peak": float(tray_e_p[moving].max()),
+            "tray_e_o_peak": float(tray_e_o[moving].max()),
+            "cone_coefficient_min": float(cone[counted].min()),
+            "wall_time": time.perf_counter() - began,
+            "provenance": provenance(scenario),
+        },
+    )
+
+
+def _judged(run: Run, trace: Trace, seen: Behaviour, surface: Array, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """What became of the loads; where all of them stayed, whether the arm kept its limits."""
+    loads = run.scene.loads
+    names, room = tuple(load.name for load in loads), [liquid_room(load) for load in loads]
+    judged = judge(trace.t, seen, trace.touches, run.options.thresholds, names, room, surface)
+    if judged["outcome"] == "holds" and not summary.get("arm", {}).get("limits_kept", True):
+        judged["outcome"] = "limit"
+    return judged
+
+
+def _pose_error(wanted: MotionSamples, p: Array, rotation: Array) -> tuple[Array, Array]:
+    turn = log(np.swapaxes(rotation, -1, -2) @ wanted.R_SB)
+    return np.linalg.norm(wanted.p_SB - p, axis=-1), np.linalg.norm(turn, axis=-1)
