@@ -121,7 +121,7 @@ def possible_scenarios(condition: str, first: int, count: int, **changes: object
 @pytest.mark.slow
 def test_what_is_planned_as_safe_holds_in_the_engine_at_the_worst_and_at_corners() -> None:
     held = 0
-    for k, scenario in enumerate(possible_scenarios("exact", 0, 12)):
+    for k, scenario in enumerate(possible_scenarios("exact", 0, 8)):
         plan = plan_object(scenario)
         assert np.isfinite(plan.cost)
         if not plan.ok:
@@ -137,7 +137,7 @@ def test_what_is_planned_as_safe_holds_in_the_engine_at_the_worst_and_at_corners
             assert record.summary["outcome"] == "holds", (scenario.name, values)
             assert float(record.slip.max()) < 1e-4
             held += 1
-    assert held >= 12
+    assert held >= 8
 
 
 def test_an_object_stands_on_the_top_of_what_is_below_it_in_the_engine() -> None:

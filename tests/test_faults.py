@@ -25,22 +25,14 @@ LEFT_TURNING = (20082, 20033, 20749, 20903, 20595, 20621, 20779, 20873, 20069, 2
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "value", "franka"),
-    [
-        ("q", NAN, False),
-        ("q", NAN, True),
-        ("dq", NAN, False),
-        ("dq", -np.inf, True),
-        ("q", 1e300, True),
-        ("dq", 2.5, 0),
-    ],
-)
-def test_one_bad_sample_is_bridged_and_the_motion_goes_on(rig: Rig, name: str, value: float, franka: bool) -> None:
-    outcome = one(rig, Fault("read", 500, 1, "", spoilt(name, value)), franka=franka)
+@pytest.mark.parametrize("franka", [False, True])
+def test_one_bad_sample_is_bridged_and_the_motion_goes_on(rig: Rig, franka: bool) -> None:
+    """Five of one motion, each alone; were one not bridged, it would end in a stop."""
+    bad = (("q", NAN), ("dq", NAN), ("dq", -np.inf), ("q", 1e300), ("dq", 2.5))
+    outcome = one(rig, *(Fault("read", 200 * k + 300, 1, "", spoilt(*x)) for k, x in enumerate(bad)), franka=franka)
     summary = outcome.result.summary
     assert summary["stopped"] == ""
-    assert summary["bridged"] == 1
+    assert summary["bridged"] == len(bad)
     assert outcome.result.arrays["tray_e_p"].max() < 5e-4
 
 
@@ -63,11 +55,14 @@ def test_the_model_bridges_ten_periods_and_not_eleven(rig: Rig, lasts: int, fran
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("elapsed", [NAN, np.inf, -1e-3, 1e308, None])
-def test_a_clock_that_is_wrong_once_is_bridged(rig: Rig, elapsed: Any) -> None:
-    outcome = one(rig, Fault("read", 500, 1, "", lambda answer: (answer[0], elapsed)))
+def test_a_clock_that_is_wrong_once_is_bridged(rig: Rig) -> None:
+    """Five times in one motion."""
+    wrong = (NAN, np.inf, -1e-3, 1e308, None)
+    outcome = one(
+        rig, *(Fault("read", 200 * k + 300, 1, "", lambda answer, x=x: (answer[0], x)) for k, x in enumerate(wrong))
+    )
     assert outcome.result.summary["stopped"] == ""
-    assert outcome.result.summary["bridged"] == 1
+    assert outcome.result.summary["bridged"] == len(wrong)
 
 
 def test_a_clock_that_stands_still_is_a_reason_to_stop(rig: Rig) -> None:
@@ -219,7 +214,7 @@ def test_an_arm_is_not_left_with_a_torque_that_would_move_it(rig: Rig) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(12), *LEFT_TURNING])
+@pytest.mark.parametrize("seed", [*range(6), *LEFT_TURNING])
 def test_nothing_unsafe_leaves_and_no_log_is_lost(rig: Rig, safe: Rig, seed: int) -> None:
     """`python tests/faults.py -n 1000` throws a thousand."""
     faults = draw(seed)

@@ -119,7 +119,7 @@ wish = st.one_of(goals, st.just(Live.stop), garbage)
 
 @pytest.mark.slow
 @settings(
-    max_examples=10,
+    max_examples=6,
     deadline=None,
     derandomize=True,
     suppress_health_check=list(HealthCheck),
