@@ -153,13 +153,7 @@ def optimise(
         before, nodes = nodes, united(nodes, fine.grid.s[peaks])
         if len(nodes) == len(before):  # what is broken is driven by what was between them: waves
             nodes = united(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
-        repair = REPAIR * 4.0**exchange
-        options = Options(REPAIR_ITERATIONS, watch, gain=gain, least_damping=repair, mending=True)
-        if problem.liquids:
-            repair *= SLUGGISH
-            options = replace(options, violation=MENDED, least_damping=repair)
-            if exchange == 0:  # what was loose is now sought in earnest
-                options = Options(iterations, watch, gain=EARNEST * gain)
+        options, repair = _repair(problem, exchange, iterations, gain, watch)
         # A repair leads nowhere else: unless something that was not watched came too near, the same is watched.
         same = all(value <= 0.0 or name in binding for name, value in worst.items())
         watched = programme.constraints if same else None
@@ -171,6 +165,20 @@ def optimise(
         done += solution.iterations
     status = _status(solution, worst, objective.sought, point.duration)
     return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done)
+
+
+def _repair(
+    problem: TransportProblem, exchange: int, iterations: int, gain: float, watch: Watch
+) -> tuple[Options, float]:
+    """How a programme is solved once more, with the nodes that it lacked, and the damping of its first step."""
+    damping = REPAIR * 4.0**exchange
+    options = Options(REPAIR_ITERATIONS, watch, gain=gain, least_damping=damping, mending=True)
+    if not problem.liquids:
+        return options, damping
+    damping *= SLUGGISH
+    if exchange == 0:  # what was loose is now sought in earnest
+        return Options(iterations, watch, gain=EARNEST * gain), damping
+    return replace(options, violation=MENDED, least_damping=damping), damping
 
 
 def rough(

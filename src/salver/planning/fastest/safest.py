@@ -127,32 +127,7 @@ def plan_safest_legs(scenario: Scenario, *, options: FastestOptions | None = Non
             f"{scenario.name}: no safe motions in {duration:g} s were found; the shortest that were take "
             f"{quickest.duration:.4f} s."
         )
-    begins = [_as_found(leg, options) for leg in quickest.legs]
-    times = np.array([leg.duration for leg in quickest.legs]) * (duration / quickest.duration)
-    at_rest = np.array([_margin_at_rest(begin) for begin in begins])
-    best: list[FastestMotion] = []
-    before, power = (times, at_rest), POWER
-    spent = float(quickest.solver["seconds"])
-    for sharing in range(SHARINGS):
-        found = [
-            max(
-                optima(LeastMargin(), begin, float(time), options, watch, anew=not sharing),
-                key=lambda m: (m.status.ok, m.margin),
-            )
-            for begin, time in zip(begins, times, strict=True)
-        ]
-        spent += sum(motion.wall_time for motion in found)
-        if not best or _least(found) > _least(best):
-            best = found
-        if watch.ended:
-            break
-        margins = np.array([motion.margin for motion in found])
-        lacking = np.log(np.maximum(at_rest - margins, 1e-6) / np.maximum(at_rest - before[1], 1e-6))
-        paces = np.log(before[0] / times)
-        if np.abs(paces).max() > 1e-3:
-            power = float(np.clip(lacking @ paces / (paces @ paces), 2.0, 8.0))
-        before = times, margins
-        begins, times = found, shared(times, at_rest, margins, power)
+    best, seconds = _in_shares(quickest, duration, options, watch)
     legs = tuple(
         _planned(leg, motion, f"The safest motion found in {motion.duration:.4g} s.")
         for leg, motion in zip(quickest.legs, best, strict=True)
@@ -165,8 +140,42 @@ def plan_safest_legs(scenario: Scenario, *, options: FastestOptions | None = Non
     )
     worst = next((motion.status for motion in best if not motion.status.ok), None)
     status = worst or Status(watch.ended or "optimal", sentence, True)
+    spent = float(quickest.solver["seconds"]) + seconds
     record = {"name": quickest.solver["name"], "seconds": spent, "robust": True, "shortest": quickest.duration}
     return Round(scenario.with_changes(contact__condition="exact"), legs, status, record)
+
+
+def _in_shares(
+    quickest: Round, duration: float, options: FastestOptions, watch: Watch
+) -> tuple[list[FastestMotion], float]:
+    """The safest motion of each leg, all of them in a duration (s), which is shared again as their margins turn out;
+    of all sharings that with the largest least margin. And the seconds that the searches took."""
+    begins = [_as_found(leg, options) for leg in quickest.legs]
+    times = np.array([leg.duration for leg in quickest.legs]) * (duration / quickest.duration)
+    at_rest = np.array([_margin_at_rest(begin) for begin in begins])
+    best: list[FastestMotion] = []
+    before, power, seconds = (times, at_rest), POWER, 0.0
+    for sharing in range(SHARINGS):
+        found = [
+            max(
+                optima(LeastMargin(), begin, float(time), options, watch, anew=not sharing),
+                key=lambda m: (m.status.ok, m.margin),
+            )
+            for begin, time in zip(begins, times, strict=True)
+        ]
+        seconds += sum(motion.wall_time for motion in found)
+        if not best or _least(found) > _least(best):
+            best = found
+        if watch.ended:
+            break
+        margins = np.array([motion.margin for motion in found])
+        lacking = np.log(np.maximum(at_rest - margins, 1e-6) / np.maximum(at_rest - before[1], 1e-6))
+        paces = np.log(before[0] / times)
+        if np.abs(paces).max() > 1e-3:
+            power = float(np.clip(lacking @ paces / (paces @ paces), 2.0, 8.0))
+        before = times, margins
+        begins, times = found, shared(times, at_rest, margins, power)
+    return best, seconds
 
 
 def shared(times: Array, at_rest: Array, margins: Array, power: float) -> Array:
