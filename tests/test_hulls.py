@@ -144,6 +144,29 @@ def test_facets_of_a_small_cone_are_all_planes_through_its_rays_that_none_is_bey
     assert same_rows(cone_facets(rays), merged(plane), 1e-9)
 
 
+@pytest.mark.parametrize("count", [5, MOST, MOST + 1, 300])
+@pytest.mark.parametrize("rank", [1, 2, 3])
+def test_rays_within_a_cone_change_nothing_however_many_and_long(rank: int, count: int) -> None:
+    """In three dimensions: a ray, all between two, and a corner of a box; each with its missing directions."""
+    rng = np.random.default_rng(count)
+    for _ in range(3):
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        edges = turn[:rank]
+        within = rng.uniform(0.1, 1, (count - rank, rank)) @ edges
+        rays = rng.permutation(np.vstack([edges, within])) * 10.0 ** rng.uniform(-6, 6, (count, 1))
+        rows = cone_facets(rays)
+        if rank == 1:
+            across = rows[1:]
+            assert_allclose(rows[0], -turn[0], atol=1e-9)
+        else:
+            across = rows[rank:]
+            assert same_rows(rows[:rank], -turn[:rank], 1e-9)
+        assert len(across) == 2 * (3 - rank)
+        assert_allclose(across @ edges.T, 0.0, atol=1e-9)
+        assert np.linalg.matrix_rank(np.vstack([edges, across])) == 3
+        assert_allclose(across.sum(axis=0), 0.0, atol=1e-12)  # each with its opposite
+
+
 @pytest.mark.parametrize("count", [12, MOST + 16])
 def test_facets_come_in_the_order_of_the_rays_that_lie_in_them(count: int) -> None:
     """Whoever found them, and however the cone is turned; the first ray counts most."""
