@@ -17,6 +17,7 @@ import typer.testing
 if TYPE_CHECKING:
     from driver_rig import Rig
     from salver.planning.fastest import TransportProblem
+    from salver.planning.plan import Plan
 
 PATIENCE = 20.0  # s of processor time for an everyday test, ten times what the longest takes
 
@@ -53,6 +54,15 @@ def safe(tmp_path_factory: pytest.TempPathFactory) -> Rig:
     from driver_rig import Rig
 
     return Rig(tmp_path_factory.mktemp("safe") / "run", every=0.2)
+
+
+@pytest.fixture(scope="session")
+def bottle_plan() -> Plan:
+    """The fastest motion of the tall bottle, which turns the tray."""
+    from salver import scenario
+    from salver.planning.fastest import plan_fastest
+
+    return plan_fastest(scenario.load("panda-tall-bottle"))
 
 
 @pytest.fixture(scope="session")

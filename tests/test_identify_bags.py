@@ -88,6 +88,7 @@ def test_a_bag_without_a_wrist_has_torques_only(tmp_path: Path, log: Log, names:
     assert read.tau is not None
 
 
+@pytest.mark.slow
 def test_bags_that_do_not_weigh_are_refused(tmp_path: Path, log: Log, names: tuple[str, ...]) -> None:
     nothing = replace(log, tau=None, wrench_F=None)
     with pytest.raises(FileFormatError, match="nothing weighs"):

@@ -157,7 +157,10 @@ def inside(found: Ellipsoid, values: Array) -> bool:
     return bool(off @ np.linalg.solve(found.correlation, off) <= 1)
 
 
-@pytest.mark.parametrize("names", [NAMES, INERTIAL, ("com_x", "com_z")])
+@pytest.mark.parametrize(
+    "names",
+    [NAMES, pytest.param(INERTIAL, marks=pytest.mark.slow), pytest.param(("com_x", "com_z"), marks=pytest.mark.slow)],
+)
 def test_an_ellipsoid_holds_the_truth_as_often_as_the_box_is_sure_to(names: tuple[str, ...]) -> None:
     """All of three deviations at once, at least: 1 - d (1 - .9973). And it is not much larger."""
     rng = np.random.default_rng(5)
@@ -172,10 +175,9 @@ def test_an_ellipsoid_holds_the_truth_as_often_as_the_box_is_sure_to(names: tupl
         assert np.mean([inside(smaller, values_of(x)) for x in draws]) < 1 - len(names) * 0.0027
 
 
-@pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    """The fastest motion of the bottle, which turns the tray."""
-    return sv.plan("panda-tall-bottle", "fastest")
+@pytest.fixture
+def plan(bottle_plan: Plan) -> Plan:
+    return bottle_plan
 
 
 def found(plan: Plan, true: Array, seed: int, changes: Mapping[str, object], sensors: Sensors = QUIET) -> Identified:

@@ -140,6 +140,7 @@ except MissingDependencyError as error:
     assert "pip install 'salver[engine]'" in _run(code)
 
 
+@pytest.mark.slow
 def test_what_scipy_asks_numpy_for_by_name_alone_is_loaded_when_it_is_used():
     code = """
 import json, sys

@@ -59,7 +59,18 @@ def test_tilts_raise_the_least_friction_and_stop_when_the_load_moves() -> None:
         least = trip.known.payload.least_friction(trip.known.payload.first)
         assert 0.2 < least <= true[10]
         assert not slides or least > true[10] - 0.02
-    assert next(trips(scenario, 2, 2, first=first, tilts=False)).tilts == ()
+
+
+@pytest.mark.slow
+def test_friction_is_looked_for_unless_it_is_not_to_be() -> None:
+    """Of a load of which nothing else is unknown."""
+    friction = {"objects__0__uncertainty": {"friction": 0.2}, "objects__0__friction": 0.4}
+    first = plan_fastest(load("panda-tall-bottle").with_changes(**friction))
+    tilted, not_tilted = (next(trips(first.scenario, 2, 2, "torques", first, tilts=x)) for x in (True, False))
+    assert tilted.tilts
+    assert tilted.telling is None
+    assert not_tilted.learnt is not None
+    assert not_tilted.tilts == ()
 
 
 def test_true_load_lies_in_the_set_and_differs_with_the_seed() -> None:

@@ -121,6 +121,7 @@ def test_no_other_ending_is_written(tmp_path):
         write(Motion.of(swing()), tmp_path / "a.xlsx")
 
 
+@pytest.mark.slow
 def test_columns_of_a_mapping_and_of_a_frame_are_those_of_a_file(tmp_path):
     import pandas
 
@@ -336,6 +337,7 @@ def test_a_log_of_a_run_becomes_a_table_of_the_arms_joints(tmp_path):
     assert (tmp_path / "a.csv").read_text().startswith("t,q_panda_joint1,")
 
 
+@pytest.mark.slow
 def test_what_a_run_did_is_a_recording_without_velocities(tmp_path):
     """The tray of the record moves as the file says, to the last digit; nobody takes it for a command."""
     (path,) = write(Motion.of(swing()), tmp_path / "a.csv")

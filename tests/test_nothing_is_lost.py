@@ -155,6 +155,7 @@ def test_a_scenario_of_ones_own_without_plans_is_never_moved(tmp_path, plans):
     assert (tmp_path / "scenario.toml").read_text() == (scenario.SCENARIO_DIR / "panda-cube-1.2s.toml").read_text()
 
 
+@pytest.mark.slow
 def test_watch_plans_again_on_save_and_waits_for_mistakes_to_be_mended(tmp_path, capsys, monkeypatch):
     from salver.cli import watch
 

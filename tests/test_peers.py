@@ -80,6 +80,7 @@ def test_intervals_are_of_what_was_drawn_and_hopeless_motions_are_given_up():
     assert inside[32].all()
 
 
+@pytest.mark.slow
 def test_frozen_motions_are_of_the_task_and_say_where_they_come_from():
     """From rest at the beginning of the path to rest at its end, within the limits that the planner was told."""
     tasks = [Task(scenarios()[name]) for name in ("tall bottle", "cube, friction 0.2")]

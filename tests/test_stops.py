@@ -31,9 +31,9 @@ PAPER = sv.load_scenario("panda-cube")
 
 
 @pytest.fixture(scope="module")
-def bottle():
+def bottle(bottle_plan):
     """The fastest plan of the tall bottle, with a stop every 60 ms where one was found."""
-    plan = sv.plan("panda-tall-bottle")
+    plan = bottle_plan
     return replace(plan, stops=plan_stops(transport_problem(plan.scenario), plan.joint, every=0.06))
 
 

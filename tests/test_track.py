@@ -33,10 +33,8 @@ UNEQUAL = [14.4, 9.6, 12.0, 13.2, 10.8, 14.4, 9.6]  # Hz: 12 and a fifth more or
 
 
 @pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    from salver.planning.fastest import plan_fastest
-
-    return plan_fastest(load("panda-tall-bottle")).save(tmp_path_factory.mktemp("run"))
+def directory(bottle_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return bottle_plan.save(tmp_path_factory.mktemp("run"))
 
 
 @pytest.fixture(scope="module")
@@ -218,6 +216,7 @@ def test_a_corrected_command_misses_less_and_stays_with_its_plan(plan: Plan, jud
     assert step(told, engine_robot(told)).next == "margin"
 
 
+@pytest.mark.slow
 def test_a_corrected_command_begins_where_the_arm_was_told_to_rest(plan: Plan, judge: Judge) -> None:
     """An arm that sags by 2 mrad before and by 3 mrad to the other side after: before, it is not moved by what it will
     miss; after, it is told what it missed."""

@@ -20,7 +20,7 @@ from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.planning.fastest import obstacles, transport_problem
 from salver.planning.fastest.constraints import Block, evaluate
-from salver.planning.make import make_plan
+from salver.planning.plan import Plan
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm import ArmChain, arm_chain, chain_model
 from salver.simulation.physics import simulate
@@ -259,9 +259,9 @@ def test_fastest_plans_leave_room_for_where_and_how_fast_the_joints_stray(delay:
 
 
 @pytest.mark.slow
-def test_no_load_of_the_set_makes_a_joint_faster_than_its_limit() -> None:
+def test_no_load_of_the_set_makes_a_joint_faster_than_its_limit(bottle_plan: Plan) -> None:
     """By the chain; and in the engine at two corners. A joint of this plan is at its limit where a wrong load acts."""
-    plan = make_plan(load("panda-tall-bottle"), "fastest")
+    plan = bottle_plan
     assert plan.ok
     assert plan.joint is not None
     assert plan.chain is not None

@@ -362,6 +362,7 @@ def test_a_urdf_made_from_xacro_is_an_arm(tmp_path: Path) -> None:
     assert arm_geometry(arm).unchecked == ("links that share a joint against one another",)
 
 
+@pytest.mark.slow
 def test_an_arm_of_one_joint_is_told_that_it_does_not_reach(tmp_path: Path) -> None:
     """Its Jacobian has one column."""
     file = tmp_path / "one.urdf"
