@@ -4,6 +4,7 @@
     python benchmarks/survey.py --corners 10 -o out/survey.jsonl   run the plans of those that are solved in the engine
     python benchmarks/survey.py --table -o out/survey.jsonl   print the table of what it holds
     python benchmarks/survey.py --docs -o out/survey.jsonl    write it into docs/survey.md, and the data beside it
+    ... --docs --other out/other.jsonl                        and, below, others that the program was not made with
 
 Each task follows from its number. It is planned at the default effort and, to know what is possible, at the thorough
 one with another seed. A task counts as solvable when any of them solves it; the best known is the shortest; `--known
@@ -220,20 +221,54 @@ def table(records: list[dict[str, Any]]) -> str:
         ratios = np.array([default["duration"] / known for default, known in solvable if default["duration"]])
         cpu = np.array([r["default"]["cpu"] for r in group])
         near = [f"{int((ratios <= limit).sum())}" for limit in (1.03, 1.10)]
-        row = [name, len(group), len(solvable), len(ratios), *near, f"{np.median(cpu):.1f}", f"{int((cpu < 3).sum())}"]
+        row = [name, len(group), len(solvable), len(ratios), *near, f"{np.median(cpu):.2f}", f"{int((cpu < 3).sum())}"]
         rows.append(f"| {' | '.join(map(str, row))} |")
     return "\n".join(rows)
 
 
-def page(records: list[dict[str, Any]], corners: list[dict[str, Any]]) -> str:
-    """docs/survey.md: what was done, the table, and the tasks that are not as they should be."""
-    latest = {record["number"]: record for record in corners}
-    ran = [latest[r["number"]] for r in records if _of_this_plan(latest.get(r["number"]), r)]
-    solved = sum(r["default"]["duration"] is not None for r in records)
-    lost = [
-        f"{record['number']} ({record['runs'] - record['held']})" for record in ran if record["held"] < record["runs"]
+def page(records: list[dict[str, Any]], ran: list[dict[str, Any]], others: list[dict[str, Any]]) -> str:
+    """docs/survey.md: what was done, the table, and the tasks that are not as they should be; then other tasks, that
+    the program was not made with. ran: runs at corners, of any of them."""
+    compared, known = (sum(bool(r.get(key)) for r in records) for key in ("thorough", "known"))
+    also = " and ".join(
+        [f"{compared} of them at `--effort thorough` too, with another seed,"] * bool(compared)
+        + [f"{known} by earlier states of the program, at both efforts:"] * bool(known)
+    )
+    lines = [
+        "# A survey of random tasks",
+        "",
+        "Written by `python benchmarks/survey.py --docs`; one line for each task is in `docs/data/survey.jsonl`.",
+        "",
+        f"Tasks {records[0]['number']} to {records[-1]['number']} of the survey: random ends, loads and cells on",
+        "the arms that salver knows and on two URDFs; every other one has one to three obstacles near the way.",
+        f"Each is planned at the default effort, {also or 'and nothing else:'}",
+        "what any of these solves counts as solvable, and the shortest duration is the best known; nothing says that",
+        "no shorter one exists. A task that was planned at the default effort only has nothing to be compared with.",
+        "Processor times of one core.",
+        "",
+        table(records),
+        "",
+        *_exceptions(records),
+        _in_engine(records, ran),
+        "",
     ]
-    held = f"{sum(record['held'] for record in ran)} of {sum(record['runs'] for record in ran)}"
+    if others:
+        lines += [
+            "## Tasks that the program was not made with",
+            "",
+            f"Tasks {others[0]['number']} to {others[-1]['number']}, planned once, at both efforts, when all was done.",
+            "",
+            table(others),
+            "",
+            *_exceptions(others),
+            _in_engine(others, ran),
+            "",
+        ]
+    return "\n".join(lines)
+
+
+def _exceptions(records: list[dict[str, Any]]) -> list[str]:
+    """Tasks that were missed, that are slower than the best known, and that nothing solves."""
     default = [(r, r["default"]["duration"], best_known(r)) for r in records]
     missed = [
         f"{r['number']} ({r['arm']}): {r['default']['says'].rstrip('.')}"
@@ -246,37 +281,28 @@ def page(records: list[dict[str, Any]], corners: list[dict[str, Any]]) -> str:
         if best and found and found > 1.03 * best
     ]
     unsolved = [f"{r['number']} ({r['arm']})" for r, _, best in default if best is None]
-    compared, known = (sum(bool(r.get(key)) for r in records) for key in ("thorough", "known"))
-    in_engine = (
+    return [
+        f"Solvable and not solved at the default effort: {'; '.join(missed) or 'none'}.",
+        "",
+        f"More than 3 % above the best known: {'; '.join(slower) or 'none'}.",
+        "",
+        f"Solved by none: {', '.join(unsolved) or 'none'}.",
+        "",
+    ]
+
+
+def _in_engine(records: list[dict[str, Any]], ran: list[dict[str, Any]]) -> str:
+    """How many of the runs at corners hold."""
+    latest = {record["number"]: record for record in ran}
+    of_these = [latest[r["number"]] for r in records if _of_this_plan(latest.get(r["number"]), r)]
+    lost = [f"{run['number']} ({run['runs'] - run['held']})" for run in of_these if run["held"] < run["runs"]]
+    solved = sum(r["default"]["duration"] is not None for r in records)
+    return (
         "In the physics engine, with the arm and with objects at corners of what is uncertain (`--corners 10`), "
-        f"{held} runs hold, of {len(ran)} of the {solved} solved tasks. {sum(r['distinct'] for r in ran)} of them are "
+        f"{sum(run['held'] for run in of_these)} of {sum(run['runs'] for run in of_these)} runs hold, of "
+        f"{len(of_these)} of the {solved} solved tasks. {sum(run['distinct'] for run in of_these)} of them are "
         "different: a corner that was drawn again, and a task without ranges, is run once and counted as often."
         f"{' Lost: ' + ', '.join(lost) + '.' if lost else ''}"
-    )
-    return "\n".join(
-        [
-            "# A survey of random tasks",
-            "",
-            "Written by `python benchmarks/survey.py --docs`; one line for each task is in `docs/data/survey.jsonl`.",
-            "",
-            f"Tasks {records[0]['number']} to {records[-1]['number']} of the survey: random ends, loads and cells on",
-            "the arms that salver knows and on two URDFs; every other one has one to three obstacles near the way.",
-            f"Each is planned at the default effort, {compared} of them at `--effort thorough` too, with another",
-            f"seed, and {known} by earlier states of the program at both: what any of these solves counts as solvable,",
-            "and the shortest duration is the best known; nothing says that no shorter one exists. A task that was",
-            "planned at the default effort only has nothing to be compared with. Processor times on a machine that was",
-            "busy with other things.",
-            "",
-            table(records),
-            "",
-            f"Solvable and not solved at the default effort: {'; '.join(missed) or 'none'}.",
-            "",
-            f"More than 3 % above the best known: {'; '.join(slower) or 'none'}.",
-            "",
-            f"Solved by none: {', '.join(unsolved) or 'none'}.",
-            "",
-            *([in_engine, ""] if ran else []),
-        ]
     )
 
 
@@ -289,6 +315,7 @@ def main() -> None:
     parser.add_argument("--docs", action="store_true", help="write the page of what the file holds")
     parser.add_argument("--corners", type=int, default=0, help="only run solved tasks so often at corners")
     parser.add_argument("--known", type=Path, action="append", default=[], help="records of earlier states")
+    parser.add_argument("--other", type=Path, help="records of tasks that the program was not made with")
     parser.add_argument("--quick", action="store_true", help="without the thorough effort")
     given = parser.parse_args()
     if given.corners:
@@ -303,7 +330,9 @@ def main() -> None:
         record["known"] = [*record.get("known", []), *sorted(known)[:1]]
     if given.docs:
         DATA.write_text("".join(json.dumps(record) + "\n" for record in records), encoding="utf-8")
-        PAGE.write_text(page(records, read(corners_of(given.out))), encoding="utf-8")
+        others = sorted(read(given.other), key=lambda record: int(record["number"])) if given.other else []
+        ran = read(corners_of(given.out)) + (read(corners_of(given.other)) if given.other else [])
+        PAGE.write_text(page(records, ran, others), encoding="utf-8")
     print(table(records))
 
 
