@@ -11,9 +11,10 @@ from salver.geometry import Array
 from salver.models import shapes
 from salver.models.bodies import Body
 from salver.models.contents import Filling, Hull, inertia_ranges, largest_mean, most_second_moments
+from salver.models.convex_shapes import THINNEST, convex
 from salver.models.interfaces import networks, sure_contacts
 from salver.models.internal_wrench import internal_wrenches
-from salver.models.link_shapes import SLAB, convex, link_shapes
+from salver.models.link_shapes import link_shapes
 from salver.models.liquid import APART, Liquid, damping_of, hollow
 from salver.models.parameters import Parameter
 from salver.models.surfaces import surface
@@ -218,8 +219,8 @@ def test_a_flat_link_is_as_thick_as_a_slab_about_where_it_is() -> None:
     import pinocchio as pin
 
     corners = surface(convex(flat), pin.SE3.Identity())[0]
-    assert corners.min(axis=0) == pytest.approx([-0.2, 0.0, 0.1 - 0.5 * SLAB], abs=1e-9)
-    assert corners.max(axis=0) == pytest.approx([0.3, 0.1, 0.1 + 0.5 * SLAB], abs=1e-9)
+    assert corners.min(axis=0) == pytest.approx([-0.2, 0.0, 0.1 - 0.5 * THINNEST], abs=1e-9)
+    assert corners.max(axis=0) == pytest.approx([0.3, 0.1, 0.1 + 0.5 * THINNEST], abs=1e-9)
 
 
 def test_a_capsule_runs_from_a_joint_to_the_centre_of_mass() -> None:

@@ -1,7 +1,8 @@
 """The shapes of an arm's links, convex, for telling what touches: from the URDF's geometry, or fitted to what is known.
 
-A mesh becomes its convex hull, which is larger than the link. Of a link without collision geometry the visual one
-is taken. Of a link whose geometry cannot be read, capsules can be fitted: they are an estimate.
+A mesh becomes its convex hull, which is larger than the link, or the hulls of a few slabs of it
+(`salver.models.convex_shapes`). Of a link without collision geometry the visual one is taken. Of a link whose geometry
+cannot be read, capsules can be fitted: they are an estimate.
 """
 
 from __future__ import annotations
@@ -17,21 +18,41 @@ import numpy as np
 import pinocchio as pin
 
 from salver.geometry import Array, matrix_from_rpy
+from salver.models.convex_shapes import Triangles, convex, convex_pieces
 
 DENSITIES = (2700.0, 700.0)  # kg/m^3: solid aluminium; light shells with little inside
 LARGEST_LINK = 10.0  # m
-SLAB = 1e-3  # m: Coal wants shapes with a volume
 FRAME_MASS = 0.02  # kg: a lighter link without geometry is a frame that somebody gave a mass, not a body
+FULL = 0.9  # share of its hull from which a mesh counts as convex
 _SAME_DIRECTION = 1e-9
 
 
 @dataclass(frozen=True)
 class LinkShape:
-    """A convex shape (Coal's) of a link and its placement in the link's frame (pin.SE3)."""
+    """A convex shape (Coal's) of a link and its placement in the link's frame (pin.SE3).
+
+    mesh: the file and the scale of the mesh that it is the hull of.
+    """
 
     link: str
     shape: Any
     placement: Any
+    mesh: tuple[str, tuple[float, ...]] | None = None
+
+    @property
+    def hollow(self) -> bool:
+        """Whether it is the hull of a mesh that fills clearly less; of little worth where its surface is not closed."""
+        return self.mesh is not None and _filled(*self.mesh) < FULL
+
+    @property
+    def itself(self) -> Any:
+        """Coal's shape of the link's mesh, not of its hull; for telling whether it touches, not how far away it is."""
+        return self.shape if self.mesh is None else _mesh(*self.mesh)
+
+    @property
+    def pieces(self) -> tuple[Any, ...]:
+        """Convex shapes, at the same placement, that hold the link as well, and less beside it where that pays."""
+        return (self.shape,) if self.mesh is None else _pieces(*self.mesh)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +86,11 @@ def link_shapes(urdf: str, capsules: bool = False) -> LinkShapes:
         reasons = []
         for element in elements:
             try:
-                shape = _shape(element.find("geometry"))
+                shape, mesh = _shape(element.find("geometry"))
             except (ValueError, RuntimeError) as error:
                 reasons.append(str(error))
             else:
-                shapes.append(LinkShape(name, shape, _origin(element)))
+                shapes.append(LinkShape(name, shape, _origin(element), mesh))
         if not elements and _mass(link) > FRAME_MASS:
             reasons.append("the URDF gives it no geometry")
         if not reasons:
@@ -89,8 +110,9 @@ def _loader() -> Any:
     return coal.CachedMeshLoader()
 
 
-def _shape(geometry: ElementTree.Element | None) -> Any:
-    """Coal's shape of a URDF's geometry. Raises ValueError with the reason when it is not to be had."""
+def _shape(geometry: ElementTree.Element | None) -> tuple[Any, tuple[str, tuple[float, ...]] | None]:
+    """Coal's shape of a URDF's geometry, and the mesh's file and scale if it is one's hull. Raises ValueError with the
+    reason when it is not to be had."""
     kind = geometry[0] if geometry is not None and len(geometry) else None
     if kind is None:
         raise ValueError("its geometry is empty")
@@ -101,7 +123,7 @@ def _shape(geometry: ElementTree.Element | None) -> Any:
         scale = _numbers(kind, "scale", "1 1 1")
         if len(scale) != 3 or not all(np.isfinite(x) and x != 0 for x in scale):
             raise ValueError(f'the scale "{kind.get("scale")}" of its mesh is not three numbers other than 0')
-        return _hull(file, tuple(scale))
+        return _hull(file, tuple(scale)), (file, tuple(scale))
     sizes = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
     if kind.tag not in sizes:
         raise ValueError(f"its geometry is a <{kind.tag}>")
@@ -111,33 +133,37 @@ def _shape(geometry: ElementTree.Element | None) -> Any:
         raise ValueError(f"its {kind.tag} has {len(numbers)} sizes, not {count}")
     if not all(np.isfinite(x) and x > 0 for x in numbers):
         raise ValueError(f"the size of its {kind.tag} is not positive")
-    return getattr(coal, kind.tag.capitalize())(*numbers)
+    return getattr(coal, kind.tag.capitalize())(*numbers), None
 
 
 @lru_cache(maxsize=256)
 def _hull(file: str, scale: tuple[float, ...]) -> Any:
-    try:
-        points = np.asarray(_loader().load(file, np.array(scale)).vertices(), dtype=float)
-    except (ValueError, RuntimeError):
-        raise ValueError(f"the mesh {file} cannot be read") from None
+    points = np.asarray(_mesh(file, scale).vertices(), dtype=float)
     size = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
     if not 0 < size < LARGEST_LINK:
         raise ValueError(f'the mesh {file} is {size:.4g} m large; one in millimetres needs scale="0.001 0.001 0.001"')
     return convex(points)
 
 
-def convex(points: Array) -> Any:
-    """Coal's convex hull of points (n, 3), m; what is thinner than `SLAB` becomes that thick."""
-    axes = np.linalg.eigh(np.cov(points.T))[1]
-    for axis in axes.T:
-        if np.ptp(points @ axis) < SLAB:
-            points = np.vstack([points - 0.5 * SLAB * axis, points + 0.5 * SLAB * axis])
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(0, len(points))
-    mesh.addVertices(points)
-    mesh.endModel()
-    mesh.buildConvexHull(True, "Qt")
-    return mesh.convex
+@lru_cache(maxsize=256)
+def _pieces(file: str, scale: tuple[float, ...]) -> tuple[Any, ...]:
+    mesh = _mesh(file, scale)
+    triangles = [mesh.tri_indices(k) for k in range(mesh.num_tris)]
+    corners: Triangles = np.array([[triangle[k] for k in range(3)] for triangle in triangles])
+    return tuple(convex_pieces(np.asarray(mesh.vertices(), dtype=float), corners))
+
+
+@lru_cache(maxsize=256)
+def _filled(file: str, scale: tuple[float, ...]) -> float:
+    """Share of its hull that a mesh fills."""
+    return abs(float(_mesh(file, scale).computeVolume())) / float(_hull(file, scale).computeVolume())
+
+
+def _mesh(file: str, scale: tuple[float, ...]) -> Any:
+    try:
+        return _loader().load(file, np.array(scale))
+    except (ValueError, RuntimeError):
+        raise ValueError(f"the mesh {file} cannot be read") from None
 
 
 def _numbers(element: ElementTree.Element, key: str, otherwise: str = "") -> list[float]:

@@ -11,8 +11,8 @@ import pinocchio as pin
 
 from salver.errors import ScenarioError
 from salver.geometry import Array, matrix_from_rpy
+from salver.models.convex_shapes import convex
 from salver.models.described import ObstacleDescription
-from salver.models.link_shapes import convex
 from salver.models.mesh_files import read_mesh_file
 
 MOST_PIECES = 64  # of one mesh

@@ -1,0 +1,119 @@
+"""Links that are far from convex: what stands for them holds them, and touches hardly more often than they do."""
+
+from __future__ import annotations
+
+import itertools
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+from salver import scenario
+from salver.geometry import Array
+from salver.models.arm import ArmModel, load_arm
+from salver.models.arm_geometry import arm_geometry
+from salver.models.convex_shapes import PIECES, convex, convex_pieces
+from salver.models.link_shapes import link_shapes
+
+URS = ("ur5", *(pytest.param(model, marks=pytest.mark.slow) for model in ("ur3", "ur10")))
+
+
+def arm_of(model: str) -> ArmModel:
+    return load_arm(scenario.Arm(model=model), scenario.Tray(size=(0.12, 0.12)))
+
+
+def meshes_overlap(arm: ArmModel, q: Array) -> set[tuple[str, str]]:
+    """The pairs of links that overlap by their meshes, triangle against triangle, in the order of the URDF."""
+    model, data = arm.pin_model, arm.pin_model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    placed = []
+    for item in link_shapes(arm.urdf).shapes:
+        there = data.oMf[model.getFrameId(item.link, pin.FrameType.BODY)] * item.placement
+        placed.append((item.link, item.itself, coal.Transform3s(there.rotation, there.translation)))
+    request, result = coal.CollisionRequest(), coal.CollisionResult
+    return {
+        (first, second)
+        for (first, *one), (second, *other) in itertools.combinations(placed, 2)
+        if coal.collide(*one, *other, request, result())
+    }
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pieces_hold_the_mesh_and_are_smaller_than_its_hull(seed: int) -> None:
+    """A dumb-bell of random sizes, slanted: two boxes on a rod. Every point of its solid lies in a piece."""
+    rng = np.random.default_rng(seed)
+    wide = rng.uniform(0.08, 0.12, 2)
+    parts = [
+        trimesh.creation.box((w, w, 0.1), trimesh.transformations.translation_matrix((0, 0, z)))
+        for w, z in zip(wide, (-0.2, 0.2), strict=True)
+    ]
+    parts.append(trimesh.creation.cylinder(0.02, 0.4))
+    turned = trimesh.transformations.random_rotation_matrix(rng.random(3))
+    for part in parts:
+        part.apply_transform(turned)
+    body = trimesh.util.concatenate(parts)
+    pieces = convex_pieces(np.asarray(body.vertices), np.asarray(body.faces))
+    assert 1 < len(pieces) <= PIECES
+    rods = trimesh.creation.cylinder(0.02, 0.4)
+    rods.apply_transform(turned)
+    inside = np.vstack([part.bounding_box_oriented.sample_volume(500) for part in parts[:2]])
+    inside = np.vstack([inside, np.asarray(body.sample(1000, seed=seed)), np.asarray(rods.sample(200, seed=seed))])
+    beyond = np.min([[np.max(normals(p) @ x - offsets(p)) for x in inside] for p in pieces], axis=0)
+    assert beyond.max() < 1e-9
+    whole = convex(np.asarray(body.vertices)).computeVolume()
+    solid = 0.1 * float(wide @ wide) + np.pi * 0.02**2 * 0.3
+    assert solid <= sum(p.computeVolume() for p in pieces) < 0.8 * whole
+
+
+def normals(shape: coal.ConvexBase) -> Array:
+    return np.asarray(shape.normals())
+
+
+def offsets(shape: coal.ConvexBase) -> Array:
+    return -np.asarray(shape.offsets())
+
+
+def test_a_convex_mesh_is_one_piece() -> None:
+    ball = trimesh.creation.icosphere(2, 0.1)
+    assert len(convex_pieces(np.asarray(ball.vertices), np.asarray(ball.faces))) == 1
+
+
+def test_a_ur_reaches_down_past_its_base() -> None:
+    """The upper arm of a UR5 lies .136 m beside the axis of its base (`shoulder_offset` of its URDF), whose radius is
+    .075 m: no angle of the shoulder lift brings one to the other. The hull of the upper arm touches 36 degrees down."""
+    arm = arm_of("ur5")
+    parts = arm_geometry(arm)
+    named = [(parts.names[i], parts.names[j]) for i, j in parts.pairs]
+    pair = [k for k, names in enumerate(named) if names == ("base_link", "upper_arm_link")]
+    down = np.array([[-0.79, lift, -1.4, 2.31, -1.57, 2.36] for lift in np.linspace(0.6, 1.2, 7)])
+    assert parts.clearance(down)[:, pair].min() > 0.0
+    hollow = {item.link for item in link_shapes(arm.urdf).shapes if item.hollow}
+    assert {"upper_arm_link", "forearm_link"} <= hollow
+    assert "shoulder_link" not in hollow
+
+
+@pytest.mark.parametrize("model", URS)
+def test_what_touches_by_its_meshes_touches_by_what_stands_for_them(model: str) -> None:
+    """At random postures; and the other way round in nearly all of them, where hulls touch in a quarter more."""
+    arm = arm_of(model)
+    parts, postures = arm_geometry(arm), np.random.default_rng(1).uniform(-np.pi, np.pi, (25, arm.n))
+    links = {item.link for item in link_shapes(arm.urdf).shapes}
+    compared = {pair for i, j in parts.pairs if set(pair := (parts.names[i], parts.names[j])) <= links}
+    seen = told = 0
+    for q in postures:
+        near = parts.clearance(q[None])[0] <= 0
+        named = {(parts.names[i], parts.names[j]) for (i, j), yes in zip(parts.pairs, near, strict=True) if yes}
+        meshes = meshes_overlap(arm, q) & compared
+        assert meshes <= named
+        seen, told = seen + bool(meshes), told + bool(named & compared)
+    assert told <= seen + 3
+
+
+@pytest.mark.parametrize("model", ["panda", "gen3"])
+def test_arms_whose_hulls_are_as_good_keep_them(model: str) -> None:
+    arm = arm_of(model)
+    parts = arm_geometry(arm)
+    assert len(parts.model.geometryObjects) == len(link_shapes(arm.urdf).shapes) + 1  # and the tray
+    assert len(set(parts.names)) == len(parts.names)
