@@ -256,8 +256,8 @@ def _cell(found: dict[str, Any]) -> str:
 
 
 def _percent(between: tuple[float, float]) -> str:
-    low, high = between
-    return f"{100 * low:.1f} to {100 * high:.1f} %"
+    low, high = np.floor(1e3 * between[0]) / 10, np.ceil(1e3 * between[1] - 1e-9) / 10  # outwards
+    return f"{low:.1f} to {high:.1f} %"
 
 
 def plot(results: dict[str, Any], path: Path) -> None:
