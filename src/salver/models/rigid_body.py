@@ -12,6 +12,7 @@ from salver.geometry import GRAVITY_S, Array, hat
 N_INERTIAL = 10  # m, m c (3), I about B (6): Pinocchio's order, see docs/conventions.md
 
 _INERTIA_INDEX = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+_ROW, _COLUMN = (list(side) for side in zip(*_INERTIA_INDEX, strict=True))
 
 
 def inertia_matrix(six: npt.ArrayLike) -> Array:
@@ -25,8 +26,7 @@ def inertia_matrix(six: npt.ArrayLike) -> Array:
 
 def inertia_entries(matrix: npt.ArrayLike) -> Array:
     """The six entries (xx, xy, yy, xz, yz, zz) of symmetric matrices (..., 3, 3)."""
-    m = np.asarray(matrix, dtype=float)
-    return np.stack([m[..., i, j] for i, j in _INERTIA_INDEX], axis=-1)
+    return np.asarray(np.asarray(matrix, dtype=float)[..., _ROW, _COLUMN])
 
 
 def parallel_axis(mass: npt.ArrayLike, c: npt.ArrayLike) -> Array:

@@ -117,7 +117,7 @@ class Plan(Shown, Tabular):
 
     @cached_property
     def evaluation(self) -> Evaluation:
-        return evaluate(self.scenario, self.reference, FINER * (self.scenario.motion.nodes - 1) + 1)
+        return evaluate(self.scenario, self.reference, len(self.t))
 
     @property
     def duration(self) -> float:
@@ -128,9 +128,10 @@ class Plan(Shown, Tabular):
         """Where the controller closes its loop: what was planned in the joints knows its tracking errors there."""
         return "joint" if self.method in ("fastest", "safest", "least-sensitive", "live", "excite") else "object"
 
-    @property
+    @cached_property
     def t(self) -> Array:
-        return self.evaluation.t
+        """(T,) instants of the check, s."""
+        return np.linspace(0.0, self.duration, FINER * (self.scenario.motion.nodes - 1) + 1)
 
     @property
     def cone_coefficients(self) -> Array:

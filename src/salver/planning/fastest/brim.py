@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -53,9 +53,9 @@ class Brim(Constraint):
             rows = (values / scale[:, None] - 1).T
             found = Block(name, rows, _nothing(motion.n), last, history=history, curvature=curvature, kinked=True)
             if len(rows) == 1:
-                return replace(found, margins=(LEFT_MARGIN, FINEST))
+                return found.having(margins=(LEFT_MARGIN, FINEST))
             margins = (WAVE_MARGIN, FINEST)
-            return replace(found, points=motion.nodes, margins=margins, most=WAVE_ROWS, reach=WAVE_REACH)
+            return found.having(points=motion.nodes, margins=margins, most=WAVE_ROWS, reach=WAVE_REACH)
 
         def joined(values: Iterable[Array]) -> Array:
             return np.concatenate(list(values))

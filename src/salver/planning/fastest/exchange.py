@@ -64,7 +64,8 @@ class Checked:
 
     problem: with all the cases of liquids that were looked at.
     worst: largest row of each block there, <= 0 when kept. binding: names of those blocks that hinder a shorter time:
-    that depend on time, and come near their edge. iterations: of all rounds.
+    that depend on time, and come near their edge. iterations: of all rounds. looked: whether the check looked at every
+    fill and damping of a liquid, along this very motion.
     """
 
     problem: TransportProblem
@@ -75,6 +76,7 @@ class Checked:
     worst: dict[str, float]
     binding: tuple[str, ...]
     iterations: int
+    looked: bool = False
 
 
 def programme_of(
@@ -164,7 +166,8 @@ def optimise(
         solution = minimise(programme, begun, options, Trust(repair, REPAIR_DEPTH))
         done += solution.iterations
     status = _status(solution, worst, objective.sought, point.duration)
-    return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done)
+    looked = point is solution.iterate.point
+    return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done, looked)
 
 
 def _repair(

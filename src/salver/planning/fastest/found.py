@@ -48,7 +48,7 @@ EFFORTS = {
 class FastestMotion:
     """Result. spline, coefficients (size, n), duration: the motion. worst: largest row of each block on the fine
     grid (<= 0: kept). binding: the blocks that hinder a shorter time. wall_time: s. iterations: of all rounds and
-    starts. margin: that was sought, when it was (`LeastMargin`).
+    starts. margin: that was sought, when it was (`LeastMargin`). looked: as in `Checked`.
     """
 
     problem: TransportProblem
@@ -61,6 +61,7 @@ class FastestMotion:
     wall_time: float
     iterations: int
     margin: float = 0.0
+    looked: bool = False
 
     def after(self, *before: FastestMotion) -> FastestMotion:
         """The same motion, with the time and the iterations of the searches before it counted too."""

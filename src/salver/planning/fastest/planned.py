@@ -19,7 +19,6 @@ from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.watch import Watch
 from salver.planning.follow.limits import LIMIT_EXCEEDED
 from salver.scenario import Scenario
-from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion, SampledReference
 from salver.wording import listed
 
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
 
 MISSED = 4  # times that cases of a liquid are added which a motion does not keep
 CHECKED = 401  # instants at which that is looked at
+RADII = 101  # and at which what the arm may stray is, for a plan's record
 SLOWER = (1e-4, 1e-3, 4e-3, 1.6e-2)  # by these shares of its time a motion is made slower until its check lets it pass
 
 
@@ -102,7 +102,7 @@ def slow_enough(scenario: Scenario, found: FastestMotion, plan: Plan, robust: bo
     for share in SLOWER:
         duration = found.duration * (1 + share)
         status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
-        slower = replace(found, duration=duration, status=status)
+        slower = replace(found, duration=duration, status=status, looked=False)
         if _missed(slower) is None and _passes(judged := _planned(scenario, slower, robust), robust):
             return slower, judged
     return found, plan
@@ -154,7 +154,7 @@ def solver_record(found: FastestMotion, robust: bool) -> dict[str, Any]:
 
 def _missed(found: FastestMotion) -> TransportProblem | None:
     """The problem with the liquids' cases that the motion does not keep although it keeps those that were asked for."""
-    if not found.problem.liquids:
+    if found.looked or not found.problem.liquids:
         return None
     s = np.linspace(0.0, 1.0, CHECKED)
     z = np.stack(found.sample(s * found.duration))
@@ -184,12 +184,12 @@ def joint_plan(
 
 
 def tracking_record(found: FastestMotion) -> dict[str, float]:
-    """Peak of what the arm may stray under the uncertain load: the tray's position (m) and orientation (rad)."""
+    """Peak of what the arm may stray under the uncertain load and its waves: the tray's position (m) and orientation
+    (rad)."""
     problem = found.problem
     if problem.tracking is None:
         return {}
-    t = np.linspace(0, 1, 201) * found.duration
-    q, *rates = found.sample(t)
-    terms = motion_terms(problem.model, problem.arm.tray_id, q, rates[0], rates[1])
-    position, turn = problem.tracking.along(t, terms, np.stack(rates)).tray_radius()
+    s = np.linspace(0, 1, RADII)
+    z = np.stack(found.sample(s * found.duration))
+    position, turn = problem.at(s, z, found.duration, imposed=False).tray_radius()
     return {"tray_position_radius": float(position.max()), "tray_orientation_radius": float(turn.max())}

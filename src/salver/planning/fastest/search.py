@@ -404,4 +404,5 @@ def _optimum(
     per_span = options.nodes_per_span
     found = optimise(problem, FreeCurve, start, per_span, watch, damping, objective, iterations, also=also)
     wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
-    return FastestMotion(found.problem, start.spline, *result, found.binding, wall, found.iterations, found.margin)
+    spent = wall, found.iterations
+    return FastestMotion(found.problem, start.spline, *result, found.binding, *spent, found.margin, found.looked)

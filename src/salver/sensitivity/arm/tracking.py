@@ -79,7 +79,7 @@ class Reaction:
     @cached_property
     def w(self) -> Array:
         """(K, T, 12) by which what the tray feels changes."""
-        return np.moveaxis(self.tray.w, 2, 0)
+        return self.tray.w.transpose(2, 0, 1)
 
     @cached_property
     def torque(self) -> Array:
@@ -131,7 +131,7 @@ class Deviation:
     def reaction(self, wrench: Array) -> Reaction:
         """What the arm does, to first order, when the load needs wrenches (K, T, 6) at E beyond what the controller
         knows of."""
-        pushed = np.asarray(np.swapaxes(self.terms.jacobian, 1, 2) @ np.moveaxis(wrench, 0, 2), dtype=float)
+        pushed = np.asarray(np.swapaxes(self.terms.jacobian, 1, 2) @ wrench.transpose(1, 2, 0), dtype=float)
         missing = self.terms.mass_inverse @ pushed
         return Reaction(self.terms, *self.law(missing, np.zeros(len(wrench))))
 
