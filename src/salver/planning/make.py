@@ -135,7 +135,8 @@ def plan_pair(
     plan = make_plan(scenario, method, arm, options=options, watch=watch)
     if beside == "nominal":
         return plan, plan_nominal(plan.scenario, options=options, watch=watch)
-    timed = plan.scenario.with_changes(motion__duration=plan.scenario.motion.duration or plan.duration)
+    given = plan.scenario.motion.duration is not None
+    timed = plan.scenario if given else plan.scenario.with_changes(motion__duration=plan.duration)
     baseline = replace(plan_baseline(timed), scenario=plan.scenario)
     if arm and scenario.arm is not None:
         baseline = with_arm(baseline, None if plan.joint is None else plan.joint.q[0])
