@@ -164,6 +164,7 @@ def test_mujoco_scene_opens_elsewhere_and_holds_still(directory: Path, tmp_path:
     assert np.abs(np.array(q) - model.key("start").ctrl).max() < TOLERANCE
 
 
+@pytest.mark.slow
 def test_mujoco_scene_of_a_stack_without_an_arm_stands(tmp_path: Path) -> None:
     import mujoco
 

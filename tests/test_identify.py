@@ -65,6 +65,7 @@ def test_without_errors_the_load_comes_out(plan: Plan, wrist: bool) -> None:
         assert found.phi[1:3] / found.phi[0] == pytest.approx(load_[1:3], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_one_empty_log_is_noisy_once(plan: Plan) -> None:
     """The mean of n runs less one empty run has the variance 1 + 1 / n, not 2 / n; what is given twice counts once."""
     arm, load_ = SensedArm(plan, 3, joints=False), drawn(plan, 2)

@@ -132,6 +132,7 @@ def test_a_plan_as_tables(plan):
     assert frame.attrs["scenario"] == "panda-cube-1.2s"
 
 
+@pytest.mark.slow
 def test_a_run_as_tables(run):
     data, frame = run.to_xarray(), run.to_pandas()
     assert data["slip"].sel(object="cube").max().item() == run.slip.max()
