@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -22,7 +22,8 @@ from salver.geometry import Array, cross
 from salver.models.arm import ArmModel
 from salver.models.bodies import Body
 from salver.models.described import ObstacleDescription
-from salver.models.link_shapes import LinkShapes, link_shapes
+from salver.models.link_pairs import Links, Pair, add, bulky, comparable, placed, postures_of
+from salver.models.link_shapes import link_shapes
 from salver.models.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
 
@@ -31,11 +32,6 @@ _STRIDES = (64, 16, 4, 1)  # from coarse to fine, distances along a path are tak
 _REMEMBERED = 4  # paths of different numbers of postures of which distances are remembered
 _FEW = 4  # pairs up to which all distances are taken, of up to so many postures:
 _LONG = 100
-_POSTURES = 200  # at which links that touch at every one are taken to touch always
-_LOOKS = 16  # of these, at which meshes are compared
-BULKY = 0.05  # share of them in which hulls touch and pieces do not, from which the pieces are compared
-
-Pair = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -285,8 +281,8 @@ def arm_geometry(
     """Shapes of an arm's links, its tray, the boxes around what it carries, and what stands around it in the world.
 
     Compared are the hulls of all pairs that move against one another, of links that are far from convex a few pieces
-    where the hulls touch too often (`_bulky`), except: links that share a joint, pairs that the arm's SRDF
-    disables, and pairs of the arm's own parts whose hulls overlap in every posture.
+    where the hulls touch too often (`salver.models.link_pairs`), except: links that share a joint, pairs that the
+    arm's SRDF disables, and pairs of the arm's own parts whose hulls overlap in every posture.
 
     Raises ScenarioError when the geometry of a link is not known and `arm.collisions` does not say what to do about
     it, or when an obstacle's mesh cannot be used.
@@ -294,36 +290,36 @@ def arm_geometry(
     known = link_shapes(arm.urdf, capsules=arm.collisions == "capsules")
     if known.missing and arm.collisions != "unchecked":
         raise ScenarioError(_refusal(arm, known.missing))
-    parts, names = _placed(arm, known)
+    parts, names = placed(arm, known)
     links = len(names)
     low, high = tuple(arm.limits.q_min.tolist()), tuple(arm.limits.q_max.tolist())
-    bulky = _bulky(_Links(known, low, high, frozenset(arm.disabled_pairs), arm))
+    clumsy = bulky(Links(known, low, high, frozenset(arm.disabled_pairs), arm))
     pieces: dict[int, list[int]] = {}
-    for k in sorted({k for pair in bulky for k in pair}):
+    for k in sorted({k for pair in clumsy for k in pair}):
         shapes, hull = known.shapes[k].pieces, parts.geometryObjects[k]
         pieces[k] = [k] if len(shapes) == 1 else [len(names) + number for number in range(len(shapes))]
         for shape in shapes if len(shapes) > 1 else ():
-            _add(parts, names, names[k], hull.parentJoint, hull.placement, shape)
-    in_pieces = {(i, j): list(itertools.product(pieces[i], pieces[j])) for i, j in bulky}
+            add(parts, names, names[k], hull.parentJoint, hull.placement, shape)
+    in_pieces = {(i, j): list(itertools.product(pieces[i], pieces[j])) for i, j in clumsy}
     tray = len(names)
 
     frame = arm.pin_model.frames[arm.tray_id]
     thickness = 2 * float(arm.p_FE[2] - arm.tray_com_F[2])
     plate = pin.SE3(np.eye(3), np.array([0, 0, -0.5 * thickness]))
     box = coal.Box(*arm.tray_size, thickness)
-    _add(parts, names, TRAY, frame.parentJoint, frame.placement * plate, box)
+    add(parts, names, TRAY, frame.parentJoint, frame.placement * plate, box)
     for body in bodies:
         points = body.solid.bounding_points_G - body.com_G
         low, high = points.min(axis=0), points.max(axis=0)
         placement = frame.placement * pin.SE3(body.R_EB, body.p_EB + body.R_EB @ (0.5 * (low + high)))
-        _add(parts, names, body.name, frame.parentJoint, placement, coal.Box(*(high - low)))
+        add(parts, names, body.name, frame.parentJoint, placement, coal.Box(*(high - low)))
     fixed = len(names)
     for obstacle in obstacles:
         for shape, placement in obstacle_shapes(obstacle):
-            _add(parts, names, obstacle.name, 0, placement, shape)
+            add(parts, names, obstacle.name, 0, placement, shape)
 
     whole = [*range(links), *range(tray, len(names))]
-    pairs, left_out = _comparable(arm, parts, names, whole, links, fixed)
+    pairs, left_out = comparable(arm, parts, names, whole, links, fixed)
     pairs = [part for pair in pairs for part in in_pieces.get(pair, [pair])]
     compared = ArmGeometry(arm, parts, None, tuple(names), (), tray, len(names) - fixed, (), {})
     left_out["always"] = _always(_with_pairs(compared, tuple(pair for pair in pairs if pair[1] < fixed)))
@@ -335,116 +331,9 @@ def arm_geometry(
     return replace(_with_pairs(compared, tuple(pairs)), unchecked=told, left_out=named)
 
 
-def _placed(arm: ArmModel, known: LinkShapes) -> tuple[Any, list[str]]:
-    """Pinocchio's geometry of the links alone, and their names."""
-    parts, names = pin.GeometryModel(), list[str]()
-    for item in known.shapes:
-        frame = arm.pin_model.frames[arm.pin_model.getFrameId(item.link, pin.FrameType.BODY)]
-        _add(parts, names, item.link, frame.parentJoint, frame.placement * item.placement, item.shape)
-    return parts, names
-
-
-def _add(parts: Any, names: list[str], name: str, joint: int, placement: Any, shape: Any) -> None:
-    shape.computeLocalAABB()
-    parts.addGeometryObject(pin.GeometryObject(f"{len(names)}:{name}", joint, placement, shape))
-    names.append(name)
-
-
-def _comparable(
-    arm: ArmModel, parts: Any, names: Sequence[str], whole: Sequence[int], links: int, fixed: int
-) -> tuple[list[Pair], dict[str, list[Pair]]]:
-    """Pairs of some of the parts (their indices) that move against one another, of which one is a link (before
-    `links`), the tray or what it carries (before `fixed`); and those that are left out, by reason."""
-    model, joints = arm.pin_model, [part.parentJoint for part in parts.geometryObjects]
-    pairs: list[Pair] = []
-    left_out: dict[str, list[Pair]] = {"neighbours": [], "srdf": [], "always": []}
-    for j in whole:
-        for i in (i for i in whole if i < min(j, fixed)):
-            if joints[i] == joints[j]:
-                continue
-            neighbours = joints[i] == model.parents[joints[j]] or joints[j] == model.parents[joints[i]]
-            if j < links and neighbours:
-                left_out["neighbours"].append((i, j))
-            elif j < links and (min(names[i], names[j]), max(names[i], names[j])) in arm.disabled_pairs:
-                left_out["srdf"].append((i, j))
-            else:
-                pairs.append((i, j))
-    return pairs, left_out
-
-
-@dataclass(frozen=True)
-class _Links:
-    """The links of an arm, equal where those of another are: shapes, joint limits, pairs that its SRDF disables."""
-
-    known: LinkShapes
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    disabled: frozenset[tuple[str, str]]
-    arm: ArmModel = field(compare=False)
-
-
-@lru_cache(maxsize=32)
-def _bulky(links: _Links) -> tuple[Pair, ...]:
-    """Pairs of links (indices of their shapes) whose hulls overlap in many postures in which pieces of them do not."""
-    arm, shapes = links.arm, links.known.shapes
-    hollow = [item.hollow for item in shapes]
-    if not any(hollow):
-        return ()
-    parts, names = _placed(arm, links.known)
-    pairs = _comparable(arm, parts, names, range(len(names)), len(names), len(names))[0]
-    pairs = [(i, j) for i, j in pairs if hollow[i] or hollow[j]]
-    postures = _postures(arm)
-    often = BULKY * len(postures)
-    found = []
-    for pair, overlap in zip(pairs, _overlaps(arm, parts, pairs, postures).T, strict=True):
-        there = postures[overlap]
-        if len(there) < often:
-            continue
-        hulls = [parts.geometryObjects[k] for k in pair]
-        # The meshes themselves tell at some of these postures whether pieces, which take time to make, can help.
-        some = there[:: -(-len(there) // _LOOKS)]
-        if _apart(arm, hulls, [(shapes[k].itself,) for k in pair], some) * len(there) < often * len(some):
-            continue
-        if _apart(arm, hulls, [shapes[k].pieces for k in pair], there) >= often:
-            found.append(pair)
-    return tuple(found)
-
-
-def _apart(arm: ArmModel, hulls: Sequence[Any], shapes: Sequence[Sequence[Any]], postures: Array) -> int:
-    """At how many postures (N, n) none of some shapes in the place of one hull overlaps one in the place of another."""
-    two, of = pin.GeometryModel(), []
-    for hull, some in zip(hulls, shapes, strict=True):
-        of.append([two.addGeometryObject(_like(hull, shape, len(two.geometryObjects))) for shape in some])
-    return int(np.sum(~_overlaps(arm, two, list(itertools.product(*of)), postures).any(axis=1)))
-
-
-def _like(hull: Any, shape: Any, number: int) -> Any:
-    """A shape in the place of a link's hull."""
-    return pin.GeometryObject(f"{number}", hull.parentJoint, hull.placement, shape)
-
-
-def _overlaps(arm: ArmModel, parts: Any, pairs: Sequence[Pair], postures: Array) -> npt.NDArray[np.bool_]:
-    """(N, pairs) which pairs of parts overlap at postures (N, n)."""
-    some = parts.copy()
-    some.removeAllCollisionPairs()
-    for i, j in pairs:
-        some.addCollisionPair(pin.CollisionPair(i, j))
-    own, data, found = arm.pin_model.createData(), some.createData(), np.zeros((len(postures), len(pairs)), dtype=bool)
-    for k, q in enumerate(postures):
-        pin.computeCollisions(arm.pin_model, own, some, data, q, False)
-        found[k] = [result.isCollision() for result in data.collisionResults]
-    return found
-
-
-def _postures(arm: ArmModel) -> Array:
-    """(N, n) of an arm, drawn at random within its limits."""
-    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
-    return np.random.default_rng(0).uniform(low, high, (_POSTURES, arm.n))
-
-
 def _always(parts: ArmGeometry) -> list[Pair]:
     """Pairs of the arm's own parts that overlap whatever the posture is."""
-    for q in _postures(parts.arm):
+    for q in postures_of(parts.arm):
         if not parts.pairs:
             break
         overlap = parts.clearance(q[None])[0] <= 0
