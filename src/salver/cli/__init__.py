@@ -103,4 +103,9 @@ def main() -> None:
     asked = [name for name in sys.argv[1:2] if name in COMMANDS]
     if asked and "--help" not in sys.argv:
         load_when_used()
-    (_gathered(asked) if asked else _whole())()
+    try:
+        (_gathered(asked) if asked else _whole())()
+    except OSError as error:  # where help or the version cannot be printed; commands see to it themselves
+        from salver.cli.common import lost
+
+        sys.exit(lost(error))

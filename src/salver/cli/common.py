@@ -77,10 +77,8 @@ def handled(command: Command) -> Command:
             raise typer.Exit(ACHIEVED) from None
         except (typer.Exit, typer.Abort, typer.BadParameter):
             raise
-        except OSError as error:  # a full disk, a directory that is not ours
-            say(f"salver: {error.filename or 'the output'}: {(error.strerror or str(error)).lower()}.")
-            _give_up_output()
-            raise typer.Exit(WRONG_USE) from None
+        except OSError as error:
+            raise typer.Exit(lost(error)) from None
         except MemoryError:
             say("salver: the memory of this machine was not enough; what was written to disk before is complete.")
             raise typer.Exit(WRONG_USE) from None
@@ -96,12 +94,17 @@ def handled(command: Command) -> Command:
     return wrapper  # type: ignore[return-value]
 
 
-def _give_up_output() -> None:
-    """Where the output takes no more, what is left of it goes nowhere: Python would try again at its end and fail."""
+def lost(error: OSError) -> int:
+    """Say what the machine refused, a full disk or a directory that is not ours, and with which exit code it ends.
+
+    Where the output takes no more, what is left of it goes nowhere: Python would try again at its end and fail.
+    """
+    say(f"salver: {error.filename or 'the output'}: {(error.strerror or str(error)).lower()}.")
     try:
         sys.stdout.flush()
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return WRONG_USE
 
 
 # What the loader says of a library of the system that a package needs.
