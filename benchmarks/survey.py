@@ -256,7 +256,7 @@ def page(records: list[dict[str, Any]], ran: list[dict[str, Any]], others: list[
         lines += [
             "## Tasks that the program was not made with",
             "",
-            f"Tasks {others[0]['number']} to {others[-1]['number']}, planned once, at both efforts, when all was done.",
+            f"Tasks {others[0]['number']} to {others[-1]['number']}, planned at both efforts by the program as it is.",
             "",
             table(others),
             "",
