@@ -59,10 +59,15 @@ def test_senses_name_what_is_wrong(rig: Rig) -> None:
     assert "the speed of panda_joint3 is said to have jumped by 0.33" in said(ArmState(q, 0.33 * turn))
     assert "panda_joint3 is said to be at 4 rad" in said(ArmState(np.where(turn > 0, 4.0, q), np.zeros(7)))
     assert "the speed of panda_joint3 is said to have jumped by 5" in said(ArmState(q, 5.0 * turn))
-    assert "turn at 44 rad/s, which it cannot" in said(ArmState(q, 44.0 * turn))  # 20 times its limit are 43.5
+    for way in (1.0, -1.0):
+        assert f"turn at {way * 44:g} rad/s, which it cannot" in said(ArmState(q, 44.0 * way * turn))  # 20 limits: 43.5
     assert "no state of its joints" in said(ArmState(q[:6], np.zeros(7)))
     assert "no state of its joints" in said(ArmState(np.array(["x"] * 7), np.zeros(7)))
+    for number in (NAN, np.inf, -np.inf):
+        assert f"the position of panda_joint3 is {number}" in said(ArmState(np.where(turn > 0, number, q), 0.0 * q))
+        assert f"the speed of panda_joint3 is {number}" in said(ArmState(q, np.where(turn > 0, number, 0.0)))
     assert "its clock says that 2 s passed" in said(good, 2.0)
+    assert "its clock says that inf s passed" in said(good, np.inf)
     with pytest.raises(SalverError, match="cannot be believed: the speed of panda_joint1 is nan"):
         Senses(rig.arm, rig.carried, 1e-3, ArmState(q, np.full(7, NAN)))
 
