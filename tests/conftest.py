@@ -113,7 +113,6 @@ def pytest_configure() -> None:
 def pytest_collection_finish() -> None:
     """Half a million objects of libraries stay to the end; looking through them takes 0.4 s, and each run of the driver
     asks for it."""
-    gc.collect()
     gc.freeze()
     gc.enable()
     gc.set_threshold(20_000, 20, 20)

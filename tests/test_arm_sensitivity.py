@@ -92,6 +92,7 @@ def test_tray_and_what_it_feels(panda, space):
     assert relative(chain.w[:, :, j] * h, (a.w - b.w) / 2) < 2e-4
 
 
+@pytest.mark.slow
 def test_wrench_and_contact_rows(panda):
     """Contact wrench of the object as it truly is, and its facets, over rollouts; friction, place and tilt included."""
     chain = arm_chain(panda.model, panda.joint, space="joint", t=T)

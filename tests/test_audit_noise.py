@@ -137,7 +137,9 @@ def test_white_noise_is_hardly_ever_taken_for_motion():
     assert alarms <= 12  # the probability is 0.1 each; more than 12 of 40 would come by chance once in 10^4
 
 
-@pytest.mark.parametrize(("frequency", "cycles"), [(50, 1), (50, 16), (20, 8), (5, 4)])
+@pytest.mark.parametrize(
+    ("frequency", "cycles"), [(50, 1), (5, 4), *(pytest.param(*x, marks=pytest.mark.slow) for x in ((50, 16), (20, 8)))]
+)
 def test_a_shake_is_found_in_noise_by_its_energy(frequency, cycles):
     # Nine standard deviations over its own window, wherever it begins.
     rate, missed = 1000, 0

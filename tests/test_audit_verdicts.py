@@ -280,6 +280,7 @@ def test_waypoints_without_velocities_are_no_command(tmp_path):
     assert audit(path, CUBE).outcome == "cannot_tell"
 
 
+@pytest.mark.slow
 def test_commands_that_leave_something_open(tmp_path):
     t = np.linspace(0, 2, 41)
     u = t / 2

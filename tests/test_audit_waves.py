@@ -36,7 +36,7 @@ def line(duration, noise=0.0, rate=800.0):
         pytest.param(2.2, 0.0, "holds", marks=pytest.mark.slow),
         (1.0, 0.0, "does_not_hold"),
         (2.2, 1e-6, "holds"),
-        (2.2, 2e-3, "cannot_tell"),
+        pytest.param(2.2, 2e-3, "cannot_tell", marks=pytest.mark.slow),
     ],
 )
 def test_a_recorded_line_is_dry_or_spills_or_is_seen_too_badly(cup, tmp_path, duration, noise, outcome):

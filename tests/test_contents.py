@@ -74,7 +74,7 @@ def test_never_optimistic_against_a_hundred_thousand_densities() -> None:
         uncertainty=None, objects__0__uncertainty__position=None
     )
     rng = np.random.default_rng(0)
-    w_E = nasty.felt(nasty.tray_motion(5, 3, 1.5))
+    w_E = nasty.felt(nasty.tray_motion(3, 3, 1.5))
     seen = nasty.true_body(made, made.payload.first, {})
     facets = nasty.TrueRows(made).facets[0]
     points, shares = densities(100_000, *limits(made), np.array(COM), rng)

@@ -45,8 +45,14 @@ def endless(x):
     return (np.inf, np.zeros_like(x)) if x[0] > 0.3 else (float(x @ x - 3 * x[0]), 2 * x - 3 * np.eye(len(x))[0])
 
 
-@pytest.mark.parametrize("at", [rosenbrock, wavy, largest_of_all, walled, cliff, endless])
-@pytest.mark.parametrize("steps", [1, 12, 80])
+@pytest.mark.parametrize(
+    ("steps", "at"),
+    [
+        pytest.param(steps, at, marks=[pytest.mark.slow] * (at is cliff and steps != 12))
+        for steps in (1, 12, 80)
+        for at in (rosenbrock, wavy, largest_of_all, walled, cliff, endless)
+    ],
+)
 def test_the_same_points_as_scipy(at, steps):
     rng = np.random.default_rng(3)
     for k in range(20):

@@ -254,7 +254,15 @@ def test_logs_that_tell_nothing_are_refused(plan: Plan, what: str, said: str) ->
         identify(plan, [broken(loaded, what)], empty)
 
 
-@pytest.mark.parametrize("slid", [0.0007, 0.001, 0.0015, -0.0015, 0.003, -0.003, 0.012, -0.012])
+@pytest.mark.parametrize(
+    "slid",
+    [
+        *(pytest.param(s, marks=pytest.mark.slow) for s in (0.0007, 0.0015, -0.0015, 0.003, -0.012)),
+        0.001,
+        -0.003,
+        0.012,
+    ],
+)
 def test_a_slip_of_the_load_is_seen_or_allowed_for(plan: Plan, slid: float) -> None:
     """The centre of mass moves along x in the middle of the run: the log is refused, or the range holds both places."""
     before = drawn(plan, 15)

@@ -197,7 +197,7 @@ def tumbling() -> PolynomialReference:
     return PolynomialReference(1.0, exp([0.4, -0.3, 1.0]), 0.2 * rng.normal(size=(7, 3)), 1.5 * rng.normal(size=(5, 3)))
 
 
-@pytest.mark.parametrize("name", ["mass", "com_y", "inertia_xz"])
+@pytest.mark.parametrize("name", ["com_y", *(pytest.param(x, marks=pytest.mark.slow) for x in ("mass", "inertia_xz"))])
 def test_tracking_motion_against_nonlinear_rollouts(name: str) -> None:
     """What the closed loop makes of wrong parameters, seen as a change of the tray's motion."""
     ranges = {"mass": 0.02, "com": [1e-3, 1e-3, 1e-3], "inertia": [1e-5] * 6}

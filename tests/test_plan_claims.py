@@ -199,6 +199,7 @@ def test_seeds_choose_other_postures() -> None:
     assert not any(np.allclose(first[1], q, atol=1e-6) for q in other[:2])
 
 
+@pytest.mark.slow
 def test_a_fastest_motion_is_another_with_another_seed_and_the_same_with_the_same() -> None:
     """With both postures free to choose."""
     case = load("panda-cube").with_changes(arm__start_posture=None, objects__0__uncertainty={})

@@ -111,10 +111,10 @@ def test_impossible_inertias_are_left_out():
     # A slender rod has Izz << Ixx = Iyy: half of the draws of Ixx against Iyy break the triangle inequality.
     data = cube(inertia=[2e-5, 2e-5, 6e-5])
     scenario = scenarios.parse(data, "test")
-    values = draw(scenario.payload.uncertain, 300, 0, "uniform", scenario.payload.bodies)
+    values = draw(scenario.payload.uncertain, 100, 0, "uniform", scenario.payload.bodies)
     xx, yy, zz = values.T
     assert np.all((xx + yy >= zz) & (xx + zz >= yy) & (yy + zz >= xx))
-    free = draw(scenario.payload.uncertain, 300, 0, "uniform")
+    free = draw(scenario.payload.uncertain, 100, 0, "uniform")
     assert not np.all(free[:, 0] + free[:, 1] >= free[:, 2])
 
 
@@ -122,7 +122,7 @@ def test_no_sample_needs_mass_outside_the_shape():
     # All mass in the faces x = +-a is the most that E[x^2] can be: a^2 m = (Iyy + Izz - Ixx) / 2.
     data = cube(mass="10%", inertia="95%", com=[0.015, 0.015, 0.0])
     scenario = scenarios.parse(data, "test")
-    values = draw(scenario.payload.uncertain, 300, 0, "uniform", scenario.payload.bodies)
+    values = draw(scenario.payload.uncertain, 100, 0, "uniform", scenario.payload.bodies)
     names = scenario.payload.uncertain.names
     column = {name: values[:, names.index(name)] for name in names}
     second_x = (column["inertia_yy"] + column["inertia_zz"] - column["inertia_xx"]) / 2

@@ -77,6 +77,7 @@ def test_way_lies_within_what_is_told_wherever_the_load_is_and_the_base_leans(sc
         assert least <= slid(0.2, steepest + leans, bend) <= most
 
 
+@pytest.mark.slow
 def test_short_tilt_is_as_steep_as_the_least_friction_allows(scenario: Scenario, plan: Plan) -> None:
     assert plan.ok
     w_steeper = short_tilt(scenario, 2 * FARTHEST)

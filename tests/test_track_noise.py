@@ -49,6 +49,7 @@ def done(plan: Plan) -> Callable[[str], tuple[Plan, Judge, Array, Array, float]]
     return by
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "seed"), [pytest.param(2e-5, 0, marks=pytest.mark.slow), (1e-4, 1)])
 @pytest.mark.parametrize("robot", [pytest.param(x, marks=[pytest.mark.slow] * (x != "friction")) for x in ROBOTS])
 def test_excess_from_noisy_logs_is_that_of_what_the_engines_arm_did(done, robot: str, noise: float, seed: int) -> None:

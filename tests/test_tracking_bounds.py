@@ -29,6 +29,7 @@ from salver.trajectory import JointMotion
 LOADS = {"single": nasty.single, "stack": nasty.stack, "pair": nasty.pair}
 CASES = [(load, kind) for load in LOADS for kind in ("box", "ellipsoid")]
 SOME = [("single", "ellipsoid"), ("stack", "ellipsoid"), ("pair", "box")]
+EVERY = [case if case in SOME else pytest.param(*case, marks=pytest.mark.slow) for case in CASES]
 POSTURE = np.array(load("panda-cube").arm.start_posture)
 SWING = np.array([0.5, -0.2, 0.2, 0.15, 0.3, 0.2, -0.4])
 T = np.linspace(0.0, 1.0, 41)
@@ -66,7 +67,7 @@ def felt_with(chain: ArmChain, at: slice = slice(None)) -> by_looking.Felt:
     return lambda change: chain.nominal.w[at] + linear @ deviations(chain, change)
 
 
-@pytest.mark.parametrize(("name", "kind"), CASES)
+@pytest.mark.parametrize(("name", "kind"), EVERY)
 def test_least_slack_of_a_small_set_is_attained(name: str, kind: str) -> None:
     """By a true load, on a tray that strays as the arm does: no parameter's two effects are added with a wrong sign."""
     chain, at = chain_of(name, kind), slice(None, None, 5)
@@ -207,9 +208,7 @@ def test_terms_of_the_load_add_up_to_the_true_load(name: str) -> None:
     assert np.median(first) > 5 * max(left)
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"), [case if case in SOME else pytest.param(*case, marks=pytest.mark.slow) for case in CASES]
-)
+@pytest.mark.parametrize(("name", "kind"), EVERY)
 def test_tubes_of_the_chain_hold_every_load_and_touch_one(name: str, kind: str) -> None:
     """Of torques, tray and joints: first order is attained; with products no sample of the set is outside."""
     chain = chain_of(name, kind, 0)

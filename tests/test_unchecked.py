@@ -448,24 +448,26 @@ def link_place(arm: ArmModel, link: str) -> Array:
     return np.asarray(0.5 * (data.oMi[joint].translation + data.oMi[joint + 1].translation))
 
 
-def test_all_kinds_of_pairs_that_move_are_looked_at() -> None:
+@pytest.mark.parametrize(
+    "model", ["panda", "ur5", *(pytest.param(x, marks=pytest.mark.slow) for x in ("xarm7", "gen3"))]
+)
+def test_all_kinds_of_pairs_that_move_are_looked_at(model: str) -> None:
     """Whatever two parts can come nearer to one another is compared, or named among what is left out."""
     case = scenario.load("panda-cube").with_changes(
         obstacles=[
             {"type": "sphere", "name": f"ball {k}", "radius": 0.05, "position": (0.5, 0.2 * k, 1.2)} for k in (0, 1)
         ]
     )
-    for model in ("panda", "ur5", "xarm7", "gen3"):
-        arm = load_arm(scenario.Arm(model=model), case.tray)
-        parts = arm_geometry(arm, case.payload.bodies, case.obstacles)
-        joints, names = [part.parentJoint for part in parts.model.geometryObjects], parts.names
-        told = {frozenset(pair) for pairs in parts.left_out.values() for pair in pairs}
-        told |= {frozenset((names[i], names[j])) for i, j in parts.pairs}  # by hulls, or by pieces of links
-        for j in range(len(names)):
-            for i in range(j):
-                moves = joints[i] != joints[j]
-                assert not moves or {names[i], names[j]} in told, (model, names[i], names[j])
-        assert len(parts.left_out) <= len(parts.unchecked)
+    arm = load_arm(scenario.Arm(model=model), case.tray)
+    parts = arm_geometry(arm, case.payload.bodies, case.obstacles)
+    joints, names = [part.parentJoint for part in parts.model.geometryObjects], parts.names
+    told = {frozenset(pair) for pairs in parts.left_out.values() for pair in pairs}
+    told |= {frozenset((names[i], names[j])) for i, j in parts.pairs}  # by hulls, or by pieces of links
+    for j in range(len(names)):
+        for i in range(j):
+            moves = joints[i] != joints[j]
+            assert not moves or {names[i], names[j]} in told, (model, names[i], names[j])
+    assert len(parts.left_out) <= len(parts.unchecked)
 
 
 def tilting(case: scenario.Scenario, line: Reference, largest: float) -> SampledReference:

@@ -20,6 +20,7 @@ from salver.scenario import Scenario
 
 LOADS = {"single": nasty.single, "stack": nasty.stack, "pair": nasty.pair}
 CASES = [(load, kind) for load in LOADS for kind in ("box", "ellipsoid")]
+SLOW = pytest.mark.slow
 
 
 def claimed(made: Scenario, w: Array) -> Array:
@@ -29,7 +30,10 @@ def claimed(made: Scenario, w: Array) -> Array:
 
 @pytest.mark.parametrize(
     ("load", "kind", "turning"),
-    [*((*case, 1.0) for case in CASES), ("single", "box", 0.0), ("single", "ellipsoid", 0.0)],
+    [
+        *((*case, 1.0) for case in CASES),
+        *(pytest.param("single", kind, 0.0, marks=SLOW) for kind in ("box", "ellipsoid")),
+    ],
 )
 def test_worst_case_lies_between_samples_and_what_is_documented(load: str, kind: str, turning: float) -> None:
     made = LOADS[load](kind)
@@ -109,7 +113,7 @@ def with_only(names: tuple[str, str], kind: str, slippery: str) -> Scenario:
 
 
 @pytest.mark.parametrize("names", TWO, ids="*".join)
-@pytest.mark.parametrize("slippery", ["lower", "upper"])
+@pytest.mark.parametrize("slippery", ["lower", pytest.param("upper", marks=SLOW)])
 def test_no_product_of_two_parameters_is_missed(names: tuple[str, str], slippery: str) -> None:
     """Large ranges: a box's worst case is attained wherever squares and product have the sign of the slopes."""
     made = with_only(names, "box", slippery)
@@ -125,7 +129,11 @@ def test_no_product_of_two_parameters_is_missed(names: tuple[str, str], slippery
     assert np.all(bound <= by_looking.documented(rows, w) + 1e-9)
 
 
-@pytest.mark.parametrize("names", [pair for pair in TWO if pair[0] != pair[1]], ids="*".join)
+@pytest.mark.parametrize(
+    "names",
+    [pytest.param(pair, marks=[SLOW] * (k % 2)) for k, pair in enumerate(TWO) if pair[0] != pair[1]],
+    ids="*".join,
+)
 def test_two_correlated_parameters(names: tuple[str, str]) -> None:
     made = with_only(names, "ellipsoid", "lower")
     rows, w = nasty.TrueRows(made), nasty.felt(nasty.tray_motion(20, 4, push=1.5))
