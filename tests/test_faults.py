@@ -18,7 +18,7 @@ from salver.files import load_npz
 NAN = float("nan")
 # A clock that runs ahead while the arm is stopped; frozen, false, swapped readings; torques that shake it, or throw a
 # joint against its stop.
-LEFT_TURNING = (20082, 20033, 20749, 20903, 20595, 20621, 20779, 20873, 20069, 20243, 20425, 20443, 20689, 20708)
+LEFT_TURNING = (20082, 20749, 20595, 20779, 20069, 20425, 20689)
 
 
 # One by one -----------------------------------------------------------------------------------------------------------
@@ -214,7 +214,7 @@ def test_an_arm_is_not_left_with_a_torque_that_would_move_it(rig: Rig) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [*range(6), *LEFT_TURNING])
+@pytest.mark.parametrize("seed", [*range(4), *LEFT_TURNING])
 def test_nothing_unsafe_leaves_and_no_log_is_lost(rig: Rig, safe: Rig, seed: int) -> None:
     """`python tests/faults.py -n 1000` throws a thousand."""
     faults = draw(seed)
@@ -223,7 +223,7 @@ def test_nothing_unsafe_leaves_and_no_log_is_lost(rig: Rig, safe: Rig, seed: int
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, 2, 9, 16, 29])
+@pytest.mark.parametrize("seed", [0, 9, 29])
 def test_an_arm_that_was_struck_comes_to_rest(rig: Rig, seed: int) -> None:
     """Some tens of a millisecond of up to all the torque of a joint: what is true is believed, however violent."""
     rng = np.random.default_rng([seed, 5])

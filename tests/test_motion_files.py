@@ -315,7 +315,7 @@ def test_every_command_takes_and_writes_a_plan_in_every_form(plan_in_every_form,
     assert again.form == form
     assert again.t[-1] == pytest.approx(1.2 * 1.5, abs=1e-9)
     assert slower["ok"]
-    if form not in ("csv", "message", "ros2"):  # a table, a message, a bag; MoveIt's message: above
+    if form not in ("csv", "ros2"):  # a table, a bag; each other one: above
         return
     typed("retime", path, *at, "-o", tmp_path / "run", "--write", tmp_path / f"fast{path.suffix}")
     fast = read(tmp_path / f"fast{path.suffix}", lambda: JOINTS, as_path=True)

@@ -291,10 +291,9 @@ def flip(content, at):
         lambda line: line.replace(b'"outcome":"holds"', b'"outcome":"slide"').replace(b"leaves cone", b"holds"),
     ],
 )
-def test_a_damaged_line_costs_one_run_and_a_sentence(run, made, damage):
+def test_a_damaged_line_costs_one_run_and_a_sentence(run, damage):
     journal = run / "campaign" / "journal.jsonl"
     lines = journal.read_bytes().splitlines()
-    whole = journal.read_bytes()
     lines[2] = damage(lines[2])
     journal.write_bytes(b"\n".join(lines) + b"\n")
     damaged = journal.read_bytes()
@@ -302,6 +301,17 @@ def test_a_damaged_line_costs_one_run_and_a_sentence(run, made, damage):
         assert len(opened.records) == 7
         assert opened.notes == [f"{journal}: line 3 is damaged; what was lost is made again, the damaged file is kept."]
     assert (run / "campaign" / "journal-1.jsonl").read_bytes() == damaged
+
+
+@pytest.mark.slow
+def test_what_a_damaged_line_said_is_made_again(run, made):
+    journal = run / "campaign" / "journal.jsonl"
+    whole = journal.read_bytes()
+    lines = whole.splitlines()
+    lines[2] = flip(lines[2], lines[2].index(b"com_x") + 12)
+    journal.write_bytes(b"\n".join(lines) + b"\n")
+    with Journal(run / "campaign") as opened:
+        assert len(opened.records) == 7
     again = run_campaign(run, n=4, engine="closed-loop", jobs=1)
     assert again.notes == ()  # once is enough
     assert sorted(journal.read_bytes().splitlines()) != sorted(lines)

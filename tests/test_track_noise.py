@@ -50,8 +50,10 @@ def done(plan: Plan) -> Callable[[str], tuple[Plan, Judge, Array, Array, float]]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise", "seed"), [pytest.param(2e-5, 0, marks=pytest.mark.slow), (1e-4, 1)])
-@pytest.mark.parametrize("robot", [pytest.param(x, marks=[pytest.mark.slow] * (x != "friction")) for x in ROBOTS])
+@pytest.mark.parametrize(
+    ("robot", "noise", "seed"),
+    [*((robot, 2e-5, 0) for robot in ROBOTS), ("friction", 1e-4, 1), ("unequal lags", 1e-4, 1)],
+)
 def test_excess_from_noisy_logs_is_that_of_what_the_engines_arm_did(done, robot: str, noise: float, seed: int) -> None:
     """Within 20 % or .005 up to 2e-5 rad of noise at 1 kHz, and at 1e-4 never less by more."""
     real, judge, t, q, true = done(robot)
