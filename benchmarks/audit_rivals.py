@@ -34,7 +34,7 @@ _GRAVITY = np.array([0.0, 0.0, -9.81])
 
 @dataclass(frozen=True)
 class Hidden:
-    """A wave of a motion, as `audit_survey.Wave` is one: value, first and second derivative of a spline."""
+    """A wave of a motion, as `audit_recordings.Wave` is one: value, first and second derivative of a spline."""
 
     spline: Any
 
@@ -47,7 +47,7 @@ class Hidden:
 
 
 def rivals(scenario: Scenario, motion: Any, rate: float, noise: float) -> list[Any]:
-    """Motions (`audit_survey.Motion`) of which the samples at this rate, with this noise, could be as well."""
+    """Motions (`audit_recordings.Motion`) of which the samples at this rate, with this noise, could be as well."""
     found = [_shake(scenario, motion, rate, noise)] if noise > 0 else []
     return found + ([_mirror(motion, rate)] if rate < 2 * HIGHEST else [])
 

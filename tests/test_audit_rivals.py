@@ -10,14 +10,14 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "benchmarks"))
 
+import audit_recordings
 import audit_rivals
-import audit_survey
 
 
 def drawn(arm: bool, seed: int = 3):
     for index in range(40):
         rng = np.random.default_rng([seed, index])
-        scenario, motion, *_ = audit_survey.draw(rng)
+        scenario, motion, *_ = audit_recordings.draw(rng)
         if (motion.arm is not None) == arm:
             return scenario, motion
     raise AssertionError("no such motion was drawn")

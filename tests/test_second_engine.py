@@ -9,11 +9,12 @@ import pytest
 pytest.importorskip("pydrake", reason="drake is not installed")
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
+from by_hand import rocking
 from salver.scenario import load
 from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import min_jerk_line
-from second_engine import in_drake, onset, random_cases, rocking
+from second_engine import in_drake, onset, random_cases
 
 
 def test_sliding_begins_where_coulomb_says():

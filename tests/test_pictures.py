@@ -1,0 +1,86 @@
+"""Without the engine, without OpenGL, and with both: one sentence, a drawing, pictures of the load."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from salver import scenario as scenarios
+from salver.errors import MissingDependencyError
+from salver.planning.make import make_plan
+from salver.simulation.physics import simulate
+from salver.simulation.render import NoOpenGLError, View, painter, snapshots
+
+
+@pytest.fixture(scope="module")
+def baseline():
+    return make_plan(scenarios.load("panda-cube"), "baseline")
+
+
+@pytest.fixture(scope="module")
+def nominal(baseline):
+    return simulate(baseline)
+
+
+@pytest.mark.slow
+def test_missing_engine_is_one_sentence():
+    code = (
+        "import sys; sys.modules['mujoco'] = None\n"
+        "from salver.errors import MissingDependencyError\n"
+        "try:\n    import salver.simulation.physics\n"
+        "except MissingDependencyError as error:\n    print(error)"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "mujoco" in out
+    assert len(out.strip().splitlines()) == 1
+    assert issubclass(MissingDependencyError, Exception)
+
+
+@pytest.mark.slow
+def test_physics_loads_whatever_opengl_is_asked_for():
+    code = "import salver.simulation.physics, os; print(os.environ['MUJOCO_GL'])"
+    environment = os.environ | {"MUJOCO_GL": "osmesa"}
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    ).stdout
+    assert out.strip() == "osmesa"
+
+
+@pytest.mark.slow
+def test_pictures_fall_back_when_there_is_no_opengl(nominal, baseline, monkeypatch):
+    monkeypatch.setattr("salver.simulation.render._BACKENDS", ())
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    pictures = snapshots(nominal, baseline.scenario, [0.0], width=320, height=240)
+    assert pictures.renderer == "matplotlib"
+    assert "OpenGL" in pictures.note
+    assert pictures.images.shape == (1, 240, 320, 3)
+    assert len(np.unique(pictures.images)) > 2
+    from_above = View(nominal.p_SE[0], 1.0, azimuth=90.0, elevation=-90.0)
+    (image,) = snapshots(nominal, baseline.scenario, [0.0], width=300, height=300, view=from_above).images
+    edge = np.all(image == 89, axis=2)  # the grey of the tray's edges
+    width, depth = (np.ptp(np.flatnonzero(edge.sum(axis=k) > 20)) for k in (0, 1))
+    assert width > 30
+    assert width == pytest.approx(depth, abs=2)  # a square tray is a square
+
+
+@pytest.mark.slow
+def test_pictures_show_the_object_move(nominal, baseline):
+    try:
+        with painter(nominal, baseline.scenario, 320, 240) as paint:
+            images = [paint(0), paint(len(nominal.t) - 1)]
+    except NoOpenGLError as error:
+        pytest.skip(str(error))
+
+    def where(image):
+        """Centre of the pixels with the cube's colour: red well above green and blue."""
+        r, g, b = (image[..., i].astype(int) for i in range(3))
+        rows, columns = np.nonzero((r > 90) & (r > 2 * g) & (r > 2 * b))
+        assert len(rows) > 20
+        return np.array([columns.mean(), rows.mean()])
+
+    # it is carried to +y of S, which from in front of the arm is to the right
+    assert where(images[1])[0] - where(images[0])[0] > 20
