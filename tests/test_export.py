@@ -187,7 +187,7 @@ def test_mujoco_scene_of_a_stack_without_an_arm_stands(tmp_path: Path) -> None:
 
 def test_a_urscript_streams_the_joints_of_the_plan_at_its_controllers_rate(tmp_path: Path) -> None:
     """Read as a robot's controller would: every servoj holds for one period, from the start to rest at the goal."""
-    make_plan(scenario.load("ur10-bottle"), "baseline").save(tmp_path / "run", "plan")
+    make_plan(scenario.load("ur5-bottle"), "baseline").save(tmp_path / "run", "plan")
     (path,) = write_export(tmp_path / "run", "urscript")
     plan = load_plan(tmp_path / "run", "plan")
     assert path.name == "plan.script"
