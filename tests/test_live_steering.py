@@ -163,7 +163,7 @@ def test_what_cannot_be_followed_is_refused_in_a_sentence(cube):
 def test_where_a_step_led_the_rows_of_the_next_programme_are_exact(cube, monkeypatch):
     """Those that were near there: R x - b is what they are along the bend that was tried."""
     bends, found = [], {}
-    bend, evaluate, programme, solve = steer.Steering._bend, steer.evaluate, steer._programme, steer.qp.solve
+    bend, evaluate, programme, solve = steer.Steering._bends, steer.evaluate, steer._programme, steer.qp.solve
 
     def bending(*given):
         bends.append(([], []))
@@ -182,7 +182,7 @@ def test_where_a_step_led_the_rows_of_the_next_programme_are_exact(cube, monkeyp
         return found[id(programme)]
 
     live = Live(cube, lead=TICK)
-    monkeypatch.setattr(steer.Steering, "_bend", bending)
+    monkeypatch.setattr(steer.Steering, "_bends", bending)
     monkeypatch.setattr(steer, "evaluate", evaluating)
     monkeypatch.setattr(steer, "_programme", posing)
     monkeypatch.setattr(steer.qp, "solve", solving)
@@ -216,3 +216,15 @@ def test_of_two_conditions_of_one_name_neither_takes_from_the_other_what_is_kept
     caution.broken("pace", 1.0)  # and of neither more than ten times a planner's margin
     assert caution.margins([block(margin) for margin in (1e-3, 1e-4)]) == pytest.approx([1e-2, 1e-3])
     assert caution.kept == pytest.approx({"pace": 1e-2})
+
+
+def test_a_small_bend_is_judged_at_once_and_a_large_one_is_tried_before(cube, monkeypatch):
+    """A hand that wants 2 cm/s, and one that wants 2 m/s: what is then committed keeps all rows either way."""
+    programmes, solve = [], steer.qp.solve
+    monkeypatch.setattr(steer.qp, "solve", lambda *given: programmes.append(1) or solve(*given))
+    for speed, once in ((0.02, True), (2.0, False)):
+        programmes.clear()
+        live = Live(cube, lead=TICK)
+        states = drive(live, TICK, [(0.0, lambda live, v=speed: live.twist([v, 0, 0]))], EVERY)
+        assert (len(programmes) == 1) == once
+        check(live, in_turn(states, drive(live, 0.9, every=None, begins=TICK)))
