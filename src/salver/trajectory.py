@@ -312,23 +312,25 @@ class Quintics:
 
     def several(self, t: Array, orders: Sequence[int]) -> list[Array]:
         """(T, d) each: value and derivatives, as `at`."""
-        piece = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
-        u = ((t - self.t[piece]) / (self.t[piece + 1] - self.t[piece]))[:, None]
+        piece = np.minimum(np.maximum(np.searchsorted(self.t, t, side="right") - 1, 0), len(self.t) - 2)
+        before = self.t[piece]
+        u = ((t - before) / (self.t[piece + 1] - before))[:, None]
+        k = np.arange(len(self.coefficients))
+        rising, falling = u**k, (1 - u) ** k[::-1]
         found = []
         for order in orders:
             control = self._controls[order]
-            k = np.arange(len(control))
-            weights = _binomial(len(control)) * u**k * (1 - u) ** k[::-1]
-            found.append((weights[:, None] @ np.swapaxes(control, 0, 1)[piece])[:, 0])
+            weights = _binomial(control.shape[1]) * rising[:, : control.shape[1]] * falling[:, order:]
+            found.append((weights[:, None] @ control[piece])[:, 0])
         return found
 
     @cached_property
     def _controls(self) -> list[Array]:
-        """Bernstein coefficients of the value and its first three derivatives."""
+        """(n, ., d) Bernstein coefficients of the value and its first three derivatives, piece by piece."""
         found, h = [self.coefficients], np.diff(self.t)[:, None]
         for degree in range(len(self.coefficients) - 1, len(self.coefficients) - 4, -1):
-            found.append(degree * np.diff(found[-1], axis=0) / h)
-        return found
+            found.append(degree * (found[-1][1:] - found[-1][:-1]) / h)
+        return [np.ascontiguousarray(np.swapaxes(control, 0, 1)) for control in found]
 
 
 @lru_cache(maxsize=8)
@@ -358,16 +360,11 @@ def _quintic_bernstein(first: Array, last: Array, h: Array) -> Array:
     """(6, n, d) Bernstein coefficients of quintics with (value, rate, acceleration) (3, n, d) at both ends."""
     h = h[:, None]
     (p0, v0, a0), (p1, v1, a1) = first, last
-    return np.stack(
-        [
-            p0,
-            p0 + h * v0 / 5,
-            p0 + 2 * h * v0 / 5 + h**2 * a0 / 20,
-            p1 - 2 * h * v1 / 5 + h**2 * a1 / 20,
-            p1 - h * v1 / 5,
-            p1,
-        ]
-    )
+    found = np.empty((6, *p0.shape))
+    found[0], found[5] = p0, p1
+    found[1], found[4] = p0 + h * v0 / 5, p1 - h * v1 / 5
+    found[2], found[3] = p0 + 2 * h * v0 / 5 + h**2 * a0 / 20, p1 - 2 * h * v1 / 5 + h**2 * a1 / 20
+    return found
 
 
 @dataclass(frozen=True, repr=False)
