@@ -231,7 +231,7 @@ def test_a_correction_is_tried_where_a_step_brings_less_than_it_promised_and_onl
         task = programme(Along((1.0, 20.0)), rows)
         path = task.begin(np.array([[0.0, 0.0]]), 1.0)
         masks = [np.ones((1, 1), dtype=bool)]
-        tried = sqp._attempt(task, path, masks, Trust(penalty=100.0), [np.zeros((1, 1))], 0.8)
+        tried = sqp._attempt(task, path, masks, Trust(penalty=100.0), [], Options())
         assert tried is not None
         assert tried.programmes == programmes
 

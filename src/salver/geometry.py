@@ -16,15 +16,14 @@ GRAVITY_S: Array = np.array([0.0, 0.0, -9.81])
 GRAVITY_S.setflags(write=False)
 
 _SMALL = 1e-4  # rad; below this the series is exact to rounding
+_HAT = np.zeros((3, 9))  # of a vector to its skew matrix, row by row
+_HAT[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1.0, 1.0, 1.0, -1.0, -1.0, 1.0
 
 
 def hat(x: npt.ArrayLike) -> Array:
     """Skew matrix (..., 3, 3) of vectors (..., 3): hat(x) y = x cross y."""
     x = np.asarray(x, dtype=float)
-    matrix = np.zeros((*x.shape, 3))
-    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -x[..., 2], x[..., 1], -x[..., 0]
-    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = x[..., 2], -x[..., 1], x[..., 0]
-    return matrix
+    return np.asarray((x @ _HAT).reshape(*x.shape, 3))
 
 
 def cross(a: Array, b: Array) -> Array:

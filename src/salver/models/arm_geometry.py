@@ -110,9 +110,10 @@ class ArmGeometry:
 
     def _measure(self, q: Array, low: Array, nodes: npt.NDArray[np.intp], within: float | Array) -> None:
         """Put exact distances where those in `low` (N, pairs) are below `within`, at some of the postures (N, n)."""
-        arm, data, place = self.arm.pin_model, self.arm.data, (self.model, self.data)
-        results = list(self.data.distanceResults)  # views of what each call fills; making them takes longer than it
         due = low[nodes] < within
+        if not due.any():
+            return
+        arm, data, place, results = self.arm.pin_model, self.arm.data, (self.model, self.data), self._results
         whole = due.all(axis=1)
         for k in nodes[whole].tolist():
             pin.computeDistances(arm, data, *place, q[k])
@@ -123,6 +124,11 @@ class ArmGeometry:
             for pair in some.nonzero()[0].tolist():
                 pin.computeDistance(*place, pair)
                 low[k, pair] = results[pair].min_distance
+
+    @cached_property
+    def _results(self) -> list[Any]:
+        """Of each pair, views of what is filled when it is compared; to make them takes longer than that."""
+        return list(self.data.distanceResults)
 
     @cached_property
     def _last(self) -> dict[int, tuple[Array, Array]]:
@@ -168,7 +174,7 @@ class ArmGeometry:
         By the velocities of the two nearest points along the normal between them; where those jump (a face
         meets a face) it is one of the one-sided derivatives.
         """
-        model, data, results = self.arm.pin_model, self.arm.data, list(self.data.distanceResults)
+        model, data, results = self.arm.pin_model, self.arm.data, self._results
         normal, points = np.empty((len(node), 1, 3)), np.empty((len(node), 2, 3))
         velocity = np.empty((len(node), 6, self.arm.n))  # of each joint: of the point at the world's origin, and turn
         last = -1
@@ -228,7 +234,8 @@ class ArmGeometry:
         """The same parts with some of the pairs, by their indices."""
         chosen = list(pairs)
         found = _with_pairs(self, tuple(self.pairs[k] for k in chosen))
-        found.__dict__["_levers"] = self._levers[chosen]  # asked for again and again where motions are looked at live
+        # Asked for again and again, along every motion that is looked at.
+        vars(found).update(_levers=self._levers[chosen], _carried=self._carried[chosen])
         return found
 
     def in_the_way(self, p_SE: Array, R_SE: Array) -> tuple[str, str] | None:

@@ -74,6 +74,11 @@ class UncertainRows:
     mass_signs: Array
     fillings: tuple[Filling, ...] = field(default=(), kw_only=True)
 
+    @property
+    def certain(self) -> bool:
+        """Whether they are the same whatever the parameters."""
+        return not (len(self.parameter) or len(self.remainder) or self.fillings)
+
     def terms(self, w: Array) -> Array:
         """(T, n, n_p + n_r) c_k . w and then d_l . w, of w (T, 12)."""
         return np.moveaxis(np.tensordot(w, np.concatenate([self.parameter, self.remainder]), axes=(1, 2)), 1, 2)
@@ -169,6 +174,10 @@ class WorstCase:
     def attained_swinging(self, node: Indices, row: Indices) -> tuple[Array, Array]:
         """`attained`, and (r,) the side of the drift's swing on which it is: -1 or 1, 0 without a swing."""
         rows, nominal = self.rows, self.rows.nominal[row]
+        if rows.certain and (self.drift is None or not self.drift.terms):
+            if self.drift is None or self.drift.swing is None:
+                return nominal, np.zeros(len(row))
+            return nominal, np.where(np.einsum("rk,rk->r", nominal, self.drift.swing[node]) > 0.0, 1.0, -1.0)
         stacked = np.concatenate([rows.parameter[:, row], rows.remainder[:, row]])
         fillings = tuple(filling.only(row) for filling in rows.fillings)
         found: list[tuple[Array, Array, float]] = []
@@ -272,6 +281,9 @@ class _Case:
 
 def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
     """(T, n) worst case, in pieces of time."""
+    if rows.certain and (drift is None or not drift.terms):
+        either = [side @ rows.nominal.T for _, side in _sides(w, drift)]
+        return np.maximum(*either) if len(either) > 1 else either[0]
     n_k, n = 0 if drift is None else len(drift.terms), len(rows.nominal)
     per_row = len(rows.parameter) + len(rows.remainder) + n_k + 30 * len(rows.fillings)
     values = np.empty((len(w), n))

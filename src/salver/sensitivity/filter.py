@@ -200,6 +200,12 @@ def _fine(pieces: int) -> tuple[Array, Array]:
     return inside, np.tile(_FINE_WEIGHTS, pieces) / pieces
 
 
+@lru_cache(maxsize=_MOST_PIECES)
+def _left(pieces: int) -> Array:
+    """(G + 1,) shares of a step that are left at the points of `_fine`, and at its beginning."""
+    return np.append(1 - _fine(pieces)[0], 1.0)
+
+
 @lru_cache(maxsize=64)
 def _weighed(shares: bytes, order: int, pieces: int) -> tuple[npt.NDArray[np.intp], Array]:
     """`_lagrange` where integrals are taken, with their weights: the same in any unit of time."""
@@ -227,10 +233,13 @@ def fastest_rate(kp: float, kd: float) -> float:
 
 def transition(kp: float, kd: float, t: npt.ArrayLike) -> Array:
     """(..., 2, 2): (x, x') at t = 0 to those t seconds later, without a drive."""
-    t = np.asarray(t, dtype=float)
-    cosine, sine = _ringing(kp, kd, t)
+    return _transition(kp, kd, *_ringing(kp, kd, np.asarray(t, dtype=float)))
+
+
+def _transition(kp: float, kd: float, cosine: Array, sine: Array) -> Array:
+    """`transition` by what `_ringing` gives."""
     own = 0.5 * kd * sine
-    found = np.empty((*t.shape, 2, 2))
+    found = np.empty((*np.shape(sine), 2, 2))
     found[..., 0, 0], found[..., 0, 1], found[..., 1, 0], found[..., 1, 1] = (
         cosine + own,
         sine,
@@ -335,12 +344,14 @@ _PARTIAL = _partial_weights()
 def _on_nodes(t: bytes, kp: float, kd: float, order: int, shares: bytes) -> LinearFilter:
     """`LinearFilter.on_nodes`: of motions that change while they run, the same nodes come again and again."""
     nodes = np.frombuffer(t)
-    h = np.diff(nodes)
+    h = nodes[1:] - nodes[:-1]
     pieces = _pieces(kp, kd, h)
     samples, basis = _weighed(shares, order, pieces)
-    after = pushed(kp, kd, h[:, None] * (1 - _fine(pieces)[0]))  # (2, T - 1, G)
-    gain = np.swapaxes(after * h[:, None], 0, 1) @ basis
-    return LinearFilter(kp, kd, transition(kp, kd, h), gain, samples)
+    # What is left of a step at each of the points at which its integral is taken, and all of it.
+    cosine, sine = _ringing(kp, kd, h[:, None] * _left(pieces))
+    after = np.stack([sine[:, :-1], (cosine - 0.5 * kd * sine)[:, :-1]], axis=1)
+    gain = after * h[:, None, None] @ basis
+    return LinearFilter(kp, kd, _transition(kp, kd, cosine[:, -1], sine[:, -1]), gain, samples)
 
 
 @lru_cache(maxsize=64)

@@ -155,12 +155,12 @@ def padded(rows: Array, n: int) -> Array:
     return out
 
 
-def both_sides(scaled: Array, extra: Array | float = 0.0) -> Array:
-    """(N, 2 m) rows that keep shares of a limit (N, m), and what is uncertain about them, within -1 and 1."""
+def both_sides(scaled: Array, extra: Array | float = -1.0) -> Array:
+    """(N, 2 m) rows that keep shares of a limit (N, m) within -1 and 1; extra: that limit, negative, and with it what
+    is uncertain about the shares."""
     out = np.empty((len(scaled), 2 * scaled.shape[1]))
     np.add(extra, scaled, out=out[:, : scaled.shape[1]])
     np.subtract(extra, scaled, out=out[:, scaled.shape[1] :])
-    out -= 1.0
     return out
 
 
@@ -175,15 +175,18 @@ class JointLimit(Constraint):
     limits: JointLimits
 
     @cached_property
-    def _ranges(self) -> list[tuple[LimitKind, Array, Array, Indices]]:
-        """Kind, middle and half-width of the joints that have one, and which these are."""
+    def _ranges(self) -> list[tuple[LimitKind, Array, Array, Indices, Indices | slice]]:
+        """Kind, middle and half-width of the joints that have one, and which these are; to take what is theirs."""
         ranges = [(kind, *self.limits.range(kind)) for kind in LIMITS if kind.of == "position"]
         given = [(kind, middle, half, np.flatnonzero(np.isfinite(half))) for kind, middle, half in ranges]
-        return [(kind, middle[finite], half[finite], finite) for kind, middle, half, finite in given]
+        return [
+            (kind, middle[finite], half[finite], finite, finite if len(finite) < len(half) else slice(None))
+            for kind, middle, half, finite in given
+        ]
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         n, points = motion.n, np.arange(len(motion.s))
-        for kind, middle, half, finite in self._ranges:
+        for kind, middle, half, finite, theirs in self._ranges:
             if not len(finite):
                 continue
             order = kind.order
@@ -196,10 +199,10 @@ class JointLimit(Constraint):
                 rows[np.arange(len(i)), order * n + finite[k]] = sign / half[k]
                 return rows
 
-            extra: Array | float = 0.0
+            extra: Array | float = -1.0
             if order < 2 and motion.response is not None:
-                extra = motion.between_nodes(motion.joint_radius(order)[:, finite]) / half
-            values = both_sides((motion.z[order][:, finite] - middle) / half, extra)
+                extra = motion.between_nodes(motion.joint_radius(order)[:, theirs]) / half - 1.0
+            values = both_sides((motion.z[order][:, theirs] - middle) / half, extra)
             # A derivative of order k goes with T^-k; a little more, for what else is nonlinear.
             slows = 1.5 if order == 0 else 1.0 / order + 0.02
             yield Block(kind.name, values, gradient, points, scales=order > 0, slows=slows, inherits=order < 3)
@@ -216,9 +219,9 @@ class TorqueLimit(Constraint):
         if not len(finite):
             return
         bound = self.limits.torque[finite]
-        extra: Array | float = 0.0
+        extra: Array | float = -1.0
         if motion.response is not None:
-            extra = motion.torque_radius()[:, finite] / bound
+            extra = motion.torque_radius()[:, finite] / bound - 1.0
 
         def gradient(i: Indices, f: Indices) -> Array:
             column, sign = f % len(finite), np.where(f < len(finite), 1.0, -1.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -153,9 +153,10 @@ class FreeCurve:
         if goal is None or start is None:
             return None
         # Moving an end alone would be a jolt: the whole motion follows it, the less the further away.
-        share = min_jerk_blend(np.linspace(0, 1, len(coefficients)))[:, None]
+        share = _ramp(len(coefficients))
         moved = coefficients + (1 - share) * (start - coefficients[0]) + share * (goal - coefficients[-1])
-        return np.vstack([start, moved[1:-1], goal])
+        moved[0], moved[-1] = start, goal
+        return np.asarray(moved)
 
     @cached_property
     def _launch(self) -> Array | None:
@@ -168,6 +169,12 @@ class FreeCurve:
     def _launched(self, duration: float) -> Array:
         assert self._launch is not None
         return np.asarray(self._launch * duration ** (np.arange(1.0, 3.0)[:, None, None, None] - ORDERS))
+
+
+@lru_cache(maxsize=16)
+def _ramp(count: int) -> Array:
+    """(count, 1) from 0 to 1, level at both ends."""
+    return min_jerk_blend(np.linspace(0, 1, count))[:, None]
 
 
 def launch_basis(s: Array) -> Array:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from salver.geometry import Array
 from salver.models.parameters import Parameter
 from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
-from salver.sensitivity.arm.tracking import Deviation, JointLoop
+from salver.sensitivity.arm.tracking import Deviation, JointLoop, Reaction
 from salver.sensitivity.sloshing import Slosh, given_way
 from salver.sensitivity.waves import Case, along
 
@@ -150,6 +150,11 @@ class Evaluation:
         return self.z[:, self.nodes]
 
     @cached_property
+    def shares(self) -> Array:
+        """(N,) of the motion's time, at which the nodes are."""
+        return self.s[self.nodes]
+
+    @cached_property
     def terms(self) -> MotionTerms:
         """What the tray feels and the torque it takes at the nodes; derivatives too, when they are read."""
         q, dq, ddq = self.at_nodes[:3]
@@ -160,7 +165,7 @@ class Evaluation:
         """What a wrong load and held commands do to the arm at the nodes."""
         if self.tracking is None:
             return None
-        shares = self.s[self.nodes]
+        shares = self.shares
         return self.tracking.along(shares * self.duration, self.terms, self.at_nodes[1:], shares=shares)
 
     def straying_as(self, other: Evaluation) -> Evaluation:
@@ -172,7 +177,7 @@ class Evaluation:
         """This motion, with an arm that gives way to its load and to its waves as along a motion like it, at the same
         shares of its time."""
         self.straying_as(other)
-        t = self.s[self.nodes] * self.duration
+        t = self.shares * self.duration
         self.__dict__["_waves"] = other._waves.along(t, self.terms.w)
         return self
 
@@ -193,47 +198,56 @@ class Evaluation:
 
     @cached_property
     def _waves(self) -> Sloshing:
-        return Sloshing.of(self.liquids, self.s[self.nodes] * self.duration, self.terms.w, self.response)
+        return Sloshing.of(self.liquids, self.shares * self.duration, self.terms.w, self.response)
 
     def joint_radius(self, order: int) -> Array:
         """(N, n) most by which the joints' position (order 0) or velocity (1) can differ from the plan's at the nodes:
         for a wrong load, held commands and what liquids push."""
         assert self.response is not None
         name = ("q", "dq")[order]
-        slosh = given_way(self.sloshing, lambda reaction: getattr(reaction.joints, name))
-        return np.asarray(self.response.joint_radius(order) + slosh)
+        return self._wider(self.response.joint_radius(order), lambda reaction: getattr(reaction.joints, name))
 
     def torque_radius(self) -> Array:
         """(N, n) the same for the commanded torque, N m."""
         assert self.response is not None
-        return np.asarray(self.response.torque_radius() + given_way(self.sloshing, lambda reaction: reaction.torque))
+        return self._wider(self.response.torque_radius(), lambda reaction: reaction.torque)
 
     def tray_radius(self) -> tuple[Array, Array]:
         """The same for the tray's position (N, 3) in S, m, and its orientation (N, 3) in E, rad."""
         assert self.response is not None
         position, turn = self.response.tray_radius()
-        moved, turned = (given_way(self.sloshing, lambda x, k=k: x.tray.state[:, k : k + 3]) for k in (0, 3))  # type: ignore[misc]
-        return position + moved, turn + turned
+        moved = self._wider(position, lambda reaction: reaction.tray.state[:, :3])
+        return moved, self._wider(turn, lambda reaction: reaction.tray.state[:, 3:6])
+
+    def _wider(self, radius: Array, what: Callable[[Reaction], Array]) -> Array:
+        """A radius (N, m), and what liquids add to it."""
+        return np.asarray(radius + given_way(self.sloshing, what)) if self.liquids else radius
 
     @cached_property
     def steps(self) -> Array:
         """(N - 1,) s from node to node."""
-        return np.diff(self.s[self.nodes]) * self.duration
+        return np.asarray((self.shares[1:] - self.shares[:-1]) * self.duration)
 
     def between_nodes(self, values: Array) -> Array:
         """(P, m) at all points, linear between the nodes, of values (N, m) there."""
-        before, share = self._between
-        return np.asarray(values[before] + share * (values[before + 1] - values[before]))
-
-    @cached_property
-    def _between(self) -> tuple[Indices, Array]:
-        """(P,) the node before each point, and (P, 1) its share of the way to the next one."""
-        nodes = self.s[self.nodes]
-        before = np.clip(np.searchsorted(nodes, self.s, side="right") - 1, 0, len(nodes) - 2)
-        return before, ((self.s - nodes[before]) / (nodes[before + 1] - nodes[before]))[:, None]
+        if len(self.nodes) == len(self.s):
+            return values
+        before, share = _between(self.s.tobytes(), self.nodes.tobytes())
+        at = values[before]
+        return np.asarray(at + share * (values[before + 1] - at))
 
     def eased(self, points: Indices) -> Array:
         """(N,) share of a margin that is asked for at points: all, but less soon after a moving start."""
         if not self.moving:
             return np.ones(len(points))
         return np.minimum(self.s[points] / EASING, 1.0)
+
+
+@lru_cache(maxsize=16)
+def _between(points: bytes, nodes: bytes) -> tuple[Indices, Array]:
+    """(P,) the node before each point, and (P, 1) its share of the way to the next one; of points (P,) and the indices
+    of those that are nodes."""
+    s = np.frombuffer(points)
+    at = s[np.frombuffer(nodes, dtype=np.intp)]
+    before = np.clip(np.searchsorted(at, s, side="right") - 1, 0, len(at) - 2)
+    return before, ((s - at[before]) / (at[before + 1] - at[before]))[:, None]

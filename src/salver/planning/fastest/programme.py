@@ -97,7 +97,10 @@ class Linearised:
     where: tuple[tuple[int, Indices, Indices], ...] = ()
 
     def by_block(self, values: Array, blocks: Sequence[Block]) -> tuple[Array, ...]:
-        """Values of rows (r,), as each block (N, m) has them, 0 elsewhere."""
+        """Values of rows (r,), as each block (N, m) has them, 0 elsewhere; none, where none has a curvature that asks
+        for them."""
+        if all(block.curvature is None for block in blocks):
+            return ()
         found, begin = tuple(np.zeros(block.values.shape) for block in blocks), 0
         for k, node, column in self.where:
             found[k][node, column] = values[begin : begin + len(node)]
@@ -205,7 +208,8 @@ class Programme:
             scales.append(np.full(len(node), 1 + step[-1] * (free and block.scales)))
         value = np.concatenate(scales) * np.concatenate(values)
         near = value > -max(SHALLOWEST, STILL_NEAR * trial.violation)
-        return Linearised(rows.matrix[near], rows.matrix[near] @ step - value[near])
+        matrix = rows.matrix[near]
+        return Linearised(matrix, matrix @ step - value[near])
 
     def beyond_kinks(self, path: Iterate, trial: Iterate) -> Linearised:
         """Violated rows of a trial that have kinks, linearised there: beyond one the path's derivative is no help."""
@@ -242,24 +246,26 @@ class Programme:
 
     def subproblem(self, path: Iterate, trust: Trust, prices: Sequence[Array] = ()) -> Subproblem:
         """The quadratic programme of an iteration, without its rows."""
-        (size, m), count = path.coefficients.shape, path.coefficients.size
+        m, count = self.curve.width, path.coefficients.size
         model = self.objective.model(self.curve, path.point)
         weights = trust.damping * np.array([1.0, ACCELERATION_WEIGHT, JERK_WEIGHT])
         weights /= path.duration ** np.array([0.0, 4.0, 6.0])
-        hessian = np.zeros((count + 2, count + 2))
-        of_all = hessian[:count, :count].reshape(size, m, size, m)  # a view; the curves do not mix
-        of_all[:, range(m), :, range(m)] = np.tensordot(weights, self.metric, axes=1)
+        hessian, metric = np.zeros((count + 2, count + 2)), np.tensordot(weights, self.metric, axes=1)
+        for curve in range(m):  # they do not mix
+            hessian[curve:count:m, curve:count:m] = metric
         if model.curvature is not None:
             hessian[:count, :count] += model.curvature
         if prices:
             hessian[: count + 1, : count + 1] += self.bends(path, prices)
-        hessian[range(count + 2), range(count + 2)] += np.r_[np.full(count, RIDGE), SCALAR_RIDGE, SCALAR_RIDGE]
+        ridge = hessian.ravel()[:: count + 3]
+        ridge[:count] += RIDGE
+        ridge[count:] += SCALAR_RIDGE
         cost = np.concatenate([model.slope, [model.by_scalar, trust.penalty]])
         low, high = np.full(count + 2, -LARGEST_MOVE), np.full(count + 2, LARGEST_MOVE)
         low[-2:], high[-2:] = (-trust.largest_shrink, 0.0), (LONGEST_STRETCH, np.inf)
         first, last = self.curve.fixed()
         scalar = [] if self.objective.scalar is Scalar.NONE else [count]
-        free = np.r_[first : count - last, scalar, count + 1].astype(int)
+        free = np.array([*range(first, count - last), *scalar, count + 1])
         equal, target = self.curve.equalities(path.coefficients)
         extra, extra_bound = self.curve.inequalities(path.coefficients)
         return Subproblem(hessian, cost, low, high, free, equal, target, extra, extra_bound)
@@ -286,6 +292,7 @@ class Subproblem:
         """The step (coefficients, scalar), the slack that is left, and the rows' multipliers: what a unit of violation
         is worth. None when the solver gives up."""
         free, count = self.free, len(rows.bound)
+        some = slice(free[0], free[-1] + 1) if free[-1] - free[0] < len(free) else free
         known = free[free < self.extra.shape[1]]  # of the coefficients, which come first, and without a gap
         inner = slice(known[0], known[-1] + 1)
         columns = np.empty((len(free), count + len(self.extra)))  # as solvers for what is sparse want them
@@ -297,14 +304,14 @@ class Subproblem:
         equal = np.zeros((len(self.target), len(free)))
         equal[:, : len(known)] = self.equal[:, inner]
         programme = qp.Quadratic(
-            self.hessian[np.ix_(free, free)],
-            self.cost[free],
+            self.hessian[some][:, some],
+            self.cost[some],
             columns.T,
             np.concatenate([rows.bound, self.extra_bound]),
             equal,
             self.target,
-            self.low[free],
-            self.high[free],
+            self.low[some],
+            self.high[some],
         )
         found = qp.solve(programme, PROGRAMME_TOLERANCE)
         if found is None:

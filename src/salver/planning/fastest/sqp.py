@@ -69,8 +69,8 @@ class Solution:
 class Attempt:
     """What an iteration came to. trial: where it leads, None if nowhere. predicted: improvement of the merit that was
     hoped for, gained: that it brought, hoped: of the objective alone. slack: violation that was to be left. share: of
-    the step that was taken. unseen: rows that were left out and came near. prices: (N, m) of the rows of each block.
-    programmes: that were solved."""
+    the step that was taken. unseen: rows that were left out and came near. prices: (N, m) of the rows of each block, if
+    they are asked for. programmes: that were solved. beaten: whether the search ends here (see `Options`)."""
 
     trial: Iterate | None
     predicted: float
@@ -81,6 +81,7 @@ class Attempt:
     unseen: tuple[Mask, ...]
     prices: tuple[Array, ...]
     programmes: int
+    beaten: bool = False
 
     @property
     def ratio(self) -> float:
@@ -92,14 +93,14 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
     begun = time.perf_counter()
     trust = replace(trust or Trust(), penalty=options.penalty, least_damping=options.least_damping)
     path, forced = start, tuple(np.zeros(block.values.shape, dtype=bool) for block in start.blocks)
-    idle = programmes = done = futile = 0
+    prices: tuple[Array, ...] = ()
+    code, idle, programmes, done, futile = "iteration_limit", 0, 0, 0, 0
     least = lowest = np.inf
-    code, prices = "iteration_limit", tuple(np.zeros(block.values.shape) for block in start.blocks)
     while done < options.iterations:
         done += 1
         depth = np.broadcast_to(trust.depth, len(path.blocks))
         masks = [block.near(d) | more for block, d, more in zip(path.blocks, depth, forced, strict=True)]
-        attempt = _attempt(programme, path, masks, trust, prices, options.poor)
+        attempt = _attempt(programme, path, masks, trust, prices, options)
         if attempt is None:
             programmes += 1
             trust.failed()
@@ -108,7 +109,7 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
                 break
             continue
         programmes, prices = programmes + attempt.programmes, attempt.prices
-        if options.beaten(path, attempt.hoped):
+        if attempt.beaten:
             code = "beaten"
             break
         # Far from every edge a programme promises too much: that what was reached gets less is progress as well.
@@ -146,10 +147,10 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
 
 
 def _attempt(
-    programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust, prices: Sequence[Array], poor: float
+    programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust, prices: Sequence[Array], options: Options
 ) -> Attempt | None:
     """One iteration: the step of the quadratic programme, corrected where the rows bend, if it brings less than a
-    share `poor` of what was hoped for; None without a step."""
+    share of what was hoped for; None without a step."""
     rows = programme.linearised(path, masks)
     subproblem = programme.subproblem(path, trust, prices)
     solved = subproblem.solve(rows)
@@ -162,10 +163,12 @@ def _attempt(
     predicted = hoped + trust.penalty * (path.violation - slack)
     merit = path.merit(trust.penalty)
     unseen = tuple(np.zeros(block.values.shape, dtype=bool) for block in path.blocks)
+    if options.beaten(path, hoped):
+        return Attempt(None, predicted, -np.inf, hoped, slack, 1.0, unseen, priced, 1, beaten=True)
     trial, share, programmes = programme.moved(path, step), 1.0, 1
     if (
         trial is not None
-        and merit - trial.merit(trust.penalty) < poor * predicted
+        and merit - trial.merit(trust.penalty) < options.poor * predicted
         and trial.violation > max(BENT, 2 * slack)
     ):
         # Rows that were thought to be far away join, linearised where the others were.

@@ -105,7 +105,8 @@ def joints_of_task(
     q = least + null @ inner[:, :n]
     dq = inverse @ (rate - terms.twist_q @ q) + null @ inner[:, n:]
     ddq = inverse @ (acceleration - terms.acceleration_q @ q - terms.acceleration_dq @ dq)
-    return JointDeviation(q, dq, ddq - null @ (missing + kd * dq + kp * q), missing)
+    ddq -= null @ (missing + kd * dq + kp * q)
+    return JointDeviation(np.concatenate([q, dq, ddq], axis=1), missing)
 
 
 def _in_tray_frame(terms: MotionTerms, tray: TrayDeviation) -> tuple[Array, Array, Array]:

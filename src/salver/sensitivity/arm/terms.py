@@ -7,8 +7,8 @@ RSS 2018, as Pinocchio provides them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,22 @@ import pinocchio as pin
 from salver.geometry import GRAVITY_S, Array, hat
 from salver.models.tray_motion import N_MOTION, PRODUCTS
 
-_FIRST, _SECOND = ([pair[k] for pair in PRODUCTS] for k in (0, 1))
+_FIRST, _SECOND = np.array(PRODUCTS).T
 _VALUES = ("q", "dq", "ddq", "p_SE", "R_SE", "twist", "spatial", "torque", "w")
+
+
+def _by_moved() -> tuple[Array, Array]:
+    """As matrices, row by row: (hat(up), hat(omega), -hat(v)) of (up, v, omega), (9, 27); of omega, what its products
+    change with it, (3, 18)."""
+    up, v, omega = (hat(x) for x in np.eye(9).reshape(9, 3, 3).swapaxes(0, 1))
+    turning = np.zeros((3, len(PRODUCTS), 3))
+    for k, (i, j) in enumerate(PRODUCTS):
+        turning[i, k, j] += 1.0
+        turning[j, k, i] += 1.0
+    return np.concatenate([up, omega, -v], axis=2).reshape(9, 27), turning.reshape(3, -1)
+
+
+_BY_MOVED, _BY_TURNING = _by_moved()
 
 
 @dataclass(frozen=True)
@@ -73,8 +87,7 @@ class MotionTerms:
 
     def only(self, some: npt.NDArray[np.intp]) -> MotionTerms:
         """At some of the instants."""
-        values = {name: getattr(self, name)[some] for name in _VALUES}
-        return replace(self, **values)
+        return MotionTerms(self.model, self.frame_id, *(getattr(self, name)[some] for name in _VALUES))
 
     @cached_property
     def derivatives(self) -> Derivatives:
@@ -124,7 +137,7 @@ class MotionTerms:
     @property
     def up(self) -> Array:
         """(T, 3) -g in E."""
-        return -np.einsum("tji,j->ti", self.R_SE, GRAVITY_S)
+        return -(GRAVITY_S @ self.R_SE)
 
     def changed(self, state: Array) -> tuple[Array, Array, Array]:
         """What changes (T, 3 n, c) of the joints' q, dq and ddq make of the tray's motion: its displacement (T, 6, c)
@@ -141,19 +154,16 @@ class MotionTerms:
     def _changed_z(self) -> Array:
         """(T, 24, 3 n) derivative of displacement, twist and w by (q, dq, ddq)."""
         count, n = self.q.shape
+        known = self.derivatives
         found = np.zeros((count, 12 + N_MOTION, 3 * n))
         moved, felt = found[:, :12], found[:, 12:]
-        moved[:, :6, :n], moved[:, 6:, :n], moved[:, 6:, n : 2 * n] = self.jacobian, self.twist_q, self.jacobian
-        omega, each = self.twist[:, 3:], np.arange(len(PRODUCTS))
-        by_moved = np.zeros((count, N_MOTION, 12))
-        by_moved[:, :3, 3:6] = hat(self.up)  # E turns by the Jacobian's rotation
-        by_moved[:, :3, 6:9], by_moved[:, :3, 9:] = hat(omega), -hat(self.twist[:, :3])
-        by_moved[:, 6 + each, 9 + np.array(_SECOND)] += omega[:, _FIRST]
-        by_moved[:, 6 + each, 9 + np.array(_FIRST)] += omega[:, _SECOND]
-        felt[:, :, : 2 * n] = by_moved @ moved[:, :, : 2 * n]  # neither moves with ddq
-        felt[:, :6, :n] += self.acceleration_q
-        felt[:, :6, n : 2 * n] += self.acceleration_dq
-        felt[:, :6, 2 * n :] += self.jacobian
+        moved[:, :6, :n], moved[:, 6:, :n], moved[:, 6:, n : 2 * n] = known.jacobian, known.twist_q, known.jacobian
+        felt[:, :6, :n], felt[:, :6, n : 2 * n] = known.acceleration_q, known.acceleration_dq  # of what is spatial
+        felt[:, :6, 2 * n :] = known.jacobian
+        # E turns by the Jacobian's rotation; what moves with it is not seen from one place.
+        by_moved = np.concatenate([self.up, self.twist], axis=1) @ _BY_MOVED
+        felt[:, :3, : 2 * n] += by_moved.reshape(count, 3, 9) @ moved[:, 3:, : 2 * n]
+        felt[:, 6:, : 2 * n] = (self.twist[:, 3:] @ _BY_TURNING).reshape(count, -1, 3) @ moved[:, 9:, : 2 * n]
         return found
 
 
@@ -214,39 +224,37 @@ def _all_of(
     one axis, the last link's twist and acceleration are sums over them, and so are the derivatives.
     """
     (count, n), data, frame = q.shape, model.createData(), model.frames[frame_id]
-    last, place = list(model.supports[frame.parentJoint])[1:], data.oMi[frame.parentJoint]
+    moving, place = model.supports[frame.parentJoint], data.oMi[frame.parentJoint]
     p, rotation, torque = np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count, n))
-    columns, torque_z = np.empty((count, 3, 6, n)), np.empty((count, 3, n, n))
-    now = [place.translation, place.rotation, data.tau, data.J, data.dJ, data.dAdq, data.dtau_dq, data.dtau_dv, data.M]
-    p_now, rotation_now, torque_now, *by_joint = now  # what each call fills anew
-    for i, state in enumerate(zip(q, dq, ddq, strict=True)):
-        pin.computeRNEADerivatives(model, data, *state)
+    columns, torque_z = np.empty((count, 6, 3 * n)), np.empty((count, n, 3 * n))
+    each = [slice(k * n, (k + 1) * n) for k in range(3)]
+    J, dJ, dA, by_position, by_velocity, mass = (x[:, :, one] for x in (columns, torque_z) for one in each)
+    # What each call fills anew; the mass matrix with both its halves.
+    p_now, rotation_now, torque_now = place.translation, place.rotation, data.tau
+    J_now, dJ_now, dA_now = data.J, data.dJ, data.dAdq
+    by_position_now, by_velocity_now, mass_now = data.dtau_dq, data.dtau_dv, data.M
+    derive = pin.computeRNEADerivatives
+    for i, (position, velocity, acceleration) in enumerate(zip(q, dq, ddq, strict=True)):
+        derive(model, data, position, velocity, acceleration)
         p[i], rotation[i], torque[i] = p_now, rotation_now, torque_now
-        columns[i, 0], columns[i, 1], columns[i, 2], torque_z[i, 0], torque_z[i, 1], torque_z[i, 2] = by_joint
-    row, column = _lower(n)
-    torque_z[:, 2, row, column] = torque_z[:, 2, column, row]  # Pinocchio fills the upper half
+        J[i], dJ[i], dA[i] = J_now, dJ_now, dA_now
+        by_position[i], by_velocity[i], mass[i] = by_position_now, by_velocity_now, mass_now
     p_SE, R_SE = p + rotation @ frame.placement.translation, rotation @ frame.placement.rotation
 
-    if len(last) < n:
-        columns[..., [j for j in range(n) if j + 1 not in last]] = 0.0
-    columns[:, :, :3] += hat(p_SE)[:, None].swapaxes(-1, -2) @ columns[:, :, 3:]  # now of twists of E,
-    columns = (R_SE.swapaxes(-1, -2)[:, None, None] @ columns.reshape(count, 3, 2, 3, n)).reshape(columns.shape)
-    S, twist_q, felt_q = columns.swapaxes(0, 1)  # in E
-    rates = np.stack([dq, ddq], axis=2)
-    (twist, pushed), carried = (S @ rates).transpose(2, 0, 1), (twist_q @ dq[:, :, None])[:, :, 0]
-    falling = pushed + carried
+    if len(moving) <= n:  # the universe and the joints that carry E: others move it not at all
+        last = list(moving)
+        columns.reshape(count, 6, 3, n)[..., [j for j in range(n) if j + 1 not in last]] = 0.0
+    to_frame = np.zeros((count, 6, 6))  # of twists of the world's origin to those of E
+    to_frame[:, :3, :3] = to_frame[:, 3:, 3:] = R_SE.swapaxes(1, 2)
+    to_frame[:, :3, 3:] = (hat(p_SE) @ R_SE).swapaxes(1, 2)
+    columns = to_frame @ columns
+    S, twist_q, felt_q = (columns[:, :, one] for one in each)  # in E
+    twist = (S @ dq[:, :, None])[:, :, 0]
+    falling = (columns[:, :, : 2 * n] @ np.concatenate([ddq, dq], axis=1)[:, :, None])[:, :, 0]
     falling[:, :3] -= GRAVITY_S @ R_SE
-    turning = hat(twist.reshape(count, 2, 3))
     crossed = np.zeros((count, 6, 6))  # the twist, as it acts on others
-    crossed[:, :3, :3] = crossed[:, 3:, 3:] = turning[:, 1]
-    crossed[:, :3, 3:] = turning[:, 0]
-    by_q = felt_q - crossed @ twist_q
-    by_dq = 2 * twist_q - crossed @ S
-    derivatives = Derivatives(twist_q, by_q, by_dq, S, np.swapaxes(torque_z, 1, 2).reshape(count, n, 3 * n))
+    crossed[:, :3, :3] = crossed[:, 3:, 3:] = hat(twist[:, 3:])
+    crossed[:, :3, 3:] = hat(twist[:, :3])
+    carried = crossed @ columns[:, :, : 2 * n]
+    derivatives = Derivatives(twist_q, felt_q - carried[:, :, n:], 2 * twist_q - carried[:, :, :n], S, torque_z)
     return (p_SE, R_SE, twist, falling, torque), derivatives
-
-
-@lru_cache(maxsize=16)
-def _lower(n: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Row and column of what is below the diagonal of (n, n)."""
-    return np.tril_indices(n, -1)

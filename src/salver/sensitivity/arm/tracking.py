@@ -37,20 +37,30 @@ from salver.sensitivity.filter import LinearFilter, settled
 
 @dataclass(frozen=True)
 class JointDeviation:
-    """d/dp of the joints' motion at T instants: q, dq, ddq (T, n, n_c), in rad, rad/s, rad/s^2 per unit of p.
+    """d/dp of the joints' motion at T instants, in rad, rad/s, rad/s^2 per unit of p.
 
-    missing: (T, n, n_c) acceleration that the controller asks for and does not get, ddq_cmd - ddq.
+    state: (T, 3 n, n_c), q, dq and ddq one below the other. missing: (T, n, n_c) acceleration that the controller asks
+    for and does not get, ddq_cmd - ddq.
     """
 
-    q: Array
-    dq: Array
-    ddq: Array
+    state: Array
     missing: Array
 
     @property
-    def state(self) -> Array:
-        """(T, 3 n, n_c): q, dq, ddq one below the other."""
-        return np.concatenate([self.q, self.dq, self.ddq], axis=1)
+    def q(self) -> Array:
+        """(T, n, n_c)."""
+        return self.state[:, : self.missing.shape[1]]
+
+    @property
+    def dq(self) -> Array:
+        """(T, n, n_c)."""
+        n = self.missing.shape[1]
+        return self.state[:, n : 2 * n]
+
+    @property
+    def ddq(self) -> Array:
+        """(T, n, n_c)."""
+        return self.state[:, 2 * self.missing.shape[1] :]
 
 
 @dataclass(frozen=True)
@@ -152,16 +162,21 @@ class Deviation:
         """(T, n) most by which the joints' position (order 0), velocity (1), acceleration (2) can differ from the
         plan's."""
         name = ("q", "dq", "ddq")[order]
-        return self.load.radius(getattr(self.joints, name)) + np.abs(getattr(self.held, name))
+        return self._radius(getattr(self.joints, name), getattr(self.held, name))
 
     def torque_radius(self) -> Array:
         """(T, n) most by which the commanded torque can differ from the plan's, N m."""
-        return self.load.radius(self.torque) + np.abs(self.held.torque)
+        return self._radius(self.torque, self.held.torque)
 
     def tray_radius(self) -> tuple[Array, Array]:
         """Largest error of the tray's position (T, 3) in S, m, and of its orientation (T, 3) in E, rad."""
-        moved = self.load.radius(self.tray.state[:, :6]) + np.abs(self.held.tray[:, :6])
+        moved = self._radius(self.tray.state[:, :6], self.held.tray[:, :6])
         return moved[:, :3], moved[:, 3:]
+
+    def _radius(self, sensitivity: Array, held: Array) -> Array:
+        """Most (T, m) that a wrong load and held commands make of something together."""
+        known = np.abs(held)
+        return known + self.load.radius(sensitivity) if sensitivity.shape[-1] else known
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,14 +210,15 @@ class JointLoop:
         response = LinearFilter.on_nodes(t, self.kp, self.kd, order, shares)
 
         def law(missing: Array, before: Array) -> tuple[JointDeviation, TrayDeviation]:
-            start = settled(self.kp, self.kd, self.settle, missing[0] * before)
+            start = settled(self.kp, self.kd, self.settle, missing[0] * before) if before.any() else None
             if self.start is not None:  # it holds all there is of each term: what is of second order starts from zero
-                start = self.start if missing.shape[2] == self.start.shape[2] else np.zeros_like(start)
+                start = self.start if missing.shape[2] == self.start.shape[2] else None
             e, rate = response.respond(missing, start)
-            joints = JointDeviation(-e, -rate, -response.acceleration(missing, e, rate), missing)
+            state = np.concatenate([e, rate, response.acceleration(missing, e, rate)], axis=1)
+            joints = JointDeviation(np.negative(state, out=state), missing)
             return joints, tray_of_joints(terms, joints)
 
-        return deviation(self.load, terms, late(terms, rates, self.delay), law)
+        return deviation(self.load, terms, late(terms, rates, self.delay, not len(self.load.half_range)), law)
 
 
 def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
@@ -226,16 +242,22 @@ def commanded(terms: MotionTerms, joints: JointDeviation) -> Array:
     return np.asarray(terms.torque_z @ joints.state + terms.mass_matrix @ joints.missing)
 
 
-def late(terms: MotionTerms, rates: Array, delay: float) -> Array:
-    """(T, n) M^-1 dtau/dt times the delay: what a late command is short of. rates: (3, T, n) dq, ddq, dddq."""
-    torque_rate = terms.torque_z @ np.concatenate(list(rates), axis=1)[:, :, None]
-    return np.asarray(delay * (terms.mass_inverse @ torque_rate)[:, :, 0])
+def late(terms: MotionTerms, rates: Array, delay: float, alone: bool = False) -> Array:
+    """(T, n) M^-1 dtau/dt times the delay: what a late command is short of. rates: (3, T, n) dq, ddq, dddq.
+
+    alone: whether nothing else will ask for M^-1.
+    """
+    torque_rate = terms.torque_z @ rates.swapaxes(0, 1).reshape(len(terms.q), -1, 1)
+    lost = np.linalg.solve(terms.mass_matrix, torque_rate) if alone else terms.mass_inverse @ torque_rate
+    return np.asarray(delay * lost[:, :, 0])
 
 
 def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law) -> Deviation:
     """What a law makes of a wrong load and of commands that act late, second order in the load included."""
     n_p, n_c = load.uncertain.size, len(load.half_range)
-    missing = np.concatenate([missing_acceleration(load, terms), late[:, :, None]], axis=2)
+    missing = late[:, :, None]
+    if n_c:
+        missing = np.concatenate([missing_acceleration(load, terms), missing], axis=2)
     # A wrong load is there before the motion, a late command not.
     joints, tray = law(missing, np.append(np.ones(n_c), 0.0))
     if n_c > n_p:
