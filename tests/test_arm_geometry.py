@@ -139,3 +139,26 @@ def test_pairs_come_near_whatever_was_asked_for_before():
         assert found.pairs == tuple(parts.pairs[i] for i in np.flatnonzero(exact.min(axis=0) < 0.06))
         within = exact[:, exact.min(axis=0) < 0.06]
         assert np.abs(found.clearance(first + ways, 0.06) - within)[within < 0.06].max(initial=0.0) < 2e-6
+
+
+def test_each_pair_alone_comes_near_where_it_does():
+    """Ways through the middle, with postures that mirror one another, of one pair at a time and none known before."""
+    parts = _with_balls(np.array([0.8, -1.2, 1.5, -0.3, 1.6, 0.0]))
+    rng = np.random.default_rng(4)
+    for k in range(60):
+        way = np.linspace(-1, 1, int(rng.integers(2, 30)))[:, None] * rng.uniform(0.2, 1.6, 6)
+        exact = parts.clearance(way)
+        pair = int(rng.integers(len(parts.pairs))) if k % 2 else int(np.argmin(exact.min(axis=0)))
+        within = exact[:, pair].min() + rng.choice([-0.01, 0.01])
+        assert bool(parts.only([pair]).near(way, within).pairs) == bool(exact[:, pair].min() < within)
+
+
+def test_how_fast_a_distance_changes_by_hand(tmp_path: Path) -> None:
+    """Between the face of the hook and a corner of the base, along the boom: reach - .05 - .05 (cos + sin) of the turn.
+    Of one posture or of another, in whichever order."""
+    parts = arm_geometry(crane(tmp_path, scenario.Tray(height=0.5)))
+    q = np.array([[0.1, 0.3], [0.2, 0.4]])
+    for nodes in ([1], [0], [1, 0, 1]):
+        slopes, turn = parts.clearance_gradient(q, np.array(nodes), np.zeros(len(nodes), dtype=int)), q[nodes, 0]
+        assert slopes[:, 0] == pytest.approx(0.05 * (np.sin(turn) - np.cos(turn)), abs=1e-6)
+        assert slopes[:, 1] == pytest.approx(1.0, abs=1e-6)

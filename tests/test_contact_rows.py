@@ -217,6 +217,22 @@ def least_of(row: Array, internal: Array) -> float:
     return float((row + internal_wrenches(row[None], internal) @ internal.T).max())
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_no_sharing_of_internal_wrenches_is_better_than_the_one_found(seed: int) -> None:
+    """Against the programme over all rows, of which salver's takes in few at a time."""
+    rng = np.random.default_rng(seed)
+    value, internal = rng.normal(size=(1, 300)), rng.normal(size=(300, 4))
+    rows = np.column_stack([internal, -np.ones(300)])
+    known = linprog(np.append(np.zeros(4), 1.0), A_ub=rows, b_ub=-value[0], bounds=(None, None), method="highs").fun
+    assert least_of(value[0], internal) == pytest.approx(known, rel=1e-7)
+
+
+def test_internal_wrenches_may_be_held_back_by_rows_that_seemed_not_to_matter() -> None:
+    """One hundredth of a unit and w for some, -w for many others: half of it is left, at w = -.005."""
+    value, internal = np.repeat([0.01, 0.0], [40, 260]), np.repeat([1.0, -1.0], [40, 260])[:, None]
+    assert least_of(value, internal) == pytest.approx(0.005)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("pace", [0.9, 1.1])
 def test_arch_along_a_motion_has_the_right_least_margin_and_first_failure(pace: float) -> None:

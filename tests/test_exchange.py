@@ -13,7 +13,7 @@ import pytest
 
 from salver.geometry import Array
 from salver.planning.fastest import exchange
-from salver.planning.fastest.constraints import Block, Constraint
+from salver.planning.fastest.constraints import UNSEEN, Block, Constraint
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.evaluation import Evaluation, Indices
@@ -179,3 +179,13 @@ def test_a_search_goes_on_only_while_it_may_come_below_what_is_to_be_beaten() ->
     assert not tight.status.ok
     assert tight.status.code == "beaten"
     assert tight.iterations <= free.iterations
+
+
+def test_rows_that_may_join_a_programme_are_the_ones_furthest_out_of_each_node() -> None:
+    """Of two hundred rows a node two at most, and thrice as many where a step led beyond some that were left out."""
+    values = np.random.default_rng(0).uniform(-0.1, 0.1, (40, 200))
+    block = Block("rows", values, lambda i, f: np.zeros((len(i), 4)), np.arange(40), most=2)
+    out = block.joining(np.zeros(values.shape, dtype=bool))
+    for row, chosen in zip(values, out, strict=True):
+        sixth = np.sort(row)[-6]
+        assert chosen.tolist() == [bool(x >= sixth and x > UNSEEN) for x in row]

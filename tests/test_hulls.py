@@ -305,3 +305,9 @@ def test_a_direction_within_a_cone_has_length_one_also_where_its_rays_mean_nothi
     inner = _interior_direction(rays)
     assert np.linalg.norm(inner) == pytest.approx(1.0)
     assert (rays @ inner).min() == pytest.approx(np.sin(np.deg2rad(5.0)), rel=0.2)  # the middle of 10 degrees
+
+
+def test_what_is_beyond_a_facet_by_a_tolerance_is_held_with_it() -> None:
+    box = polytope(sums(np.eye(3)))
+    beyond = np.array([1.05, 0.2, -0.3])
+    assert [box.holds(beyond), box.holds(beyond, 0.04), box.holds(beyond, 0.06)] == [False, False, True]

@@ -1,5 +1,7 @@
 """Joint motions: the tray goes where the object goes, derivatives belong together, limits are told of rightly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.polynomial import Chebyshev
@@ -248,6 +250,10 @@ def test_peaks_of_a_min_jerk_move_by_hand(panda, count):
     early = duration * (3 - np.sqrt(3)) / 6
     assert min(abs(acceleration.time - early), abs(acceleration.time - (duration - early))) < 2e-3
     assert jerk.share == pytest.approx(60 * distance / duration**3 / (0.95 * 5000), rel=1e-6)
+    later = {peak.kind: peak for peak in peaks(panda, replace(motion, t=motion.t + 100.0))}
+    for kind, peak in found.items():
+        assert later[kind].share == pytest.approx(peak.share, rel=1e-6)
+    assert later["velocity"].time == pytest.approx(100.0 + duration / 2)
     assert found["position"].share == pytest.approx(2.197384 / 2.8973)
 
 

@@ -132,3 +132,26 @@ def test_arms_whose_hulls_are_as_good_keep_them(model: str) -> None:
     parts = arm_geometry(arm)
     assert len(parts.model.geometryObjects) == len(link_shapes(arm.urdf).shapes) + 1  # and the tray
     assert len(set(parts.names)) == len(parts.names)
+
+
+def test_a_flat_mesh_becomes_a_millimetre_thick_to_either_side() -> None:
+    corners = np.array([[-0.1, -0.05, 0.3], [0.1, -0.05, 0.3], [0.1, 0.05, 0.3], [-0.1, 0.05, 0.3]])
+    turned = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    shape = convex(corners @ turned.T)
+    assert shape.computeVolume() == pytest.approx(0.2 * 0.1 * 1e-3, rel=1e-6)
+    heights = np.asarray(shape.points()) @ turned[:, 2]
+    assert [heights.min(), heights.max()] == pytest.approx([0.2995, 0.3005], abs=1e-9)
+
+
+def test_pieces_of_a_mirrored_mesh_are_as_large() -> None:
+    """A rod with a box at a third of its way and a plate at one end: no end of it is the first one."""
+    parts = [
+        trimesh.creation.cylinder(0.02, 0.5),
+        trimesh.creation.box((0.12, 0.1, 0.06), trimesh.transformations.translation_matrix((0, 0, 0.08))),
+        trimesh.creation.box((0.1, 0.1, 0.02), trimesh.transformations.translation_matrix((0, 0, -0.24))),
+    ]
+    body = trimesh.util.concatenate(parts)
+    points, corners = np.asarray(body.vertices), np.asarray(body.faces)
+    sizes = [sorted(p.computeVolume() for p in convex_pieces(sign * points, corners)) for sign in (1.0, -1.0)]
+    assert len(sizes[0]) == PIECES
+    np.testing.assert_allclose(*sizes, rtol=1e-9)

@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.models.parameters import inertial_vector
-from salver.models.physical import hull_faces, random_inertia, realisable, second_moments
+from salver.models.physical import hull_faces, nearest, random_inertia, realisable, second_moments
 from salver.models.rigid_body import inertia_entries, parallel_axis
 from salver.scenario import load, parse
 
@@ -144,3 +144,22 @@ def test_accepted_values_have_a_distribution(body: Body) -> None:
             assert_allclose(of_points(*pair), value, atol=1e-9)
     refused = draws[~realisable(body, draws)][:8]
     assert all(mass_distribution(body, value) is None for value in refused)
+
+
+def test_the_nearest_that_masses_can_have_by_hand() -> None:
+    """Second moments of -2e-5 about one plane, where how far away something is counts each moment alike: that one
+    becomes 0, and nothing else moves; its distance is what was missing, in standard deviations."""
+    moments, deviation = np.array([-2e-5, 3e-4, 2e-4]), 1e-5
+    to_inertia = np.zeros((10, 10))  # (m, m c, second moments, products) to (m, m c, inertia)
+    to_inertia[:4, :4] = 1e-3 * np.eye(4)
+    diagonal, products = [4, 6, 9], [5, 7, 8]
+    to_inertia[np.ix_(diagonal, [4, 5, 6])] = deviation * (np.ones((3, 3)) - np.eye(3))
+    to_inertia[products, [7, 8, 9]] = deviation
+    phi = np.zeros(10)
+    phi[0], phi[diagonal] = 0.5, moments.sum() - moments
+    found, away = nearest(BOX, phi, to_inertia @ to_inertia.T, within_shape=False)
+    assert away == pytest.approx(2.0, rel=1e-3)
+    wanted = phi.copy()
+    wanted[diagonal] = np.array([0.0, 3e-4, 2e-4]).sum() - np.array([0.0, 3e-4, 2e-4])
+    assert_allclose(found, wanted, atol=1e-9)
+    assert_allclose(nearest(BOX, wanted, to_inertia @ to_inertia.T, within_shape=False)[0], wanted, atol=1e-12)

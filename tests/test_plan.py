@@ -178,3 +178,14 @@ def test_why_the_arm_does_not_move():
     failed = make_plan(PAPER.with_changes(motion__duration=0.3))
     assert failed.joint is None
     assert failed.no_arm_motion == failed.status.sentence
+
+
+@pytest.mark.parametrize("tilt", [None, 1.0])
+def test_what_is_left_is_of_the_contacts_whatever_else_is_limited(tilt):
+    """Of an exact plan the least row of its contact, in shares of the weight; a limit on tilt is in a unit of its
+    own."""
+    limited = PAPER.with_changes(**({"motion__max_tilt_deg": tilt} if tilt else {}))
+    plan = plan_object(limited.with_changes(contact__condition="exact"))
+    rows = plan.evaluation.slack[:, [owner == "cube on tray" for owner in plan.evaluation.slack_owner]]
+    assert rows.shape[1] >= 8
+    assert plan.left == rows.min()

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from salver import scenario
 from salver.errors import ScenarioError, Status
@@ -17,7 +18,7 @@ from salver.geometry import Array, exp
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.arm_limits import LIMITS, POSITION, JointLimits
-from salver.planning import make, postures
+from salver.planning import make, postures, qp
 from salver.planning.fastest import blocked, bound
 from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.problem import _level_enough
@@ -210,3 +211,31 @@ def test_the_middle_of_joints_is_between_their_ends(panda: ArmModel) -> None:
     middle, half = panda.limits.range(POSITION)
     assert middle + half == pytest.approx(panda.limits.q_max)
     assert middle - half == pytest.approx(panda.limits.q_min)
+
+
+def test_each_solver_of_quadratic_programmes_answers_what_the_optimum_is() -> None:
+    """Kept rows, multipliers of the right sign, and forces in balance: no other point is one (Karush, Kuhn, Tucker)."""
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        root, inside = rng.normal(size=(8, 8)), rng.normal(size=8)
+        equal, rows = rng.normal(size=(3, 8)), rng.normal(size=(20, 8))
+        programme = qp.Quadratic(
+            root @ root.T + 0.1 * np.eye(8),
+            rng.normal(size=8),
+            rows,
+            rows @ inside + rng.uniform(0, 1, 20),
+            equal,
+            equal @ inside,
+            inside - rng.uniform(0, 0.5, 8),
+            np.where(np.arange(8) < 4, inside + 0.2, np.inf),
+        )
+        for solver in qp.SOLVERS:
+            found = solver(programme, 1e-9)
+            assert found is not None
+            x, left = found.x, programme.bound - rows @ found.x
+            assert min(left.min(), (x - programme.low).min(), (programme.high - x).min()) > -1e-7
+            assert_allclose(equal @ x, programme.target, atol=1e-7)
+            assert min(found.rows.min(), found.low.min(), found.high.min()) >= 0.0
+            pushed = found.rows @ rows + found.equal @ equal - found.low + found.high
+            assert_allclose(programme.hessian @ x + programme.cost + pushed, 0.0, atol=1e-6)
+            assert found.rows @ left + found.low @ (x - programme.low) == pytest.approx(0.0, abs=1e-6)

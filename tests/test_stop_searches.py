@@ -15,6 +15,7 @@ from salver.planning.fastest.retiming import SplinePath
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.stop_library import StopLibrary
 from salver.planning.stops import (
+    IN_VAIN,
     LEAST,
     SPLINE,
     STORED,
@@ -24,6 +25,7 @@ from salver.planning.stops import (
     _going_on,
     _law_ahead,
     plan_stops,
+    stop_from,
     stop_problem,
 )
 from salver.trajectory import JointMotion
@@ -194,6 +196,40 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
             plan_stops(nowhere, moving, 0.1)
 
 
+def test_where_a_stop_is_late_it_is_sought_anew_and_instants_are_half_as_far_apart(monkeypatch):
+    """Of a motion of 1 s with stops of .3 s, from .7 s on backwards the next tenth of a second would be .4 s before
+    there is rest, and halfway there it is .35 s: late, or not. What is sought anew in vain is given up after twice."""
+    anew = []
+
+    def stop(duration):
+        return FoundStop(
+            JointMotion(np.linspace(0, duration, STORED.size), *np.zeros((3, STORED.size, 7))), np.zeros(7)
+        )
+
+    def otherwise(problem, state, begun, beat):
+        anew.append(beat + LEAST)
+        return stop(0.3) if finds else None
+
+    nowhere = SimpleNamespace(n=7, check_from_rest=lambda what: None)
+    monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None))
+    monkeypatch.setattr(stops, "stop_from", lambda *state, beat, **begin: stop(0.3) if beat > 0.3 else None)
+    monkeypatch.setattr(stops, "_anew", otherwise)
+    finds = True
+    for late, apart, last in ((0.36, 0.05, 0.65), (0.34, 0.05, 0.65), (0.5, 0.1, 0.6)):
+        told, anew[:] = [], []
+        monkeypatch.setattr(stops, "_late", lambda problem, state, late=late: late)
+        library = plan_stops(nowhere, swaying(1.0), 0.1, progress=lambda *done: told.append(done))  # noqa: B023
+        assert library.t == pytest.approx(np.arange(apart, last + 1e-9, apart))
+        assert library.duration == pytest.approx(0.3)
+        assert anew == pytest.approx([0.35] if late == 0.34 else [])  # at .65 s, before the end
+        assert told == [(k + 1, 9) for k in range(9)]
+    finds, anew[:] = False, []
+    monkeypatch.setattr(stops, "_late", lambda problem, state: 0.0)
+    coarse = plan_stops(nowhere, swaying(1.0), 0.1)
+    assert len(anew) == IN_VAIN
+    assert coarse.t == pytest.approx(0.1 * np.arange(1, 7))
+
+
 def test_a_stop_may_lean_as_far_as_its_plan_does():
     """A wrist that leans by 5 degrees on the way, where the scenario keeps its tray level."""
     case = PAPER.with_changes(motion__orientation="fixed")
@@ -220,3 +256,31 @@ def test_a_motion_that_begins_moving_has_the_derivatives_that_differences_give()
     found = curve.columns(coefficients, 0.7, parts, np.arange(9)) @ direction.ravel()
     expected = np.einsum("pkn,kpn->p", parts, (ahead - behind) / (2 * step))
     assert np.allclose(found, expected, rtol=1e-5, atol=1e-7 * np.abs(expected).max())
+
+
+def test_a_stop_of_a_moving_arm_begins_with_its_speed_and_is_told_to_its_end():
+    """What is told of speeds is how the joints move, from where they are to rest."""
+    problem = replace(transport_problem(PAPER), keep_out=None)
+    dq = 0.1 * np.array([1.0, -1.0, 1.0, 0.0, 1.0, 0.0, 1.0])
+    motion = stop_from(problem, AtPosture(problem.start_posture, dq, 0.0 * dq)).motion
+    assert motion.t[-1] == motion.duration
+    np.testing.assert_allclose(motion.t / motion.duration, STORED, atol=1e-12)
+    np.testing.assert_allclose(motion.dq[[0, -1]], [dq, 0.0 * dq], atol=1e-9)
+    np.testing.assert_allclose(motion.ddq[[0, -1]], 0.0, atol=1e-9)
+    step = np.diff(motion.t)[:, None]  # Hermite's rule, exact to the fourth order
+    gone = step / 2 * (motion.dq[1:] + motion.dq[:-1]) - step**2 / 12 * np.diff(motion.ddq, axis=0)
+    np.testing.assert_allclose(np.diff(motion.q, axis=0), gone, atol=1e-6)
+
+
+def test_stops_come_back_from_files_with_the_end_of_their_plan(tmp_path):
+    """From an instant whose stop would take longer than the plan, finishing it is the soonest rest."""
+    plan = sv.plan(PAPER)
+    moved = swaying(plan.duration)
+    instants, s = np.array([0.4, 0.8]), np.array([0.0, 1.0])
+    begun = np.stack([np.stack([x, x], axis=1) for x in moved.sample(instants)])
+    library = StopLibrary(instants, np.array([0.3, 9.0]), s, *begun, np.zeros((3, 7)), plan.duration)
+    replace(plan, joint=moved, stops=library).save(tmp_path)
+    again = sv.load_plan(tmp_path).stops
+    for now in (0.1, 0.5, 0.9):
+        assert again.course(now) == library.course(now)
+    assert again.course(0.5).rests == again.end == plan.duration
