@@ -11,7 +11,6 @@ All steps together are one banded triangular system.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -27,7 +26,6 @@ _GAUSS_WEIGHTS = 0.5 * np.polynomial.legendre.leggauss(3)[1]
 _LARGEST_STEP = 0.35  # of the fastest rate times h: the quadrature's relative error is then below 1e-8
 _FINE_POINTS, _FINE_WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(6))
 MANY = 24  # drives, beyond which several filters side by side are stepped from node to node together
-PARTS = 4  # of the time in which many drives are answered
 _MOST_PIECES = 64  # of an interval, each as long as the filter's fastest time constant
 
 
@@ -102,10 +100,6 @@ class LinearFilter:
         if drive.size == 0:  # no parameter or no variable: LAPACK writes out of bounds for no columns
             return np.zeros(shape), np.zeros(shape)
         flat = drive.reshape(*lead, drive.shape[len(lead)], -1)
-        if lead and self.samples is not None and flat.shape[-1] > steps:
-            begin = np.zeros((*lead, 2, flat.shape[-1])) if start is None else start.reshape(*lead, 2, -1)
-            x, rate = self._answered(np.concatenate([begin, flat], axis=-2))
-            return x.reshape(shape), rate.reshape(shape)
         state = np.zeros((*lead, steps + 1, 2, flat.shape[-1]))
         if start is not None:
             state[..., 0, :, :] = start.reshape(*lead, 2, -1)
@@ -117,9 +111,9 @@ class LinearFilter:
         return state[..., 0, :].reshape(shape), state[..., 1, :].reshape(shape)
 
     @cached_property
-    def _answers(self) -> Array:
-        """(2, ..., T, 2 + T) x and x' at the nodes, to x and x' of 1 at the first and a drive of 1 at each: where
-        there are more drives than nodes, their answers are these, put together."""
+    def answers(self) -> Array:
+        """(2, ..., T, 2 + T) x and x' at the nodes, to x and x' of 1 at the first and a drive of 1 at each: where there
+        are many drives, or few nodes matter, what they come to is put together of these."""
         assert self.samples is not None
         *lead, steps, _, _ = self.gain.shape
         state = np.zeros((*lead, steps + 1, 2, steps + 3))
@@ -128,16 +122,10 @@ class LinearFilter:
         state[..., 1:, :, :].swapaxes(-2, -1)[..., at[0], at[1], :] = self.gain.swapaxes(-2, -1)
         return np.ascontiguousarray(np.moveaxis(self._stepped(state), -2, 0))
 
-    def _answered(self, given: Array) -> Array:
-        """(2, ..., T, c) x and x' at the nodes to given (..., 2 + T, c), as `_answers` puts them together: in parts of
-        the time, of which none knows what comes after it."""
+    def known(self, node: int) -> int:
+        """How many of the 2 + T that `answers` are to come before a node, and so count there."""
         assert self.samples is not None
-        found = np.empty((*self._answers.shape[:-1], given.shape[-1]))
-        bounds = np.linspace(0, self.nodes, PARTS + 1).astype(int)
-        for begin, end in itertools.pairwise(bounds):
-            known = 3 + int(self.samples[: max(end - 1, 1)].max())
-            np.matmul(self._answers[..., begin:end, :known], given[..., :known, :], out=found[..., begin:end, :])
-        return found
+        return 3 + int(self.samples[max(node, 1) - 1].max())
 
     def acceleration(self, drive: Array, x: Array, rate: Array) -> Array:
         """x'' (..., T, c...) at nodes at which the drive is known."""

@@ -20,6 +20,7 @@ from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by, wre
 from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Waves, along, cases
 
 LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that a liquid may be relieved of
+_OF_SURFACE = "crest", "free_height", "lightness", "free_left", "left_at_once"
 LEAST_SIZE = 1e-4  # m; waves smaller than this turn as fast as they like
 
 
@@ -62,29 +63,40 @@ class Slosh:
         waves = planned.shifted(self.waves.w - self.planned.w)
         return replace(self, waves=waves, wrench=waves.wrench, planned=planned)
 
-    @property
+    @cached_property
     def crest(self) -> Array:
         """(K, T) m, at the worst of what is uncertain."""
         return self.waves.raised(self.higher, self.freer)
 
-    @property
+    @cached_property
     def free_height(self) -> Array:
         """(K, T) m of the free wave, at the worst of what is uncertain."""
         return self.waves.free_height + self.waves.cases.highest(self.freer + np.zeros((1, 1, 2)))
 
-    @property
+    @cached_property
     def lightness(self) -> Array:
         """(K, T) share of its weight that does not press on the surface."""
         return np.asarray(1 - self.waves.force[..., 2] / GRAVITY)
 
-    @property
+    @cached_property
     def free_left(self) -> Array:
         """(K,) m, no free wave is higher after the motion, at the worst of what is uncertain."""
         return self.waves.cases.highest(self.waves.amplitude(more=self.more_left))
 
+    @cached_property
+    def left_at_once(self) -> Array:
+        """(K,) m, see `left`."""
+        return self.waves.left(0.0, self.more_left)
+
     def left(self, seconds: float = 0.0) -> Array:
         """(K,) m, see `Waves.left`, at the worst of what is uncertain."""
-        return self.waves.left(seconds, self.more_left)
+        return self.waves.left(seconds, self.more_left) if seconds else self.left_at_once
+
+    def prepared(self) -> Slosh:
+        """With all of it known that becomes of the surface, side by side for all cases: parts need not work it out."""
+        for name in _OF_SURFACE:
+            getattr(self, name)
+        return self
 
     def at(self, index: Indices) -> Slosh:
         """The wrench at some instants."""
@@ -97,13 +109,19 @@ class Slosh:
             planned = waves if self.planned is self.waves else self.planned.part(some)
         reaction = None if self.reaction is None else self.reaction.part(some)
         change = None if self.change is None else self.change.part(some)
-        return Slosh(waves, self.wrench[some], planned, reaction, change, *self._more(some))
+        return self._known_to(Slosh(waves, self.wrench[some], planned, reaction, change, *self._more(some)), some)
 
     def only(self, k: int) -> Slosh:
         """What becomes of the surface in one case."""
         some = slice(k, k + 1)
         waves, (higher, freer, more) = self.waves.part(some), self._more(some)
-        return Slosh(waves, self.wrench[some], waves, higher=higher, freer=freer, more_left=more)
+        found = Slosh(waves, self.wrench[some], waves, higher=higher, freer=freer, more_left=more)
+        return self._known_to(found, some)
+
+    def _known_to(self, part: Slosh, some: slice) -> Slosh:
+        """A part, with what is known of it already."""
+        vars(part).update({name: vars(self)[name][some] for name in _OF_SURFACE if name in vars(self)})
+        return part
 
     def _more(self, some: slice) -> list[Array | float]:
         return [x if np.ndim(x) == 0 else np.asarray(x)[some] for x in (self.higher, self.freer, self.more_left)]
@@ -424,17 +442,30 @@ class Spill:
         liquid, room = which[0].liquid, np.concatenate([x.room for x in which])
         crest, rest = (np.concatenate(x) for x in ([p.crest for p in parts], [p.left() for p in parts]))
         left, after = room[:, None] - crest, room - rest
-        steepest = np.concatenate([x.steepest for x in which])
-        steep = np.concatenate([p.free_height for p in parts]) / steepest[:, None]
-        steep[:, -1] = np.concatenate([p.free_left for p in parts]) / steepest  # not lower than there
-        steep = steep.max(axis=0)
-        light = np.concatenate([p.lightness for p in parts]).max(axis=0) / LIGHTEST
         settled = liquid.settled - max(float(p.left(liquid.within).max()) for p in parts)
-        slack = 1 - np.maximum(steep, light)
-        if np.isfinite(room).all():
-            slack = np.minimum(slack, (left / room[:, None]).min(axis=0))
-            slack[-1] = min(slack[-1], float((after / room).min()))
-        if np.isfinite(settled):
-            slack[-1] = min(slack[-1], settled / liquid.settled)
+        steep, light = (np.concatenate(x).max(axis=0) for x in zip(*(_unmodelled(part) for part in parts), strict=True))
         dry = left.min(axis=0), float(after.min())
+        slack = np.concatenate([slacks(part) for part in parts]).min(axis=0)
         return cls(name, waves.t, crest.max(axis=0), *dry, steep, light, float(settled), slack)
+
+
+def _unmodelled(part: Slosh) -> tuple[Array, Array]:
+    """(K, T) free wave over the largest for which the model is valid, at the end of all that are left, and share of the
+    weight that does not press, over the largest for which it is."""
+    steepest = part.waves.cases.steepest
+    steep = part.free_height / steepest[:, None]
+    steep[:, -1] = part.free_left / steepest  # not lower than there
+    return steep, part.lightness / LIGHTEST
+
+
+def slacks(part: Slosh) -> Array:
+    """(K, T) the least of what each case leaves, as shares of what is allowed."""
+    which = part.waves.cases
+    liquid, room = which.liquid, which.room
+    slack = 1 - np.maximum(*_unmodelled(part))
+    if np.isfinite(room).all():
+        slack = np.minimum(slack, 1 - part.crest / room[:, None])
+        slack[:, -1] = np.minimum(slack[:, -1], 1 - part.left() / room)
+    if np.isfinite(liquid.settled):
+        slack[:, -1] = np.minimum(slack[:, -1], 1 - part.left(liquid.within) / liquid.settled)
+    return slack

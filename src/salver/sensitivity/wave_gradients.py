@@ -1,7 +1,7 @@
 """Derivatives of what the waves of a liquid do, by the unknowns of a motion.
 
-What each of c unknowns makes of the waves goes through the filters once, for all nodes and cases; rows (m,), functions
-of the waves of one case, `case`, at one node, `node`, then read it there. Each answer is (m, c).
+Rows (m,) are functions of the waves of one case, `case`, at one node, `node`; c unknowns change what moves the waves.
+Each answer is (m, c).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY
@@ -16,14 +17,47 @@ from salver.models.tray_motion import N_MOTION
 from salver.sensitivity.filter import LinearFilter
 from salver.sensitivity.waves import TURNING, Indices, Waves, across, turned
 
+Mask = npt.NDArray[np.bool_]
+
 
 @dataclass(frozen=True, eq=False)
 class Swings:
-    """What unknowns make of waves: r, rate (K, T, n_modes, 2, c) and spun (K, T, c) of their masses and their spin."""
+    """What c unknowns make of waves: of their masses by what moves these, as `Waves.swung` has it, of their spin by
+    spun (K or 1, T, c), and of both by how much log T grows, stretch (c,).
 
-    r: Array
-    rate: Array
+    Places and speeds are worked out at the nodes at which rows read them: near the edge there are few.
+    """
+
+    waves: Waves
+    moving: Array
     spun: Array
+    stretch: Array
+    _known: dict[int, tuple[Mask, Array]] = field(default_factory=dict)
+
+    def at(self, order: int, case: Indices, node: Indices) -> Array:
+        """(m, n_modes, 2, c) of r (order 0) or r' (1)."""
+        if order not in self._known:
+            shape = (*self.waves.r.shape, len(self.stretch))
+            self._known[order] = np.zeros(shape[1], dtype=bool), np.empty(shape)
+        known, found = self._known[order]
+        new = np.zeros_like(known)
+        new[node] = True
+        new &= ~known
+        if new.any():
+            swung = self.waves.swinging(order, np.flatnonzero(new), self.moving)
+            for c in np.flatnonzero(self.stretch):
+                swung[..., c] += self.waves.slower[order][:, new] * self.stretch[c]
+            found[:, new] = swung
+            known |= new
+        return np.asarray(found[case, node])
+
+    def spun_at(self, case: Indices, node: Indices) -> Array:
+        """(m, c) of the spin."""
+        spin = self.waves.spin
+        found = np.broadcast_to(self.spun, (*spin.shape, len(self.stretch)))[case, node]
+        for c in np.flatnonzero(self.stretch):
+            found[:, c] += 2 * spin[case, node] * self.stretch[c]
+        return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +80,8 @@ class Unknowns:
         key = waves.turning, waves.cases.round
         if key not in self._spun:
             self._spun[key] = waves.spun(self.felt[None])
-        spun = self._spun[key]
-        r, rate = waves.swung(self.felt[None], spun)
-        spun = np.array(np.broadcast_to(spun, (*r.shape[:2], spun.shape[2])))
-        if self.stretch is not None:
-            some = np.flatnonzero(self.stretch)
-            for x, slower in ((r, waves.slower[0]), (rate, waves.slower[1]), (spun, 2 * waves.spin)):
-                x[..., some] += slower[..., None] * self.stretch[some]
-        return Swings(r, rate, spun)
+        stretch = np.zeros(self.felt.shape[2]) if self.stretch is None else self.stretch
+        return Swings(waves, waves.swung(self.felt[None], self._spun[key]), self._spun[key], stretch)
 
 
 def surface_by(
@@ -109,16 +137,17 @@ def at_node(
 ) -> Array:
     """From derivatives (m, n_modes, 2) by r and r', (m, 12) by w itself and (m,) by the spin, at the rows' own
     nodes."""
-    swings, m = unknowns.of(waves), len(case)
+    swings = unknowns.of(waves)
 
-    def read(by: Array, x: Array) -> Array:
-        return np.asarray((by.reshape(m, 1, -1) @ x[case, node].reshape(m, -1, x.shape[-1]))[:, 0])
+    def read(by: Array, order: int) -> Array:
+        m = len(case)
+        return np.asarray((by.reshape(m, 1, -1) @ swings.at(order, case, node).reshape(m, by[0].size, -1))[:, 0])
 
-    found = read(by_r, swings.r)
+    found = read(by_r, 0)
     if by_rate is not None:
-        found += read(by_rate, swings.rate)
+        found += read(by_rate, 1)
     if by_w is not None:
         found += (by_w[:, None] @ unknowns.felt[node])[:, 0]
     if by_spin is not None:
-        found += by_spin[:, None] * swings.spun[case, node]
+        found += by_spin[:, None] * swings.spun_at(case, node)
     return found

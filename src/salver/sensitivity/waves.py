@@ -230,9 +230,10 @@ class Waves:
         which, filters = Cases.of(self.cases.each[some]), self.filters.only((some,))
         names = ("w", "upward", "spin", "at_modes", "r", "rate", "second")
         found = replace(self, cases=which, filters=filters, **{name: getattr(self, name)[some] for name in names})
-        for name in ("force", "slope", "eta", "free", "crest", "wrench"):
+        for name in ("force", "slope", "eta", "free", "crest", "wrench", "tail", "ending", "peak"):
             if name in self.__dict__:
-                found.__dict__[name] = self.__dict__[name][some]
+                known = self.__dict__[name]
+                found.__dict__[name] = tuple(x[some] for x in known) if isinstance(known, tuple) else known[some]
         return found
 
     def shifted(self, dw: Array) -> Waves:
@@ -281,11 +282,24 @@ class Waves:
         drive = self._driven(dw, self.spun(dw))
         return self.respond(drive, self.level(drive) if before else None)
 
-    def swung(self, dw: Array, spun: Array) -> tuple[Array, Array]:
-        """As `_pushed` r and r', before the motion too. spun: what dw makes of `spin`, where that is known."""
+    def swung(self, dw: Array, spun: Array) -> Array:
+        """(K, n_modes, axes, 2 + T, 2 c / axes) what moves each mass, as `LinearFilter.answers` has it, to first order:
+        where it begins, and how it is driven, by changes dw (K or 1, T, 12, c) of what the tray feels that were so
+        before the motion too. spun: what dw makes of `spin`."""
         force = self._driven(dw, spun)
-        x, rate = self.filters.respond(*self._drives(force, self.level(force)))
-        return self._by_mode(x), self._by_mode(rate)
+        K, T, n, _, c = force.shape
+        axes = self.filters.gain.shape[2]
+        found = np.empty((K, n, axes, 2 + T, 2 // axes, c))
+        found[:, :, :, 0, :] = self.level(force).reshape(K, n, axes, 2 // axes, c)
+        found[:, :, :, 1] = 0.0
+        np.negative(force.reshape(K, T, n, axes, 2 // axes, c).transpose(0, 2, 3, 1, 4, 5), out=found[:, :, :, 2:])
+        return found.reshape(K, n, axes, 2 + T, -1)
+
+    def swinging(self, order: int, node: Indices, moving: Array) -> Array:
+        """(K, m, n_modes, 2, c) of r (order 0) or r' (1) at nodes (m,) in order, by what moves the masses (see
+        `swung`)."""
+        known = self.filters.known(int(node[-1]))
+        return self._by_mode(self.filters.answers[order][:, :, :, node, :known] @ moving[:, :, :, :known])
 
     def _driven(self, dw: Array, spun: Array) -> Array:
         """(K, T, n_modes, 2, c) by which changes dw (K or 1, T, 12, c) change the force that drives each mode; spun:

@@ -58,7 +58,8 @@ class Sloshing:
     def each(self) -> dict[str, tuple[Slosh, ...]]:
         """The cases of each liquid, by the name of its body, in parts."""
         found = {}
-        for group, (planned, *given) in self.together:
+        for group, parts in self.together:
+            planned, *given = (part.prepared() for part in parts)
             begin = 0
             for liquid in group:
                 some = slice(begin, begin + len(liquid))

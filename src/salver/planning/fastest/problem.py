@@ -38,7 +38,7 @@ from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
 from salver.scenario import Motion, Scenario
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
-from salver.sensitivity.sloshing import Spill
+from salver.sensitivity.sloshing import slacks
 from salver.sensitivity.waves import VERDICT_APART, Case, cases
 
 SURELY_DRY = 1e-4  # of the room, that is left at every fill and damping that a verdict looks at
@@ -149,9 +149,9 @@ def with_missed_cases(problem: TransportProblem, motion: Evaluation, margin: flo
         missing.append(tuple(x for x in all_ if (x.fill, x.damping) not in here))
     sloshing, found = Sloshing.of(tuple(missing), t, motion.terms.w, motion.response).each, []
     for known, others in zip(problem.liquids, missing, strict=True):
-        name = known[0].body.name
-        spilt = [Spill.of(name, [part.only(k) for part in sloshing[name]]) for k in range(len(others))]
-        found.append((*known, *(c for c, x in zip(others, spilt, strict=True) if x.slack.min() < SURELY_DRY + margin)))
+        parts = sloshing.get(known[0].body.name, ())
+        left = np.min([slacks(part).min(axis=1) for part in parts], axis=0, initial=1.0)
+        found.append((*known, *(others[k] for k in np.flatnonzero(left < SURELY_DRY + margin))))
     return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
 
 
