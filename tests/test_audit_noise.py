@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
 from recordings import line
 from salver.auditing.noise import Level, found, level, resolution, spikes
 from salver.auditing.recorded import sensor_of, stretches
-from salver.auditing.spline import fit
+from salver.auditing.spline import DEGREE, Fit, fit
 from salver.geometry import exp, quat_wxyz_from_matrix
 
 # Curves -------------------------------------------------------------------------------------------------------
@@ -192,3 +193,13 @@ def test_a_spike_is_one_sample_that_is_off_its_neighbours():
     assert len(spikes(t, y, 0.0)) == 0
     y[123, 1] += 0.01
     assert list(spikes(t, y, 0.0)) == [123]
+    y[60, 2] += 0.02  # a larger one before it hides nothing
+    assert list(spikes(t, y, 0.0)) == [60, 123]
+
+
+def test_the_spacing_of_knots_is_the_least_of_three_intervals():
+    """Of the one that holds a time and of its neighbours, at the ends too."""
+    knots = np.cumsum([0.0, 1.0, 3.0, 2.0, 5.0, 4.0])
+    spline = BSpline(np.pad(knots, DEGREE, mode="edge"), np.zeros((len(knots) + DEGREE - 1, 1)), DEGREE)
+    spacing = Fit(spline, (True, True)).spacing(np.array([0.5, 2.0, 5.0, 8.0, 14.9]))
+    assert spacing.tolist() == [1.0, 1.0, 2.0, 2.0, 4.0]

@@ -196,6 +196,21 @@ def test_a_load_that_only_turned_or_rose_did_not_hold(plan: Plan, tmp_path: Path
     assert _told(plan, path, rising).code == "slides"
 
 
+def test_the_slip_is_that_of_the_corner_that_went_farthest(plan: Plan, tmp_path: Path) -> None:
+    """Turned by 0.1 rad about a corner of its base, the opposite one goes along a chord of 40 sqrt(2) mm."""
+    _capture(plan, tmp_path / "vicon.csv")
+    tracks, body = mocap.read_tracks(tmp_path / "vicon.csv"), plan.scenario.payload.first
+    cube, corner, turn = tracks["cube"], body.base_polygon_B[0], exp(np.array([0.0, 0.0, 0.1]))
+    p_VB, R_VB = compose(cube.p, cube.R, *invert_of(MARKERS))
+    late = cube.t > STARTS_AT + 0.5
+    p_VB[late] += R_VB[late] @ (corner - turn @ corner)
+    R_VB[late] = R_VB[late] @ turn
+    seen = {**tracks, "cube": mocap.Track(cube.t, *compose(p_VB, R_VB, *MARKERS))}
+    given: dict[str, Any] = {"offset": STARTS_AT, "p_SV": WORLD[0], "R_SV": WORLD[1], "tray_name": "tray"}
+    merged = mocap.merge(_logged(plan), seen, plan.reference, body, object_name="cube", **given)
+    assert merged["slip"][-1, 0] == pytest.approx(2 * np.sin(0.05) * 0.04 * np.sqrt(2), abs=1e-5)
+
+
 def invert_of(pose: tuple[Array, Array]) -> tuple[Array, Array]:
     return -pose[1].T @ pose[0], pose[1].T
 
@@ -316,6 +331,7 @@ def test_motion_capture_merges_into_the_log(directory: Path, plan: Plan, tmp_pat
     assert not result.achieved
     assert result.summary["slip_peak"] == pytest.approx(0.012, abs=1e-4)
     assert result.arrays["p_SB"].shape[1:] == (1, 3)
+    assert result.summary["mocap"] == {"file": "vicon.csv", "offset": STARTS_AT, "tray": "tray"}
     with pytest.raises(SalverError, match='has no object "cup"; it has cube, tray'):
         execute.merge_mocap(directory, "plan", tmp_path / "vicon.csv", object_name="cup")
 

@@ -16,7 +16,7 @@ from salver.scenario import parse
 from salver.simulation import creep
 from salver.simulation.elements import DAMPING_WIDTH
 from salver.simulation.loads import true_world
-from salver.simulation.physics import simulate_tray
+from salver.simulation.physics import _check_engine, simulate_tray
 from salver.simulation.scene import build
 from salver.trajectory import min_jerk_line
 
@@ -145,6 +145,15 @@ def test_an_engine_that_diverged_gives_an_error_and_no_verdict(tmp_path, monkeyp
         SalverError, match=r"diverged .* s into the run; give physics.timestep a smaller value than 0.0005"
     ):
         simulate_tray(reference, cube())
+
+
+def test_one_coordinate_that_is_no_number_is_an_engine_that_diverged():
+    xml = "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+    data = mujoco.MjData(mujoco.MjModel.from_xml_string(xml))
+    _check_engine(data, cube())
+    data.qpos[2] = np.nan
+    with pytest.raises(SalverError, match=r"diverged 0\.000 s into the run"):
+        _check_engine(data, cube())
 
 
 def test_contact_forces_of_a_moving_tray_are_the_bodys_inverse_dynamics():

@@ -12,6 +12,7 @@ import pytest
 from salver import scenario as scenarios
 from salver.errors import MissingDependencyError
 from salver.planning.make import make_plan
+from salver.simulation.meshes import read_mesh
 from salver.simulation.physics import simulate
 from salver.simulation.render import NoOpenGLError, View, painter, snapshots
 
@@ -84,3 +85,26 @@ def test_pictures_show_the_object_move(nominal, baseline):
 
     # it is carried to +y of S, which from in front of the arm is to the right
     assert where(images[1])[0] - where(images[0])[0] > 20
+
+
+SQUARE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema">
+<asset><unit meter="0.001"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="square"><mesh>
+<source id="places"><float_array id="numbers" count="12">0 0 0 20 0 0 20 10 0 0 10 0</float_array></source>
+<vertices id="corners"><input semantic="POSITION" source="#places"/></vertices>
+<polylist count="1"><input semantic="VERTEX" source="#corners" offset="0"/>
+<input semantic="NORMAL" source="#normals" offset="1"/><vcount>4</vcount><p>0 7 1 7 2 7 3 7</p></polylist>
+</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene>
+<node><instance_geometry url="#square"/></node>
+</visual_scene></library_visual_scenes>
+</COLLADA>"""
+
+
+def test_a_collada_mesh_is_read_with_its_unit_and_is_white_where_it_has_no_colour(tmp_path):
+    """A rectangle of 20 by 10 mm; each corner is told with the number of its normal beside it."""
+    (tmp_path / "square.dae").write_text(SQUARE)
+    (part,) = read_mesh(str(tmp_path / "square.dae"))
+    np.testing.assert_allclose(part.vertices, [[0, 0, 0], [0.02, 0, 0], [0.02, 0.01, 0], [0, 0.01, 0]], atol=1e-15)
+    assert part.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
+    assert all(0.9 < share <= 1.0 for share in part.colour)

@@ -301,3 +301,10 @@ def test_parameters_of_several_objects_are_prefixed():
     assert [load.friction for load in world.loads] == [0.9, 0.3]
     with pytest.raises(ScenarioError, match="mass"):
         true_world(two_objects(), {"mass": 0.2})
+
+
+def test_of_very_many_parameters_the_first_and_the_last_are_named():
+    with pytest.raises(ScenarioError) as told:
+        true_world(scenarios.load("panda-four-glasses"), {"weight": 1.0})
+    assert str(told.value).endswith(", ..., tilt_x, tilt_y.")
+    assert str(told.value).count(", ") == 15

@@ -212,3 +212,22 @@ def test_a_clock_that_runs_ahead_is_told_by_the_joints(rig: Rig) -> None:
     sensed = arm.senses.take((ArmState(arm.q + 1e-3 * arm.dq, arm.dq), 0.05), torque)
     assert "its clock says that 0.05 s passed, and its joints went as far as in 0.001 s" in sensed.wrong
     assert sensed.elapsed == 1e-3
+
+
+@pytest.mark.parametrize(("way", "believed"), [(0.8e-3, True), (3e-3, False)])
+def test_after_darkness_an_arm_may_be_as_far_away_as_its_model_may_be_wrong(
+    rig: Rig, way: float, believed: bool
+) -> None:
+    """An acceleration that nobody knew of took a joint aside for 40 ms in which it was not seen. The model may be wrong
+    by 0.4 of half the maker's 7.5 rad/s^2, which is 1.2 mrad then; a jolt within one period would be 0.32."""
+    arm, unseen, joint = Watched(rig, ACTING), 40, np.arange(7) == 1
+    arm.goes(100)
+
+    def reading(q: Array, dq: Array, k: int) -> tuple[Array, Array]:
+        if k < unseen:
+            return np.where(joint, NAN, q), np.where(joint, NAN, dq)
+        speed = 2 * way / (1e-3 * unseen)
+        return q + joint * (way + speed * 1e-3 * (k - unseen)), dq + joint * speed
+
+    wrong = arm.goes(unseen + 4, reading).wrong
+    assert (wrong == "") == believed, wrong
