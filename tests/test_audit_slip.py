@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from salver import scenario as scenarios
 from salver.auditing.motion import Recording
 from salver.auditing.noise import Level
 from salver.auditing.recorded import Sensor
-from salver.auditing.slip import SEEN, hidden, per_cycle
+from salver.auditing.slip import HIDDEN, SEEN, hidden, per_cycle
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import MotionSamples
 
@@ -72,3 +74,7 @@ def test_a_hidden_shake_slides_only_where_the_reserve_is_small():
     one = float(per_cycle(np.array(SEEN * noise * np.sqrt(2 * highest / rate)), np.array(highest), np.array(0.5)))
     assert one < found[0].distance < 2.5 * one
     assert np.all(np.diff([slip.distance for slip in found]) > 0)
+    worst, harmless = hidden(t, np.full(len(t), 0.5), 5.0, recording)
+    assert 1.0 <= harmless < highest
+    assert hidden(t, np.full(len(t), 0.5), 5.0, replace(recording, highest=harmless))[0].distance <= HIDDEN
+    assert worst.distance > HIDDEN
