@@ -224,3 +224,8 @@ def test_no_uncertainty_no_tubes():
 def test_a_seen_object_in_an_unknown_place_is_refused():
     with pytest.raises(ScenarioError, match='feedback = "object"'):
         chain_model(CUBE.with_changes(physics__feedback="object"))
+
+
+def test_without_an_arm_there_is_no_chain():
+    with pytest.raises(ScenarioError, match=r"has no arm; give it a table \[arm\]"):
+        chain_model(CUBE.with_changes(arm=None))
