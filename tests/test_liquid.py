@@ -297,6 +297,23 @@ def test_every_fill_in_the_range_is_covered_by_the_cases(coffee):
             assert 1 - waves.crest.max() / waves.cases.room[0] > least - 0.03
 
 
+def test_a_wave_that_must_have_settled_takes_what_is_missing_of_the_last_slack(coffee):
+    """A twentieth more is allowed than is left after half a second: of that, less than a twentieth is to spare."""
+    t, name = np.linspace(0, 0.8, 301), coffee.payload.first.name
+    w = 0.3 * (shaken(t) - at_rest()) + at_rest()
+
+    def spill(**demand):
+        case = coffee.with_changes(**{f"objects__0__liquid__{key}": value for key, value in demand.items()})
+        parts = Liquids.along(case.payload, t, w).worst[name]
+        return Spill.of(name, parts), max(float(part.left(0.5).max()) for part in parts)
+
+    free, left = spill()
+    found, _ = spill(settled_wave=1.05 * left, settled_within=0.5)
+    assert free.slack[-1] > 0.1
+    assert found.settled == pytest.approx(0.05 * left, rel=1e-6)
+    assert found.slack[-1] == pytest.approx(0.05 / 1.05, rel=1e-6)
+
+
 def test_cases_span_fill_and_damping(coffee):
     found = cases(coffee.payload.first, coffee.payload.uncertain)
     assert {round(case.fill, 6) for case in found} >= {0.035, 0.065}
