@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -180,9 +180,15 @@ def _ramp(count: int) -> Array:
 def launch_basis(s: Array) -> Array:
     """(2, 4, P) the quintics in s with slope, and with curvature, 1 at s = 0 and all else 0 at both ends, and their
     first three derivatives."""
+    return np.array([[p(s) for p in each] for each in _launches()])
+
+
+@cache
+def _launches() -> list[list[np.polynomial.Polynomial]]:
+    """The quintics of `launch_basis`, and their derivatives."""
     velocity = np.polynomial.Polynomial([0, 1, 0, -6, 8, -3])
     acceleration = np.polynomial.Polynomial([0, 0, 0.5, -1.5, 1.5, -0.5])
-    return np.array([[(p.deriv(k) if k else p)(s) for k in range(DERIVATIVES)] for p in (velocity, acceleration)])
+    return [[p.deriv(k) if k else p for k in range(DERIVATIVES)] for p in (velocity, acceleration)]
 
 
 class JointPath(Protocol):
