@@ -190,9 +190,13 @@ def told(block: Block, t: Array, knots: Mask) -> Block:
         before, at, after = block.values[:-2], block.values[1:-1], block.values[2:]
         kink = np.zeros(len(block.values), dtype=bool)
         kink[::FINER] = knots
-        i, j = np.nonzero((at > BESIDE) & (at >= before) & (at >= after) & ~kink[1:-1, None])
-        bend = np.maximum(2 * at[i, j] - before[i, j] - after[i, j], 1e-12)
-        block.values[i + 1, j] += (after[i, j] - before[i, j]) ** 2 / (8 * bend)
+        bend, tilt = 2 * at - before - after, after - before
+        # Beside a knot, where there is a kink, a peak may be nearer to that than to the instant after it. Jerk jumps
+        # there: what it is beyond says nothing.
+        within = 2.0 if block.inherits else 1.0
+        peak = (np.maximum(np.maximum(before, after), at) > BESIDE) & (np.abs(tilt) <= within * bend) & (bend > 0.0)
+        i, j = np.nonzero(peak & ~kink[1:-1, None])
+        block.values[i + 1, j] += tilt[i, j] ** 2 / (8 * bend[i, j])
     if isinstance(block.of, TorqueRateLimit):
         step, kink = np.diff(t), knots[1:-1]
         before, at, after = block.values[:-2], block.values[1:-1], block.values[2:]
