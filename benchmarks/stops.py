@@ -2,12 +2,14 @@
 
     python benchmarks/stops.py [-n 50] [--cool 20] [--jobs 1] [--only cube ...] [--again] [--docs]
     python benchmarks/stops.py --early 60 [--only cube ...] [--docs]    # stops anew along the same plans
+    python benchmarks/stops.py --times [--only cube ...] [--docs]       # likewise, and no runs
 
 Each of n runs is stopped at an instant of its own, with the corners of the uncertain set first and then parameters
 drawn from it: `salver campaign runs/stops/LOAD --stops --method corners`, which goes on where it was stopped. The first
 runs (--cool) once more with the cool stop, which brakes the joints and knows nothing of the load. --again plans anew.
 --early plans only the stops anew and runs so many in the first fifth of the plan, where they changed since the others
-were run; what was counted before is kept.
+were run; what was counted before is kept. --times also plans them for an arm whose commands act at once: what of a late
+stop is due to commands that are held for a period, while what is carried is at the edge of its contact.
 
 Results are kept in docs/data/stops.json; with --docs the page docs/stops.md is written from them.
 """
@@ -32,9 +34,10 @@ from salver.driver.stops import CoolStop
 from salver.files import read_json, write_atomic, write_json
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.planning.fastest import FastestOptions, plan_fastest
+from salver.planning.fastest.constraints import Contact
 from salver.planning.plan import Plan, load_plan
 from salver.planning.stop_library import StopLibrary
-from salver.planning.stops import with_stops
+from salver.planning.stops import plan_stops, stop_problem, with_stops
 from salver.scenario import Scenario, load
 from salver.simulation.physics import simulate
 
@@ -42,6 +45,7 @@ ROOT = Path(__file__).parent.parent
 DATA = ROOT / "docs" / "data" / "stops.json"
 WORK = ROOT / "runs" / "stops"
 INSTANTS = 200  # at which stops are compared
+AIM = 1.6  # times the cool stop's time: no stop should take more
 FIRST = 0.2  # of a plan: before that, arms lean into its first acceleration
 
 
@@ -90,17 +94,50 @@ def planned(place: Path, scenario: Scenario, again: bool) -> tuple[Plan, dict[st
 def compared(plan: Plan) -> dict[str, float]:
     """How long stops take beside finishing and beside the cool stop, over instants all along the plan."""
     assert plan.stops is not None
-    instants = (np.arange(INSTANTS) + 0.5) / INSTANTS * plan.duration
-    takes = np.array([plan.stops.course(now).rests - now for now in instants])
-    loaded = _loaded(plan)
-    cool = np.array([_cool_stop(plan, loaded, now).braking for now in instants])
+    instants, takes, cool = ratios(plan, plan.stops)
+    late = instants[takes > AIM * cool]
     return {
         "median": float(np.median(takes)),
         "longest": plan.stops.longest,
         "of_finishing": float(np.median(takes / (plan.duration - instants))),
         "of_cool": float(np.median(takes / cool)),
         "of_cool_most": float(np.max(takes / cool)),
+        "late": len(late),
+        "late_cool_slides": slides(plan, late),
+        "late_until": float(late.max(initial=0.0)) / plan.duration,
     }
+
+
+def ratios(plan: Plan, stops: StopLibrary) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Instants all along the plan, s; what stops take from there, and what the cool stop does."""
+    instants = (np.arange(INSTANTS) + 0.5) / INSTANTS * plan.duration
+    loaded = _loaded(plan)
+    cool = np.array([_cool_stop(plan, loaded, now).braking for now in instants])
+    return instants, np.array([stops.course(now).rests - now for now in instants]), cool
+
+
+def slides(plan: Plan, instants: np.ndarray) -> int:
+    """At how many instants the cool stop breaks contact in the worst case, of an arm that follows it exactly."""
+    problem, loaded, s = replace(stop_problem(plan), tracking=None), _loaded(plan), np.linspace(0.0, 1.0, 101)
+    count = 0
+    for now in instants:
+        stop = _cool_stop(plan, loaded, float(now))
+        z = np.array([np.stack([*stop.reference(x * stop.braking), np.zeros(problem.n)]) for x in s]).swapaxes(0, 1)
+        motion = problem.at(s, z, stop.braking, imposed=False)
+        rows = [block for contact in problem.contacts for block in Contact(contact).blocks(motion)]
+        count += max(float(block.values.max()) for block in rows) > 0.0
+    return count
+
+
+def at_once(plan: Plan) -> dict[str, float]:
+    """How long stops would take of an arm whose commands are not held."""
+    problem = stop_problem(plan)
+    assert plan.joint is not None
+    assert problem.tracking is not None
+    problem = replace(problem, tracking=replace(problem.tracking, delay=0.0))
+    _, takes, cool = ratios(plan, plan_stops(problem, plan.joint, space=plan.space))
+    ratio = takes / cool
+    return {"median": float(np.median(takes)), "of_cool_most": float(ratio.max()), "late": int((ratio > AIM).sum())}
 
 
 def _loaded(plan: Plan) -> ArmModel:
@@ -157,8 +194,8 @@ def study(name: str, scenario: Scenario, n: int, few: int, jobs: int, again: boo
     }
 
 
-def early(place: Path, scenario: Scenario, n: int) -> dict[str, Any]:
-    """Stops anew along the plan, how long they take, and n runs stopped in the first fifth of it, at corners."""
+def anew(place: Path, scenario: Scenario) -> tuple[Plan, dict[str, Any]]:
+    """The plan with its stops planned anew, and how long they take."""
     plan, times = planned(place, scenario, False)
     begun = time.process_time()
     plan = with_stops(plan)
@@ -166,13 +203,19 @@ def early(place: Path, scenario: Scenario, n: int) -> dict[str, Any]:
     assert plan.stops is not None
     plan.save(place)
     write_json(place / "times.json", times)
+    found = {"stops": len(plan.stops.t), "finishing": plan.stops.finishing, "seconds": times, **compared(plan)}
+    return plan, found
+
+
+def early(place: Path, scenario: Scenario, n: int) -> dict[str, Any]:
+    """Stops anew along the plan, how long they take, and n runs stopped in the first fifth of it, at corners."""
+    plan, found = anew(place, scenario)
     rng, uncertain, lost = np.random.default_rng(5), plan.uncertain, 0
     for run in range(n):
         corner = uncertain.nominal + uncertain.half_range * rng.choice([-1, 1], len(uncertain.names))
         parameters = dict(zip(map(str, uncertain.names), corner.tolist(), strict=True))
         record = simulate(plan, parameters=parameters, seed=run, stop_at=rng.uniform(0.0, FIRST) * plan.duration)
         lost += record.outcome in DROPPED or max(x["peak_slip"] for x in record.summary["objects"]) > FAR
-    found = {"stops": len(plan.stops.t), "finishing": plan.stops.finishing, "seconds": times, **compared(plan)}
     return {**found, "early": {"runs": n, "lost": lost}}
 
 
@@ -200,8 +243,15 @@ work.
 EARLY = """
 Stops of the first fifth of a plan were made sooner after those runs: {runs} more, stopped there, at corners, lost
 {lost}.
-More than 1.6 times the cool stop's time is taken only in the first sixth, while the tray leans into the first
-acceleration and has to be righted before it may rest.
+"""
+LATE = """
+More than {aim:g} times the cool stop's time is taken at {late} of {instants}
+instants of each plan that were looked at, all in the first {share:.0f} % of it, while the tray leans into the first
+acceleration and what it carries is at the edge of its contact. The cool stop breaks contact in the worst case at
+{slides} of these. What hinders a sooner rest is for the most part that commands are held for a period: a jerk that
+begins at once is late by what it makes of the acceleration meanwhile, and the edge does not allow for that. Stops that
+the same search finds for an arm whose commands act at once take at most, of the cool stop's time,
+{once}.
 """
 TAIL = """
 Again: `python benchmarks/stops.py -n {n} --cool {cool} --docs`. One run of it: `salver simulate runs/stops/cube --run 3
@@ -223,6 +273,15 @@ def page(results: dict[str, Any]) -> str:
     again = [r["early"] for r in results.values() if "early" in r]
     if again:
         sooner = EARLY.format(**{key: sum(each[key] for each in again) for key in ("runs", "lost")})
+    if all("at_once" in r for r in results.values()):
+        sooner += LATE.format(
+            aim=AIM,
+            late=", ".join(f"{r['late']} ({name})" for name, r in results.items()),
+            instants=INSTANTS,
+            slides=", ".join(str(r["late_cool_slides"]) for r in results.values()),
+            share=100 * max(r["late_until"] for r in results.values()),
+            once=", ".join(f"{r['at_once']['of_cool_most']:.2f} ({name})" for name, r in results.items()),
+        )
     first = next(iter(results.values()))
     head = HEAD.format(loads=len(results), runs=runs, lost=lost, others=others, dropped=dropped)
     if missing := [name for name in scenarios() if name not in results]:
@@ -238,13 +297,17 @@ def main() -> None:
     options.add_argument("--only", nargs="+", help="these loads")
     options.add_argument("--again", action="store_true", help="plan anew")
     options.add_argument("--early", type=int, default=0, help="stops anew, and so many runs in the first fifth")
+    options.add_argument("--times", action="store_true", help="stops anew, and without held commands; no runs")
     options.add_argument("--docs", action="store_true", help="write docs/stops.md")
     chosen = options.parse_args()
     cases = scenarios()
     results = read_json(DATA) if DATA.is_file() else {}
     for name in chosen.only or cases:
         place = WORK / name.replace(" ", "-")
-        if chosen.early:
+        if chosen.times:
+            plan, found = anew(place, cases[name])
+            results[name] |= {**found, "at_once": at_once(plan)}
+        elif chosen.early:
             results[name] |= early(place, cases[name], chosen.early)
         else:
             results[name] = study(name, cases[name], chosen.n, chosen.cool, chosen.jobs, chosen.again)
