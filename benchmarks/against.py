@@ -1,9 +1,10 @@
 """The fastest motion of this checkout against that of another commit: processor times, the two taking turns.
 
-    python benchmarks/against.py COMMIT [-n 5]
+    python benchmarks/against.py COMMIT [-n 5] [--unheld]
 
 The four cases of fastest_solve.py, each solved by a process of either checkout in turn, so that what else the machine
-does slows both. The other commit is unpacked from git into a temporary folder.
+does slows both. The other commit is unpacked from git into a temporary folder. With --unheld this checkout also solves
+what commits before e9c30aa solve: where nothing is uncertain these leave out that commands are held for a period.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -24,12 +25,13 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 WORKER = """
-import runpy, sys, time
+import dataclasses, runpy, sys, time
 names = runpy.run_path(sys.argv[1])
 for line in sys.stdin:
-    friction, orientation = line.split()
+    friction, orientation, *unheld = line.split()
     began = time.process_time()
-    found = names["fastest"](names["transport_problem"](names["cube"](float(friction), orientation)))
+    problem = names["transport_problem"](names["cube"](float(friction), orientation))
+    found = names["fastest"](dataclasses.replace(problem, tracking=None) if unheld else problem)
     print(time.process_time() - began, found.duration, found.status.ok, flush=True)
 """
 
@@ -78,33 +80,45 @@ def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("commit", help="what to compare with")
     options.add_argument("-n", type=int, default=5, help="times that each of the four cases is solved by either")
+    options.add_argument("--unheld", action="store_true", help="also what commits before e9c30aa solve")
     chosen = options.parse_args()
     unpacked = subprocess.run(["git", "-C", str(ROOT), "archive", chosen.commit], check=False, capture_output=True)
     if unpacked.returncode:
         raise SystemExit(f"{chosen.commit}: {unpacked.stderr.decode().strip()}")
     packed = unpacked.stdout
+    asked = ["", " unheld"] if chosen.unheld else [""]
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         with tarfile.open(fileobj=BytesIO(packed)) as archive:
             archive.extractall(folder, filter="data")
         print(f"processor times, N = {chosen.n}, in turns: {chosen.commit}, and this checkout")
+        if chosen.unheld:
+            print("(last: this checkout, where it too leaves out that commands are held for a period)")
         with worker(Path(folder)) as other, worker(ROOT) as this:
             for friction in (0.4, 0.2):
                 for orientation, name in (("fixed", "level"), ("free", "tilting")):
                     case = f"{friction} {orientation}"
-                    runs = [
-                        (solve(other, case, chosen.commit), solve(this, case, "this checkout"))
-                        for _ in range(chosen.n + 1)
-                    ]
+                    runs = []
+                    for _ in range(chosen.n + 1):
+                        runs.append([solve(other, case, chosen.commit)])
+                        runs[-1] += [solve(this, case + more, "this checkout") for more in asked]
                     times, durations = np.moveaxis(np.array(runs), 2, 0)
-                    before, now = np.median(times[1:], axis=0)
-                    ratios.append(before / now)
+                    before, *now = np.median(times[1:], axis=0)
+                    ratios.append(before / np.array(now))
+                    times_as_quick = " and ".join(f"{x:.2f}" for x in ratios[-1])
                     print(
-                        f"friction {friction}, {name:8s} {durations[0, 0]:.4f} s, {durations[0, 1]:.4f} s; median "
-                        f"{before:.2f} s, {now:.2f} s: {before / now:.2f} times as quick",
+                        f"friction {friction}, {name:8s} {_listed(durations[0], '.4f')}; median "
+                        f"{_listed([before, *now], '.2f')}: {times_as_quick} times as quick",
                         flush=True,
                     )
-    print(f"geometric mean of the four ratios: {np.exp(np.mean(np.log(ratios))):.2f}")
+    means = np.exp(np.mean(np.log(ratios), axis=0))
+    print(f"geometric mean of the four ratios: {means[0]:.2f}")
+    if chosen.unheld:
+        print(f"and of those where both leave out that commands are held: {means[1]:.2f}")
+
+
+def _listed(seconds: Sequence[float], digits: str) -> str:
+    return ", ".join(f"{x:{digits}} s" for x in seconds)
 
 
 if __name__ == "__main__":

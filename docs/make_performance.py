@@ -32,7 +32,7 @@ COMMANDS = {
 }
 PEERS = {
     "toppra": ["peers.py", "--agreement", "--only", "cube, friction 0.4", "tall bottle"],
-    "against": ["against.py", "fd9b03a"],
+    "against": ["against.py", "fd9b03a", "-n", "7", "--unheld"],
 }
 PROCESSES = (
     "salver --help",

@@ -114,16 +114,22 @@ class ArmGeometry:
         if not due.any():
             return
         arm, data, place, results = self.arm.pin_model, self.arm.data, (self.model, self.data), self._results
-        whole = due.all(axis=1)
+        whole = np.asarray(due.all(axis=1))
+        measured = []
         for k in nodes[whole].tolist():
             pin.computeDistances(arm, data, *place, q[k])
-            low[k] = [result.min_distance for result in results]
-        parted = due.any(axis=1) & ~whole
-        for k, some in zip(nodes[parted].tolist(), due[parted], strict=True):
-            pin.updateGeometryPlacements(arm, data, *place, q[k])
-            for pair in some.nonzero()[0].tolist():
-                pin.computeDistance(*place, pair)
-                low[k, pair] = results[pair].min_distance
+            measured.append([result.min_distance for result in results])
+        if measured:
+            low[nodes[whole]] = measured
+        row, pairs = (due & ~whole[:, None]).nonzero()
+        postures, found, last = nodes[row], [], -1
+        for k, pair in zip(postures.tolist(), pairs.tolist(), strict=True):
+            if k != last:
+                pin.updateGeometryPlacements(arm, data, *place, q[k])
+                last = k
+            pin.computeDistance(*place, pair)
+            found.append(results[pair].min_distance)
+        low[postures, pairs] = found
 
     @cached_property
     def _results(self) -> list[Any]:
@@ -206,9 +212,19 @@ class ArmGeometry:
         low, close = self._coming_near(q, distance)
         self._remember(q, low)
         pairs = np.flatnonzero(close)
-        found = self.only(pairs)
+        found = self._parted.get(tuple(pairs.tolist()))
+        if found is None:
+            found = self._parted[tuple(pairs.tolist())] = self.only(pairs)
+            if len(self._parted) > _REMEMBERED:
+                del self._parted[next(iter(self._parted))]
+        found._last.clear()  # as of one made now: what is found does not depend on what was asked before
         found._remember(q, low[:, pairs])
         return found
+
+    @cached_property
+    def _parted(self) -> dict[tuple[int, ...], ArmGeometry]:
+        """What was found to come near: searches ask for the same again and again."""
+        return {}
 
     def _coming_near(self, q: Array, distance: float) -> tuple[Array, npt.NDArray[np.bool_]]:
         """What is known of the distances at postures (N, n) (N, pairs), and which pairs come near at one of them."""
