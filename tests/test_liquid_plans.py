@@ -142,7 +142,7 @@ def test_rows_of_a_liquid_are_its_crest_what_is_left_and_what_settles_in_units_o
     freely = np.concatenate([np.hypot(*np.moveaxis(part.waves.tail.sum(axis=1), 1, 0)) for part in parts])
     steepest = 0.3 * coffee.objects[0].liquid.radius
     assert found["steepness left"] == pytest.approx((freely / steepest - 1)[None], abs=0.02)  # the arm gives way
-    assert np.all(found["steepness left"][0] >= freely / steepest - 1)
+    assert np.all(found["steepness left"][0] >= freely / steepest - 1 - 1e-12)  # rounding
     # A fifth of the weight must press: on the tray's axis, for here nothing of it is far from that.
     pressing = motion.terms.w[:, 2] / 9.81
     assert found["lightness"] == pytest.approx(np.tile((1 - pressing) / 0.8 - 1, (len(room), 1)).T, abs=0.05)

@@ -212,19 +212,9 @@ class ArmGeometry:
         low, close = self._coming_near(q, distance)
         self._remember(q, low)
         pairs = np.flatnonzero(close)
-        found = self._parted.get(tuple(pairs.tolist()))
-        if found is None:
-            found = self._parted[tuple(pairs.tolist())] = self.only(pairs)
-            if len(self._parted) > _REMEMBERED:
-                del self._parted[next(iter(self._parted))]
-        found._last.clear()  # as of one made now: what is found does not depend on what was asked before
+        found = self.only(pairs)  # made anew: where Coal begins to look hangs on what a shape was asked before
         found._remember(q, low[:, pairs])
         return found
-
-    @cached_property
-    def _parted(self) -> dict[tuple[int, ...], ArmGeometry]:
-        """What was found to come near: searches ask for the same again and again."""
-        return {}
 
     def _coming_near(self, q: Array, distance: float) -> tuple[Array, npt.NDArray[np.bool_]]:
         """What is known of the distances at postures (N, n) (N, pairs), and which pairs come near at one of them."""
