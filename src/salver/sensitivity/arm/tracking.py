@@ -175,8 +175,7 @@ class Deviation:
 
     def _radius(self, sensitivity: Array, held: Array) -> Array:
         """Most (T, m) that a wrong load and held commands make of something together."""
-        known = np.abs(held)
-        return known + self.load.radius(sensitivity) if sensitivity.shape[-1] else known
+        return np.asarray(np.abs(held) + self.load.radius(sensitivity))
 
 
 @dataclass(frozen=True, eq=False)
