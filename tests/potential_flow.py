@@ -17,7 +17,7 @@ from scipy.special import jnp_zeros, jv, jvp
 @dataclass(frozen=True)
 class Basis:
     """Eigenfunctions (P, J) at points of the surface, their slopes, wave numbers k (J,), weights (P,), and at the wall
-    (Q, J). x, y: (P,)."""
+    (Q, J). x, y: (P,), x along the push."""
 
     value: np.ndarray
     by_x: np.ndarray
@@ -37,6 +37,25 @@ def rectangle(side: float, count: int = 14) -> Basis:
     weight = np.sqrt(1 - (2 * x / side) ** 2)  # of Chebyshev points
     ends = np.cos(k * np.array([[0.0], [side]]))
     return Basis(np.cos(at), -k * np.sin(at), np.zeros_like(at), k, weight, ends, x, np.zeros_like(x))
+
+
+def box(sides: tuple[float, float], angle: float, count: int = 9) -> Basis:
+    """Waves along both sides; what pushes along x of the flow pushes at this angle from the first side, rad."""
+    at, wave = (np.arange(2 * count) + 0.5) * np.pi / (2 * count), np.arange(count + 1)
+    x, y = (g.ravel() for g in np.meshgrid(*(side * 0.5 * np.cos(at) for side in sides)))
+    edge = np.linspace(-0.5, 0.5, 9)
+    end = np.repeat([-0.5, 0.5], len(edge))
+    around = np.hstack([[np.tile(edge, 2), end], [end, np.tile(edge, 2)]])  # of the walls, in sides
+    i, j = (g.ravel() for g in np.meshgrid(wave, wave))
+    i, j = i[(i + j > 0) & (i + j <= count)], j[(i + j > 0) & (i + j <= count)]
+    kx, ky = i * np.pi / sides[0], j * np.pi / sides[1]
+    along, across = kx * (x[:, None] + sides[0] / 2), ky * (y[:, None] + sides[1] / 2)
+    weight = np.sqrt((1 - (2 * x / sides[0]) ** 2) * (1 - (2 * y / sides[1]) ** 2))  # of Chebyshev points
+    wall = np.cos(np.pi * i * (around[0][:, None] + 0.5)) * np.cos(np.pi * j * (around[1][:, None] + 0.5))
+    return Basis(
+        np.cos(along) * np.cos(across), -kx * np.sin(along) * np.cos(across), -ky * np.cos(along) * np.sin(across),
+        np.hypot(kx, ky), weight, wall, np.cos(angle) * x + np.sin(angle) * y, y,
+    )  # fmt: skip
 
 
 def cylinder(radius: float, orders: tuple[int, ...] = (6, 6, 5, 4, 3)) -> Basis:

@@ -11,7 +11,7 @@ from scipy.sparse import diags, identity, kron
 from scipy.sparse.linalg import spsolve
 
 import salver as sv
-from potential_flow import cylinder, rectangle, simulate
+from potential_flow import box, cylinder, rectangle, simulate
 from salver.errors import ScenarioError
 from salver.models.liquid import Liquid, damping_of
 from salver.models.tray_motion import at_rest
@@ -211,6 +211,21 @@ def test_waves_in_a_box_are_those_of_nonlinear_potential_flow(coffee, fill, dura
     waves, moving = case.along(t, w), times <= duration
     assert waves.crest.max() == pytest.approx(seen[moving].max(), rel=0.06)
     assert waves.left()[0] > 0.95 * seen[~moving].max()
+
+
+@pytest.mark.parametrize(("degrees", "within"), [(0, 0.02), (35, 0.03), (60, 0.03)])
+def test_waves_across_a_box_are_those_of_nonlinear_potential_flow(coffee, degrees, within):
+    """Pushed at an angle to its sides, both of which have waves of their own: they add up in a corner."""
+    case, duration, angle = Case(coffee.with_changes(**BOX).payload.first, 0.05, 0.005), 1.25, np.deg2rad(degrees)
+    times = np.arange(0, duration + 0.2, 0.004)
+    flow = box((0.09, 0.06), angle)
+    seen = simulate(flow, 0.05, lambda t: (float(pushed(duration, np.array(t))), 9.81), times, case.damping)
+    t = np.linspace(0, duration, 201)
+    w = np.tile(at_rest(), (len(t), 1))
+    w[:, :2] = np.outer(pushed(duration, t), [np.cos(angle), np.sin(angle)])
+    waves = case.along(t, w)
+    assert waves.crest.max() == pytest.approx(seen[times <= duration].max(), rel=within)
+    assert waves.left()[0] > 0.95 * seen[times > duration].max()
 
 
 def test_waves_in_a_cup_are_those_of_nonlinear_potential_flow(coffee):

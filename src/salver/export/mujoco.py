@@ -31,11 +31,12 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[P
 
     The scene is the one that `salver simulate` runs, but for servos on the joints and compensated weight, so that it
     holds itself up: set ctrl to the columns q_... of motion.csv to replay. Keyframe "start" has the arm at the start
-    and the objects on the tray. Raises SalverError when `path` exists, FileFormatError for a directory without such
-    a plan.
+    and the objects on the tray. Raises SalverError when `path` exists and for a liquid that is no body to such a file,
+    FileFormatError for a directory without such a plan.
     """
     from salver.models.arm import load_arm
     from salver.simulation import scene as scenes
+    from salver.simulation.elements import lent
     from salver.simulation.engine import mujoco
     from salver.simulation.loads import true_world
 
@@ -47,6 +48,12 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[P
     scenario = plan.scenario
     arm = load_arm(scenario.arm, scenario.tray) if scenario.arm and plan.joint is not None else None
     world = true_world(scenario)
+    for load in world.loads:
+        if lent(load.still):
+            raise SalverError(
+                f"A MuJoCo scene as a file cannot hold the liquid in {load.name}: what of it does not swing turns less "
+                "easily about one side than any solid could; a heavier or less oblong container can be written."
+            )
     spec = scenes.specify(scenario, world, arm, visual=True)
     spec.modelname = scenario.name
     spec.option.gravity = GRAVITY_S  # without an arm the engine leaves it to the moving tray

@@ -21,7 +21,7 @@ Valid for free waves up to 0.3 R on liquids at least half as deep as the contain
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -41,6 +41,7 @@ THICKEST = 0.1  # of critical damping: boundary layers are then no longer thin
 UNKNOWN_DAMPING = (0.5, 2.0)  # times the damping that the viscosity would have in a clean container
 MOST_OF_WATER = 0.03  # of critical: a dirty surface and the contact line at the wall brake small waves of water too
 LEFT_OVER = 1.8  # times peak^3 / R^2: what nonlinear flow left over after the stop, beyond linear waves
+SQUARE = 1e-6  # share of a mode by which those along both sides differ: less is none
 TILTING = 1.3  # times Omega^2 R^2 / g: what nonlinear potential flow showed of a container that is tilted quickly
 _ROOTS = np.array([1.8411837813, 5.3314427735, 8.5363163663, 11.7060049026])  # of J1'
 # A free wave in a cylinder that is 0.3 R high, by nonlinear potential flow: depth over R, kappa.
@@ -108,17 +109,52 @@ class Modes:
         steep = (self.peaking / self.half * free**2).sum(axis=-1)
         return self.highest(eta) + steep + TILTING / GRAVITY * float(self.half.max()) ** 2 * turning
 
+    @cached_property
+    def pendulums(self) -> tuple[tuple[Rod, ...], ...]:
+        """Each mode as rods, the first hung in the container, each other in the one before it.
+
+        Along either axis a mode is what has m_n L_n and m_n L_n^2 about a hinge at z_n + L_n, L_n its length. In a
+        round or square container that is its mass on a spherical pendulum. A box has other masses, heights and lengths
+        along the one side than along the other: there a rod that swings along the longer one carries the hinge of the
+        mass that swings along the shorter one, and what it lacks itself.
+        """
+        first = 0 if self.half[0] > self.half[1] else 1
+        return tuple(_pendulum(first, *mode) for mode in zip(self.mass, self.height, self.length, strict=True))
+
     @property
     def still(self) -> RigidBody:
-        """The liquid without its moving masses, about O: what is left when they hang as pendulums."""
-        mass = self.frozen.mass - float(self.mass[:, 0].sum())
-        lever = self.frozen.mass * self.frozen.com_B[2] - float((self.mass * self.height)[:, 0].sum())
-        z = lever / mass
+        """The liquid without its moving masses, about O: what is left when they hang as pendulums. Not always what a
+        solid could be: of a long box of liquid under a lid little turns, and its masses hang far apart."""
+        mass, height = np.array([(rod.mass, rod.height) for rods in self.pendulums for rod in rods]).T
+        left = self.frozen.mass - float(mass.sum())
+        z = (self.frozen.mass * self.frozen.com_B[2] - float(mass @ height)) / left
         about_O = np.diag(self.frozen.inertia_com)[:2] + self.frozen.mass * self.frozen.com_B[2] ** 2
-        lateral = about_O[::-1] - (self.mass * self.height**2).sum(axis=0) - mass * z**2  # by the axis they move along
-        return RigidBody(
-            mass, np.array([0.0, 0.0, z]), np.diag([lateral[1], lateral[0], self.frozen.inertia_com[2, 2]])
-        )
+        lateral = about_O - mass @ height**2 - left * z**2
+        return RigidBody(left, np.array([0.0, 0.0, z]), np.diag([*lateral, self.frozen.inertia_com[2, 2]]))
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A point mass, kg, on a light rod that swings on hinges at its pivot: along the container's axes `along` (0, 1),
+    in that order. height, pivot: m over the still surface, at rest."""
+
+    mass: float
+    height: float
+    pivot: float
+    along: tuple[int, ...]
+
+
+def _pendulum(first: int, mass: Array, height: Array, length: Array) -> tuple[Rod, ...]:
+    """A mode of which these are by axis; first: the axis along which more of it moves."""
+    second, pivot = 1 - first, height + length
+    lever = pivot[first] - height[second]
+    # What the first rod still lacks about its hinge, when the other mass hangs on it.
+    moment = mass[first] * length[first] - mass[second] * lever
+    inertia = mass[first] * length[first] ** 2 - mass[second] * lever**2
+    if inertia < SQUARE * mass[first] * length[first] ** 2:
+        return (Rod(float(mass[second]), float(height[second]), float(pivot[second]), (first, second)),)
+    carries = Rod(float(moment**2 / inertia), float(pivot[first] - inertia / moment), float(pivot[first]), (first,))
+    return carries, Rod(float(mass[second]), float(height[second]), float(pivot[second]), (second,))
 
 
 @dataclass(frozen=True)

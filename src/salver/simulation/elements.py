@@ -19,6 +19,7 @@ import numpy as np
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
 from salver.models.arm import ArmModel
 from salver.models.bodies import TRAY
+from salver.models.liquid import Rod
 from salver.models.obstacle_shapes import mesh_pieces
 from salver.models.rigid_body import RigidBody
 from salver.scenario import Cylinder, Obstacle, Tray
@@ -179,6 +180,10 @@ def swing_name(k: int, mode: int) -> str:
     return f"salver:swing:{k}:{mode}"
 
 
+def rod_name(k: int, mode: int, rod: Rod) -> str:
+    return f"{swing_name(k, mode)}:rod:{''.join('xy'[axis] for axis in rod.along)}"
+
+
 def obstacle_name(k: int) -> str:
     return f"{OBSTACLE}{k}"
 
@@ -187,13 +192,10 @@ def add_load(spec: Any, load: Load, k: int) -> None:
     """Add an object at the world's origin, free to move: its feet, its hull, and its liquid."""
     body = spec.worldbody.add_body(name=f"salver:object:{k}")
     body.add_freejoint(name=f"salver:object:{k}")
-    inertial = load.inertial
     if load.fill is not None:
-        still = load.modes.still
-        surface = RigidBody(still.mass, still.com_B + load.surface_B, still.inertia_com)
-        inertial = RigidBody.from_phi(inertial.phi + surface.phi)
         _add_swing(spec, body, load, k)
-    set_inertia(body, inertial.mass, inertial.com_B, inertial.inertia_com)
+    still = load.still
+    set_inertia(body, still.mass, still.com_B, still.inertia_com + lent(still) * np.eye(3))
     for number, point in enumerate(load.outline_B):
         body.add_geom(
             name=foot_name(k, number),
@@ -234,22 +236,32 @@ def add_load(spec: Any, load: Load, k: int) -> None:
         )
 
 
+def lent(still: RigidBody) -> float:
+    """kg m^2 about every axis without which the engine's compiler would not take it for a body: what a box of liquid
+    leaves need not be one (`Modes.still`). Its axes stay as they are, and the compiled scene gives it back."""
+    least, middle, largest = np.linalg.eigvalsh(still.inertia_com).tolist()
+    lacks = largest - middle - least
+    return lacks + 1e-9 * largest if lacks > 1e-9 * largest else 0.0
+
+
 def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
     """The moving masses of a liquid. Pendulums and not springs: what lifts or tilts the container stiffens them."""
     modes, damping = load.modes, load.damping or 0.0
-    for n, (mass, height, length, omega) in enumerate(
-        zip(modes.mass[:, 0], modes.height[:, 0], modes.length[:, 0], modes.omega[:, 0], strict=True)
-    ):
-        bob = body.add_body(name=swing_name(k, n), pos=load.surface_B + np.array([0.0, 0.0, height + length]))
-        for axis in np.eye(3)[:2]:
-            bob.add_joint(
-                name=f"{swing_name(k, n)}:{'x' if axis[0] else 'y'}",
-                type=mujoco.mjtJoint.mjJNT_HINGE,
-                axis=axis,
-                damping=np.array([2 * damping * omega * mass * length**2, 0.0, 0.0]),
-            )
-        own = max(SMALL_POINT * mass * length**2, LEAST_INERTIA)
-        set_inertia(bob, mass, np.array([0.0, 0.0, -length]), own * np.eye(3))
+    inertia = modes.mass * modes.length**2
+    for n, rods in enumerate(modes.pendulums):
+        hung, at = body, load.surface_B
+        for rod in rods:
+            hung = hung.add_body(name=rod_name(k, n, rod), pos=at + np.array([0.0, 0.0, rod.pivot]))
+            for axis in rod.along:
+                hung.add_joint(
+                    name=f"{swing_name(k, n)}:{'xy'[axis]}",
+                    type=mujoco.mjtJoint.mjJNT_HINGE,
+                    axis=np.eye(3)[1 - axis],
+                    damping=np.array([2 * damping * modes.omega[n, axis] * inertia[n, axis], 0.0, 0.0]),
+                )
+            own = max(SMALL_POINT * inertia[n, rod.along[-1]], LEAST_INERTIA)
+            set_inertia(hung, rod.mass, np.array([0.0, 0.0, rod.height - rod.pivot]), own * np.eye(3))
+            at = np.array([0.0, 0.0, -rod.pivot])
     site = f"salver:surface:{k}"
     body.add_site(name=site, pos=load.surface_B, group=5)
     for name, kind in (("velocity", mujoco.mjtSensor.mjSENS_VELOCIMETER), ("turn", mujoco.mjtSensor.mjSENS_GYRO)):

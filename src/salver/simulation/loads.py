@@ -54,6 +54,20 @@ class Load:
         assert self.fill is not None
         return self.nominal.liquid.modes(self.fill)
 
+    @cached_property
+    def still(self) -> RigidBody:
+        """What of it does not swing, in B. What a long box of liquid leaves in a very light container has less than no
+        moment about the long side: it is then given none."""
+        if self.fill is None:
+            return self.inertial
+        rest = self.modes.still
+        rest = RigidBody(rest.mass, rest.com_B + self.surface_B, rest.inertia_com)
+        still = RigidBody.from_phi(self.inertial.phi + rest.phi)
+        principal, axes = np.linalg.eigh(still.inertia_com)
+        if principal[0] >= ON_A_LINE * principal[2]:
+            return still
+        return replace(still, inertia_com=(axes * np.maximum(principal, ON_A_LINE * principal[2])) @ axes.T)
+
     @property
     def surface_B(self) -> Array:
         """(3,) centre of its liquid's still surface, in B."""
@@ -149,11 +163,6 @@ def _filled(body: Body, true: Mapping[Parameter, float]) -> tuple[float | None, 
         )
     if not 0 <= damping <= 2 * THICKEST:
         raise ScenarioError(f"damping of {body.name} = {damping:g} of critical; it must be from 0 to {2 * THICKEST:g}.")
-    if not liquid.round:
-        raise ScenarioError(
-            f"{body.name} is a box with a liquid in it; the physics engine knows liquids in upright cylinders only. "
-            "Plans, margins and salver audit know both."
-        )
     return fill, damping
 
 

@@ -16,7 +16,7 @@ from salver.models.liquid import GRAVITY, LEAST_WEIGHT
 from salver.simulation import creep
 from salver.simulation.elements import DAMPING_WIDTH
 from salver.simulation.loads import Load
-from salver.simulation.scene import Scene
+from salver.simulation.scene import HINGE, Scene
 from salver.simulation.trace import Trace
 
 
@@ -114,8 +114,8 @@ def surfaces(scene: Scene, trace: Trace) -> Array:
     out = np.full((len(trace.t), len(scene.loads), 3), np.nan)
     for i, swing in enumerate(scene.swings):
         modes = scene.loads[swing.load].modes
-        a, b = trace.swung[:, i, :, 0], trace.swung[:, i, :, 1]
-        incline = np.stack([-np.tan(b) / np.cos(a), np.tan(a)], axis=2)  # of each mass under its hinges
+        incline = np.tan(trace.swung[:, i]) * HINGE  # of each mass under its hinges
+        incline[..., 1 - swing.first] /= np.cos(trace.swung[:, i, :, swing.first])
         # A push shorter than its own time moves a wave as its mean over that time would, held: contacts chatter.
         own = 1 / modes.following
         accelerated = _rate(trace.t, trace.moved[:, i], own) - trace.pulled[:, i]

@@ -32,6 +32,8 @@ from salver.simulation.elements import (
     add_tray,
     foot_name,
     foot_supports,
+    lent,
+    rod_name,
     set_inertia,
     set_options,
     strap,
@@ -42,6 +44,7 @@ from salver.simulation.loads import Load, TrueWorld
 from salver.simulation.robots import each_joint
 
 DOWN = np.array([0.0, 0.0, -1.0])
+HINGE = (-1.0, 1.0)  # about y and x: which way a mass that hangs goes along x and y when the angle grows
 _REFUSED_LINK = re.compile(f"Element name '{ARM_PREFIX}([^']*)'")  # in the engine's sentence
 
 
@@ -100,8 +103,9 @@ class Scene:
             data.qpos[i + 3 : i + 7] = quat_wxyz_from_matrix(R_SE @ load.R_EB)
         down_S = down / np.linalg.norm(down)
         for swing in self.swings:
-            x, y, z = (R_SE @ self.loads[swing.load].R_EB).T @ down_S
-            data.qpos[swing.qpos_ids] = np.arctan2(y, -z), -np.arcsin(np.clip(x, -1, 1))
+            down_B, first, second = (R_SE @ self.loads[swing.load].R_EB).T @ down_S, swing.first, 1 - swing.first
+            data.qpos[swing.qpos_ids[:, first]] = HINGE[first] * np.arctan2(down_B[first], -down_B[2])
+            data.qpos[swing.qpos_ids[:, second]] = HINGE[second] * np.arcsin(np.clip(down_B[second], -1, 1))
         mujoco.mj_forward(self.model, data)
 
     def tray_pose(self, data: Any) -> tuple[Array, Array]:
@@ -111,13 +115,15 @@ class Scene:
 
 @dataclass(frozen=True)
 class Swing:
-    """The moving masses of one liquid, each a point on a spherical pendulum: hinges about x, then y, of the container.
+    """The moving masses of one liquid (`salver.models.liquid.Modes.pendulums`).
 
-    load: which object it is in. qpos_ids: (n_modes, 2) of its angles. body_ids: (n_modes,) of the masses. sensor: first
+    load: which object it is in. first: along which axis of the container, 0 or 1, the first hinge of each lets swing.
+    qpos_ids: (n_modes, 2) of the angles that swing along x and y. body_ids: (n_points,) of the masses. sensor: first
     of the six readings at the centre of the still surface: velocity, turning rate, in the container's axes.
     """
 
     load: int
+    first: int
     qpos_ids: Array
     body_ids: Array
     sensor: int
@@ -186,6 +192,10 @@ def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: f
             f"The physics engine cannot move the link {link[1]} of {arm.urdf_path} ({reason}); a link that a joint "
             "moves needs <inertial> with a mass above 0 and an inertia that a body can have."
         ) from None
+    for k, load in enumerate(world.loads):
+        if inertia := lent(load.still):
+            model.body(f"salver:object:{k}").inertia -= inertia
+            mujoco.mj_setConst(model, mujoco.MjData(model))
     foot = np.full((3, model.ngeom), -1)
     index = {load.name: k for k, load in enumerate(world.loads)}
     for k, load in enumerate(world.loads):
@@ -211,7 +221,9 @@ def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: f
 
 
 def _found_swing(model: Any, k: int, load: Load) -> Swing:
-    names = [swing_name(k, n) for n in range(len(load.modes.mass))]
+    pendulums = load.modes.pendulums
+    names = [swing_name(k, n) for n in range(len(pendulums))]
     joints = [[model.joint(f"{name}:{axis}").qposadr[0] for axis in "xy"] for name in names]
-    bodies = [model.body(name).id for name in names]
-    return Swing(k, np.array(joints), np.array(bodies), int(model.sensor(f"salver:surface:{k}:velocity").adr[0]))
+    bodies = [model.body(rod_name(k, n, rod)).id for n, rods in enumerate(pendulums) for rod in rods]
+    sensor = int(model.sensor(f"salver:surface:{k}:velocity").adr[0])
+    return Swing(k, pendulums[0][0].along[0], np.array(joints), np.array(bodies), sensor)

@@ -1,0 +1,250 @@
+"""Liquids in the physics engine, cups and boxes alike: what hangs in them is the liquid of the model, and swings as
+plans say."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+import salver as sv
+from salver.contact_margins import margins
+from salver.errors import SalverError
+from salver.export.mujoco import write_scene
+from salver.geometry import exp
+from salver.models.liquid import Liquid
+from salver.models.rigid_body import RigidBody
+from salver.planning.fastest import plan_fastest
+from salver.planning.make import plan_baseline
+from salver.sampling import draw
+from salver.simulation.loads import true_world
+from salver.simulation.physics import simulate_tray
+from salver.simulation.scene import build
+from salver.trajectory import MotionSamples, SampledReference, min_jerk_line
+
+WALL = 0.004
+# Inside, fill, brim and mass of the container. The light one is too long to be a solid, see `Load.still`.
+BOXES = {
+    "long": (0.09, 0.06, 0.05, 0.08, 0.25),
+    "across": (0.06, 0.09, 0.05, 0.08, 0.25),
+    "square": (0.07, 0.07, 0.05, 0.08, 0.25),
+    "deep": (0.15, 0.05, 0.1, 0.14, 0.1),
+    "light": (0.18, 0.06, 0.065, 0.09, 0.12),
+}
+
+
+@pytest.fixture(scope="module")
+def coffee():
+    return sv.load_scenario("panda-coffee")
+
+
+def boxed(scenario, x, y, fill, brim, mass, **changes):
+    box = {
+        "objects__0__shape": {"type": "box", "size": [x + 2 * WALL, y + 2 * WALL, brim + WALL]},
+        "objects__0__liquid": {"kind": "water", "size": [x, y], "fill": fill, "brim": brim},
+        "objects__0__mass": mass,
+        "objects__0__support_inset": 0.0,
+    }
+    return scenario.with_changes(**box, **changes)
+
+
+def carrying(scenario, which, **changes):
+    if which == "cup":
+        return scenario.with_changes(**changes)
+    return boxed(scenario, *BOXES[which], **changes)
+
+
+def modes_by_hand(which, scenario):
+    """Of each mode and axis: frequency, mass, height. Of a cylinder, roots of J1'; of a box, k = (2 n - 1) pi / L."""
+    liquid = scenario.payload.first.liquid
+    h, density = liquid.fill, liquid.density
+    if which == "cup":
+        R, xi = 0.04, np.array([1.8411837813, 5.3314427735])[:, None] * np.ones(2)
+        k, total = xi / R, density * np.pi * R**2 * h
+        mass = total * 2 * R * np.tanh(k * h) / (xi * h * (xi**2 - 1))
+    else:
+        L = np.array(BOXES[which][:2])
+        k, total = np.array([[1], [3]]) * np.pi / L, density * np.prod(L) * h
+        mass = total * 8 * np.tanh(k * h) / (k**3 * L**2 * h)
+    return np.sqrt(9.81 * k * np.tanh(k * h)), mass, -2 / k * np.tanh(k * h / 2)
+
+
+@pytest.mark.parametrize("which", ["cup", "long", "across", "square", "deep"])
+def test_what_hangs_in_a_container_is_its_liquid(coffee, which):
+    """The engine's own mass matrix, with the container at the world's origin: held, all of it is the object with its
+    liquid under a lid; a mode alone swings with its frequency, and pushes with its mass at its height."""
+    scenario = carrying(coffee, which, arm=None)
+    world = true_world(scenario)
+    (load,), scene = world.loads, build(scenario, world)
+    model, data = scene.model, mujoco.MjData(scene.model)
+    model.opt.gravity = 0, 0, -9.81
+    data.qpos[:] = 0
+    data.qpos[3] = 1
+    mujoco.mj_forward(model, data)
+    M = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, M)
+    frozen = load.modes.frozen
+    held = RigidBody(frozen.mass, frozen.com_B + load.surface_B, frozen.inertia_com).phi + load.inertial.phi
+    held = RigidBody.from_phi(held)
+    assert held.mass == pytest.approx(load.inertial.mass + scenario.payload.first.liquid.density * volume(which))
+    x, y, z = held.mass * held.com_B
+    lever = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
+    about_B = held.inertia_com + held.mass * (held.com_B @ held.com_B * np.eye(3) - np.outer(held.com_B, held.com_B))
+    np.testing.assert_allclose(M[:6, :6], np.block([[held.mass * np.eye(3), lever], [lever.T, about_B]]), atol=2e-9)
+    omega, mass, height = modes_by_hand(which, scenario)
+    still = data.qfrc_bias.copy()
+    for n in range(2):
+        for axis in range(2):
+            joint = model.joint(f"salver:swing:0:{n}:{'xy'[axis]}")
+            j, far = int(joint.dofadr[0]), 1e-4
+            alone = M[6:, j].copy()
+            alone[j - 6] = 0
+            assert np.abs(alone).max() < 1e-9 * M[j, j]  # modes move one another through the container only
+            data.qpos[joint.qposadr[0]] = far
+            mujoco.mj_forward(model, data)
+            stiffness = (data.qfrc_bias - still)[j] / far
+            data.qpos[joint.qposadr[0]] = 0
+            assert np.sqrt(stiffness / M[j, j]) == pytest.approx(omega[n, axis], rel=1e-5)
+            push = np.zeros(3)
+            push[axis] = M[axis, j]
+            assert push[axis] ** 2 / M[j, j] == pytest.approx(mass[n, axis], rel=2e-5)
+            np.testing.assert_allclose(M[:3, j], push, atol=1e-6 * abs(push[axis]))
+            moment = np.cross(load.surface_B + np.array([0, 0, height[n, axis]]), push)
+            np.testing.assert_allclose(M[3:6, j], moment, atol=1e-6 * abs(push[axis]))
+            damping = model.dof_damping[j] / M[j, j] / (2 * omega[n, axis])
+            assert damping == pytest.approx(load.damping, rel=2e-5)
+
+
+def volume(which):
+    if which == "cup":
+        return np.pi * 0.04**2 * 0.05
+    x, y, fill = BOXES[which][:3]
+    return x * y * fill
+
+
+def test_a_long_box_that_weighs_little_turns_about_its_long_side_with_what_swings(coffee):
+    """The model would leave it less than no moment of its own; the engine gets none, and all else as it is."""
+    scenario = carrying(coffee, "light", arm=None)
+    world = true_world(scenario)
+    (load,) = world.loads
+    rest = load.modes.still
+    rest = RigidBody(rest.mass, rest.com_B + load.surface_B, rest.inertia_com)
+    exact = RigidBody.from_phi(load.inertial.phi + rest.phi)
+    lacking = np.diag(load.still.inertia_com - exact.inertia_com)
+    assert exact.inertia_com[0, 0] < 0
+    assert lacking[0] == pytest.approx(-exact.inertia_com[0, 0], rel=0.1)
+    np.testing.assert_allclose(lacking[1:], 0, atol=1e-15)
+    model = build(scenario, world).model
+    body = model.body("salver:object:0")
+    np.testing.assert_allclose(sorted(body.inertia), sorted(np.diag(load.still.inertia_com)), rtol=1e-9, atol=1e-12)
+    assert body.mass[0] == pytest.approx(exact.mass)
+    weight = load.inertial.mass + scenario.payload.first.liquid.density * volume("light")
+    assert model.body_subtreemass[body.id] == pytest.approx(weight)
+
+
+def test_a_scene_that_a_file_cannot_hold_is_not_written(coffee, tmp_path):
+    plan = plan_baseline(carrying(coffee, "light", motion__duration=3.0, arm=None))
+    plan.save(tmp_path / "run")
+    with pytest.raises(SalverError, match="liquid in cup"):
+        write_scene(tmp_path / "run", tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
+
+
+def tilted_and_pushed(along, tilt=0.1, duration=0.8):
+    """A line of min jerk, and a tilt about (.6, .8, 0) there and back."""
+    at = np.array([0.4, 0.0, 0.4])
+    line = min_jerk_line(duration, at, at + along, np.eye(3), np.eye(3))
+    t = np.linspace(0, duration, 401)
+    u, du, ddu = t * (duration - t), duration - 2 * t, -2.0
+    scale, axis = tilt * (2 / duration) ** 6, np.array([0.6, 0.8, 0.0])
+    angle, rate, change = (
+        scale * x for x in (u**3, 3 * u**2 * du, 6 * u * du**2 + 3 * u**2 * ddu)
+    )  # u^3 is flat to second order at both ends
+    line = line.sample(t)
+    turned = exp(angle[:, None] * axis)
+    return SampledReference(
+        MotionSamples(t, line.p_SB, line.v_S, line.a_S, turned, np.outer(rate, axis), np.outer(change, axis))
+    )
+
+
+@pytest.mark.parametrize("which", ["cup", "long", "square", "deep", "light"])
+def test_waves_of_the_engine_are_those_of_plans(coffee, which):
+    """On a tray that goes aside, up and tilts; waves of a seventh of the container at most, where pendulums are all but
+    linear. Cup and boxes within the same: 2 % of the largest wave, 2.5 % of the largest force on the container."""
+    scenario = carrying(coffee, which, arm=None, objects__0__friction=3.0, objects__0__uncertainty={})
+    motion = tilted_and_pushed(np.array([0.05, -0.04, 0.015]))
+    record = simulate_tray(motion, scenario)
+    assert max(record.summary["objects"][0][key] for key in ("peak_slip", "peak_lift")) < 1e-4
+    moving = (record.t >= 0) & (record.t <= 0.8)
+    found, t = margins(scenario, motion.sample(np.linspace(0, 0.8, 201))), record.t[moving]
+
+    def at_commands(x):
+        return np.stack([np.interp(t, found.t, of) for of in x.T], axis=1)
+
+    waves = found.liquids.nominal["cup"][0].waves
+    told, seen = at_commands(waves.eta[0]), record.surface[moving, 0, :2]
+    largest = np.abs(told).max(axis=0)
+    assert largest.min() > 2e-3
+    np.testing.assert_array_less(np.abs(seen - told).max(axis=0), 0.02 * largest)
+    assert record.surface[moving, 0, 2].max() == pytest.approx(waves.crest.max(), rel=0.03)
+    force, pushed = at_commands(found.interfaces[0].wrench_B[:, :3]), record.contact_force_E[moving, 0]
+    # Contacts chatter from one command to the next.
+    pushed = np.stack([np.convolve(x, np.full(15, 1 / 15), "valid") for x in pushed.T], axis=1)
+    np.testing.assert_array_less(np.abs(pushed - force[7:-7]).max(axis=0), 0.025 * np.abs(force).max(axis=0))
+
+
+@pytest.mark.parametrize("down", [[0.2, -0.1, -1.0], [-0.3, 0.25, -1.0]])
+@pytest.mark.parametrize("which", ["cup", "long", "across"])
+def test_liquids_are_placed_level(coffee, which, down):
+    """However the tray is tilted, the masses hang along gravity, on both hinges of each."""
+    scenario = carrying(coffee, which, arm=None)
+    scene = build(scenario, true_world(scenario))
+    data = mujoco.MjData(scene.model)
+    scene.place(data, down=np.array(down))
+    for n, rods in enumerate(scene.loads[0].modes.pendulums):
+        name = f"salver:swing:0:{n}:rod:{''.join('xy'[axis] for axis in rods[-1].along)}"
+        rod = data.xmat[scene.model.body(name).id].reshape(3, 3) @ [0, 0, -1]
+        np.testing.assert_allclose(rod, np.array(down) / np.linalg.norm(down), atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [(0.04,), (0.09, 0.06), (0.06, 0.09), (0.2, 0.05), (0.07, 0.07 * (1 + 1e-8))])
+@pytest.mark.parametrize("depth", [0.5, 1.0, 2.5])
+def test_rods_have_the_levers_and_moments_of_modes(size, depth):
+    """About each hinge m L and m L^2 under z + L, for both axes; no mass is negative, nor is what is left."""
+    half = size[0] if len(size) == 1 else 0.5 * max(size)
+    modes = Liquid(size, 0.005, depth * half, 1.0, 1000.0, (0.0, 0.0)).modes(depth * half)
+    for n, rods in enumerate(modes.pendulums):
+        assert sorted(axis for rod in rods for axis in rod.along) == [0, 1]
+        for axis in range(2):
+            k = next(i for i, rod in enumerate(rods) if axis in rod.along)
+            hung = rods[k:]  # what swings along this axis: the rod, and those that hang on it
+            levers = np.array([rods[k].pivot - rod.height for rod in hung])
+            mass, length = modes.mass[n, axis], modes.length[n, axis]
+            assert rods[k].pivot == pytest.approx(modes.height[n, axis] + length, rel=1e-6)
+            assert sum(rod.mass * x for rod, x in zip(hung, levers, strict=True)) == pytest.approx(mass * length)
+            assert sum(rod.mass * x**2 for rod, x in zip(hung, levers, strict=True)) == pytest.approx(mass * length**2)
+        assert min(rod.mass for rod in rods) > 0
+    assert modes.still.mass > 0.2 * modes.frozen.mass
+
+
+@pytest.mark.slow
+def test_a_box_of_water_planned_fastest_keeps_it_and_the_line_does_not(coffee):
+    """Corners and random draws of all that is uncertain, in the engine."""
+    scenario = boxed(coffee, *BOXES["long"], objects__0__yaw_deg=30, arm__start_posture=None)
+    plan = plan_fastest(scenario)
+    assert plan.ok, plan.told
+    assert plan.duration < 0.8
+    uncertain, liquid = scenario.payload.uncertain, scenario.payload.first.liquid
+    full = {"fill": 0.065, "damping": liquid.damping[0], "mass": 0.275, "friction": 0.36}
+    draws = draw(uncertain, 3, seed=1, bodies=scenario.payload.bodies)
+    for parameters in (
+        full,
+        {**full, "com_x": 0.002, "com_y": -0.002, "com_z": 0.002},
+        {"fill": 0.035, "damping": liquid.damping[0]},
+        *(dict(zip(uncertain.names, values.tolist(), strict=True)) for values in draws),
+    ):
+        (seen,) = sv.simulate(plan, parameters=parameters).summary["objects"]
+        assert seen["outcome"] == "holds"
+        assert 0.3 * seen["room"] < seen["peak_wave"] < seen["room"]
+    line = plan_baseline(scenario.with_changes(motion__duration=plan.duration, objects__0__friction=2.0)).reference
+    assert simulate_tray(line, scenario.with_changes(objects__0__friction=2.0)).outcome == "spills"
