@@ -3,9 +3,8 @@
     python benchmarks/liquids.py [--only flow|runs] [-n 1000] [--beside 20] [--minutes 60]
 
 flow: how high a liquid rises, as predicted and as nonlinear potential flow shows it (tests/potential_flow.py), on the
-straight min-jerk line over 0.48 m, level, in a box of 80 mm by 60 mm, along its longer side and at 35 degrees to it, and
-in a cup of 80 mm. The flow of a cup is unstable in steep waves (its points are few), and so is that aside: where it
-ends, a dash.
+straight min-jerk line over 0.48 m, level, in a box of 80 mm by 60 mm, along its longer side and at 35 degrees to it,
+and in a cup of 80 mm. The flow of a cup is unstable in steep waves (its points are few): where it ends, a dash.
 runs: each ready-made scenario with a liquid in the physics engine, n random draws of all that is uncertain: its fastest
 plan; of the first of them the fastest plan of somebody who takes the liquid for a solid, and the straight line in the
 same time. What was run is kept in out/liquids.jsonl and not run again; scenarios take turns by what a run takes, so

@@ -12,7 +12,7 @@ from salver.auditing.waves import _gain, unseen
 from salver.geometry import quat_wxyz_from_matrix
 from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import TraySamples
-from salver.sensitivity.sloshing import Slosh
+from salver.sensitivity.sloshing import Slosh, Spill
 from salver.sensitivity.waves import Case, along
 
 
@@ -73,3 +73,21 @@ def test_a_mass_moves_by_no_more_than_its_gain(ratio, cycles):
     sine, cosine = (cumulative_trapezoid(f(t) * a, t, initial=0.0) for f in (np.sin, np.cos))
     x = np.sin(t) * cosine - np.cos(t) * sine - a
     assert np.abs(x).max() <= _gain(ratio, np.array(1.0), cycles)
+
+
+def test_what_is_kept_is_told_of_each_thing_that_is_allowed(cup):
+    """Of a wave that is far from the brim but nearly too steep, of one that is not, and of a cup that falls."""
+    t, body = np.linspace(0, 0.9, 301), cup.payload.first
+    shaken = np.tile(at_rest(), (len(t), 1))
+    shaken[:, 0] = np.sin(20.0 * t) * np.sin(np.pi * t / 0.9) ** 2
+    falling = np.tile(at_rest(), (len(t), 1))
+    falling[:, 2] -= 7.0 * np.sin(np.pi * t / 0.9) ** 2
+    for fill, w, least in (
+        (0.035, shaken, "the steepness to which they are known"),
+        (0.075, shaken, "what they may reach"),
+        (0.05, falling, "the weight that may be taken from them"),
+    ):
+        spill = Spill.of("cup", (Slosh.of(along((Case(body, fill, 0.01),), t, w)),))
+        kept = spill.kept()
+        assert min(kept, key=kept.get) == least
+        assert min(kept.values()) == spill.slack.min()

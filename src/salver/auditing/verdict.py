@@ -178,12 +178,15 @@ class Audit(Shown, Tabular):
             told, lost = known.slack.min(), known.slack.min() - most.slack.min()
             if not (told - lost >= 0 or told + lost < 0):
                 higher = 1e3 * float((most.crest - known.crest).max())
+                of = min(most.kept(), key=most.kept().__getitem__)
+                share = 100 * known.kept()[of]
+                kept = f"keep {share:.2g} % of {of}" if share >= 0 else f"exceed {of} by {-share:.2g} %"
                 doubts.append(
                     (
                         "waves",
-                        f"waves in {name} may be {higher:.2g} mm higher or lower than what is recorded says, which "
-                        f"leaves {100 * told:.2g} % of what they may reach: a finer recording, or the planned motion "
-                        "with its velocities (salver export --format moveit), would tell",
+                        f"waves in {name} may be {higher:.2g} mm higher or lower than what is recorded says, and as "
+                        f"recorded they {kept}: a finer recording, or the planned motion with its velocities (salver "
+                        "export --format moveit), would tell",
                     )
                 )
             elif told >= 0 and pushed > self._borne[worst].reserve.min():

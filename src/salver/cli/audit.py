@@ -44,7 +44,7 @@ def audit(
     gap: Gap = None,
     json: Json = False,
 ) -> None:
-    """Say whether what is on the tray holds, slides or tips along a given motion, nominally and in the worst case.
+    """Say whether what is on the tray holds, slides, tips or spills along a motion, nominally and in the worst case.
 
     Exit code 0: everything holds in the worst case of the scenario's uncertain parameters, for every motion that the
     samples allow; 3: it does not, or the samples cannot tell; 2: wrong use.

@@ -422,7 +422,7 @@ class Spill:
     after: the same for good after the motion. steep: (T,) free wave over the largest for which the model is valid, at
     the end of all that are left. light: (T,) share of its weight that does not press, over the largest for which it is.
     settled: m that waves are lower than wanted, some time after the motion; infinite if nothing is wanted. slack: (T,)
-    the least of these as shares of what is allowed.
+    the least of these as shares of what is allowed. below: the least of left, after and settled, as such a share.
     """
 
     name: str
@@ -434,6 +434,7 @@ class Spill:
     light: Array
     settled: float
     slack: Array
+    below: float
 
     @classmethod
     def of(cls, name: str, parts: Sequence[Slosh]) -> Spill:
@@ -446,7 +447,16 @@ class Spill:
         steep, light = (np.concatenate(x).max(axis=0) for x in zip(*(_unmodelled(part) for part in parts), strict=True))
         dry = left.min(axis=0), float(after.min())
         slack = np.concatenate([slacks(part) for part in parts]).min(axis=0)
-        return cls(name, waves.t, crest.max(axis=0), *dry, steep, light, float(settled), slack)
+        below = min(float(_below(part).min()) for part in parts)
+        return cls(name, waves.t, crest.max(axis=0), *dry, steep, light, float(settled), slack, below)
+
+    def kept(self) -> dict[str, float]:
+        """The least that is left of each thing that is allowed, in words, as a share of it."""
+        return {
+            "what they may reach": self.below,
+            "the steepness to which they are known": 1 - float(self.steep.max()),
+            "the weight that may be taken from them": 1 - float(self.light.max()),
+        }
 
 
 def _unmodelled(part: Slosh) -> tuple[Array, Array]:
@@ -460,11 +470,16 @@ def _unmodelled(part: Slosh) -> tuple[Array, Array]:
 
 def slacks(part: Slosh) -> Array:
     """(K, T) the least of what each case leaves, as shares of what is allowed."""
+    return np.asarray(np.minimum(1 - np.maximum(*_unmodelled(part)), _below(part)))
+
+
+def _below(part: Slosh) -> Array:
+    """(K, T) the same of heights alone; infinite where any is allowed."""
     which = part.waves.cases
     liquid, room = which.liquid, which.room
-    slack = 1 - np.maximum(*_unmodelled(part))
+    slack = np.full(part.crest.shape, np.inf)
     if np.isfinite(room).all():
-        slack = np.minimum(slack, 1 - part.crest / room[:, None])
+        slack = 1 - part.crest / room[:, None]
         slack[:, -1] = np.minimum(slack[:, -1], 1 - part.left() / room)
     if np.isfinite(liquid.settled):
         slack[:, -1] = np.minimum(slack[:, -1], 1 - part.left(liquid.within) / liquid.settled)
