@@ -11,7 +11,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.live.motion import Committed
 from salver.planning.fastest import Evaluation
-from salver.planning.fastest.evaluation import Indices
+from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.programme import Mask
 from salver.sensitivity.arm.finer import Finer, Smooth
 from salver.sensitivity.arm.terms import MotionTerms
@@ -20,23 +20,20 @@ from salver.sensitivity.arm.terms import MotionTerms
 @dataclass(frozen=True, eq=False)
 class Known:
     """Of a motion of its own time, s, to its end at rest: t (K,) instants at which its terms were worked out, ends (K,)
-    which of them are knots, slow (S,) at which of them the derivatives are, continued to all by `slower`. response:
-    what a wrong load does to the arm, or None."""
+    which of them are knots, terms with derivatives. response: what a wrong load does to the arm, or None. keep_out:
+    with the pairs that come near along it."""
 
     t: Array
     ends: Mask
     terms: MotionTerms
-    slow: Indices
-    slower: Smooth
     response: Finer | None
+    keep_out: KeepOut | None = None
 
     def along(self, motion: Evaluation, own: Array) -> Evaluation:
         """The same motion at other nodes, at own times (N,), with all this known; it rests after its end."""
-        if "derivatives" not in self.terms.__dict__:
-            self.terms.deriving(self.slow, self.slower.each)
         last = self.t[-1]
         onto = Smooth.onto(self.t, self.ends, np.minimum(own, last))
-        terms = self.terms.continued(onto.each, derivatives=True)
+        terms = self.terms.continued(motion.at_nodes[:3], onto.each, derivatives=True)
         motion.feeling(terms)
         return motion if self.response is None else motion.straying(self.response.onto(terms, onto, own < last))
 

@@ -17,7 +17,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import GRAVITY_S, Array
 from salver.live.motion import Committed
-from salver.live.verify import Finding, coarse, kept, verified
+from salver.live.verify import Finding, coarse, kept, verified, watches
 from salver.models.arm_limits import JointLimits
 from salver.planning.fastest import (
     Anywhere,
@@ -33,9 +33,11 @@ from salver.planning.fastest import (
     fastest,
 )
 from salver.planning.fastest.bound import least_time
+from salver.planning.fastest.constraints import Clearance
 from salver.planning.fastest.curves import FreeCurve, Grid, launch_basis
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.exchange import HOPELESS_AT_NODES, ITERATIONS, REPAIR, Checked, optimise, programme_of
+from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import Options, Solution, minimise
 from salver.planning.fastest.starts import braking_time
@@ -67,6 +69,10 @@ class Firm(Constraint):
     def near(self, q: Array) -> Constraint:
         return Firm(coarse(self.judged).near(q), self.times)
 
+    def among(self, whole: KeepOut | None, near: KeepOut | None, q: Array) -> Constraint:
+        """As `near`; of all distances, `whole`, only those that are known to come near, unless none are."""
+        return Firm(Clearance(near), self.times) if near is not None and watches(self.judged, whole) else self.near(q)
+
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         for block in self.judged.blocks(motion):
             nodes, check = block.margins[0], kept(block, self.judged)
@@ -81,7 +87,7 @@ class Sought(TransportProblem):
     times: ClassVar[float] = 2.0  # as of `Firm`
 
     @cached_property
-    def constraints(self) -> tuple[Constraint, ...]:
+    def constraints(self) -> tuple[Firm, ...]:
         return tuple(Firm(constraint, self.times) for constraint in super().constraints)
 
     def at(self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True) -> Evaluation:

@@ -18,6 +18,7 @@ from salver.errors import Status
 from salver.geometry import Array, hat, log
 from salver.live.known import Recent
 from salver.live.motion import SAME, Committed
+from salver.live.replan import Sought
 from salver.live.verify import Finding, verified
 from salver.planning import qp
 from salver.planning.fastest import Block, Evaluation, TransportProblem, evaluate
@@ -25,6 +26,7 @@ from salver.planning.fastest.curves import Grid, united
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.programme import Mask
 from salver.planning.fastest.spline import RestSpline
+from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
 
 TICK = 0.02  # s; hand-overs are at its multiples, and so are the bends' knots
@@ -40,10 +42,10 @@ BENT = 5e-4  # by which a bend may miss the stricter rows at the nodes
 WILD = 0.3  # by which rows are missed in trials that led too far
 # rad/s^3: of bends with less jerk as many pass the verdict at once (77 % of 243) as of others after a trial (73 %)
 SMALL = 600.0
-ROUNDS = 3  # programmes of a tick: rows that a bend breaks though they were far away join the next one
+ROUNDS = 2  # programmes of a tick: rows that a bend breaks though they were far away join the next one
 LARGEST_BEND = 1.0  # rad
 SAME_KNOT = 1e-7  # s: knots nearer than this are one
-MOST_KEPT, EASIER = 10.0, 0.9  # times a planner's margin; of what is kept beside that, what still is after another bend
+MOST_KEPT, EASIER = 10.0, 0.97  # times a planner's margin; of what is kept beside it, what still is a bend later
 LEAST_SHARE, MOST_SHARE = 0.1, 0.7  # of a bend that was refused as a whole
 
 # Weights of squares, integrated over time. Speeds in m/s and rad/s, accelerations in rad/s^2.
@@ -214,7 +216,7 @@ class Steering:
     """problem: by which motions are judged; sought: the same, under conditions a little stricter."""
 
     problem: TransportProblem
-    sought: TransportProblem
+    sought: Sought
     spline: Bends
     grid: Grid
     smooth: Array  # (4, size, P) what multiplies q and its rates along the motion for the slope of the cost
@@ -224,7 +226,7 @@ class Steering:
     recent: Recent
 
     @classmethod
-    def of(cls, problem: TransportProblem, sought: TransportProblem) -> Steering:
+    def of(cls, problem: TransportProblem, sought: Sought) -> Steering:
         spline = Bends(5, len(BREAKS) - 1)
         grid = Grid.of(spline, spline.nodes(NODES_PER_SPAN), POINTS)
         basis = grid.basis / HORIZON ** np.arange(4.0)[:, None, None]
@@ -300,7 +302,8 @@ class Steering:
         known = self.recent.of(base)
         if known is not None:
             known.along(motion, own[grid.nodes])
-        constraints = [constraint.near(motion.at_nodes[0]) for constraint in self.sought.constraints]
+        whole, near = self.problem.keep_out, None if known is None else known.keep_out
+        constraints = [constraint.among(whole, near, motion.at_nodes[0]) for constraint in self.sought.constraints]
         blocks = evaluate(constraints, motion)
         more_kept = self.caution.margins(blocks)
         # What margins there are not along what is committed need not be there: only no less of them.
@@ -341,6 +344,7 @@ class Steering:
                 break  # the verdict is another's
             bent = replace(sought.at(grid.s, z + added, HORIZON, grid.nodes), moving=False)
             # What the arm strays from what is committed is nearly what it strays from a bend of it.
+            bent.feeling(motion_terms(bent.model, bent.frame_id, *bent.at_nodes[:3]))
             trial = evaluate(constraints, bent.straying_as(motion))
             for block, lack in zip(trial, lacking, strict=True):
                 block.values[:] -= lack
@@ -357,6 +361,7 @@ class Steering:
             more = [block.joining(mask & (block.values <= BENT)) for block, mask in zip(trial, masks, strict=True)]
             masks = [mask | joining for mask, joining in zip(masks, more, strict=True)]
             where += [np.nonzero(mask) for mask in more]
+            bent.terms.derived_at(_nodes(grid, trial, more))
             rows = self._rows(trial, more)
             values = np.concatenate([block.values[mask] for block, mask in zip(trial, more, strict=True)])
             matrix, bound = np.vstack([matrix, rows]), np.append(bound, rows @ bend.ravel() - values)
@@ -376,6 +381,17 @@ class Steering:
                 rows = rows + self.grid.chained(parts, block.points[node + 1], HORIZON)
             matrices.append(rows)
         return np.vstack(matrices)
+
+
+def _nodes(grid: Grid, blocks: Sequence[Block], masks: Sequence[Mask]) -> Indices:
+    """Indices of the nodes that the rows that masks name are at; of the next ones too, where rows couple two."""
+    some = np.zeros(len(grid.s), dtype=bool)
+    for block, mask in zip(blocks, masks, strict=True):
+        due = np.flatnonzero(np.any(mask, axis=1))
+        some[block.points[due]] = True
+        if block.following is not None:
+            some[block.points[due + 1]] = True
+    return np.flatnonzero(some[grid.nodes])
 
 
 def _programme(hessian: Array, cost: Array, matrix: Array, bound: Array, fixed: int) -> qp.Quadratic:

@@ -26,7 +26,7 @@ from salver.planning.fastest.programme import Mask
 from salver.planning.follow.clearance import EXACT as TOUCHING
 from salver.planning.follow.clearance import sweep
 from salver.sensitivity.arm.finer import Finer, Smooth
-from salver.sensitivity.arm.terms import motion_terms
+from salver.sensitivity.arm.terms import MotionTerms
 from salver.trajectory import JointMotion, ways
 
 STEP = 2e-3  # s between instants at which dynamics, contact and distances are looked at
@@ -79,7 +79,7 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
     if keep_out is not None:
         keep_out = keep_out.near(few(keep_out.parts, evaluation.at_nodes[0]))
     for k, constraint in enumerate(constraints):
-        if keep_out is not None and isinstance(constraint, Clearance) and constraint.keep_out is problem.keep_out:
+        if keep_out is not None and watches(constraint, problem.keep_out):
             constraints[k] = Clearance(keep_out)
         else:
             constraints[k] = coarse(constraint)
@@ -105,7 +105,8 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
         rate = np.concatenate([-joints.dq, -held.dq[:, :, None]], axis=2)
         deviation = np.stack([e, rate], axis=1)
         instants = known.t
-    return Finding(Committed(begins, motion, begins + instants, deviation, margins), excess, "", known=known)
+    committed = Committed(begins, motion, begins + instants, deviation, margins)
+    return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
 
 
 def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Known, Mask]:
@@ -120,16 +121,15 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Kn
     smooth = Smooth.of(t[nodes], knots, COARSE)
     some = nodes[smooth.some]
     evaluation = replace(problem.at(t / motion.duration, z, motion.duration, nodes, imposed=False), moving=False)
-    terms = motion_terms(problem.model, problem.arm.tray_id, *z[:3, some])
-    evaluation.feeling(terms.continued(smooth.each))
     slow = Smooth.of(t[some], knots[smooth.some], SLOW, fewest=2)
+    terms = MotionTerms.deriving(problem.model, problem.arm.tray_id, z[:3, some], slow.some, slow.each)
+    evaluation.feeling(terms.continued(z[:3, nodes], smooth.each))
     response = None
     if problem.tracking is not None:
-        terms.deriving(slow.some, slow.each)
         jerk = motion.jerk(t[some] - SAME)
         response = Finer.of(problem.tracking, t[nodes], evaluation.terms, terms, z[1:, some], jerk, smooth)
         evaluation.straying(response)
-    return evaluation, Known(t[some], knots[smooth.some], terms, slow.some, slow, response), knots
+    return evaluation, Known(t[some], knots[smooth.some], terms, response), knots
 
 
 def instants(motion: JointMotion) -> tuple[Array, Indices]:
@@ -149,6 +149,11 @@ def _counts(motion: JointMotion) -> Indices:
 def coarse(constraint: Constraint) -> Constraint:
     """The same, with bounds on rows that are far from their edge."""
     return replace(constraint, coarsely=True) if isinstance(constraint, Contact) else constraint
+
+
+def watches(constraint: Constraint, keep_out: KeepOut | None) -> bool:
+    """Whether a constraint is that of these distances, and not of others of one's own."""
+    return isinstance(constraint, Clearance) and constraint.keep_out is keep_out
 
 
 def few(parts: ArmGeometry, q: Array) -> Array:
@@ -187,8 +192,12 @@ def told(block: Block, t: Array, knots: Mask) -> Block:
     knots: (N,) which instants are.
     """
     if isinstance(block.of, JointLimit):
-        before, at, after = block.values[:-2], block.values[1:-1], block.values[2:]
-        kink = np.zeros(len(block.values), dtype=bool)
+        near = np.flatnonzero(block.values.max(axis=0) > BESIDE)
+        if not len(near):
+            return block
+        values = block.values[:, near]
+        before, at, after = values[:-2], values[1:-1], values[2:]
+        kink = np.zeros(len(values), dtype=bool)
         kink[::FINER] = knots
         bend, tilt = 2 * at - before - after, after - before
         # Beside a knot, where there is a kink, a peak may be nearer to that than to the instant after it. Jerk jumps
@@ -196,7 +205,7 @@ def told(block: Block, t: Array, knots: Mask) -> Block:
         within = 2.0 if block.inherits else 1.0
         peak = (np.maximum(np.maximum(before, after), at) > BESIDE) & (np.abs(tilt) <= within * bend) & (bend > 0.0)
         i, j = np.nonzero(peak & ~kink[1:-1, None])
-        block.values[i + 1, j] += tilt[i, j] ** 2 / (8 * bend[i, j])
+        block.values[i + 1, near[j]] += tilt[i, j] ** 2 / (8 * bend[i, j])
     if isinstance(block.of, TorqueRateLimit):
         step, kink = np.diff(t), knots[1:-1]
         before, at, after = block.values[:-2], block.values[1:-1], block.values[2:]
@@ -224,7 +233,8 @@ def _edge(at: Array, beside: Array, bend: Array, short: Array) -> Array:
 def _begun(block: Block, t: Array) -> Block:
     """The block with its margin, of which what the state that is inherited lacks is forgiven."""
     margin = kept(block, block.of)
-    block.values[:] += margin - block.margins[1]
+    if margin != block.margins[1]:
+        block.values[:] += margin - block.margins[1]
     if block.inherits:
         first = block.values[: np.searchsorted(t[block.points], BEGINNING)]
         first[:] = np.where(first < FORGIVEN * margin, np.minimum(first, 0.0), first)

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Self
 
 import numpy as np
@@ -78,6 +78,11 @@ class UncertainRows:
     def certain(self) -> bool:
         """Whether they are the same whatever the parameters."""
         return not (len(self.parameter) or len(self.remainder) or self.fillings)
+
+    @cached_property
+    def each(self) -> Array:
+        """(n, n_p + n_r, 12) c_k and then d_l, row by row."""
+        return np.ascontiguousarray(np.swapaxes(np.concatenate([self.parameter, self.remainder]), 0, 1))
 
     def terms(self, w: Array) -> Array:
         """(T, n, n_p + n_r) c_k . w and then d_l . w, of w (T, 12)."""
@@ -178,34 +183,41 @@ class WorstCase:
             if self.drift is None or self.drift.swing is None:
                 return nominal, np.zeros(len(row))
             return nominal, np.where(np.einsum("rk,rk->r", nominal, self.drift.swing[node]) > 0.0, 1.0, -1.0)
-        stacked = np.concatenate([rows.parameter[:, row], rows.remainder[:, row]])
+        each = rows.each[row]
         fillings = tuple(filling.only(row) for filling in rows.fillings)
-        found: list[tuple[Array, Array, float]] = []
+        if self.drift is not None and self.drift.terms:
+            change = (nominal[:, None] @ self.drift.dw[node])[:, 0]
+            roles = _roles(rows, self.drift)
+            known = sum((rows.mass_signs[row, j] * change[:, k] for k, j in roles.mass), np.zeros(len(row)))
+            known += np.abs(change[:, roles.other]).sum(axis=1)
+        values, at_work, moments, swings = [], [], [], []
         for swung, side in _sides(self.w, self.drift):
             w = side[node]
-            terms = np.einsum("rk,prk->rp", w, stacked)
-            level, dual = rows.radius(terms), rows.dual(terms)
+            terms = (each @ w[:, :, None])[:, :, 0]
             own = [np.einsum("rk,prk->rp", w, f.rows) for f in fillings]
-            cases = [(level, dual, own, np.zeros(len(row)))]
+            cases = [(terms, np.zeros(len(row)), own)]
             if self.drift is not None and self.drift.terms:
-                change = np.einsum("rk,rkp->rp", nominal, self.drift.dw[node])
-                roles = _roles(rows, self.drift)
                 strayed = terms.copy()
                 strayed[:, roles.column] += change[:, roles.own]
-                straying = rows.radius(strayed) + np.abs(change[:, roles.other]).sum(axis=1)
-                straying += sum((rows.mass_signs[row, j] * change[:, k] for k, j in roles.mass), np.zeros(len(row)))
-                cases.append((straying, rows.dual(strayed), *_strayed(fillings, roles, change.T, own)))
-            for level, dual, coefficients, less in cases:
-                tangent = nominal + np.einsum("rp,prk->rk", dual, stacked)
-                value = np.einsum("rk,rk->r", w, nominal) + level - less
+                coefficients, less = _strayed(fillings, roles, change.T, own)
+                cases.append((strayed, known - less, coefficients))
+            for terms, more, coefficients in cases:
+                value, filled = np.einsum("rk,rk->r", w, nominal) + rows.radius(terms) + more, []
                 for filling, of in zip(fillings, coefficients, strict=True):
-                    largest, moments = filling.largest(of)
+                    largest, found = filling.largest(of)
                     value += largest - np.einsum("rk,prk,rp->r", w, filling.rows, filling.nominal)
-                    tangent += np.einsum("rp,prk->rk", moments - filling.nominal, filling.rows)
-                found.append((value, tangent, swung))
-        best = np.argmax([value for value, _, _ in found], axis=0)
-        tangents, each = np.stack([tangent for _, tangent, _ in found]), np.arange(len(row))
-        return tangents[best, each], np.array([swung for _, _, swung in found])[best]
+                    filled.append(found - filling.nominal)
+                values.append(value)
+                at_work.append(terms)
+                moments.append(filled)
+                swings.append(swung)
+        best, those = np.argmax(values, axis=0), np.arange(len(row))
+        dual = rows.dual(np.stack(at_work)[best, those])
+        tangent = nominal + (dual[:, None] @ each)[:, 0]
+        for k, filling in enumerate(fillings):
+            chosen = np.stack([filled[k] for filled in moments])[best, those]
+            tangent += np.einsum("rp,prk->rk", chosen, filling.rows)
+        return tangent, np.array(swings)[best]
 
 
 def _sides(w: Array, drift: Drift | None) -> tuple[tuple[float, Array], ...]:

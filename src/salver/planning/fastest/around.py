@@ -23,8 +23,7 @@ ROOM = 0.01  # m that a way keeps beyond what is required, where its ends have i
 DETOUR = 1.0  # rad that a joint may go beyond the range between the ends, at first; then all it has
 LEAN = 5e-4  # rad; a tray that leans no further counts as level
 CUTS = 60  # attempts to cut a way short
-CORRECTIONS = 6  # of a posture in which the tray leans too far,
-DAMPING = 1e-6  # of each
+CORRECTIONS = 6  # of a posture in which the tray leans too far
 
 
 @dataclass(eq=False)
@@ -79,9 +78,7 @@ class FreeSpace:
             turning = pin.getFrameJacobian(model, data, arm.tray_id, pin.LOCAL)[3:]
             up = rotation[2]  # the vertical, in E; a turn w of the tray changes it by up x w
             slope = np.array([[0.0, -up[2], up[1]], [up[2], 0.0, -up[0]]]) @ turning
-            (a, b), (_, d) = slope @ slope.T
-            a, d = a + DAMPING, d + DAMPING
-            q = q - np.array([d * up[0] - b * up[1], a * up[1] - b * up[0]]) / (a * d - b * b) @ slope
+            q = q - slope.T @ np.linalg.solve(slope @ slope.T + 1e-6 * np.eye(2), up[:2])
         return None
 
     def towards(self, q: Array, target: Array) -> list[Array]:
@@ -102,27 +99,22 @@ class FreeSpace:
 
 @dataclass(eq=False)
 class _Tree:
-    """nodes (N, n), in an array that has room for more; parents: of each, -1 of a root."""
-
-    nodes: Array
+    nodes: list[Array]
     parents: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.parents = [-1] * len(self.nodes)
 
     def nearest(self, q: Array) -> int:
-        return int(np.argmin(np.square(self.nodes[: len(self.parents)] - q).sum(axis=1)))
+        return int(np.argmin(np.square(np.array(self.nodes) - q).sum(axis=1)))
 
     def grow(self, space: FreeSpace, target: Array) -> int:
         """Grow from the nearest node towards a target; the node that came nearest."""
         at = self.nearest(target)
         for q in space.towards(self.nodes[at], target):
-            count = len(self.parents)
-            if count == len(self.nodes):
-                self.nodes = np.concatenate([self.nodes, np.empty_like(self.nodes)])
-            self.nodes[count] = q
+            self.nodes.append(q)
             self.parents.append(at)
-            at = count
+            at = len(self.nodes) - 1
         return at
 
     def way(self, node: int) -> list[Array]:
@@ -150,7 +142,7 @@ def way_around(
     limits = problem.limits
     wide_low, wide_high = np.maximum(limits.q_min, ends.min(0) - np.pi), np.minimum(limits.q_max, ends.max(0) + np.pi)
     near_low, near_high = np.maximum(wide_low, ends.min(0) - DETOUR), np.minimum(wide_high, ends.max(0) + DETOUR)
-    trees = [_Tree(np.array(starts)), _Tree(np.array(goals))]
+    trees = [_Tree(list(starts)), _Tree(list(goals))]
     meeting: tuple[int, int] | None = None
     turn = 0
     target = goals[int(rng.integers(len(goals)))]  # first straight ahead

@@ -16,10 +16,11 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from salver.geometry import GRAVITY_S, Array, hat
+from salver.light import light
 from salver.models.tray_motion import N_MOTION, PRODUCTS
 
 _FIRST, _SECOND = np.array(PRODUCTS).T
-_VALUES = ("q", "dq", "ddq", "p_SE", "R_SE", "twist", "spatial", "torque", "w")
+_VALUES = ("p_SE", "R_SE", "twist", "spatial", "torque", "w")
 
 
 def _by_moved() -> tuple[Array, Array]:
@@ -36,6 +37,7 @@ def _by_moved() -> tuple[Array, Array]:
 _BY_MOVED, _BY_TURNING = _by_moved()
 
 
+@light
 @dataclass(frozen=True)
 class Derivatives:
     """Derivatives of a motion's terms; what they are is said at the properties of `MotionTerms`."""
@@ -47,6 +49,7 @@ class Derivatives:
     torque_z: Array
 
 
+@light
 @dataclass(frozen=True, eq=False)
 class MotionTerms:
     """At T instants of an arm with n joints; E is the tray's frame, everything of it in E.
@@ -69,25 +72,52 @@ class MotionTerms:
     torque: Array
     w: Array
 
-    def continued(self, each: Callable[[Sequence[Array]], list[Array]], derivatives: bool = False) -> MotionTerms:
-        """At more instants, by what continues several that are known at these, (T, ...), to all; with derivatives, if
-        these are known too."""
+    def continued(
+        self, states: Array, each: Callable[[Sequence[Array]], list[Array]], derivatives: bool = False
+    ) -> MotionTerms:
+        """At more instants, with states (3, ...) there, by what continues several that are known at these, (T, ...), to
+        all; with derivatives, if these are known too."""
         values = [getattr(self, name) for name in _VALUES]
         found = each([*values, *vars(self.derivatives).values()] if derivatives else values)
-        terms = MotionTerms(self.model, self.frame_id, *found[: len(values)])
+        terms = MotionTerms(self.model, self.frame_id, *states, *found[: len(values)])
         if derivatives:
             terms.__dict__["derivatives"] = Derivatives(*found[len(values) :])
         return terms
 
-    def deriving(self, some: npt.NDArray[np.intp], each: Callable[[Sequence[Array]], list[Array]]) -> MotionTerms:
-        """The same, with derivatives that are worked out at some of the instants and continued to all."""
-        few = self.only(some).derivatives
-        self.__dict__["derivatives"] = Derivatives(*each([*vars(few).values()]))
-        return self
+    @classmethod
+    def deriving(
+        cls,
+        model: Any,
+        frame_id: int,
+        states: Array,
+        some: npt.NDArray[np.intp],
+        each: Callable[[Sequence[Array]], list[Array]],
+    ) -> MotionTerms:
+        """As `motion_terms`, at states (3, T, n), with derivatives that are worked out at some of the instants and
+        continued to all."""
+        others = np.ones(states.shape[1], dtype=bool)
+        others[some] = False
+        (q, dq, ddq), (q_rest, dq_rest, ddq_rest) = states[:, some], states[:, others]
+        few = motion_terms(model, frame_id, q, dq, ddq, deriving=True)
+        rest = motion_terms(model, frame_id, q_rest, dq_rest, ddq_rest)
+        found = []
+        for name in _VALUES:
+            first, second = getattr(few, name), getattr(rest, name)
+            value = np.empty((len(others), *first.shape[1:]))
+            value[some], value[others] = first, second
+            found.append(value)
+        terms = cls(model, frame_id, *states, *found)
+        terms.__dict__["derivatives"] = Derivatives(*each([*vars(few.derivatives).values()]))
+        return terms
 
-    def only(self, some: npt.NDArray[np.intp]) -> MotionTerms:
-        """At some of the instants."""
-        return MotionTerms(self.model, self.frame_id, *(getattr(self, name)[some] for name in _VALUES))
+    def derived_at(self, some: npt.NDArray[np.intp]) -> MotionTerms:
+        """The same, with derivatives at some of the instants only; elsewhere, where nobody asks, they are zero."""
+        known = vars(_all_of(self.model, self.frame_id, self.q[some], self.dq[some], self.ddq[some])[1])
+        found = {name: np.zeros((len(self.q), *value.shape[1:])) for name, value in known.items()}
+        for name, value in known.items():
+            found[name][some] = value
+        self.__dict__["derivatives"] = Derivatives(**found)
+        return self
 
     @cached_property
     def derivatives(self) -> Derivatives:
