@@ -37,6 +37,31 @@ def panda():
 # ---- parts ----------------------------------------------------------------------------------------------------
 
 
+def test_joints_that_do_not_carry_the_tray_do_not_move_it():
+    """A branched chain, its tray after the second and the fourth joint: against Pinocchio's own frame."""
+    model, rng, parent = pin.Model(), np.random.default_rng(4), {}
+    for k, before in enumerate((0, 1, 2, 2, 4), start=1):  # the third is a branch, the fifth lies beyond the tray
+        place = pin.SE3.Random()
+        parent[k] = model.addJoint(parent.get(before, 0), pin.JointModelRZ(), place, f"j{k}")
+        model.appendBodyToJoint(parent[k], pin.Inertia.Random(), pin.SE3.Random())
+    tray = model.addFrame(pin.Frame("tray", parent[4], 0, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    data, z = model.createData(), rng.normal(size=(3, 15))
+
+    def terms(z):
+        return motion_terms(model, tray, z[:, :5], z[:, 5:10], z[:, 10:])
+
+    here = terms(z)
+    for i, row in enumerate(z):
+        jacobian = pin.computeFrameJacobian(model, data, row[:5], tray, pin.ReferenceFrame.LOCAL)
+        assert here.jacobian[i] == pytest.approx(jacobian, abs=1e-12)
+        assert not jacobian[:, [2, 4]].any()
+        assert here.twist[i] == pytest.approx(jacobian @ row[5:10], abs=1e-12)
+    for k in range(15):
+        step = 1e-6 * np.eye(15)[k]
+        difference = (terms(z + step).w - terms(z - step).w) / 2e-6
+        assert here.w_z[:, :, k] == pytest.approx(difference, rel=1e-6, abs=1e-6)
+
+
 @pytest.mark.parametrize("gains", [(500.0, 25.0), (100.0, 20.0), (40.0, 30.0)])
 def test_filter_on_uneven_nodes(gains):
     """Against the exact filter on a fine even grid, for under-, critically and overdamped gains."""
@@ -190,6 +215,15 @@ def test_the_loop_on_uneven_nodes_is_the_chains(panda):
     expected = interp1d(T, chain.w[:, 4], axis=0)(nodes)
     scale = chain.model.load.half_range
     assert relative(found.tray.w[:, 4] * scale, expected * scale) < 1e-3
+
+
+@pytest.mark.parametrize("space", ["joint", "object"])
+def test_deviations_are_derivatives_of_one_another(panda, space):
+    """Also of a posture that a redundant arm is free to take."""
+    chain = arm_chain(panda.model, panda.joint, space=space, t=T)
+    q, dq, ddq = (x * chain.model.load.half_range for x in (chain.joints.q, chain.joints.dq, chain.joints.ddq))
+    for value, rate in ((q, dq), (dq, ddq)):
+        assert relative(rate[1:-1], (value[2:] - value[:-2]) / (2 * STEP)) < 3e-3  # a quarter of it at half the step
 
 
 @pytest.mark.slow
