@@ -1,6 +1,7 @@
 """A hand or a policy in command of a live motion: followed as nearly as safety allows, and never further."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,9 +9,10 @@ import pytest
 import salver as sv
 from live_runs import drive, in_turn, jolts, rows_of
 from salver.live import Live, steer
-from salver.live.steer import TICK, ChunkWanted, TwistWanted
+from salver.live.steer import HORIZON, TICK, ChunkWanted, TwistWanted
 from salver.live.wishes import twist_wish
 from salver.planning.fastest import Block
+from salver.trajectory import JointMotion
 
 EVERY = round(TICK * 1e3)
 
@@ -68,6 +70,37 @@ def test_how_a_hand_changes_is_told_from_what_it_said_last():
     assert np.allclose(slope(np.arange(-0.1, 0.021, 0.01), kinked), [1, 0, -2])
     assert np.allclose(slope(np.array([0.1, 0.15]), kinked), [1, 0, -2])
     assert not slope(np.array([0.0, 0.07]), kinked).any()
+
+
+def test_a_hand_is_followed_from_the_first_ticks_on(cube):
+    """A fifth of a second after it began to pull, and while what is committed has long been a bent motion."""
+
+    def pull(t):
+        return 0.1 * np.array([1.0, -0.5, 0.2]) * min(t / 0.1, 1.0)
+
+    live = Live(cube, lead=TICK)
+    states = drive(live, 0.24, said(pull, 0.24), EVERY)
+    error = velocities(live, states, 10)[18:] - pull(1.0)
+    assert np.abs(error).max() < 0.01  # m/s
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.3, 0.9])
+def test_a_bend_is_added_to_what_is_committed_from_the_hand_over_on(cube, seconds):
+    """One that has ended before, one that ends before the bend does and one that goes on: at the end it rests."""
+    problem, rng = Live(cube).problem, np.random.default_rng(6)
+    steering, size = steer.Steering.of(problem, problem), (4, problem.n)
+    q, dq, ddq = rng.normal(size=(3, *size))
+    dq[-1] = ddq[-1] = 0.0
+    base = SimpleNamespace(begins=3.0, motion=JointMotion(seconds * np.array([0.0, 0.3, 0.4, 1.0]), q, dq, ddq))
+    bend = rng.normal(size=(steering.grid.basis.shape[2], problem.n))
+    t = np.linspace(0.0, 0.999 * HORIZON, 200)
+    added = steering.spline.matrices(t / HORIZON)[:3] @ bend / HORIZON ** np.arange(3.0)[:, None, None]
+    for times in (0.0, 1.0, -2.0):
+        found = steering.bent(base, 3.17, times * bend)
+        assert found.duration == pytest.approx(max(seconds - 0.17, HORIZON))
+        for mine, before, more in zip(found.sample(t), base.motion.sample(0.17 + t), added, strict=True):
+            assert mine == pytest.approx(before + times * more, rel=1e-9, abs=1e-7)
+        assert not np.any([found.dq[-1], found.ddq[-1]])
 
 
 @pytest.mark.slow
