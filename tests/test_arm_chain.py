@@ -217,6 +217,31 @@ def test_the_loop_on_uneven_nodes_is_the_chains(panda):
     assert relative(found.tray.w[:, 4] * scale, expected * scale) < 1e-3
 
 
+def test_a_motion_that_begins_deviated_goes_on_as_the_whole_does(panda):
+    """With what late commands do to it, and between two nodes."""
+    loop = replace(panda.model.loop, delay=0.5 * STEP)
+    t, half = np.linspace(0.0, DURATION, 801), 400
+
+    def along(t, loop):
+        q, *rates = (*panda.joint.sample(t), panda.joint.jerk(t))
+        loaded = panda.model.loaded
+        return loop.along(t - t[0], motion_terms(loaded.pin_model, loaded.tray_id, q, *rates[:2]), np.stack(rates))
+
+    whole = along(t, loop)
+    second = along(t[half:], loop.begun(whole.state_at(t, t[half])))
+    for name in ("q", "dq"):
+        for mine, all_ in ((second.joints, whole.joints), (second.held, whole.held)):
+            expected = getattr(all_, name)[half:]
+            assert relative(getattr(mine, name), expected) < 1e-6
+            assert np.abs(expected[0]).max() > 0.05 * np.abs(expected).max()
+    for now in (t[7], t[7] + 0.3 * (t[1] - t[0])):
+        e, rate = whole.state_at(t, now)
+        position = [np.interp(now, t, -whole.held.q[:, joint]) for joint in range(7)]
+        speed = [np.interp(now, t, -whole.joints.dq[:, joint, 0]) for joint in range(7)]
+        assert e[:, -1] == pytest.approx(position, rel=1e-9)
+        assert rate[:, 0] == pytest.approx(speed, rel=1e-9)
+
+
 @pytest.mark.parametrize("space", ["joint", "object"])
 def test_deviations_are_derivatives_of_one_another(panda, space):
     """Also of a posture that a redundant arm is free to take."""

@@ -133,6 +133,15 @@ def test_products_carry_the_chain_to_the_corners(case):
     first = relative(chain.joints.q[:, :, : uncertain.size] @ terms[: uncertain.size], deviation)
     assert whole < 0.01
     assert first > 4 * whole
+    inertial = inertial_vector(case.body.inertial) + [change.get(name, 0.0) for name in INERTIAL]
+    known, moved = (
+        wrench_map(phi_of(x)) @ frame_map(case.body.p_EB, case.body.R_EB)
+        for x in (inertial_vector(case.body.inertial), inertial)
+    )
+    needed = case.felt(true) @ moved.T - case.felt(nominal) @ known.T
+    whole = relative(chain.wrench @ terms, needed)
+    first = relative(chain.wrench[:, :, : uncertain.size] @ terms[: uncertain.size], needed)
+    assert whole < 0.6 * first < 0.006  # what is left is of third order
 
 
 # ---- against the engine ----------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -213,6 +214,20 @@ def _alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def test_every_batch_is_waited_for_and_few_are_handed_out_at_a_time(monkeypatch):
+    from salver.campaigns import workers
+
+    handed, taken = [], []
+    monkeypatch.setattr(workers, "_execute", lambda batch: handed.append(batch) or [batch])
+    batches = [("plan", (k,)) for k in range(9)]
+    with ThreadPoolExecutor(2) as pool:
+        for (result,), batch in workers._as_completed(pool, batches, {}, 4):
+            assert result == batch
+            taken.append(batch)
+            assert len(handed) <= len(taken) + 4
+    assert sorted(taken) == batches
 
 
 @needs_proc

@@ -1,6 +1,8 @@
 """A hand or a policy in command of a live motion: followed as nearly as safety allows, and never further."""
 
 import re
+from dataclasses import dataclass, field
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -193,46 +195,125 @@ def test_what_cannot_be_followed_is_refused_in_a_sentence(cube):
     assert live.idle
 
 
-def test_where_a_step_led_the_rows_of_the_next_programme_are_exact(cube, monkeypatch):
-    """Those that were near there: R x - b is what they are along the bend that was tried."""
-    bends, found = [], {}
+@dataclass
+class Bending:
+    """What was seen of one tick: along which motions (4, P, n) which rows were evaluated, as they were and as they then
+    stood, which joined, what was kept from their edges, and the programmes."""
+
+    z: list = field(default_factory=list)
+    raw: list = field(default_factory=list)
+    blocks: list = field(default_factory=list)
+    joined: list = field(default_factory=list)
+    more: list = field(default_factory=list)
+    posed: list = field(default_factory=list)
+
+
+@pytest.fixture(scope="module")
+def bendings(cube):
+    """The ticks of a hand that pulls harder than the load allows, each with what its programmes answered."""
+    seen, found = [], {}
     bend, evaluate, programme, solve = steer.Steering._bends, steer.evaluate, steer._programme, steer.qp.solve
+    margins, joining = steer.Caution.margins, Block.joining
 
     def bending(*given):
-        bends.append(([], []))
+        seen.append(Bending())
         return bend(*given)
 
-    def evaluating(*given):
-        bends[-1][0].append(evaluate(*given))
-        return bends[-1][0][-1]
+    def evaluating(constraints, motion, *given):
+        blocks = evaluate(constraints, motion, *given)
+        seen[-1].z.append(motion.z)
+        seen[-1].raw.append([block.values.copy() for block in blocks])
+        seen[-1].blocks.append(blocks)
+        seen[-1].joined.append([])
+        return blocks
+
+    def keeping(*given):
+        seen[-1].more.append(margins(*given))
+        return seen[-1].more[-1]
+
+    def joined(block, known):
+        seen[-1].joined[-1].append(joining(block, known))
+        return seen[-1].joined[-1][-1]
 
     def posing(hessian, cost, matrix, bound, n):
-        bends[-1][1].append((matrix, bound, programme(hessian, cost, matrix, bound, n)))
-        return bends[-1][1][-1][-1]
+        seen[-1].posed.append((hessian.copy(), matrix, bound, programme(hessian, cost, matrix, bound, n)))
+        return seen[-1].posed[-1][-1]
 
     def solving(programme, tolerance):
         found[id(programme)] = solve(programme, tolerance)
         return found[id(programme)]
 
     live = Live(cube, lead=TICK)
-    monkeypatch.setattr(steer.Steering, "_bends", bending)
-    monkeypatch.setattr(steer, "evaluate", evaluating)
-    monkeypatch.setattr(steer, "_programme", posing)
-    monkeypatch.setattr(steer.qp, "solve", solving)
-    drive(live, 0.2, said(lambda t: np.array([1.5, -1.5, 0.5]), 0.2), EVERY)
-    looked = 0
-    for evaluated, posed in bends:
-        if len(posed) < 2:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(steer.Steering, "_bends", bending)
+        patch.setattr(steer.Caution, "margins", keeping)
+        patch.setattr(Block, "joining", joined)
+        patch.setattr(steer, "evaluate", evaluating)
+        patch.setattr(steer, "_programme", posing)
+        patch.setattr(steer.qp, "solve", solving)
+        drive(live, 0.2, said(lambda t: np.array([1.5, -1.5, 0.5]), 0.2), EVERY)
+    return seen, found
+
+
+def test_where_a_step_led_the_rows_of_the_next_programme_are_exact(bendings):
+    """Those that were near there, and those that joined: R x - b is what they are along the bend that was tried."""
+    seen, found = bendings
+    looked, new = 0, 0
+    for tick in seen:
+        if len(tick.posed) < 2:
             continue
-        (before, _, first), (_, bound, _) = posed[:2]
-        masks = [block.near(steer.DEPTH) & np.ones(block.values.shape, dtype=bool) for block in evaluated[0]]
-        value = np.concatenate([block.values[mask] for block, mask in zip(evaluated[1], masks, strict=True)])
+        (_, before, _, first), (_, after, bound, _) = tick.posed[:2]
+        masks = [block.near(steer.DEPTH) & np.ones(block.values.shape, dtype=bool) for block in tick.blocks[0]]
+        value = np.concatenate([block.values[mask] for block, mask in zip(tick.blocks[1], masks, strict=True)])
         x = found[id(first)].x
         bent = np.append(np.zeros(before.shape[1] - len(x)), x)
         exact = (value <= steer.BENT) & (bound[: len(before)] > 0)
         looked += exact.sum()
         assert (before @ bent - bound[: len(before)])[exact] == pytest.approx(value[exact], abs=1e-9)
+        value = np.concatenate([b.values[mask] for b, mask in zip(tick.blocks[1], tick.joined[1], strict=True)])
+        reached, possible = (after @ bent - bound)[len(before) :], bound[len(before) :] > 0
+        assert reached[possible] == pytest.approx(value[possible], abs=1e-9)
+        new += possible.sum()
     assert looked > 100
+    assert new > 100
+
+
+def test_a_tick_asks_for_no_margin_that_there_is_not_already(bendings):
+    """Rows as they are posed are what they are with what is kept from their edge, or zero: so no bend is allowed. Along
+    a bend that is tried they are counted from there."""
+    seen, _ = bendings
+    kept = 0
+    for tick in seen:
+        (more,) = tick.more
+        kept += max(more) > 0
+        masks = [block.near(steer.DEPTH) & np.ones(block.values.shape, dtype=bool) for block in tick.blocks[0]]
+        for raw, posed, margin in zip(tick.raw[0], tick.blocks[0], more, strict=True):
+            assert np.abs(posed.values - np.minimum(raw + margin, 0.0)).max() < 1e-12
+        value = np.concatenate([block.values[mask] for block, mask in zip(tick.blocks[0], masks, strict=True)])
+        assert np.abs(tick.posed[0][2] + value).max() < 1e-12
+        for then, blocks in zip(tick.raw[1:], tick.blocks[1:], strict=True):
+            for raw, trial, was, posed in zip(then, blocks, tick.raw[0], tick.blocks[0], strict=True):
+                assert np.abs(trial.values - raw - posed.values + was).max() < 1e-12
+    assert kept
+
+
+def test_a_bend_is_tried_where_it_leads_and_after_a_wild_one_the_next_is_smaller(bendings):
+    seen, found = bendings
+    spline, tried, wild = steer.Bends(5, len(steer.BREAKS) - 1), 0, 0
+    grid = steer.Grid.of(spline, spline.nodes(steer.NODES_PER_SPAN), steer.POINTS)
+    for tick in seen:
+        for z, (*_, programme) in zip(tick.z[1:], tick.posed, strict=False):
+            n = z.shape[2]
+            bend = np.vstack([np.zeros(n), found[id(programme)].x.reshape(-1, n)])
+            assert np.abs(z - tick.z[0] - grid.motion(bend, HORIZON)).max() < 1e-9
+            tried += 1
+        for k, ((first, *_), (second, *_)) in enumerate(pairwise(tick.posed)):
+            excess = max(float(block.values.max()) for block in tick.blocks[k + 1])
+            least = np.linalg.eigvalsh(second - first)[0]
+            assert (least > 0) == (excess > steer.WILD)
+            wild += excess > steer.WILD
+    assert tried > 5
+    assert wild > 0
 
 
 def test_of_two_conditions_of_one_name_neither_takes_from_the_other_what_is_kept():
@@ -252,12 +333,15 @@ def test_of_two_conditions_of_one_name_neither_takes_from_the_other_what_is_kept
 
 
 def test_a_small_bend_is_judged_at_once_and_a_large_one_is_tried_before(cube, monkeypatch):
-    """A hand that wants 2 cm/s, and one that wants 2 m/s: what is then committed keeps all rows either way."""
-    programmes, solve = [], steer.qp.solve
+    """A hand that wants 1 cm/s, and one that wants 2 m/s: what is then committed keeps all rows either way."""
+    programmes, trials, solve, evaluate = [], [], steer.qp.solve, steer.evaluate
     monkeypatch.setattr(steer.qp, "solve", lambda *given: programmes.append(1) or solve(*given))
-    for speed, once in ((0.02, True), (2.0, False)):
+    monkeypatch.setattr(steer, "evaluate", lambda *given: trials.append(1) or evaluate(*given))
+    for speed, once in ((0.01, True), (2.0, False)):
         programmes.clear()
+        trials.clear()
         live = Live(cube, lead=TICK)
         states = drive(live, TICK, [(0.0, lambda live, v=speed: live.twist([v, 0, 0]))], EVERY)
         assert (len(programmes) == 1) == once
+        assert (len(trials) == 1) == once
         check(live, in_turn(states, drive(live, 0.9, every=None, begins=TICK)))
