@@ -1,7 +1,7 @@
 """A hand or a policy in command of a live motion: followed as nearly as safety allows, and never further."""
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -200,12 +200,14 @@ class Bending:
     """What was seen of one tick: along which motions (4, P, n) which rows were evaluated, as they were and as they then
     stood, which joined, what was kept from their edges, and the programmes."""
 
+    given: tuple  # by whom, what is wanted, what is committed, from when on
     z: list = field(default_factory=list)
     raw: list = field(default_factory=list)
     blocks: list = field(default_factory=list)
     joined: list = field(default_factory=list)
     more: list = field(default_factory=list)
     posed: list = field(default_factory=list)
+    kept: list = field(default_factory=list)
 
 
 @pytest.fixture(scope="module")
@@ -216,8 +218,10 @@ def bendings(cube):
     margins, joining = steer.Caution.margins, Block.joining
 
     def bending(*given):
-        seen.append(Bending())
-        return bend(*given)
+        seen.append(Bending(given))
+        for found in bend(*given):
+            seen[-1].kept.append(found[1])
+            yield found
 
     def evaluating(constraints, motion, *given):
         blocks = evaluate(constraints, motion, *given)
@@ -236,7 +240,7 @@ def bendings(cube):
         return seen[-1].joined[-1][-1]
 
     def posing(hessian, cost, matrix, bound, n):
-        seen[-1].posed.append((hessian.copy(), matrix, bound, programme(hessian, cost, matrix, bound, n)))
+        seen[-1].posed.append((hessian.copy(), matrix, bound, cost, programme(hessian, cost, matrix, bound, n)))
         return seen[-1].posed[-1][-1]
 
     def solving(programme, tolerance):
@@ -262,7 +266,7 @@ def test_where_a_step_led_the_rows_of_the_next_programme_are_exact(bendings):
     for tick in seen:
         if len(tick.posed) < 2:
             continue
-        (_, before, _, first), (_, after, bound, _) = tick.posed[:2]
+        (_, before, *_, first), (_, after, bound, *_) = tick.posed[:2]
         masks = [block.near(steer.DEPTH) & np.ones(block.values.shape, dtype=bool) for block in tick.blocks[0]]
         value = np.concatenate([block.values[mask] for block, mask in zip(tick.blocks[1], masks, strict=True)])
         x = found[id(first)].x
@@ -286,6 +290,8 @@ def test_a_tick_asks_for_no_margin_that_there_is_not_already(bendings):
     for tick in seen:
         (more,) = tick.more
         kept += max(more) > 0
+        for said in tick.kept:
+            assert said == [(b.name, b.margins[0] + margin) for b, margin in zip(tick.blocks[0], more, strict=True)]
         masks = [block.near(steer.DEPTH) & np.ones(block.values.shape, dtype=bool) for block in tick.blocks[0]]
         for raw, posed, margin in zip(tick.raw[0], tick.blocks[0], more, strict=True):
             assert np.abs(posed.values - np.minimum(raw + margin, 0.0)).max() < 1e-12
@@ -295,6 +301,50 @@ def test_a_tick_asks_for_no_margin_that_there_is_not_already(bendings):
             for raw, trial, was, posed in zip(then, blocks, tick.raw[0], tick.blocks[0], strict=True):
                 assert np.abs(trial.values - raw - posed.values + was).max() < 1e-12
     assert kept
+
+
+def test_the_slope_of_what_a_tick_makes_small_is_its_derivative(bendings):
+    """Half of what is wanted and not had, of leaning, and of acceleration and jerk, each squared."""
+    tick = bendings[0][4]
+    steering, wanted, _, begins = tick.given
+    grid, z, rng = steering.grid, tick.z[0], np.random.default_rng(7)
+    t = begins + HORIZON * grid.s[grid.nodes]
+    weight = np.array([0.5 * (t[min(k + 1, len(t) - 1)] - t[max(k - 1, 0)]) for k in range(len(t))])
+    upright = steer.STRAIGHT if steering.problem.level else steer.UPRIGHT
+
+    def cost(bend):
+        _, _, ddq, dddq = bent = z + grid.motion(bend, HORIZON)
+        motion = steering.sought.at(grid.s, bent, HORIZON, grid.nodes)
+        parts = wanted.residuals(motion, t, weight), steer._level(motion, upright * weight)
+        rough = steer.ACCELERATION * np.square(ddq).sum(axis=1) + steer.JERK * np.square(dddq).sum(axis=1)
+        return 0.5 * (sum(part.weight @ part.value**2 for part in parts) + HORIZON * grid.weights @ rough)
+
+    *_, slope, _ = tick.posed[0]
+    for _ in range(3):
+        bend = rng.normal(size=(grid.basis.shape[2], steering.problem.n))
+        difference = (cost(1e-5 * bend) - cost(-1e-5 * bend)) / 2e-5
+        assert slope @ bend.ravel() == pytest.approx(difference, rel=1e-4)  # twists are recalled to 1e-5
+
+
+@pytest.mark.parametrize("off", [0.0, 0.0037])
+def test_a_bend_is_sought_along_what_is_committed_from_the_hand_over_on(bendings, monkeypatch, off):
+    """Also where that did not begin at a tick."""
+    steering, wanted, base, begins = bendings[0][4].given
+    base = replace(base, begins=base.begins - off)
+
+    class EnoughError(Exception):
+        pass
+
+    def along(_, motion):
+        raise EnoughError(motion.z)
+
+    monkeypatch.setattr(steer, "evaluate", along)
+    with pytest.raises(EnoughError) as looked:
+        next(steering._bends(wanted, base, begins))
+    own = begins - base.begins + HORIZON * steering.grid.s
+    for mine, before in zip(looked.value.args[0], base.motion.sample(own), strict=False):
+        assert np.abs(mine - before).max() < 1e-9
+    assert np.any(base.motion.sample(own)[1])
 
 
 def test_a_bend_is_tried_where_it_leads_and_after_a_wild_one_the_next_is_smaller(bendings):
