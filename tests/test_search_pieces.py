@@ -133,6 +133,15 @@ def test_where_a_motion_is_nearest_to_a_pose_is_found_in_whichever_piece_it_is(p
     assert rows.values == pytest.approx(np.full((1, 12), -ALLOWED / SCALE), abs=1e-4)  # as far within as can be
 
 
+def test_what_is_known_at_nodes_is_linear_between_them() -> None:
+    s, nodes, rng = np.array([0.0, 0.1, 0.25, 0.3, 0.6, 0.8, 1.0]), np.array([0, 2, 4, 6]), np.random.default_rng(2)
+    motion = Evaluation(None, 0, None, s, 2.0, np.zeros((4, 7, 1)), nodes, True, False)
+    assert motion.steps == pytest.approx([0.5, 0.7, 0.8])  # s, of two
+    values = rng.normal(size=(4, 3))
+    expected = np.stack([np.interp(s, s[nodes], column) for column in values.T], axis=1)
+    assert motion.between_nodes(values) == pytest.approx(expected)
+
+
 def test_a_pair_that_is_too_near_at_an_end_keeps_a_share_of_that_less_what_nodes_keep() -> None:
     """A tenth of it; half of it where a posture that was given is nearer than others need to be; never more than it had
     to keep, and nothing is touched where it was touched already. By hand, in mm."""
