@@ -1,6 +1,6 @@
 """Counted runs of identification and of learning while carrying: how often ranges cover the truth, what is dropped.
 
-python benchmarks/learning.py --logs 112 [--docs]    # 9 cases of 112 logs, and the same with the noise doubled
+python benchmarks/learning.py --logs 112 [--docs]    # 12 cases of 112 loads, and the same with the noise doubled
 python benchmarks/learning.py --loads 100 --friction open --sensor wrist [--docs]    # careful first, then fast
 
 Logs are made by `salver.learning.sensors`, whose errors are not those that the estimator assumes. Loads are drawn
@@ -25,8 +25,8 @@ import numpy as np
 import salver as sv
 from salver.errors import SalverError
 from salver.files import read_json, write_json
-from salver.learning import identify
 from salver.learning.excite import plan_excite
+from salver.learning.identify import Run, identify_runs
 from salver.learning.sensors import SensedArm, Sensors
 from salver.learning.trips import EFFORT, Sensor, trips, true_load
 from salver.models.parameters import INERTIAL, inertial_vector
@@ -54,24 +54,27 @@ def bottle(friction: str = "known", nominal: float = 0.4) -> Scenario:
     return load("panda-tall-bottle").with_changes(objects__0__uncertainty=uncertain, objects__0__friction=nominal)
 
 
-def coverage(name: str, plan: Plan, kind: str, times: float, count: int) -> dict[str, object]:
+def coverage(name: str, plans: Sequence[Plan], kind: str, times: float, count: int) -> dict[str, object]:
     """How many of the ten parameters of each load lie within their ranges, and how wide these are: g, mm, kg mm^2.
 
-    Loads are random masses inside the shape.
+    Loads are random masses inside the shape, each carried once along each plan.
     """
     inside, learnt, half, spent, refused = np.zeros((2, 10), dtype=int), np.zeros(10, dtype=int), [], [], 0
-    scale, body = np.array([1e3] * 4 + [1e6] * 6), plan.scenario.payload.first
-    nominal, (wrist, sensors) = inertial_vector(plan.scenario.payload.first.inertial), KINDS[kind]
+    scale, scenario = np.array([1e3] * 4 + [1e6] * 6), plans[0].scenario
+    body, (wrist, sensors) = scenario.payload.first, KINDS[kind]
+    nominal = inertial_vector(body.inertial)
     for k in range(count):
         rng, values = np.random.default_rng([11, k]), nominal.copy()
         share = 1 + 0.5 * rng.uniform(-1, 1)
         values[0], values[1:4] = share * values[0], 0.015 * rng.uniform(-1, 1, 3)
         values[4:] = values[0] * random_inertia(body, values[1:4], rng)
-        arm = SensedArm(plan, k, replace(sensors, times=times), wrist=wrist, joints=not wrist)
-        loaded, empty = arm.log(values), arm.log(None)
+        runs = []
+        for i, plan in enumerate(plans):
+            arm = SensedArm(plan, k + count * i, replace(sensors, times=times), wrist=wrist, joints=not wrist)
+            runs.append(Run(plan, arm.log(values), arm.log(None)))
         begun = time.process_time()
         try:
-            ranges = identify(plan, [loaded], empty).ranges
+            ranges = identify_runs(scenario, runs).ranges
         except SalverError as error:
             refused += 1
             print(f"  log {k}: {error}", file=sys.stderr)
@@ -189,16 +192,17 @@ def main() -> None:
     given = asked.parse_args()
     if given.logs:
         motions = {
-            "cube, 2.5 s": lambda: sv.plan("panda-cube"),
-            "bottle, fastest": lambda: sv.plan("panda-tall-bottle", "fastest"),
-            "bottle, excite, 2 s": lambda: plan_excite(bottle(), 2.0),
+            "cube, 2.5 s": lambda: [sv.plan("panda-cube")],
+            "bottle, fastest": lambda: [sv.plan("panda-tall-bottle", "fastest")],
+            "bottle, excite, 2 s": lambda: [plan_excite(bottle(), 2.0)],
+            "bottle, careful and excite, 4 s": lambda: [plan_fastest(bottle("open")), plan_excite(bottle("open"), 4.0)],
         }
         asked_for = {name: [kind for kind in KINDS if given.only in f"{name}, {kind}"] for name in motions}
         plans = {name: made() for name, made in motions.items() if asked_for[name]}
         for times in given.times:
-            for name, plan in plans.items():
+            for name, made in plans.items():
                 ranges = WIDE | {"contents": "any"}
-                wide = replace(plan, scenario=plan.scenario.with_changes(objects__0__uncertainty=ranges))
+                wide = [replace(p, scenario=p.scenario.with_changes(objects__0__uncertainty=ranges)) for p in made]
                 for kind in asked_for[name]:
                     keep("identified", coverage(name, wide, kind, times, given.logs), ("motion", "sensor", "times"))
     if given.loads:

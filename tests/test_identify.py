@@ -18,7 +18,6 @@ from salver.geometry import Array
 from salver.learning import Log, identify, read_log
 from salver.learning.identify import Run, identify_runs
 from salver.learning.narrowing import prior
-from salver.learning.noise import SHARES, Noise, Times
 from salver.learning.ranges import NAMES, WIDTH, fieller
 from salver.learning.sensors import SensedArm, Sensors
 from salver.models.parameters import inertial_vector
@@ -172,22 +171,6 @@ def test_runs_of_two_plans_are_of_one_load(plan: Plan) -> None:
         assert alone[0].ranges[name].low - 1e-12 <= within[name].low <= x <= within[name].high
         assert within[name].high <= alone[0].ranges[name].high + 1e-12
         assert within[name].low >= both.ranges[name].low - 1e-12
-
-
-@pytest.mark.parametrize("size", [0.3, 1.0, 3.0])
-@pytest.mark.parametrize("smooth", [False, True])
-def test_noise_is_found_as_large_as_it_is(size: float, smooth: bool) -> None:
-    """Drawn from its covariance, with a load in it: white noise within a step of what is tried, coloured not below."""
-    t, rng = np.arange(0.0, 1.0, 0.005), np.random.default_rng(8)
-    true = Noise(size * 0.05, size * 0.03, 0.01, 0.01, smooth)
-    effects = np.column_stack([np.sin(3 * t), t**2])
-    times, step = Times.of(t, 5), SHARES[1] / SHARES[0]
-    root = np.linalg.cholesky(times.covariance(true))
-    drawn_ = [root @ rng.standard_normal(200) + effects @ rng.standard_normal(2) for _ in range(20)]
-    found = [times.found(Noise(0.05, 0.03, 0.01, 0.01), values, 3 * effects, 1) for values in drawn_]
-    assert 1 / step < np.median([n.white for n in found]) / true.white < step
-    assert 0.9 < np.median([n.coloured for n in found]) / true.coloured < step
-    assert not smooth or np.mean([n.smooth for n in found]) > 0.7
 
 
 def test_range_of_a_ratio_covers_as_often_as_it_says() -> None:

@@ -50,6 +50,7 @@ EDGE = 0.02  # s
 REST = 0.5  # s before and after the motion, of which a log is used too
 BLOCK = 0.005  # s over which samples are averaged,
 BLOCKS = 112  # and not more of them
+FINE = 0.015  # s over which what a load adds may be taken at the mean of positions, velocities and accelerations
 MOVES = 0.02  # rad that some joint must move, for a motion
 WHOLE = 0.8  # of the motion that both logs must hold
 SAME = 0.02  # rad by which the empty run may differ from the loaded one
@@ -269,7 +270,10 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
     near = max(1, round(ENDS / step))
     left_out = [ENDS if np.abs(strayed[1][end]).max() > RESTS else EDGE for end in (slice(near), slice(-near, None))]
     inside = (log.t > max(log.t[0] + left_out[0], -REST)) & (log.t < min(log.t[-1] - left_out[1], plan.duration + REST))
-    every = max(1, round(max(BLOCK, np.count_nonzero(inside) * step / BLOCKS) / step))
+    length = max(BLOCK, np.count_nonzero(inside) * step / BLOCKS)
+    every = max(1, round(length / step))
+    parts = min(every, int(np.ceil(length / FINE)))
+    every = parts * round(every / parts)
     index = np.flatnonzero(inside)
     blocks = index[: len(index) // every * every].reshape(-1, every)
     if len(blocks) < 20:
@@ -278,18 +282,23 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
     def mean(values: Array) -> Array:
         return np.asarray(values[blocks].mean(axis=1))
 
-    terms = motion_terms(arm.pin_model, arm.tray_id, mean(q), mean(dq), mean(ddq))
+    def fine(values: Array) -> Array:
+        return np.asarray(values[blocks.reshape(len(blocks) * parts, -1)].mean(axis=1))
+
+    def whole(values: Array) -> Array:
+        return np.asarray(values.reshape(len(blocks), parts, *values.shape[1:]).mean(axis=1))
+
+    terms = motion_terms(arm.pin_model, arm.tray_id, fine(q), fine(dq), fine(ddq))
     place = frame_map(body.p_EB, body.R_EB)
     maps = np.array([to_tray(body.p_EB, body.R_EB) @ wrench_map(unit) @ place for unit in np.eye(10)])
-    at_E = np.einsum("kij,tj->tik", maps, terms.w)
-    at_F = at_E.copy()
-    at_F[:, 3:] += hat(arm.p_FE) @ at_E[:, :3]
+    at_E, torque = np.einsum("kij,tj->tik", maps, terms.w), whole(terms.torque)
+    at_F = whole(at_E)
+    at_F[:, 3:] += hat(arm.p_FE) @ at_F[:, :3]
     tau, to_tau = None, None
     if log.tau is not None:
-        tau, to_tau = mean(log.tau) - terms.torque, np.einsum("tij,tik->tjk", terms.jacobian, at_E)
-    wrench = None if log.wrench_F is None else mean(log.wrench_F) - _tray_wrench(plan, arm, terms.w)
-    t = mean(log.t)
-    return State(t, every, mean(dq), tau, wrench, terms.torque, to_tau, at_F)
+        tau, to_tau = mean(log.tau) - torque, whole(np.einsum("tij,tik->tjk", terms.jacobian, at_E))
+    wrench = None if log.wrench_F is None else mean(log.wrench_F) - _tray_wrench(plan, arm, whole(terms.w))
+    return State(mean(log.t), every, mean(dq), tau, wrench, torque, to_tau, at_F)
 
 
 def _in_units(log: Log, state: State, heaviest: float, phi_0: Array) -> None:

@@ -2,16 +2,18 @@
 
 Errors of a channel at times d apart have the covariance
 
-    K(d) = white^2 [d = 0] + coloured^2 k(d) + bias^2 + drift^2 exp(-d^2 / (2 0.8^2 s^2)),
+    K(d) = white^2 [d = 0] + coloured^2 k(d) + bias^2 + drift^2 exp(-|d| / 2 s),
 
-with k(d) between exp(-|d| / 30 ms) and the smooth exp(-d^2 / (2 30^2 ms^2)). Ordinary least squares takes them all for
-white; its ranges then cover the truth in a few runs of a hundred. How large white and coloured noise are, and which k,
-a log tells itself, by the marginal likelihood (Patterson and Thompson 1971); of a bias and a drift one run says
-nothing.
+with k(d) between exp(-|d| / 30 ms) and the smooth exp(-d^2 / (2 30^2 ms^2)). What is read are means over a block of
+samples, and a long motion's blocks are longer than coloured noise remembers: of k it is the mean over both blocks.
+Ordinary least squares takes all errors for white; its ranges then cover the truth in a few runs of a hundred. How
+large white and coloured noise are, and which k, a log tells itself, by the marginal likelihood (Patterson and Thompson
+1971); of a bias and a drift one run says nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,15 +21,15 @@ import numpy as np
 from salver.geometry import Array
 
 COLOUR = 0.03  # s over which coloured noise forgets
-SLOW = 0.8  # s over which a drift moves
+SLOW = 2.0  # s over which a drift does: so it wanders at first as a random walk
 SHARES = np.geomspace(0.1, 16.0, 13)  # of what was told, tried for white and for coloured noise
-FLAT = 1e-4  # of the largest eigenvalue of what is smooth: what is below is left out
+FLAT = 1e-2  # of the largest eigenvalue of what is smooth: what is below is left out
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of one channel, in its unit. white: of a single sample. smooth: the share of the
-    smooth k."""
+    """Standard deviations of one channel, in its unit. white: of a single sample. drift: by which it wanders in a
+    second. smooth: the share of the smooth k."""
 
     white: float
     coloured: float
@@ -43,8 +45,8 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Times:
-    """N times of one log, means over `samples`. kinds: both k, (N, N), as size and vectors too; slow, (N, N): what a
-    drift is per unit, and its square root (N, r)."""
+    """N times of one log, means over `samples` that end where the next begin. kinds: both k, (N, N), as size and
+    vectors too; slow, (N, N): what a drift is per unit, and its square root (N, r), with what matters of it."""
 
     samples: int
     kinds: tuple[tuple[Array, Array, Array], ...]
@@ -52,11 +54,11 @@ class Times:
 
     @classmethod
     def of(cls, t: Array, samples: int) -> Times:
-        apart = np.abs(t[:, None] - t[None, :])
-        slow = np.exp(-0.5 * (apart / SLOW) ** 2)
+        apart, length = np.abs(t[:, None] - t[None, :]), float(np.median(np.diff(t)))
+        slow = np.exp(-apart / SLOW)
         size, shapes = np.linalg.eigh(slow)
         kept = size > FLAT * size[-1]
-        kinds = (np.exp(-apart / COLOUR), np.exp(-0.5 * (apart / COLOUR) ** 2))
+        kinds = [_between_means(twice, apart / COLOUR, length / COLOUR) for twice in (_sharp, _smooth)]
         root = shapes[:, kept] * np.sqrt(size[kept])
         return cls(samples, tuple((k, *np.linalg.eigh(k)) for k in kinds), (slow, root))
 
@@ -94,6 +96,24 @@ class Times:
         each = likely.sum(axis=0)
         size = np.sqrt(each @ np.column_stack([white, slower]))
         return replace(told, white=float(size[0]), coloured=float(size[1]), smooth=float(likely[1].sum()))
+
+
+def _between_means(twice: Callable[[Array], Array], apart: Array, length: float) -> Array:
+    """Covariance of means over a length, so far apart, of what has a covariance of which `twice` is the second
+    integral."""
+    return np.asarray((twice(apart + length) - 2 * twice(apart) + twice(apart - length)) / length**2)
+
+
+def _sharp(d: Array) -> Array:
+    """Second integral of exp(-|d|)."""
+    return np.asarray(np.exp(-np.abs(d)) + np.abs(d))
+
+
+def _smooth(d: Array) -> Array:
+    """Second integral of exp(-d^2 / 2)."""
+    from scipy.special import erf
+
+    return np.asarray(np.exp(-0.5 * d**2) + np.sqrt(0.5 * np.pi) * d * erf(np.sqrt(0.5) * d))
 
 
 # Of one run; a difference of two has twice the covariance. Joint torques of a Panda are good to some 0.1 N m

@@ -50,6 +50,32 @@ class Sensors:
     coloured: float = 0.5
     wrist_coloured: float = 0.5
 
+    def errors(
+        self, count: int, noise: Array, bias: Array, drift: Array, share: float, rng: np.random.Generator
+    ) -> Array:
+        """(count, m) of m channels: white noise, slower noise (`share` of the variance), a bias, a random walk that
+        leads `drift` away in a second."""
+        from scipy.signal import lfilter
+
+        m = len(noise)
+        white = rng.standard_normal((count, m))
+        pole = np.exp(-2 * np.pi * COLOURED / self.rate)
+        driven = rng.standard_normal((count + round(self.rate), m))
+        coloured = lfilter([1.0], [1.0, -2 * pole, pole**2], driven, axis=0)[-count:]
+        coloured *= np.sqrt((1 - pole**2) ** 3 / (1 + pole**2))
+        walk = np.cumsum(rng.standard_normal((count, m)), axis=0) / np.sqrt(self.rate)
+        out = (
+            noise * (np.sqrt(1 - share) * white + np.sqrt(share) * coloured)
+            + bias * rng.standard_normal(m)
+            + drift * walk
+        )
+        return np.asarray(self.times * out)
+
+    def torque_errors(self, count: int, joints: int, rng: np.random.Generator) -> Array:
+        """(count, joints) N m."""
+        noise, bias, drift = (np.full(joints, x) for x in (self.torque, self.torque_bias, self.torque_drift))
+        return self.errors(count, noise, bias, drift, self.coloured, rng)
+
 
 class SensedArm:
     """One arm with its own errors, which carries loads. wrist, joints: whether it has these sensors."""
@@ -100,31 +126,10 @@ class SensedArm:
         wrench[:, 3:] += np.cross(self.arm.p_FE, at_E[:, :3])
         each = np.array([s.force] * 3 + [s.moment] * 3)
         bias = np.array([s.force_bias] * 3 + [s.moment_bias] * 3)
-        tau += self._errors(
-            len(t), np.full(n, s.torque), np.full(n, s.torque_bias), np.full(n, s.torque_drift), s.coloured
-        )
-        wrench += self._errors(len(t), each, bias, bias, s.wrist_coloured)
+        tau += s.torque_errors(len(t), n, rng)
+        wrench += s.errors(len(t), each, bias, bias, s.wrist_coloured, rng)
         seen = q + s.times * s.encoder * rng.standard_normal(q.shape)
         return Log(source, t, seen, tau if self.joints else None, wrench if self.wrist else None)
-
-    def _errors(self, count: int, noise: Array, bias: Array, drift: Array, share: float) -> Array:
-        """(count, m): white noise, slower noise (`share` of the variance), a bias, a random
-        walk that leads `drift` away in a second."""
-        from scipy.signal import lfilter
-
-        s, rng, m = self.sensors, self.rng, len(noise)
-        white = rng.standard_normal((count, m))
-        pole = np.exp(-2 * np.pi * COLOURED / s.rate)
-        driven = rng.standard_normal((count + round(s.rate), m))
-        coloured = lfilter([1.0], [1.0, -2 * pole, pole**2], driven, axis=0)[-count:]
-        coloured *= np.sqrt((1 - pole**2) ** 3 / (1 + pole**2))
-        walk = np.cumsum(rng.standard_normal((count, m)), axis=0) / np.sqrt(s.rate)
-        out = (
-            noise * (np.sqrt(1 - share) * white + np.sqrt(share) * coloured)
-            + bias * rng.standard_normal(m)
-            + drift * walk
-        )
-        return np.asarray(s.times * out)
 
 
 def nominal_load(plan: Plan) -> Array:
