@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from driver_rig import Rig
     from salver.planning.fastest import TransportProblem
     from salver.planning.plan import Plan
+    from salver.simulation.record import SimulationRecord
 
 PATIENCE = 20.0  # s of processor time for an everyday test, ten times what the longest takes
 
@@ -63,6 +64,23 @@ def bottle_plan() -> Plan:
     from salver.planning.fastest import plan_fastest
 
     return plan_fastest(scenario.load("panda-tall-bottle"))
+
+
+@pytest.fixture(scope="session")
+def baseline() -> Plan:
+    """The paper's cube along the straight line, not optimised."""
+    from salver import scenario
+    from salver.planning.make import make_plan
+
+    return make_plan(scenario.load("panda-cube"), "baseline")
+
+
+@pytest.fixture(scope="session")
+def nominal(baseline: Plan) -> SimulationRecord:
+    """What the engine makes of it with the parameters as they are said."""
+    from salver.simulation.physics import simulate
+
+    return simulate(baseline)
 
 
 @pytest.fixture(scope="session")

@@ -13,6 +13,7 @@ from salver.sensitivity.arm.tracking import JointLoop
 from salver.trajectory import JointMotion
 
 PERIOD = 1e-3
+LEAD = 0.1  # s: in simulated time planning takes none, and hand-overs are where they would be
 PATIENCE = 60.0  # s: on a busy machine no clock is to decide a test
 JUST = 1e-6  # s before a knot
 APART = 1e-4  # s: between nearer instants a quintic's jerk is lost in rounding
@@ -117,3 +118,19 @@ def jolts(told):
         float(np.abs(np.diff(x, axis=0) - 0.5 * PERIOD * (rate[1:] + rate[:-1])).max())
         for x, rate in ((q, dq), (dq, ddq))
     )
+
+
+def place(x, y, z):
+    """The wish for an object to be there."""
+    return lambda live: live.goto((x, y, z))
+
+
+def check(live, states):
+    """What must be true of anything that was executed, and then left alone until it rests."""
+    worst = rows_of(live.problem, states)
+    assert max(worst.values()) <= 0.0, worst
+    position, velocity = jolts(states)
+    assert position < 1e-5  # rad: no jump; a jerk of 7500 rad/s^3, the most of this arm, makes 6e-7 in a period
+    assert velocity < 5e-3  # rad/s: no jump of acceleration by more than that jerk in a period
+    assert not np.any(states[1][-1])
+    assert not np.any(states[2][-1])

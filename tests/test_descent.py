@@ -59,6 +59,12 @@ def test_the_same_points_as_scipy(at, steps):
         agrees(at, rng.normal(size=2 + k % 5) * 10.0 ** rng.integers(-2, 2), steps)
 
 
+def test_the_same_points_where_a_bracket_shrinks_to_nothing():
+    """As steep after a minimum as before it: no step leaves less slope."""
+    for x in ([0.0], [0.1, 0.2], [-1.0, 0.0, 3.0]):
+        agrees(lambda x: (float(np.abs(x - 0.3).sum()), np.sign(x - 0.3)), np.array(x), 1)
+
+
 def test_the_same_points_where_a_first_step_falls_but_not_enough():
     for distance in np.linspace(0.50500, 0.50506, 7):  # the first step is 1.01 long, to just before the other side
         agrees(lambda x: (float(x @ x), 2 * x), np.array([distance, 0.0]), 12)

@@ -15,10 +15,11 @@ from potential_flow import box, cylinder, rectangle, simulate
 from salver.errors import ScenarioError
 from salver.models.liquid import Liquid, damping_of
 from salver.models.tray_motion import at_rest
+from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
-from salver.sensitivity.sloshing import Liquids, Slosh, Spill
+from salver.sensitivity.sloshing import LIGHTEST, Liquids, Slosh, Spill, slacks
 from salver.sensitivity.wave_gradients import Unknowns, wrench_by
-from salver.sensitivity.waves import Case, Cases, Waves, along, cases
+from salver.sensitivity.waves import VERDICT_APART, Case, Cases, Waves, along, cases
 from salver.simulation import outcome
 
 CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
@@ -286,6 +287,15 @@ def test_a_fill_that_was_left_out_is_found_and_added(coffee):
     assert more is not None
     assert max(case.fill for case in more.liquids[0]) == pytest.approx(0.065)
     assert with_missed_cases(more, motion) is None
+    slowly = replace(motion, z=motion.z / (4.0 ** np.arange(4))[:, None, None], duration=4.0 * duration)
+    assert with_missed_cases(problem, slowly) is None
+    verdict = cases(coffee.payload.first, problem.payload.uncertain, VERDICT_APART)
+    near = with_missed_cases(problem, slowly, 1.0)  # no case has more left than the whole of its room
+    assert {(case.fill, case.damping) for case in near.liquids[0]} >= {(case.fill, case.damping) for case in verdict}
+    assert with_missed_cases(near, slowly, 1.0) is None
+    (brim,) = (constraint for constraint in more.constraints if isinstance(constraint, Brim))
+    for block in brim.blocks(motion):
+        assert block.points.tolist() == ([100] if "left" in block.name or "settled" in block.name else [*range(101)])
 
 
 def test_contacts_that_chatter_are_not_waves():
@@ -327,6 +337,27 @@ def test_a_wave_that_must_have_settled_takes_what_is_missing_of_the_last_slack(c
     assert free.slack[-1] > 0.1
     assert found.settled == pytest.approx(0.05 * left, rel=1e-6)
     assert found.slack[-1] == pytest.approx(0.05 / 1.05, rel=1e-6)
+
+
+@pytest.mark.parametrize("wanted", [{}, {"settled_wave": 0.05, "settled_within": 0.5}])
+def test_the_last_slack_is_that_of_what_comes_afterwards(coffee, wanted):
+    """At two seconds on a tray at rest. At the low fill waves are too steep first, at the high one they spill first."""
+    body = coffee.with_changes(**{f"objects__0__liquid__{key}": value for key, value in wanted.items()}).payload.first
+    t = np.linspace(0, 2.8, 1051)
+    moving = t < 0.8 + 1e-9
+    w = np.tile(at_rest(), (len(t), 1))
+    w[moving] += 0.8 * (shaken(t[moving]) - at_rest())
+    pair = (Case(body, 0.035, 0.01), Case(body, 0.07, 0.01))
+    during, all_along = Slosh.of(along(pair, t[moving], w[moving])), Slosh.of(along(pair, t, w))
+    slack, room = slacks(during), np.array([0.044, 0.009])[:, None]  # to 1 mm below the brim
+    shares = np.array([all_along.crest / room, all_along.free_height / 0.012, all_along.lightness / LIGHTEST])
+    assert slack[:, :-1] == pytest.approx(1 - shares.max(axis=0)[:, : moving.sum() - 1])
+    later = shares[:, :, moving.sum() :].max(axis=2)
+    assert later[1, 0] > later[0, 0]
+    assert later[0, 1] > later[1, 1]
+    assert np.all(slack[:, -1] <= 1 - later.max(axis=0))
+    assert 1 - slack[0, -1] < 1.1 * later[1, 0]  # of one mode mostly, and of damping by 0.01
+    assert slack[1, -2] - slack[1, -1] > 0.1
 
 
 def test_cases_span_fill_and_damping(coffee):

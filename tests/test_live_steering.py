@@ -27,7 +27,7 @@ def cube():
 def check(live, states):
     worst = rows_of(live.problem, states)
     assert max(worst.values()) <= 0.0, worst
-    assert jolts(states)[0] < 1e-5  # rad; see test_live
+    assert jolts(states)[0] < 1e-5  # rad; see live_runs
     assert not np.any(states[1][-1])
 
 

@@ -24,16 +24,6 @@ from salver.simulation.run import Options
 G = 9.81
 
 
-@pytest.fixture(scope="module")
-def baseline():
-    return make_plan(scenarios.load("panda-cube"), "baseline")
-
-
-@pytest.fixture(scope="module")
-def nominal(baseline):
-    return simulate(baseline)
-
-
 def quick(**changes):
     """The paper's move in 1.2 s with little waiting: a third of the run time."""
     changes = {"motion__duration": 1.2, "physics__settle_before": 0.1, "physics__settle_after": 0.1} | changes

@@ -9,22 +9,9 @@ import sys
 import numpy as np
 import pytest
 
-from salver import scenario as scenarios
 from salver.errors import MissingDependencyError
-from salver.planning.make import make_plan
 from salver.simulation.meshes import read_mesh
-from salver.simulation.physics import simulate
 from salver.simulation.render import NoOpenGLError, View, painter, snapshots
-
-
-@pytest.fixture(scope="module")
-def baseline():
-    return make_plan(scenarios.load("panda-cube"), "baseline")
-
-
-@pytest.fixture(scope="module")
-def nominal(baseline):
-    return simulate(baseline)
 
 
 @pytest.mark.slow

@@ -176,6 +176,15 @@ def test_weightings_differ_as_documented():
     assert row_scale("scaled", body, gains) == pytest.approx((1, radius, 500**-0.5, radius * 300**-0.5))
 
 
+@pytest.mark.parametrize("nodes", [2, 5, 6, 7, 21, 50])
+def test_errors_are_integrated_at_steps_that_are_short_for_the_fastest_of_them(nodes):
+    """0.35 of 1 / sqrt(500) s, the modulus of both poles of s^2 + 25 s + 500; with one part less they are longer."""
+    problem = Problem(PAPER, nodes)
+    longest, span = 0.35 / np.sqrt(500.0), problem.duration / (nodes - 1)
+    assert problem.grid.t[problem.every] == pytest.approx(span)
+    assert span / problem.every <= longest < span / (problem.every - 1)
+
+
 def test_integration_weights_are_exact_for_cubics():
     for n in (7, 12, 61):
         t = np.linspace(0, 2, n)
@@ -374,7 +383,7 @@ class Plane:
         return Linearisation(z - self.c, np.eye(2), (Circle(z),), self.goal_missed(z), slope)
 
 
-@pytest.mark.parametrize("c", [(0.3, 0.4), (2.0, 0.0), (-0.5, 1.0)])
+@pytest.mark.parametrize("c", [(0.3, 0.4), (2.0, 0.0), (-0.5, 1.0), (3.0, -4.0)])  # the last one by corrections
 def test_the_nearest_place_on_a_curve_outside_a_circle_is_found_on_it_and_every_programme_is_counted(c, monkeypatch):
     """Against all places on the curve, one by one. Without the circle and the curve c itself would do: nothing costs
     less than that."""

@@ -155,7 +155,10 @@ def test_a_pair_that_is_too_near_at_an_end_keeps_a_share_of_that_less_what_nodes
 
     parts: Any = SimpleNamespace(clearance=clearance)
     keep_out = KeepOut(parts, required)
-    assert 1e3 * keep_out.kept_by(np.zeros((2, 7))).required == pytest.approx([5.0, -0.4, -0.6, 1.0, -1.0])
+    kept = keep_out.kept_by(np.zeros((2, 7)))
+    assert 1e3 * kept.required == pytest.approx([5.0, -0.4, -0.6, 1.0, -1.0])
+    # A verdict ends where an arm goes 0.1 mm at most, half of it from either end, and distances are good to 0.01 mm.
+    assert 1e3 * kept.least == pytest.approx([5.0, 0.07, 0.07, 1.0, 0.0])
     assert 1e3 * keep_out.distances(np.zeros((2, 7)), 0.002) == pytest.approx(1e3 * (there - required))
     assert np.all(asked[-1] >= required + REACH + AT_NODES + 0.002)  # exact as far as the arm may stray into reach
 

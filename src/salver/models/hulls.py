@@ -128,7 +128,7 @@ def _double_description(rays: Array) -> tuple[Array, Mask] | None:
     active = (bits[order, None] & bit) != 0
     rows = _through(rays, rows[order], active)[0]
     value = rows @ rays.T
-    sure = np.all(np.abs(value[active]) <= _IN) and np.all(value[~active] <= -_OUT)
+    sure = np.all(np.abs(value[active]) <= _IN) and np.array_equal(value > -_OUT, active)
     return (rows, active) if sure else None
 
 

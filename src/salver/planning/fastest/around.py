@@ -23,7 +23,8 @@ ROOM = 0.01  # m that a way keeps beyond what is required, where its ends have i
 DETOUR = 1.0  # rad that a joint may go beyond the range between the ends, at first; then all it has
 LEAN = 5e-4  # rad; a tray that leans no further counts as level
 CUTS = 60  # attempts to cut a way short
-CORRECTIONS = 6  # of a posture in which the tray leans too far
+CORRECTIONS = 6  # of a posture in which the tray leans too far,
+DAMPING = 1e-6  # of each
 
 
 @dataclass(eq=False)
@@ -78,7 +79,9 @@ class FreeSpace:
             turning = pin.getFrameJacobian(model, data, arm.tray_id, pin.LOCAL)[3:]
             up = rotation[2]  # the vertical, in E; a turn w of the tray changes it by up x w
             slope = np.array([[0.0, -up[2], up[1]], [up[2], 0.0, -up[0]]]) @ turning
-            q = q - slope.T @ np.linalg.solve(slope @ slope.T + 1e-6 * np.eye(2), up[:2])
+            (a, b), (_, d) = slope @ slope.T
+            a, d = a + DAMPING, d + DAMPING
+            q = q - np.array([d * up[0] - b * up[1], a * up[1] - b * up[0]]) / (a * d - b * b) @ slope
         return None
 
     def towards(self, q: Array, target: Array) -> list[Array]:
@@ -99,22 +102,27 @@ class FreeSpace:
 
 @dataclass(eq=False)
 class _Tree:
-    nodes: list[Array]
+    """nodes (N, n), in an array that has room for more; parents: of each, -1 of a root."""
+
+    nodes: Array
     parents: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.parents = [-1] * len(self.nodes)
 
     def nearest(self, q: Array) -> int:
-        return int(np.argmin(np.square(np.array(self.nodes) - q).sum(axis=1)))
+        return int(np.argmin(np.square(self.nodes[: len(self.parents)] - q).sum(axis=1)))
 
     def grow(self, space: FreeSpace, target: Array) -> int:
         """Grow from the nearest node towards a target; the node that came nearest."""
         at = self.nearest(target)
         for q in space.towards(self.nodes[at], target):
-            self.nodes.append(q)
+            count = len(self.parents)
+            if count == len(self.nodes):
+                self.nodes = np.concatenate([self.nodes, np.empty_like(self.nodes)])
+            self.nodes[count] = q
             self.parents.append(at)
-            at = len(self.nodes) - 1
+            at = count
         return at
 
     def way(self, node: int) -> list[Array]:
@@ -142,7 +150,7 @@ def way_around(
     limits = problem.limits
     wide_low, wide_high = np.maximum(limits.q_min, ends.min(0) - np.pi), np.minimum(limits.q_max, ends.max(0) + np.pi)
     near_low, near_high = np.maximum(wide_low, ends.min(0) - DETOUR), np.minimum(wide_high, ends.max(0) + DETOUR)
-    trees = [_Tree(list(starts)), _Tree(list(goals))]
+    trees = [_Tree(np.array(starts)), _Tree(np.array(goals))]
     meeting: tuple[int, int] | None = None
     turn = 0
     target = goals[int(rng.integers(len(goals)))]  # first straight ahead

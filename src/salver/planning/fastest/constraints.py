@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from salver.geometry import Array, hat
-from salver.light import light
 from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import ALL, SURE, Drift, Some, WorstCase, values_near
@@ -41,7 +40,6 @@ PER_METRE = 10.0  # rows of distances, in m
 INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
 
 
-@light
 @dataclass(frozen=True, eq=False)
 class Block:
     """Rows of one kind along a motion.

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
-from salver.light import light
 from salver.models.parameters import Parameter
 from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
@@ -116,7 +115,6 @@ def of_cases(several: Sequence[Case], load: LoadChange, dw: Array) -> tuple[Arra
     return np.moveaxis(dw @ sure.T, 2, 0), dw @ free[:, None]
 
 
-@light
 @dataclass(frozen=True, eq=False)
 class Evaluation:
     """A motion at points s (P,) in [0, 1] of its duration (s): z (4, P, n) is q and its three time derivatives there.

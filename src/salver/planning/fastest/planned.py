@@ -66,16 +66,16 @@ def found_and_planned(
     """`plan_problem`, and the motion that the plan is of."""
     scenario = problem.scenario
     found = fastest(problem, options, near, watch)
-    for rounds in range(MISSED + 1):
+    for _ in range(MISSED):
         more = _missed(found) if found.status.ok else None
         if more is None:
             break
-        if rounds == MISSED:
-            spilt = "at some fill or damping in its range a liquid spills when the arm gives way to its load"
-            found = replace(found, status=Status("unsafe", f"{found.duration:.4f} s is too fast: {spilt}.", False))
-            break
         again = fastest(more, options, near=found, watch=watch)
         found = again.after(found)
+    else:
+        if found.status.ok and _missed(found) is not None:
+            spilt = "at some fill or damping in its range a liquid spills when the arm gives way to its load"
+            found = replace(found, status=Status("unsafe", f"{found.duration:.4f} s is too fast: {spilt}.", False))
     if not np.isfinite(found.duration):
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     plan = _planned(scenario, found, robust)

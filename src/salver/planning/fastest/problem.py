@@ -150,7 +150,7 @@ def with_missed_cases(problem: TransportProblem, motion: Evaluation, margin: flo
     sloshing, found = Sloshing.of(tuple(missing), t, motion.terms.w, motion.response).each, []
     for known, others in zip(problem.liquids, missing, strict=True):
         parts = sloshing.get(known[0].body.name, ())
-        left = np.min([slacks(part).min(axis=1) for part in parts], axis=0, initial=1.0)
+        left = np.min([np.ones(len(others)), *(slacks(part).min(axis=1) for part in parts)], axis=0)
         found.append((*known, *(others[k] for k in np.flatnonzero(left < SURELY_DRY + margin))))
     return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
 

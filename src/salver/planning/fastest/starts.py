@@ -24,6 +24,7 @@ MORE_ATTEMPTS = 100  # and from which each of them is when more are wanted,
 STEPS = 25  # of the inverse kinematics: of those that arrive 97 % have by then,
 SAME = 1e-6  # rad; what differs by less is one,
 ENOUGH = 6  # until there are so many different ones in which nothing touches
+ROUNDABOUT = 1.5  # times what friction takes on the way to the first: a nearer one is sought,
 OTHERS = 6  # goal postures that are sought from a start posture that is given
 SLIDES, SLIDE = 12, 0.15  # steps, rad, by which an end posture that touches something is slid free,
 IN_VAIN = 4  # of which so many in turn may bring nothing
@@ -75,8 +76,7 @@ class Start:
         far = np.abs(np.diff(self.postures, axis=0)).sum(axis=0)
         p_SE = np.array([problem.arm.tray_pose(q)[0] for q in self.path(np.linspace(0, 1, ALONG))])
         way = float(np.linalg.norm(np.diff(p_SE, axis=0), axis=1).sum())
-        by_contact = least_time(way, np.inf, _friction(problem) * -GRAVITY_S[2], np.inf)
-        return float(np.hypot(least_duration(problem.limits, np.zeros_like(far), far), by_contact))
+        return float(np.hypot(least_duration(problem.limits, np.zeros_like(far), far), _by_contact(problem, way)))
 
     def motion(self, problem: TransportProblem, spline: RestSpline) -> SplineMotion:
         """Along it, in a comfortable time."""
@@ -92,7 +92,8 @@ class Start:
 def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False, few: int | None = None) -> list[Ends]:
     """Pairs of end postures, the most promising first; without any that touch something, unless there are no others.
 
-    With the start posture given: its goal posture is the one nearest to it, then others. With none given: nearby
+    With the start posture given: its goal posture is the one nearest to it, then others, unless that one touches
+    something or is far. With none given: nearby
     postures that are clear of joint limits and of one another's parts. Where none of them is free, or more are wanted,
     both ends are sought independently of one another too, which takes longer.
     few: so many are enough. With the start posture given nothing random decides of the first.
@@ -114,7 +115,7 @@ def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False
                 given,
                 problem.goal.nearest(problem.arm, problem.limits, (1 - spread) * (given + coasting) + spread * random),
             )
-            if few is not None and len(found.pairs) >= few and found.pairs[0].free:
+            if few is not None and len(found.pairs) >= few and _fine(problem, found.pairs[0]):
                 break
     pairs = found.pairs
     if more or not any(pair.free for pair in pairs):
@@ -122,9 +123,16 @@ def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False
         for goal in _free_postures(problem, problem.goal, [e.goal for e in pairs], rng):
             for start in starts:
                 found.add(start, goal)
-    if given is None or not all(pair.free for pair in pairs[:1]):
+    if given is None or not all(_fine(problem, pair) for pair in pairs[:1]):
         pairs.sort(key=lambda pair: pair.cost)
     return [pair for pair in pairs if pair.free] or pairs
+
+
+def _fine(problem: TransportProblem, pair: Ends) -> bool:
+    """Whether nothing touches in either of two postures, and the joints do not take far longer from one to the other
+    than friction takes: then they go a roundabout way, and another goal posture is nearer."""
+    way = float(np.linalg.norm(np.subtract(*(problem.arm.tray_pose(q)[0] for q in (pair.start, pair.goal)))))
+    return pair.free and pair.cost < ROUNDABOUT * _by_contact(problem, way)
 
 
 def guess(problem: TransportProblem, rng: np.random.Generator, attempt: int) -> Array:
@@ -349,6 +357,11 @@ def open_to(problem: TransportProblem, start: Start) -> bool:
     slides."""
     ups = [problem.arm.tray_pose(q)[1][2, 2] for q in start.path(np.linspace(0, 1, ALONG))]
     return touches(problem, start) < TOUCHES and np.arccos(np.clip(min(ups), -1, 1)) < np.arctan(_friction(problem))
+
+
+def _by_contact(problem: TransportProblem, way: float) -> float:
+    """What friction takes about for a way of the tray, m, level: s."""
+    return least_time(way, np.inf, _friction(problem) * -GRAVITY_S[2], np.inf)
 
 
 def _friction(problem: TransportProblem) -> float:

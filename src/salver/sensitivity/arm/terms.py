@@ -16,7 +16,6 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from salver.geometry import GRAVITY_S, Array, hat
-from salver.light import light
 from salver.models.tray_motion import N_MOTION, PRODUCTS
 
 _FIRST, _SECOND = np.array(PRODUCTS).T
@@ -37,7 +36,6 @@ def _by_moved() -> tuple[Array, Array]:
 _BY_MOVED, _BY_TURNING = _by_moved()
 
 
-@light
 @dataclass(frozen=True)
 class Derivatives:
     """Derivatives of a motion's terms; what they are is said at the properties of `MotionTerms`."""
@@ -49,7 +47,6 @@ class Derivatives:
     torque_z: Array
 
 
-@light
 @dataclass(frozen=True, eq=False)
 class MotionTerms:
     """At T instants of an arm with n joints; E is the tray's frame, everything of it in E.

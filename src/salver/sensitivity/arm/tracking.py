@@ -27,7 +27,6 @@ from functools import cached_property
 import numpy as np
 
 from salver.geometry import Array, hat
-from salver.light import light
 from salver.models.payload import Payload
 from salver.models.worst_case import Drift
 from salver.scenario import Scenario
@@ -36,7 +35,6 @@ from salver.sensitivity.arm.terms import MotionTerms
 from salver.sensitivity.filter import LinearFilter, settled
 
 
-@light
 @dataclass(frozen=True)
 class JointDeviation:
     """d/dp of the joints' motion at T instants, in rad, rad/s, rad/s^2 per unit of p.
@@ -65,7 +63,6 @@ class JointDeviation:
         return self.state[:, 2 * self.missing.shape[1] :]
 
 
-@light
 @dataclass(frozen=True)
 class TrayDeviation:
     """d/dp of the tray's motion at T instants, n_c parameters.
@@ -105,7 +102,6 @@ class Reaction:
         return Reaction(self.terms, JointDeviation(**joints), TrayDeviation(**tray))
 
 
-@light
 @dataclass(frozen=True, eq=False)
 class Held:
     """How far held commands put the nominal motion off: q, dq, torque (T, n), tray, w (T, 12), see `Deviation`.
@@ -123,7 +119,6 @@ class Held:
     late: Array
 
 
-@light
 @dataclass(frozen=True, eq=False)
 class Deviation:
     """What a wrong load makes of a motion at T instants, per unit of each of its n_c terms; and held commands.
@@ -180,8 +175,7 @@ class Deviation:
 
     def _radius(self, sensitivity: Array, held: Array) -> Array:
         """Most (T, m) that a wrong load and held commands make of something together."""
-        known = np.abs(held)
-        return known + self.load.radius(sensitivity) if sensitivity.shape[-1] else known
+        return np.asarray(np.abs(held) + self.load.radius(sensitivity))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,152 @@
+"""What anyone proposes to a live motion is only believed after it was looked at."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import salver as sv
+from live_runs import LEAD, drive, executed, place
+from salver.live import Live
+from salver.live.motion import between, joined, resting
+from salver.live.verify import instants, verified
+from salver.planning.fastest import fastest
+from salver.planning.fastest.constraints import Clearance, Contact, evaluate
+from salver.planning.fastest.exchange import optimise
+from salver.planning.fastest.obstacles import KeepOut
+from salver.planning.fastest.sqp import minimise
+from salver.trajectory import JointMotion
+
+
+@pytest.fixture(scope="module")
+def cube():
+    return sv.load_scenario("panda-cube")
+
+
+@pytest.fixture(scope="module")
+def bottle():
+    return sv.load_scenario("panda-tall-bottle")
+
+
+@pytest.fixture(scope="module")
+def moving(cube):
+    """On the way to a goal; only to be looked at."""
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
+    return live
+
+
+def test_a_jolt_is_refused(moving):
+    base, now = moving.committed, moving.committed.begins + 0.2
+    goes_on = between(base.motion, 0.2, base.motion.duration)
+    assert verified(moving.problem, goes_on, now, base).committed is not None
+    for name, by in (("q", 1e-4), ("dq", 1e-3), ("ddq", 1e-2)):
+        states = {key: getattr(goes_on, key).copy() for key in ("q", "dq", "ddq")}
+        states[name][0, 2] += by
+        found = verified(moving.problem, JointMotion(goes_on.t, **states), now, base)
+        assert found.committed is None
+        assert found.sentence == "it does not begin where the arm is then"
+
+
+def test_what_does_not_end_at_rest_is_refused(moving):
+    base, now = moving.committed, moving.committed.begins + 0.1
+    cut = between(base.motion, 0.1, 0.6 * base.motion.duration)
+    found = verified(moving.problem, cut, now, base)
+    assert found.committed is None
+    assert found.sentence == "it does not end at rest"
+
+
+def test_what_goes_too_fast_or_is_no_number_is_refused(moving):
+    base = moving.committed
+    quick = JointMotion(
+        0.8 * base.motion.t, base.motion.q, base.motion.dq / 0.8, base.motion.ddq / 0.64
+    )  # a time-optimal motion in 80 % of its time
+    found = verified(moving.problem, quick, 0.0, None)
+    assert found.committed is None
+    assert "exceeded" in found.sentence
+    lost = replace(quick, q=np.where(np.arange(len(quick.q))[:, None] == 3, np.nan, quick.q))
+    assert "not numbers" in verified(moving.problem, lost, 0.0, None).sentence
+
+
+@pytest.mark.slow
+def test_it_knows_what_a_wrong_load_has_brought_the_arm_into(bottle):
+    """The deviation that goes on from motion to motion is that of all of them as one."""
+    live = Live(bottle, lead=LEAD)
+    states = drive(live, 1.4, [(0.0, place(0.45, 0.1, 0.5)), (0.35, place(0.5, -0.3, 0.55))])
+    motion = executed(states)
+    t = motion.t
+    z = np.stack([*motion.sample(t), motion.jerk(t)])
+    response = live.problem.at(t / motion.duration, z, motion.duration).response
+    now = live.committed.begins + 0.2
+    whole = response.state_at(t, now)
+    carried = live.committed.deviation_at(now, live.problem)
+    scale = np.abs(np.stack([response.joints.q, response.joints.dq])).max(axis=(1, 2))[:, None, :]
+    assert (np.abs(whole - carried)[..., :-1] / scale).max() < 0.01  # nodes every 2 ms, against every 1 ms
+
+
+def test_contact_keeps_a_margin_also_where_the_scenario_asks_for_none(cube, moving):
+    """0.1 % of what holds: jerk jumps between the instants that are looked at. Of a load that slides on the way."""
+    motion = moving.committed.motion
+    at = verified(moving.problem, motion, 3.0, None).committed.margins.t
+    assert at[[0, -1]] == pytest.approx([3.0, 3.0 + motion.duration])
+    problem = Live(cube.with_changes(contact__margin=0.0, objects__0__friction=0.2)).problem
+    s, nodes = instants(motion)
+    z = np.stack([*motion.sample(s * motion.duration), motion.jerk(s * motion.duration)])
+    blocks = evaluate(problem.constraints, problem.at(s, z, motion.duration, nodes, imposed=False))
+    (contact,) = (block for block in blocks if isinstance(block.of, Contact))
+    more = 1e-3 - contact.margins[1]  # the rows hold a margin already
+    assert more > 5e-4
+    found = verified(problem, motion, 3.0, None)
+    assert found.sentence.startswith("contact of cube would be exceeded")
+    # What a wrong load does to the arm is known every 5 ms to the verdict, here at every node.
+    assert found.excess == pytest.approx(contact.values.max() + more, abs=1e-5)
+
+
+def test_distances_of_ones_own_are_looked_at_beside_those_that_are_kept_anyway(moving):
+    """A metre more than the arm's parts have."""
+    problem, motion = moving.problem, moving.committed.motion
+    wide = KeepOut(problem.keep_out.parts, problem.keep_out.required + 1.0)
+    found = verified(replace(problem, extra=(Clearance(wide),)), motion, 3.0, None)
+    assert found.what.startswith("clearance of ")
+    assert 8.0 < found.excess < 10.0  # in units of 0.1 m, less what there is beyond what is asked for
+    assert verified(replace(problem, extra=(Clearance(problem.keep_out),)), motion, 3.0, None).committed is not None
+
+
+def test_the_executed_is_the_same_in_pieces(moving):
+    motion = moving.committed.motion
+    parts = joined(between(motion, 0.0, 0.123), between(motion, 0.123, motion.duration))
+    t = np.linspace(0, motion.duration, 200)
+    for mine, other in zip(parts.sample(t), motion.sample(t), strict=True):
+        assert np.abs(mine - other).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_what_a_search_calls_safe_is_looked_at_all_the_same(cube, monkeypatch):
+    """A search that answers with twice the speed, and says that it is safe."""
+
+    def careless(problem, curve_of, start, *args, **kwargs):
+        found = optimise(problem, curve_of, start, *args, **kwargs)
+        return replace(found, duration=0.5 * found.duration)
+
+    def careless_at_nodes(*args):
+        found = minimise(*args)
+        point = found.iterate.point
+        return replace(found, iterate=replace(found.iterate, point=replace(point, duration=0.5 * point.duration)))
+
+    def also_careless(problem, options):
+        found = fastest(problem, options)
+        return replace(found, duration=0.5 * found.duration)
+
+    monkeypatch.setattr("salver.live.replan.optimise", careless)
+    monkeypatch.setattr("salver.live.replan.minimise", careless_at_nodes)
+    monkeypatch.setattr("salver.live.replan.fastest", also_careless)
+    live = Live(cube, lead=LEAD)
+    states = drive(live, 0.2, [(0.0, place(0.45, 0.1, 0.45))])
+    assert not np.any(states[1])
+    assert "is refused" in live.state.refused
+
+
+def test_resting_is_a_motion_too(cube):
+    live = Live(cube)
+    motion = resting(live.problem.start.q)
+    assert verified(live.problem, motion, 3.0, live.committed).committed is not None
