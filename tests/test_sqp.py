@@ -16,7 +16,7 @@ from salver.planning.fastest.curves import ORDERS, Grid
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.objectives import Distance, Duration, Model, Objective, Point, Scalar
 from salver.planning.fastest.programme import Iterate, Linearised, Programme, Subproblem
-from salver.planning.fastest.sqp import FUTILE, Options, minimise
+from salver.planning.fastest.sqp import FUTILE, Attempt, Options, minimise
 from salver.planning.fastest.trust import Trust
 
 Value = Callable[[Array, float], Array]
@@ -262,6 +262,24 @@ def test_a_search_is_beaten_where_what_it_can_still_hope_for_is_not_enough():
     assert [Options(beat=beat).beaten(path, 0.1) for beat in (0.85, 0.95)] == [True, False]
     assert not Options(beat=0.85).beaten(replace(path, cost=0.2), 0.1)
     assert not Options(beat=0.5).beaten(path, 0.2)  # a long step: no telling
+    assert Options(beat=1.05).beaten(path, -0.1)  # what it takes to keep its rows makes it longer than that
+
+
+@pytest.mark.parametrize(("hoped", "steps"), [(0.005, 1), (0.007, 3)])
+def test_near_an_end_a_step_that_led_nowhere_is_not_tried_again(hoped, steps, monkeypatch):
+    """Where 1e-3 counts as nothing and a step that was to bring six times that brought none, the search ends."""
+    tried = []
+
+    def in_vain(*given: Any) -> Attempt:
+        tried.append(given)
+        left = hoped / 2 ** (len(tried) // 3)  # smaller steps promise less
+        return Attempt(None, 0.1, -np.inf, left, 0.0, 1.0, (np.zeros((1, 1), dtype=bool),), (), 1)
+
+    monkeypatch.setattr(sqp, "_attempt", in_vain)
+    task = programme(to(1.0, 0.0), disc(0, 0, 5.0))
+    path = replace(task.begin(np.zeros((1, 2)), 1.0), cost=1.0)
+    assert minimise(task, path, Options(gain=1e-3)).status.code == "optimal"
+    assert len(tried) == steps
 
 
 def test_the_change_of_rows_is_that_of_those_near_their_edge():

@@ -22,6 +22,7 @@ from salver.planning.fastest.watch import Watch
 KEPT = -0.3  # a row that has joined stays in until it is further away than this
 BENT = 2e-4  # violation of a trial, beyond the programme's own, that is worth a correction
 POOR, GOOD = 0.8, 0.3  # shares of what was hoped for: below, a correction is tried; above, a step is taken as it is
+LITTLE, IN_VAIN = 3.0, 6.0  # times what counts as none, that is hoped for at an end; where a step has led nowhere
 LEAST_RATIO = 0.01  # of what was hoped for that a step must bring
 FUTILE = 6  # iterations in turn of which none promises or reaches less violation, by ...
 LESS = 0.05  # ... this share, than one before did: another start is better
@@ -51,7 +52,7 @@ class Options:
     def beaten(self, path: Iterate, hoped: float) -> bool:
         """Whether a path that nearly keeps its rows, and of which a step promises so much, will not come below."""
         striding = hoped > STRIDING * abs(path.cost)
-        return path.violation < NEARLY and not striding and path.cost - max(hoped, 0.0) > self.beat
+        return path.violation < NEARLY and not striding and path.cost - hoped > self.beat
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,8 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
             trust.rejected()
             idle += attempt.predicted < enough
             mended = False
-        if path.violation <= options.violation and (mended or attempt.hoped < 3 * enough):
+        little = (LITTLE if path is attempt.trial else IN_VAIN) * enough
+        if path.violation <= options.violation and (mended or attempt.hoped < little):
             idle = 2
         if futile >= FUTILE:
             code = "stalled"
