@@ -25,9 +25,9 @@ from salver.planning.fastest import FastestOptions, fastest
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.exchange import programme_of
 from salver.planning.fastest.objectives import Point
+from salver.planning.fastest.optimum import DEGREE, straight_start
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.programme import Iterate
-from salver.planning.fastest.search import DEGREE, straight_start
 from salver.planning.fastest.spline import RestSpline
 
 

@@ -15,7 +15,7 @@ from salver.planning.fastest import FastestOptions, fastest, search, transport_p
 from salver.planning.fastest.bound import least_duration
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.exchange import rough
-from salver.planning.fastest.search import few_pieces, refitted
+from salver.planning.fastest.optimum import few_pieces, refitted
 from salver.planning.fastest.sides import past
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.starts import WAY, Start, ends
@@ -90,7 +90,7 @@ def test_every_step_of_every_part_of_a_search_is_counted(monkeypatch):
 
         return run
 
-    for part in ("rough", "_optimum"):
+    for part in ("rough", "optimum"):
         monkeypatch.setattr(search, part, counting(getattr(search, part)))
     case = scenario.load("panda-cube").with_changes(objects__0__uncertainty={}, motion__goal_yaw="free")
     begun = time.perf_counter()
@@ -118,7 +118,7 @@ def a_refined(monkeypatch, rows, *ends):
         for binding, seconds, steps in ends
     ]
     found = iter(results)
-    monkeypatch.setattr(search, "_optimum", lambda *_, **__: next(found))
+    monkeypatch.setattr(search, "optimum", lambda *_, **__: next(found))
     grid = SimpleNamespace(s=np.linspace(0, 1, 21), nodes=np.arange(0, 21, 5))
     begun = SimpleNamespace(
         coefficients=np.zeros((few.size, 7)),
@@ -159,8 +159,8 @@ def test_of_rough_optima_that_know_less_the_others_too_become_longer():
 def test_a_coffee_is_refined_once(monkeypatch):
     """Its rough motions know of no waves: 0.709 s; with them none takes less than 0.72 s."""
     spent = []
-    optimum = search._optimum
-    monkeypatch.setattr(search, "_optimum", lambda *a, **k: spent.append(optimum(*a, **k)) or spent[-1])
+    optimum = search.optimum
+    monkeypatch.setattr(search, "optimum", lambda *a, **k: spent.append(optimum(*a, **k)) or spent[-1])
     found = fastest(transport_problem(scenario.load("panda-coffee")))
     assert found.status.ok
     assert 0.72 < found.duration < 0.73

@@ -15,8 +15,8 @@ from salver.planning.fastest import FastestOptions, transport_problem
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.found import object_motion
 from salver.planning.fastest.objectives import Point
+from salver.planning.fastest.optimum import DEGREE, straight_start
 from salver.planning.fastest.safest import optima, quickest_within
-from salver.planning.fastest.search import DEGREE, straight_start
 from salver.planning.fastest.sensitive import Sensitivity, plan_least_sensitive
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.watch import Watch

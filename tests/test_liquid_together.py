@@ -12,8 +12,8 @@ from salver.models.worst_case import SURE
 from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.evaluation import Evaluation, Sloshing
+from salver.planning.fastest.optimum import straight_start
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.search import straight_start
 from salver.planning.fastest.spline import RestSpline
 from salver.scenario import load
 from salver.sensitivity import filter as filters

@@ -18,8 +18,9 @@ from salver.planning.fastest.ends import AtPose, AtPosture
 from salver.planning.fastest.exchange import ROUGH_GAIN
 from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.obstacles import ENOUGH_AT_ENDS, KeepOut
+from salver.planning.fastest.optimum import few_pieces
 from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.search import DEEP, IN_VAIN, few_pieces
+from salver.planning.fastest.search import DEEP, IN_VAIN
 from salver.planning.fastest.sides import FURTHEST, SIDES, STEP, TURN, past
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.starts import (

@@ -8,9 +8,10 @@ from salver.planning.fastest.ends import Anywhere, AtPose, AtPosture, End
 from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.found import EFFORTS, FastestMotion, FastestOptions, object_motion
 from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Model, Objective, Point
+from salver.planning.fastest.optimum import nearby
 from salver.planning.fastest.planned import joint_plan, plan_fastest
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.search import fastest, nearby
+from salver.planning.fastest.search import fastest
 
 __all__ = [
     "EFFORTS",

@@ -18,9 +18,10 @@ from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.exchange import ROUGH_ITERATIONS
 from salver.planning.fastest.found import FastestOptions, object_motion
+from salver.planning.fastest.optimum import few_pieces, refitted
 from salver.planning.fastest.planned import plan_problem
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.search import NEARLY, few_pieces, refitted
+from salver.planning.fastest.search import NEARLY
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.starts import Ends, Start, between, ends
 from salver.planning.fastest.together import together

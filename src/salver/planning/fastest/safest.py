@@ -17,9 +17,10 @@ from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.legs import plan_legs
 from salver.planning.fastest.objectives import LeastMargin, Objective
+from salver.planning.fastest.optimum import DEGREE, nearby
 from salver.planning.fastest.planned import joint_plan, solver_record
 from salver.planning.fastest.problem import transport_problem
-from salver.planning.fastest.search import DEGREE, fastest, nearby
+from salver.planning.fastest.search import fastest
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.starts import Ends, between, straight, tray_line
 from salver.planning.fastest.watch import Watch

@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from salver.errors import Status, UnreachableError
-from salver.geometry import Array
+from salver.errors import Status
 from salver.planning.fastest.blocked import why_blocked, why_touching, why_unreached
 from salver.planning.fastest.bound import least_duration
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.ends import AtPose
-from salver.planning.fastest.exchange import ITERATIONS, ROUGH_GAIN, ROUGH_ITERATIONS, SHORTEST, optimise, rough
+from salver.planning.fastest.exchange import ROUGH_GAIN, ROUGH_ITERATIONS, rough
 from salver.planning.fastest.found import FastestMotion, FastestOptions
-from salver.planning.fastest.objectives import Objective
+from salver.planning.fastest.optimum import DEGREE, NEAR, REFINED, few_pieces, optimum, refitted
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.programme import Iterate
 from salver.planning.fastest.sides import past
@@ -46,12 +45,9 @@ from salver.planning.fastest.starts import (
 )
 from salver.planning.fastest.watch import INTERRUPTED, WHY, Watch
 
-DEGREE = 5
-REFINED = 0.5  # damping of the first step after pieces have been added,
-SPILLING = 0.7  # when liquids come in too,
+SPILLING = 0.7  # damping of the first step after pieces have been added, when liquids come in too,
 TURNED = 0.3  # after the last joint has been turned by a right angle,
 WORSE = 1.03  # times longer: not to be refined, as first optima of such motions tell them apart by less
-NEAR = 0.1  # and from the optimum of a similar problem
 NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
 BENDS = 3  # detours that are tried at last
 SIDES_TRIED = 10  # paths that are tried where something is in the way, for each pair of ends that would be else
@@ -82,7 +78,7 @@ def fastest(
     watch = watch or Watch(options.time_limit)
     begun = time.perf_counter()
     if near is not None:
-        found = _optimum(problem, options, SplineMotion(near.spline, near.coefficients, near.duration), watch, NEAR)
+        found = optimum(problem, options, SplineMotion(near.spline, near.coefficients, near.duration), watch, NEAR)
         if found.status.ok:
             return found
     blocked = why_blocked(problem)
@@ -206,10 +202,10 @@ class _Search:
         hold, then straight ones between others and what passes on either side, the most promising first."""
         count = self.options.first(self.problem)
         lines = self._lines(len(self.pairs))
-        free = [open_to(problem, line) for problem, line in lines[: 2 * count]]
-        if all(free[:count]):
+        free = [open_to(problem, line) for problem, line in lines[:count]]
+        if all(free):
             return lines[:count]
-        free += [open_to(problem, line) for problem, line in lines[2 * count :]]
+        free += [open_to(problem, line) for problem, line in lines[count:]]
         found = [line for line, is_free in zip(lines, free, strict=True) if is_free]
         few = self.options.starts > 1
         for pair, (problem, line), is_free in zip(self.pairs[: 2 * count], lines, free, strict=False):
@@ -290,14 +286,14 @@ class _Search:
         spline, grid = start.spline, found.curve.grid
         also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
         damping = SPILLING if problem.liquids else REFINED
-        best = _optimum(problem, self.options, start, self.watch, damping, also=also)
+        best = optimum(problem, self.options, start, self.watch, damping, also=also)
         self.iterations += best.iterations
         for _ in range(AGAIN):
             hindered = best.binding and (best.duration < found.duration or _unknown(found, best))
             if not best.status.ok or hindered or self.watch.over():
                 break
             start = SplineMotion(spline, best.coefficients, best.duration)
-            again = _optimum(problem, self.options, start, self.watch, REFINED)
+            again = optimum(problem, self.options, start, self.watch, REFINED)
             self.iterations += again.iterations
             if not again.status.ok or again.duration >= best.duration:
                 break
@@ -310,17 +306,6 @@ class _Search:
     @property
     def _few(self) -> RestSpline:
         return few_pieces(self.options)
-
-
-def few_pieces(options: FastestOptions) -> RestSpline:
-    """Of rough optima."""
-    return RestSpline(DEGREE, max(4, options.spans // 3))
-
-
-def refitted(motion: SplineMotion, spans: int) -> SplineMotion:
-    """The same motion, as near as may be, with so many pieces."""
-    spline, s = RestSpline(DEGREE, spans), np.linspace(0, 1, 201)
-    return SplineMotion(spline, spline.fit(s, motion.spline.matrices(s)[0] @ motion.coefficients), motion.duration)
 
 
 def _promise(begin: Begin) -> float:
@@ -356,53 +341,3 @@ def _ended(status: Status, watch: Watch) -> Status:
         return status
     why = f"The search was ended by {WHY[watch.ended]} before it was done."
     return replace(status, code=watch.ended if status.ok else status.code, sentence=f"{status.sentence} {why}")
-
-
-def nearby(
-    found: FastestMotion,
-    objective: Objective,
-    duration: float,
-    options: FastestOptions | None = None,
-    *,
-    begin: Start | None = None,
-    watch: Watch | None = None,
-) -> FastestMotion:
-    """The motion with the least objective at a duration (s), near one that was found; under the same constraints.
-
-    begin: a path between the same ends to begin from instead.
-    """
-    options = options or FastestOptions()
-    start, damping = SplineMotion(found.spline, found.coefficients, duration), NEAR
-    if begin is not None:
-        start, damping = replace(begin.motion(found.problem, found.spline), duration=duration), REFINED
-    return _optimum(found.problem, options, start, watch or Watch(options.time_limit), damping, objective)
-
-
-def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotion:
-    """Where the search begins: the most promising straight line in joint space, at a comfortable duration.
-
-    Raises UnreachableError when no posture reaches an end.
-    """
-    pairs = ends(problem, np.random.default_rng(FastestOptions().seed))
-    if not pairs:
-        raise UnreachableError(why_unreached(problem).sentence)
-    return straight(pairs[0]).motion(problem, spline)
-
-
-def _optimum(
-    problem: TransportProblem,
-    options: FastestOptions,
-    start: SplineMotion,
-    watch: Watch,
-    damping: float,
-    objective: Objective = SHORTEST,
-    also: Array | None = None,
-) -> FastestMotion:
-    """The optimum from a start that is near it, checked between the nodes. also: nodes beside the usual ones."""
-    begun = time.perf_counter()
-    iterations = round(options.iterations * ITERATIONS)
-    per_span = options.nodes_per_span
-    found = optimise(problem, FreeCurve, start, per_span, watch, damping, objective, iterations, also=also)
-    wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
-    spent = wall, found.iterations
-    return FastestMotion(found.problem, start.spline, *result, found.binding, *spent, found.margin, found.looked)

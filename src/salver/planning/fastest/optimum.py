@@ -1,0 +1,85 @@
+"""What comes of one start: the optimum near it, with many spline pieces or few, checked between the nodes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from salver.errors import UnreachableError
+from salver.geometry import Array
+from salver.planning.fastest.blocked import why_unreached
+from salver.planning.fastest.curves import FreeCurve
+from salver.planning.fastest.exchange import ITERATIONS, SHORTEST, optimise
+from salver.planning.fastest.found import FastestMotion, FastestOptions
+from salver.planning.fastest.objectives import Objective
+from salver.planning.fastest.problem import TransportProblem
+from salver.planning.fastest.spline import RestSpline, SplineMotion
+from salver.planning.fastest.starts import Start, ends, straight
+from salver.planning.fastest.watch import Watch
+
+DEGREE = 5
+REFINED = 0.5  # damping of the first step after pieces have been added,
+NEAR = 0.1  # and from the optimum of a similar problem
+
+
+def few_pieces(options: FastestOptions) -> RestSpline:
+    """Of rough optima."""
+    return RestSpline(DEGREE, max(4, options.spans // 3))
+
+
+def refitted(motion: SplineMotion, spans: int) -> SplineMotion:
+    """The same motion, as near as may be, with so many pieces."""
+    spline, s = RestSpline(DEGREE, spans), np.linspace(0, 1, 201)
+    return SplineMotion(spline, spline.fit(s, motion.spline.matrices(s)[0] @ motion.coefficients), motion.duration)
+
+
+def nearby(
+    found: FastestMotion,
+    objective: Objective,
+    duration: float,
+    options: FastestOptions | None = None,
+    *,
+    begin: Start | None = None,
+    watch: Watch | None = None,
+) -> FastestMotion:
+    """The motion with the least objective at a duration (s), near one that was found; under the same constraints.
+
+    begin: a path between the same ends to begin from instead.
+    """
+    options = options or FastestOptions()
+    start, damping = SplineMotion(found.spline, found.coefficients, duration), NEAR
+    if begin is not None:
+        start, damping = replace(begin.motion(found.problem, found.spline), duration=duration), REFINED
+    return optimum(found.problem, options, start, watch or Watch(options.time_limit), damping, objective)
+
+
+def straight_start(problem: TransportProblem, spline: RestSpline) -> SplineMotion:
+    """Where the search begins: the most promising straight line in joint space, at a comfortable duration.
+
+    Raises UnreachableError when no posture reaches an end.
+    """
+    pairs = ends(problem, np.random.default_rng(FastestOptions().seed))
+    if not pairs:
+        raise UnreachableError(why_unreached(problem).sentence)
+    return straight(pairs[0]).motion(problem, spline)
+
+
+def optimum(
+    problem: TransportProblem,
+    options: FastestOptions,
+    start: SplineMotion,
+    watch: Watch,
+    damping: float,
+    objective: Objective = SHORTEST,
+    also: Array | None = None,
+) -> FastestMotion:
+    """The optimum from a start that is near it, checked between the nodes. also: nodes beside the usual ones."""
+    begun = time.perf_counter()
+    iterations = round(options.iterations * ITERATIONS)
+    per_span = options.nodes_per_span
+    found = optimise(problem, FreeCurve, start, per_span, watch, damping, objective, iterations, also=also)
+    wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
+    spent = wall, found.iterations
+    return FastestMotion(found.problem, start.spline, *result, found.binding, *spent, found.margin, found.looked)
