@@ -11,8 +11,8 @@ import pytest
 from salver import scenario
 from salver.geometry import Array
 from salver.models.known_arms import KNOWN_ARMS, robot_file
-from salver.planning.fastest import FastestOptions, fastest, transport_problem
-from salver.planning.fastest.around import LEAN, STEP, way_around
+from salver.planning.fastest import FastestOptions, around, fastest, transport_problem
+from salver.planning.fastest.around import LEAN, STEP, FreeSpace, way_around
 from salver.planning.fastest.bound import least_duration
 from salver.planning.fastest.constraints import Clearance, evaluate
 from salver.planning.fastest.ends import AtPose, AtPosture
@@ -50,6 +50,21 @@ def pair(behind_a_post: TransportProblem) -> Ends:
 def ways(behind_a_post: TransportProblem, pair: Ends) -> list[Array | None]:
     """Three ways around the post."""
     return [way_around(behind_a_post, [pair.start], [pair.goal], np.random.default_rng(k), 20_000) for k in (0, 2, 5)]
+
+
+def test_a_leaning_posture_is_put_upright_in_one_step_to_second_order_and_by_the_least(behind_a_post, monkeypatch):
+    """Leaning by up to some tenths of a radian; other joints turn the tray too, and are left as they are."""
+    arm, rng = behind_a_post.arm, np.random.default_rng(12)
+    monkeypatch.setattr(around, "CORRECTIONS", 2)  # a step, and a look at where it led
+    for _ in range(5):
+        q = behind_a_post.start_posture + 0.06 * rng.normal(size=7)
+        turned = arm.tray_pose(q)[1]
+        lean = np.arccos(turned[2, 2])
+        found = FreeSpace(behind_a_post, None, lean**2, 1).nearest(q)
+        assert found is not None
+        axis = np.array([-turned[2, 1], turned[2, 0], 0.0])  # about which the tray's normal leans, in E
+        least = np.linalg.pinv(arm.body_jacobian(q)[3:5]) @ axis[:2]
+        assert np.linalg.norm(found - q) < 1.01 * np.linalg.norm(least) + lean**2
 
 
 def test_a_way_around_touches_nothing_stays_level_and_is_the_same_for_the_same_seed(behind_a_post, pair, ways):

@@ -214,7 +214,7 @@ def random_rows(rng: np.random.Generator, kind: str) -> tuple[UncertainRows, tup
         0.01 * rng.normal(size=(2, 9)),
         (inside,),
         3 * rng.normal(size=(1, 2, 9)),
-        rng.normal(size=1),
+        3 * rng.normal(size=1),
     )
     rows = UncertainRows(
         rng.normal(size=(2, 12)),
@@ -259,6 +259,20 @@ def test_slopes_support_worst_cases_and_the_side_of_a_swing_is_the_worse_one(kin
             sides = [WorstCase.of(rows, w + s * swing, plain).values[node, row] for s in (-1.0, 1.0)]
             assert_allclose(np.maximum(*sides)[sure], here.values[node, row][sure], atol=near)
             assert_allclose(np.where(side > 0, sides[1], sides[0])[sure], here.values[node, row][sure], atol=near)
+
+
+def test_rows_that_nothing_uncertain_changes_are_worst_on_the_side_to_which_the_swing_pushes() -> None:
+    rng, none = np.random.default_rng(2), np.zeros((0, 2, 12))
+    rows = UncertainRows(rng.normal(size=(2, 12)), (), none, none, None, (), np.zeros((2, 0)))
+    w, swing = rng.normal(size=(5, 12)), rng.normal(size=(5, 12))
+    here = WorstCase.of(rows, w, Drift((), np.zeros((5, 12, 0)), swing))
+    pushed = swing @ rows.nominal.T
+    assert here.values == pytest.approx(w @ rows.nominal.T + np.abs(pushed))
+    node, row = (x.ravel() for x in np.indices(here.values.shape))
+    slope, side = here.attained_swinging(node, row)
+    assert np.array_equal(slope, rows.nominal[row])
+    assert np.array_equal(side, np.sign(pushed).ravel())
+    assert len(set(side)) == 2
 
 
 @pytest.mark.parametrize("kind", ["box", "ellipsoid"])
