@@ -65,6 +65,19 @@ def test_the_same_points_where_a_bracket_shrinks_to_nothing():
         agrees(lambda x: (float(np.abs(x - 0.3).sum()), np.sign(x - 0.3)), np.array(x), 1)
 
 
+def test_the_same_points_where_after_too_little_it_falls_ever_more_steeply():
+    """The value at the first step, which is 5e-5 lower where 1e-4 was asked for, then counts in a cubic."""
+
+    def at(x):
+        if x[0] > 0.99:
+            return -5e-5 * x[0], np.array([0.5])
+        if x[0] > 0.8:
+            return -0.5, np.array([1e-4])
+        return -0.3 * x[0], np.array([-2.0 if x[0] else -1.0])
+
+    agrees(at, np.array([0.0]), 1)
+
+
 def test_the_same_points_where_a_first_step_falls_but_not_enough():
     for distance in np.linspace(0.50500, 0.50506, 7):  # the first step is 1.01 long, to just before the other side
         agrees(lambda x: (float(x @ x), 2 * x), np.array([distance, 0.0]), 12)

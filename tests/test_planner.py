@@ -15,8 +15,8 @@ from salver.planning.object import solvers
 from salver.planning.object.conditions import TiltRows, conditions_for
 from salver.planning.object.cost import integration_weights, row_scale
 from salver.planning.object.problem import Linearisation, Problem
-from salver.planning.object.solvers import _waiter, solve, solve_convex, solve_sequential
-from salver.planning.object.subproblem import _dual_value, solve_model
+from salver.planning.object.solvers import _merit, _model_merit, _waiter, solve, solve_convex, solve_sequential
+from salver.planning.object.subproblem import Step, _dual_value, solve_model
 from salver.planning.qp import Optimum, Quadratic
 from salver.scenario import load
 
@@ -383,11 +383,22 @@ class Plane:
         return Linearisation(z - self.c, np.eye(2), (Circle(z),), self.goal_missed(z), slope)
 
 
-@pytest.mark.parametrize("c", [(0.3, 0.4), (2.0, 0.0), (-0.5, 1.0), (3.0, -4.0)])  # the last one by corrections
-def test_the_nearest_place_on_a_curve_outside_a_circle_is_found_on_it_and_every_programme_is_counted(c, monkeypatch):
+@pytest.mark.parametrize(
+    ("c", "height"),
+    [
+        ((0.3, 0.4), 0.5),
+        ((2.0, 0.0), 0.5),
+        ((-0.5, 1.0), 0.5),
+        ((3.0, -4.0), 0.5),  # by corrections
+        ((1.0, 3.0), 1.5),  # by fewer steps than there are: some lead to dearer places
+    ],
+)
+def test_the_nearest_place_on_a_curve_outside_a_circle_is_found_on_it_and_every_programme_is_counted(
+    c, height, monkeypatch
+):
     """Against all places on the curve, one by one. Without the circle and the curve c itself would do: nothing costs
     less than that."""
-    plane, programmes = Plane(np.array(c), 0.7, 0.5), []
+    plane, programmes = Plane(np.array(c), 0.7, height), []
 
     def counted(*arguments, **options):
         step = solve_model(*arguments, **options)
@@ -412,6 +423,22 @@ def test_the_nearest_place_on_a_curve_outside_a_circle_is_found_on_it_and_every_
     assert np.abs(plane.goal_missed(found.z)).max() < 1e-12
     assert found.lower_bound == pytest.approx(0.0, abs=1e-12)
     assert found.iterations == sum(programmes)
+
+
+def test_what_a_step_promises_is_what_it_brings_where_all_is_linear():
+    """Also one that misses a row: the merit of the model after the step is that of what is there."""
+    rng = np.random.default_rng(3)
+    jacobian, residual, onto = rng.normal(size=(7, 5)), rng.normal(size=7), rng.normal(size=(2, 5))
+    left, slope = np.array([0.2, 1.0]), rng.normal(size=(2, 5))
+    for _ in range(5):
+        d = rng.normal(size=5)
+        here = Linearisation(residual, jacobian, (TiltRows(("tilt",), left, slope),), -onto @ d, onto)
+        row = TiltRows(("tilt",), left + slope @ d, slope)
+        there = Linearisation(residual + jacobian @ d, jacobian, (row,), np.zeros(2), onto)
+        step = Step(d, 0.0, 0.0, 1)
+        assert _model_merit(here, step, 0.5, 7.0) == pytest.approx(_merit(there, 0.5, 7.0))
+        missed = max(0.0, *(0.5 - row.left))
+        assert _merit(there, 0.5, 7.0) == pytest.approx(np.sum(there.residual**2) + 7.0 * missed)
 
 
 def test_a_step_to_a_goal_that_no_row_hinders_is_the_least_of_those_that_reach_it():
