@@ -255,7 +255,7 @@ class TorqueRateLimit(Constraint):
             motion.nodes,
             following=lambda i, f: side(i, f, 1),
             by_duration=-np.hstack([rate, -rate]),  # the step between the nodes grows with T
-            slows=1.02,
+            slows=0.5,  # it goes with T^-3, but for what gravity makes of it
             inherits=False,
         )
 

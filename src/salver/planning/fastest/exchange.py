@@ -39,7 +39,8 @@ HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired b
 HOPELESS_AT_NODES = 1e-2  # and nor will one that is broken at the nodes already
 REPAIR = 0.4  # damping of the first step after nodes were added: ever more mending, ever less search
 SLUGGISH = 10.0  # times that, with liquids
-MENDED = 3e-4  # violation that is then left to a repair: less than what the nodes keep from the edge
+LEFT = 9e-4  # violation that is then left to a repair: what the nodes keep from the edge and the check does not,
+MENDED = 3e-4  # or less, with liquids
 LOOSE_GAIN, LOOSE = 5e-3, 1e-2  # gain and violation of the first optimum with liquids, which shows what cases it lacks
 LOOSELY_POOR = 0.6  # share of what was hoped for below which a step towards that is corrected
 EARNEST = 0.5  # of the gain: of the next one, in which what the arm gives way to the liquids is given
@@ -175,13 +176,13 @@ def _repair(
 ) -> tuple[Options, float]:
     """How a programme is solved once more, with the nodes that it lacked, and the damping of its first step."""
     damping = REPAIR * 4.0**exchange
-    options = Options(REPAIR_ITERATIONS, watch, gain=gain, least_damping=damping, mending=True)
+    kept = Options(REPAIR_ITERATIONS, watch, gain=gain, violation=LEFT, least_damping=damping, mending=True)
     if not problem.liquids:
-        return options, damping
+        return kept, damping
     damping *= SLUGGISH
     if exchange == 0:  # what was loose is now sought in earnest
         return Options(iterations, watch, gain=EARNEST * gain), damping
-    return replace(options, violation=MENDED, least_damping=damping), damping
+    return replace(kept, violation=MENDED, least_damping=damping), damping
 
 
 def rough(
