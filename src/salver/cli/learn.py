@@ -40,9 +40,9 @@ def learn(
     """Carry a load whose ranges are wide carefully, learn what it is, and carry it ever faster.
 
     Each trip is the fastest safe motion for what is known; the load, which is hidden, is carried in the physics engine;
-    what the arm's sensors felt narrows the ranges for the next. Between the first and the second an arm with a wrist
-    sensor makes the safe motion that tells most of the load, and the tray tilts, a little steeper each time, for a
-    lower bound of friction. See `salver excite`, `salver identify` and `salver calibrate` for real arms.
+    what the arm's sensors felt narrows the ranges for the next. Between the first and the second the arm makes
+    the safe motion that tells most of the load, and the tray tilts, a little steeper each time, for a lower bound of
+    friction. See `salver excite`, `salver identify` and `salver calibrate` for real arms.
 
     Example: `salver learn panda-tall-bottle --trips 6 -o learnt.toml`
 

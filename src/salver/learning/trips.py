@@ -4,11 +4,12 @@ Each trip's plan is safe for all loads within the ranges of its scenario, and th
 the load is meant to stay on every trip. A plan that is slower than the one before is not taken: that one was safe for
 wider ranges.
 
-A first trip is short and gentle, and so hides the height of the centre of mass. So between it and the second an arm
-with a wrist sensor makes the motion that tells most of the load, safe as any trip (`salver.learning.excite`). And no
-carry tells more of friction than its plan was told. So the tray tilts, shortly and each time a little steeper
-(`salver.learning.tilts`), until the load moves by more than a mark on the tray hides, or could tip: by two centimetres
-at most, whatever its friction is. Then it is put back.
+A first trip is short and gentle, and so hides the height of the centre of mass. So between it and the second the arm
+makes the motion that tells a wrist sensor most of the load, safe as any trip (`salver.learning.excite`); of joint
+torques, too, it shows where the centre of mass is, which carrying hides from them. And no carry tells more of friction
+than its plan was told. So the tray tilts, shortly and each time a little steeper (`salver.learning.tilts`), until the
+load moves by more than a mark on the tray hides, or could tip: by two centimetres at most, whatever its friction is.
+Then it is put back.
 
 Here the load is carried in the physics engine, which alone knows the true one, and judged there. What the arm's
 sensors say (`salver.learning.sensors`) is made along what the engine's arm does with the load strapped to the tray, and
@@ -217,9 +218,7 @@ class _Hidden:
         return narrow if narrow.ok and not (plan.ok and plan.duration <= narrow.duration) else plan
 
     def tell(self) -> Telling | None:
-        """Make the motion that tells a wrist sensor most; None when there is no such sensor or no such motion."""
-        if self.sensor != "wrist":
-            return None
+        """Make the motion that tells a wrist sensor most, and joint torques much; None when there is none."""
         try:
             plan = plan_excite(self.known, TELLING)
         except UnreachableError:
