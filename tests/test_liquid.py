@@ -19,7 +19,7 @@ from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.sensitivity.sloshing import LIGHTEST, Liquids, Slosh, Spill, slacks
 from salver.sensitivity.wave_gradients import Unknowns, wrench_by
-from salver.sensitivity.waves import VERDICT_APART, Case, Cases, Waves, along, cases
+from salver.sensitivity.waves import VERDICT_APART, Case, Cases, Underway, Waves, along, cases
 from salver.simulation import outcome
 
 CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
@@ -143,17 +143,23 @@ def _functions(waves: Waves, node, weight):
     }
 
 
+@pytest.mark.parametrize("underway", [False, True], ids=["from rest", "underway"])
 @pytest.mark.parametrize("changes", [{}, BOX], ids=["cup", "box"])
-def test_derivatives_agree_with_differences(coffee, changes):
-    """By what the tray felt at all times, and by the duration; to what is interpolated between 201 nodes."""
+def test_derivatives_agree_with_differences(coffee, changes, underway):
+    """By what the tray felt at all times, and by the duration; to what is interpolated between 201 nodes. Where the
+    motion goes on from another the waves are as they are, how high and how fast, and so is the container's turn."""
     scenario = coffee.with_changes(**changes) if changes else coffee
     both = [Case(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
     rng, t, step = np.random.default_rng(1), np.linspace(0, 0.9, 201), 1e-6
     w, node, weight = shaken(t), np.array([15, 66, 110, 165, 199]), rng.normal(size=(5, 6))
     move = np.sin(np.pi * t / 0.9)[:, None] ** 2 * np.stack([np.cos(k * t) for k in rng.uniform(2, 12, 12)], 1)
-    here = _functions(along(both, t, w), node, weight)
-    up, down = (_functions(along(both, t, w + sign * step * move), node, weight) for sign in (1, -1))
-    longer, shorter = (_functions(along(both, t * (1 + sign * step), w), node, weight) for sign in (1, -1))
+    start = None
+    if underway:
+        places, speeds, turns = rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2))
+        start = Underway(1e-3 * places, 0.02 * speeds, 0.2 * turns[0], turns[1], np.zeros(2))
+    here = _functions(along(both, t, w, start), node, weight)
+    up, down = (_functions(along(both, t, w + sign * step * move, start), node, weight) for sign in (1, -1))
+    longer, shorter = (_functions(along(both, t * (1 + sign * step), w, start), node, weight) for sign in (1, -1))
     both_ways = Unknowns(np.stack([move, np.zeros_like(move)], axis=2), np.array([0.0, 1.0]))
     for name, (_, derivative) in here.items():
         for ends, found in zip(((up, down), (longer, shorter)), derivative(both_ways).T, strict=True):

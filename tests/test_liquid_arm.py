@@ -12,8 +12,8 @@ from scipy.special import jnp_zeros, jv
 import salver as sv
 from salver.models.liquid import GRAVITY
 from salver.planning.fastest.constraints import TorqueLimit
-from salver.planning.fastest.evaluation import Sloshing
 from salver.planning.fastest.problem import transport_problem
+from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.waves import Case, Cases, along
 
 BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}

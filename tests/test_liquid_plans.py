@@ -14,13 +14,13 @@ from salver.errors import ScenarioError
 from salver.models.parameters import Parameter
 from salver.models.wrench_cone import facets
 from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.evaluation import Sloshing, of_cases
 from salver.planning.fastest.found import EFFORTS, object_motion
 from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
 from salver.planning.object.problem import Problem
 from salver.scenario import parse
+from salver.sensitivity.arm.liquids import Sloshing, of_cases
 from salver.sensitivity.sloshing import Sloshed
 from salver.sensitivity.waves import Case
 from salver.simulation.physics import simulate_tray

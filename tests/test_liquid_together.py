@@ -11,12 +11,13 @@ from salver.geometry import Array
 from salver.models.worst_case import SURE
 from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.evaluation import Evaluation, Sloshing
+from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.optimum import straight_start
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline
 from salver.scenario import load
 from salver.sensitivity import filter as filters
+from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.filter import LinearFilter
 from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.wave_gradients import Unknowns

@@ -175,8 +175,8 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
         return None if duration is None else FoundStop(rest, np.zeros(7))
 
     whole = swaying(1.0)
-    nowhere = SimpleNamespace(n=7, check_from_rest=lambda what: None)
-    monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None))
+    nowhere = SimpleNamespace(n=7, liquids=())
+    monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None, None))
     monkeypatch.setattr(stops, "stop_from", lambda problem, state, begun, now, beat: stop(now, beat + LEAST))
     monkeypatch.setattr(stops, "brake_on", lambda problem, path, end, now, begun, law, most: stop(now, most))
     monkeypatch.setattr(stops, "_going_on", lambda motion, now, begin, ahead: now)
@@ -210,8 +210,8 @@ def test_where_a_stop_is_late_it_is_sought_anew_and_instants_are_half_as_far_apa
         anew.append(beat + LEAST)
         return stop(0.3) if finds else None
 
-    nowhere = SimpleNamespace(n=7, check_from_rest=lambda what: None)
-    monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None))
+    nowhere = SimpleNamespace(n=7, liquids=())
+    monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None, None))
     monkeypatch.setattr(stops, "stop_from", lambda *state, beat, **begin: stop(0.3) if beat > 0.3 else None)
     monkeypatch.setattr(stops, "_anew", otherwise)
     finds = True

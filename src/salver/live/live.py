@@ -121,7 +121,7 @@ class Live:
         """
         scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
         problem = transport_problem(scenario, robust=robust)
-        problem.check_from_rest("live motion")
+        problem.check_dry("live motion")
         problem, rest = standing(problem, q)
         self._problem, self._robust, self._permit = problem, robust, permit
         # The same for the loop's thread: planners have work space that two threads must not share.

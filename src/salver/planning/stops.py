@@ -28,16 +28,18 @@ from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch
 from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.exchange import CurveOf, optimise
 from salver.planning.fastest.obstacles import KeepOut
-from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.problem import TransportProblem, transport_problem, with_missed_cases
 from salver.planning.fastest.retiming import SplinePath
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.starts import braking_time
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import BETWEEN, verdict
 from salver.planning.stop_library import SAME, StopLibrary
+from salver.sensitivity.arm.liquids import Past
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import Deviation, deviation, late
+from salver.sensitivity.waves import VERDICT_APART, cases
 from salver.trajectory import JointMotion, SampledReference
 
 if TYPE_CHECKING:
@@ -54,6 +56,9 @@ STORED = united(
 )  # with the breaks: what is stored is what was checked
 FINER = 4  # times as many samples as are stored are judged
 WARM = 0.3  # damping of the first step from the stop of the next instant
+WAVY = 2.0  # times as far apart instants are with liquids: waves leave few ways to rest, so each stop is sought from
+# several beginnings: times the guess's duration, damping of the first step
+BEGINNINGS = (1.0, WARM), (1.3, 1.0), (1.15, WARM)
 GAIN = 1e-2  # relative shortening below which a stop is short enough
 STATES = 401  # instants at which the deviation along the plan is known, at least, and
 STATES_EVERY = 4e-3  # s from one to the next, at most
@@ -124,12 +129,13 @@ def plan_stops(
     progress: called with how many of how many instants are done.
     Raises SalverError when the motion has no stop because it begins or ends moving.
     """
-    problem.check_from_rest("a stop")
     if np.abs(motion.dq[[0, -1]]).max() > 1e-6:
         raise SalverError("Stops are planned along motions from rest to rest; this one begins or ends moving.")
     end = motion.duration
+    every = every * (WAVY if problem.liquids else 1.0)
     instants = np.arange(every, end - 0.5 * every, every)
-    t, strayed = along(problem, motion, space)
+    t, felt, strayed = along(problem, motion, space)
+    past = past_of(problem, t, felt, strayed)
     radius = np.zeros((len(t), problem.n)) if strayed is None else strayed.joint_radius(0)
     path = SplinePath.timed(motion) if on_path else None
     kept: list[tuple[float, FoundStop]] = []
@@ -143,6 +149,8 @@ def plan_stops(
     while left:
         now = left.pop()
         begun = None if strayed is None else strayed.state_at(t, now)
+        if past is not None:
+            problem = replace(problem, past=replace(past, now=now))
         if path is None:
             state, found, beat = state_at(now), None, rest - now - LEAST
             guess = _going_on(motion, now, begin, ahead)
@@ -218,8 +226,11 @@ def stop_from(
     if guess is None:
         return _shortest(problem, FreeCurve, _braking(spline, state, duration or braking_time(problem)), beat)
     duration = guess.duration if duration is None else duration
-    begin = SplineMotion(spline, _fitted(problem, guess, duration, spline), duration)
-    return _shortest(problem, FreeCurve, begin, beat)
+    for longer, damping in BEGINNINGS if problem.liquids else BEGINNINGS[:1]:
+        begin = SplineMotion(spline, _fitted(problem, guess, longer * duration, spline), longer * duration)
+        if (found := _shortest(problem, FreeCurve, begin, beat, damping)) is not None:
+            return found
+    return None
 
 
 def _late(problem: TransportProblem, state: AtPosture) -> float:
@@ -263,7 +274,6 @@ def brake_on(
 
 def _begun(problem: TransportProblem, state: AtPosture, deviation: Array | None) -> TransportProblem:
     """The problem of coming to rest from a state, and from a deviation."""
-    problem.check_from_rest("a stop")
     tracking = problem.tracking
     if tracking is not None and deviation is not None:
         tracking = tracking.begun(deviation)
@@ -271,10 +281,10 @@ def _begun(problem: TransportProblem, state: AtPosture, deviation: Array | None)
 
 
 def _shortest(
-    problem: TransportProblem, curve_of: CurveOf, begin: SplineMotion, beat: float = np.inf
+    problem: TransportProblem, curve_of: CurveOf, begin: SplineMotion, beat: float = np.inf, damping: float = WARM
 ) -> FoundStop | None:
     """The shortest motion to rest along a curve, checked between the nodes and judged; None when none was found."""
-    found = optimise(problem, curve_of, begin, NODES_PER_SPAN, damping=WARM, gain=GAIN, beat=beat)
+    found = optimise(problem, curve_of, begin, NODES_PER_SPAN, damping=damping, gain=GAIN, beat=beat)
     if not found.status.ok:
         return None
     s = np.interp(np.arange(FINER * (len(STORED) - 1) + 1) / FINER, np.arange(len(STORED)), STORED)
@@ -284,27 +294,38 @@ def _shortest(
     parts = None if problem.keep_out is None else problem.keep_out.parts
     if not verdict(problem.arm, fine, problem.items, parts, BETWEEN).ok:
         return None
-    response = problem.at(s, z, found.duration, imposed=False).response
-    stray = np.zeros(problem.n) if response is None else response.joint_radius(0).max(axis=0)
+    motion = found.problem.at(s, z, found.duration, imposed=False)
+    if not found.looked and with_missed_cases(found.problem, motion) is not None:
+        return None
+    stray = np.zeros(problem.n) if motion.response is None else motion.joint_radius(0).max(axis=0)
     law = curve.law(found.coefficients, found.duration)[0, ::FINER, 0] if isinstance(curve, BrakingCurve) else None
     return FoundStop(JointMotion(STORED * found.duration, *z[:3, ::FINER]), stray, law)
 
 
-def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple[Array, Deviation | None]:
-    """Instants (T,), s, and there the deviation that a wrong load brings the arm into along a motion from rest, under
-    the loop on the joints or on the object's pose; None when nothing is uncertain."""
+def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple[Array, Array, Deviation | None]:
+    """Instants (T,), s, what the tray feels there, (T, 12), and the deviation that a wrong load brings the arm into
+    along a motion from rest, under the loop on the joints or on the object's pose; None when nothing is uncertain."""
     t = np.linspace(0.0, motion.duration, max(STATES, int(np.ceil(motion.duration / STATES_EVERY)) + 1))
     tracking = problem.tracking
-    if tracking is None:
-        return t, None
     q, dq, ddq = motion.sample(t)
     terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
+    if tracking is None:
+        return t, terms.w, None
     rates = np.stack([dq, ddq, motion.jerk(t)])
     if space == "joint":
-        return t, tracking.along(t, terms, rates)
+        return t, terms.w, tracking.along(t, terms, rates)
     control = problem.scenario.control
     law = task_law(t, terms, problem.items[0], Gains(control.kp, control.kd), tracking.settle)
-    return t, deviation(tracking.load, terms, late(terms, rates, tracking.delay), law)
+    return t, terms.w, deviation(tracking.load, terms, late(terms, rates, tracking.delay), law)
+
+
+def past_of(problem: TransportProblem, t: Array, felt: Array, strayed: Deviation | None) -> Past | None:
+    """What liquids come from along the motion; None without one."""
+    if not problem.liquids:
+        return None
+    uncertain = problem.payload.uncertain
+    every = tuple((*known, *cases(known[0].body, uncertain, VERDICT_APART)) for known in problem.liquids)
+    return Past(t, felt, strayed, every)
 
 
 def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion) -> JointMotion:

@@ -269,6 +269,13 @@ def _settled(kp: float, kd: float, seconds: float) -> Array:
     return end - transition(kp, kd, seconds) @ end
 
 
+def at_instant(t: Array, x: Array, now: float) -> Array:
+    """x (...) at an instant, linear between nodes t (T,) of x (T, ...)."""
+    k = int(np.clip(np.searchsorted(t, now) - 1, 0, len(t) - 2))
+    u = (now - t[k]) / (t[k + 1] - t[k])
+    return np.asarray((1 - u) * x[k] + u * x[k + 1])
+
+
 @dataclass(frozen=True)
 class QuadratureGrid:
     """A uniform grid t (T,) and the instants between its points at which inputs are needed.

@@ -17,7 +17,7 @@ from salver.models.payload import Payload
 from salver.models.worst_case import ALL, Some
 from salver.sensitivity.arm.tracking import Reaction
 from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by, wrench_by
-from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Waves, along, cases
+from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Underway, Waves, along, cases
 
 LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that a liquid may be relieved of
 _OF_SURFACE = "crest", "free_height", "lightness", "free_left", "left_at_once"
@@ -50,9 +50,11 @@ class Slosh:
         return cls(waves, waves.wrench, waves)
 
     @classmethod
-    def given_way(cls, waves: Waves, planned: Waves, reaction: Reaction, dw: Array) -> Slosh:
-        """dw: (K or 1, T, 12, n_c) change of what the tray feels."""
-        change, highest = waves.changed(dw), waves.cases.highest
+    def given_way(
+        cls, waves: Waves, planned: Waves, reaction: Reaction, dw: Array, start: Underway | None = None
+    ) -> Slosh:
+        """dw: (K or 1, T, 12, n_c) change of what the tray feels; start: what it made of the waves till then."""
+        change, highest = waves.changed(dw, start), waves.cases.highest
         higher = (highest(np.moveaxis(change.eta, 2, 3)) + np.abs(change.thrown)).sum(axis=2)
         left = np.einsum("kna,knac->kca", waves.cases.gain, np.hypot(*change.ending))
         freer = np.abs(change.free).sum(axis=3)
@@ -60,7 +62,7 @@ class Slosh:
 
     def along(self, planned: Waves) -> Slosh:
         """Of other waves that are planned, with an arm that gives way as here."""
-        waves = planned.shifted(self.waves.w - self.planned.w)
+        waves = planned.shifted(self.waves.w - self.planned.w, self.waves.start)
         return replace(self, waves=waves, wrench=waves.wrench, planned=planned)
 
     @cached_property
@@ -200,6 +202,7 @@ class Slosh:
         found += [peaking[:, axis, None] * larger[axis] for axis in range(2)]
         k, peak = waves.peak[0][case], waves.peak[1][case]
         drifted = LEFT_OVER * (peak + more) / half.min(axis=1) ** 2
+        drifted = drifted * waves.peaks_now[case]
         highest = which.steepest_by(waves.eta[case, k]) * np.sqrt(6 * drifted)[:, None]
         found.append(surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0))
         turns = np.sqrt(3 * drifted * (peak + more))[:, None, None]
@@ -252,7 +255,7 @@ class Slosh:
         by_amplitude = by_amplitude + 2 * which.peaking[case] / half * amplitude
         ending = self._amplitude_by(case, unknowns, fading, by_amplitude)
         k, peak = waves.peak[0][case], waves.peak[1][case]
-        steep = 3 * LEFT_OVER * (peak + more) ** 2 / half.min(axis=1) ** 2
+        steep = 3 * LEFT_OVER * (peak + more) ** 2 / half.min(axis=1) ** 2 * waves.peaks_now[case]
         highest = which.steepest_by(waves.eta[case, k]) * steep[:, None]
         return ending + surface_by(self.planned, unknowns, case, k, highest, np.zeros((m, 2)), 0.0)
 

@@ -53,10 +53,10 @@ class Swings:
 
     def spun_at(self, case: Indices, node: Indices) -> Array:
         """(m, c) of the spin."""
-        spin = self.waves.spin
-        found = np.broadcast_to(self.spun, (*spin.shape, len(self.stretch)))[case, node]
+        slower = self.waves.spun_slower
+        found = np.broadcast_to(self.spun, (*slower.shape, len(self.stretch)))[case, node]
         for c in np.flatnonzero(self.stretch):
-            found[:, c] += 2 * spin[case, node] * self.stretch[c]
+            found[:, c] += slower[case, node] * self.stretch[c]
         return np.asarray(found)
 
 

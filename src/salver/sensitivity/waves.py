@@ -21,7 +21,7 @@ from salver.models.interfaces import to_tray
 from salver.models.liquid import APART, GRAVITY, LEAST_WEIGHT, LEFT_OVER, STEEPEST, TILTING, Liquid, Modes
 from salver.models.parameters import Parameter, UncertainSet
 from salver.models.tray_motion import N_MOTION, frame_map
-from salver.sensitivity.filter import LinearFilter
+from salver.sensitivity.filter import LinearFilter, at_instant
 
 Indices = npt.NDArray[np.intp]
 VERDICT_APART = 0.02  # of frequency, between the fills at which a verdict looks
@@ -157,9 +157,41 @@ def cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[Ca
     return tuple(Case(body, *each) for each in found)
 
 
-def along(several: Sequence[Case], t: Array, w: Array) -> Waves:
-    """The waves of cases, all round or all boxes, along a motion that begins at rest: what the tray feels, w (T, 12),
-    at t (T,)."""
+@dataclass(frozen=True, eq=False)
+class Underway:
+    """Waves of K cases at one instant, or what c changes make of them, (..., c); or at several, (T, ...).
+
+    r, rate: (K, n_modes, 2) of each moving mass, m and m/s. spin, turning: (K,) of the container about its axis, rad
+    and rad/s. peak: (K,) m, how high the linear wave has been till then.
+    """
+
+    r: Array
+    rate: Array
+    spin: Array
+    turning: Array
+    peak: Array
+
+    def part(self, some: slice | Indices) -> Underway:
+        """Of some of the cases."""
+        return Underway(*(x[some] for x in vars(self).values()))
+
+    def of_terms(self, count: int) -> Underway:
+        """What the first of c changes make."""
+        return Underway(*(x[..., :count] for x in vars(self).values()))
+
+    def at(self, t: Array, now: float) -> Underway:
+        """At an instant, of those at nodes t (T,)."""
+        return Underway(*(at_instant(t, x, now) for x in vars(self).values()))
+
+    def since(self, waves: Waves) -> Underway:
+        """What there is of them beyond other waves that begin now."""
+        assert waves.start is not None
+        return Underway(*(x - y for x, y in zip(vars(self).values(), vars(waves.start).values(), strict=True)))
+
+
+def along(several: Sequence[Case], t: Array, w: Array, start: Underway | None = None) -> Waves:
+    """The waves of cases, all round or all boxes, along a motion: what the tray feels, w (T, 12), at t (T,). start: how
+    they begin, at rest unless given."""
     which = Cases.of(tuple(several))
     felt = np.broadcast_to(w, (len(several), *w.shape))
     upward = _upward(which, felt)
@@ -168,12 +200,12 @@ def along(several: Sequence[Case], t: Array, w: Array) -> Waves:
     extra = kp[..., None] * (upward / GRAVITY - 1)[:, None, None]
     filters = LinearFilter.stiffened(t, kp, kd, extra)
     turning = LinearFilter.on_nodes(t, 0.0, 0.0, 3)
-    spin = _spin(which, turning, felt)
+    spin = _spin(which, turning, felt, start)
     at_modes = _at_modes(which, felt, spin)
-    begun = Waves(which, t, filters, turning, felt, upward, spin, at_modes, at_modes, at_modes, at_modes)
+    begun = Waves(which, t, filters, turning, felt, upward, spin, at_modes, at_modes, at_modes, at_modes, start)
     force = at_modes[..., None]
-    moved = begun.respond(force, begun.level(force))
-    return begun.moved(*(x[..., 0] for x in moved))
+    first = (begun.level(force), None) if start is None else (start.r[..., None], start.rate[..., None])
+    return begun.moved(*(x[..., 0] for x in begun.respond(force, *first)))
 
 
 def _upward(which: Cases, w: Array) -> Array:
@@ -181,13 +213,14 @@ def _upward(which: Cases, w: Array) -> Array:
     return np.maximum((w @ which.at_O[:, 2, :, None])[..., 0], LEAST_WEIGHT * GRAVITY)
 
 
-def _spin(which: Cases, turning: LinearFilter, w: Array) -> Array:
+def _spin(which: Cases, turning: LinearFilter, w: Array, start: Underway | None) -> Array:
     """(K, T) rad by which the container has turned about its axis."""
     if not which.round:
         return np.zeros(w.shape[:2])
-    if w.strides[0] == 0:  # the same for all
+    if w.strides[0] == 0 and start is None:  # the same for all
         return np.broadcast_to(turning.respond(w[0, :, 5])[0], w.shape[:2])
-    return turning.respond(w[:, :, 5].T)[0].T
+    begun = None if start is None else np.stack([start.spin, start.turning])
+    return turning.respond(w[:, :, 5].T, begun)[0].T
 
 
 def _at_modes(which: Cases, w: Array, spin: Array) -> Array:
@@ -206,7 +239,7 @@ class Waves:
     filters: (K, n_modes, axes), of a round container one for both axes. turning: from the angular acceleration about
     the axis to the angle, `spin` (K, T), rad. w (K, T, 12): what the tray feels. upward (K, T): specific force that
     stiffens the waves. at_modes: lateral specific force at each mode; r, rate, second: place, m, speed and acceleration
-    of each moving mass; (K, T, n_modes, 2).
+    of each moving mass; (K, T, n_modes, 2). start: how they begin, None for at rest.
     """
 
     cases: Cases
@@ -220,6 +253,7 @@ class Waves:
     r: Array
     rate: Array
     second: Array
+    start: Underway | None = None
 
     def moved(self, r: Array, rate: Array, second: Array) -> Waves:
         """The same with the masses elsewhere."""
@@ -229,18 +263,23 @@ class Waves:
         """Some of the cases, with what is known of them."""
         which, filters = Cases.of(self.cases.each[some]), self.filters.only((some,))
         names = ("w", "upward", "spin", "at_modes", "r", "rate", "second")
-        found = replace(self, cases=which, filters=filters, **{name: getattr(self, name)[some] for name in names})
+        start = None if self.start is None else self.start.part(some)
+        felt = {name: getattr(self, name)[some] for name in names}
+        found = replace(self, cases=which, filters=filters, start=start, **felt)
         for name in ("force", "slope", "eta", "free", "crest", "wrench", "tail", "ending", "peak"):
             if name in self.__dict__:
                 known = self.__dict__[name]
                 found.__dict__[name] = tuple(x[some] for x in known) if isinstance(known, tuple) else known[some]
         return found
 
-    def shifted(self, dw: Array) -> Waves:
-        """The waves of w + dw (K, T, 12), to first order in dw, which begins with the motion."""
-        w, change = self.w + dw, self._pushed(dw[..., None], before=False)
-        spin = _spin(self.cases, self.turning, w)
-        other = replace(self, w=w, upward=_upward(self.cases, w), spin=spin, at_modes=_at_modes(self.cases, w, spin))
+    def shifted(self, dw: Array, start: Underway | None = None) -> Waves:
+        """The waves of w + dw (K, T, 12), to first order in dw, which begins with the motion; start: how they begin, if
+        that is not at rest."""
+        begun = None if start is None else start.since(self)
+        w, change = self.w + dw, self._pushed(dw[..., None], before=False, start=begun)
+        spin = _spin(self.cases, self.turning, w, start)
+        at_modes = _at_modes(self.cases, w, spin)
+        other = replace(self, w=w, upward=_upward(self.cases, w), spin=spin, at_modes=at_modes, start=start)
         return other.moved(*(x + dx[..., 0] for x, dx in zip((self.r, self.rate, self.second), change, strict=True)))
 
     @cached_property
@@ -248,16 +287,21 @@ class Waves:
         """(K, T, 3) specific force at the centre of the surface, in the container's axes."""
         return self.w @ np.swapaxes(self.cases.at_O, 1, 2)
 
-    def respond(self, force: Array, start: Array | None = None) -> tuple[Array, Array, Array]:
-        """r, r' and r'' (K, T, n_modes, 2, c) to lateral specific forces (K, T, n_modes, 2, c) at the modes."""
-        drive, begin = self._drives(force, start)
+    def respond(
+        self, force: Array, start: Array | None = None, rate: Array | None = None
+    ) -> tuple[Array, Array, Array]:
+        """r, r' and r'' (K, T, n_modes, 2, c) to lateral specific forces (K, T, n_modes, 2, c) at the modes. start,
+        rate: (K, n_modes, 2, c) r and r' at the first node, 0 unless given."""
+        drive, begin = self._drives(force, start, rate)
         x, rate = self.filters.respond(drive, begin)
         second = self.filters.acceleration(drive, x, rate)
         return self._by_mode(x), self._by_mode(rate), self._by_mode(second)
 
-    def _drives(self, force: Array, start: Array | None) -> tuple[Array, Array | None]:
+    def _drives(self, force: Array, start: Array | None, rate: Array | None) -> tuple[Array, Array | None]:
         """Drive and first state of the filters."""
-        begin = None if start is None else np.stack([start, np.zeros_like(start)], axis=1)  # (K, 2, n, 2, c)
+        begin = None
+        if start is not None:
+            begin = np.stack([start, np.zeros_like(start) if rate is None else rate], axis=1)  # (K, 2, n, 2, c)
         return self._by_filter(-force), None if begin is None else self._by_filter(begin)
 
     def _by_filter(self, x: Array) -> Array:
@@ -275,11 +319,13 @@ class Waves:
         softer = (GRAVITY / self.upward[:, 0])[:, None, None, None]
         return np.asarray(-force[:, 0] / self.cases.omega[..., None] ** 2 * softer)
 
-    def _pushed(self, dw: Array, before: bool) -> tuple[Array, Array, Array]:
+    def _pushed(self, dw: Array, before: bool, start: Underway | None = None) -> tuple[Array, Array, Array]:
         """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of what the tray feels:
         pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the motion
-        too."""
-        drive = self._driven(dw, self.spun(dw))
+        too. start: what it has made of them till then, where they do not begin at rest."""
+        drive = self._driven(dw, self.spun(dw, start))
+        if start is not None:
+            return self.respond(drive, *(x.reshape(*x.shape[:3], -1) for x in (start.r, start.rate)))
         return self.respond(drive, self.level(drive) if before else None)
 
     def swung(self, dw: Array, spun: Array) -> Array:
@@ -322,11 +368,16 @@ class Waves:
         found += stiffer[..., None] * which.at_O[:, None, None, None, 2]
         return np.asarray(found.reshape(K, T, 2 * n, -1))
 
-    def spun(self, dw: Array) -> Array:
-        """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c): the same of all that are round."""
+    def spun(self, dw: Array, start: Underway | None = None) -> Array:
+        """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c): the same of all that are round. start: what
+        they have made of it till then, nothing unless given."""
         if not self.cases.round:
             return np.zeros((1, 1, dw.shape[-1]))
-        return self.turning.respond(dw[:, :, 5].swapaxes(0, 1))[0].swapaxes(0, 1)
+        drive, begun = dw[:, :, 5].swapaxes(0, 1), None
+        if start is not None:
+            drive = np.broadcast_to(drive, (len(drive), len(start.spin), drive.shape[2]))
+            begun = np.stack([x.reshape(len(x), -1) for x in (start.spin, start.turning)])
+        return self.turning.respond(drive, begun)[0].swapaxes(0, 1)
 
     @cached_property
     def slope(self) -> Array:
@@ -397,11 +448,17 @@ class Waves:
 
     @cached_property
     def peak(self) -> tuple[Indices, Array]:
-        """(K,) when the linear wave is highest during the motion, and how high, m: how far its phase can have
-        drifted."""
+        """(K,) when the linear wave is highest during the motion, and how high, m, or was before: how far its phase can
+        have drifted."""
         heights = self.cases.highest(self.eta)
         k = np.argmax(heights, axis=1)
-        return k, heights[np.arange(len(k)), k]
+        highest = heights[np.arange(len(k)), k]
+        return k, highest if self.start is None else np.maximum(highest, self.start.peak)
+
+    @property
+    def peaks_now(self) -> Array:
+        """(K,) 1 where `peak` is of this motion, 0 where it was before."""
+        return np.ones(len(self.r)) if self.start is None else (self.peak[1] > self.start.peak).astype(float)
 
     def fading(self, seconds: float) -> Array:
         """(K, n_modes, 2) share of the waves that is left after so many seconds of rest."""
@@ -434,15 +491,38 @@ class Waves:
         In shares of T the equation reads x'' / T^2 + kd x' / T + kp x = d.
         """
         more = 2 * self.second + self.cases.kd[:, None] * self.rate
-        spun = 2 * self.spin[..., None, None] * across(self.at_modes)
-        r, rate, _ = self.respond((spun - more)[..., None])
+        spun = self.spun_slower[..., None, None] * across(self.at_modes)
+        begun = self.rate[:, 0, ..., None]  # the same r', which is T times as much per share
+        r, rate, _ = self.respond((spun - more)[..., None], np.zeros_like(begun), begun)
         return r[..., 0], rate[..., 0] - self.rate
 
-    def changed(self, dw: Array) -> Change:
-        """To first order, by changes dw (K or 1, T, 12, c) of what the tray feels, before the motion too."""
+    @cached_property
+    def spun_slower(self) -> Array:
+        """(K, T) the same of the spin."""
+        if self.start is None or not self.cases.round:
+            return 2 * self.spin
+        return 2 * (self.spin - self.start.spin[:, None]) - np.outer(self.start.turning, self.t - self.t[0])
+
+    def underway(self, dw: Array | None = None) -> Underway:
+        """How these waves, which began at rest, are at each node, (T, K, ...); or, to first order, what changes dw of
+        what the tray feels, (K, T, 12, c), before the motion too, have made of them."""
+        if dw is None:
+            moved, drive = (self.r, self.rate), self.w[:, :, 5]
+            peak = np.maximum.accumulate(self.cases.highest(self.eta), axis=1)
+        else:
+            moved, drive = self._pushed(dw, before=True)[:2], dw[:, :, 5]
+            peak = np.zeros(drive.shape)
+        drive = drive.swapaxes(0, 1)
+        spins = self.turning.respond(drive) if self.cases.round else (np.zeros(drive.shape),) * 2
+        r, rate = (x.swapaxes(0, 1) for x in moved)
+        return Underway(r, rate, *spins, peak.swapaxes(0, 1))
+
+    def changed(self, dw: Array, start: Underway | None = None) -> Change:
+        """To first order, by changes dw (K or 1, T, 12, c) of what the tray feels, before the motion too. start: what
+        they have made of the waves till then, where these do not begin at rest."""
         which = self.cases
-        r, rate, second = self._pushed(dw, before=True)
-        spun = self.spun(dw)[:, :, None]  # (K or 1, T, 1, c)
+        r, rate, second = self._pushed(dw, before=True, start=start)
+        spun = self.spun(dw, start)[:, :, None]  # (K or 1, T, 1, c)
         force = which.at_O[:, None] @ dw  # (K, T, 3, c)
 
         def last(x: Array) -> Array:

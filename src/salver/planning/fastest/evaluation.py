@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -11,108 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
-from salver.models.parameters import Parameter
-from salver.sensitivity.arm.load import LoadChange
+from salver.sensitivity.arm.liquids import Past, Sloshing
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop, Reaction
 from salver.sensitivity.sloshing import Slosh, given_way
-from salver.sensitivity.waves import Case, along
+from salver.sensitivity.waves import Case
 
 Indices = npt.NDArray[np.intp]
 
 EASING = 0.25  # of a motion that begins moving: over this share of it margins grow from nothing
-
-
-Parted = tuple[tuple[Case, ...], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Sloshing:
-    """What liquids do along what a tray feels: of each the cases that stand for it, all worked out side by side.
-
-    together: liquids that are all round or all in boxes, and of all their cases, one after the other, the waves as
-    planned and, of an arm that gives way, with what it makes of them.
-    """
-
-    together: tuple[tuple[Parted, tuple[Slosh, ...]], ...]
-
-    @classmethod
-    def of(cls, liquids: Parted, t: Array, w: Array, response: Deviation | None) -> Sloshing:
-        """Along w (T, 12) at t (T,)."""
-        found = []
-        for alike in (True, False):
-            group = tuple(each for each in liquids if each and each[0].liquid.round is alike)
-            if group:
-                found.append((group, _sloshes(group, t, w, response)))
-        return cls(tuple(found))
-
-    def along(self, t: Array, w: Array) -> Sloshing:
-        """The same liquids along another motion, with an arm that gives way as along this one."""
-        found = []
-        for group, (_, *given) in self.together:
-            planned = Slosh.of(along(_cases(group), t, w))
-            found.append((group, (planned, *(part.along(planned.waves) for part in given))))
-        return Sloshing(tuple(found))
-
-    @property
-    def each(self) -> dict[str, tuple[Slosh, ...]]:
-        """The cases of each liquid, by the name of its body, in parts."""
-        found = {}
-        for group, parts in self.together:
-            planned, *given = (part.prepared() for part in parts)
-            begin = 0
-            for liquid in group:
-                some = slice(begin, begin + len(liquid))
-                first = planned.part(some)
-                found[liquid[0].body.name] = (first, *(part.part(some, first.waves) for part in given))
-                begin += len(liquid)
-        return found
-
-
-def _cases(group: Parted) -> tuple[Case, ...]:
-    return tuple(case for liquid in group for case in liquid)
-
-
-def _sloshes(group: Parted, t: Array, w: Array, response: Deviation | None) -> tuple[Slosh, ...]:
-    """All cases of liquids along what the tray feels, w (T, 12), at t (T,): as planned, and with what the arm makes of
-    it."""
-    planned = Slosh.of(along(_cases(group), t, w))
-    if response is None:
-        return (planned,)
-    felt, drift = response.felt()
-    each = [of_cases(liquid, response.load, drift.dw) for liquid in group]
-    known = np.concatenate([sure for sure, _ in each]) + (felt - w)
-    unknown = np.zeros((*known.shape, max(free.shape[3] for _, free in each)))
-    begin = 0
-    for _, free in each:
-        unknown[begin : begin + len(free), :, :, : free.shape[3]] = free
-        begin += len(free)
-    # The arm gives way to what the waves push, and the waves are then others: twice round is enough.
-    reaction = response.reaction(planned.wrench)
-    reaction = response.reaction(planned.waves.shifted(known + reaction.w).wrench)
-    return planned, Slosh.given_way(planned.waves.shifted(known + reaction.w), planned.waves, reaction, unknown)
-
-
-def of_cases(several: Sequence[Case], load: LoadChange, dw: Array) -> tuple[Array, Array]:
-    """What changes dw (T, 12, n_c), per half-range of each term of a load, are at the fills of K cases: (K, T, 12) what
-    is sure there, and (K, T, 12, n) what else may be.
-
-    A case knows its own fill, and with it what that weighs. Products of two others are left out: they are a
-    hundredth of what single ones do to waves.
-    """
-    body = several[0].body
-    own, half = Parameter(body.name, "fill"), load.uncertain.ranges
-    others = [p for p in load.uncertain.parameters if p != own]
-    share = np.array([(case.fill - case.liquid.fill) / half[own] if own in half else 0.0 for case in several])
-    sure, free = np.zeros((len(several), len(load.terms))), np.zeros((len(several), len(load.terms), len(others)))
-    for k, factors in enumerate(load.terms):
-        rest = [p for p in factors if p != own]
-        power = share ** (len(factors) - len(rest))
-        if not rest:
-            sure[:, k] = power
-        elif len(rest) == 1:
-            free[:, k, others.index(rest[0])] = power
-    return np.moveaxis(dw @ sure.T, 2, 0), dw @ free[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +30,8 @@ class Evaluation:
     a wrong load does to the arm, or None. nodes: (N,) indices of the points at which dynamics and distances are
     looked at; the joints' own motion costs little and is looked at at all points. imposed: whether the rows are
     conditions of a programme; otherwise they are checked between its nodes. moving: whether it begins moving. liquids:
-    the cases of each. coarsely: whether of rows that are far from their edge a bound is enough.
+    the cases of each; past: what they come from, if not from rest. coarsely: whether of rows that are far from their
+    edge a bound is enough.
 
     All further quantities are computed when they are first read, and once.
     """
@@ -138,6 +46,7 @@ class Evaluation:
     imposed: bool
     moving: bool
     liquids: tuple[tuple[Case, ...], ...] = ()
+    past: Past | None = None
     coarsely: bool = False
 
     @property
@@ -199,7 +108,7 @@ class Evaluation:
 
     @cached_property
     def _waves(self) -> Sloshing:
-        return Sloshing.of(self.liquids, self.shares * self.duration, self.terms.w, self.response)
+        return Sloshing.of(self.liquids, self.shares * self.duration, self.terms.w, self.response, self.past)
 
     def joint_radius(self, order: int) -> Array:
         """(N, n) most by which the joints' position (order 0) or velocity (1) can differ from the plan's at the nodes:

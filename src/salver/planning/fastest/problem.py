@@ -31,12 +31,13 @@ from salver.planning.fastest.constraints import (
     TorqueRateLimit,
 )
 from salver.planning.fastest.ends import AtPose, AtPosture, End
-from salver.planning.fastest.evaluation import Evaluation, Indices, Sloshing
+from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.passing import Passing
 from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
 from salver.scenario import Motion, Scenario
+from salver.sensitivity.arm.liquids import Past, Sloshing
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 from salver.sensitivity.sloshing import slacks
 from salver.sensitivity.waves import VERDICT_APART, Case, cases
@@ -56,7 +57,7 @@ class TransportProblem:
     tracking: what a wrong load and held commands do to the arm; None for a nominal plan.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     extra: constraints beside those that follow from all this. liquids: for each, the cases that stand for all there
-    are. through: poses that are passed on the way.
+    are; past: what they come from where the motion begins moving. through: poses that are passed on the way.
     """
 
     scenario: Scenario
@@ -73,6 +74,7 @@ class TransportProblem:
     keep_out: KeepOut | None
     extra: tuple[Constraint, ...] = ()
     liquids: tuple[tuple[Case, ...], ...] = ()
+    past: Past | None = None
     through: tuple[AtPose, ...] = ()
 
     @property
@@ -103,12 +105,12 @@ class TransportProblem:
         """Whether the motion begins moving."""
         return isinstance(self.start, AtPosture) and self.start.moving
 
-    def check_from_rest(self, what: str) -> None:
-        """Raise ScenarioError when a liquid is on the tray: how it moves is known of motions from rest."""
+    def check_dry(self, what: str) -> None:
+        """Raise ScenarioError when a liquid is on the tray, of whose waves `what` knows nothing."""
         for body in self.payload.liquids:
             raise ScenarioError(
-                f"{self.scenario.name}: {what} is not planned with a liquid on the tray ({body.name}): how "
-                "that moves is known from rest only; use salver plan --fastest, without --stops."
+                f"{self.scenario.name}: {what} is not planned with a liquid on the tray ({body.name}): it does not "
+                "know how the waves are just then; use salver plan --fastest, with --stops."
             )
 
     @cached_property
@@ -119,8 +121,8 @@ class TransportProblem:
         found += [Contact(rows, self.scenario.contact.margin) for rows in self.contacts]
         if np.isfinite(self.max_tilt):
             found.append(Level() if self.level else Tilt(self.max_tilt))
-        if self.moving:
-            self.check_from_rest("a motion that begins moving")
+        if self.moving and self.past is None:
+            self.check_dry("a motion that begins moving")
         found += [Brim(each[0].body) for each in self.liquids]
         found += [Passing(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
@@ -132,7 +134,7 @@ class TransportProblem:
         nodes = np.arange(len(s)) if nodes is None else nodes
         frame_id = self.arm.tray_id
         return Evaluation(
-            self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving, self.liquids
+            self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving, self.liquids, self.past
         )
 
 
@@ -147,7 +149,7 @@ def with_missed_cases(problem: TransportProblem, motion: Evaluation, margin: flo
         here = {(case.fill, case.damping) for case in known}
         all_ = cases(known[0].body, uncertain, VERDICT_APART)
         missing.append(tuple(x for x in all_ if (x.fill, x.damping) not in here))
-    sloshing, found = Sloshing.of(tuple(missing), t, motion.terms.w, motion.response).each, []
+    sloshing, found = Sloshing.of(tuple(missing), t, motion.terms.w, motion.response, motion.past).each, []
     for known, others in zip(problem.liquids, missing, strict=True):
         parts = sloshing.get(known[0].body.name, ())
         left = np.min([np.ones(len(others)), *(slacks(part).min(axis=1) for part in parts)], axis=0)

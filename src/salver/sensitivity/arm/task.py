@@ -154,7 +154,8 @@ def _between(values: Array) -> Array:
 def task_law(t: Array, terms: MotionTerms, first: Body, gains: Gains, settle: float) -> Law:
     """The loop closed on the pose of the first object, the posture's in the null space; t evenly spaced."""
 
-    def law(missing: Array, before: Array) -> tuple[JointDeviation, TrayDeviation]:
+    def law(missing: Array, before: Array, start: Array | None = None) -> tuple[JointDeviation, TrayDeviation]:
+        assert start is None, "motions under this loop begin at rest"
         tray = tray_of_task(t, terms, missing, first, gains, settle, before)
         return joints_of_task(t, terms, tray, missing, POSTURE_GAINS, settle, before), tray
 

@@ -20,9 +20,9 @@ This is the tracking of fastest plans and of the chain alike.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from salver.models.worst_case import Drift
 from salver.scenario import Scenario
 from salver.sensitivity.arm.load import LoadChange, load_change
 from salver.sensitivity.arm.terms import MotionTerms
-from salver.sensitivity.filter import LinearFilter, settled
+from salver.sensitivity.filter import LinearFilter, at_instant, settled
 
 
 @dataclass(frozen=True)
@@ -74,8 +74,15 @@ class TrayDeviation:
     w: Array
 
 
-Law = Callable[[Array, Array], tuple[JointDeviation, TrayDeviation]]
-"""What a loop makes of a missing acceleration (T, n, n_c); (n_c,) 1 where it was missing before the motion too."""
+class Law(Protocol):
+    """What a loop makes of a missing acceleration."""
+
+    def __call__(
+        self, missing: Array, before: Array, start: Array | None = None
+    ) -> tuple[JointDeviation, TrayDeviation]:
+        """missing: (T, n, n_c). before: (n_c,) 1 where it was missing before the motion too. start: (2, n, n_c) e and
+        e' where the motion begins, which then say what was before."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,12 +145,12 @@ class Deviation:
         """The same along a motion like it, with its terms."""
         return replace(self, terms=terms)
 
-    def reaction(self, wrench: Array) -> Reaction:
+    def reaction(self, wrench: Array, start: Array | None = None) -> Reaction:
         """What the arm does, to first order, when the load needs wrenches (K, T, 6) at E beyond what the controller
-        knows of."""
+        knows of. start: (2, n, K) e and e' where the motion begins, 0 unless given."""
         pushed = np.asarray(np.swapaxes(self.terms.jacobian, 1, 2) @ wrench.transpose(1, 2, 0), dtype=float)
         missing = self.terms.mass_inverse @ pushed
-        return Reaction(self.terms, *self.law(missing, np.zeros(len(wrench))))
+        return Reaction(self.terms, *self.law(missing, np.zeros(len(wrench)), start))
 
     def felt(self, held: bool = True) -> tuple[Array, Drift]:
         """w (T, 12) at nominal parameters, and how the others change it."""
@@ -154,9 +161,7 @@ class Deviation:
         """(2, n, n_c + 1) e and e' at an instant, of each term and of late commands; t: (T,) of the nodes."""
         e = np.concatenate([-self.joints.q, -self.held.q[:, :, None]], axis=2)
         rate = np.concatenate([-self.joints.dq, -self.held.dq[:, :, None]], axis=2)
-        k = int(np.clip(np.searchsorted(t, now) - 1, 0, len(t) - 2))
-        u = (now - t[k]) / (t[k + 1] - t[k])
-        return np.stack([(1 - u) * x[k] + u * x[k + 1] for x in (e, rate)])
+        return np.stack([at_instant(t, x, now) for x in (e, rate)])
 
     def joint_radius(self, order: int) -> Array:
         """(T, n) most by which the joints' position (order 0), velocity (1), acceleration (2) can differ from the
@@ -208,16 +213,16 @@ class JointLoop:
         """
         response = LinearFilter.on_nodes(t, self.kp, self.kd, order, shares)
 
-        def law(missing: Array, before: Array) -> tuple[JointDeviation, TrayDeviation]:
-            start = settled(self.kp, self.kd, self.settle, missing[0] * before) if before.any() else None
-            if self.start is not None:  # it holds all there is of each term: what is of second order starts from zero
-                start = self.start if missing.shape[2] == self.start.shape[2] else None
+        def law(missing: Array, before: Array, start: Array | None = None) -> tuple[JointDeviation, TrayDeviation]:
+            if start is None and before.any():
+                start = settled(self.kp, self.kd, self.settle, missing[0] * before)
             e, rate = response.respond(missing, start)
             state = np.concatenate([e, rate, response.acceleration(missing, e, rate)], axis=1)
             joints = JointDeviation(np.negative(state, out=state), missing)
             return joints, tray_of_joints(terms, joints)
 
-        return deviation(self.load, terms, late(terms, rates, self.delay, not len(self.load.half_range)), law)
+        late_by = late(terms, rates, self.delay, not len(self.load.half_range))
+        return deviation(self.load, terms, late_by, law, self.start)
 
 
 def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
@@ -251,17 +256,21 @@ def late(terms: MotionTerms, rates: Array, delay: float, alone: bool = False) ->
     return np.asarray(delay * lost[:, :, 0])
 
 
-def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law) -> Deviation:
-    """What a law makes of a wrong load and of commands that act late, second order in the load included."""
+def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law, start: Array | None = None) -> Deviation:
+    """What a law makes of a wrong load and of commands that act late, second order in the load included. start: as of
+    `JointLoop`."""
     n_p, n_c = load.uncertain.size, len(load.half_range)
     missing = late[:, :, None]
     if n_c:
         missing = np.concatenate([missing_acceleration(load, terms), missing], axis=2)
     # A wrong load is there before the motion, a late command not.
-    joints, tray = law(missing, np.append(np.ones(n_c), 0.0))
+    joints, tray = law(missing, np.append(np.ones(n_c), 0.0), start)
     if n_c > n_p:
         wrench = np.swapaxes(terms.jacobian, 1, 2) @ load.products(load.load_p, tray.w)
-        for first, second in zip((joints, tray), law(terms.mass_inverse @ wrench, np.ones(n_c - n_p)), strict=True):
+        # The start holds all there is of each term: what is of second order starts from zero.
+        nothing = None if start is None else np.zeros((*start.shape[:2], n_c - n_p))
+        products = law(terms.mass_inverse @ wrench, np.ones(n_c - n_p), nothing)
+        for first, second in zip((joints, tray), products, strict=True):
             for name, value in vars(second).items():
                 getattr(first, name)[:, :, n_p:-1] += value
     torque = commanded(terms, joints)

@@ -1,0 +1,79 @@
+"""A liquid on a tray that is already moving: waves that go on, and stops that know them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import salver as sv
+from salver.planning.fastest.ends import Anywhere, AtPosture
+from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.stops import along, past_of, stopped, with_stops
+from salver.simulation.physics import simulate
+from salver.trajectory import JointMotion
+
+NOW, END = 0.3, 0.8  # s: when a motion is left, and its end
+BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
+BOX = {"objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]}, "objects__0__liquid": BOX_IN}
+
+
+def swinging(problem: TransportProblem) -> JointMotion:
+    """All joints aside by up to .4 rad, the tray turning about every axis under the waves."""
+    t = np.linspace(0.0, END, 801)
+    s, away = t[:, None] / END, np.array([0.4, 0.1, 0.0, 0.1, -0.05, 0.12, 0.3])
+    blend = (s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s))
+    q, dq, ddq = (x * away / END**k for k, x in enumerate(blend))
+    return JointMotion(t, problem.start_posture + q, dq, ddq)
+
+
+def seen(problem: TransportProblem, motion: JointMotion, t: np.ndarray, since: float = 0.0) -> Evaluation:
+    """A motion at instants t, as one that begins at `since`."""
+    q, dq, ddq = motion.sample(t)
+    takes = END - since
+    return problem.at((t - since) / takes, np.stack([q, dq, ddq, motion.jerk(t)]), takes, imposed=False)
+
+
+def left(problem: TransportProblem, motion: JointMotion, now: float = NOW) -> TransportProblem:
+    """The problem of going on from an instant of a motion."""
+    t, felt, strayed = along(problem, motion, "joint")
+    state, past = AtPosture(*(x[0] for x in motion.sample(now))), replace(past_of(problem, t, felt, strayed), now=now)
+    tracking = None if strayed is None else problem.tracking.begun(strayed.state_at(t, now))
+    return replace(problem, start=state, goal=Anywhere(), tracking=tracking, past=past)
+
+
+@pytest.mark.parametrize("shape", [{}, BOX], ids=["cylinder", "box"])
+def test_waves_of_a_motion_that_goes_on_are_those_of_both_together(shape):
+    """A motion that is left and gone on with is one motion: at each of its later instants the waves are as high, push
+    as hard, and leave as much, as planned and with what the arm makes of them and of an unknown load."""
+    problem = transport_problem(sv.load_scenario("panda-coffee").with_changes(**shape))
+    motion, after = swinging(problem), np.linspace(NOW, END, 101)
+    whole = seen(problem, motion, np.concatenate([np.linspace(0, NOW, 61)[:-1], after]))
+    later = seen(left(problem, motion), motion, after, since=NOW)
+    (name, parts), *_ = later.sloshing.items()
+    for found, known in zip(parts, whole.sloshing[name], strict=True):
+        for what in ("crest", "free_height", "lightness", "wrench"):
+            of_both = getattr(known, what)[:, 60:]
+            np.testing.assert_allclose(getattr(found, what), of_both, atol=5e-3 * np.abs(of_both).max(), err_msg=what)
+        np.testing.assert_allclose(found.left(), known.left(), rtol=5e-3)
+        np.testing.assert_allclose(found.free_left, known.free_left, rtol=1e-2)
+    np.testing.assert_allclose(later.joint_radius(0), whole.joint_radius(0)[60:], atol=2e-4 * 0.3)
+    # It matters: as if level when it is left, the waves are others by a third.
+    afresh = seen(replace(left(problem, motion), past=None), motion, after, since=NOW).sloshing[name][0]
+    assert np.abs(afresh.crest - parts[0].crest).max() > 0.3 * parts[0].crest.max()
+
+
+@pytest.mark.slow
+def test_a_slow_plan_with_coffee_is_stopped_long_before_its_end_and_nothing_spills():
+    """In the engine too, at the fullest and with the least damping, when the tray is at its fastest."""
+    case = sv.load_scenario("panda-coffee").with_changes(motion__duration=1.6)
+    plan = with_stops(sv.plan(case, method="safest"))
+    assert plan.stops.longest < 1.0
+    now = 0.8
+    done = stopped(plan, now)
+    assert done.duration - now < 0.5
+    assert done.margins.verdict(worst=True).ok
+    full = {"fill": 0.065, "damping": 0.002, "mass": 0.275, "friction": 0.36}
+    assert simulate(plan, parameters=full, stop_at=now).outcome == "holds"
