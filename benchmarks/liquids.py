@@ -33,7 +33,8 @@ from salver.planning.make import plan_baseline
 from salver.planning.plan import Plan
 from salver.sampling import draw
 from salver.scenario import Scenario, load
-from salver.sensitivity.waves import Case
+from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.waves import along
 from salver.simulation.physics import Experiment, simulate_tray
 from salver.simulation.record import SimulationRecord
 
@@ -73,7 +74,7 @@ def flow_rows() -> Iterator[str]:
                 case, t = Case(scenario.payload.first, fill, 0.005), np.linspace(0, duration, 201)
                 w = np.tile(at_rest(), (len(t), 1))
                 w[:, :2] = np.outer([push(duration, x) for x in t], [np.cos(angle), np.sin(angle)])
-                waves, times = case.along(t, w), np.arange(0, duration + 0.5, 0.0015)
+                waves, times = along((case,), t, w), np.arange(0, duration + 0.5, 0.0015)
                 with np.errstate(all="ignore"):
                     seen = flow(basis, fill, lambda x, T=duration: (push(T, x), 9.81), times, 0.005)
                 during, after = seen[times <= duration].max(), seen[times > duration].max()

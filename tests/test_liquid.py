@@ -18,8 +18,9 @@ from salver.models.tray_motion import at_rest
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.sensitivity.sloshing import LIGHTEST, Liquids, Slosh, Spill, slacks
+from salver.sensitivity.wave_cases import VERDICT_APART, Case, Cases, cases
 from salver.sensitivity.wave_gradients import Unknowns, wrench_by
-from salver.sensitivity.waves import VERDICT_APART, Case, Cases, Underway, Waves, along, cases
+from salver.sensitivity.waves import Underway, Waves, along
 from salver.simulation import outcome
 
 CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
@@ -102,7 +103,7 @@ def test_a_surface_at_rest_is_level_however_the_tray_is_pushed(coffee):
     t = np.linspace(0, 12, 4001)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0] = 2 * np.minimum(t / 2, 1) ** 2 * (3 - 2 * np.minimum(t / 2, 1))
-    waves = case.along(t, w)
+    waves = along((case,), t, w)
     np.testing.assert_allclose(waves.eta[0, -1], [-0.04 * 2 / 9.81, 0], atol=1e-7)
     np.testing.assert_allclose(waves.free[0, -1], 0, atol=1e-7)
     assert waves.left()[0] == pytest.approx(0.04 * 2 / 9.81 * (1 + 1.8 * (2 / 9.81) ** 2), rel=2e-2)
@@ -126,7 +127,7 @@ def test_filter_agrees_with_the_equations_integrated(coffee, yaw):
 
     t = np.linspace(0, T, 301)
     exact = solve_ivp(rates, (0, T), np.zeros(10), rtol=1e-11, atol=1e-14, t_eval=t).y.T[:, :4].reshape(-1, 2, 2)
-    waves = case.along(t, shaken(t, yaw))
+    waves = along((case,), t, shaken(t, yaw))
     assert np.abs(waves.r[0] - exact).max() < 1e-6 * np.abs(exact).max()
 
 
@@ -214,7 +215,7 @@ def test_waves_in_a_box_are_those_of_nonlinear_potential_flow(coffee, fill, dura
     t = np.linspace(0, duration, 201)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0] = pushed(duration, t)
-    waves, moving = case.along(t, w), times <= duration
+    waves, moving = along((case,), t, w), times <= duration
     assert waves.crest.max() == pytest.approx(seen[moving].max(), rel=0.06)
     assert waves.left()[0] > 0.95 * seen[~moving].max()
 
@@ -229,7 +230,7 @@ def test_waves_across_a_box_are_those_of_nonlinear_potential_flow(coffee, degree
     t = np.linspace(0, duration, 201)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, :2] = np.outer(pushed(duration, t), [np.cos(angle), np.sin(angle)])
-    waves = case.along(t, w)
+    waves = along((case,), t, w)
     assert waves.crest.max() == pytest.approx(seen[times <= duration].max(), rel=within)
     assert waves.left()[0] > 0.95 * seen[times > duration].max()
 
@@ -241,7 +242,7 @@ def test_waves_in_a_cup_are_those_of_nonlinear_potential_flow(coffee):
     t = np.linspace(0, duration, 201)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0] = pushed(duration, t)
-    assert case.along(t, w).crest.max() == pytest.approx(seen[times <= duration].max(), rel=0.03)
+    assert along((case,), t, w).crest.max() == pytest.approx(seen[times <= duration].max(), rel=0.03)
 
 
 @pytest.mark.parametrize("shape", [{}, {"box": True}])
@@ -250,12 +251,12 @@ def test_changes_are_first_order_differences(coffee, shape):
     what is interpolated between nodes of a wave times a change."""
     made = coffee.with_changes(**BOX) if shape else coffee
     case, t = Case(made.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
-    here, step = case.along(t, shaken(t)), 1e-5
+    here, step = along((case,), t, shaken(t)), 1e-5
     dw = np.random.default_rng(2).normal(size=12) * np.cos(3 * t)[:, None]
     dw = np.stack([dw, dw * np.sin(np.pi * t / 0.9)[:, None]], axis=2)
     change = here.changed(dw[None])
     for k in range(2):
-        more, less = (case.along(t, shaken(t) + sign * step * dw[:, :, k]) for sign in (1, -1))
+        more, less = (along((case,), t, shaken(t) + sign * step * dw[:, :, k]) for sign in (1, -1))
         for name in ("eta", "free", "wrench"):
             difference = (getattr(more, name) - getattr(less, name)) / (2 * step)
             found = getattr(change, name)[..., k]
@@ -271,10 +272,10 @@ def test_worst_case_bounds_waves_at_every_corner(coffee):
     """What is uncertain, as small as first order needs: no corner is higher, and some corner nearly is."""
     case, t = Case(coffee.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
     dw = 1e-3 * np.random.default_rng(3).normal(size=(12, 3)) * np.cos(np.outer(t, [2, 5, 9]))[:, None, :]
-    waves = case.along(t, shaken(t))
+    waves = along((case,), t, shaken(t))
     here = Slosh.given_way(waves, waves, np.zeros(0), dw[None])
     corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
-    crests = np.array([case.along(t, shaken(t) + dw @ corner).crest[0] for corner in corners]).max(axis=0)
+    crests = np.array([along((case,), t, shaken(t) + dw @ corner).crest[0] for corner in corners]).max(axis=0)
     assert (crests < here.crest[0] + 2e-6).all()
     assert (here.crest[0] - crests < 0.5 * (here.crest - here.waves.crest) + 1e-6).any()
 
@@ -324,7 +325,7 @@ def test_every_fill_in_the_range_is_covered_by_the_cases(coffee):
     least = Spill.of(body.name, whole.worst[body.name]).slack.min()
     for fill in np.linspace(0.035, 0.065, 31):
         for damping in np.linspace(*body.liquid.damping, 3):
-            waves = Case(body, float(fill), float(damping)).along(t, w)
+            waves = along((Case(body, float(fill), float(damping)),), t, w)
             assert 1 - waves.crest.max() / waves.cases.room[0] > least - 0.03
 
 

@@ -14,7 +14,8 @@ from salver.models.liquid import GRAVITY
 from salver.planning.fastest.constraints import TorqueLimit
 from salver.planning.fastest.problem import transport_problem
 from salver.sensitivity.arm.liquids import Sloshing
-from salver.sensitivity.waves import Case, Cases, along
+from salver.sensitivity.wave_cases import Case, Cases
+from salver.sensitivity.waves import along
 
 BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
 BOX = {"objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]}, "objects__0__liquid": BOX_IN}

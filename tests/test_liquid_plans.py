@@ -22,7 +22,7 @@ from salver.planning.object.problem import Problem
 from salver.scenario import parse
 from salver.sensitivity.arm.liquids import Sloshing, of_cases
 from salver.sensitivity.sloshing import Sloshed
-from salver.sensitivity.waves import Case
+from salver.sensitivity.wave_cases import Case
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import MotionSamples, SampledReference, min_jerk_line
 

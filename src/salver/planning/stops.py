@@ -39,7 +39,7 @@ from salver.sensitivity.arm.liquids import Past
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import Deviation, deviation, late
-from salver.sensitivity.waves import VERDICT_APART, cases
+from salver.sensitivity.wave_cases import VERDICT_APART, cases
 from salver.trajectory import JointMotion, SampledReference
 
 if TYPE_CHECKING:

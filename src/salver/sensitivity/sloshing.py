@@ -16,8 +16,9 @@ from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
 from salver.models.worst_case import ALL, Some
 from salver.sensitivity.arm.tracking import Reaction
+from salver.sensitivity.wave_cases import VERDICT_APART, cases
 from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by, wrench_by
-from salver.sensitivity.waves import VERDICT_APART, Change, Indices, Underway, Waves, along, cases
+from salver.sensitivity.waves import Change, Indices, Underway, Waves, along
 
 LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that a liquid may be relieved of
 _OF_SURFACE = "crest", "free_height", "lightness", "free_left", "left_at_once"

@@ -15,7 +15,7 @@ from salver.sensitivity.arm.liquids import Past, Sloshing
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop, Reaction
 from salver.sensitivity.sloshing import Slosh, given_way
-from salver.sensitivity.waves import Case
+from salver.sensitivity.wave_cases import Case
 
 Indices = npt.NDArray[np.intp]
 

@@ -40,7 +40,7 @@ from salver.scenario import Motion, Scenario
 from salver.sensitivity.arm.liquids import Past, Sloshing
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 from salver.sensitivity.sloshing import slacks
-from salver.sensitivity.waves import VERDICT_APART, Case, cases
+from salver.sensitivity.wave_cases import VERDICT_APART, Case, cases
 
 SURELY_DRY = 1e-4  # of the room, that is left at every fill and damping that a verdict looks at
 

@@ -35,7 +35,7 @@ from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
 from salver.sensitivity.sloshing import Liquids, Sloshed, Spill
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
-from salver.sensitivity.waves import Case, cases
+from salver.sensitivity.wave_cases import Case, cases
 
 Indices = npt.NDArray[np.intp]
 Known = dict[str, tuple[Case, ...]]  # cases of each liquid, by its body

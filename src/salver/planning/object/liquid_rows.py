@@ -18,8 +18,9 @@ from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import N_MOTION
 from salver.sensitivity.sloshing import LIGHTEST, Slosh, Sloshed
+from salver.sensitivity.wave_cases import Case
 from salver.sensitivity.wave_gradients import Unknowns
-from salver.sensitivity.waves import Case, along
+from salver.sensitivity.waves import along
 
 Indices = npt.NDArray[np.intp]
 Kind = tuple[Array, Array, Callable[[Indices, Indices, Unknowns], Array]]

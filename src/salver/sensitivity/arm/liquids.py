@@ -13,7 +13,8 @@ from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.tracking import Deviation, Reaction
 from salver.sensitivity.filter import at_instant
 from salver.sensitivity.sloshing import Slosh
-from salver.sensitivity.waves import Case, Underway, Waves, along
+from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.waves import Underway, Waves, along
 
 Parted = tuple[tuple[Case, ...], ...]
 
