@@ -72,7 +72,7 @@ def lost(problem: TransportProblem, motion: JointMotion, rng: np.random.Generato
 
 
 def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tuple, dict[str, float]]:
-    """Goals that change at random times, and now and then a stop."""
+    """Goals that change at random times, and now and then a stop; how many there were."""
     live = Planned(Live(scenario, lead=0.1))
     t, wishes = 0.0, []
     while t < 2.0:
@@ -81,7 +81,7 @@ def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tup
         wishes.append((t, lambda _, place=place, stop=stop: live.stop() if stop else live.goto(place)))
         t += rng.uniform(0.1, 0.7)
     states = drive(live, 2.0, wishes)
-    return live, in_turn(states, drive(live, 1.6, begins=2.0)), {}
+    return live, in_turn(states, drive(live, 1.6, begins=2.0)), {"changes": len(wishes)}
 
 
 def gentle(rng: np.random.Generator, seconds: float = SECONDS):
