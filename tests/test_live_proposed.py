@@ -9,8 +9,11 @@ import salver as sv
 from live_runs import LEAD, drive, executed, place
 from salver.live import Live
 from salver.live.motion import between, joined, resting
+from salver.live.planner import Job, Planner
+from salver.live.replan import STRETCHED, Replanner
 from salver.live.verify import instants, verified
-from salver.planning.fastest import fastest
+from salver.live.wishes import Goal, Halt
+from salver.planning.fastest import AtPosture, fastest
 from salver.planning.fastest.constraints import Clearance, Contact, evaluate
 from salver.planning.fastest.exchange import optimise
 from salver.planning.fastest.obstacles import KeepOut
@@ -150,3 +153,53 @@ def test_resting_is_a_motion_too(cube):
     live = Live(cube)
     motion = resting(live.problem.start.q)
     assert verified(live.problem, motion, 3.0, live.committed).committed is not None
+
+
+def test_a_stop_is_sought_only_where_it_would_come_sooner(cube, monkeypatch):
+    """The last tenth of a second of a motion is a stop: no shorter one is looked for, which would take as long."""
+    live = Live(cube, lead=LEAD)
+    drive(live, 0.2, [(0.0, place(0.45, 0.1, 0.45))])
+    base, planner, sought = live.committed, Planner(live.problem), []
+    to = Replanner.to
+    monkeypatch.setattr(Replanner, "to", lambda *given, **how: sought.append(given) or to(*given, **how))
+    early = planner.answer(Job(Halt(), base, base.ends - 0.4, 60.0))
+    assert early.found is not None
+    assert early.found.ends < base.ends
+    assert len(sought) == 1
+    late = planner.answer(Job(Halt(), base, base.ends - 0.09, 60.0))
+    assert late.found is None
+    assert late.done
+    assert len(sought) == 1
+
+
+def test_a_motion_that_is_a_little_too_quick_between_the_nodes_is_made_longer_once(bottle, monkeypatch):
+    """By what would do from rest, one that begins moving is not mended: then three looks in a row were in vain."""
+    live, rng, judged, looks = Live(bottle, lead=LEAD), np.random.default_rng(4), Replanner._judged, []
+
+    def seen(self, at, found, before, begins):
+        finding = judged(self, at, found, before, begins)
+        looks.append((found.duration, finding))
+        return finding
+
+    monkeypatch.setattr(Replanner, "_judged", seen)
+    mended = []
+    for wait in 6 * (0.2, 0.3):
+        goal = rng.uniform([0.40, -0.40, 0.35], [0.55, 0.15, 0.60])
+        looks.clear()
+        drive(live, wait, [(0.0, lambda live, goal=goal: live.goto(goal))], begins=live.now)
+        if len(looks) > 1 and looks[0][1].slower < STRETCHED:
+            (first, _), (second, finding) = looks[:2]
+            mended.append(finding.committed is not None)
+            assert second < 1.005 * first
+    assert len(mended) > 3
+    assert np.mean(mended) > 0.7
+
+
+def test_a_posture_in_which_the_load_would_not_stay_is_refused_at_once(cube, monkeypatch):
+    """With the tray leaning by .6 rad and friction of .4 the cube slides at rest, however slowly the arm goes there."""
+    live = Live(cube, lead=LEAD)
+    leaning = live.committed.motion.q[0] + np.array([0, 0, 0, 0, 0, 0.6, 0])
+    monkeypatch.setattr(Replanner, "to", lambda *given, **how: pytest.fail("a way there was sought"))
+    answer = Planner(live.problem).answer(Job(Goal(AtPosture(leaning), "leaning"), live.committed, 0.1, 60.0))
+    assert answer.found is None
+    assert "would not be safe at rest there" in answer.status.sentence

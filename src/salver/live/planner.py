@@ -23,6 +23,7 @@ from salver.trajectory import JointMotion
 ASIDE, ASIDE_STEP = (0.15, 0.25, 0.4), 0.02  # m to which the load is put aside; s between looks at what passes it
 BESIDE = 0.03  # m that are free there
 TRIED = 2
+SOON = 0.1  # s: whoever is at rest by then need not look for a shorter way to it, which takes as long
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,8 @@ class Planner:
                 steering = replace(steering, problem=problem, sought=Sought.of(problem))
             return Answer(*steering.tick(wanted, base, begins))
         if isinstance(wish, Halt):
+            if base.ends - begins < SOON:
+                return Answer(None, Status("optimal", "", True), True)
             found, status = replanner.to(Anywhere(), base, begins, job.budget)
             late = found is not None and found.ends >= base.ends  # it is at rest no later as it is
             return Answer(None if late else found, status, late)

@@ -49,7 +49,9 @@ SPLINE = RestSpline(degree=5, spans=8)
 NODES_PER_SPAN, FEW_NODES = 6, 2  # of a motion that is judged at once; to which nodes are added
 DISTANCES = 2.0
 STRETCHES, STRETCHED = 2, 0.02  # times a motion is made longer, each by at most so much, relatively,
-AMPLY = 1.1  # and by so many times what would do
+# and by so many times what would do from rest, and a little: one that begins moving does not become slower as a whole,
+# and to look again takes longer than that
+AMPLY, A_LITTLE = 2.0, 2e-4
 GAIN = 1e-2  # relative shortening below which an iteration counts as idle
 LEAST_DURATION = 0.1  # s of a first guess,
 LIKELY = 1.1  # times what every joint, and friction, take at least; and
@@ -161,7 +163,7 @@ class Replanner:
                     return solution, finding
                 if finding.slower > STRETCHED:
                     break
-                motion = replace(motion, duration=motion.duration * (1.0 + AMPLY * finding.slower))
+                motion = replace(motion, duration=motion.duration * (1.0 + AMPLY * finding.slower + A_LITTLE))
             if best.violation > HOPELESS_AT_NODES:  # from another beginning, perhaps
                 guess = replace(guess, duration=SLOWLY * guess.duration)
             else:
