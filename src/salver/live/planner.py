@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.errors import Status
-from salver.live.motion import SHORTEST, Committed, between
+from salver.live.motion import SHORTEST, Committed, between, resting
 from salver.live.obstacles import Passing, Predicted, nearest
 from salver.live.replan import Replanner, Sought
 from salver.live.steer import Steering
-from salver.live.verify import instants
-from salver.live.wishes import Evade, Follow, Halt, Wish, why_not
+from salver.live.verify import instants, verified
+from salver.live.wishes import Evade, Follow, Goal, Halt, Wish, why_not
 from salver.planning.fastest import Anywhere, AtPose, AtPosture, End, TransportProblem, evaluate
 from salver.planning.postures import PoseTarget
 from salver.trajectory import JointMotion
@@ -75,10 +75,17 @@ class Planner:
             found, status = replanner.to(Anywhere(), base, begins, job.budget)
             late = found is not None and found.ends >= base.ends  # it is at rest no later as it is
             return Answer(None if late else found, status, late)
-        blocked = why_not(self.problem, wish)
+        blocked = why_not(self.problem, wish) or self._unsafe(wish)
         if blocked:
             return Answer(None, Status("unreachable", blocked, False))
         return Answer(*replanner.to(wish.end, base, begins, job.budget))
+
+    def _unsafe(self, goal: Goal) -> str:
+        """Why the load would not stay in a posture that is asked for, or nothing."""
+        if not isinstance(goal.end, AtPosture):
+            return ""
+        finding = verified(self.problem, resting(goal.end.q), 0.0, None)
+        return f"the load would not be safe at rest there: {finding.sentence}" if finding.committed is None else ""
 
     def _among(self, job: Job) -> TransportProblem:
         """The problem with what is predicted to pass, in the time of a motion from the hand-over on."""

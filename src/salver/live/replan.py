@@ -48,7 +48,8 @@ from salver.trajectory import JointMotion
 SPLINE = RestSpline(degree=5, spans=8)
 NODES_PER_SPAN, FEW_NODES = 6, 2  # of a motion that is judged at once; to which nodes are added
 DISTANCES = 2.0
-STRETCHES, STRETCHED = 2, 0.02  # times a motion is made longer, each by at most so much, relatively,
+# times a motion is made longer, each by at most so much, relatively, while what it is short of becomes less than half,
+STRETCHES, STRETCHED = 4, 0.02
 # and by so many times what would do from rest, and a little: one that begins moving does not become slower as a whole,
 # and to look again takes longer than that
 AMPLY, A_LITTLE = 2.0, 2e-4
@@ -137,7 +138,7 @@ class Replanner:
             searched = fastest(at, FastestOptions(time_limit=left))
             if searched.status.ok:
                 motion = SplineMotion(searched.spline, searched.coefficients, searched.duration)
-                found, finding = searched, self._judged(at, motion, before, begins)
+                found, finding = searched, self._stretched(at, motion, before, begins)
         if finding.committed is None:
             return None, Status("refused", finding.sentence if found.status.ok else found.status.sentence, False)
         return finding.committed, Status("optimal", f"A motion of {finding.committed.motion.duration:.3f} s.", True)
@@ -157,20 +158,28 @@ class Replanner:
             solution = minimise(programme, begun, Options(ITERATIONS, watch, gain=GAIN))
             best = solution.iterate
             motion = SplineMotion(guess.spline, best.coefficients, best.duration)
-            for _ in range(STRETCHES + 1):
-                finding = self._judged(at, motion, before, begins)
-                if finding.committed is not None:
-                    return solution, finding
-                if finding.slower > STRETCHED:
-                    break
-                motion = replace(motion, duration=motion.duration * (1.0 + AMPLY * finding.slower + A_LITTLE))
+            finding = self._stretched(at, motion, before, begins)
+            if finding.committed is not None:
+                return solution, finding
             if best.violation > HOPELESS_AT_NODES:  # from another beginning, perhaps
                 guess = replace(guess, duration=SLOWLY * guess.duration)
             else:
                 guess, damping = SplineMotion(guess.spline, best.coefficients, best.duration), REPAIR
         found = optimise(at, FreeCurve, guess, FEW_NODES, watch, damping=damping, gain=GAIN)
         motion = SplineMotion(guess.spline, found.coefficients, found.duration)
-        return found, self._judged(at, motion, before, begins)
+        return found, self._stretched(at, motion, before, begins)
+
+    def _stretched(self, at: TransportProblem, motion: SplineMotion, before: Committed, begins: float) -> Finding:
+        """The verdict on a motion, or on one that takes a little longer, if that is what it lacks."""
+        finding = self._judged(at, motion, before, begins)
+        for _ in range(STRETCHES):
+            if finding.committed is not None or finding.slower > STRETCHED:
+                break
+            motion = replace(motion, duration=motion.duration * (1.0 + AMPLY * finding.slower + A_LITTLE))
+            excess, finding = finding.excess, self._judged(at, motion, before, begins)
+            if finding.excess > 0.5 * excess:
+                break
+        return finding
 
     def _judged(self, at: TransportProblem, found: SplineMotion, before: Committed, begins: float) -> Finding:
         """The verdict on what was found."""
