@@ -100,7 +100,7 @@ def test_command_refuses_to_write_over_a_file(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_joint_torques_locate_a_load_by_the_motion_that_tells_most() -> None:
     """Carried gently they weigh it; that motion takes a tenth off the second trip. Nothing is lost, the truth stays in
-    the ranges: of this load it did not, when noise was told to be a tenth smaller than it is."""
+    the ranges."""
     wide = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": 0.2}
     scenario, seed = load("panda-tall-bottle").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4), 1
     careful, second = trips(scenario, 2, seed, "torques", tilts=False)
