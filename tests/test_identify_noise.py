@@ -100,7 +100,8 @@ def test_over_long_blocks_of_a_quick_motion_the_load_comes_out_without_errors(te
 
 @pytest.mark.slow
 def test_of_a_quick_trip_and_a_telling_motion_together_joint_torques_say_nothing_false(telling: Plan) -> None:
-    """Of 40 loads each of mass and centre of mass lies within its 95 % range as often, in that to plan with always."""
+    """A claim of 95 %, as 160 ranges of mass and centre of mass can show it (deviation: 1.7 %); those to plan with
+    should miss hardly ever."""
     plans, inside = [plan_fastest(bottle()), telling], []
     for seed in range(40):
         values, runs = drawn(telling, seed), []
@@ -110,4 +111,4 @@ def test_of_a_quick_trip_and_a_telling_motion_together_joint_torques_say_nothing
         ranges = identify_runs(plans[0].scenario, runs).ranges
         found = [(r.likely, (r.low, r.high)) for r in (ranges[name] for name in NAMES)]
         inside.append([[low <= x <= high for low, high in two] for two, x in zip(found, values[:4], strict=True)])
-    assert np.all(np.mean(inside, axis=0) >= [0.95, 1.0])
+    assert np.all(np.mean(inside, axis=(0, 1)) >= [0.92, 0.98])
