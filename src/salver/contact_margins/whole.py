@@ -144,8 +144,7 @@ def spill_status(spill: Spill, case: str = "") -> Status:
     if spill.steep.max() > 1:
         sentence = (
             f"The waves in {spill.name} {case}become {spill.steep.max():.2f} times as steep as what the model "
-            f"is valid for: "
-            "they may break."
+            "is valid for: they may break."
         )
         return Status("spills", sentence, False, when | {"time": float(spill.t[np.argmax(spill.steep > 1)])})
     if spill.light.max() > 1:

@@ -11,7 +11,7 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
-from salver.models.liquid import GRAVITY, LEAST_WEIGHT, LEFT_OVER, TILTING
+from salver.models.liquid import GRAVITY, LEANING, LEAST_WEIGHT, LEFT_OVER, STEEPEST, TILTING
 from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
 from salver.models.worst_case import ALL, Some
@@ -22,6 +22,7 @@ from salver.sensitivity.waves import Change, Indices, Underway, Waves, along
 
 LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that a liquid may be relieved of
 _OF_SURFACE = "crest", "free_height", "lightness", "free_left", "left_at_once"
+LESS = STEEPEST / LEANING
 LEAST_SIZE = 1e-4  # m; waves smaller than this turn as fast as they like
 
 
@@ -73,8 +74,10 @@ class Slosh:
 
     @cached_property
     def free_height(self) -> Array:
-        """(K, T) m of the free wave, at the worst of what is uncertain."""
-        return self.waves.free_height + self.waves.cases.highest(self.freer + np.zeros((1, 1, 2)))
+        """(K, T) m of the free wave, at the worst of what is uncertain; or of the whole surface, times what it may lean
+        less for its height, where that is nearer to what is known."""
+        free = self.waves.free_height + self.waves.cases.highest(self.freer + np.zeros((1, 1, 2)))
+        return np.maximum(free, LESS * (self.waves.height + self.higher))
 
     @cached_property
     def lightness(self) -> Array:
@@ -143,9 +146,11 @@ class Slosh:
         )
 
     def free_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Of the height of the free wave."""
-        by_free = self.waves.cases.steepest_by(self.waves.free[case, node])
-        return surface_by(self.planned, unknowns, case, node, np.zeros_like(by_free), by_free, 0.0)
+        """Of the height of the free wave, or of the whole surface."""
+        waves, leans = self.waves, self._leans(case, node)
+        by_free = (1 - leans) * waves.cases.steepest_by(waves.free[case, node])
+        by_eta = LESS * leans * waves.cases.steepest_by(waves.eta[case, node])
+        return surface_by(self.planned, unknowns, case, node, by_eta, by_free, 0.0)
 
     def lightness_by(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Of the share of the weight that does not press."""
@@ -160,8 +165,13 @@ class Slosh:
         return np.zeros((len(case), 0, unknowns.felt.shape[2]))
 
     def free_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
-        """Of the height of the free wave, whose direction turns."""
-        return self._turns(case, node, unknowns, self.waves.free[case, node], free=True)
+        """Of the height of the free wave, or of the whole surface, whose direction turns."""
+        leans = self._leans(case, node)[:, :, None]
+        free, whole = (
+            self._turns(case, node, unknowns, eta[case, node], free=eta is self.waves.free)
+            for eta in (self.waves.free, self.waves.eta)
+        )
+        return np.asarray(np.sqrt(LESS) * leans * whole + (1 - leans) * free)
 
     def crest_bends(self, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
         """Of the crest: of its height, and of what it has beyond linear waves."""
@@ -169,6 +179,11 @@ class Slosh:
         turns = self._turns(case, node, unknowns, self.waves.eta[case, node], free=False)
         peaking = np.sqrt(2 * which.peaking[case] / which.half[case])
         return np.concatenate([turns, self._axes(case, node, unknowns, peaking, free=True)], axis=1)
+
+    def _leans(self, case: Indices, node: Indices) -> Array:
+        """(m, 1) 1 where `free_height` is that of the whole surface, 0 where it is not."""
+        whole = LESS * (self.waves.height + self.higher)
+        return np.asarray((self.free_height <= whole)[case, node, None], dtype=float)
 
     def _turns(self, case: Indices, node: Indices, unknowns: Unknowns, eta: Array, free: bool) -> Array:
         """Of the size of waves eta (m, 2), in a round container."""

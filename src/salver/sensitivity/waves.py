@@ -284,6 +284,11 @@ class Waves:
         return self.crest + by + (curve * freer * (2 * np.abs(self.free) + freer)).sum(axis=-1)
 
     @property
+    def height(self) -> Array:
+        """(K, T) m of the whole surface at the wall, by linear theory."""
+        return self.cases.highest(self.eta)
+
+    @property
     def free_height(self) -> Array:
         """(K, T) height of the free wave, by linear theory."""
         return self.cases.highest(self.free)
