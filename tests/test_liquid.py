@@ -406,7 +406,12 @@ def liquid(**changes):
         (liquid(brim=0.09), "is only 0.085 m high"),
         (liquid(size=[0.05, 0.05]), "radius of a cylinder, or size of a box"),
         (liquid(damping=[0.02, 0.01]), "the least comes first"),
-        (liquid(damping=[0.0, 0.9]), "waves are known to"),
+        (liquid(damping=[0.0, 0.9]), r"liquid.damping = \[0.0, 0.9\] of critical; waves are known to 0.2"),
+        (liquid(damping=[0.15, 0.18]), "to this model it is a solid"),
+        (
+            liquid(viscosity=4e-4),
+            "0.0004 m.2/s, damping 0.[0-9]+ to 0.[0-9]+ of critical; waves are known",
+        ),
         (liquid(settled_within=0.5), "say with settled_wave"),
         ({"objects__0__uncertainty__fill": 0.06}, "reaches down to nothing"),
         ({"objects__0__uncertainty__position": [0.01, 0.0]}, "how waves change with it is not known"),

@@ -325,6 +325,18 @@ def test_every_command_takes_and_writes_a_plan_in_every_form(plan_in_every_form,
     assert (tmp_path / "page.html").stat().st_size > 50_000
 
 
+@pytest.mark.parametrize("given", [["-o", "slow.csv"], ["--stops"]])
+def test_what_has_no_meaning_with_a_pace_is_not_taken_in_silence(tmp_path, given):
+    """The file was written beside the motion, and the name that was given forgotten."""
+    (tmp_path / "line.csv").write_text("t,x,y,z,qw,qx,qy,qz\n", encoding="utf-8")
+    done = CliRunner().invoke(
+        app, ["retime", str(tmp_path / "line.csv"), "-s", "panda-cube", "--pace", "least", *given]
+    )
+    assert done.exit_code == 2
+    assert "--write names its file" in " ".join(done.output.replace("│", " ").split())
+    assert list(tmp_path.iterdir()) == [tmp_path / "line.csv"]
+
+
 def test_a_log_of_a_run_becomes_a_table_of_the_arms_joints(tmp_path):
     """Its joints are only numbered; the scenario's arm names them. Another file of the same name is kept."""
     t = np.arange(20) * 0.01

@@ -76,6 +76,8 @@ def retime(
     if write is not None:
         form_of(write)  # told before anything is computed
     if pace is not None:
+        if out is not None or stops:
+            raise typer.BadParameter("--pace makes no run directory: leave -o and --stops out; --write names its file.")
         from salver.auditing import read_for
 
         options = {"highest": highest, "noise": noise, "longest_gap": gap}

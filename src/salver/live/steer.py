@@ -42,7 +42,7 @@ BENT = 5e-4  # by which a bend may miss the stricter rows at the nodes
 WILD = 0.3  # by which rows are missed in trials that led too far
 # rad/s^3: of bends with less jerk as many pass the verdict at once (77 % of 243) as of others after a trial (73 %)
 SMALL = 600.0
-ROUNDS = 2  # programmes of a tick: rows that a bend breaks though they were far away join the next one
+ROUNDS = 3  # programmes of a tick: rows that a bend breaks though they were far away join the next one
 LARGEST_BEND = 1.0  # rad
 SAME_KNOT = 1e-7  # s: knots nearer than this are one
 MOST_KEPT, EASIER = 10.0, 0.97  # times a planner's margin; of what is kept beside it, what still is a bend later

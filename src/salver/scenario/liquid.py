@@ -46,18 +46,19 @@ class LiquidIn(Model):
             )
         if self.damping is not None and self.damping[0] > self.damping[1]:
             raise ValueError(f"liquid.damping = {list(self.damping)}; the least comes first, of critical damping")
-        if self.damping_range[0] > THICKEST:
-            raise ValueError(
-                f"liquid has a viscosity of {self._viscosity:g} m^2/s, damping {self.damping_range[0]:.2g} of "
-                f"critical: "
-                f"to this model it is a solid; leave out [objects.liquid] and give its mass to the object, or a "
-                f"damping "
-                f"whose least is at most {THICKEST:g}"
+        least, most = self.damping_range
+        damping = f"liquid.damping = {list(self.damping or ())} of critical"
+        if self.damping is None:
+            damping = (
+                f"liquid has a viscosity of {self._viscosity:g} m^2/s, damping {least:.2g} to {most:.2g} of critical"
             )
-        if self.damping_range[1] > 2 * THICKEST:
+        if least > THICKEST:
             raise ValueError(
-                f"liquid.damping = {list(self.damping_range)} of critical; waves are known to {2 * THICKEST:g}"
+                f"{damping}: to this model it is a solid; leave out [objects.liquid] and give its mass to the object, "
+                f"or a damping whose least is at most {THICKEST:g}"
             )
+        if most > 2 * THICKEST:
+            raise ValueError(f"{damping}; waves are known to {2 * THICKEST:g}: give a damping that ends there")
         return self
 
     @property
