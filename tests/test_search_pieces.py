@@ -201,7 +201,7 @@ def test_along_a_long_plan_the_deviation_is_known_often_enough() -> None:
     ends = np.stack([POSTURE, POSTURE + 0.2])
     for duration in (0.5, 2.4, 10.0):
         motion = JointMotion(np.array([0.0, duration]), ends, np.zeros_like(ends), np.zeros_like(ends))
-        t, _ = along(problem, motion, "joint")
+        t, *_ = along(problem, motion, "joint")
         assert t[0] == 0.0
         assert t[-1] == pytest.approx(duration)
         assert np.diff(t).max() <= STATES_EVERY * (1 + 1e-9)

@@ -23,6 +23,7 @@ KEPT = -0.3  # a row that has joined stays in until it is further away than this
 BENT = 2e-4  # violation of a trial, beyond the programme's own, that is worth a correction
 POOR, GOOD = 0.8, 0.3  # shares of what was hoped for: below, a correction is tried; above, a step is taken as it is
 LITTLE, IN_VAIN = 3.0, 6.0  # times what counts as none, that is hoped for at an end; where a step has led nowhere
+BELIEVED = 0.5  # share of what a path is said to become longer by: from afar it is said to be too much
 LEAST_RATIO = 0.01  # of what was hoped for that a step must bring
 FUTILE = 6  # iterations in turn of which none promises or reaches less violation, by ...
 LESS = 0.05  # ... this share, than one before did: another start is better
@@ -52,7 +53,8 @@ class Options:
     def beaten(self, path: Iterate, hoped: float) -> bool:
         """Whether a path that nearly keeps its rows, and of which a step promises so much, will not come below."""
         striding = hoped > STRIDING * abs(path.cost)
-        return path.violation < NEARLY and not striding and path.cost - hoped > self.beat
+        likely = max(hoped, BELIEVED * hoped)
+        return path.violation < NEARLY and not striding and path.cost - likely > self.beat
 
 
 @dataclass(frozen=True)
