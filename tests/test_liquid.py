@@ -165,12 +165,14 @@ def test_derivatives_agree_with_differences(coffee, changes, underway):
     scenario = coffee.with_changes(**changes) if changes else coffee
     both = [Case(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
     rng, t, step = np.random.default_rng(1), np.linspace(0, 0.9, 201), 1e-6
-    w, node, weight = shaken(t), np.array([15, 66, 110, 165, 199]), rng.normal(size=(5, 6))
+    turns = scenario.payload.first.liquid.round  # what the walls of a box that turns take along is taken as given
+    w, node, weight = shaken(t, 25.0 * turns), np.array([15, 66, 110, 165, 199]), rng.normal(size=(5, 6))
     move = np.sin(np.pi * t / 0.9)[:, None] ** 2 * np.stack([np.cos(k * t) for k in rng.uniform(2, 12, 12)], 1)
+    move[:, 5] *= turns
     start = None
     if underway:
-        places, speeds, turns = rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2))
-        start = Underway(1e-3 * places, 0.02 * speeds, 0.2 * turns[0], turns[1], np.zeros(2))
+        places, speeds, turned = rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2, 2)), turns * rng.normal(size=(2, 2))
+        start = Underway(1e-3 * places, 0.02 * speeds, 0.2 * turned[0], turned[1], np.zeros(2))
     here = _functions(along(both, t, w, start), node, weight)
     up, down = (_functions(along(both, t, w + sign * step * move, start), node, weight) for sign in (1, -1))
     longer, shorter = (_functions(along(both, t * (1 + sign * step), w, start), node, weight) for sign in (1, -1))
@@ -264,12 +266,14 @@ def test_changes_are_first_order_differences(coffee, shape):
     what is interpolated between nodes of a wave times a change."""
     made = coffee.with_changes(**BOX) if shape else coffee
     case, t = Case(made.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
-    here, step = along((case,), t, shaken(t)), 1e-5
+    yaw, step = 0.0 if shape else 25.0, 1e-5  # what the walls of a box that turns take along is taken as given
+    here = along((case,), t, shaken(t, yaw))
     dw = np.random.default_rng(2).normal(size=12) * np.cos(3 * t)[:, None]
+    dw[:, 5] *= yaw > 0
     dw = np.stack([dw, dw * np.sin(np.pi * t / 0.9)[:, None]], axis=2)
     change = here.changed(dw[None])
     for k in range(2):
-        more, less = (along((case,), t, shaken(t) + sign * step * dw[:, :, k]) for sign in (1, -1))
+        more, less = (along((case,), t, shaken(t, yaw) + sign * step * dw[:, :, k]) for sign in (1, -1))
         for name in ("eta", "free", "wrench"):
             difference = (getattr(more, name) - getattr(less, name)) / (2 * step)
             found = getattr(change, name)[..., k]
@@ -378,6 +382,54 @@ def test_the_last_slack_is_that_of_what_comes_afterwards(coffee, wanted):
     assert np.all(slack[:, -1] <= 1 - later.max(axis=0))
     assert 1 - slack[0, -1] < 1.1 * later[1, 0]  # of one mode mostly, and of damping by 0.01
     assert slack[1, -2] - slack[1, -1] > 0.1
+
+
+@pytest.mark.parametrize("size", [(0.06, 0.06), (0.09, 0.06), (0.05, 0.09)])
+def test_walls_of_a_box_that_turns_take_waves_along_as_a_flow_without_friction_is_carried(coffee, size):
+    """Against the modes integrated with what carries them: the stream function of the flow along the walls, of twice
+    the turning rate as vorticity, by finite differences, projected on the first waves and on the second ones."""
+    inside = {**BOX_IN, "size": list(size)}
+    shape = {"type": "box", "size": [size[0] + 0.01, size[1] + 0.01, 0.085]}
+    made = coffee.with_changes(objects__0__shape=shape, objects__0__liquid=inside)
+    case = Case(made.payload.first, 0.05, 0.01)
+    (a, b), n, T = size, 120, 0.9
+    inner = [diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(n - 1, n - 1)) / (side / n) ** 2 for side in size]
+    laplace = kron(inner[0], identity(n - 1)) + kron(identity(n - 1), inner[1])
+    stream = np.zeros((n + 1, n + 1))
+    stream[1:-1, 1:-1] = spsolve(laplace.tocsc(), 2 * np.ones((n - 1) ** 2)).reshape(n - 1, n - 1)
+    along_x = -np.gradient(stream, b / n, axis=1)  # of unit turning
+    x, y = (np.linspace(-0.5, 0.5, n + 1) * np.pi for _ in range(2))
+    carried = []
+    for k in (1, 3):
+        slope = k * np.pi / a * np.cos(k * x)[:, None] * along_x
+        pushed = np.trapezoid(np.trapezoid(slope * np.sin(k * y), y, axis=1), x)
+        carried.append(abs(pushed) / (np.pi**2 / 2))
+    which, omega, gain = Cases.of((case,)), case.modes.omega, case.modes.gain
+    stiff, C = omega**2, np.array(carried)
+
+    def rates(t, state):
+        w = shaken(np.array([t, T]))[0]
+        eta, rate, turning = state[:4].reshape(2, 2), state[4:8].reshape(2, 2), state[8]
+        second = -gain * (which.at_mode[0] @ w) - 2 * case.damping * omega * rate
+        second -= stiff / 9.81 * (which.at_O[0, 2] @ w) * eta
+        ratio, faster = stiff[:, 0] / stiff[:, 1], C * w[5]
+        second[:, 0] += C * turning * (1 + ratio) * rate[:, 1] + faster * eta[:, 1]
+        second[:, 1] -= C * turning * (1 + 1 / ratio) * rate[:, 0] + faster * eta[:, 0]
+        second += (C * turning)[:, None] ** 2 * eta * np.stack([ratio, 1 / ratio], axis=1)
+        return np.concatenate([rate.ravel(), second.ravel(), [w[5]]])
+
+    t = np.linspace(0, T, 301)
+    eta = solve_ivp(rates, (0, T), np.zeros(9), rtol=1e-10, atol=1e-13, t_eval=t).y.T[:, :4].reshape(-1, 2, 2)
+    whole, largest = along((case,), t, shaken(t)), np.abs(eta).max(axis=(0, 2))
+    missed = np.abs(gain * whole.r[0] - eta).max(axis=(0, 2))
+    np.testing.assert_array_less(missed, 0.01 * largest)
+    left_out = whole.respond(whole.at_modes[..., None])[0][0, ..., 0]
+    lacked = np.abs(gain * left_out - eta).max(axis=(0, 2))
+    np.testing.assert_array_less(2 * missed, lacked)
+    assert lacked[0] > 0.2 * largest[0]
+    # Gone on with from where it turns fastest, it is the same.
+    later = along((case,), t[150:], shaken(t)[150:], whole.underway().at(t, t[150]))
+    assert np.abs(later.r - whole.r[:, 150:]).max() < 2e-3 * np.abs(whole.r).max()
 
 
 def test_cases_span_fill_and_damping(coffee):

@@ -197,8 +197,7 @@ class Liquid:
 
     def unmodelled(self, owner: str) -> str:
         """What is not known of its waves, in words; owner: name of the container."""
-        walls = "" if self.round else " and what its walls take along of them when it turns about its upright axis"
-        return f"swirling or breaking waves in {owner}{walls}"
+        return f"swirling or breaking waves in {owner}"
 
     def room(self, fill: float) -> float:
         """m to which waves may rise at a fill."""

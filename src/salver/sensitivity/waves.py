@@ -22,6 +22,7 @@ from salver.sensitivity.filter import LinearFilter, at_instant
 from salver.sensitivity.wave_cases import Case, Cases
 
 Indices = npt.NDArray[np.intp]
+TURNS, SETTLED = 12, 1e-3  # rounds at most in which waves along both sides of a box drive one another, and when to end
 TURNING = np.zeros(N_MOTION)
 TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
 
@@ -74,7 +75,7 @@ def along(several: Sequence[Case], t: Array, w: Array, start: Underway | None = 
     begun = Waves(which, t, filters, turning, felt, upward, spin, at_modes, at_modes, at_modes, at_modes, start)
     force = at_modes[..., None]
     first = (begun.level(force), None) if start is None else (start.r[..., None], start.rate[..., None])
-    return begun.moved(*(x[..., 0] for x in begun.respond(force, *first)))
+    return begun.moved(*(x[..., 0] for x in begun.respond(force, *first))).taken_along()
 
 
 def _upward(which: Cases, w: Array) -> Array:
@@ -150,6 +151,36 @@ class Waves:
         at_modes = _at_modes(self.cases, w, spin)
         other = replace(self, w=w, upward=_upward(self.cases, w), spin=spin, at_modes=at_modes, start=start)
         return other.moved(*(x + dx[..., 0] for x, dx in zip((self.r, self.rate, self.second), change, strict=True)))
+
+    def taken_along(self) -> Waves:
+        """The same with what the walls of a box that turns about its upright axis take along of the waves.
+
+        Seen from the box a liquid without friction flows backwards along the walls, and carries its waves, at C times
+        the turning rate Omega for the first mode, C = 16 x y / (pi^2 (x^2 + y^2)) with sides x and y: 0.81 in a square
+        one, 1 in a cylinder, for flow and waves then stand still together. The waves along either side so drive those
+        along the other, eta_x'' = ... + C Omega (1 + k_x / k_y) eta_y' + C Omega' eta_y + C^2 Omega^2 k_x / k_y eta_x,
+        k the square of each frequency, and with the other sign along y. By iteration. Derivatives take it as given.
+        """
+        which, n, start = self.cases, self.r.shape[2], self.start
+        begun = None if start is None else np.stack([start.spin, start.turning])
+        turning = self.turning.respond(self.w[:, :, 5].T, begun)[1].T[:, :, None, None]  # Omega, (K, T, 1, 1)
+        if which.round or not turning.any():
+            return self
+        sides = 2 * np.prod(which.half, axis=1) / (which.half**2).sum(axis=1)
+        carried = 8 / np.pi**2 * sides[:, None] / (2 * np.arange(n) + 1) ** 2  # (K, n)
+        slower, faster = (carried[:, None, :, None] * x for x in (turning, self.w[:, :, 5, None, None]))
+        ratio = (which.omega**2 / which.omega[..., ::-1] ** 2)[:, None]
+        by_other = (which.gain[..., ::-1] / which.gain)[:, None] * [1.0, -1.0]
+        found, first = self, (self.r[:, 0, ..., None], self.rate[:, 0, ..., None])
+        for _ in range(TURNS):
+            before = found.r
+            pushed = by_other * (slower * (1 + ratio) * found.rate[..., ::-1] + faster * before[..., ::-1])
+            pushed = pushed + slower**2 * ratio * before
+            moved = self.respond((self.at_modes - pushed)[..., None], *first)
+            found = self.moved(*(x[..., 0] for x in moved))
+            if np.abs(found.r - before).max() < SETTLED * np.abs(before).max():
+                break
+        return found
 
     @cached_property
     def force(self) -> Array:
@@ -387,7 +418,7 @@ class Waves:
             moved, drive = self._pushed(dw, before=True)[:2], dw[:, :, 5]
             peak = np.zeros(drive.shape)
         drive = drive.swapaxes(0, 1)
-        spins = self.turning.respond(drive) if self.cases.round else (np.zeros(drive.shape),) * 2
+        spins = self.turning.respond(drive)
         r, rate = (x.swapaxes(0, 1) for x in moved)
         return Underway(r, rate, *spins, peak.swapaxes(0, 1))
 

@@ -24,9 +24,10 @@ LEFT_MARGIN = 0.03  # and of what may be left at the end, which all of that adds
 @dataclass(frozen=True, eq=False)
 class Brim(Constraint):
     """A body's liquid stays below its brim, during the motion and after it, in all its cases; no wave is steeper than
-    the model is valid for. In units of the room that it has."""
+    the model is valid for. In units of the room that it has, of which `margin` is kept."""
 
     body: Body
+    margin: float = 0.0
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         parts, last = motion.sloshing[self.body.name], motion.nodes[-1:]
@@ -53,13 +54,14 @@ class Brim(Constraint):
             rows = (values / scale[:, None] - 1).T
             found = Block(name, rows, _nothing(motion.n), last, history=history, curvature=curvature, kinked=True)
             if len(rows) == 1:
-                return found.having(margins=(LEFT_MARGIN, FINEST))
-            margins = (WAVE_MARGIN, FINEST)
+                return found.having(margins=(LEFT_MARGIN + self.margin, finest))
+            margins = (WAVE_MARGIN + self.margin, finest)
             return found.having(points=motion.nodes, margins=margins, most=WAVE_ROWS, reach=WAVE_REACH)
 
         def joined(values: Iterable[Array]) -> Array:
             return np.concatenate(list(values))
 
+        finest = max(self.margin, FINEST)
         name, room = self.body.name, joined(x.room for x in which)
         steepest = joined(x.steepest for x in which)
         yield block(

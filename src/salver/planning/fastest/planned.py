@@ -18,6 +18,7 @@ from salver.planning.fastest.search import fastest
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.watch import Watch
 from salver.planning.follow.limits import LIMIT_EXCEEDED
+from salver.planning.object.conditions import LIQUID
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, SampledReference
 from salver.wording import listed
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 MISSED = 4  # times that cases of a liquid are added which a motion does not keep
 CHECKED = 401  # instants at which that is looked at
+SPARE = 2e-3  # share of the room of liquids that is then kept more
 RADII = 101  # and at which what the arm may stray is, for a plan's record
 SLOWER = (1e-4, 1e-3, 4e-3, 1.6e-2)  # by these shares of its time a motion is made slower until its check lets it pass
 
@@ -80,11 +82,7 @@ def found_and_planned(
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     plan = _planned(scenario, found, robust)
     if robust and plan.status.ok and plan.verification.violation > 0:
-        # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
-        exactly = tuple(Contact(rows, scenario.contact.margin, exactly=True) for rows in found.problem.contacts)
-        again = fastest(
-            replace(found.problem, extra=(*found.problem.extra, *exactly)), options, near=found, watch=watch
-        )
+        again = fastest(_sterner(found.problem, plan), options, near=found, watch=watch)
         if again.status.ok and _missed(again) is None:
             found = again.after(found)
             plan = _planned(scenario, found, robust)
@@ -94,6 +92,15 @@ def found_and_planned(
         said = f"The motion found in {plan.duration:.4f} s fails the check of its plan: {plan.verification.sentence}"
         plan = replace(plan, status=Status("unsafe", said, False))
     return found, plan
+
+
+def _sterner(problem: TransportProblem, plan: Plan) -> TransportProblem:
+    """The problem with what a plan of it lacks for its check, which looks at other things too."""
+    if plan.verification.body.startswith(LIQUID):  # waves are driven by what nodes interpolate
+        return replace(problem, spare=problem.spare + plan.verification.violation + SPARE)
+    # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
+    exactly = tuple(Contact(rows, plan.scenario.contact.margin, exactly=True) for rows in problem.contacts)
+    return replace(problem, extra=(*problem.extra, *exactly))
 
 
 def slow_enough(scenario: Scenario, found: FastestMotion, plan: Plan, robust: bool) -> tuple[FastestMotion, Plan]:

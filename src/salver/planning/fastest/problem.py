@@ -58,6 +58,7 @@ class TransportProblem:
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     extra: constraints beside those that follow from all this. liquids: for each, the cases that stand for all there
     are; past: what they come from where the motion begins moving. through: poses that are passed on the way.
+    spare: share of their room that liquids keep.
     """
 
     scenario: Scenario
@@ -76,6 +77,7 @@ class TransportProblem:
     liquids: tuple[tuple[Case, ...], ...] = ()
     past: Past | None = None
     through: tuple[AtPose, ...] = ()
+    spare: float = 0.0
 
     @property
     def items(self) -> tuple[Body, ...]:
@@ -123,7 +125,7 @@ class TransportProblem:
             found.append(Level() if self.level else Tilt(self.max_tilt))
         if self.moving and self.past is None:
             self.check_dry("a motion that begins moving")
-        found += [Brim(each[0].body) for each in self.liquids]
+        found += [Brim(each[0].body, self.spare) for each in self.liquids]
         found += [Passing(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
