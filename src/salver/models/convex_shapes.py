@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
+from salver.models.hulls import triangles
 
 THINNEST = 1e-3  # m: Coal wants shapes with a volume
 SLABS = 8  # equal ones, that are put together to ...
@@ -33,8 +34,20 @@ def convex(points: Array) -> Any:
     mesh.beginModel(0, len(points))
     mesh.addVertices(points)
     mesh.endModel()
-    mesh.buildConvexHull(True, "Qt")
+    try:
+        mesh.buildConvexHull(True, "Qt")
+    except RuntimeError:  # a corner with more than 255 neighbours: flat faces are cut into fans, as that of a fine drum
+        return _joggled(points)
     return mesh.convex
+
+
+def _joggled(points: Array) -> Any:
+    """The same hull, of a triangulation without fans: what is flat is taken as if its points were off by rounding."""
+    used, corners = np.unique(triangles(points, joggled=True), return_inverse=True)
+    vertices, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    vertices.extend(list(points[used]))
+    faces.extend([coal.Triangle(*corner) for corner in corners.reshape(-1, 3).tolist()])
+    return coal.Convex(vertices, faces)
 
 
 def convex_pieces(points: Array, corners: Triangles) -> list[Any]:

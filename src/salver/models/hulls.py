@@ -61,11 +61,14 @@ def polytope(points: Array) -> Polytope:
     return Polytope(normal, normal @ centre - size * rows[:, -1] / length, corners)
 
 
-def triangles(points: Array) -> npt.NDArray[np.intp]:
-    """(k, 3) which points (n, 3) make the triangles of their hull, each counter-clockwise seen from outside."""
+def triangles(points: Array, joggled: bool = False) -> npt.NDArray[np.intp]:
+    """(k, 3) which points (n, 3) make the triangles of their hull, each counter-clockwise seen from outside.
+
+    joggled: a flat face is not cut into a fan, which gives one of its corners all the others for neighbours.
+    """
     from scipy.spatial import ConvexHull
 
-    hull = ConvexHull(points)
+    hull = ConvexHull(points, qhull_options="QJ" if joggled else None)
     a, b, c = (points[hull.simplices[:, k]] for k in range(3))
     outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) > 0
     return np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])
