@@ -46,14 +46,12 @@ def test_the_hull_of_a_fine_drum() -> None:
     beside it, over it and along a slant of its rim by hand."""
     turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     ring = 0.05 * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
-    drum = convex(np.vstack([ring, ring + [0, 0, 0.2]]))
+    drum = convex(np.vstack([ring, ring + np.array([0, 0, 0.2])]))
     assert drum.computeVolume() == pytest.approx(200 * np.sin(2 * np.pi / 400) * 0.05**2 * 0.2, rel=1e-9)
     for place, away in (((0.08, 0, 0.1), 0.03), ((0.01, 0.02, -0.04), 0.04), ((0.0, 0.08, 0.24), 0.05)):
-        at = coal.Transform3s(np.eye(3), np.array(place) * 1.0)
-        small = coal.Sphere(1e-6)
-        found = coal.distance(
-            drum, coal.Transform3s.Identity(), small, at, coal.DistanceRequest(), coal.DistanceResult()
-        )
+        at, point = coal.Transform3s(np.eye(3), np.array(place, dtype=float)), coal.Sphere(1e-6)
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        found = coal.distance(drum, coal.Transform3s.Identity(), point, at, request, result)
         assert found == pytest.approx(away, abs=3e-6)
 
 

@@ -333,6 +333,23 @@ def test_hulls_that_always_overlap_are_left_out_by_name(tmp_path: Path) -> None:
     assert verdict(arm, still(arm, np.zeros(3)), parts=parts).sentence.count("a against c") == 1
 
 
+def test_a_pair_that_is_said_not_to_be_compared_is_not(tmp_path: Path) -> None:
+    """c has a knob too, that a's ball touches in some postures only. These links are drawn so, and are not compared at
+    all; of the tray, which lies in the ball of c, the knob still is."""
+    knob = '<collision><origin xyz="0.3 0 0"/><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    joints = "".join(JOINT.format(a=a, b=b, x=x) for a, b, x in (("a", "b", 0.1), ("b", "c", 0.1), ("c", "d", 0.01)))
+    text = BALLS.format(joints=joints)
+    second = text.index("</link>", text.index('name="c"'))
+    path = tmp_path / "balls.urdf"
+    path.write_text(text[:second] + knob + text[second + len("</link>") :])
+    parts = arm_geometry(load_arm(scenario.Arm(model=str(path), flange="d"), scenario.Tray(height=0.15)))
+    blind = {pair for pairs in parts.left_out.values() for pair in pairs}
+    compared = {(parts.names[i], parts.names[j]) for i, j in parts.pairs}
+    assert ("a", "c") in blind - compared
+    assert blind & compared == {("c", "tray")}
+    assert "a against tray, a part of c against tray (their hulls overlap in every posture)" in parts.unchecked[0]
+
+
 # ---- said first, wherever a plan speaks -----------------------------------------------------------------------
 
 

@@ -7,7 +7,7 @@ is found free is free, as far as it was looked at. What is not looked at is told
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -295,7 +295,8 @@ def arm_geometry(
 
     Compared are the hulls of all pairs that move against one another, of links that are far from convex a few pieces
     where the hulls touch too often (`salver.models.link_pairs`), except: links that share a joint, pairs that the
-    arm's SRDF disables, and pairs of the arm's own parts whose hulls overlap in every posture.
+    arm's SRDF disables, and pairs of the arm's own parts whose hulls overlap in every posture; two links of which any
+    shapes do are not compared at all.
 
     Raises ScenarioError when the geometry of a link is not known and `arm.collisions` does not say what to do about
     it, or when an obstacle's mesh cannot be used.
@@ -335,12 +336,17 @@ def arm_geometry(
     pairs, left_out = comparable(arm, parts, names, whole, links, fixed)
     pairs = [part for pair in pairs for part in in_pieces.get(pair, [pair])]
     compared = ArmGeometry(arm, parts, None, tuple(names), (), tray, len(names) - fixed, (), {})
-    left_out["always"] = _always(_with_pairs(compared, tuple(pair for pair in pairs if pair[1] < fixed)))
+    overlap = _always(_with_pairs(compared, tuple(pair for pair in pairs if pair[1] < fixed)))
+    # Of two links in several shapes each, one pair that always overlaps says of all of them that they are drawn so.
+    linked = {(names[i], names[j]) for i, j in overlap if j < tray}
+    left_out["always"] = [
+        (i, j) for i, j in pairs if (i, j) in overlap or (j < tray and (names[i], names[j]) in linked)
+    ]
     pairs = [pair for pair in pairs if pair not in left_out["always"]]
     named = {
         key: list(dict.fromkeys((names[i], names[j]) for i, j in found)) for key, found in left_out.items() if found
     }
-    told = _unchecked(known.missing, known.fitted, named)
+    told = _unchecked(known.missing, known.fitted, named, {(names[i], names[j]) for i, j in pairs})
     return replace(_with_pairs(compared, tuple(pairs)), unchecked=told, left_out=named)
 
 
@@ -367,15 +373,21 @@ def _refusal(arm: ArmModel, missing: dict[str, str]) -> str:
 
 
 def _unchecked(
-    missing: dict[str, str], fitted: Sequence[str], left_out: dict[str, list[tuple[str, str]]]
+    missing: dict[str, str],
+    fitted: Sequence[str],
+    left_out: dict[str, list[tuple[str, str]]],
+    compared: Set[tuple[str, str]],
 ) -> tuple[str, ...]:
+    """left_out, compared: pairs of names; some shapes of a pair may be compared and others not."""
     told = []
     if missing:
         told.append(f"whether {listed(missing)} {'hits' if len(missing) == 1 else 'hit'} anything (shape not known)")
     if fitted:
         told.append(f"the true shape of {listed(fitted)} (capsules fitted to the inertia stand for it)")
     if "always" in left_out:
-        pairs = ", ".join(f"{first} against {second}" for first, second in left_out["always"])
+        pairs = ", ".join(
+            f"{'a part of ' * (pair in compared)}{pair[0]} against {pair[1]}" for pair in left_out["always"]
+        )
         told.append(f"{pairs} (their hulls overlap in every posture)")
     if "srdf" in left_out:
         told.append(f"{len(left_out['srdf'])} pairs of links that the SRDF disables")
