@@ -16,7 +16,7 @@ from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.urdf import find_mesh
 from salver.planning.fastest import plan_fastest
-from salver.planning.follow.limits import peaks, verdict
+from salver.planning.follow.limits import peaks, unchecked, verdict
 from salver.planning.make import make_plan
 from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate
@@ -183,6 +183,19 @@ def without_inertial(text: str, name: str) -> str:
     return re.sub(rf'(<link name="{name}">)<inertial>.*?</inertial>', r"\1", text, flags=re.DOTALL)
 
 
+def without_inertia(text: str, name: str) -> str:
+    """The link weighs what it did, in a point, as links do whose inertia nobody computed."""
+    return re.sub(
+        rf'(<link name="{name}">.*?)ixx="0.02" iyy="0.02" izz="0.02"',
+        r'\1ixx="0" iyy="0" izz="0.015"',
+        text,
+        count=1,
+        flags=re.DOTALL,
+    )
+
+
+LAMP = LINK.format(name="lamp", mass=0.3, com="0.02 0 0.01", size="0.01 0.01 0.01")
+FIXED_LAMP = without_inertia(LAMP, "lamp") + joint("mount", "fixed", "head", "lamp", "0.1 0.05 0", "0 0 1")
 FIXED_CAMERA = '<link name="camera"/>' + joint("mount", "fixed", "head", "camera", "0.1 0 0", "0 0 1")
 
 
@@ -192,11 +205,19 @@ FIXED_CAMERA = '<link name="camera"/>' + joint("mount", "fixed", "head", "camera
         lambda t: without_inertial(t, "rail"),
         lambda t: without_inertial(t, "roll"),
         lambda t: t.replace("</robot>", FIXED_CAMERA + "</robot>"),
+        lambda t: t.replace("</robot>", FIXED_LAMP + "</robot>"),
+        lambda t: without_inertia(t, "rail"),
     ],
-    ids=["the root", "the flange, which carries the tray", "fixed to a link with mass"],
+    ids=[
+        "the root",
+        "the flange, which carries the tray",
+        "fixed to a link with mass",
+        "fixed, with an inertia that no body has",
+        "the root, with an inertia that no body has",
+    ],
 )
-def test_a_link_without_mass_moves_with_what_it_is_fixed_to(tmp_path: Path, change) -> None:
-    """The engine's mass matrix is Pinocchio's, an independent code."""
+def test_what_is_fixed_to_a_link_moves_with_it(tmp_path: Path, change) -> None:
+    """Whatever the URDF says of it alone. The engine's mass matrix is Pinocchio's, an independent code."""
     case, arm = cell(tmp_path, change(gantry())), loaded(tmp_path, change(gantry()))
     scene = build(case, true_world(case), arm)
     data, q = mujoco.MjData(scene.model), np.linspace(-0.2, 0.3, arm.n)
@@ -216,8 +237,8 @@ def test_a_link_without_mass_moves_with_what_it_is_fixed_to(tmp_path: Path, chan
         (lambda t: without_inertial(t, "pitch"), "pitch"),
         (lambda t: t.replace('<mass value="4"', '<mass value="0"'), "beam"),
         (lambda t: t.replace('ixx="0.02"', 'ixx="0"').replace('iyy="0.02" izz="0.02"', 'iyy="0" izz="0"'), "beam"),
-        (lambda t: t.replace('ixx="0.02"', 'ixx="0.1"', 2), "rail"),
-        (lambda t: t.replace('ixx="0.02"', 'ixx="-0.1"', 2), "rail"),
+        (lambda t: t.replace('ixx="0.02"', 'ixx="0.1"', 2), "beam"),
+        (lambda t: t.replace('ixx="0.02"', 'ixx="-0.1"', 2), "beam"),
     ],
     ids=["no inertial", "no mass", "no inertia", "triangle inequality", "negative inertia"],
 )
@@ -229,6 +250,19 @@ def test_a_moving_link_that_the_engine_cannot_move_is_named(tmp_path: Path, chan
     assert str(arm.urdf_path) in message
     assert "needs <inertial> with a mass above 0" in message
     assert "\n" not in message
+
+
+@pytest.mark.parametrize("link", ["pitch", "roll"])
+def test_that_a_link_has_no_mass_is_said_before_torques_are_said_to_hold(tmp_path: Path, link: str) -> None:
+    """Also of the flange, with which the tray moves; a scenario without limits of torque says nothing of them."""
+    text = without_inertial(gantry(), link)
+    arm = loaded(tmp_path, text)
+    told = verdict(arm, JointMotion(np.arange(2.0), *np.zeros((3, 2, arm.n)))).sentence
+    assert told.startswith("Not checked: ")
+    assert f"; torques that {link} needs (the URDF gives it no mass); " in told
+    free = loaded(tmp_path, re.sub(r'effort="\S+"', 'effort="0"', text))
+    assert "no mass" not in "".join(unchecked(free, arm_geometry(free)))
+    assert "no mass" not in "".join(unchecked(loaded(tmp_path, gantry()), arm_geometry(arm)))
 
 
 def test_a_mimic_joint_beside_the_chain_is_none_of_our_business(tmp_path: Path) -> None:

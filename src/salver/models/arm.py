@@ -43,6 +43,7 @@ class ArmModel:
     fixed, mesh files that were found by their absolute paths. urdf_path: the file it came from.
     collisions: what is done about links whose geometry is not known: "meshes" (refuse), "capsules" (fit some),
     "unchecked" (leave them out). disabled_pairs: links that an SRDF says need not be compared, (first, second) sorted.
+    weightless: links that a joint moves and to which, with all that is fixed to them, the URDF gives no mass.
     base_position, base_yaw: pose of the URDF's root in S, m and rad.
     p_FE: (3,) centre of the tray's top surface in F, m. tray_com_F: (3,) the tray's centre of mass in F.
     tray_size: its edges along x and y of E, m.
@@ -63,6 +64,7 @@ class ArmModel:
     urdf_path: Path
     collisions: str
     disabled_pairs: frozenset[tuple[str, str]]
+    weightless: tuple[str, ...]
     base_position: Array
     base_yaw: float
     p_FE: Array
@@ -146,6 +148,7 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
         raise ScenarioError(f"arm.flange is missing; with the URDF {path} it must name the link that carries the tray.")
     chain = (installed_chain if known else read_chain)(path, flange, _folders(arm.package_dirs))
     model = _build(chain.urdf, path)
+    weightless = tuple(link for j, link in moved_links(model).items() if not model.inertias[j].mass > 0)
     yaw = float(np.deg2rad(arm.base_yaw_deg))
     _move_base(model, np.array(arm.base_position), yaw)
     p_FE = np.array([0.0, 0.0, tray.height])
@@ -176,6 +179,7 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
         urdf_path=path,
         collisions=arm.collisions,
         disabled_pairs=frozenset() if arm.srdf is None else read_disabled_pairs(Path(arm.srdf), chain.all_links),
+        weightless=weightless,
         base_position=np.array(arm.base_position),
         base_yaw=yaw,
         p_FE=p_FE,
@@ -192,6 +196,12 @@ def with_load(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
         inertia = pin.Inertia(body.inertial.mass, body.inertial.com_B, body.inertial.inertia_com)
         model.appendBodyToJoint(frame.parentJoint, inertia, frame.placement * pin.SE3(body.R_EB, body.p_EB))
     return replace(arm, pin_model=model, data=model.createData())
+
+
+def moved_links(model: Any) -> dict[int, str]:
+    """The link that each joint of Pinocchio's model of a URDF moves, by the joint's number; others are fixed to it."""
+    links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint > 0]
+    return dict(sorted({frame.parentJoint: frame.name for frame in reversed(links)}.items()))
 
 
 def _urdf_file(name: str) -> Path:

@@ -15,9 +15,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 
 from salver.geometry import Array, matrix_from_rpy, quat_wxyz_from_matrix
-from salver.models.arm import ArmModel
+from salver.models.arm import ArmModel, moved_links
 from salver.models.bodies import TRAY
 from salver.models.liquid import Rod
 from salver.models.obstacle_shapes import mesh_pieces
@@ -92,6 +93,7 @@ def add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
         for tag in ("visual", "collision"):
             for element in link.findall(tag):
                 link.remove(element)
+    _inertia_of_what_moves(root)
     extension = ElementTree.SubElement(root, "mujoco")
     ElementTree.SubElement(extension, "compiler", fusestatic="false", discardvisual="false", balanceinertia="false")
     robot = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
@@ -110,6 +112,30 @@ def add_arm(spec: Any, arm: ArmModel, friction: Array, visual: bool) -> Any:
     if visual:
         _add_meshes(spec, arm)
     return spec.body(ARM_PREFIX + arm.flange)
+
+
+def _inertia_of_what_moves(root: ElementTree.Element) -> None:
+    """Give a link that a joint moves the inertia of what is fixed to it, and take it from what stands still: there
+    URDFs have inertias that no body has, which the engine would refuse."""
+    model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+    moved, links = moved_links(model), {link.get("name", ""): link for link in root.iter("link")}
+    for name, link in links.items():
+        own, joint = link.find("inertial"), model.frames[model.getFrameId(name, pin.FrameType.BODY)].parentJoint
+        if own is None or moved.get(joint) == name:
+            continue
+        link.remove(own)
+        if joint in moved:
+            _set_inertial(links[moved[joint]], model.inertias[joint])
+
+
+def _set_inertial(link: ElementTree.Element, inertia: Any) -> None:
+    for own in link.findall("inertial"):
+        link.remove(own)
+    element = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(element, "origin", xyz=" ".join(repr(x) for x in inertia.lever.tolist()))
+    ElementTree.SubElement(element, "mass", value=repr(float(inertia.mass)))
+    entries = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(inertia.inertia[i, j])) for i in range(3) for j in range(i, 3)}
+    ElementTree.SubElement(element, "inertia", entries)
 
 
 def add_tray(body: Any, tray: Tray, flange_E: Array | None = None) -> None:

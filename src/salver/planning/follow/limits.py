@@ -92,14 +92,22 @@ def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], wha
 
 
 def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
-    """What a verdict on this arm does not cover, in words: limits that nobody gave, shapes and pairs not looked at."""
+    """What a verdict on this arm does not cover, in words: limits that nobody gave, masses that are not known, shapes
+    and pairs not looked at."""
     nobody: dict[str, list[str]] = {}
     for kind in LIMITS:
         joints = [name for name, source in zip(arm.joint_names, arm.limit_sources[kind.key], strict=True) if not source]
         if joints:
             nobody.setdefault("all joints" if len(joints) == arm.n else listed(joints), []).append(kind.name)
     limits = [f"{listed(kinds)} of {joints} (nobody gave a limit)" for joints, kinds in nobody.items()]
-    return [*limits, *parts.unchecked]
+    masses = []
+    if arm.weightless and any(arm.limit_sources["torque"]):
+        one = len(arm.weightless) == 1
+        masses.append(
+            f"torques that {listed(arm.weightless)} {'needs' if one else 'need'} (the URDF gives "
+            f"{'it' if one else 'them'} no mass)"
+        )
+    return [*limits, *masses, *parts.unchecked]
 
 
 def verdict(
