@@ -212,6 +212,16 @@ def test_scenario_brings_its_posture_and_its_load(panda, cube):
         follow_scenario(CUBE.with_changes(arm=None), line())
 
 
+def test_what_one_motion_begins_with_beyond_a_limit_is_no_wrong_key(panda):
+    """Another one is not made to begin there: nobody gave that posture."""
+    motion, status = follow_scenario(CUBE, line(), panda)
+    beyond = motion.q[0].copy()
+    beyond[3] = panda.limits.q_max[3] + 0.1
+    again, same = follow_scenario(CUBE, line(), panda, q_start=beyond)
+    assert np.array_equal(again.q, motion.q)
+    assert same.sentence == status.sentence
+
+
 @pytest.mark.slow
 def test_scenario_brings_the_seed_of_its_start(panda, cube):
     free, _ = follow_scenario(CUBE.with_changes(arm__start_posture=None, seed=1), line())

@@ -84,21 +84,25 @@ def follow_scenario(
     """`follow` for the first object of a scenario, with all its objects as load and its start posture.
 
     arm: the scenario's arm when it is loaded already. q_start: overrides the scenario's, so that a second
-    trajectory can start from the posture chosen for the first. Raises ScenarioError when there is no arm.
+    trajectory can start from the posture chosen for the first, where the joints' limits allow that one. Raises
+    ScenarioError when there is no arm, or the scenario's start posture is wrong.
     """
     if scenario.arm is None:
         raise ScenarioError(
             f"The scenario {scenario.name} has no arm; give it a table [arm] to follow a motion with one."
         )
     carried = scenario.payload.bodies
+    arm = load_arm(scenario.arm, scenario.tray) if arm is None else arm
+    if q_start is None or not np.all((arm.limits.q_min <= q_start) & (q_start <= arm.limits.q_max)):
+        q_start = scenario.arm.start_posture
     return follow(
-        load_arm(scenario.arm, scenario.tray) if arm is None else arm,
+        arm,
         reference,
         carried[0].p_EB,
         carried[0].R_EB,
         bodies=carried,
         obstacles=scenario.obstacles,
-        q_start=scenario.arm.start_posture if q_start is None else q_start,
+        q_start=q_start,
         seed=scenario.seed,
     )
 
