@@ -149,6 +149,18 @@ def test_figures_of_several_objects_are_told_apart():
     assert one == {"outcome": "holds", "peak_slip": 1e-4}
 
 
+def test_of_a_cup_beside_a_box_only_the_cup_has_a_wave():
+    """Whichever is named first, and on whichever leg it is."""
+    wet, dry = {"name": "cup", "peak_slip": 1e-4, "peak_wave": 0.012}, {"name": "box", "peak_slip": 2e-4}
+    for objects in ([wet, dry], [dry, wet]):
+        flat = run_scalars({"outcome": "holds", "objects": objects})
+        assert (flat["peak_slip"], flat["peak_wave"], flat["cup.peak_wave"]) == (2e-4, 0.012, 0.012)
+    legs = [SimpleNamespace(summary={"outcome": "holds", "objects": objects}) for objects in ([dry], [wet, dry])]
+    for order in (legs, legs[::-1]):
+        flat = round_scalars(SimpleNamespace(legs=order, outcome="holds", summary={"leg": 1}))
+        assert (flat["peak_slip"], flat["peak_wave"]) == (2e-4, 0.012)
+
+
 def test_figures_of_a_run_of_several_legs_are_the_worst_of_them_and_say_which_leg():
     legs = [
         {"outcome": "holds", "objects": [{"name": "mug", "peak_slip": 2e-4, "peak_tip": 0.3}]},

@@ -235,3 +235,43 @@ def test_the_safest_round_gives_its_legs_the_same_margin_and_takes_its_time(monk
         plan_safest_legs(case.with_changes(motion__duration=0.5 * quickest.duration), options=FEW)
     with pytest.raises(ScenarioError, match="duration is missing"):
         plan_safest_legs(case, options=FEW)
+
+
+@pytest.mark.slow
+def test_the_safest_round_keeps_a_liquid_as_far_below_its_brim_as_the_loads_from_their_edge():
+    """A glass of water beside a box that is taken off: with what is still uncertain of it, and in the engine."""
+    water = {"radius": 0.035, "fill": 0.045, "brim": 0.08}
+    cup = {
+        "name": "cup",
+        "shape": {"type": "cylinder", "radius": 0.038, "height": 0.085},
+        "mass": 0.22,
+        "friction": 0.4,
+        "at": (0.05, 0.0),
+        "liquid": water,
+        "uncertainty": {"fill": "10%", "mass": "10%"},
+    }
+    box = {"name": "box", "shape": {"type": "box", "size": (0.05, 0.05, 0.08)}, "mass": 0.2, "friction": 0.4}
+    case = scenario.parse(
+        {
+            "name": "round",
+            "motion": {"orientation": "free", "duration": 2.6, "start": {"position": (0.5, -0.3, 0.46)}},
+            "legs": [
+                {"goal": {"position": (0.56, -0.05, 0.46)}, "take": "box"},
+                {"goal": {"position": (0.46, 0.2, 0.42)}},
+            ],
+            "objects": [cup, {**box, "at": (-0.05, 0.0)}],
+            "contact": {"condition": "exact"},
+            "arm": {"model": "panda"},
+        },
+        "round",
+    )
+    found = plan_safest_legs(case, options=FEW)
+    assert found.ok, found.status.sentence
+    for leg in found.legs:
+        kept = leg.solver["margin"]
+        assert kept > 0.1
+        assert min(spill.slack.min() for spill in leg.margins.spills(worst=True)) > kept - 5e-3
+        assert leg.verification.slack > kept - 5e-3
+    least = min(leg.solver["margin"] for leg in found.legs)
+    assert f"{100 * least:.2g} % of its room" in found.status.sentence
+    assert simulate_legs(found, parameters={"cup.fill": 0.0495}).outcome == "holds"

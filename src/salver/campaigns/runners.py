@@ -202,8 +202,8 @@ def run_scalars(summary: Mapping[str, Any]) -> Scalars:
         own = {key: _plain(value) for key, value in item.items() if key != "name" and _is_scalar(value)}
         scalars |= {prefix + key: value for key, value in own.items() if prefix or key != "outcome"}
     if len(objects) > 1:
-        for key in [key for key in objects[0] if key.startswith("peak_")]:
-            scalars[key] = max(float(item[key]) for item in objects)
+        for key in dict.fromkeys(key for item in objects for key in item if key.startswith("peak_")):
+            scalars[key] = max(float(item[key]) for item in objects if key in item)  # only a liquid has a wave
     return scalars
 
 
@@ -212,9 +212,9 @@ def round_scalars(record: RoundRecord) -> Scalars:
     and the slip on each."""
     legs = [run_scalars(leg.summary) for leg in record.legs]
     scalars: Scalars = {"outcome": record.outcome, "leg": int(record.summary["leg"])}
-    for key in legs[0]:
-        values = [leg.get(key) for leg in legs]
-        if "peak" in key and "." not in key and all(isinstance(value, float) for value in values):
+    for key in dict.fromkeys(key for leg in legs for key in leg if "peak" in key and "." not in key):
+        values = [leg[key] for leg in legs if isinstance(leg.get(key), float)]
+        if values:
             scalars[key] = max(values)  # type: ignore[type-var]
     for k, leg in enumerate(legs, 1):
         scalars |= {f"leg{k}.{key}": leg[key] for key in ("outcome", "peak_slip")}

@@ -52,17 +52,21 @@ def plan_safest(
     best = max(found, key=lambda motion: (motion.status.ok, motion.margin))
     status = best.status
     if status.ok:
-        least = 100 * (best.margin + scenario.contact.margin)
         ended = " The search was ended before it was done." if watch.ended else ""
-        wet = f", and every liquid {100 * best.margin:.2g} % of its room below what it may reach"
+        kept = _kept(best.margin, scenario, bool(problem.liquids))
         sentence = (
-            f"The safest motion found in {duration:.4g} s keeps every contact {least:.2g} % of the weight from its "
-            f"edge{wet if problem.liquids else ''}; the shortest found takes {quickest.duration:.4f} s.{ended}"
+            f"The safest motion found in {duration:.4g} s keeps {kept}; the shortest found takes "
+            f"{quickest.duration:.4f} s.{ended}"
         )
         status = Status(watch.ended or "optimal", sentence, True)
     best = best.after(quickest, *(motion for motion in found if motion is not best))
     record = {**solver_record(best, robust), "margin": best.margin, "shortest": quickest.duration}
     return joint_plan(scenario, problem, best.joint_motion(), status, record, method="safest")
+
+
+def _kept(margin: float, scenario: Scenario, liquids: bool) -> str:
+    wet = f", and every liquid {100 * margin:.2g} % of its room below what it may reach" if liquids else ""
+    return f"every contact {100 * (margin + scenario.contact.margin):.2g} % of the weight from its edge{wet}"
 
 
 def quickest_within(
@@ -110,14 +114,12 @@ def plan_safest_legs(scenario: Scenario, *, options: FastestOptions | None = Non
     """The plan of a task of several legs that keeps the loads furthest from slipping, tipping and lifting while all
     motions together take the scenario's duration; the stops' postures are those of the fastest plan.
 
-    Raises ScenarioError without an arm, legs or a duration, and with a liquid, UnreachableError when no motions were
-    found that are as short.
+    Raises ScenarioError without an arm, legs or a duration, UnreachableError when no motions were found that are as
+    short.
     """
     duration = scenario.motion.duration
     if duration is None:
         raise ScenarioError(f"{scenario.name}: motion.duration is missing; the safest plan is of a given one.")
-    if any(leg.payload.liquids for leg in scenario.each_leg):
-        raise ScenarioError(f"{scenario.name}: the safest motion of a liquid cannot be planned; ask for the fastest.")
     options = options or FastestOptions()
     watch = watch or Watch(options.time_limit)
     quickest = plan_legs(scenario.with_changes(motion__duration=None), options=options, watch=watch)
@@ -134,10 +136,10 @@ def plan_safest_legs(scenario: Scenario, *, options: FastestOptions | None = Non
         for leg, motion in zip(quickest.legs, best, strict=True)
     )
     ended = " The search was ended before it was done." if watch.ended else ""
+    kept = _kept(_least(best)[1], scenario, any(leg.payload.liquids for leg in scenario.each_leg))
     sentence = (
-        f"The safest motions found in {duration:.4g} s ({', '.join(f'{m.duration:.4g} s' for m in best)}) keep every "
-        f"contact {100 * (_least(best)[1] + scenario.contact.margin):.2g} % of the weight from its edge; the shortest "
-        f"found take {quickest.duration:.4f} s.{ended}"
+        f"The safest motions found in {duration:.4g} s ({', '.join(f'{m.duration:.4g} s' for m in best)}) keep {kept}; "
+        f"the shortest found take {quickest.duration:.4f} s.{ended}"
     )
     worst = next((motion.status for motion in best if not motion.status.ok), None)
     status = worst or Status(watch.ended or "optimal", sentence, True)
