@@ -84,6 +84,12 @@ class UncertainRows:
         """(n, n_p + n_r, 12) c_k and then d_l, row by row."""
         return np.ascontiguousarray(np.swapaxes(np.concatenate([self.parameter, self.remainder]), 0, 1))
 
+    @cached_property
+    def largest(self) -> Array:
+        """(n, 36) c_0, what all other terms come to at most by the size of each of w, and the size of c_0."""
+        each = np.abs(np.concatenate([self.parameter, self.remainder])).sum(axis=0)
+        return np.hstack([self.nominal, each, np.abs(self.nominal)])
+
     def terms(self, w: Array) -> Array:
         """(T, n, n_p + n_r) c_k . w and then d_l . w, of w (T, 12)."""
         return np.moveaxis(np.tensordot(w, np.concatenate([self.parameter, self.remainder]), axes=(1, 2)), 1, 2)
@@ -325,9 +331,7 @@ def values_near(
         return _values(rows, w, drift) + (0.0 if added is None else added(ALL, ALL, False))
     moved = np.zeros_like(w) if drift is None else np.abs(drift.dw).sum(axis=2)
     swing = np.zeros_like(w) if drift is None or drift.swing is None else np.abs(drift.swing)
-    each = np.abs(np.concatenate([rows.parameter, rows.remainder])).sum(axis=0)
-    largest = np.hstack([rows.nominal, each, np.abs(rows.nominal)])
-    values = np.hstack([w, np.abs(w) + swing, swing + moved]) @ largest.T
+    values = np.hstack([w, np.abs(w) + swing, swing + moved]) @ rows.largest.T
     if added is not None:
         values += added(ALL, ALL, True)
     due = values > SURE - margin
