@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from driver_rig import Rig
     from salver.planning.fastest import TransportProblem
     from salver.planning.plan import Plan
+    from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
 
 PATIENCE = 20.0  # s of processor time for an everyday test, ten times what the longest takes
@@ -39,6 +40,22 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, before)
+
+
+@pytest.fixture(scope="session")
+def cube() -> Scenario:
+    """The paper's cube on a Panda."""
+    from salver import scenario
+
+    return scenario.load("panda-cube")
+
+
+@pytest.fixture(scope="session")
+def bottle() -> Scenario:
+    """The tall bottle on a Panda."""
+    from salver import scenario
+
+    return scenario.load("panda-tall-bottle")
 
 
 @pytest.fixture(scope="session")

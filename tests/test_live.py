@@ -18,16 +18,6 @@ from salver.planning.fastest import fastest, joint_plan
 from salver.planning.fastest.ends import AtPosture
 
 
-@pytest.fixture(scope="module")
-def cube():
-    return sv.load_scenario("panda-cube")
-
-
-@pytest.fixture(scope="module")
-def bottle():
-    return sv.load_scenario("panda-tall-bottle")
-
-
 @pytest.mark.slow
 def test_a_goal_is_reached_and_changed_while_moving(cube):
     live = Live(cube, lead=LEAD)

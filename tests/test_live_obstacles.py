@@ -6,7 +6,6 @@ import re
 import numpy as np
 import pytest
 
-import salver as sv
 from live_runs import drive, in_turn, rows_of
 from salver.live import Live, Moving
 from salver.live.obstacles import Passing, nearest, predicted
@@ -16,11 +15,6 @@ from salver.planning.fastest import evaluate
 from salver.planning.fastest.obstacles import NEAR
 
 G = (0.0, 0.0, -9.81)
-
-
-@pytest.fixture(scope="module")
-def cube():
-    return sv.load_scenario("panda-cube")
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import salver as sv
 from live_runs import LEAD, drive, executed, place
 from salver.live import Live
 from salver.live.motion import between, joined, resting
@@ -19,16 +18,6 @@ from salver.planning.fastest.exchange import optimise
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.sqp import minimise
 from salver.trajectory import JointMotion
-
-
-@pytest.fixture(scope="module")
-def cube():
-    return sv.load_scenario("panda-cube")
-
-
-@pytest.fixture(scope="module")
-def bottle():
-    return sv.load_scenario("panda-tall-bottle")
 
 
 @pytest.fixture(scope="module")

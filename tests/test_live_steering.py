@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import salver as sv
 from live_runs import drive, in_turn, jolts, rows_of
 from salver.live import Live, steer
 from salver.live.steer import HORIZON, TICK, ChunkWanted, TwistWanted
@@ -17,11 +16,6 @@ from salver.planning.fastest import Block
 from salver.trajectory import JointMotion
 
 EVERY = round(TICK * 1e3)
-
-
-@pytest.fixture(scope="module")
-def cube():
-    return sv.load_scenario("panda-cube")
 
 
 def check(live, states):
@@ -371,9 +365,8 @@ def test_a_bend_is_tried_where_it_leads_and_after_a_wild_one_the_next_is_smaller
     assert wild > 0
 
 
-def test_a_bend_goes_to_the_verdict_when_its_trial_takes_no_more_than_half_of_what_is_kept():
+def test_a_bend_goes_to_the_verdict_when_its_trial_takes_no_more_than_half_of_what_is_kept(bottle):
     """Of the bottle, of which the scenario keeps 2 % of the weight: a tenth of that was asked for before."""
-    bottle = sv.load_scenario("panda-tall-bottle")
     seen, _ = bent_by(bottle, lambda t: np.array([1.2, -1.0, 0.3]) * (-1) ** int(t / 0.13), 0.6)
     enough, more = 0, 0
     for tick in seen:

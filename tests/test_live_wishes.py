@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import salver as sv
 from live_runs import LEAD, check, drive, place
 from salver.errors import ScenarioError
 from salver.live import Live
@@ -16,11 +15,6 @@ from salver.planning.fastest import transport_problem
 from salver.planning.fastest.ends import AtPose, AtPosture
 from salver.planning.fastest.obstacles import AT_NODES
 from salver.planning.postures import PoseTarget
-
-
-@pytest.fixture(scope="module")
-def cube():
-    return sv.load_scenario("panda-cube")
 
 
 @pytest.fixture(scope="module")

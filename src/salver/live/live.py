@@ -14,13 +14,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from salver.display import Shown
 from salver.errors import Status
 from salver.geometry import Array
 from salver.live.motion import Committed, resting
@@ -29,6 +28,7 @@ from salver.live.planner import Answer, Job, Planner
 from salver.live.reader import Reader
 from salver.live.running import Running
 from salver.live.standing import standing
+from salver.live.state import State
 from salver.live.steer import TICK
 from salver.live.verify import verified
 from salver.live.wishes import (
@@ -62,42 +62,7 @@ MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
 EVADE = Evade()
 STOPS_EVERY = 0.1  # s between instants from which stops are kept ready
 EARLY = 2e-3  # s by which a stop that is ready must be ahead of the loop
-LIMITING = 0.03  # of what a row limits: nearer than this it is said to limit the motion
 STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
-
-
-@dataclass(frozen=True)
-class State(Shown):
-    """What is going on. doing: "resting", "following" or "stopping". rests_in: s until the arm is at rest. limit: which
-    row comes nearest to its edge from now to that rest, and margin, how far from it at least, as a share of what it
-    limits. refused: the last wish that was not granted, and why; clock: what was wrong with the times that were asked
-    for. Both are empty when nothing was. lead: s from now to the next hand-over. passing: what is to be expected of
-    obstacles that move, when nothing was found that keeps clear of them.
-    """
-
-    doing: str
-    rests_in: float
-    limit: str
-    margin: float
-    refused: str
-    clock: str
-    lead: float
-    passing: str = ""
-
-    def facts(self) -> dict[str, str]:
-        told = {"live": self.doing, "at rest in": f"{self.rests_in:.2f} s", "nearest limit": self.nearest}
-        return {**told, **{name: text for name in ("refused", "passing", "clock") if (text := getattr(self, name))}}
-
-    @property
-    def nearest(self) -> str:
-        """What limits the motion; or, when nothing does, what would first, and how far that is."""
-        if self.margin < LIMITING:
-            return f"limited by {self.limit}"
-        return f"{100 * self.margin:.0f} % from its nearest limit, {self.limit}"
-
-    def __str__(self) -> str:
-        sentence = "The arm rests." if self.doing == "resting" else f"It is {self.doing}, {self.nearest}."
-        return " ".join([sentence, *filter(None, (self.passing, self.refused, self.clock))])
 
 
 class Live:
