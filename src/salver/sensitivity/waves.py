@@ -192,17 +192,16 @@ class Waves:
     ) -> tuple[Array, Array, Array]:
         """r, r' and r'' (K, T, n_modes, 2, c) to lateral specific forces (K, T, n_modes, 2, c) at the modes. start,
         rate: (K, n_modes, 2, c) r and r' at the first node, 0 unless given."""
-        drive, begin = self._drives(force, start, rate)
+        begin = None
+        if start is not None:
+            begin = self._by_filter(np.stack([start, np.zeros_like(start) if rate is None else rate], axis=1))
+        return self._answer(self._by_filter(-force), begin)
+
+    def _answer(self, drive: Array, begin: Array | None) -> tuple[Array, Array, Array]:
+        """r, r' and r'' (K, T, n_modes, 2, c) to drives, and first states, of the filters."""
         x, rate = self.filters.respond(drive, begin)
         second = self.filters.acceleration(drive, x, rate)
         return self._by_mode(x), self._by_mode(rate), self._by_mode(second)
-
-    def _drives(self, force: Array, start: Array | None, rate: Array | None) -> tuple[Array, Array | None]:
-        """Drive and first state of the filters."""
-        begin = None
-        if start is not None:
-            begin = np.stack([start, np.zeros_like(start) if rate is None else rate], axis=1)  # (K, 2, n, 2, c)
-        return self._by_filter(-force), None if begin is None else self._by_filter(begin)
 
     def _by_filter(self, x: Array) -> Array:
         """(K, T, n_modes, 2, c) to (K, n_modes, axes, T, 2 c / axes)."""
@@ -219,27 +218,30 @@ class Waves:
         softer = (GRAVITY / self.upward[:, 0])[:, None, None, None]
         return np.asarray(-force[:, 0] / self.cases.omega[..., None] ** 2 * softer)
 
-    def _pushed(self, dw: Array, before: bool, start: Underway | None = None) -> tuple[Array, Array, Array]:
+    def _level(self, drive: Array) -> Array:
+        """The same of drives of the filters: their first states (K, n_modes, axes, 2, 2 c / axes)."""
+        stiffness = np.asarray(self.filters.kp)[..., :1]
+        return np.stack([drive[:, :, :, 0] / stiffness, np.zeros_like(drive[:, :, :, 0])], axis=3)
+
+    def _pushed(
+        self, dw: Array, before: bool, start: Underway | None = None, spun: Array | None = None
+    ) -> tuple[Array, Array, Array]:
         """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of what the tray feels:
         pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the motion
-        too. start: what it has made of them till then, where they do not begin at rest."""
-        drive = self._driven(dw, self.spun(dw, start))
+        too. start: what it has made of them till then, where they do not begin at rest. spun: what dw makes of `spin`,
+        if it is known."""
+        drive = self._driven(dw, self.spun(dw, start) if spun is None else spun)
         if start is not None:
-            return self.respond(drive, *(x.reshape(*x.shape[:3], -1) for x in (start.r, start.rate)))
-        return self.respond(drive, self.level(drive) if before else None)
+            places, speeds = (x.reshape(*x.shape[:3], -1) for x in (start.r, start.rate))
+            return self._answer(drive, self._by_filter(np.stack([places, speeds], axis=1)))
+        return self._answer(drive, self._level(drive) if before else None)
 
     def swung(self, dw: Array, spun: Array) -> Array:
         """(K, n_modes, axes, 2 + T, 2 c / axes) what moves each mass, as `LinearFilter.answers` has it, to first order:
         where it begins, and how it is driven, by changes dw (K or 1, T, 12, c) of what the tray feels that were so
         before the motion too. spun: what dw makes of `spin`."""
-        force = self._driven(dw, spun)
-        K, T, n, _, c = force.shape
-        axes = self.filters.gain.shape[2]
-        found = np.empty((K, n, axes, 2 + T, 2 // axes, c))
-        found[:, :, :, 0, :] = self.level(force).reshape(K, n, axes, 2 // axes, c)
-        found[:, :, :, 1] = 0.0
-        np.negative(force.reshape(K, T, n, axes, 2 // axes, c).transpose(0, 2, 3, 1, 4, 5), out=found[:, :, :, 2:])
-        return found.reshape(K, n, axes, 2 + T, -1)
+        drive = self._driven(dw, spun)
+        return np.concatenate([self._level(drive), drive], axis=3)
 
     def swinging(self, order: int, node: Indices, moving: Array) -> Array:
         """(K, m, n_modes, 2, c) of r (order 0) or r' (1) at nodes (m,) in order, by what moves the masses (see
@@ -248,25 +250,28 @@ class Waves:
         return self._by_mode(self.filters.answers[order][:, :, :, node, :known] @ moving[:, :, :, :known])
 
     def _driven(self, dw: Array, spun: Array) -> Array:
-        """(K, T, n_modes, 2, c) by which changes dw (K or 1, T, 12, c) change the force that drives each mode; spun:
-        what they change of `spin`."""
-        force = self._drive_map @ dw
-        if self.cases.round:
-            force += across(self.at_modes).reshape(*force.shape[:3], 1) * spun[:, :, None]
-        return np.asarray(force.reshape(*self.r.shape, -1))
+        """(K, n_modes, axes, T, 2 c / axes) by which changes dw (K or 1, T, 12, c) change the drives of the filters;
+        spun: what they change of `spin`."""
+        moved = np.concatenate([dw, spun[:, :, None]], axis=2) if self.cases.round else dw
+        drive = self._drive_map @ moved[:, None, None]
+        return np.asarray(drive.reshape(*drive.shape[:4], -1))
 
     @cached_property
     def _drive_map(self) -> Array:
-        """(K, T, 2 n_modes, 12) from what the tray feels to the force that drives each mode, at a spin that is
-        given."""
+        """(K, n_modes, axes, T, 2 / axes, 12) from what the tray feels to the drives of the filters; of a round
+        container, (..., 13), also from its spin."""
         which, (K, T, n, _) = self.cases, self.r.shape
         c, s = (f(self.spin)[:, :, None, None] for f in (np.cos, np.sin))
         x, y = which.at_mode[:, None, :, 0], which.at_mode[:, None, :, 1]
-        found = np.empty((K, T, n, 2, N_MOTION))
-        found[:, :, :, 0], found[:, :, :, 1] = c * x - s * y, s * x + c * y
+        found = np.empty((K, T, n, 2, N_MOTION + which.round))
+        found[..., 0, :N_MOTION], found[..., 1, :N_MOTION] = c * x - s * y, s * x + c * y
         stiffer = which.omega[:, None] ** 2 / GRAVITY * self.r
-        found += stiffer[..., None] * which.at_O[:, None, None, None, 2]
-        return np.asarray(found.reshape(K, T, 2 * n, -1))
+        found[..., :N_MOTION] += stiffer[..., None] * which.at_O[:, None, None, None, 2]
+        if which.round:
+            found[..., N_MOTION] = across(self.at_modes)
+        axes = self.filters.gain.shape[2]
+        by_filter = found.reshape(K, T, n, axes, 2 // axes, -1).transpose(0, 2, 3, 1, 4, 5)
+        return np.negative(by_filter, order="C")
 
     def spun(self, dw: Array, start: Underway | None = None) -> Array:
         """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c): the same of all that are round. start: what
@@ -425,15 +430,11 @@ class Waves:
     def changed(self, dw: Array, start: Underway | None = None) -> Change:
         """To first order, by changes dw (K or 1, T, 12, c) of what the tray feels, before the motion too. start: what
         they have made of the waves till then, where these do not begin at rest."""
-        which = self.cases
-        r, rate, second = self._pushed(dw, before=True, start=start)
-        spun = self.spun(dw, start)[:, :, None]  # (K or 1, T, 1, c)
+        which, spun = self.cases, self.spun(dw, start)
+        r, rate, second = self._pushed(dw, before=True, start=start, spun=spun)
+        spun = spun[:, :, None]  # (K or 1, T, 1, c)
         force = which.at_O[:, None] @ dw  # (K, T, 3, c)
-
-        def last(x: Array) -> Array:
-            return x.swapaxes(-2, -1)
-
-        lateral = last(turned(last(force[:, :, :2]), self.spin[:, :, None]))
+        lateral = turned_each(force[:, :, :2], self.spin)
         slope = (lateral - self.slope[..., None] * force[:, :, 2:]) / self.upward[:, :, None, None]
         slope += across(self.slope)[..., None] * spun
         eta = np.einsum("kna,ktnac->ktac", which.gain, r) - which.rest_rise[:, None, :, None] * slope
@@ -442,18 +443,19 @@ class Waves:
         def weighed(x: Array, dx: Array, mass: Array) -> tuple[Array, Array]:
             """Sums over the modes in the container's axes, (K, T, 2, 1), and their changes (K, T, 2, c)."""
             own = turned((mass[:, None] * x).sum(axis=2), -self.spin)
-            moved = last(np.einsum("kna,ktnac->ktac", mass, dx))
-            return own[..., None], last(turned(moved, -self.spin[:, :, None])) - across(own)[..., None] * spun
+            moved = np.einsum("kna,ktnac->ktac", mass, dx)
+            return own[..., None], turned_each(moved, -self.spin) - across(own)[..., None] * spun
 
         pushed = weighed(self.second, second, which.mass)[1]
         tilted = weighed(self.second, second, which.mass * which.height)[1]
         hung, hangs = weighed(self.r, r, which.mass)
         f = self.force[..., None]
-        out = np.zeros((*r.shape[:2], 6, dw.shape[-1]))
+        K, T, n, _, c = r.shape
+        out = np.zeros((K, T, 6, c))
         out[:, :, :2] = pushed
         by_r, by_rate, by_second = (which.rising[:, None] * x for x in (self.second, 2 * self.rate, self.r))
         for by, dx in ((by_r, r), (by_rate, rate), (by_second, second)):
-            out[:, :, 2] += np.einsum("ktna,ktnac->ktc", by, dx)
+            out[:, :, 2] += (by.reshape(K, T, 1, 2 * n) @ dx.reshape(K, T, 2 * n, c))[:, :, 0]
         out[:, :, 3] = hangs[:, :, 1] * f[:, :, 2] + hung[:, :, 1] * force[:, :, 2] - tilted[:, :, 1]
         out[:, :, 4] = tilted[:, :, 0] - hangs[:, :, 0] * f[:, :, 2] - hung[:, :, 0] * force[:, :, 2]
         out[:, :, 5] = hangs[:, :, 0] * f[:, :, 1] - hangs[:, :, 1] * f[:, :, 0]
@@ -488,6 +490,12 @@ def turned(x: Array, angle: Array) -> Array:
     """Vectors (..., 2) turned by angles (...), rad."""
     c, s, x, y = np.cos(angle), np.sin(angle), x[..., 0], x[..., 1]
     return _pairs(c * x - s * y, s * x + c * y)
+
+
+def turned_each(x: Array, angle: Array) -> Array:
+    """c vectors (..., 2, c) turned by angles (...), rad."""
+    c, s, x, y = np.cos(angle)[..., None], np.sin(angle)[..., None], x[..., 0, :], x[..., 1, :]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-2)
 
 
 def across(x: Array) -> Array:

@@ -10,12 +10,12 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.models.bodies import Body
-from salver.planning.fastest.constraints import FINEST, Block, Constraint, Gradient
+from salver.planning.fastest.constraints import FINEST, ROWS_OF_SEVERAL, Block, Constraint, Gradient
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.sensitivity.sloshing import LIGHTEST, Slosh, of_parts
 from salver.sensitivity.wave_gradients import Unknowns
 
-WAVE_ROWS = 2  # cases of a liquid at one node: those of a fill and a damping are much alike
+WAVE_ROWS = 2  # cases of a liquid at one node, of several `ROWS_OF_SEVERAL`: those of a fill and a damping are alike
 WAVE_REACH = 0.1  # of the room of a liquid: rows further from their edge are left out of a programme
 WAVE_MARGIN = 5e-3  # of the room of a liquid, kept at nodes: between them waves are driven by what was interpolated
 LEFT_MARGIN = 0.03  # and of what may be left at the end, which all of that adds up to
@@ -56,12 +56,13 @@ class Brim(Constraint):
             if len(rows) == 1:
                 return found.having(margins=(LEFT_MARGIN + self.margin, finest))
             margins = (WAVE_MARGIN + self.margin, finest)
-            return found.having(points=motion.nodes, margins=margins, most=WAVE_ROWS, reach=WAVE_REACH)
+            return found.having(points=motion.nodes, margins=margins, most=most, reach=WAVE_REACH)
 
         def joined(values: Iterable[Array]) -> Array:
             return np.concatenate(list(values))
 
         finest = max(self.margin, FINEST)
+        most = WAVE_ROWS if len(motion.sloshing) < 2 else ROWS_OF_SEVERAL
         name, room = self.body.name, joined(x.room for x in which)
         steepest = joined(x.steepest for x in which)
         yield block(

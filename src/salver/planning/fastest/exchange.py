@@ -46,8 +46,7 @@ LOOSELY_POOR = 0.6  # share of what was hoped for below which a step towards tha
 EARNEST = 0.5  # of the gain: of the next one, in which what the arm gives way to the liquids is given
 REPAIR_DEPTH = 0.02  # what is near enough to matter to such a step
 SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
-SMALL_EXCESS_OF_WAVES = 5e-4  # with liquids: waves become lower in steps,
-STRETCHES = 3  # so many at most, each twice as long as the one before
+SMALL_EXCESS_OF_WAVES = 5e-4  # with liquids: waves need not become lower
 WAVES_PER_SPAN = 1  # nodes more, where liquids remember what was between them
 POINTS = 2  # from node to node, where joint limits are imposed
 CHECK_FACTOR = 6  # the check between nodes uses a grid this much finer
@@ -266,16 +265,11 @@ def _slowed(
 ) -> tuple[dict[str, float], tuple[str, ...], Point]:
     """A motion that oversteps by little between the nodes, as much slower as keeps everything: its largest rows, what
     binds it, the motion; as given where that is not enough. The last three: of the motion, from `_between`."""
-    waves = bool(fine.problem.liquids)
-    longer, excess = point, max(worst.values())
-    small = SMALL_EXCESS_OF_WAVES if waves else SMALL_EXCESS
-    for stretch in range(STRETCHES if waves else 1):
-        if not 0.0 < excess < small:
-            break
-        longer = replace(longer, duration=longer.duration * (1.0 + 2**stretch * slower))
-        stretched, still, slower, _ = _between(fine, objective, longer, _seen(fine, longer))
-        small, excess = excess, max(stretched.values())
-        if excess <= 0.0:
+    small = SMALL_EXCESS_OF_WAVES if fine.problem.liquids else SMALL_EXCESS
+    if 0.0 < max(worst.values()) < small:
+        longer = replace(point, duration=point.duration * (1.0 + slower))
+        stretched, still, _, _ = _between(fine, objective, longer, _seen(fine, longer))
+        if max(stretched.values()) <= 0.0:
             return stretched, still, longer
     return worst, binding, point
 
