@@ -127,6 +127,18 @@ def test_when_it_is_too_late_that_is_said_and_the_load_is_kept(cube):
     assert max(rows_of(live.problem, in_turn(states, more)).values()) <= 0.0
 
 
+def test_nothing_is_said_any_more_of_what_counts_as_gone(cube):
+    """From the end of its prediction on, though nobody said that it is."""
+    live = Live(cube, lead=0.1)
+    p = live.problem.arm.tray_pose(live.command(0.0)[0])[0]
+    live.obstacles([Moving("fist", "sphere", p, radius=0.1, lasts=0.1)])
+    live.plan(60.0)
+    drive(live, 0.05, every=None)
+    assert "fist" in live.state.passing
+    drive(live, 0.1, every=None, begins=0.05)
+    assert live.state.passing == ""
+
+
 def test_what_cannot_be_is_refused_in_a_sentence(cube):
     live = Live(cube, lead=0.1)
     for seen, sentence in (

@@ -383,6 +383,30 @@ def test_a_bend_goes_to_the_verdict_when_its_trial_takes_no_more_than_half_of_wh
     assert more > 0
 
 
+def test_the_jerk_that_a_bend_is_priced_by_is_by_how_much_that_of_the_motion_changes(cube, monkeypatch):
+    """What is committed, less what was, differs by the bend: also a share of it, of which the jerk does not matter."""
+    told, passed, tick = [], steer.Caution.passed, steer.Steering.tick
+
+    def ticking(steering, wanted, base, begins):
+        found, status = tick(steering, wanted, base, begins)
+        if found is not None:
+            t = HORIZON * steering.grid.s[:-1] + 1e-7
+            own = begins - base.begins + t
+            changed = found.motion.jerk(t) - base.motion.jerk(own) * (own < base.motion.duration)[:, None]
+            whole, jerk = told[-1]
+            if whole:
+                compared.append((jerk, np.abs(changed).max()))
+        return found, status
+
+    compared: list = []
+    monkeypatch.setattr(steer.Caution, "passed", lambda *given: told.append(given[1:]) or passed(*given))
+    monkeypatch.setattr(steer.Steering, "tick", ticking)
+    drive(Live(cube, lead=TICK), 0.4, said(lambda t: np.array([1.0, -0.5, 0.2]), 0.4), EVERY)
+    assert len(compared) > 5
+    for jerk, largest in compared:
+        assert jerk == pytest.approx(largest, rel=1e-2)
+
+
 @pytest.mark.parametrize(("jerk", "times"), [(10.0, 0.5), (1000.0, 0.9)])
 def test_what_a_bend_costs_goes_down_quickly_only_while_bends_are_calm(jerk, times):
     """And never below what it costs at the least; one that passed in part only makes the next one dearer."""

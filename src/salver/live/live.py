@@ -351,7 +351,8 @@ class Live:
             if isinstance(self._wish, Halt)
             else "following"
         )
-        return State(doing, rests_in, limit, margin, self._refused, self._clock, self.lead, self._touched)
+        touched = self._touched if any(now <= one.until for one in self._around) else ""
+        return State(doing, rests_in, limit, margin, self._refused, self._clock, self.lead, touched)
 
     @property
     def refused(self) -> str:
