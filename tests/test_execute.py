@@ -178,9 +178,9 @@ def test_watchdog_complains_in_words(plan: Plan) -> None:
     dog = Watchdog()
     assert dog.complaint(arm, good, q, 0, 0.0) == ""
     assert "off its reference" in str(dog.complaint(arm, ArmState(q * np.nan, np.zeros(7)), q, 0, 0.1))
-    assert "turns at nan" in str(dog.complaint(arm, ArmState(q.copy(), q * np.nan), q, 0, 0.1))
+    assert "moves at nan" in str(dog.complaint(arm, ArmState(q.copy(), q * np.nan), q, 0, 0.1))
     fast = ArmState(q.copy(), np.array([0, 0, 0, 0, 0, -3.0, 0]))
-    assert "panda_joint6 turns at -3.000 rad/s at t = 0.100 s, 115 % of its limit" in str(
+    assert "panda_joint6 moves at -3.000 rad/s at t = 0.100 s, 115 % of its limit" in str(
         dog.complaint(arm, fast, q, 0, 0.1)
     )
     assert "30 control periods in a row" in str(dog.complaint(arm, good, q, 30, 0.1))

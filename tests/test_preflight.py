@@ -336,7 +336,7 @@ def test_an_arm_that_stands_elsewhere_or_moves_is_told(plan: Plan, arm: ArmModel
     away = ArmState(q + np.array([0, 0, 0.2, 0, 0, 0, 0]), np.zeros(7))
     with pytest.raises(SalverError, match=r"panda_joint3 is at -0\.577\d rad, the motion starts at -0\.777\d rad"):
         demand(check_posture(plan.joint, arm, away))
-    with pytest.raises(SalverError, match=r"panda_joint1 turns at 0\.5000 rad/s"):
+    with pytest.raises(SalverError, match=r"panda_joint1 moves at 0\.5000 rad/s"):
         demand(check_posture(plan.joint, arm, ArmState(q, np.array([0.5, 0, 0, 0, 0, 0, 0]))))
 
 

@@ -51,7 +51,7 @@ def test_senses_name_what_is_wrong(rig: Rig) -> None:
     assert said(good) == ""
     # 0.1 of 2.175 rad/s and 100 rad/s^2 for 1 ms are 0.3175 rad/s; 2 * 2.175 rad/s for 1 ms are 0.00435 rad.
     assert said(ArmState(q + 3.1e-4 * turn, np.zeros(7))) == ""
-    assert "panda_joint3 is said to turn at 0 rad/s and goes elsewhere" in said(
+    assert "panda_joint3 is said to move at 0 rad/s and goes elsewhere" in said(
         ArmState(q + 3.3e-4 * turn, np.zeros(7))
     )
     assert "panda_joint3 is said to have jumped by 0.0048 rad" in said(ArmState(q + 4.8e-3 * turn, np.zeros(7)))
@@ -60,7 +60,7 @@ def test_senses_name_what_is_wrong(rig: Rig) -> None:
     assert "panda_joint3 is said to be at 4 rad" in said(ArmState(np.where(turn > 0, 4.0, q), np.zeros(7)))
     assert "the speed of panda_joint3 is said to have jumped by 5" in said(ArmState(q, 5.0 * turn))
     for way in (1.0, -1.0):
-        assert f"turn at {way * 44:g} rad/s, which it cannot" in said(ArmState(q, 44.0 * way * turn))  # 20 limits: 43.5
+        assert f"move at {way * 44:g} rad/s, which it cannot" in said(ArmState(q, 44.0 * way * turn))  # 20 limits: 43.5
     assert "no state of its joints" in said(ArmState(q[:6], np.zeros(7)))
     assert "no state of its joints" in said(ArmState(np.array(["x"] * 7), np.zeros(7)))
     for number in (NAN, np.inf, -np.inf):

@@ -294,6 +294,18 @@ def test_a_command_beyond_the_makers_limits_is_said(plan: Plan) -> None:
     assert "of acceleration" in beyond_limits(replace(plan, command=hard))
 
 
+def test_of_a_table_with_the_tray_and_the_joints_the_joints_are_read(plan: Plan, tmp_path: Path) -> None:
+    """As salver simulate --write writes what a run did."""
+    assert plan.joint is not None
+    arm = Judge.of(plan.scenario).arm
+    t = np.arange(0.0, 0.5, 1e-2)
+    q = plan.joint.sample(t)[0]
+    header = ["t", "x", "y", "z", "qw", "qx", "qy", "qz", *(f"q_{name}" for name in arm.joint_names)]
+    both = np.column_stack([t, np.zeros((len(t), 3)), np.ones(len(t)), np.zeros((len(t), 3)), q])
+    np.savetxt(tmp_path / "did.csv", both, delimiter=",", header=",".join(header), comments="", fmt="%.17g")
+    assert np.array_equal(read_joints(tmp_path / "did.csv", arm).q, q)
+
+
 def test_what_cannot_be_tracked_or_tuned_is_said(plan: Plan, tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="has no arm"):
         Judge.of(load("tall-box-56"))

@@ -10,14 +10,19 @@ import numpy as np
 import pytest
 
 from salver import scenario
+from salver.control.arm import ArmState
+from salver.driver.execution import Watchdog
 from salver.errors import ScenarioError, UnreachableError
+from salver.learning.track import track
 from salver.models import urdf
 from salver.models.arm import ArmModel, load_arm
 from salver.models.arm_geometry import arm_geometry
 from salver.models.urdf import find_mesh
+from salver.motion_files.samples import joint_samples
 from salver.planning.fastest import plan_fastest
 from salver.planning.follow.limits import peaks, unchecked, verdict
 from salver.planning.make import make_plan
+from salver.planning.postures import PoseTarget, start_posture
 from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate
 from salver.simulation.scene import build
@@ -263,6 +268,28 @@ def test_that_a_link_has_no_mass_is_said_before_torques_are_said_to_hold(tmp_pat
     free = loaded(tmp_path, re.sub(r'effort="\S+"', 'effort="0"', text))
     assert "no mass" not in "".join(unchecked(free, arm_geometry(free)))
     assert "no mass" not in "".join(unchecked(loaded(tmp_path, gantry()), arm_geometry(arm)))
+
+
+def test_a_joint_that_slides_is_told_in_metres(tmp_path: Path) -> None:
+    """In the sentence on a start posture, by the watchdog, and where a log is compared with a plan; others in rad."""
+    case, arm = cell(tmp_path, gantry()), loaded(tmp_path, gantry())
+    middle = np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0])
+    for joint, unit in ((0, "m"), (4, "rad")):
+        beyond = middle.copy()
+        beyond[joint] = arm.limits.q_max[joint] + 0.5
+        with pytest.raises(ScenarioError, match=rf"= \S+ {unit} is beyond the limits .*\] {unit}\."):
+            start_posture(arm, beyond, PoseTarget(*arm.tray_pose(middle)))
+        said = Watchdog(0.1).astray(arm, ArmState(beyond, 0 * beyond), middle, 0.1)
+        assert said.endswith(f" {unit} off its reference at t = 0.100 s; 0.1 {unit} are allowed.")
+    plan = make_plan(case)
+    assert plan.joint is not None
+    t = np.arange(-0.3, plan.duration + 0.5, 2e-3)
+    q = plan.joint.sample(t)[0]
+    q[:, 0] += 0.02 * np.exp(-((t / plan.duration - 0.5) ** 2) / 0.02)
+    found = track(plan, joint_samples(t, arm.joint_names, q, None, None, "the log"))
+    assert [joint.unit for joint in found.joints if joint.name in ("x", "y", "z")] == ["m", "m", "m"]
+    assert [joint.unit for joint in found.joints if joint.name in ("turn", "lean", "tip")] == ["rad"] * 3
+    assert re.match(r"x .*\(1\d\.\d\d mm off at most\)", found.cause)
 
 
 def test_a_mimic_joint_beside_the_chain_is_none_of_our_business(tmp_path: Path) -> None:

@@ -106,10 +106,10 @@ def _show(found: Tracking, directory: Path) -> None:
     for joint in found.joints:
         table.add_row(
             joint.name,
-            f"{1e3 * joint.peak:.3f} mrad",
+            f"{1e3 * joint.peak:.3f} m{joint.unit}",
             f"{1e3 * joint.lag:.2f} ms",
-            f"{1e3 * joint.friction:.3f} mrad",
-            f"{1e6 * joint.noise:.1f} urad",
+            f"{1e3 * joint.friction:.3f} m{joint.unit}",
+            f"{1e6 * joint.noise:.1f} u{joint.unit}",
             f"{100 * joint.row:.1f} %",
         )
     console.print(table)

@@ -59,7 +59,7 @@ class Watchdog:
         j = int(np.argmax(share))
         if not share[j] <= self.velocity_share:
             return (
-                f"{arm.joint_names[j]} turns at {state.dq[j]:.3f} rad/s at t = {t:.3f} s, "
+                f"{arm.joint_names[j]} moves at {state.dq[j]:.3f} {arm.unit(j)}/s at t = {t:.3f} s, "
                 f"{100 * share[j]:.0f} % of its limit."
             )
         if missed > self.late_periods:
@@ -73,8 +73,8 @@ class Watchdog:
         if error[j] <= self.joint_error:
             return ""
         return (
-            f"{arm.joint_names[j]} is {error[j]:.3f} rad off its reference at t = {t:.3f} s; "
-            f"{self.joint_error:g} rad are allowed."
+            f"{arm.joint_names[j]} is {error[j]:.3f} {arm.unit(j)} off its reference at t = {t:.3f} s; "
+            f"{self.joint_error:g} {arm.unit(j)} are allowed."
         )
 
 

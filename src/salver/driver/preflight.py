@@ -298,17 +298,18 @@ def check_posture(joint: JointMotion, arm: ArmModel, state: ArmState) -> list[Ch
         return [Check("state", False, "The arm does not report numbers for the positions and speeds of its joints.")]
     error = np.abs(q - start)
     j, k = int(np.argmax(error)), int(np.argmax(np.abs(dq)))
+    rate = f"{arm.unit(k)}/s"
     return [
         Check(
             "start posture",
             bool(error[j] <= START_TOLERANCE),
-            f"{arm.joint_names[j]} is at {q[j]:.4f} rad, the motion starts at {start[j]:.4f} rad; "
-            f"{START_TOLERANCE:g} rad apart are allowed (--move-to-start takes the arm there, slowly).",
+            f"{arm.joint_names[j]} is at {q[j]:.4f} {arm.unit(j)}, the motion starts at {start[j]:.4f} {arm.unit(j)}; "
+            f"{START_TOLERANCE:g} {arm.unit(j)} apart are allowed (--move-to-start takes the arm there, slowly).",
         ),
         Check(
             "at rest",
             bool(abs(dq[k]) <= REST_TOLERANCE),
-            f"{arm.joint_names[k]} turns at {dq[k]:.4f} rad/s; {REST_TOLERANCE:g} rad/s are allowed.",
+            f"{arm.joint_names[k]} moves at {dq[k]:.4f} {rate}; {REST_TOLERANCE:g} {rate} are allowed.",
         ),
     ]
 

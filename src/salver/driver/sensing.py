@@ -159,10 +159,10 @@ class Senses:
         outside = np.maximum(limits.q_min - q, q - limits.q_max)
         j = int(np.argmax(outside))
         if outside[j] > OUTSIDE:
-            return f"{self._arm.joint_names[j]} is said to be at {q[j]:.4g} rad, far outside its range"
+            return f"{self._arm.joint_names[j]} is said to be at {q[j]:.4g} {self._arm.unit(j)}, far outside its range"
         j = int(np.argmax(np.abs(dq) / self._speed))
         if abs(dq[j]) > TOO_FAST * self._speed[j]:
-            return f"{self._arm.joint_names[j]} is said to turn at {dq[j]:.4g} rad/s, which it cannot"
+            return f"{self._arm.joint_names[j]} is said to move at {dq[j]:.4g} {self._arm.unit(j)}/s, which it cannot"
         return ""
 
     def _possible(self, q: Array, dq: Array) -> tuple[Array, Array]:
@@ -319,7 +319,7 @@ class Senses:
         j = int(np.argmax(bad))
         name, off_q, off_dq = self._arm.joint_names[j], abs(q[j] - believed.q[j]), abs(dq[j] - believed.dq[j])
         if not off_q <= STRAY * self._speed[j] * self._period:
-            return f"{name} is said to have jumped by {off_q:.2g} rad"
+            return f"{name} is said to have jumped by {off_q:.2g} {self._arm.unit(j)}"
         if not off_dq <= JOLT * self._speed[j]:
-            return f"the speed of {name} is said to have jumped by {off_dq:.2g} rad/s"
-        return f"{name} is said to turn at {dq[j]:.3g} rad/s and goes elsewhere"
+            return f"the speed of {name} is said to have jumped by {off_dq:.2g} {self._arm.unit(j)}/s"
+        return f"{name} is said to move at {dq[j]:.3g} {self._arm.unit(j)}/s and goes elsewhere"

@@ -217,6 +217,8 @@ class Lag:
 def read_joints(path: str | Path, arm: ArmModel, topic: str | None = None) -> JointSamples:
     """A log of an arm's joints from any motion file. Raises FileFormatError."""
     samples = read(path, lambda: arm.joint_names, topic)
+    if not isinstance(samples, JointSamples):  # a table may have the tray and the joints
+        samples = read(path, lambda: arm.joint_names, topic, as_path=True)
     if not isinstance(samples, JointSamples):
         raise FileFormatError(f"{path} holds a motion of the tray; the joints' is needed: columns q1 to q{arm.n}, rad.")
     if samples.q.shape[1] < arm.n:

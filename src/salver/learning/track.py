@@ -88,9 +88,9 @@ class Judge:
 
 @dataclass(frozen=True)
 class JointError:
-    """One joint. peak: rad, largest deviation. lag: s by which it is later than all together. friction: rad, part of
-    the deviation that changes its sign with the velocity. noise: rad, standard deviation of a sample of the log. row:
-    largest row if this joint alone had strayed.
+    """One joint. peak: largest deviation. lag: s by which it is later than all together. friction: part of the
+    deviation that changes its sign with the velocity. noise: standard deviation of a sample of the log. row: largest
+    row if this joint alone had strayed. unit: of peak, friction and noise, rad or m.
     """
 
     name: str
@@ -99,6 +99,7 @@ class JointError:
     friction: float
     noise: float
     row: float
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +150,7 @@ class Tracking:
         what = f"{kind} {abs(1e3 * joint.lag):.2f} ms against all together"
         if joint.friction * 2 > joint.peak:
             what = "strays against its velocity, as with friction that is not compensated"
-        return f"{joint.name} {what} ({1e3 * joint.peak:.2f} mrad off at most)"
+        return f"{joint.name} {what} ({1e3 * joint.peak:.2f} m{joint.unit} off at most)"
 
 
 def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: int = 0) -> Tracking:
@@ -207,7 +208,6 @@ def _joints(judge: Judge, plan: JointMotion, done: Executed, drift: Drift | None
         scale = np.column_stack([speed, ddq[:, j], np.tanh(speed / 0.02)])
         lag, _, friction = np.linalg.lstsq(scale, done.off[:, j], rcond=1e-9)[0]
         peak = float(np.abs(done.off[:, j]).max())
-        found.append(
-            JointError(name, peak, -float(lag), abs(float(friction)), float(done.noise[j] * np.sqrt(done.each)), row)
-        )
+        noise = float(done.noise[j] * np.sqrt(done.each))
+        found.append(JointError(name, peak, -float(lag), abs(float(friction)), noise, row, judge.arm.unit(j)))
     return found

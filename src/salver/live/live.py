@@ -249,10 +249,12 @@ class Live:
         away = np.abs(seen - self._reader.q)
         if away.max() <= STRAYED:
             return ACCEPTED
-        joint = self._problem.arm.joint_names[int(np.argmax(away))]
+        arm, j = self._problem.arm, int(np.argmax(away))
         if not isinstance(self._wish, Halt):
             self.stop()
-        self._refused = f"{joint} is {away.max():.3f} rad from where it was told to be; the arm is stopped."
+        self._refused = (
+            f"{arm.joint_names[j]} is {away[j]:.3f} {arm.unit(j)} from where it was told to be; the arm is stopped."
+        )
         return refused(self._refused)
 
     def restart(self, q: npt.ArrayLike) -> Status:

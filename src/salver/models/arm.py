@@ -76,6 +76,10 @@ class ArmModel:
         """Number of joints."""
         return int(self.pin_model.nv)
 
+    def unit(self, joint: int) -> str:
+        """Of a joint's position: rad, or m where it slides."""
+        return "m" if self.linear[joint] else "rad"
+
     def tray_pose(self, q: Array) -> tuple[Array, Array]:
         """(p_SE, R_SE) at joint positions q (n,)."""
         pin.framesForwardKinematics(self.pin_model, self.data, q)

@@ -178,8 +178,8 @@ def start_posture(
         low, high = arm.limits.q_min[i], arm.limits.q_max[i]
         if not low <= q[i] <= high:
             raise ScenarioError(
-                f"arm.start_posture[{i}] = {q[i]:g} rad is beyond the limits of {name}; it must be within "
-                f"[{low:.4g}, {high:.4g}] rad."
+                f"arm.start_posture[{i}] = {q[i]:g} {arm.unit(i)} is beyond the limits of {name}; it must be "
+                f"within [{low:.4g}, {high:.4g}] {arm.unit(i)}."
             )
     error, _ = target.residual(arm, q)
     distance, angle = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
