@@ -1,6 +1,7 @@
 """Audits: verdicts derived by hand, and what the command says of them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -124,6 +125,33 @@ def test_the_exit_code_tells(tmp_path):
     wrong = run(tmp_path / "none.csv", "--scenario", "panda-cube")
     assert wrong.exit_code == 2
     assert "does not exist" in wrong.stderr
+
+
+def test_friction_that_is_needed_stands_beside_what_there_surely_is(tmp_path):
+    """The peak acceleration of a level line over gravity, of 0.5 +- 10 %; where the tray falls away none suffices."""
+    path = tmp_path / "cube.toml"
+    path.write_text(
+        """name = "cube"
+        [motion]
+        start.position = [0, 0, 0]
+        goal.position = [0, 0.5, 0]
+        [[objects]]
+        shape = { type = "box", size = [0.06, 0.06, 0.04] }
+        mass = 0.2
+        friction = 0.5
+        uncertainty = { friction = "10%" }
+        [contact]
+        condition = "exact"
+        """
+    )
+    told = " ".join(run(tray_csv(tmp_path / "a.csv", 1.0), "--scenario", path).stdout.split())
+    needed = re.search(r"friction needed (\S+) nominal, of 0.5, (\S+) worst case, of 0.45; tip-over", told)
+    assert needed
+    assert [float(x) for x in needed.groups()] == pytest.approx([PEAK / 9.81] * 2, rel=0.01)
+    down = line(0.4)  # 18 m/s^2 at its peak
+    p = down.p_SB[:, [0, 2, 1]] * [1, 1, -1]
+    fallen = write_csv(tmp_path / "b.csv", "t,x,y,z,qw,qx,qy,qz", down.t, p, down.quat_SB_wxyz)
+    assert "friction needed (none suffices) nominal, of 0.5" in " ".join(run(fallen, "-s", path).stdout.split())
 
 
 def test_json_has_every_figure(tmp_path):

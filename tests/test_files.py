@@ -171,6 +171,16 @@ def test_a_place_that_cannot_be_written_to(tmp_path):
         files.write_atomic(tmp_path / "file" / "plan.json", "x")
 
 
+def test_a_device_or_a_pipe_is_not_replaced_by_a_file(tmp_path):
+    """As root a file takes the place of /dev/null; a pipe may be any user's."""
+    pipe = tmp_path / "pipe.csv"
+    os.mkfifo(pipe)
+    with pytest.raises(SalverError, match=r"pipe\.csv is a device or a pipe; name a file\."):
+        files.write_atomic(pipe, "x")
+    assert pipe.is_fifo()
+    assert [p.name for p in tmp_path.iterdir()] == ["pipe.csv"]
+
+
 def test_provenance_follows_the_scenario():
     scenario = load("panda-cube")
     record = files.provenance(scenario)

@@ -67,7 +67,12 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def put_in_place(made: Path, path: Path, *, keep: bool) -> None:
-    """Rename a finished file to `path`; keep: set aside what stands there, unless it is the same."""
+    """Rename a finished file to `path`; keep: set aside what stands there, unless it is the same.
+
+    Raises SalverError for a device or a pipe, which a file would replace.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise SalverError(f"{path} is a device or a pipe; name a file.")
     if keep and path.is_file() and not filecmp.cmp(made, path, shallow=False):
         set_aside(path)
     os.replace(made, path)

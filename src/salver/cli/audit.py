@@ -67,6 +67,10 @@ def audit(
         raise typer.Exit(NO_SAFE_PLAN)
 
 
+def _needed(friction: float) -> str:
+    return f"{friction:.3f}" if friction < float("inf") else "(none suffices)"
+
+
 def _show(result: Audit, given: str, options: str) -> None:
     """given, options: what a command is told to take the same motion in the same way."""
     out = result_console()
@@ -77,9 +81,9 @@ def _show(result: Audit, given: str, options: str) -> None:
         f"Nominal: {result.nominal.sentence}",
         f"Worst case: {result.worst.sentence}",
         *(
-            f"{m.name}: friction needed {m.friction_needed.max():.3f} nominal, {m.friction_needed_worst:.3f} worst "
-            f"case, of {m.friction:.3g}; tip-over margin {1e3 * m.tip_over.min():.1f} mm nominal, "
-            f"{1e3 * m.tip_over_worst.min():.1f} mm worst case."
+            f"{m.name}: friction needed {_needed(m.friction_needed.max())} nominal, of {m.friction:.3g}, "
+            f"{_needed(m.friction_needed_worst)} worst case, of {m.least_friction:.3g}; tip-over margin "
+            f"{1e3 * m.tip_over.min():.1f} mm nominal, {1e3 * m.tip_over_worst.min():.1f} mm worst case."
             for m in margins.interfaces
         ),
     ]
