@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from live_runs import LEAD, drive, executed, place
-from salver.live import Live
+from salver.live import Live, verify
 from salver.live.motion import between, joined, resting
 from salver.live.planner import Job, Planner
 from salver.live.replan import STRETCHED, Replanner
@@ -15,7 +15,7 @@ from salver.live.wishes import Goal, Halt
 from salver.planning.fastest import AtPosture, fastest
 from salver.planning.fastest.constraints import Clearance, Contact, evaluate
 from salver.planning.fastest.exchange import optimise
-from salver.planning.fastest.obstacles import KeepOut
+from salver.planning.fastest.obstacles import NEAR, KeepOut
 from salver.planning.fastest.sqp import minimise
 from salver.trajectory import JointMotion
 
@@ -102,6 +102,20 @@ def test_distances_of_ones_own_are_looked_at_beside_those_that_are_kept_anyway(m
     assert found.what.startswith("clearance of ")
     assert 8.0 < found.excess < 10.0  # in units of 0.1 m, less what there is beyond what is asked for
     assert verified(replace(problem, extra=(Clearance(problem.keep_out),)), motion, 3.0, None).committed is not None
+
+
+def test_a_verdict_looks_at_the_distances_of_the_pairs_that_come_near(moving, monkeypatch):
+    """To 5 cm or less; there are none that come just so near. It is what a verdict on what is far would cost most."""
+    problem, motion, asked = moving.problem, moving.committed.motion, []
+    monkeypatch.setattr(verify, "evaluate", lambda some, along: asked.extend(some) or evaluate(some, along))
+    assert verified(problem, motion, 3.0, None).committed is not None
+    (looked,) = (x.keep_out.parts.pairs for x in asked if isinstance(x, Clearance))
+    apart = problem.keep_out.parts.clearance(motion.sample(np.linspace(0.0, motion.duration, 150))[0]).min(axis=0)
+    assert np.abs(apart - NEAR).min() > 1e-4
+    assert sorted(looked) == sorted(
+        pair for pair, low in zip(problem.keep_out.parts.pairs, apart, strict=True) if low < NEAR
+    )
+    assert 0 < len(looked) < 0.5 * len(apart)
 
 
 def test_the_executed_is_the_same_in_pieces(moving):

@@ -13,6 +13,7 @@ from salver.live import Live, steer
 from salver.live.steer import HORIZON, TICK, ChunkWanted, TwistWanted
 from salver.live.wishes import twist_wish
 from salver.planning.fastest import Block
+from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
 
 EVERY = round(TICK * 1e3)
@@ -279,6 +280,32 @@ def test_where_a_step_led_the_rows_of_the_next_programme_are_exact(bendings):
         new += possible.sum()
     assert looked > 100
     assert new > 100
+
+
+def test_rows_of_torque_rate_that_join_change_as_differences_say(bendings):
+    """With the torques of both nodes that they couple, where the step led."""
+    seen, _ = bendings
+    looked = 0
+    for tick in seen:
+        if len(tick.posed) < 2:
+            continue
+        steering, before, (_, after, *_) = tick.given[0], tick.posed[0][1], tick.posed[1]
+        grid, problem, rows = steering.grid, steering.problem, after[len(before) :]
+        sizes = [int(mask.sum()) for mask in tick.joined[1]]
+        which = [block.name for block in tick.blocks[1]].index("torque rate")
+        rows, (node, column) = rows[sum(sizes[:which]) :][: sizes[which]], np.nonzero(tick.joined[1][which])
+        limits, bend = problem.limits.torque_rate, np.random.default_rng(3).standard_normal((grid.basis.shape[2], 7))
+        sign, joint = np.where(column < 7, 1.0, -1.0), column % 7
+
+        def rate(by, z=tick.z[1], grid=grid, problem=problem, bend=bend):
+            q, dq, ddq = (z + grid.motion(by * bend, HORIZON))[:3, grid.nodes]
+            torque = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq).torque
+            return np.diff(torque, axis=0) / np.diff(HORIZON * grid.s[grid.nodes])[:, None]
+
+        difference = sign * ((rate(1e-6) - rate(-1e-6)) / 2e-6 / limits)[node, joint]
+        assert rows @ bend.ravel() == pytest.approx(difference, rel=1e-5, abs=1e-3)
+        looked += len(node)
+    assert looked > 20
 
 
 def test_a_tick_asks_for_no_margin_that_there_is_not_already(bendings):
