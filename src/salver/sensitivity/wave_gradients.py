@@ -22,7 +22,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Swings:
-    """What c unknowns make of waves: of their masses by what moves these, as `Waves.swung` has it, of their spin by
+    """What c unknowns make of waves: of their masses by what moves these, as `Waves.swung` has it, of what turns by
     spun (K or 1, T, c), and of both by how much log T grows, stretch (c,).
 
     Places and speeds are worked out at the nodes at which rows read them: near the edge there are few.
@@ -93,7 +93,7 @@ def surface_by(
     by_slope = (by_free * which.half[case] - both * which.rest_rise[case]) / up[:, None]
     lateral = turned(by_slope, -waves.spin[case, node])
     by_force = np.column_stack([lateral, -(by_slope * waves.slope[case, node]).sum(axis=1)])
-    by_spin = up * (by_slope * across(waves.slope[case, node])).sum(axis=1)
+    by_spin = up * (by_slope * across(waves.slope[case, node])).sum(axis=1) if which.round else None
     by_r = which.gain[case] * both[:, None, :]
     by_w = (by_force[:, None] @ which.at_O[case])[:, 0] + np.multiply.outer(thrown, TURNING)
     return at_node(unknowns, waves, case, node, by_r, None, by_w, by_spin)
@@ -120,8 +120,16 @@ def wrench_by(waves: Waves, unknowns: Unknowns, case: Indices, node: Indices, we
     by_w -= (by_second.reshape(m, 1, -1) @ which.at_mode[case].reshape(m, -1, N_MOTION))[:, 0]
     by_second = turned(by_second, spin[:, None])
     by_r = turned(by_hung, spin[:, None]) - stiff * waves.upward[case, node, None, None] * by_second
-    by_spin -= (by_second * across(waves.at_modes[case, node])).sum(axis=(1, 2))
     by_rate = 2 * rising * waves.rate[case, node] - which.kd[case] * by_second
+    if which.round:
+        by_spin -= (by_second * across(waves.at_modes[case, node])).sum(axis=(1, 2))
+    else:
+        by_turn, by_faster = waves.pushed_by_turning
+        by_spin = (by_second * by_turn[case, node]).sum(axis=(1, 2))
+        by_w[:, 5] += (by_second * by_faster[case, node]).sum(axis=(1, 2))
+        if waves.walls is not None:
+            other_rate, other, own = (by_second * x[case, node] for x in waves.walls)
+            by_rate, by_r = by_rate + other_rate[..., ::-1], by_r + other[..., ::-1] + own
     return at_node(unknowns, waves, case, node, by_r, by_rate, by_w, by_spin)
 
 
@@ -135,7 +143,7 @@ def at_node(
     by_w: Array | None = None,
     by_spin: Array | None = None,
 ) -> Array:
-    """From derivatives (m, n_modes, 2) by r and r', (m, 12) by w itself and (m,) by the spin, at the rows' own
+    """From derivatives (m, n_modes, 2) by r and r', (m, 12) by w itself and (m,) by `Waves.spun`, at the rows' own
     nodes."""
     swings = unknowns.of(waves)
 

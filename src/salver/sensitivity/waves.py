@@ -22,7 +22,7 @@ from salver.sensitivity.filter import LinearFilter, at_instant
 from salver.sensitivity.wave_cases import Case, Cases
 
 Indices = npt.NDArray[np.intp]
-TURNS, SETTLED = 12, 1e-3  # rounds at most in which waves along both sides of a box drive one another, and when to end
+TURNS, SETTLED = 24, 1e-3  # rounds at most in which waves along both sides of a box drive one another, and when to end
 TURNING = np.zeros(N_MOTION)
 TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
 
@@ -75,7 +75,7 @@ def along(several: Sequence[Case], t: Array, w: Array, start: Underway | None = 
     begun = Waves(which, t, filters, turning, felt, upward, spin, at_modes, at_modes, at_modes, at_modes, start)
     force = at_modes[..., None]
     first = (begun.level(force), None) if start is None else (start.r[..., None], start.rate[..., None])
-    return begun.moved(*(x[..., 0] for x in begun.respond(force, *first))).taken_along()
+    return begun.moved(*(x[..., 0] for x in begun.respond(force, *first)))
 
 
 def _upward(which: Cases, w: Array) -> Array:
@@ -87,10 +87,17 @@ def _spin(which: Cases, turning: LinearFilter, w: Array, start: Underway | None)
     """(K, T) rad by which the container has turned about its axis."""
     if not which.round:
         return np.zeros(w.shape[:2])
+    return _turning(turning, w, start)[0]
+
+
+def _turning(turning: LinearFilter, w: Array, start: Underway | None) -> tuple[Array, Array]:
+    """(K, T) rad by which the container has turned about its axis, and rad/s."""
     if w.strides[0] == 0 and start is None:  # the same for all
-        return np.broadcast_to(turning.respond(w[0, :, 5])[0], w.shape[:2])
+        angle, rate = (np.broadcast_to(x, w.shape[:2]) for x in turning.respond(w[0, :, 5]))
+        return angle, rate
     begun = None if start is None else np.stack([start.spin, start.turning])
-    return turning.respond(w[:, :, 5].T, begun)[0].T
+    angle, rate = turning.respond(w[:, :, 5].T, begun)
+    return angle.T, rate.T
 
 
 def _at_modes(which: Cases, w: Array, spin: Array) -> Array:
@@ -152,34 +159,59 @@ class Waves:
         other = replace(self, w=w, upward=_upward(self.cases, w), spin=spin, at_modes=at_modes, start=start)
         return other.moved(*(x + dx[..., 0] for x, dx in zip((self.r, self.rate, self.second), change, strict=True)))
 
-    def taken_along(self) -> Waves:
-        """The same with what the walls of a box that turns about its upright axis take along of the waves.
+    @cached_property
+    def turns(self) -> Array:
+        """(K, T) rad/s of the container about its axis."""
+        return _turning(self.turning, self.w, self.start)[1]
+
+    @cached_property
+    def walls(self) -> tuple[Array, Array, Array] | None:
+        """What the walls of a box that turns about its upright axis take along of the waves: as factors (K, T, n_modes,
+        2) of r' and r along the other side, and of r along the same one, what pushes each mass like a force; None where
+        nothing turns.
 
         Seen from the box a liquid without friction flows backwards along the walls, and carries its waves, at C times
         the turning rate Omega for the first mode, C = 16 x y / (pi^2 (x^2 + y^2)) with sides x and y: 0.81 in a square
         one, 1 in a cylinder, for flow and waves then stand still together. The waves along either side so drive those
         along the other, eta_x'' = ... + C Omega (1 + k_x / k_y) eta_y' + C Omega' eta_y + C^2 Omega^2 k_x / k_y eta_x,
-        k the square of each frequency, and with the other sign along y. By iteration. Derivatives take it as given.
+        k the square of each frequency, and with the other sign along y.
         """
-        which, n, start = self.cases, self.r.shape[2], self.start
-        begun = None if start is None else np.stack([start.spin, start.turning])
-        turning = self.turning.respond(self.w[:, :, 5].T, begun)[1].T[:, :, None, None]  # Omega, (K, T, 1, 1)
-        if which.round or not turning.any():
-            return self
+        if self.cases.round or not self.turns.any():
+            return None
+        by_rate, by_place, own = self._carried
+        turns, faster = self.turns[:, :, None, None], self.w[:, :, 5, None, None]
+        return turns * by_rate, faster * by_place, turns**2 * own
+
+    @cached_property
+    def _carried(self) -> tuple[Array, Array, Array]:
+        """`walls`, (K, 1, n_modes, 2), for each rad/s, rad/s^2, and (rad/s)^2."""
+        which, n = self.cases, self.r.shape[2]
         sides = 2 * np.prod(which.half, axis=1) / (which.half**2).sum(axis=1)
-        carried = 8 / np.pi**2 * sides[:, None] / (2 * np.arange(n) + 1) ** 2  # (K, n)
-        slower, faster = (carried[:, None, :, None] * x for x in (turning, self.w[:, :, 5, None, None]))
+        share = (8 / np.pi**2 * sides[:, None] / (2 * np.arange(n) + 1) ** 2)[:, None, :, None]  # C
         ratio = (which.omega**2 / which.omega[..., ::-1] ** 2)[:, None]
-        by_other = (which.gain[..., ::-1] / which.gain)[:, None] * [1.0, -1.0]
-        found, first = self, (self.r[:, 0, ..., None], self.rate[:, 0, ..., None])
+        by_other = share * (which.gain[..., ::-1] / which.gain)[:, None] * [1.0, -1.0]
+        return by_other * (1 + ratio), by_other, share**2 * ratio
+
+    @cached_property
+    def pushed_by_turning(self) -> tuple[Array, Array]:
+        """(K, T, n_modes, 2) what `walls` push more for each rad/s of `turns`, and for each rad/s^2."""
+        by_rate, by_place, own = self._carried
+        turned = by_rate * self.rate[..., ::-1] + 2 * self.turns[..., None, None] * own * self.r
+        return turned, by_place * self.r[..., ::-1]
+
+    def _taken_along(self, drive: Array, begin: Array | None) -> Array:
+        """Drives, from first states, of the filters, with what the walls take along of the waves that they make: by
+        iteration."""
+        if self.walls is None or not drive.size:
+            return drive
+        found, before = drive, np.zeros(1)
+        by_rate, by_place, own = (x[..., None] for x in self.walls)
         for _ in range(TURNS):
-            before = found.r
-            pushed = by_other * (slower * (1 + ratio) * found.rate[..., ::-1] + faster * before[..., ::-1])
-            pushed = pushed + slower**2 * ratio * before
-            moved = self.respond((self.at_modes - pushed)[..., None], *first)
-            found = self.moved(*(x[..., 0] for x in moved))
-            if np.abs(found.r - before).max() < SETTLED * np.abs(before).max():
+            r, rate, _ = self._answer(found, begin)
+            if np.abs(r - before).max() < SETTLED * np.abs(r).max():
                 break
+            pushed = by_rate * rate[:, :, :, ::-1] + by_place * r[:, :, :, ::-1] + own * r
+            found, before = drive + self._by_filter(pushed), r
         return found
 
     @cached_property
@@ -195,7 +227,7 @@ class Waves:
         begin = None
         if start is not None:
             begin = self._by_filter(np.stack([start, np.zeros_like(start) if rate is None else rate], axis=1))
-        return self._answer(self._by_filter(-force), begin)
+        return self._answer(self._taken_along(self._by_filter(-force), begin), begin)
 
     def _answer(self, drive: Array, begin: Array | None) -> tuple[Array, Array, Array]:
         """r, r' and r'' (K, T, n_modes, 2, c) to drives, and first states, of the filters."""
@@ -228,20 +260,22 @@ class Waves:
     ) -> tuple[Array, Array, Array]:
         """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of what the tray feels:
         pushed aside, stiffened, and turned under the waves. before: whether what changes was so before the motion
-        too. start: what it has made of them till then, where they do not begin at rest. spun: what dw makes of `spin`,
-        if it is known."""
+        too. start: what it has made of them till then, where they do not begin at rest. spun: as `spun` has it, if it
+        is known."""
         drive = self._driven(dw, self.spun(dw, start) if spun is None else spun)
+        begin = self._level(drive) if before else None
         if start is not None:
             places, speeds = (x.reshape(*x.shape[:3], -1) for x in (start.r, start.rate))
-            return self._answer(drive, self._by_filter(np.stack([places, speeds], axis=1)))
-        return self._answer(drive, self._level(drive) if before else None)
+            begin = self._by_filter(np.stack([places, speeds], axis=1))
+        return self._answer(self._taken_along(drive, begin), begin)
 
     def swung(self, dw: Array, spun: Array) -> Array:
         """(K, n_modes, axes, 2 + T, 2 c / axes) what moves each mass, as `LinearFilter.answers` has it, to first order:
         where it begins, and how it is driven, by changes dw (K or 1, T, 12, c) of what the tray feels that were so
-        before the motion too. spun: what dw makes of `spin`."""
+        before the motion too. spun: as `spun` has it."""
         drive = self._driven(dw, spun)
-        return np.concatenate([self._level(drive), drive], axis=3)
+        begin = self._level(drive)
+        return np.concatenate([begin, self._taken_along(drive, begin)], axis=3)
 
     def swinging(self, order: int, node: Indices, moving: Array) -> Array:
         """(K, m, n_modes, 2, c) of r (order 0) or r' (1) at nodes (m,) in order, by what moves the masses (see
@@ -251,38 +285,38 @@ class Waves:
 
     def _driven(self, dw: Array, spun: Array) -> Array:
         """(K, n_modes, axes, T, 2 c / axes) by which changes dw (K or 1, T, 12, c) change the drives of the filters;
-        spun: what they change of `spin`."""
-        moved = np.concatenate([dw, spun[:, :, None]], axis=2) if self.cases.round else dw
+        spun: as `spun` has it."""
+        moved = np.concatenate([dw, spun[:, :, None]], axis=2)
         drive = self._drive_map @ moved[:, None, None]
         return np.asarray(drive.reshape(*drive.shape[:4], -1))
 
     @cached_property
     def _drive_map(self) -> Array:
-        """(K, n_modes, axes, T, 2 / axes, 12) from what the tray feels to the drives of the filters; of a round
-        container, (..., 13), also from its spin."""
+        """(K, n_modes, axes, T, 2 / axes, 13) from what the tray feels, and `spun`, to the drives of the filters."""
         which, (K, T, n, _) = self.cases, self.r.shape
         c, s = (f(self.spin)[:, :, None, None] for f in (np.cos, np.sin))
         x, y = which.at_mode[:, None, :, 0], which.at_mode[:, None, :, 1]
-        found = np.empty((K, T, n, 2, N_MOTION + which.round))
+        found = np.empty((K, T, n, 2, N_MOTION + 1))
         found[..., 0, :N_MOTION], found[..., 1, :N_MOTION] = c * x - s * y, s * x + c * y
         stiffer = which.omega[:, None] ** 2 / GRAVITY * self.r
         found[..., :N_MOTION] += stiffer[..., None] * which.at_O[:, None, None, None, 2]
         if which.round:
             found[..., N_MOTION] = across(self.at_modes)
+        else:
+            found[..., N_MOTION], by_faster = (-x for x in self.pushed_by_turning)
+            found[..., 5] += by_faster
         axes = self.filters.gain.shape[2]
         by_filter = found.reshape(K, T, n, axes, 2 // axes, -1).transpose(0, 2, 3, 1, 4, 5)
         return np.negative(by_filter, order="C")
 
     def spun(self, dw: Array, start: Underway | None = None) -> Array:
-        """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c): the same of all that are round. start: what
-        they have made of it till then, nothing unless given."""
-        if not self.cases.round:
-            return np.zeros((1, 1, dw.shape[-1]))
+        """(K or 1, T, c) change of `spin` by changes dw (K or 1, T, 12, c), of a box of `turns`: the same of all
+        that are alike. start: what they have made of it till then, nothing unless given."""
         drive, begun = dw[:, :, 5].swapaxes(0, 1), None
         if start is not None:
             drive = np.broadcast_to(drive, (len(drive), len(start.spin), drive.shape[2]))
             begun = np.stack([x.reshape(len(x), -1) for x in (start.spin, start.turning)])
-        return self.turning.respond(drive, begun)[0].swapaxes(0, 1)
+        return self.turning.respond(drive, begun)[0 if self.cases.round else 1].swapaxes(0, 1)
 
     @cached_property
     def slope(self) -> Array:
@@ -401,15 +435,23 @@ class Waves:
         In shares of T the equation reads x'' / T^2 + kd x' / T + kp x = d.
         """
         more = 2 * self.second + self.cases.kd[:, None] * self.rate
-        spun = self.spun_slower[..., None, None] * across(self.at_modes)
+        slower = self.spun_slower[..., None, None]
+        if self.cases.round:
+            more = more - slower * across(self.at_modes)
+        else:
+            by_rate, _, own = self._carried
+            turns = self.turns[..., None, None]
+            more = more + 2 * turns * slower * own * self.r - (turns - slower) * by_rate * self.rate[..., ::-1]
         begun = self.rate[:, 0, ..., None]  # the same r', which is T times as much per share
-        r, rate, _ = self.respond((spun - more)[..., None], np.zeros_like(begun), begun)
+        r, rate, _ = self.respond(-more[..., None], np.zeros_like(begun), begun)
         return r[..., 0], rate[..., 0] - self.rate
 
     @cached_property
     def spun_slower(self) -> Array:
-        """(K, T) the same of the spin."""
-        if self.start is None or not self.cases.round:
+        """(K, T) the same of the spin, of a box of `turns`."""
+        if not self.cases.round:
+            return self.turns - self.turns[:, :1]
+        if self.start is None:
             return 2 * self.spin
         return 2 * (self.spin - self.start.spin[:, None]) - np.outer(self.start.turning, self.t - self.t[0])
 
@@ -432,7 +474,7 @@ class Waves:
         they have made of the waves till then, where these do not begin at rest."""
         which, spun = self.cases, self.spun(dw, start)
         r, rate, second = self._pushed(dw, before=True, start=start, spun=spun)
-        spun = spun[:, :, None]  # (K or 1, T, 1, c)
+        spun = spun[:, :, None] * self.cases.round  # (K or 1, T, 1, c)
         force = which.at_O[:, None] @ dw  # (K, T, 3, c)
         lateral = turned_each(force[:, :, :2], self.spin)
         slope = (lateral - self.slope[..., None] * force[:, :, 2:]) / self.upward[:, :, None, None]
