@@ -242,3 +242,11 @@ def test_interrupting_a_running_command(tmp_path):
     assert process.returncode == 130
     assert errors.splitlines()[-1].startswith("salver: interrupted")
     assert "Traceback" not in errors
+
+
+def test_ctrl_c_while_a_command_is_loaded_is_no_traceback(monkeypatch, here):
+    def loading(names):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("salver.cli._gathered", loading)
+    assert here("plan", "panda-cube") == (130, "", "")

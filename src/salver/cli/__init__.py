@@ -17,7 +17,7 @@ from typing import Annotated
 import typer
 
 from salver import __version__
-from salver.cli.common import handled
+from salver.cli.common import INTERRUPTED, handled
 from salver.cli.lazily import load_when_used
 
 # In the order of use; each is the function of that name in the module of that name.
@@ -109,3 +109,5 @@ def main() -> None:
         from salver.cli.common import lost
 
         sys.exit(lost(error))
+    except KeyboardInterrupt:  # while the command is still being loaded; commands see to it themselves
+        sys.exit(INTERRUPTED)
