@@ -21,7 +21,8 @@ from salver.models.urdf import find_mesh
 from salver.motion_files.samples import joint_samples
 from salver.planning.fastest import plan_fastest
 from salver.planning.follow.limits import peaks, unchecked, verdict
-from salver.planning.make import make_plan
+from salver.planning.follow.motion import follow_scenario
+from salver.planning.make import make_plan, plan_baseline
 from salver.planning.postures import PoseTarget, start_posture
 from salver.simulation.loads import true_world
 from salver.simulation.physics import simulate
@@ -290,6 +291,64 @@ def test_a_joint_that_slides_is_told_in_metres(tmp_path: Path) -> None:
     assert [joint.unit for joint in found.joints if joint.name in ("x", "y", "z")] == ["m", "m", "m"]
     assert [joint.unit for joint in found.joints if joint.name in ("turn", "lean", "tip")] == ["rad"] * 3
     assert re.match(r"x .*\(1\d\.\d\d mm off at most\)", found.cause)
+
+
+def four_joints() -> str:
+    """A SCARA: two turns about z, a slide along z, a turn about z."""
+    links = [
+        LINK.format(name="base", mass=10, com="0 0 0.15", size="0.15 0.15 0.3"),
+        LINK.format(name="upper", mass=4, com="0.2 0 0.03", size="0.42 0.08 0.06"),
+        LINK.format(name="fore", mass=3, com="0.15 0 0.03", size="0.32 0.07 0.06"),
+        LINK.format(name="quill", mass=1, com="0 0 0.1", size="0.03 0.03 0.2"),
+        LINK.format(name="plate", mass=0.3, com="0 0 0.01", size="0.05 0.05 0.02"),
+    ]
+    joints = [
+        joint("shoulder", "revolute", "base", "upper", "0 0 0.32", "0 0 1", low=-2.5, high=2.5, speed=6),
+        joint("elbow", "revolute", "upper", "fore", "0.4 0 0.07", "0 0 1", low=-2.4, high=2.4, speed=8),
+        joint("slide", "prismatic", "fore", "quill", "0.3 0 0.07", "0 0 1", low=0, high=0.2, speed=1),
+        joint("turn", "continuous", "quill", "plate", "0 0 0.2", "0 0 1", speed=15),
+    ]
+    return f'<robot name="scara">{"".join(links)}{"".join(joints)}</robot>'
+
+
+def scara(tmp_path: Path, **motion: object) -> scenario.Scenario:
+    path = tmp_path / "scara.urdf"
+    path.write_text(four_joints())
+    ends = {"start": {"position": [0.5, -0.3, 0.8]}, "goal": {"position": [0.5, 0.3, 0.85]}, **motion}
+    arm = {"model": str(path), "flange": "plate", "limits": {"acceleration": [30.0, 30.0, 10.0, 60.0]}}
+    tray = {"height": 0.04, "size": [0.12, 0.12]}
+    return scenario.parse({**CELL, "name": "scara", "motion": ends, "arm": arm, "tray": tray}, "the test")
+
+
+def test_four_joints_follow_what_needs_no_more(tmp_path: Path) -> None:
+    """A level line, where the tray is by Pinocchio's forward kinematics and its derivatives; not one that tilts."""
+    case = scara(tmp_path, duration=1.5)
+    line = plan_baseline(case).reference
+    made, status = follow_scenario(case, line)
+    assert status.ok, status.sentence
+    assert made is not None
+    assert case.arm is not None
+    arm, body = load_arm(case.arm, case.tray), case.payload.first
+    wanted = line.sample(made.t)
+    for k in range(0, len(made.t), 20):
+        p, rotation = arm.object_pose(made.q[k], body.p_EB, body.R_EB)
+        assert p == pytest.approx(wanted.p_SB[k], abs=1e-10)
+        assert rotation == pytest.approx(wanted.R_SB[k], abs=1e-10)
+    step = made.t[1] - made.t[0]
+    assert made.dq == pytest.approx(np.gradient(made.q, step, axis=0, edge_order=2), abs=2e-3)
+    assert made.ddq == pytest.approx(np.gradient(made.dq, step, axis=0, edge_order=2), abs=2e-2)
+    tilted = scara(tmp_path, duration=1.5, goal={"position": [0.5, 0.3, 0.85], "rpy_deg": [0.0, 5.0, 0.0]})
+    none, said = follow_scenario(tilted, plan_baseline(tilted).reference)
+    assert none is None
+    assert "4 joints do not turn and tilt a tray every way" in said.sentence
+
+
+@pytest.mark.slow
+def test_four_joints_carry_as_fast_as_they_go(tmp_path: Path) -> None:
+    """Safe by the plan's own verdict, and in the engine."""
+    plan = plan_fastest(scara(tmp_path, goal_yaw="free"))
+    assert plan.ok, plan.status.sentence
+    assert simulate(plan).outcome == "holds"
 
 
 def test_a_mimic_joint_beside_the_chain_is_none_of_our_business(tmp_path: Path) -> None:

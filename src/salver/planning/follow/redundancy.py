@@ -10,6 +10,9 @@ velocity and acceleration are exact derivatives of it,
 
 The coefficients of s(t) keep positions, speeds, accelerations and torques far from their limits, and the arm
 far from singular postures.
+
+An arm of fewer joints than six has none to choose, and follows what lies within its reach: the systems are then solved
+by least squares, and only a root counts.
 """
 
 from __future__ import annotations
@@ -122,7 +125,9 @@ def solve_path(
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    """Solutions (N, n) of stacked square systems."""
+    """Solutions (N, n) of stacked systems; by least squares where there are more conditions than joints."""
+    if matrix.shape[1] > matrix.shape[2]:
+        return np.asarray((np.linalg.pinv(matrix) @ right[..., None])[..., 0], dtype=float)
     return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0], dtype=float)
 
 
@@ -247,9 +252,9 @@ class Usage:
 def _null_rows(jacobian: Array) -> Array:
     """C (n - 6, n): the directions that are nearest to the null spaces of all Jacobians (N, 6, n) of a path.
 
-    Orthonormal, with signs that do not depend on the linear algebra underneath.
+    Orthonormal, with signs that do not depend on the linear algebra underneath; none for up to six joints.
     """
-    free = jacobian.shape[2] - 6
+    free = max(0, jacobian.shape[2] - 6)
     basis = np.linalg.svd(jacobian)[2][:, 6:]
     rows = np.linalg.eigh(np.einsum("tri,trj->ij", basis, basis))[1][:, ::-1].T[:free]
     largest = np.argmax(np.abs(rows), axis=1)
