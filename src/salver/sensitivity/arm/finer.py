@@ -156,7 +156,7 @@ class Finer:
     ) -> Finer:
         """Along a motion of terms at t (T,), s, of which some (K,) are known with their derivatives; rates: (3, K, n)
         dq, ddq, dddq there; of what jumps there, what comes after it; jerk: (K, n) just before."""
-        known = loop.along(t[smooth.some], some, rates)
+        known = loop.along(t[smooth.some], some, rates, before=jerk)
         after = known.held.late
         before = after - loop.delay * (rates[2] - jerk)  # M^-1 times M of what jumps
         return cls(known, terms, smooth, smooth.jumping(after, before), before)

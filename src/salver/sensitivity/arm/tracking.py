@@ -204,12 +204,19 @@ class JointLoop:
         return replace(self, start=start)
 
     def along(
-        self, t: Array, terms: MotionTerms, rates: Array, order: int = 3, shares: Array | None = None
+        self,
+        t: Array,
+        terms: MotionTerms,
+        rates: Array,
+        order: int = 3,
+        shares: Array | None = None,
+        before: Array | None = None,
     ) -> Deviation:
         """The deviation along a motion at nodes t (T,) of any spacing; rates: (3, T, n) dq, ddq, dddq.
 
         order: of the polynomial that stands for what is missing between the nodes, 1 or 3. shares: of the motion's
-        time, at which the nodes are, if they come again at those in other motions.
+        time, at which the nodes are, if they come again at those in other motions. before: (T, n) dddq just before each
+        node, where it jumps: what late commands are short of jumps with it, and a polynomial across would smear that.
         """
         response = LinearFilter.on_nodes(t, self.kp, self.kd, order, shares)
 
@@ -222,7 +229,18 @@ class JointLoop:
             return joints, tray_of_joints(terms, joints)
 
         late_by = late(terms, rates, self.delay, not len(self.load.half_range))
-        return deviation(self.load, terms, late_by, law, self.start)
+        found = deviation(self.load, terms, late_by, law, self.start)
+        if before is None:
+            return found
+        # Its jumps are steps, exactly; what is left without them is continuous.
+        steps = np.cumsum(self.delay * (rates[2] - before), axis=0)
+        held = replace(LinearFilter.on_nodes(t, self.kp, self.kd, 1, shares), samples=None)
+        start = None if self.start is None else self.start[:, :, -1]
+        parts = response.respond(late_by - steps, start), held.respond(np.repeat(steps[:-1], 2, axis=0))
+        e, rate = (first + second for first, second in zip(*parts, strict=True))
+        state = np.concatenate([e, rate, response.acceleration(late_by, e, rate)], axis=1)
+        joints = JointDeviation(-state[:, :, None], late_by[:, :, None])
+        return replace(found, held=_held(terms, joints, tray_of_joints(terms, joints), commanded(terms, joints)))
 
 
 def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
@@ -274,25 +292,23 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law, start
             for name, value in vars(second).items():
                 getattr(first, name)[:, :, n_p:-1] += value
     torque = commanded(terms, joints)
-    swing = np.zeros_like(terms.w)
-    swing[:, :6] = (terms.jacobian @ late[:, :, None])[:, :, 0]
     return Deviation(
         load,
         terms,
         JointDeviation(*(x[:, :, :-1] for x in vars(joints).values())),
         TrayDeviation(*(x[:, :, :-1] for x in vars(tray).values())),
         torque[:, :, :-1],
-        Held(
-            joints.q[:, :, -1],
-            joints.dq[:, :, -1],
-            torque[:, :, -1],
-            tray.state[:, :, -1],
-            tray.w[:, :, -1],
-            swing,
-            late,
-        ),
+        _held(terms, joints, tray, torque),
         law,
     )
+
+
+def _held(terms: MotionTerms, joints: JointDeviation, tray: TrayDeviation, torque: Array) -> Held:
+    """What late commands, the last of what is missing, do."""
+    late, swing = joints.missing[:, :, -1], np.zeros_like(terms.w)
+    swing[:, :6] = (terms.jacobian @ late[:, :, None])[:, :, 0]
+    q, dq, torque, moved, w = (x[:, :, -1] for x in (joints.q, joints.dq, torque, tray.state, tray.w))
+    return Held(q, dq, torque, moved, w, swing, late)
 
 
 def tray_of_joints(terms: MotionTerms, joints: JointDeviation) -> TrayDeviation:
