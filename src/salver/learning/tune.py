@@ -174,7 +174,7 @@ def refusal(seen: Tracking, margin: float, again: Plan | None, replans: int) -> 
     if again is not None:
         why += f", and with a margin of {100 * margin:.1f} % no safe motion was found ({again.status.sentence})"
     elif margin > DEAREST:
-        why += f"; a margin of {100 * margin:.1f} % is more than the {100 * DEAREST:.0f} % that are bought"
+        why += f"; a margin of {100 * margin:.2f} % is more than the {100 * DEAREST:.0f} % that are bought"
     elif replans >= REPLANS:
         why += f" after {replans} margins bought"
     else:
