@@ -114,6 +114,25 @@ def test_what_late_commands_do_is_known_where_the_jerk_jumps(motion):
     assert np.abs(drift_full.swing[knots]).max() > 5e-3 * 9.81
 
 
+def test_what_goes_on_from_a_deviation_strays_as_the_whole(motion, both):
+    """From a knot in the middle: of what a wrong load does, and of what late commands did before."""
+    problem, whole = motion
+    at = 20
+    cut = whole.t[at]
+    rest = JointMotion(whole.t[at:] - cut, whole.q[at:], whole.dq[at:], whole.ddq[at:])
+    found, _, t, _ = both
+    _, known, _ = seen(problem, whole)
+    start = known.response.known.state_at(known.t, cut)
+    begun = replace(problem, tracking=problem.tracking.begun(start))
+    later, _, _ = seen(begun, rest)
+    first = np.searchsorted(t, cut - 1e-9)
+    assert np.abs(later.s[later.nodes] * rest.duration + cut - t[first:]).max() < 1e-9
+    (w, drift), (w_whole, drift_whole) = later.response.felt(), found.response.felt()
+    assert np.abs(w - w_whole[first:]).max() < 1e-4 * 9.81
+    assert np.abs(drift.dw - drift_whole.dw[first:]).max() < 1e-4 * 9.81
+    assert np.abs(start[:, :, -1]).max() > 1e-3  # rad/s
+
+
 def test_the_margin_of_contact_is_more_than_the_verdict_may_miss(motion, both):
     """Against four times as many instants, at each of which everything is worked out."""
     problem, whole = motion
