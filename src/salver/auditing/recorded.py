@@ -153,10 +153,11 @@ def _stretch(
         mirrored = _left(t, p, quat, slower, turned, sensor, rate)
     grid = _instants(t, np.maximum(bandwidth, agile), inner)
     motion = _motion(grid, position, turning)
-    # Between the outermost samples a curve bends as it likes: there it is taken to bend on as two samples inside.
+    # Between the outermost samples a curve bends as it likes: there it is taken to bend on as two samples inside, place
+    # and turn alike. What is at rest in one of them only is a motion that nobody made.
     for end, one_sided in ((0, grid < t[_OUTER]), (-1, grid > t[-1 - _OUTER])):
-        for curve, bend in ((position, motion.a_S), (turning, motion.alpha_B)):
-            if not curve.rest[end] and not one_sided.all():
+        if not (position.rest[end] and turning.rest[end]) and not one_sided.all():
+            for bend in (motion.a_S, motion.alpha_B):
                 bend[one_sided] = bend[~one_sided][end]
     error = np.hypot(
         sensor.position.whole * position.acceleration_error(grid, 1 / rate, bent=True),
