@@ -234,7 +234,7 @@ def test_inside_a_gap_nothing_is_known_and_outside_of_it_all_that_was():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_place_and_turn_end_alike(seed):
-    """A tray that turns sharply, up to 0.13 m below a point that moves gently, by a sensor that knows places better than
+    """A tray that turns sharply, 0.13 m below a point that moves gently, by a sensor that knows places better than
     turns. At the ends the point bends as two samples inside, 0.2 to 0.3 m/s^2 off the truth, and not by as much as the
     tray alone; that is so where one of the two is taken to be at rest there and the other is not (seeds 0 and 2)."""
     rng, duration, arm = np.random.default_rng(seed), 0.5, np.array([0.0, 0.0, 0.13])

@@ -183,7 +183,7 @@ def _follow(
     n = len(t)
     if not np.ptp(y, axis=0).any():
         slowest = np.full(n, min(most, 1.5 / (t[-1] - t[0])))
-        return fit(t, y, slowest), slowest
+        return fit(t, y, slowest, ends), slowest
     bandwidth = np.full(n, np.clip(min(_harmless(level.whole, rate), USUAL), 1.5 / (t[-1] - t[0]), most))
     for _ in range(_ROUNDS):
         curve = fit(t, y, bandwidth)
