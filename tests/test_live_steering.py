@@ -410,7 +410,8 @@ def test_a_bend_goes_to_the_verdict_when_its_trial_takes_no_more_than_half_of_wh
     assert more > 0
 
 
-def test_the_jerk_that_a_bend_is_priced_by_is_by_how_much_that_of_the_motion_changes(cube, monkeypatch):
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_the_jerk_that_a_bend_is_priced_by_is_by_how_much_that_of_the_motion_changes(cube, monkeypatch, way):
     """What is committed, less what was, differs by the bend: also a share of it, of which the jerk does not matter."""
     told, passed, tick = [], steer.Caution.passed, steer.Steering.tick
 
@@ -428,7 +429,7 @@ def test_the_jerk_that_a_bend_is_priced_by_is_by_how_much_that_of_the_motion_cha
     compared: list = []
     monkeypatch.setattr(steer.Caution, "passed", lambda *given: told.append(given[1:]) or passed(*given))
     monkeypatch.setattr(steer.Steering, "tick", ticking)
-    drive(Live(cube, lead=TICK), 0.4, said(lambda t: np.array([1.0, -0.5, 0.2]), 0.4), EVERY)
+    drive(Live(cube, lead=TICK), 0.4, said(lambda t: way * np.array([1.0, -0.5, 0.2]), 0.4), EVERY)
     assert len(compared) > 5
     for jerk, largest in compared:
         assert jerk == pytest.approx(largest, rel=1e-2)
