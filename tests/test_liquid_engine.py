@@ -45,24 +45,6 @@ GLASS = {
     "liquid": {"kind": "water", "fill": 0.0754, "brim": 0.1172, "radius": 0.0338, "highest_wave": 0.0069},
     "uncertainty": {"mass": "10%", "friction": "10%", "fill": "20%"},
 }
-BLOCK = {
-    "name": "block",
-    "shape": {"type": "box", "size": [0.075, 0.075, 0.03]},
-    "mass": 0.4,
-    "friction": 0.5,
-    "support_inset": 0.002,
-}
-BOX = {
-    "name": "box",
-    "on": "block",
-    "shape": {"type": "box", "size": [0.0537, 0.0549, 0.0421]},
-    "mass": 0.156,
-    "friction": 0.53,
-    "support_inset": 0.002,
-    "liquid": {"kind": "coffee", "fill": 0.0272, "brim": 0.0384, "size": [0.0466, 0.0478]},
-    "uncertainty": {"mass": "10%", "friction": "10%", "fill": "10%"},
-}
-SPILT = [("xarm7", "fixed", [GLASS]), ("gen3", "free", [BLOCK, BOX])]
 
 
 @pytest.fixture(scope="module")
@@ -290,21 +272,28 @@ def test_waves_in_a_box_that_turns_go_the_way_that_is_known(coffee):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("arm", "goal_yaw", "objects"), SPILT, ids=["cup", "box that turns"])
-def test_what_was_given_up_or_spilt_is_carried(arm, goal_yaw, objects):
-    """Of the cup waves between the nodes of a search were .06 % too high, and it was given up; the box went over its
-    brim in the engine, before what its walls take along was known."""
-    middle = {"xarm7": (0.45, 0.2, 0.4), "gen3": (0.5, 0.2, 0.4)}[arm]
-    x, y, z = middle
-    motion = {"start": {"position": [x, -y, z]}, "goal": {"position": [x, y, z]}, "goal_yaw": goal_yaw}
+def test_a_cup_whose_waves_were_too_high_between_nodes_is_carried():
+    """By .06 % of its room, which no longer time mends: it was given up."""
+    motion = {"start": {"position": [0.45, -0.2, 0.4]}, "goal": {"position": [0.45, 0.2, 0.4]}, "goal_yaw": "fixed"}
     tray = {"size": [0.25, 0.25], "height": 0.05, "mass": 0.3}
-    made = {"motion": motion, "objects": objects, "contact": {"condition": "exact"}, "tray": tray}
-    scenario = parse({"name": "spilt", **made, "arm": {"model": arm}}, "spilt")
+    made = {"motion": motion, "objects": [GLASS], "contact": {"condition": "exact"}, "tray": tray}
+    scenario = parse({"name": "glass", **made, "arm": {"model": "xarm7"}}, "glass")
     plan = plan_fastest(scenario)
     assert plan.ok, plan.told
-    assert plan.duration < 0.85
-    body = scenario.payload.liquids[0]
-    full = {f"{body.name}.fill" if len(objects) > 1 else "fill": body.liquid.fill * (1.1 if len(objects) > 1 else 1.2)}
+    assert plan.duration < 0.75
+    assert sv.simulate(plan, parameters={"fill": 1.2 * 0.0754}).outcome == "holds"
+
+
+@pytest.mark.slow
+def test_a_square_box_that_turns_by_a_right_angle_keeps_its_water(coffee):
+    """It spilt, in 3 of 4 corners, as long as what its walls take along was not known."""
+    inside = {"kind": "water", "size": [0.06, 0.06], "fill": 0.05, "brim": 0.075}
+    shape = {"type": "box", "size": [0.07, 0.07, 0.085]}
+    goal = sv.load_scenario("panda-cube-yaw").motion.goal
+    turned = {"motion__goal_yaw": "fixed", "motion__goal": goal.model_dump()}
+    plan = plan_fastest(coffee.with_changes(objects__0__shape=shape, objects__0__liquid=inside, **turned))
+    assert plan.ok, plan.told
+    full = {"fill": 0.065, "damping": 0.0, "mass": 0.275, "friction": 0.36}
     assert sv.simulate(plan, parameters=full).outcome == "holds"
 
 
