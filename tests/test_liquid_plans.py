@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from salver.models.parameters import Parameter
 from salver.models.wrench_cone import facets
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.found import EFFORTS, object_motion
+from salver.planning.fastest.planned import SPARE, _sterner
 from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.retiming import plan_retimed
 from salver.planning.fastest.safest import plan_safest
@@ -338,3 +340,13 @@ def test_waves_that_an_arm_with_a_known_load_feels_are_nearly_those_that_were_pl
         x.w for x in (response.reaction(planned.wrench), given.reaction, response.reaction(given.wrench))
     )
     assert np.abs(thrice - twice).max() < 0.8 * np.abs(twice - once).max()
+
+
+def test_what_a_check_misses_of_a_room_is_kept_more_and_a_little_besides(coffee):
+    """The second time on top of what was kept the first time."""
+    lacking = SimpleNamespace(verification=SimpleNamespace(body="liquid in cup", violation=0.03))
+    once = _sterner(transport_problem(coffee), lacking)
+    assert once.spare == pytest.approx(0.03 + SPARE)
+    assert _sterner(once, lacking).spare == pytest.approx(2 * (0.03 + SPARE))
+    brim = next(x for x in once.constraints if isinstance(x, Brim))
+    assert brim.margin == once.spare
