@@ -12,6 +12,7 @@ import pytest
 
 from salver import __version__, scenario
 from salver.cli import COMMANDS, main
+from salver.planning.plan import load_plan
 
 SALVER = Path(sys.executable).with_name("salver")
 
@@ -250,3 +251,15 @@ def test_ctrl_c_while_a_command_is_loaded_is_no_traceback(monkeypatch, here):
 
     monkeypatch.setattr("salver.cli._gathered", loading)
     assert here("plan", "panda-cube") == (130, "", "")
+
+
+def test_ctrl_c_while_stops_are_planned_keeps_the_plan(monkeypatch, here, tmp_path):
+    def planning(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("salver.planning.stops.with_stops", planning)
+    code, _, said = here("plan", "panda-cube", "--stops", "-o", str(tmp_path / "cube"))
+    assert (code, said) == (130, "salver: interrupted; what was written to disk before is complete and was kept.\n")
+    kept = load_plan(tmp_path / "cube")
+    assert kept.ok
+    assert kept.stops is None

@@ -128,7 +128,7 @@ def plan(
     else:
         plans = _pair(chosen, method, arm, beside or "baseline", directory, force, options, time_limit)
     if stops:
-        plans["plan"] = stopping(plans["plan"])
+        plans["plan"] = stopping(plans["plan"], lambda: save_plans(directory, plans, force))
     save_plans(directory, plans, force)
     if json:
         print_json({"directory": directory, **{stem: made.summary() for stem, made in plans.items()}})

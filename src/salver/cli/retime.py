@@ -87,7 +87,7 @@ def retime(
     check_free(directory)
     plan = plan_retimed(chosen, read_waypoints(path, chosen, topic), robust=robust)
     if stops:
-        plan = stopping(plan)
+        plan = stopping(plan, lambda: save_plans(directory, {"plan": plan}))
     save_plans(directory, {"plan": plan})
     if write is not None:
         for file in write_motion(read_motion(directory), write):

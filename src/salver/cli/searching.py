@@ -6,7 +6,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from types import FrameType
@@ -56,13 +56,18 @@ def searching(time_limit: float | None = None) -> Iterator[Watch]:
         signal.signal(signal.SIGINT, before)
 
 
-def stopping(plan: Planned) -> Planned:
-    """The same plan with its stops, of each leg where there are several; as it is where it is not safe."""
+def stopping(plan: Planned, keep: Callable[[], object]) -> Planned:
+    """The same plan with its stops, of each leg where there are several; as it is where it is not safe. Interrupted,
+    the plan without them is kept, by `keep`."""
     from salver.planning.round import Round
     from salver.planning.stops import with_stops
 
     if not plan.ok:
         return plan
-    if isinstance(plan, Round):
-        return replace(plan, legs=tuple(with_stops(leg) for leg in plan.legs))
-    return replace(plan, stops=with_stops(plan, lambda done, total: step(done, total, "stops")).stops)
+    try:
+        if isinstance(plan, Round):
+            return replace(plan, legs=tuple(with_stops(leg) for leg in plan.legs))
+        return replace(plan, stops=with_stops(plan, lambda done, total: step(done, total, "stops")).stops)
+    except KeyboardInterrupt:
+        keep()
+        raise
