@@ -44,7 +44,7 @@ def panda() -> ArmModel:
 
 
 def test_what_is_out_of_reach_is_so_far_from_the_base_of_the_arm() -> None:
-    arm: Any = SimpleNamespace(name="arm", base_position=np.array([1.0, -2.0, 0.5]))
+    arm: Any = SimpleNamespace(name="arm", n=6, base_position=np.array([1.0, -2.0, 0.5]))
     path: Any = SimpleNamespace(p_SE=np.array([[1.0, 1.0, 4.5], [4.0, -2.0, 0.5]]), t=np.array([0.0, 0.7]))
     first, second = (_unreachable(arm, path, k) for k in (0, 1))
     assert first.details["distance_from_base"] == pytest.approx(5.0)  # 3 and 4
