@@ -142,18 +142,27 @@ class InterfaceMargins:
         w, w_0 = self.whole.w, self._internal_worst
         low, high = 0.0, 5.0
 
-        def fails(mu: float, keep: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+        def values(mu: float, keep: npt.NDArray[np.intp]) -> Array:
             at_mu = _combined(tangential, normal, mu)
-            return np.asarray((self.whole.at(keep).worst_case(at_mu) + w_0[keep] @ at_mu.internal.T).max(axis=1) > 0)
+            return np.asarray((self.whole.at(keep).worst_case(at_mu) + w_0[keep] @ at_mu.internal.T).max(axis=1))
 
-        candidates = np.arange(len(w))
-        if fails(high, candidates).any():
+        # Of an instant the value is convex in 1 / mu and grows. So what holds with less than the nominal case needs is
+        # not looked at again, and of the others the root lies below that of their chord.
+        sure = float(np.clip(0.999 * self.friction_needed.max(), 1e-4, high))
+        at_sure = values(sure, np.arange(len(w)))
+        candidates = np.flatnonzero(at_sure > 0)
+        at_high = values(high, candidates) if len(candidates) else np.zeros(0)
+        if (at_high > 0).any():
             return float("inf")
+        share = at_sure[candidates] / (at_sure[candidates] - at_high)
+        enough = 1 / (share / high + (1 - share) / sure)
         while high - low > 1e-4:
             middle = 0.5 * (low + high)
-            failing = fails(middle, candidates)
-            if failing.any():
-                low, candidates = middle, candidates[failing]
+            failing = np.flatnonzero(enough > middle)
+            if middle > sure and len(failing):
+                failing = failing[values(middle, candidates[failing]) > 0]
+            if len(failing):
+                low, candidates, enough = middle, candidates[failing], enough[failing]
             else:
                 high = middle
         return high
