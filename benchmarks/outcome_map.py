@@ -122,8 +122,7 @@ def draw(which: str, rows: list[dict[str, Any]]) -> None:
     from salver.reports.figures import outcome_map, render
     from salver.reports.style import paper_style
 
-    kept = [row for row in rows if row["outcome"] != "no plan"]
-    columns = {key: [row[key] for row in kept] for key in kept[0]}
+    columns = {key: [row[key] for row in rows] for key in rows[0]}
     label = {"friction": "friction", "height": "height of the centre of mass [m]"}[which]
     columns[label] = columns[which]
     with paper_style():

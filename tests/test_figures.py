@@ -166,10 +166,10 @@ def test_fig7_shows_the_same_instants_of_both(directory: Path) -> None:
 
 def test_outcome_map_shows_the_worst_of_each_cell() -> None:
     table = {
-        "duration": [0.5, 0.5, 1.0, 1.0, 0.5, 1.0, 1.0],
-        "friction": [0.2, 0.2, 0.2, 0.4, 0.4, 0.2, 0.4],
-        "stem": ["plan"] * 5 + ["baseline"] * 2,
-        "outcome": ["holds", "slides", "holds", "holds", "tips", "lost", "holds"],
+        "duration": [0.5, 0.5, 1.0, 1.0, 0.5, 1.0, 1.0, 0.5],
+        "friction": [0.2, 0.2, 0.2, 0.4, 0.4, 0.2, 0.4, 0.2],
+        "stem": ["plan"] * 5 + ["baseline"] * 3,
+        "outcome": ["holds", "slides", "holds", "holds", "tips", "lost", "holds", "no plan"],
     }
     with paper_style():
         figure = figures.outcome_map(table, [("plan", "Robust"), ("baseline", "Baseline")])
@@ -179,10 +179,10 @@ def test_outcome_map_shows_the_worst_of_each_cell() -> None:
     assert cells[0.25, 0.1] == pytest.approx(rgb(OUTCOME_COLOURS["slides"]), abs=1e-3)
     assert cells[0.25, 0.3] == pytest.approx(rgb(OUTCOME_COLOURS["tips"]), abs=1e-3)
     assert sorted(t.get_text() for t in left.texts) == ["", "", "s", "t"]
-    assert [t.get_text() for t in right.texts] == ["×", ""]
+    assert [t.get_text() for t in right.texts] == ["×", "", ""]
     assert left.get_xlabel() == "duration [s]"
     names = [t.get_text() for t in figure.legends[0].get_texts()]
-    assert names == ["holds", "slides (s)", "tips (t)", "lost (×)"]
+    assert names == ["holds", "slides (s)", "tips (t)", "lost (×)", "no plan"]
 
 
 def test_tables(directory: Path, tmp_path: Path) -> None:

@@ -268,7 +268,16 @@ def tracking(
     return figure
 
 
-OUTCOME_MARKS = {"holds": "", "slides": "s", "spills": "w", "tips": "t", "lifts": "l", "lost": "×", "limit": "–"}
+OUTCOME_MARKS = {
+    "holds": "",
+    "slides": "s",
+    "spills": "w",
+    "tips": "t",
+    "lifts": "l",
+    "lost": "×",
+    "limit": "–",
+    "no plan": "",
+}
 
 
 def outcome_map(
@@ -277,7 +286,7 @@ def outcome_map(
     """Where a motion holds, slides or tips, over two quantities: one panel for each (stem, title) of `columns`.
 
     table: columns `x`, `y`, "stem" and "outcome" of equal length, one row a run; several runs of one cell show the
-    worst. A cell where something happened carries a letter besides its colour.
+    worst. A cell where something happened carries a letter besides its colour; one without a plan is blank.
     """
     from matplotlib.patches import Patch
 
@@ -285,6 +294,7 @@ def outcome_map(
 
     columns = list(columns)
     order = list(OUTCOME_MARKS)
+    colours = OUTCOME_COLOURS | {"holds": "#dcefe8", "no plan": "white"}
     xs, ys = (np.unique(np.asarray(table[key], dtype=float)) for key in (x, y))
     figure, axes = _new(COLUMN * len(columns), 2.5, columns=len(columns), sharey=True)
     seen: set[str] = set()
@@ -301,15 +311,17 @@ def outcome_map(
             seen.add(outcome)
             left, low = edges_x[i], edges_y[j]
             wide, high = edges_x[i + 1] - left, edges_y[j + 1] - low
-            colour = "#dcefe8" if outcome == "holds" else OUTCOME_COLOURS[outcome]
-            ax.add_patch(_cell(left, low, wide, high, colour))
-            ax.text(left + wide / 2, low + high / 2, OUTCOME_MARKS[outcome], ha="center", va="center", fontsize=7)
+            ax.add_patch(_cell(left, low, wide, high, colours[outcome]))
+            seen_on = "white" if colours[outcome] == BLACK else BLACK
+            ax.text(
+                left + wide / 2, low + high / 2, OUTCOME_MARKS[outcome], ha="center", va="center", size=7, color=seen_on
+            )
         ax.set(xlim=(edges_x[0], edges_x[-1]), ylim=(edges_y[0], edges_y[-1]), xlabel=f"{x} [s]")
         ax.set_title(title, loc="left")
         ax.grid(visible=False)
     axes[0, 0].set_ylabel(f"{y} coefficient" if y == "friction" else y)
     handles = [
-        Patch(facecolor="#dcefe8" if o == "holds" else OUTCOME_COLOURS[o], label=f"{o} ({m})" if m else o)
+        Patch(facecolor=colours[o], edgecolor=GREY, linewidth=0.4, label=f"{o} ({m})" if m else o)
         for o, m in OUTCOME_MARKS.items()
         if o in seen
     ]
