@@ -189,6 +189,18 @@ def test_fitted_capsules_by_hand(moment: str, radius: float) -> None:
         assert item.placement.translation == pytest.approx([0, middle, 0], abs=1e-12)
 
 
+def test_a_geometry_of_no_size_is_none() -> None:
+    """What can be seen stands for the link then; a body of which nothing can be seen is named, a frame is not."""
+    link = """<link name="{}"><inertial><mass value="{}"/></inertial><collision><geometry>{}</geometry></collision>
+      <visual><geometry>{}</geometry></visual></link>"""
+    nothing, thin, ball = '<box size="0.0 0 0."/>', '<box size="0.1 0 0"/>', '<sphere radius="0.2"/>'
+    parts = [("torso", 1, nothing, ball), ("head", 1, nothing, nothing), ("hand", 1, thin, ball)]
+    links = "".join(link.format(*part) for part in [*parts, ("frame", 0.001, nothing, nothing)])
+    known = link_shapes(f"<robot name='r'>{links}</robot>")
+    assert [(item.link, item.shape.radius) for item in known.shapes] == [("torso", 0.2)]
+    assert known.missing == {"head": "the URDF gives it no geometry", "hand": "the size of its box is not positive"}
+
+
 def test_capsules_stand_near_the_true_hulls(tmp_path: Path) -> None:
     """Fitted to the UR5's inertia they tell of the same collisions most of the time; of where, they are an estimate."""
     copyfile(UR5, tmp_path / "alone.urdf")

@@ -7,6 +7,7 @@ cannot be read, capsules can be fitted: they are an estimate.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -24,6 +25,8 @@ DENSITIES = (2700.0, 700.0)  # kg/m^3: solid aluminium; light shells with little
 LARGEST_LINK = 10.0  # m
 FRAME_MASS = 0.02  # kg: a lighter link without geometry is a frame that somebody gave a mass, not a body
 FULL = 0.9  # share of its hull from which a mesh counts as convex
+SIZES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
+_NOUGHT = re.compile(r"0*\.?0*")
 _SAME_DIRECTION = 1e-9
 
 
@@ -82,7 +85,8 @@ def link_shapes(urdf: str, capsules: bool = False) -> LinkShapes:
     fitted: list[str] = []
     for link in root.iter("link"):
         name = link.get("name", "")
-        elements = link.findall("collision") or link.findall("visual")
+        collision, visual = ([x for x in link.findall(tag) if not _empty(x)] for tag in ("collision", "visual"))
+        elements = collision or visual
         reasons = []
         for element in elements:
             try:
@@ -110,6 +114,13 @@ def _loader() -> Any:
     return coal.CachedMeshLoader()
 
 
+def _empty(element: ElementTree.Element) -> bool:
+    """Whether all sizes of an element's geometry are 0, by which some URDFs say that a link has none."""
+    kinds = element.findall("geometry/*")
+    sizes = [size for kind in kinds for key in SIZES.get(kind.tag, ()) for size in kind.get(key, "").split()]
+    return bool(sizes) and all(_NOUGHT.fullmatch(size) for size in sizes)
+
+
 def _shape(geometry: ElementTree.Element | None) -> tuple[Any, tuple[str, tuple[float, ...]] | None]:
     """Coal's shape of a URDF's geometry, and the mesh's file and scale if it is one's hull. Raises ValueError with the
     reason when it is not to be had."""
@@ -124,11 +135,10 @@ def _shape(geometry: ElementTree.Element | None) -> tuple[Any, tuple[str, tuple[
         if len(scale) != 3 or not all(np.isfinite(x) and x != 0 for x in scale):
             raise ValueError(f'the scale "{kind.get("scale")}" of its mesh is not three numbers other than 0')
         return _hull(file, tuple(scale)), (file, tuple(scale))
-    sizes = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
-    if kind.tag not in sizes:
+    if kind.tag not in SIZES:
         raise ValueError(f"its geometry is a <{kind.tag}>")
-    numbers = [x for key in sizes[kind.tag] for x in _numbers(kind, key)]
-    count = 3 if kind.tag == "box" else len(sizes[kind.tag])
+    numbers = [x for key in SIZES[kind.tag] for x in _numbers(kind, key)]
+    count = 3 if kind.tag == "box" else len(SIZES[kind.tag])
     if len(numbers) != count:
         raise ValueError(f"its {kind.tag} has {len(numbers)} sizes, not {count}")
     if not all(np.isfinite(x) and x > 0 for x in numbers):
