@@ -123,6 +123,14 @@ def test_references_rest_before_their_start_and_after_their_end(tumbling):
         assert not outside.alpha_B.any()
 
 
+def test_jerk_jumps_where_two_pieces_of_a_joint_motion_meet():
+    """A first piece t^3, whose jerk is 6 everywhere, and a second one 1 + 3 u + 3 u^2 + u^4, whose jerk is 24 u."""
+    t, states = np.array([0.0, 1.0, 1.5]), np.array([[0, 0, 0], [1, 3, 6], [3.3125, 6.5, 9]]).T[:, :, None]
+    motion = JointMotion(t, *states)
+    np.testing.assert_allclose(motion.jerk_before[:, 0], [6, 6, 12], atol=1e-12)
+    np.testing.assert_allclose(motion.jerk(t)[:, 0], [6, 0, 12], atol=1e-12)
+
+
 def test_joint_motion_interpolates_position_rate_and_acceleration():
     t = np.linspace(0, 2, 41)
     motion = JointMotion(t, *(np.stack([f(t), 2 * f(t)], axis=1) for f in (np.sin, np.cos, lambda x: -np.sin(x))))

@@ -405,8 +405,14 @@ class JointMotion(Outlined):
             values = (_bernstein(count) @ control[pieces]).reshape(len(pieces), 4, count, -1)
             t[at] = self.t[pieces, None] + np.arange(count) * (step / count)
             z[:, at] = np.swapaxes(values / step[:, :, None, None] ** np.arange(4.0)[:, None, None], 0, 1)
-        t[-1], z[:3, -1], z[3, -1] = self.t[-1], (self.q[-1], self.dq[-1], self.ddq[-1]), self.jerk(self.t[-1])[0]
+        t[-1], z[:3, -1], z[3, -1] = self.t[-1], (self.q[-1], self.dq[-1], self.ddq[-1]), self.jerk_before[-1]
         return t, z
+
+    @cached_property
+    def jerk_before(self) -> Array:
+        """(T, n) third derivative just before each sample; after the first."""
+        bend = 60.0 * np.diff(self._spline.coefficients, 3, axis=0) / np.diff(self.t)[:, None] ** 3
+        return np.concatenate([bend[0, :1], bend[2]])
 
     def jerk(self, t: npt.ArrayLike) -> Array:
         """Third derivative (T, n)."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.live.known import Known
-from salver.live.motion import SAME, Committed, Margins
+from salver.live.motion import Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
 from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
@@ -126,7 +126,8 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Kn
     evaluation.feeling(terms.continued(z[:3, nodes], smooth.each))
     response = None
     if problem.tracking is not None:
-        jerk = motion.jerk(t[some] - SAME)
+        jerk = z[3, some]
+        jerk[knots[smooth.some]] = motion.jerk_before
         response = Finer.of(problem.tracking, t[nodes], evaluation.terms, terms, z[1:, some], jerk, smooth)
         evaluation.straying(response)
     return evaluation, Known(t[some], knots[smooth.some], terms, response), knots

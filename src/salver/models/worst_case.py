@@ -85,6 +85,11 @@ class UncertainRows:
         return np.ascontiguousarray(np.swapaxes(np.concatenate([self.parameter, self.remainder]), 0, 1))
 
     @cached_property
+    def by_entry(self) -> Array:
+        """(12, n_p + n_r, n) the same by entries of w."""
+        return np.ascontiguousarray(np.moveaxis(np.concatenate([self.parameter, self.remainder]), 2, 0))
+
+    @cached_property
     def largest(self) -> Array:
         """(n, 36) c_0, what all other terms come to at most by the size of each of w, and the size of c_0."""
         each = np.abs(np.concatenate([self.parameter, self.remainder])).sum(axis=0)
@@ -297,16 +302,17 @@ class _Case:
     coefficients: list[Array]
 
 
-def _values(rows: UncertainRows, w: Array, drift: Drift | None) -> Array:
-    """(T, n) worst case, in pieces of time."""
+def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL) -> Array:
+    """(T, n) worst case of all rows, or of some that have no fillings, in pieces of time."""
+    nominal = rows.nominal[some]
     if rows.certain and (drift is None or not drift.terms):
-        either = [side @ rows.nominal.T for _, side in _sides(w, drift)]
+        either = [side @ nominal.T for _, side in _sides(w, drift)]
         return np.maximum(*either) if len(either) > 1 else either[0]
-    n_k, n = 0 if drift is None else len(drift.terms), len(rows.nominal)
+    n_k, n = 0 if drift is None else len(drift.terms), len(nominal)
     per_row = len(rows.parameter) + len(rows.remainder) + n_k + 30 * len(rows.fillings)
     values = np.empty((len(w), n))
     every = max(1, _CHUNK // max(1, n * per_row))
-    cases = _cases(rows, w, drift)
+    cases = _cases(rows, w, drift, some)
     for start in range(0, len(w), every):
         part = slice(start, start + every)
         found = list(cases(part))
@@ -339,19 +345,19 @@ def values_near(
     if len(instants):
         felt = None
         if drift is not None:
-            _roles(rows, drift)
             felt = Drift(drift.terms, drift.dw[instants], None if drift.swing is None else drift.swing[instants])
-        exact = _values(rows.only(some), w[instants], felt)
+        exact = _values(rows, w[instants], felt, some)
         values[np.ix_(instants, some)] = exact if added is None else exact + added(instants, some, False)
     return values
 
 
-def _cases(rows: UncertainRows, w: Array, drift: Drift | None) -> Callable[[slice], Iterator[_Case]]:
+def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Callable[[slice], Iterator[_Case]]:
     """The cases of which the worst counts, in a piece of time: either side of a swing, strayed or not."""
-    n_p, n_k, n = len(rows.acting), 0 if drift is None else len(drift.terms), len(rows.nominal)
-    felt = np.any(w != 0, axis=0) | (drift is not None)  # a tray that does not turn feels three of the twelve
-    columns = np.concatenate([rows.parameter, rows.remainder])[:, :, felt]
-    nominal, flat = rows.nominal[:, felt].T, np.ascontiguousarray(columns.reshape(-1, columns.shape[2]).T)
+    n_p, n_k = len(rows.acting), 0 if drift is None else len(drift.terms)
+    felt = ALL if drift is not None else np.any(w != 0, axis=0)  # a tray that does not turn feels three of the twelve
+    nominal, flat = rows.nominal[some].T[felt], rows.by_entry[:, :, some][felt]
+    _, n_c, n = flat.shape
+    flat = flat.reshape(len(flat), n_c * n)
     sides = [np.ascontiguousarray(side[:, felt]) for _, side in _sides(w, drift)]
     drift = drift if n_k else None  # what only swings has no more cases than sides
     fillings = tuple(filling.mapped(lambda array: array[..., felt]) for filling in rows.fillings)
@@ -365,13 +371,13 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None) -> Callable[[slic
     def cases(part: slice) -> Iterator[_Case]:
         count = len(w[part])
         if drift is not None:
-            change = (moved[part].reshape(-1, moved.shape[2]) @ rows.nominal.T).reshape(count, n_k, n)
+            change = (moved[part].reshape(-1, moved.shape[2]) @ nominal).reshape(count, n_k, n)
             other = change[:, n_k - len(roles.other) :]
             extra = np.abs(other, out=other).sum(axis=1)
             for k, j in roles.mass:
-                extra += rows.mass_signs[:, j] * change[:, place[k]]
+                extra += rows.mass_signs[some, j] * change[:, place[k]]
         for side in sides:
-            terms = (side[part] @ flat).reshape(count, len(columns), n)
+            terms = (side[part] @ flat).reshape(count, n_c, n)
             own = [filling.coefficients(side[part]) for filling in fillings]
             level = side[part] @ nominal + np.abs(terms[:, n_p:]).sum(axis=1)
             for filling, of in zip(fillings, own, strict=True):

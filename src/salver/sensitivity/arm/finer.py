@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import accumulate
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -72,8 +74,10 @@ class Smooth:
 
     def each(self, several: Sequence[Array]) -> list[Array]:
         """`between` of several, all at once."""
-        flat = np.concatenate([values.reshape(len(values), values[0].size) for values in several], axis=1)
-        parts = np.split(self.between(flat), np.cumsum([values[0].size for values in several])[:-1], axis=1)
+        sizes = [prod(values.shape[1:]) for values in several]
+        flat = np.concatenate([x.reshape(len(x), size) for x, size in zip(several, sizes, strict=True)], axis=1)
+        found, ends = self.between(flat), accumulate(sizes)
+        parts = (found[:, end - size : end] for size, end in zip(sizes, ends, strict=True))
         return [x.reshape(len(x), *values.shape[1:]) for x, values in zip(parts, several, strict=True)]
 
     def jumping(self, after: Array, before: Array) -> Array:

@@ -125,6 +125,10 @@ class Held:
     swing: Array
     late: Array
 
+    def __add__(self, other: Held) -> Held:
+        """Of what is late for two reasons together."""
+        return Held(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
+
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
@@ -229,18 +233,17 @@ class JointLoop:
             return joints, tray_of_joints(terms, joints)
 
         late_by = late(terms, rates, self.delay, not len(self.load.half_range))
-        found = deviation(self.load, terms, late_by, law, self.start)
         if before is None:
-            return found
+            return deviation(self.load, terms, late_by, law, self.start)
         # Its jumps are steps, exactly; what is left without them is continuous.
         steps = np.cumsum(self.delay * (rates[2] - before), axis=0)
-        held = replace(LinearFilter.on_nodes(t, self.kp, self.kd, 1, shares), samples=None)
-        start = None if self.start is None else self.start[:, :, -1]
-        parts = response.respond(late_by - steps, start), held.respond(np.repeat(steps[:-1], 2, axis=0))
-        e, rate = (first + second for first, second in zip(*parts, strict=True))
-        state = np.concatenate([e, rate, response.acceleration(late_by, e, rate)], axis=1)
-        joints = JointDeviation(-state[:, :, None], late_by[:, :, None])
-        return replace(found, held=_held(terms, joints, tray_of_joints(terms, joints), commanded(terms, joints)))
+        found = deviation(self.load, terms, late_by - steps, law, self.start)
+        filter_ = replace(LinearFilter.on_nodes(t, self.kp, self.kd, 1, shares), samples=None)
+        e, rate = filter_.respond(np.repeat(steps[:-1], 2, axis=0))
+        state = np.concatenate([e, rate, filter_.acceleration(steps, e, rate)], axis=1)
+        joints = JointDeviation(-state[:, :, None], steps[:, :, None])
+        stepped = _held(terms, joints, tray_of_joints(terms, joints), commanded(terms, joints))
+        return replace(found, held=found.held + stepped)
 
 
 def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:
@@ -278,29 +281,21 @@ def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law, start
     """What a law makes of a wrong load and of commands that act late, second order in the load included. start: as of
     `JointLoop`."""
     n_p, n_c = load.uncertain.size, len(load.half_range)
-    missing = late[:, :, None]
-    if n_c:
-        missing = np.concatenate([missing_acceleration(load, terms), missing], axis=2)
+    missing = missing_acceleration(load, terms)
     # A wrong load is there before the motion, a late command not.
-    joints, tray = law(missing, np.append(np.ones(n_c), 0.0), start)
+    first = np.concatenate([missing[:, :, :n_p], late[:, :, None]], axis=2)
+    begun = None if start is None else np.concatenate([start[:, :, :n_p], start[:, :, n_c:]], axis=2)
+    joints, tray = law(first, np.append(np.ones(n_p), 0.0), begun)
+    torque = commanded(terms, joints)
+    held = _held(terms, joints, tray, torque)
+    loads = [[x[:, :, :-1] for x in (*vars(joints).values(), *vars(tray).values(), torque)]]
     if n_c > n_p:
         wrench = np.swapaxes(terms.jacobian, 1, 2) @ load.products(load.load_p, tray.w)
-        # The start holds all there is of each term: what is of second order starts from zero.
-        nothing = None if start is None else np.zeros((*start.shape[:2], n_c - n_p))
-        products = law(terms.mass_inverse @ wrench, np.ones(n_c - n_p), nothing)
-        for first, second in zip((joints, tray), products, strict=True):
-            for name, value in vars(second).items():
-                getattr(first, name)[:, :, n_p:-1] += value
-    torque = commanded(terms, joints)
-    return Deviation(
-        load,
-        terms,
-        JointDeviation(*(x[:, :, :-1] for x in vars(joints).values())),
-        TrayDeviation(*(x[:, :, :-1] for x in vars(tray).values())),
-        torque[:, :, :-1],
-        _held(terms, joints, tray, torque),
-        law,
-    )
+        begun = None if start is None else start[:, :, n_p:n_c]
+        joints, tray = law(missing[:, :, n_p:] + terms.mass_inverse @ wrench, np.ones(n_c - n_p), begun)
+        loads.append([*vars(joints).values(), *vars(tray).values(), commanded(terms, joints)])
+    state, missing, moved, w, torque = (np.concatenate(x, axis=2) for x in zip(*loads, strict=True))
+    return Deviation(load, terms, JointDeviation(state, missing), TrayDeviation(moved, w), torque, held, law)
 
 
 def _held(terms: MotionTerms, joints: JointDeviation, tray: TrayDeviation, torque: Array) -> Held:
