@@ -12,7 +12,9 @@ from salver import scenario as scenarios
 from salver.auditing import audit, audit_motion
 from salver.auditing.motion import TrayMotion
 from salver.cli import app
+from salver.contact_margins import Margins
 from salver.geometry import exp
+from salver.models.tray_motion import motion_vector
 from salver.trajectory import MotionSamples
 
 PEAK = 10 / np.sqrt(3) * 0.5  # of the min-jerk acceleration over 0.5 m, times T^2
@@ -73,6 +75,26 @@ def test_run_at_its_pace_the_path_just_holds():
     slow = audit_motion(of_line(0.9), uncertain).pace_worst.factor
     assert audit_motion(of_line(0.9 * slow * 1.001), uncertain).worst.code == "holds"
     assert audit_motion(of_line(0.9 * slow * 0.999), uncertain).worst.code == "slides"
+
+
+@pytest.mark.parametrize(
+    ("duration", "contents"),
+    [(0.5, {}), (0.8, {}), (2.0, {}), (0.8, {"contents": "any", "com": [0.004, 0.003, 0.005]})],
+)
+def test_few_instants_decide_the_pace_as_all_do(duration, contents):
+    """Of the whole motion, which turns as well, the least margin is 0 there."""
+    s = line(duration, 20 if contents else 151)
+    R = exp(np.outer(np.sin(3 * s.t / duration), [0.05, 0.03, 0.2]))
+    scenario = case(0.4).with_changes(objects__0__uncertainty={"friction": "10%", "mass": "10%", **contents})
+    turning = MotionSamples(**(vars(s) | {"R_SB": R, "omega_B": s.v_S * 0.7, "alpha_B": s.a_S * 0.7}))
+    result = audit_motion(TrayMotion(turning), scenario)
+    whole, share = result.margins, 1 / result.pace_worst.factor**2
+    rest = motion_vector(R, *np.zeros((3, len(R), 3)))
+
+    def least(share):
+        return Margins(whole.model, whole.t, rest + share * (whole.w - rest)).exact_worst.min()
+
+    assert least(share) >= 0 > least(share * (1 + 4e-6))
 
 
 def test_what_holds_nominally_may_not_hold_in_the_worst_case():

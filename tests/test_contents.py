@@ -332,6 +332,24 @@ def test_samples_of_any_contents_are_contents_that_can_be(method: str) -> None:
     assert values[:, [3, 5, 8]].min() > 0
 
 
+def test_the_largest_row_of_an_instant_is_that_of_a_search_of_all_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most rows get a bound only; a search ends within 1e-3 of a row's curvature, here 1e-5 of the weight."""
+    rng = np.random.default_rng(4)
+    w = rng.normal(size=(5, 12)) * [2, 2, 1, 1, 1, 1, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1] + 9.81 * np.eye(12)[2]
+    for made in (anything(load("panda-cube")), anything(nasty.small(nasty.stack(), 0.3))):
+        (rows,) = margins(made, nasty.tray_motion(2)).model.robust
+        found = rows.worst(w)
+        alone = np.array([rows.worst(one[None])[0].max() for one in w])
+        with monkeypatch.context() as all_of_them:
+            all_of_them.setattr(worst_case, "SURE", -np.inf)
+            sought = rows.worst(w)
+        assert (sought.max(axis=1) > 0).any()
+        np.testing.assert_allclose(found.max(axis=1), sought.max(axis=1), rtol=0, atol=1e-5)
+        np.testing.assert_allclose(alone, sought.max(axis=1), rtol=0, atol=1e-5)
+        assert np.array_equal(found > 0, sought > 0)
+        assert (found >= sought - 1e-5).all()
+
+
 def test_a_shape_of_very_many_corners_counts_as_its_bounding_box() -> None:
     way = np.random.default_rng(2).normal(size=(400, 3))
     hull = Hull.of(np.array([0.1, 0.2, 0.3]) + way / np.linalg.norm(way, axis=1)[:, None] * [0.03, 0.04, 0.05])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+import nasty
 from salver.contact_margins import Margins, margin_model, margins, tracking_motion
 from salver.control.object import Gains
 from salver.geometry import Array, exp
@@ -113,6 +114,15 @@ def test_mass_alone_costs_nothing_and_friction_does() -> None:
     assert costs["friction"] > costs["com_x"] >= 0
     m = moved(made, 1.0).interfaces[0]
     assert_allclose(m.least_friction, 0.45)
+
+
+def test_few_instants_decide_what_a_parameter_costs_as_all_do() -> None:
+    made = nasty.pair().with_changes(uncertainty={"tilt_deg": [1.0, 0.5]})
+    m = margins(made, nasty.tray_motion(60, seed=3))
+    costs, least = m.costs(), m.exact.min()
+    assert len(costs) > 8
+    for parameter in m.model.uncertain.parameters:
+        assert_allclose(costs[parameter.name], least - m.only(parameter).exact_worst.min(), rtol=0, atol=1e-12)
 
 
 def test_worst_verdict_is_about_the_least_friction() -> None:

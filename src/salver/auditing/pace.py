@@ -23,6 +23,7 @@ from salver.sensitivity.sloshing import Liquids
 PACES = 1.03 ** np.arange(60)  # at which a motion with a liquid is looked at: up to 5.7 times slower
 SLOWEST = 100.0  # times the duration: a path that needs more is called impossible
 FASTEST = 0.2
+BEYOND = 1.001  # times what no margin lasts to: worst cases of contents are known to a thousandth of their curvature
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class Pace:
 def pace(margins: Margins, R_SB: Array, worst: bool) -> Pace:
     """Of a motion with these margins, at whose instants the tray is turned by R_SB (T, 3, 3)."""
     w, rest = margins.w, _resting(R_SB)
+    here = margins.exact_worst if worst else margins.exact
     least = _margin(margins.model, rest, worst)
     if least.min() < 0:
         when = float(margins.t[int(np.argmin(least))])
@@ -48,20 +50,27 @@ def pace(margins: Margins, R_SB: Array, worst: bool) -> Pace:
         return Pace(None, Status("tilted", sentence, False, {"time": when}))
     slowest, fastest = 1 / SLOWEST**2, 1 / FASTEST**2  # of 1/s^2
 
-    def margin(share: float, at: slice | npt.NDArray[np.intp] = slice(None)) -> Array:
+    def margin(share: float, at: npt.NDArray[np.intp]) -> Array:
         return _margin(margins.model, rest[at] + share * (w[at] - rest[at]), worst)
 
-    if margin(slowest).min() < 0:
-        return Pace(None, Status("tilted", f"Even {SLOWEST:g} times slower the path would not hold.", False))
-    here = margins.exact_worst if worst else margins.exact
-    low, high = (slowest, 1.0) if here.min() < 0 else (1.0, fastest)
-    beyond = here if high == 1 else margin(fastest)
-    if beyond.min() < 0:
-        failing = np.flatnonzero(beyond < 0)  # concave: the others hold at every pace in between
-        low = _root(lambda share: float(margin(share, failing).min()), low, high)
+    # What holds at rest and at a pace holds at every slower one, as margins are concave.
+    if here.min() < 0:
+        low, high, failing = slowest, 1.0, np.flatnonzero(here < 0)
+        begin, end = margin(slowest, failing), here[failing]
+        if begin.min() < 0:
+            return Pace(None, Status("tilted", f"Even {SLOWEST:g} times slower the path would not hold.", False))
     else:
-        low = fastest
-    factor = float(1 / np.sqrt(low))
+        # Nor does anything hold beyond where the line through rest and here ends: far beyond, all would be sought.
+        everywhere = np.arange(len(w))
+        ends = np.divide(least, least - here, out=np.full(len(w), np.inf), where=least > here)
+        low, high = 1.0, min(fastest, BEYOND * float(ends.min()))
+        beyond = margin(high, everywhere)
+        if beyond.min() >= 0 and high < fastest:
+            high, beyond = fastest, margin(fastest, everywhere)
+        failing = np.flatnonzero(beyond < 0)
+        begin, end = here[failing], beyond[failing]
+    share = _least_root(lambda share, some: margin(share, failing[some]), low, high, begin, end)
+    factor = float(1 / np.sqrt(share))
     return Pace(factor, Status("found", f"It just holds at {factor:.3f} times the duration.", True, {"factor": factor}))
 
 
@@ -89,9 +98,32 @@ def _margin(model: MarginModel, w: Array, worst: bool) -> Array:
     return margins.exact_worst if worst else margins.exact
 
 
-def _root(f: Callable[[float], float], low: float, high: float) -> float:
-    """Where f turns negative between low (not negative) and high, to 1e-6, on the side where it has not."""
+def _least_root(
+    f: Callable[[float, npt.NDArray[np.intp]], Array], low: float, high: float, begin: Array, end: Array
+) -> float:
+    """Where the first of n concave functions turns negative between low, at which they are begin (n,), none negative,
+    and high, at which they are end (n,), all negative: to 1e-6, on the side where none has; high where there is none.
+
+    f: of a place, those that are asked for. A function lies above its chord: one whose chord ends beyond a root that is
+    known is not asked again, and few are near the least.
+    """
     from scipy.optimize import brentq
 
-    root = float(brentq(f, low, high, rtol=1e-7))
+    if not len(begin):
+        return high
+    some, root = np.arange(len(begin)), high
+    while len(some):
+        ending = low + (root - low) * begin / (begin - end)
+        k = int(np.argmin(ending))
+        known = {low: float(begin[k]), root: float(end[k])}
+
+        def first(x: float, one: npt.NDArray[np.intp] = some[[k]], known: dict[float, float] = known) -> float:
+            return known[x] if x in known else float(f(x, one)[0])
+
+        near = ending < root
+        near[k] = False
+        root = float(brentq(first, low, root, rtol=1e-7))
+        some, begin = some[near], begin[near]
+        end = f(root, some) if len(some) else begin
+        some, begin, end = some[end < 0], begin[end < 0], end[end < 0]
     return max(low, root * (1 - 1e-6))

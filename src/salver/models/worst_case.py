@@ -303,7 +303,8 @@ class _Case:
 
 
 def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL) -> Array:
-    """(T, n) worst case of all rows, or of some that have no fillings, in pieces of time."""
+    """(T, n) worst case of all rows, or of some that have no fillings, in pieces of time; what fillings make of rows
+    that matter is sought for all pieces together."""
     nominal = rows.nominal[some]
     if rows.certain and (drift is None or not drift.terms):
         either = [side @ nominal.T for _, side in _sides(w, drift)]
@@ -312,16 +313,19 @@ def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL
     per_row = len(rows.parameter) + len(rows.remainder) + n_k + 30 * len(rows.fillings)
     values = np.empty((len(w), n))
     every = max(1, _CHUNK // max(1, n * per_row))
-    cases = _cases(rows, w, drift, some)
+    cases, open_ = _cases(rows, w, drift, some), []
     for start in range(0, len(w), every):
         part = slice(start, start + every)
         found = list(cases(part))
         if rows.fillings:
-            values[part] = _filled(rows.fillings, found)
+            values[part], few = _bounded(rows.fillings, found, start)
+            open_ += few
         else:
             values[part] = found[0].value
             for case in found[1:]:
                 np.maximum(values[part], case.value, out=values[part])
+    if open_:
+        _fill(rows.fillings, open_, values)
     return values
 
 
@@ -402,31 +406,86 @@ SURE = -0.02  # rows beyond this are always worked out, so that the sign of ever
 _SETTLED = 1e-6  # of the weight: a bound that is within this of a value is the value
 
 
-def _filled(fillings: tuple[Filling, ...], cases: list[_Case]) -> Array:
-    """(T, n) the worst of the cases with the worst fillings.
+@dataclass(frozen=True)
+class _Open:
+    """Of m rows at instants at which it can matter, each in one case, what is not known: the worst fillings.
 
-    Worked out exactly where it can matter: for the largest row of an instant, and rows near or beyond their edge.
-    Others get a bound.
+    at (2, m): instants and rows. known: (m,) without fillings; most: (m,) what each of these adds at most, by
+    coefficients: (m, 9). target: (m,) below which no value needs to be improved.
     """
+
+    at: Indices
+    known: Array
+    most: list[Array]
+    coefficients: list[Array]
+    target: Array
+
+    @classmethod
+    def joined(cls, parts: list[_Open]) -> _Open:
+        at = np.concatenate([part.at for part in parts], axis=1)
+        known, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("known", "target"))
+        most, coefficients = (
+            [np.concatenate(each) for each in zip(*(getattr(part, name) for part in parts), strict=True)]
+            for name in ("most", "coefficients")
+        )
+        return cls(at, known, most, coefficients, target)
+
+    @cached_property
+    def highest(self) -> Array:
+        """(m,) that is not exceeded."""
+        return self.known + sum(self.most)
+
+    def only(self, some: Indices, target: Array) -> _Open:
+        """Some of the rows, with other targets."""
+        most, coefficients = [x[some] for x in self.most], [x[some] for x in self.coefficients]
+        return _Open(self.at[:, some], self.known[some], most, coefficients, target)
+
+    def worst(self, fillings: tuple[Filling, ...]) -> Array:
+        """(m,) with the worst fillings. One after the other: while one is worked out, the others are at their most."""
+        rest = list(self.most)
+        for j, filling in enumerate(fillings):
+            others = self.known + sum(rest) - rest[j]
+            rest[j] = filling.largest(self.coefficients[j], self.target - others)[0]
+        return np.minimum(self.highest, self.known + sum(rest))
+
+
+def _bounded(fillings: tuple[Filling, ...], cases: list[_Case], start: int) -> tuple[Array, list[_Open]]:
+    """(T, n) a bound on the worst of the cases with the worst fillings, but for what is open: the largest row of an
+    instant, and rows near or beyond their edge. Instants are counted from `start`."""
     limits = [[f.limits(of) for f, of in zip(fillings, case.coefficients, strict=True)] for case in cases]
     low, high = (
         np.array([c.value + sum(limit[side] for limit in each) for c, each in zip(cases, limits, strict=True)])
         for side in (0, 1)
     )
     matters = np.minimum(low.max(axis=(0, 2)), SURE)[None, :, None]
-    needed = (high > matters) & (high - low > _SETTLED)
-    for k, case in enumerate(cases):
-        at = needed[k]
-        if not at.any():
-            continue
-        known, target = case.value[at], np.broadcast_to(matters[0], at.shape)[at]
-        # One after the other: while one is worked out, the others are at their bounds.
-        rest = [limit[1][at] for limit in limits[k]]
-        for j, (filling, of) in enumerate(zip(fillings, case.coefficients, strict=True)):
-            others = known + sum(rest) - rest[j]
-            rest[j] = filling.largest(of[at], target - others)[0]
-        high[k][at] = np.minimum(high[k][at], known + sum(rest))
-    return np.asarray(high.max(axis=0))
+    needed, open_ = (high > matters) & (high - low > _SETTLED), []
+    for case, each, at in zip(cases, limits, needed, strict=True):
+        instant, row = np.nonzero(at)
+        if len(row):
+            most, coefficients = [limit[1][at] for limit in each], [of[at] for of in case.coefficients]
+            target = matters[0, instant, 0]
+            open_.append(_Open(np.stack([start + instant, row]), case.value[at], most, coefficients, target))
+    high[needed] = -np.inf
+    return np.asarray(high.max(axis=0)), open_
+
+
+def _fill(fillings: tuple[Filling, ...], open_: list[_Open], values: Array) -> None:
+    """Values (T, n) are made those of what is open, where these are larger: all of it side by side, for a search asks
+    little of a single row. First of each instant the row that may be largest: others need not be sought that are not
+    as large."""
+    every = _Open.joined(open_)
+    last = np.lexsort((every.highest, every.at[0]))
+    last = last[np.append(np.diff(every.at[0][last]) > 0, True)]
+    first = every.only(last, every.target[last])
+    found, known = first.worst(fillings), np.full(len(values), -np.inf)
+    known[first.at[0]] = np.minimum(found, SURE)
+    target, worst = np.maximum(every.target, known[every.at[0]]), every.highest.copy()
+    worst[last] = found
+    left = every.highest > target
+    left[last] = False
+    others = np.flatnonzero(left)
+    worst[others] = every.only(others, target[others]).worst(fillings)
+    np.maximum.at(values, tuple(every.at), worst)
 
 
 def _support(rows: UncertainRows, terms: Array) -> Array:
