@@ -2,8 +2,10 @@
 
 python benchmarks/live.py [-n RUNS] [--engine EVERY] [--seconds S] [--docs]     # --docs writes docs/live.md
     python benchmarks/live.py -n 1000 --length 10 --engine 1 --data docs/data/live-long.json    # long streams
+    python benchmarks/live.py --liquids -n 4 --engine 1 --docs    # open liquids; writes a table into docs/liquids.md
 
-Runs are kept in docs/data/live.json and are not made again (--again: all anew), so that counts can be gone on with.
+Runs are kept in docs/data/live.json, of liquids in live-liquids.json, and are not made again (--again: all anew), so
+that counts can be gone on with.
 Times are CPU times of one core, in the same process. What was executed is judged as one motion, at every millisecond
 and from its own beginning; every so many runs (--engine) it is then run in the physics engine, where the load is as far
 from nominal as it may be, beside what a filter makes of the same stream that knows the arm's limits and no load.
@@ -20,7 +22,10 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent.parent / "docs"))
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+from blocks import replace as written
+
 import salver as sv
 from live_runs import PERIOD, drive, executed, in_turn, rows_of
 from salver.campaigns.summary import DROPPED, FAR
@@ -34,14 +39,18 @@ from salver.statistics import clopper_pearson
 from salver.trajectory import JointMotion
 
 SCENARIOS = ("panda-cube", "panda-tall-bottle")
+LIQUIDS = ("panda-coffee", "panda-four-glasses", "ur10-beaker")
+LOST = (*DROPPED, "spills")
 BALLS, EVADING = 10, 0.5  # s from a look at a ball to what is done about it
-LOWEST, HIGHEST = np.array([0.40, -0.40, 0.35]), np.array([0.55, 0.15, 0.60])  # m, of goals
+LOWEST, HIGHEST = np.array([0.40, -0.40, 0.35]), np.array([0.55, 0.15, 0.60])  # m, of goals; of a UR10:
+LOWEST_UR10, HIGHEST_UR10 = np.array([0.45, -0.30, 0.50]), np.array([0.75, 0.30, 0.80])
 SECONDS, SILENCE = 1.5, 1.4  # s of a stream, and after it
 LAGS = np.arange(0.0, 0.06, 1e-3)  # s
 SPARED = 0.2  # of what contact keeps at rest, that a gentle stream leaves, followed as it is told
 NOTHING = Status("optimal", "", True)
 DOCS = Path(__file__).parent.parent / "docs"
 PAGE, DATA, LONG = DOCS / "live.md", DOCS / "data" / "live.json", DOCS / "data" / "live-long.json"
+LIQUIDS_PAGE, LIQUIDS_DATA = DOCS / "liquids.md", DOCS / "data" / "live-liquids.json"
 
 
 class Planned:
@@ -63,20 +72,21 @@ class Planned:
 
 
 def lost(problem: TransportProblem, motion: JointMotion, rng: np.random.Generator) -> bool:
-    """Whether the engine loses the load at a random corner of its ranges: it tips, lifts off or slips too far."""
+    """Whether the engine loses the load at a random corner of its ranges: it tips, lifts, spills or slips too far."""
     plan = joint_plan(problem.scenario, problem, motion, NOTHING, {})
     uncertain = plan.uncertain
     corner = uncertain.nominal + uncertain.half_range * rng.choice([-1, 1], len(uncertain.names))
     run = sv.simulate(plan, parameters=dict(zip(map(str, uncertain.names), corner.tolist(), strict=True)))
-    return run.outcome in DROPPED or max(item["peak_slip"] for item in run.summary["objects"]) > FAR
+    return run.outcome in LOST or max(item["peak_slip"] for item in run.summary["objects"]) > FAR
 
 
 def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tuple, dict[str, float]]:
     """Goals that change at random times, and now and then a stop; how many there were."""
     live = Planned(Live(scenario, lead=0.1))
     t, wishes = 0.0, []
+    region = (LOWEST_UR10, HIGHEST_UR10) if scenario.name.startswith("ur10") else (LOWEST, HIGHEST)
     while t < 2.0:
-        place = rng.uniform(LOWEST, HIGHEST)
+        place = rng.uniform(*region)
         stop = rng.random() < 0.2
         wishes.append((t, lambda _, place=place, stop=stop: live.stop() if stop else live.goto(place)))
         t += rng.uniform(0.1, 0.7)
@@ -202,7 +212,7 @@ def stream(name: str, kind: str, rng: np.random.Generator, seconds: float):
 def run(name: str, kind: str, k: int, engine: bool, beside: bool, seconds: float) -> dict[str, Any]:
     """The k-th run of a kind with a load. engine: there too; beside: what a filter makes of it as well."""
     scenario = sv.load_scenario(name)
-    rng = np.random.default_rng([13, SCENARIOS.index(name), len(kind), k])
+    rng = np.random.default_rng([13, (*SCENARIOS, *LIQUIDS).index(name), len(kind), k])
     told = stream(name, kind, rng, seconds) if kind in STREAMS else None
     live, states, off = goals(scenario, rng) if told is None else twists(scenario, told, seconds)
     motion, problem = executed(states), live.problem
@@ -353,12 +363,15 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="*", default=KINDS, help="some of them only")
     parser.add_argument("--seconds", type=float, default=np.inf, help="begin no further run after so long")
     parser.add_argument("--again", action="store_true", help="forget what is kept")
-    parser.add_argument("--data", type=Path, default=DATA, help="where runs are kept")
-    parser.add_argument("--docs", action="store_true", help="write docs/live.md")
+    parser.add_argument("--liquids", action="store_true", help="of open liquids")
+    parser.add_argument("--data", type=Path, help="where runs are kept")
+    parser.add_argument("--docs", action="store_true", help="write docs/live.md, or the table in docs/liquids.md")
     asked = parser.parse_args()
+    asked.data = asked.data or (LIQUIDS_DATA if asked.liquids else DATA)
+    scenarios = LIQUIDS if asked.liquids else SCENARIOS
     begun = time.monotonic()
     runs = read_json(asked.data) if asked.data.is_file() and not asked.again else {}
-    each = [(name, kind) for name in SCENARIOS for kind in asked.kinds]
+    each = [(name, kind) for name in scenarios for kind in asked.kinds]
     for k in range(asked.n):
         for name, kind in each:
             kept = runs.setdefault(f"{name}, {kind}", [])
@@ -367,9 +380,12 @@ def main() -> None:
                 write_json(asked.data, runs)
                 if kept[-1]["worst"] > 0 or kept[-1].get("lost"):
                     print(f"{name}, {kind}, run {k}: {kept[-1]['worst']:.2e}, lost: {kept[-1].get('lost')}", flush=True)
-    rows = [row(name, kind, kept) for name, kind in each if (kept := runs[f"{name}, {kind}"])]
+    rows = [row(name, kind, kept) for name, kind in each if (kept := runs.get(f"{name}, {kind}"))]
     print("\n".join(rows), faster(runs), sep="\n", flush=True)
-    if not asked.docs:
+    if asked.docs and asked.liquids:
+        nearest = max(x["worst"] for kept in runs.values() for x in kept)
+        written(LIQUIDS_PAGE, "live", "\n".join([TABLE, *rows, "", f"Nearest to an edge: {nearest:.1e}."]))
+    if not asked.docs or asked.liquids:
         return
     thrown = []
     for name in SCENARIOS:

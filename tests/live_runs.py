@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from salver.planning.fastest import evaluate
+from salver.planning.fastest.constraints import Contact
+from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.tracking import JointLoop
 from salver.trajectory import JointMotion
 
@@ -17,6 +19,7 @@ LEAD = 0.1  # s: in simulated time planning takes none, and hand-overs are where
 PATIENCE = 60.0  # s: on a busy machine no clock is to decide a test
 JUST = 1e-6  # s before a knot
 APART = 1e-4  # s: between nearer instants a quintic's jerk is lost in rounding
+ROUNDS = 8  # in which waves and the arm that gives way to them are known, also after seconds
 
 
 class Linear(JointLoop):
@@ -101,14 +104,26 @@ def rows_of(problem, told):
     motion = executed(told)
     knots = np.array([knot[0] for knot in told.knots]) - told.t[0]
     t = np.unique(np.concatenate([motion.t, knots[knots > JUST] - JUST]))
-    z = np.stack([*motion.sample(t), motion.jerk(t)])
-    if problem.tracking is not None:
-        problem = replace(problem, tracking=Linear(**vars(problem.tracking)))
-    at = problem.at(t / motion.duration, z, motion.duration, imposed=False)
-    constraints = [constraint.near(motion.q[::5]) for constraint in problem.constraints]
-    rows = {block.name: float(block.values.max()) for block in evaluate(constraints, at, margins=False)}
+    rows = _rows(replace(problem, liquids=()), motion, t, motion.jerk(t))
+    if problem.liquids:  # their filter is a cubic's: it takes what is half way where the jerk jumps
+        t = motion.t
+        jerk = 0.5 * (motion.jerk(t) + motion.jerk(np.maximum(t - JUST, 0.0)))
+        wet = _rows(replace(problem, liquids=problem.every_case), motion, t, jerk)
+        rows = {name: max(value, rows.get(name, value)) for name, value in wet.items()}
     rate = np.abs(np.diff(told.tau, axis=0) / np.diff(told.t)[:, None])
     return rows | {"torque rate": float((rate / problem.limits.torque_rate).max()) - 1.0}
+
+
+def _rows(problem, motion, t, jerk):
+    """The largest value of each row along a motion, at instants t."""
+    if problem.tracking is not None:
+        problem = replace(problem, tracking=Linear(**vars(problem.tracking)))
+    at = problem.at(t / motion.duration, np.stack([*motion.sample(t), jerk]), motion.duration, imposed=False)
+    at.sloshing_as(Sloshing.of(problem.liquids, t, at.terms.w, at.response, rounds=ROUNDS).each)
+    constraints = [constraint.near(motion.q[::5]) for constraint in problem.constraints]
+    if problem.payload.liquids and not problem.liquids:
+        constraints = [constraint for constraint in constraints if not isinstance(constraint, Contact)]
+    return {block.name: float(block.values.max()) for block in evaluate(constraints, at, margins=False)}
 
 
 def jolts(told):

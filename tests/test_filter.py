@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from salver.sensitivity.filter import LinearFilter, QuadratureGrid, fastest_rate, settled, transition
+from salver.sensitivity.filter import LinearFilter, QuadratureGrid, fastest_rate, settled, swinging_at, transition
 
 
 def forcing(t):
@@ -116,3 +116,12 @@ def test_settling_twice_is_settling_longer():
     one = np.ones(())
     first, longer = settled(500.0, 25.0, 0.1, one), settled(500.0, 25.0, 0.25, one)
     assert longer == pytest.approx(settled(500.0, 25.0, 0.15, one) + transition(500.0, 25.0, 0.15) @ first, rel=1e-12)
+
+
+def test_between_nodes_what_swings_is_the_cubic_of_both_sides():
+    """Exact for a cubic, at nodes of any spacing; beyond them too."""
+    t = np.array([0.0, 0.1, 0.4, 0.45])
+    x, rate = np.polynomial.Polynomial([1.0, -2.0, 3.0, 5.0]), np.polynomial.Polynomial([-2.0, 6.0, 15.0])
+    for now in (-0.1, 0.0, 0.03, 0.1, 0.33, 0.42, 0.45):
+        found = swinging_at(t, np.stack([x(t), -x(t)], axis=1), np.stack([rate(t), -rate(t)], axis=1), now)
+        np.testing.assert_allclose(found, [[x(now), -x(now)], [rate(now), -rate(now)]], rtol=1e-12)

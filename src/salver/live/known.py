@@ -14,6 +14,7 @@ from salver.planning.fastest import Evaluation
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.programme import Mask
 from salver.sensitivity.arm.finer import Finer, Smooth
+from salver.sensitivity.arm.liquids import Past
 from salver.sensitivity.arm.terms import MotionTerms
 
 
@@ -21,13 +22,14 @@ from salver.sensitivity.arm.terms import MotionTerms
 class Known:
     """Of a motion of its own time, s, to its end at rest: t (K,) instants at which its terms were worked out, ends (K,)
     which of them are knots, terms with derivatives. response: what a wrong load does to the arm, or None. keep_out:
-    with the pairs that come near along it."""
+    with the pairs that come near along it. waves: of all liquids, None without."""
 
     t: Array
     ends: Mask
     terms: MotionTerms
     response: Finer | None
     keep_out: KeepOut | None = None
+    waves: Past | None = None
 
     def along(self, motion: Evaluation, own: Array) -> Evaluation:
         """The same motion at other nodes, at own times (N,), with all this known; it rests after its end."""

@@ -57,7 +57,7 @@ FIRST_TICK = 0.05  # s, the same of a tick
 CALMING = 0.3  # s of ticks after a twist or a chunk, in which the motion is calmed; then it runs out
 LEADS = 5  # plans from whose times the lead is taken
 SPARE = 1.3  # of the longest of them
-LEAST_LEAD, MOST_LEAD = 0.02, 1.0  # s
+LEAST_LEAD, MOST_LEAD, MOST_LEAD_WET = 0.02, 1.0, 3.0  # s; with open liquids
 MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
 EVADE = Evade()
 STOPS_EVERY = 0.1  # s between instants from which stops are kept ready
@@ -86,7 +86,6 @@ class Live:
         """
         scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
         problem = transport_problem(scenario, robust=robust)
-        problem.check_dry("live motion")
         problem, rest = standing(problem, q)
         self._problem, self._robust, self._permit = problem, robust, permit
         # The same for the loop's thread: planners have work space that two threads must not share.
@@ -120,6 +119,9 @@ class Live:
         self._around: tuple[Predicted, ...] = ()
         self._minded: tuple[Predicted, ...] | None = ()  # of which it was looked whether what is committed keeps clear
         self._touched = ""
+        # Of open liquids: which; and whether how they move is not known any more.
+        self._wet = " and ".join(body.name for body in problem.payload.liquids)
+        self._unknown = False
         self._reader.read(0.0)
 
     # --- the robot's loop
@@ -159,6 +161,7 @@ class Live:
                 elif t - t == 0.0:
                     self._last = t
                     self._clock = "The clock jumped; the motion went on from where it was."
+                    self._lose_sight()
                 else:
                     self._clock = "A time was no number; the arm kept what it was told last."
         except Exception as error:  # what was commanded last stays commanded
@@ -176,6 +179,8 @@ class Live:
         if (pose is None) == (q is None):
             return self._refuse("a goal is a pose or a posture q, one of them", "The goal")
         goal = pose_goal(self._problem, pose) if pose is not None else posture_goal(self._problem, q)  # type: ignore[arg-type]
+        if self._unknown:
+            return self._refuse(self._lost, "The goal")
         if isinstance(goal, Status):
             return self._refuse(goal.sentence, "The goal")
         self._refused = ""
@@ -203,6 +208,8 @@ class Live:
         wish = twist_wish(list(self._heard), v, omega, self._now)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The twist")
+        if self._unknown:
+            return self._refuse(self._lost, "The twist")
         self._heard.append((self._now, wish.wanted.twist))  # type: ignore[attr-defined]
         return self._follow(wish)
 
@@ -218,7 +225,20 @@ class Live:
         wish = chunk_wish(self._problem, times, poses, joints, self._now)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The chunk")
+        if self._unknown:
+            return self._refuse(self._lost, "The chunk")
         return self._follow(wish)
+
+    @property
+    def _lost(self) -> str:
+        return f"how the liquid in {self._wet} moves is not known any more; restart(q, calm=True) when it stands still"
+
+    def _lose_sight(self) -> None:
+        """How open liquids move is not known any more: the arm is to come to rest, and to wait for `restart`."""
+        if self._wet:
+            self._unknown = True
+            if not isinstance(self._wish, Halt):
+                self.stop()
 
     def _follow(self, wish: Follow) -> Status:
         self._refused = ""
@@ -242,7 +262,7 @@ class Live:
 
     def measured(self, q: npt.ArrayLike) -> Status:
         """Where the arm is, (n,) rad, as its loop sees it: when that is too far from where it was told to be, it is
-        stopped."""
+        stopped. With an open liquid nothing is granted then until `restart`: how that moves is not known any more."""
         seen = numbers(q, (self._problem.n,), "the measured posture")
         if isinstance(seen, Status):
             return self._refuse(seen.sentence, "A measurement")
@@ -252,26 +272,33 @@ class Live:
         arm, j = self._problem.arm, int(np.argmax(away))
         if not isinstance(self._wish, Halt):
             self.stop()
+        self._lose_sight()
         self._refused = (
             f"{arm.joint_names[j]} is {away[j]:.3f} {arm.unit(j)} from where it was told to be; the arm is stopped."
         )
         return refused(self._refused)
 
-    def restart(self, q: npt.ArrayLike) -> Status:
+    def restart(self, q: npt.ArrayLike, *, calm: bool = False) -> Status:
         """Go on from rest at q (n,), rad, where the arm was put by something else; what was wished is forgotten.
 
         From the robot's loop, between two commands: what they say jumps to q. Refused while what is committed moves,
-        and where the load is not safe at rest.
+        and where the load is not safe at rest. calm: that open liquids stand still; nobody else knows, and unless it is
+        said, a load with one is refused.
         """
         posture = numbers(q, (self._problem.n,), "the posture")
         if isinstance(posture, Status):
             return self._refuse(posture.sentence, "A restart")
         if self._now < self.committed.ends and not self.committed.at_rest:
             return self._refuse(f"the arm is at rest only in {self.committed.ends - self._now:.2f} s", "A restart")
+        if self._wet and not calm:
+            return self._refuse(
+                f"the liquid in {self._wet} may still move; say calm=True when it stands still", "A restart"
+            )
         rest = verified(self._beside, resting(posture), self._now, None)
         if rest.committed is None:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
         self._wish, self._done, self._refused, self._attempts = None, None, "", 0
+        self._unknown = False
         self._queue.clear()
         self._heard.clear()
         self._offer = self._offered = None
@@ -393,7 +420,8 @@ class Live:
             return self._lead
         steered = isinstance(self._wish, Follow)
         first = FIRST_TICK if steered else FIRST_LEAD
-        return min(max(LEAST_LEAD, SPARE * max(self._spent[steered], default=first / SPARE)), MOST_LEAD)
+        most = MOST_LEAD_WET if self._wet else MOST_LEAD
+        return min(max(LEAST_LEAD, SPARE * max(self._spent[steered], default=first / SPARE)), most)
 
     def _due(self) -> Wish | None:
         """What is to be planned for now."""
@@ -445,16 +473,20 @@ class Live:
         self._spent[steered].append(time.perf_counter() - began)
         if answered.done:
             self._done = wish
-        if found is not None and found.begins < self._now and base.ends <= found.begins:
-            # It came late, but the arm was at rest and is: the same motion, from a little later on.
-            found = verified(self._problem, found.motion, self._hand_over(base, steered), base).committed
+        late = found is not None and found.begins < self._now and base.ends <= found.begins
+        if late and found is not None:
+            # It came late, but the arm was at rest and is: the same motion, from a little later on; unless waves, which
+            # go on, are then such that it would not do.
+            again = verified(self._problem, found.motion, self._hand_over(base, steered), base)
+            found, status = again.committed, Status("refused", again.sentence, False)
         if found is not None:
             self._refused = ""
             self._offered = running.then(found, wish, self._now, self._problem)
             self._offer = self._offered
         elif wish is not self._done and not steered:
             self._attempts += 1
-            last = status.code == "unreachable" or begins >= base.ends or self._attempts >= MOST_ATTEMPTS
+            resting = begins >= base.ends and not late
+            last = status.code == "unreachable" or resting or self._attempts >= MOST_ATTEMPTS
             if last:
                 self._done, self._attempts = wish, 0
                 what = f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop"

@@ -1,7 +1,7 @@
 """What is committed: a verified motion that ends at rest, in the clock of the live motion.
 
 A motion is quintic from knot to knot (`JointMotion`), so one that leaves another at an instant is exact again. What a
-wrong load and held commands have brought the arm into goes on from one motion to the next.
+wrong load and held commands have brought the arm into goes on from one motion to the next, and so do waves.
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.geometry import Array
-from salver.planning.fastest import TransportProblem
+from salver.planning.fastest import Evaluation, TransportProblem
 from salver.planning.fastest.evaluation import Indices
+from salver.sensitivity.arm.liquids import Past
 from salver.trajectory import JointMotion
 
 SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last
 HOLD_STEP = 1e-2  # s between nodes at which the deviation at rest is known
 SAME = 1e-9  # s; instants nearer than this are one
 SETTLED = 1.0  # s at rest after which what the load makes the arm sag by changes no more
+CALMED = 5.0  # s at rest after which waves are so low that the arm hardly gives way to them;
+AT_ONCE = 0.5  # s of that in which waves and arm are soon known together
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +50,8 @@ class Committed:
 
     begins: live time of the motion's own time 0, s. motion: knots from 0 on; at rest after the last one, and before the
     first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
-    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain.
+    (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. waves: of all liquids
+    along it, None without.
     """
 
     begins: float
@@ -55,6 +59,7 @@ class Committed:
     nodes: Array
     deviation: Array | None
     margins: Margins
+    waves: Past | None = None
 
     @property
     def ends(self) -> float:
@@ -77,7 +82,20 @@ class Committed:
             return np.zeros(problem.n)
         e = self.deviation[:, 0]
         off = problem.tracking.load.radius(e[:, :, :-1]) + np.abs(e[:, :, -1])
+        if self.waves is not None:
+            off = off + self.waves.stray
         return np.asarray(off.max(axis=0))
+
+    def left(self, t: float, problem: TransportProblem) -> TransportProblem:
+        """The problem of going on from it at live time t: with the deviation, and the waves, that there are then."""
+        deviation = self.deviation_at(t, problem)
+        if problem.tracking is not None and deviation is not None:
+            problem = replace(problem, tracking=problem.tracking.begun(deviation))
+        if not problem.liquids:
+            return problem
+        if self.waves is None:
+            problem.check_dry("a motion that goes on from another")
+        return replace(problem, past=self._waves_at(t, problem))
 
     def deviation_at(self, t: float, problem: TransportProblem) -> Array | None:
         """(2, n, k) the deviation at live time t; None where nothing is uncertain."""
@@ -88,13 +106,41 @@ class Committed:
             u = (t - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
             return np.asarray((1 - u) * self.deviation[k] + u * self.deviation[k + 1])
         held = min(t - self.nodes[-1], SETTLED)
-        count = max(5, int(np.ceil(held / HOLD_STEP)) + 1)
-        z = np.zeros((4, count, problem.n))
-        z[0] = self.motion.q[-1]
         sagging = replace(problem, tracking=problem.tracking.begun(self.deviation[-1]))
-        response = sagging.at(np.linspace(0.0, 1.0, count), z, held).response
+        response = self._held(sagging, held).response
         assert response is not None
-        return response.state_at(np.linspace(0.0, held, count), held)
+        return response.state_at(np.linspace(0.0, held, _nodes(held)), held)
+
+    def _waves_at(self, t: float, problem: TransportProblem) -> Past:
+        """The waves at live time t, of which there are some."""
+        assert self.waves is not None
+        own = t - self.begins
+        left = own - self.waves.t[-1]
+        if left <= 0.0:
+            return replace(self.waves, now=own)
+        rest = self.left(self.begins + self.waves.t[-1], replace(problem, liquids=problem.every_case))
+        swung = max(left - CALMED, 0.0)  # freely, after the arm that gives way to them has braked them
+        left = min(left, CALMED)
+        while True:
+            step = min(left, AT_ONCE)
+            held, left = self._held(rest, step), left - step
+            if left <= 0.0:
+                return held.rested(swung) if swung else replace(held.left, now=step)
+            rest = replace(rest, past=replace(held.left, now=step))
+            if rest.tracking is not None and held.response is not None:
+                sagging = held.response.state_at(np.multiply(step, held.shares), step)
+                rest = replace(rest, tracking=rest.tracking.begun(sagging))
+
+    def _held(self, problem: TransportProblem, seconds: float) -> Evaluation:
+        """The arm at rest after it, for so long, s; the problem is that of going on from its end."""
+        z = np.zeros((4, _nodes(seconds), problem.n))
+        z[0] = self.motion.q[-1]
+        return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)
+
+
+def _nodes(seconds: float) -> int:
+    """How many nodes a rest of so long has."""
+    return max(5, int(np.ceil(seconds / HOLD_STEP)) + 1)
 
 
 def between(motion: JointMotion, first: float, last: float) -> JointMotion:

@@ -146,9 +146,7 @@ class Planner:
 
     def _clear(self, job: Job, motion: JointMotion) -> bool:
         """Whether a motion from the hand-over on keeps clear of what passes."""
-        problem, before = self.problem, job.base.deviation_at(job.begins, self.problem)
-        if problem.tracking is not None and before is not None:
-            problem = replace(problem, tracking=problem.tracking.begun(before))
+        problem = job.base.left(job.begins, self.problem)
         s, nodes = instants(motion)
         z = np.stack([*motion.sample(s * motion.duration), motion.jerk(s * motion.duration)])
         assert problem.keep_out is not None

@@ -125,10 +125,7 @@ class Replanner:
         there is time to look for ways around what is in the way."""
         began = time.perf_counter()
         start = AtPosture(*before.state(begins))
-        at = replace(self.sought, start=start, goal=end)
-        deviation = before.deviation_at(begins, self.problem)
-        if at.tracking is not None and deviation is not None:
-            at = replace(at, tracking=at.tracking.begun(deviation))
+        at = before.left(begins, replace(self.sought, start=start, goal=end))
         guess = going_on(at, before, begins) if isinstance(end, Anywhere) else straight(at)
         if guess is None:
             return None, Status("unreachable", "no posture of the arm within its limits reaches it", False)

@@ -27,6 +27,7 @@ from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.programme import Mask
 from salver.planning.fastest.spline import RestSpline
 from salver.sensitivity.arm.terms import motion_terms
+from salver.sensitivity.wave_gradients import Unknowns
 from salver.trajectory import JointMotion
 
 TICK = 0.02  # s; hand-overs are at its multiples, and so are the bends' knots
@@ -299,12 +300,14 @@ class Steering:
         t, own = begins + HORIZON * grid.s, ahead + HORIZON * grid.s
         moving = (own < base.motion.duration)[:, None]
         z = np.stack([*base.motion.sample(own), base.motion.jerk(own) * moving])
-        sought, deviation = self.sought, base.deviation_at(begins, self.problem)
-        if sought.tracking is not None and deviation is not None:
-            sought = replace(sought, tracking=sought.tracking.begun(deviation))
+        sought = base.left(begins, self.sought)
         motion = replace(sought.at(grid.s, z, HORIZON, grid.nodes), moving=False)
         known = self.recent.of(base)
-        if known is not None:
+        if sought.liquids and sought.tracking is not None:  # half way where the jerk jumps, as `Finer.midway`
+            rates = motion.at_nodes[1:].copy()
+            rates[2] = 0.5 * (rates[2] + base.motion.jerk(own[grid.nodes] - SAME) * moving[grid.nodes])
+            motion.straying(sought.tracking.along(HORIZON * motion.shares, motion.terms, rates, shares=motion.shares))
+        elif known is not None:
             known.along(motion, own[grid.nodes])
         whole, near = self.problem.keep_out, None if known is None else known.keep_out
         constraints = [constraint.among(whole, near, motion.at_nodes[0]) for constraint in self.sought.constraints]
@@ -331,7 +334,8 @@ class Steering:
             cost = cost + weighted.T @ part.value
         hessian[range(len(hessian)), range(len(hessian))] += RIDGE
         masks = [block.near(DEPTH) & np.ones(block.values.shape, dtype=bool) for block in blocks]
-        matrix = self._rows(blocks, masks)
+        unknowns = self._unknowns(motion) if sought.liquids else None
+        matrix = self._rows(blocks, masks, unknowns)
         where = [np.nonzero(mask) for mask in masks]
         bound = -np.concatenate([block.values[at] for block, at in zip(blocks, where, strict=True)])
         kept = [(block.name, block.margins[0] + more) for block, more in zip(blocks, more_kept, strict=True)]
@@ -349,7 +353,7 @@ class Steering:
             bent = replace(sought.at(grid.s, z + added, HORIZON, grid.nodes), moving=False)
             # What the arm strays from what is committed is nearly what it strays from a bend of it.
             bent.feeling(motion_terms(bent.model, bent.frame_id, *bent.at_nodes[:3]))
-            trial = evaluate(constraints, bent.straying_as(motion))
+            trial = evaluate(constraints, bent.giving_way_as(motion) if sought.liquids else bent.straying_as(motion))
             for block, lack in zip(trial, lacking, strict=True):
                 block.values[:] -= lack
             excess = max(float(block.values.max()) for block in trial)
@@ -367,12 +371,20 @@ class Steering:
             masks = [mask | joining for mask, joining in zip(masks, more, strict=True)]
             where += [np.nonzero(mask) for mask in more]
             bent.terms.derived_at(_nodes(grid, trial, more))
-            rows = self._rows(trial, more)
+            rows = self._rows(trial, more, unknowns)
             values = np.concatenate([block.values[mask] for block, mask in zip(trial, more, strict=True)])
             matrix, bound = np.vstack([matrix, rows]), np.append(bound, rows @ bend.ravel() - values)
         yield bend, kept
 
-    def _rows(self, blocks: Sequence[Block], masks: Sequence[Mask]) -> Array:
+    def _unknowns(self, motion: Evaluation) -> Unknowns:
+        """What the bend makes of what the tray feels at the nodes."""
+        slope = motion.terms.w_z
+        parts = np.zeros((slope.shape[0] * slope.shape[1], 4, motion.n))
+        parts[:, :3] = slope.reshape(len(parts), 3, motion.n)
+        felt = self.grid.chained(parts, np.repeat(motion.nodes, slope.shape[1]), HORIZON)
+        return Unknowns(felt.reshape(*slope.shape[:2], -1))
+
+    def _rows(self, blocks: Sequence[Block], masks: Sequence[Mask], unknowns: Unknowns | None) -> Array:
         """Derivatives (r, size n) by the bend of the rows that masks name, block by block."""
         matrices = [np.zeros((0, self.grid.basis.shape[2] * self.problem.n))]
         for block, mask in zip(blocks, masks, strict=True):
@@ -384,6 +396,10 @@ class Steering:
             if block.following is not None:
                 parts = block.following(node, column).reshape(len(node), 4, -1)
                 rows = rows + self.grid.chained(parts, block.points[node + 1], HORIZON)
+            if block.history is not None and unknowns is not None:
+                near = np.flatnonzero(block.values[node, column] > -block.remembers)
+                if len(near):
+                    rows[near] += block.history(node[near], column[near], unknowns)
             matrices.append(rows)
         return np.vstack(matrices)
 

@@ -19,6 +19,7 @@ from salver.live.motion import Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
 from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
+from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.constraints import PER_METRE, Clearance, Contact, JointLimit, Level, TorqueRateLimit
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import NEAR, KeepOut
@@ -26,6 +27,7 @@ from salver.planning.fastest.programme import Mask
 from salver.planning.follow.clearance import EXACT as TOUCHING
 from salver.planning.follow.clearance import sweep
 from salver.sensitivity.arm.finer import Finer, Smooth
+from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.terms import MotionTerms
 from salver.trajectory import JointMotion, ways
 
@@ -41,6 +43,9 @@ STEADY = 1e-3
 # Of its limit, that the rate of torque keeps at least: from one period to the next, wherever the periods fall, it is up
 # to 3.1e-3 more than is found (of 72 live goals; tests/test_live_verdict.py).
 UNHURRIED = 5e-3
+# Of the room of a liquid: waves are known every 5 ms, and from one motion to the next to a thousandth.
+UNSPILT = 3e-3
+KEPT: dict[type[Constraint], float] = {Contact: STEADY, TorqueRateLimit: UNHURRIED, Brim: UNSPILT}
 BESIDE = -0.05  # of their limit: rates of joints that are nearer than this are looked at between their instants
 PERIOD = 1e-3  # s: the shortest, of a loop that is told torques
 FORGIVEN = 0.2  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
@@ -68,10 +73,7 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
     broken = _jolt(motion, begins, before)
     if broken:
         return Finding(None, np.inf, broken)
-    start = None if before is None else before.deviation_at(begins, problem)
-    begun = problem
-    if problem.tracking is not None and start is not None:
-        begun = replace(problem, tracking=problem.tracking.begun(start))
+    begun = problem if before is None else before.left(begins, problem)
     evaluation, known, knots = seen(begun, motion)
     response = known.response
     nodes, t = evaluation.nodes, evaluation.s * motion.duration
@@ -105,7 +107,7 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
         rate = np.concatenate([-joints.dq, -held.dq[:, :, None]], axis=2)
         deviation = np.stack([e, rate], axis=1)
         instants = known.t
-    committed = Committed(begins, motion, begins + instants, deviation, margins)
+    committed = Committed(begins, motion, begins + instants, deviation, margins, known.waves)
     return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
 
 
@@ -121,6 +123,7 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Kn
     smooth = Smooth.of(t[nodes], knots, COARSE)
     some = nodes[smooth.some]
     evaluation = replace(problem.at(t / motion.duration, z, motion.duration, nodes, imposed=False), moving=False)
+    evaluation = replace(evaluation, coarsely=bool(problem.liquids))
     slow = Smooth.of(t[some], knots[smooth.some], SLOW, fewest=2)
     terms = MotionTerms.deriving(problem.model, problem.arm.tray_id, z[:3, some], slow.some, slow.each)
     evaluation.feeling(terms.continued(z[:3, nodes], smooth.each))
@@ -130,7 +133,14 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Kn
         jerk[knots[smooth.some]] = motion.jerk_before
         response = Finer.of(problem.tracking, t[nodes], evaluation.terms, terms, z[1:, some], jerk, smooth)
         evaluation.straying(response)
-    return evaluation, Known(t[some], knots[smooth.some], terms, response), knots
+    waves = None
+    if problem.liquids:
+        midway = None if response is None else response.midway
+        sloshing = Sloshing.of(problem.every_case, t[some], terms.w, midway, problem.past)
+        each = sloshing.each.items()
+        evaluation.sloshing_as({name: tuple(x.continued(smooth.each) for x in parts) for name, parts in each})
+        waves = sloshing.past(t[some])
+    return evaluation, Known(t[some], knots[smooth.some], terms, response, waves=waves), knots
 
 
 def instants(motion: JointMotion) -> tuple[Array, Indices]:
@@ -180,8 +190,7 @@ def _apart(keep_out: KeepOut, blocks: Sequence[Block], t: Array, states: Array) 
 
 def kept(block: Block, constraint: Constraint | None) -> float:
     """The margin that a motion keeps from the edge of a constraint's rows."""
-    least = STEADY if isinstance(constraint, Contact) else UNHURRIED if isinstance(constraint, TorqueRateLimit) else 0.0
-    return max(block.margins[1], least)
+    return max(block.margins[1], next((least for kind, least in KEPT.items() if isinstance(constraint, kind)), 0.0))
 
 
 def told(block: Block, t: Array, knots: Mask) -> Block:

@@ -35,11 +35,10 @@ from salver.planning.fastest.starts import braking_time
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import BETWEEN, verdict
 from salver.planning.stop_library import SAME, StopLibrary
-from salver.sensitivity.arm.liquids import Past
+from salver.sensitivity.arm.liquids import Past, Sloshing
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import Deviation, deviation, late
-from salver.sensitivity.wave_cases import VERDICT_APART, cases
 from salver.trajectory import JointMotion, SampledReference
 
 if TYPE_CHECKING:
@@ -323,9 +322,7 @@ def past_of(problem: TransportProblem, t: Array, felt: Array, strayed: Deviation
     """What liquids come from along the motion; None without one."""
     if not problem.liquids:
         return None
-    uncertain = problem.payload.uncertain
-    every = tuple((*known, *cases(known[0].body, uncertain, VERDICT_APART)) for known in problem.liquids)
-    return Past(t, felt, strayed, every)
+    return Sloshing.of(problem.every_case, t, felt, strayed).past(t)
 
 
 def _going_on(motion: JointMotion, now: float, begin: float, ahead: JointMotion) -> JointMotion:

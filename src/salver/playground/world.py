@@ -234,7 +234,7 @@ class World:
         while not self.live.committed.at_rest and self.live.now < self.live.committed.ends:
             self.t += self.period
             self.live.command(self.t)
-        status = self.live.restart(self.begin)
+        status = self.live.restart(self.begin, calm=True)  # the scene begins anew
         self._free = self._goal = None
         self._placed()
         return status

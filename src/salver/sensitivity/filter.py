@@ -276,6 +276,18 @@ def at_instant(t: Array, x: Array, now: float) -> Array:
     return np.asarray((1 - u) * x[k] + u * x[k + 1])
 
 
+def swinging_at(t: Array, x: Array, rate: Array, now: float) -> tuple[Array, Array]:
+    """x and x' (...) at an instant, of x and x' (T, ...) at nodes t (T,): of the cubic that has them at both sides."""
+    k = int(np.clip(np.searchsorted(t, now) - 1, 0, len(t) - 2))
+    h = t[k + 1] - t[k]
+    u = (now - t[k]) / h
+    gap = x[k + 1] - x[k]
+    far, bend = h * rate[k + 1] - gap, h * rate[k] - gap
+    aside = u * (1 - u) * ((1 - u) * bend - u * far)
+    slope = ((1 - u) * (1 - 3 * u) * bend + u * (3 * u - 2) * far + gap) / h
+    return np.asarray(x[k] + u * gap + aside), np.asarray(slope)
+
+
 @dataclass(frozen=True)
 class QuadratureGrid:
     """A uniform grid t (T,) and the instants between its points at which inputs are needed.

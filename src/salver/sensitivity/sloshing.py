@@ -108,6 +108,18 @@ class Slosh:
         """The wrench at some instants."""
         return replace(self, wrench=self.wrench[:, index])
 
+    def continued(self, each: Callable[[list[Array]], list[Array]]) -> Slosh:
+        """The same at more instants, for rows that are looked at but not linearised; each: from (T, ...) to these."""
+        found = {"wrench": self.wrench} | {name: getattr(self, name) for name in ("crest", "free_height", "lightness")}
+        found |= {} if self.change is None else {"change": self.change.wrench}
+        by_time = each([x.swapaxes(0, 1) for x in found.values()])
+        found = {name: x.swapaxes(0, 1) for name, x in zip(found, by_time, strict=True)}
+        change = None if self.change is None else replace(self.change, wrench=found.pop("change"))
+        reaction = None if self.reaction is None else self.reaction.continued(each)
+        made = replace(self, wrench=found.pop("wrench"), change=change, reaction=reaction)
+        vars(made).update(found, free_left=self.free_left, left_at_once=self.left_at_once)
+        return made
+
     def part(self, some: slice, planned: Waves | None = None) -> Slosh:
         """Some of the cases; planned: theirs, where they are known."""
         waves = self.waves.part(some)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY, LEAST_WEIGHT, LEFT_OVER, TILTING
 from salver.models.tray_motion import N_MOTION
-from salver.sensitivity.filter import LinearFilter, at_instant
+from salver.sensitivity.filter import LinearFilter, at_instant, swinging_at
 from salver.sensitivity.wave_cases import Case, Cases
 
 Indices = npt.NDArray[np.intp]
@@ -51,7 +51,8 @@ class Underway:
 
     def at(self, t: Array, now: float) -> Underway:
         """At an instant, of those at nodes t (T,)."""
-        return Underway(*(at_instant(t, x, now) for x in vars(self).values()))
+        swung, spun = (swinging_at(t, *pair, now) for pair in ((self.r, self.rate), (self.spin, self.turning)))
+        return Underway(*swung, *spun, at_instant(t, self.peak, now))
 
     def since(self, waves: Waves) -> Underway:
         """What there is of them beyond other waves that begin now."""
@@ -455,19 +456,45 @@ class Waves:
             return 2 * self.spin
         return 2 * (self.spin - self.start.spin[:, None]) - np.outer(self.start.turning, self.t - self.t[0])
 
-    def underway(self, dw: Array | None = None) -> Underway:
-        """How these waves, which began at rest, are at each node, (T, K, ...); or, to first order, what changes dw of
-        what the tray feels, (K, T, 12, c), before the motion too, have made of them."""
+    def underway(self, dw: Array | None = None, start: Underway | None = None) -> Underway:
+        """How these waves are at each node, (T, K, ...); or, to first order, what changes dw (K, T, 12, c) of what the
+        tray feels, before the motion too, have made of them. start: as of `changed`."""
         if dw is None:
-            moved, drive = (self.r, self.rate), self.w[:, :, 5]
+            moved, drive, start = (self.r, self.rate), self.w[:, :, 5], self.start
             peak = np.maximum.accumulate(self.cases.highest(self.eta), axis=1)
+            if start is not None:
+                peak = np.maximum(peak, start.peak[:, None])
         else:
-            moved, drive = self._pushed(dw, before=True)[:2], dw[:, :, 5]
+            moved, drive = self._pushed(dw, before=True, start=start)[:2], dw[:, :, 5]
             peak = np.zeros(drive.shape)
-        drive = drive.swapaxes(0, 1)
-        spins = self.turning.respond(drive)
+        begun = None if start is None else np.stack([start.spin, start.turning])
+        spins = self.turning.respond(drive.swapaxes(0, 1), begun)
         r, rate = (x.swapaxes(0, 1) for x in moved)
         return Underway(r, rate, *spins, peak.swapaxes(0, 1))
+
+    def rested(self, t: Array, dw: Array | None = None, start: Underway | None = None) -> Underway:
+        """The same t (T,), s, after the end, the tray at rest. What is left over of a peak is a wave too, and dies away
+        as one."""
+        last = Underway(*(x[-1] for x in vars(self.underway(dw, start)).values()))
+        which, upward = self.cases, self.upward[:, -1, None, None]
+        shape = (*which.omega.shape, *(1,) * (last.r.ndim - 3))
+        sigma, kp = (x.reshape(shape) for x in (0.5 * which.kd, which.omega**2 / GRAVITY * upward))
+        if dw is None:
+            rest = -self.at_modes[:, -1] / kp
+        else:
+            drive, stiffness = self._driven(dw, self.spun(dw, start)), np.asarray(self.filters.kp)[..., None]
+            rest = self._by_mode(drive[:, :, :, -1:] / stiffness[:, :, :, -1:])[:, 0]
+        after = t.reshape(-1, *(1,) * last.r.ndim)
+        omega = np.sqrt(kp - sigma**2)
+        fading = np.exp(-sigma * after)
+        cosine, sine, away = fading * np.cos(omega * after), fading * np.sin(omega * after) / omega, last.r - rest
+        r = rest + (cosine + sigma * sine) * away + sine * last.rate
+        rate = (cosine - sigma * sine) * last.rate - kp * sine * away
+        spin = np.broadcast_to(last.spin, (len(t), *last.spin.shape))
+        slowest = sigma.reshape(len(sigma), -1).min(axis=1) / 3  # of the peak's third power
+        fading = np.exp(-np.multiply.outer(t, slowest))
+        peak = last.peak * fading.reshape(*fading.shape, *(1,) * (last.peak.ndim - 1))
+        return Underway(r, rate, spin, np.zeros_like(spin), peak)
 
     def changed(self, dw: Array, start: Underway | None = None) -> Change:
         """To first order, by changes dw (K or 1, T, 12, c) of what the tray feels, before the motion too. start: what

@@ -303,14 +303,15 @@ class Contact(Constraint):
         yield Block(name, values, gradient, motion.nodes, margins, most=most, history=history, remembers=SLOSH_REACH)
 
     def _near(self, motion: Evaluation, w: Array, drift: Drift | None) -> WorstCase:
-        """Rows with what liquids add to them, exact where they come near their edge; the largest of all always."""
+        """Rows with what liquids add to them, exact where they come near their edge; the largest of all always, unless
+        a bound is enough."""
         rows = self.rows
 
         def added(at: Some, some: Some, coarsely: bool) -> Array:
             return most_added(rows, motion.sloshing, at, some, coarsely)
 
         values = values_near(rows, w, drift, added if motion.sloshing else None, self.margin)
-        if values.max() <= SURE - self.margin:
+        if values.max() <= SURE - self.margin and not self.coarsely:
             values = WorstCase.of(rows, w, drift).values + added(ALL, ALL, False)
         return WorstCase(rows, w, drift, values)
 

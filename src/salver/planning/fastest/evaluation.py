@@ -96,6 +96,11 @@ class Evaluation:
         self.__dict__["response"] = response  # where the cached property would keep it
         return self
 
+    def sloshing_as(self, sloshing: dict[str, tuple[Slosh, ...]]) -> Evaluation:
+        """This motion, with what its liquids do known."""
+        self.__dict__["sloshing"] = sloshing
+        return self
+
     def feeling(self, terms: MotionTerms) -> Evaluation:
         """This motion, with its terms known."""
         self.__dict__["terms"] = terms
@@ -109,6 +114,15 @@ class Evaluation:
     @cached_property
     def _waves(self) -> Sloshing:
         return Sloshing.of(self.liquids, self.shares * self.duration, self.terms.w, self.response, self.past)
+
+    @property
+    def left(self) -> Past:
+        """The waves along it, for a motion that goes on from it: at instants of its own time, s."""
+        return self._waves.past(self.shares * self.duration)
+
+    def rested(self, seconds: float) -> Past:
+        """The same after so many seconds at rest in which it ends."""
+        return self._waves.rested(seconds + np.array([0.0, self.steps[-1]]))
 
     def joint_radius(self, order: int) -> Array:
         """(N, n) most by which the joints' position (order 0) or velocity (1) can differ from the plan's at the nodes:

@@ -57,7 +57,8 @@ class TransportProblem:
     tracking: what a wrong load and held commands do to the arm; None for a nominal plan.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     extra: constraints beside those that follow from all this. liquids: for each, the cases that stand for all there
-    are; past: what they come from where the motion begins moving. through: poses that are passed on the way.
+    are; every_case: those that a verdict looks at; past: what they come from where the motion begins moving.
+    through: poses that are passed on the way.
     spare: share of their room that liquids keep.
     """
 
@@ -75,6 +76,7 @@ class TransportProblem:
     keep_out: KeepOut | None
     extra: tuple[Constraint, ...] = ()
     liquids: tuple[tuple[Case, ...], ...] = ()
+    every_case: tuple[tuple[Case, ...], ...] = ()
     past: Past | None = None
     through: tuple[AtPose, ...] = ()
     spare: float = 0.0
@@ -111,8 +113,8 @@ class TransportProblem:
         """Raise ScenarioError when a liquid is on the tray, of whose waves `what` knows nothing."""
         for body in self.payload.liquids:
             raise ScenarioError(
-                f"{self.scenario.name}: {what} is not planned with a liquid on the tray ({body.name}): it does not "
-                "know how the waves are just then; use salver plan --fastest, with --stops."
+                f"{self.scenario.name}: {what} is not planned with a liquid on the tray ({body.name}) unless it is "
+                "known how the waves are just then; salver.Live knows, and salver plan --stops."
             )
 
     @cached_property
@@ -145,18 +147,20 @@ def with_missed_cases(problem: TransportProblem, motion: Evaluation, margin: flo
     room, to what it may reach, with what the arm makes of it; None for none."""
     if not problem.liquids:
         return None
-    t, uncertain = motion.s[motion.nodes] * motion.duration, problem.payload.uncertain
-    missing = []
-    for known in problem.liquids:
-        here = {(case.fill, case.damping) for case in known}
-        all_ = cases(known[0].body, uncertain, VERDICT_APART)
-        missing.append(tuple(x for x in all_ if (x.fill, x.damping) not in here))
-    sloshing, found = Sloshing.of(tuple(missing), t, motion.terms.w, motion.response, motion.past).each, []
+    t, whole = motion.s[motion.nodes] * motion.duration, problem.every_case
+    missing = tuple(_others(known, every) for known, every in zip(problem.liquids, whole, strict=True))
+    sloshing, found = Sloshing.of(missing, t, motion.terms.w, motion.response, motion.past).each, []
     for known, others in zip(problem.liquids, missing, strict=True):
         parts = sloshing.get(known[0].body.name, ())
         left = np.min([np.ones(len(others)), *(slacks(part).min(axis=1) for part in parts)], axis=0)
         found.append((*known, *(others[k] for k in np.flatnonzero(left < SURELY_DRY + margin))))
     return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
+
+
+def _others(known: tuple[Case, ...], more: tuple[Case, ...]) -> tuple[Case, ...]:
+    """Cases of a liquid that are not known yet."""
+    here = {(case.fill, case.damping) for case in known}
+    return tuple(case for case in more if (case.fill, case.damping) not in here)
 
 
 def _tracking(scenario: Scenario, payload: Payload) -> JointLoop | None:
@@ -205,6 +209,8 @@ def transport_problem(
     if given is not None:
         start = AtPosture(corrected_posture(arm, given, begin, first.name))
     parts = arm_geometry(arm, payload.bodies, scenario.obstacles)
+    liquids = tuple(cases(body, payload.uncertain) for body in payload.liquids)
+    more = (cases(body, payload.uncertain, VERDICT_APART) for body in payload.liquids)
     return TransportProblem(
         scenario=scenario,
         arm=arm,
@@ -219,7 +225,8 @@ def transport_problem(
         tracking=_tracking(scenario, payload) if robust else None,
         keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
         extra=tuple(extra),
-        liquids=tuple(cases(body, payload.uncertain) for body in payload.liquids),
+        liquids=liquids,
+        every_case=tuple((*known, *_others(known, every)) for known, every in zip(liquids, more, strict=True)),
         through=tuple(
             AtPose(PoseTarget(np.array(pose.position), pose.rotation, first.p_EB, first.R_EB, yaw_free))
             for pose in scenario.motion.through

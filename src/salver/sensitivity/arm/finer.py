@@ -166,6 +166,15 @@ class Finer:
         return cls(known, terms, smooth, smooth.jumping(after, before), before)
 
     @cached_property
+    def midway(self) -> Deviation:
+        """At the instants that are known, with what is between before and after where the jerk jumps: for a filter that
+        takes what it is driven by for smooth, a step falls half before its instant and half after it."""
+        held, jump = self.known.held, self.known.held.late - self.before
+        w = held.w.copy()
+        w[:, :6] += 0.5 * (self.known.terms.jacobian @ jump[:, :, None])[:, :, 0]
+        return replace(self.known, held=replace(held, w=w))
+
+    @cached_property
     def _continued(self) -> _Continued:
         """Of what is smooth, not of its radius, which has kinks."""
         known, held = self.known, self.known.held

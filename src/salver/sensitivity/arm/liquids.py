@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,10 +12,14 @@ from salver.geometry import Array
 from salver.models.parameters import Parameter
 from salver.sensitivity.arm.load import LoadChange
 from salver.sensitivity.arm.tracking import Deviation, Reaction
-from salver.sensitivity.filter import at_instant
+from salver.sensitivity.filter import swinging_at
 from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.wave_cases import Case
-from salver.sensitivity.waves import Underway, Waves, along
+from salver.sensitivity.waves import Indices, Underway, Waves, along
+
+# In which waves, and the arm that gives way to them, are known to half a hundredth; and to half a thousandth, where
+# motions go on from one another again and again.
+ROUNDS, MORE_ROUNDS = 2, 3
 
 Parted = tuple[tuple[Case, ...], ...]
 
@@ -24,21 +29,33 @@ class Sloshing:
     """What liquids do along what a tray feels: of each the cases that stand for it, all worked out side by side.
 
     together: liquids that are all round or all in boxes, and of all their cases, one after the other, the waves as
-    planned and, of an arm that gives way, with what it makes of them.
+    planned and, of an arm that gives way, with what it makes of them. given: what these come from.
     """
 
     together: tuple[tuple[Parted, tuple[Slosh, ...]], ...]
+    given: tuple[Given, ...] = ()
 
     @classmethod
-    def of(cls, liquids: Parted, t: Array, w: Array, response: Deviation | None, past: Past | None = None) -> Sloshing:
-        """Along w (T, 12) at t (T,), which begins at rest, or where the past is left."""
-        found = []
+    def of(
+        cls,
+        liquids: Parted,
+        t: Array,
+        w: Array,
+        response: Deviation | None,
+        past: Past | None = None,
+        rounds: int | None = None,
+    ) -> Sloshing:
+        """Along w (T, 12) at t (T,), which begins at rest, or where the past is left. rounds: see `Given.along`; more
+        where there is a past unless given."""
+        rounds = rounds or (ROUNDS if past is None else MORE_ROUNDS)
+        found, given = [], []
         for alike in (True, False):
             group = tuple(each for each in liquids if each and each[0].liquid.round is alike)
             if group:
                 begun = Begun() if past is None else past.begun(group)
-                found.append((group, Given.along(group, t, w, response, begun).sloshes))
-        return cls(tuple(found))
+                given.append(Given.along(group, t, w, response, begun, rounds))
+                found.append((group, given[-1].sloshes))
+        return cls(tuple(found), tuple(given))
 
     def along(self, t: Array, w: Array) -> Sloshing:
         """The same liquids along another motion, with an arm that gives way as along this one."""
@@ -47,6 +64,16 @@ class Sloshing:
             planned = Slosh.of(along(_cases(group), t, w, old.waves.start))
             found.append((group, (planned, *(part.along(planned.waves) for part in given))))
         return Sloshing(tuple(found))
+
+    def past(self, t: Array) -> Past:
+        """What a motion comes from that goes on from this one, which was worked out at t (T,)."""
+        known = zip(self.together, self.given, strict=True)
+        return Past(t, tuple(_History(group, given.underway) for (group, _), given in known))
+
+    def rested(self, t: Array) -> Past:
+        """What a motion comes from that goes on after a rest that lasts as long as this and t (T,), s, more."""
+        known = zip(self.together, self.given, strict=True)
+        return Past(t, tuple(_History(group, given.rested(t)) for (group, _), given in known), t[0])
 
     @property
     def each(self) -> dict[str, tuple[Slosh, ...]]:
@@ -66,12 +93,23 @@ class Sloshing:
 @dataclass(frozen=True, eq=False)
 class Begun:
     """How K cases of liquids are where a motion begins, at rest unless given: as planned; and, of an arm that gives
-    way, with what it has made of that, what each of n_c terms has made of it, and e and e' (2, n, K) of the arm."""
+    way, with what it has made of that, what each of n_c terms has made of it, and e and e' (2, n, K) of the arm. Or all
+    of this at T instants, (T, ...)."""
 
     planned: Underway | None = None
     waves: Underway | None = None
     change: Underway | None = None
     reaction: Array | None = None
+
+    def at(self, t: Array, now: float, some: Indices) -> Begun:
+        """Some of the cases at an instant, of all at t (T,)."""
+        first, second, third = (
+            x if x is None else x.at(t, now).part(some) for x in (self.planned, self.waves, self.change)
+        )
+        if self.reaction is None:
+            return Begun(first, second, third)
+        swung = swinging_at(t, self.reaction[:, 0], self.reaction[:, 1], now)
+        return Begun(first, second, third, np.stack(swung)[..., some])
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +127,11 @@ class Given:
     unknown: Array | None = None
 
     @classmethod
-    def along(cls, group: Parted, t: Array, w: Array, response: Deviation | None, begun: Begun) -> Given:
-        """Along what the tray feels, w (T, 12), at t (T,)."""
+    def along(
+        cls, group: Parted, t: Array, w: Array, response: Deviation | None, begun: Begun, rounds: int = ROUNDS
+    ) -> Given:
+        """Along what the tray feels, w (T, 12), at t (T,). rounds: in which the arm gives way to what the waves push,
+        and the waves are then others, by an eighth as much each time."""
         planned = along(_cases(group), t, w, begun.planned)
         if response is None:
             return cls(planned, begun)
@@ -102,71 +143,87 @@ class Given:
         for _, free in each:
             unknown[begin : begin + len(free), :, :, : free.shape[3]] = free
             begin += len(free)
-        # The arm gives way to what the waves push, and the waves are then others: twice round is enough.
-        reaction = response.reaction(planned.wrench, begun.reaction)
-        reaction = response.reaction(planned.shifted(known + reaction.w, begun.waves).wrench, begun.reaction)
-        return cls(planned, begun, planned.shifted(known + reaction.w, begun.waves), reaction, unknown)
+        waves = planned if begun.waves is None else planned.shifted(known, begun.waves)
+        for _ in range(rounds):
+            reaction = response.reaction(waves.wrench, begun.reaction)
+            waves = planned.shifted(known + reaction.w, begun.waves)
+        return cls(planned, begun, waves, reaction, unknown)
 
     @property
     def sloshes(self) -> tuple[Slosh, ...]:
         """As planned, and with what the arm makes of it."""
         if self.waves is None or self.reaction is None or self.unknown is None:
             return (Slosh.of(self.planned),)
+        return Slosh.of(self.planned), Slosh.given_way(self.waves, self.planned, self.reaction, *self.changing)
+
+    @property
+    def changing(self) -> tuple[Array, Underway | None]:
+        """What changes of what the tray feels may be or not, and what they have made of the waves till then."""
+        assert self.unknown is not None
         change = self.begun.change
         if change is not None:  # of fewer terms where those liquids are left out that know most of them
             change = change.of_terms(self.unknown.shape[3])
-        given = Slosh.given_way(self.waves, self.planned, self.reaction, self.unknown, change)
-        return Slosh.of(self.planned), given
+        return self.unknown, change
+
+    @property
+    def underway(self) -> Begun:
+        """All of it at the instants of the motion."""
+        planned = self.planned.underway()
+        if self.waves is None or self.reaction is None:
+            return Begun(planned)
+        joints = self.reaction.joints
+        reaction = -np.stack([joints.q, joints.dq], axis=1)
+        return Begun(planned, self.waves.underway(), self.waves.underway(*self.changing), reaction)
+
+    def rested(self, t: Array) -> Begun:
+        """All of it t (T,), s, after the motion, the arm taken for still."""
+        planned = self.planned.rested(t)
+        if self.waves is None or self.reaction is None:
+            return Begun(planned)
+        n, K = self.reaction.joints.missing.shape[1:]
+        still = np.zeros((len(t), 2, n, K))
+        return Begun(planned, self.waves.rested(t), self.waves.rested(t, *self.changing), still)
 
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """A motion from rest that is left at an instant, `now` (s): what the tray feels along it, w (T, 12) at t (T,), what
-    the arm makes of that, and of each liquid all the cases that may be asked for."""
+    """How liquids are along a motion that is left at an instant, `now` (s): at t (T,) of it, all cases that may be
+    asked for, of those that are round and of those in boxes."""
 
     t: Array
-    w: Array
-    response: Deviation | None
-    liquids: Parted
+    known: tuple[_History, ...]
     now: float = 0.0
-    _known: dict[bool, _History] = field(default_factory=dict)
 
     def begun(self, group: Parted) -> Begun:
         """How liquids that are all round or all in boxes are where the motion is left."""
-        alike = group[0][0].liquid.round
-        if alike not in self._known:
-            known = tuple(each for each in self.liquids if each[0].liquid.round is alike)
-            self._known[alike] = _History.of(known, Given.along(known, self.t, self.w, self.response, Begun()))
-        return self._known[alike].at(self.t, self.now, group)
+        names = [_name(case) for case in _cases(group)]
+        history = next(each for each in self.known if names[0] in each.index)
+        return history.along.at(self.t, self.now, np.array([history.index[name] for name in names]))
+
+    @property
+    def stray(self) -> Array:
+        """(n,) rad, the most by which each joint gives way to what liquids push, each at its worst case; 0 for an arm
+        that follows exactly."""
+        found: Array = np.zeros(1)
+        for history in self.known:
+            reaction = history.along.reaction
+            if reaction is not None:
+                ends = np.cumsum([len(liquid) for liquid in history.group])[:-1]
+                most = np.split(np.abs(reaction[:, 0]).max(axis=0), ends, axis=1)
+                found = found + sum(each.max(axis=1) for each in most)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
 class _History:
-    """`Begun` of cases, by name, fill and damping, at all T instants of a motion; reaction (T, 2, n, K)."""
+    """`Begun` of cases, by name, fill and damping, at all T instants of a motion."""
 
-    index: dict[tuple[str, float, float], int]
-    planned: Underway
-    given: tuple[Underway, Underway, Array] | None
+    group: Parted
+    along: Begun
 
-    @classmethod
-    def of(cls, group: Parted, along: Given) -> _History:
-        index = {_name(case): k for k, case in enumerate(_cases(group))}
-        planned = along.planned.underway()
-        if along.waves is None or along.reaction is None:
-            return cls(index, planned, None)
-        joints = along.reaction.joints
-        reaction = -np.stack([joints.q, joints.dq], axis=1)
-        return cls(index, planned, (along.waves.underway(), along.waves.underway(along.unknown), reaction))
-
-    def at(self, t: Array, now: float, group: Parted) -> Begun:
-        """At an instant of t (T,), of some of the cases."""
-        some = np.array([self.index[_name(case)] for case in _cases(group)])
-        planned = self.planned.at(t, now).part(some)
-        if self.given is None:
-            return Begun(planned)
-        waves, change, reaction = self.given
-        waves, change = (x.at(t, now).part(some) for x in (waves, change))
-        return Begun(planned, waves, change, at_instant(t, reaction, now)[..., some])
+    @cached_property
+    def index(self) -> dict[tuple[str, float, float], int]:
+        return {_name(case): k for k, case in enumerate(_cases(self.group))}
 
 
 def _name(case: Case) -> tuple[str, float, float]:

@@ -20,6 +20,7 @@ This is the tracking of fastest plans and of the chain alike.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -102,6 +103,14 @@ class Reaction:
     def torque(self) -> Array:
         """(T, n, K) by which the commanded torque changes, N m."""
         return commanded(self.terms, self.joints)
+
+    def continued(self, each: Callable[[list[Array]], list[Array]]) -> Reaction:
+        """The same at more instants; each: from (T, ...) to these."""
+        joints, tray = self.joints, self.tray
+        found = each([joints.state, joints.missing, tray.state, tray.w, self.torque])
+        made = Reaction(self.terms, JointDeviation(*found[:2]), TrayDeviation(*found[2:4]))
+        vars(made)["torque"] = found[4]
+        return made
 
     def part(self, some: slice) -> Reaction:
         """To some of the wrenches."""

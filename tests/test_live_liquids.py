@@ -1,0 +1,206 @@
+"""Live motions with open liquids: waves go on from motion to motion, and nothing is spilt, now or later."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import salver as sv
+from live_runs import APART, LEAD, ROUNDS, check, drive, executed, in_turn, place
+from salver.errors import ScenarioError, Status
+from salver.live import Live
+from salver.live.motion import between
+from salver.live.verify import verified
+from salver.planning.fastest import joint_plan
+from salver.sensitivity.arm.liquids import Past, Sloshing
+
+FULL = {"fill": 0.065, "damping": 0.00168, "mass": 0.275, "friction": 0.36}
+LOW = {"fill": 0.035, "damping": 0.03, "mass": 0.225, "friction": 0.44}
+
+
+@pytest.fixture(scope="module")
+def coffee():
+    return sv.load_scenario("panda-coffee")
+
+
+@pytest.fixture(scope="module")
+def changed(coffee):
+    """A goal that is changed while the arm moves, and again when it has just come to rest and the waves have not; what
+    is committed then, and what was told."""
+    live, bases = Live(coffee, lead=LEAD), []
+
+    def noted(wish):
+        def say(live):
+            bases.append(live.committed)
+            wish(live)
+
+        return say
+
+    wishes = [(0.0, place(0.45, 0.1, 0.45)), (0.35, noted(place(0.5, -0.3, 0.4))), (1.4, noted(place(0.5, -0.1, 0.45)))]
+    told = drive(live, 1.7, wishes)
+    return live, [*bases, live.committed], told
+
+
+def whole(problem, told) -> Past:
+    """The waves of all that was told, as one motion from its beginning at rest."""
+    motion = executed(told)
+    t = motion.t
+    jerk = 0.5 * (motion.jerk(t) + motion.jerk(np.maximum(t - APART, 0.0)))
+    at = problem.at(t / motion.duration, np.stack([*motion.sample(t), jerk]), motion.duration, imposed=False)
+    return Sloshing.of(problem.every_case, t, at.terms.w, at.response, rounds=ROUNDS).past(t)
+
+
+def off(mine, other) -> float:
+    """How far arrays are from others, as a share of the largest."""
+    return float(np.abs(mine - other).max() / np.abs(other).max())
+
+
+def test_waves_that_go_on_from_motion_to_motion_are_those_of_all_as_one(changed):
+    """At every fill and damping, as planned, with what the arm makes of them, and of what is uncertain."""
+    live, bases, told = changed
+    problem, now = live.problem, [base.begins for base in bases[1:]]
+    assert now[1] > bases[1].ends  # once from rest, in which the waves go on
+    one = whole(problem, told)
+    for base, begins in zip(bases, now, strict=False):
+        found = base.left(begins, problem).past.begun(problem.every_case)
+        known = replace(one, now=begins).begun(problem.every_case)
+        assert np.abs(known.planned.r).max() > 1e-3  # m: there are some
+        for name in ("planned", "waves", "change"):
+            for what in ("r", "rate"):
+                assert off(getattr(getattr(found, name), what), getattr(getattr(known, name), what)) < 5e-3, (
+                    name,
+                    what,
+                )
+        assert off(found.planned.r, known.planned.r) < 1e-3
+        assert off(found.reaction[0], known.reaction[0]) < 0.02  # by three rounds, against eight
+        np.testing.assert_allclose(found.waves.spin, known.waves.spin, atol=1e-3)
+        np.testing.assert_allclose(found.waves.peak, known.waves.peak, rtol=5e-3)
+
+
+@pytest.mark.slow
+def test_nothing_is_spilt_along_what_was_told_nor_after_it(changed):
+    live, _, told = changed
+    rest = drive(live, 1.0, begins=1.7)
+    check(live, in_turn(told, rest))
+    assert live.state.refused == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("true", [FULL, LOW], ids=["full", "low"])
+def test_nothing_is_spilt_in_the_engine_when_goals_change_and_it_is_stopped(coffee, true):
+    live = Live(coffee, lead=LEAD)
+    wishes = [
+        (0.0, place(0.45, 0.1, 0.45)),
+        (0.4, place(0.5, -0.35, 0.5)),
+        (0.9, place(0.45, 0.1, 0.4)),
+        (1.2, Live.stop),
+    ]
+    told = in_turn(drive(live, 1.3, wishes), drive(live, 1.5, [(0.0, Live.stop)], begins=1.3))
+    check(live, told)
+    assert holds(live, told, true)
+
+
+@pytest.mark.slow
+def test_a_twist_that_reverses_spills_nothing(coffee):
+    live = Live(coffee, lead=0.02)
+    speeds = [(0.4, 0.0, 0.0), (-0.6, 0.5, 0.0), (0.3, -0.8, 0.2), (0.0, 0.9, -0.2)]
+    said = [(0.01 * k, lambda live, k=k: live.twist(speeds[k // 15 % 4])) for k in range(60)]
+    told = in_turn(drive(live, 0.6, said), drive(live, 1.2, begins=0.6))
+    assert np.abs(told.dq).max() > 0.3
+    check(live, told)
+    assert holds(live, told, FULL)
+
+
+def holds(live, told, parameters) -> bool:
+    plan = joint_plan(live.problem.scenario, live.problem, executed(told), Status("optimal", "", True), {})
+    return sv.simulate(plan, parameters=parameters).outcome == "holds"
+
+
+def test_calm_water_is_never_taken_for_granted(changed):
+    """A motion that goes on from one that is under way, of which nobody knows the waves, is a mistake."""
+    live, (base, *_), _ = changed
+    with pytest.raises(ScenarioError, match="unless it is known how the waves are"):
+        verified(
+            live.problem, between(base.motion, 0.2, base.motion.duration), base.begins + 0.2, replace(base, waves=None)
+        )
+
+
+def test_where_how_a_liquid_moves_is_not_known_the_arm_rests_until_it_is_calm(coffee):
+    live = Live(coffee, lead=LEAD)
+    drive(live, 0.2, [(0.0, place(0.45, 0.1, 0.45))])
+    assert not live.committed.at_rest
+    live.measured(live.command(0.2)[0] + 0.1)  # the arm is elsewhere
+    assert live.state.doing == "stopping"
+    for wish in (
+        place(0.5, 0.0, 0.5),
+        lambda live: live.twist((0.1, 0, 0)),
+        lambda live: live.chunk([0.5], [(0.5, 0, 0.5)]),
+    ):
+        status = wish(live)
+        assert not status.ok
+        assert status.sentence.endswith(
+            "how the liquid in cup moves is not known any more; restart(q, calm=True) when it stands still."
+        )
+    drive(live, 1.0, every=None, begins=0.2)
+    q = live.command(1.2)[0].copy()
+    refused = live.restart(q)
+    assert (
+        refused.sentence
+        == "A restart is refused: the liquid in cup may still move; say calm=True when it stands still."
+    )
+    assert live.restart(q, calm=True).ok
+    assert live.goto((0.5, 0.0, 0.5)).ok
+    live.command(9.0)  # nor after a clock that jumped, for waves go on meanwhile
+    assert not live.goto((0.5, 0.0, 0.5)).ok
+
+
+def test_a_solid_load_needs_no_calm(cube):
+    live = Live(cube, lead=LEAD)
+    live.command(0.0)
+    live.command(9.0)
+    assert live.goto((0.5, 0.0, 0.5)).ok
+    assert live.restart(live.committed.motion.q[0]).ok
+
+
+def test_at_rest_waves_go_on_and_die_away(changed):
+    """For eight seconds: as worked out of all of them at once, and undisturbed as damped pendulums do."""
+    live, (_, base, _), _ = changed
+    problem, cases = live.problem, live.problem.every_case
+    begun = base.left(base.ends, problem)
+    t, z = np.linspace(0.0, 8.0, 801), np.zeros((4, 801, problem.n))
+    z[0] = base.motion.q[-1]
+    at = begun.at(t / 8.0, z, 8.0)
+    one = Sloshing.of(cases, t, at.terms.w, at.response, begun.past, rounds=4 * ROUNDS).past(t)
+
+    def both(seconds):
+        found = base.left(base.ends + seconds, problem).past.begun(cases)
+        return found, replace(one, now=seconds).begun(cases)
+
+    for seconds in (0.3, 1.0, 3.0):
+        found, known = both(seconds)
+        for name in ("planned", "waves", "change"):
+            for what in ("r", "rate"):
+                assert off(getattr(getattr(found, name), what), getattr(getattr(known, name), what)) < 0.01
+    found, known = both(8.0)  # the arm that gives way has been left out for a while: it brakes them
+    assert off(found.planned.r, known.planned.r) < 1e-3
+    assert off(found.waves.r, known.waves.r) < 0.3
+    end = begun.past.begun(cases)
+    which = [case for liquid in cases for case in liquid]
+    omega = np.stack([case.modes.omega for case in which])
+    sigma = omega * np.array([case.damping for case in which])[:, None, None]
+
+    def size(waves):
+        return np.hypot(waves.r, waves.rate / omega)
+
+    np.testing.assert_allclose(size(found.planned), np.exp(-8.0 * sigma) * size(end.planned), rtol=0.1, atol=2e-5)
+
+
+def test_a_long_stir_does_not_count_for_ever(changed):
+    """How far the phase of a high wave may have drifted is a wave as well, and dies away."""
+    live, (_, base, _), _ = changed
+    cases = live.problem.every_case
+    end, later = (base.left(base.ends + more, live.problem).past.begun(cases).waves.peak for more in (0.0, 65.0))
+    damping = np.array([case.damping * case.modes.omega[0, 0] for liquid in cases for case in liquid])
+    np.testing.assert_allclose((later / end) ** 3, np.exp(-damping * 60.0), rtol=1e-2)
