@@ -3,6 +3,7 @@
 python benchmarks/live.py [-n RUNS] [--engine EVERY] [--seconds S] [--docs]     # --docs writes docs/live.md
     python benchmarks/live.py -n 1000 --length 10 --engine 1 --data docs/data/live-long.json    # long streams
     python benchmarks/live.py --liquids -n 4 --engine 1 --docs    # open liquids; writes a table into docs/liquids.md
+    python benchmarks/live.py -n 100 --kinds arrivals    # how long new goals take beside the best known
 
 Runs are kept in docs/data/live.json, of liquids in live-liquids.json, and are not made again (--again: all anew), so
 that counts can be gone on with.
@@ -27,13 +28,14 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from blocks import replace as written
 
 import salver as sv
-from live_runs import PERIOD, drive, executed, in_turn, rows_of
+from live_runs import PATIENCE, PERIOD, drive, executed, in_turn, rows_of
 from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
 from salver.files import read_json, write_json
 from salver.live import Live
+from salver.live.planner import Answer, Job
 from salver.live.steer import TICK
-from salver.planning.fastest import TransportProblem, evaluate, joint_plan
+from salver.planning.fastest import AtPosture, TransportProblem, evaluate, fastest, joint_plan
 from salver.playground import World
 from salver.statistics import clopper_pearson
 from salver.trajectory import JointMotion
@@ -51,6 +53,9 @@ NOTHING = Status("optimal", "", True)
 DOCS = Path(__file__).parent.parent / "docs"
 PAGE, DATA, LONG = DOCS / "live.md", DOCS / "data" / "live.json", DOCS / "data" / "live-long.json"
 LIQUIDS_PAGE, LIQUIDS_DATA = DOCS / "liquids.md", DOCS / "data" / "live-liquids.json"
+
+
+ARRIVALS, LATE = "arrivals", 0.15  # a change of goal; share by which it may come later than the best known
 
 
 class Planned:
@@ -92,6 +97,39 @@ def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tup
         t += rng.uniform(0.1, 0.7)
     states = drive(live, 2.0, wishes)
     return live, in_turn(states, drive(live, 1.6, begins=2.0)), {"changes": len(wishes)}
+
+
+def arrival(name: str, k: int) -> dict[str, float | None]:
+    """A goal that changes at a random time of the way to another: s from the hand-over until the arm is at rest there,
+    by the live motion and by a search as thorough as offline, from the same state; None where none was found."""
+    rng = np.random.default_rng([13, (*SCENARIOS, *LIQUIDS).index(name), len(ARRIVALS), k])
+    live, jobs, found = Live(sv.load_scenario(name), lead=0.1), [], []
+
+    def noted(job: Job) -> Answer:
+        jobs.append(job)
+        found.append(live._planner.answer(job).found)
+        return Answer(None, NOTHING)
+
+    drive(live, rng.uniform(0.2, 0.7), [(0.0, lambda _: live.goto(rng.uniform(LOWEST, HIGHEST)))])
+    live.goto(rng.uniform(LOWEST, HIGHEST))
+    live.plan(PATIENCE, noted)
+    job = jobs[0]
+    start = AtPosture(*job.base.state(job.begins))
+    searched = fastest(job.base.left(job.begins, replace(live.problem, start=start, goal=job.wish.end)))
+    taken = None if found[0] is None else found[0].ends - job.begins
+    return {"taken": taken, "searched": searched.duration if searched.status.ok else None}
+
+
+def arrived(name: str, each: list[dict[str, float | None]]) -> str:
+    """What changes of goal came to beside the best known, in words."""
+    found = np.array([[np.inf if x is None else x for x in (way["taken"], way["searched"])] for way in each])
+    found = found[np.isfinite(found).any(axis=1)]
+    over = found[:, 0] / found.min(axis=1)
+    return (
+        f"{name}, of {len(over)} goals that either found a way to {100 * np.mean(over <= 1 + LATE):.1f} % are reached "
+        f"within {100 * LATE:.0f} % of the best known time, at the median {100 * np.median(over) - 100:.1f} % above it "
+        f"({np.isinf(over).sum()} are not found at once)"
+    )
 
 
 def gentle(rng: np.random.Generator, seconds: float = SECONDS):
@@ -324,6 +362,9 @@ error, rms, and how late the tray is are those of the stream in the middle (and 
 
 {faster}
 
+Goals that change at a random time of the way to another, beside a search as thorough as offline from the same state
+(`--kinds arrivals`): {changes}.
+
 Balls that are thrown from the side at what stands on the tray, seen 1.2 s before they are there and every 0.1 s from
 then on, with {evading:.1f} s from each look to what is done: {balls}.
 
@@ -360,7 +401,7 @@ def main() -> None:
     parser.add_argument("--engine", type=int, default=4, help="every so many of them in the engine too")
     parser.add_argument("--filter", type=int, default=4, help="and every so many as a filter does them")
     parser.add_argument("--length", type=float, default=SECONDS, help="s of a stream")
-    parser.add_argument("--kinds", nargs="*", default=KINDS, help="some of them only")
+    parser.add_argument("--kinds", nargs="*", default=KINDS, help=f"some of them only, or {ARRIVALS}")
     parser.add_argument("--seconds", type=float, default=np.inf, help="begin no further run after so long")
     parser.add_argument("--again", action="store_true", help="forget what is kept")
     parser.add_argument("--liquids", action="store_true", help="of open liquids")
@@ -376,12 +417,14 @@ def main() -> None:
         for name, kind in each:
             kept = runs.setdefault(f"{name}, {kind}", [])
             if len(kept) == k and time.monotonic() - begun < asked.seconds:
-                kept.append(run(name, kind, k, k % asked.engine == 0, k % asked.filter == 0, asked.length))
+                beside = k % asked.engine == 0, k % asked.filter == 0
+                kept.append(arrival(name, k) if kind == ARRIVALS else run(name, kind, k, *beside, asked.length))
                 write_json(asked.data, runs)
-                if kept[-1]["worst"] > 0 or kept[-1].get("lost"):
+                if kept[-1].get("worst", 0.0) > 0 or kept[-1].get("lost"):
                     print(f"{name}, {kind}, run {k}: {kept[-1]['worst']:.2e}, lost: {kept[-1].get('lost')}", flush=True)
-    rows = [row(name, kind, kept) for name, kind in each if (kept := runs.get(f"{name}, {kind}"))]
-    print("\n".join(rows), faster(runs), sep="\n", flush=True)
+    changes = [arrived(name, kept) for name in scenarios if (kept := runs.pop(f"{name}, {ARRIVALS}", []))]
+    rows = [row(*what.split(", "), kept) for what, kept in runs.items() if kept]
+    print("\n".join(rows), faster(runs), ";\n".join(changes), sep="\n", flush=True)
     if asked.docs and asked.liquids:
         nearest = max(x["worst"] for kept in runs.values() for x in kept)
         written(LIQUIDS_PAGE, "live", "\n".join([TABLE, *rows, "", f"Nearest to an edge: {nearest:.1e}."]))
@@ -395,7 +438,7 @@ def main() -> None:
     median, most = commands(sv.load_scenario(SCENARIOS[0]))
     print(f"command: {median:.1f} us, {most:.1f} us at 99.9 %")
     worst = max(x["worst"] for kept in runs.values() for x in kept)
-    words = {"table": TABLE, "longer": longer(), "spared": 100 * SPARED}
+    words = {"table": TABLE, "changes": ";\n".join(changes), "longer": longer(), "spared": 100 * SPARED}
     numbers = {"median": median, "most": most, "worst": worst, "balls": ";\n".join(thrown), "evading": EVADING}
     PAGE.write_text(
         HEAD.format(n=asked.n, rows="\n".join(rows), faster=faster(runs), **words, **numbers), encoding="utf-8"

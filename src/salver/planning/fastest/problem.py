@@ -188,9 +188,7 @@ def transport_problem(
     that tilts the tray further than the motion may.
     """
     if scenario.arm is None:
-        raise ScenarioError(
-            f'{scenario.name}: a fastest plan needs an arm; add an [arm] table, for example model = "panda".'
-        )
+        raise ScenarioError(f'{scenario.name}: this needs an arm; add an [arm] table, for example model = "panda".')
     if not passing:
         scenario.check_one_leg("this plan")
     arm = load_arm(scenario.arm, scenario.tray) if arm is None else arm
