@@ -82,7 +82,7 @@ def found_and_planned(
         raise UnreachableError(f"{scenario.name}: {found.status.sentence}")
     plan = _planned(scenario, found, robust)
     if robust and plan.status.ok and plan.verification.violation > 0:
-        again = fastest(_sterner(found.problem, plan), options, near=found, watch=watch)
+        again = fastest(_sterner(found, plan), options, near=found, watch=watch)
         if again.status.ok and _missed(again) is None:
             found = again.after(found)
             plan = _planned(scenario, found, robust)
@@ -94,10 +94,13 @@ def found_and_planned(
     return found, plan
 
 
-def _sterner(problem: TransportProblem, plan: Plan) -> TransportProblem:
-    """The problem with what a plan of it lacks for its check, which looks at other things too."""
-    if plan.verification.body.startswith(LIQUID):  # waves are driven by what nodes interpolate
-        return replace(problem, spare=problem.spare + plan.verification.violation + SPARE)
+def _sterner(found: FastestMotion, plan: Plan) -> TransportProblem:
+    """The problem with what a plan of a motion lacks for its check, which looks at other things too."""
+    problem, body = found.problem, plan.verification.body
+    if body.startswith(LIQUID):  # waves are driven by what nodes interpolate: these may see room where there is none
+        own = f" in {body.removeprefix(LIQUID)}"
+        seen = -max(value for name, value in found.worst.items() if name.endswith(own))
+        return replace(problem, spare=problem.spare + plan.verification.violation + seen + SPARE)
     # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
     exactly = tuple(Contact(rows, plan.scenario.contact.margin, exactly=True) for rows in problem.contacts)
     return replace(problem, extra=(*problem.extra, *exactly))
