@@ -197,6 +197,21 @@ def test_at_rest_waves_go_on_and_die_away(changed):
     np.testing.assert_allclose(size(found.planned), np.exp(-8.0 * sigma) * size(end.planned), rtol=0.1, atol=2e-5)
 
 
+def test_a_rest_goes_on_at_whatever_time_it_began(changed):
+    """Also where the sum of when a motion began and how long it took is rounded up, or down."""
+    live, (_, base, _), _ = changed
+    problem, ends = live.problem, base.waves.t[-1]
+    cases = problem.every_case
+    known = base.left(base.ends + 0.205, problem).past.begun(cases)
+    begins = np.linspace(1.0, 30.0, 400)
+    rounded = (begins + ends) - begins - ends
+    for begun in (begins[np.argmax(rounded)], begins[np.argmin(rounded)]):
+        assert (begun + ends) - begun != ends
+        later = replace(base, begins=begun, nodes=base.nodes - base.begins + begun)
+        found = later.left(later.ends + 0.205, problem).past.begun(cases)
+        np.testing.assert_allclose(found.waves.r, known.waves.r, atol=1e-9)
+
+
 def test_a_long_stir_does_not_count_for_ever(changed):
     """How far the phase of a high wave may have drifted is a wave as well, and dies away."""
     live, (_, base, _), _ = changed

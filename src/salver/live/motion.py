@@ -88,14 +88,9 @@ class Committed:
 
     def left(self, t: float, problem: TransportProblem) -> TransportProblem:
         """The problem of going on from it at live time t: with the deviation, and the waves, that there are then."""
-        deviation = self.deviation_at(t, problem)
-        if problem.tracking is not None and deviation is not None:
-            problem = replace(problem, tracking=problem.tracking.begun(deviation))
-        if not problem.liquids:
-            return problem
-        if self.waves is None:
-            problem.check_dry("a motion that goes on from another")
-        return replace(problem, past=self._waves_at(t, problem))
+        if problem.liquids:
+            problem = replace(problem, past=self._waves_at(t, problem))
+        return _astray(problem, self.deviation_at(t, problem))
 
     def deviation_at(self, t: float, problem: TransportProblem) -> Array | None:
         """(2, n, k) the deviation at live time t; None where nothing is uncertain."""
@@ -106,19 +101,21 @@ class Committed:
             u = (t - self.nodes[k]) / (self.nodes[k + 1] - self.nodes[k])
             return np.asarray((1 - u) * self.deviation[k] + u * self.deviation[k + 1])
         held = min(t - self.nodes[-1], SETTLED)
-        sagging = replace(problem, tracking=problem.tracking.begun(self.deviation[-1]))
-        response = self._held(sagging, held).response
+        response = self._held(_astray(problem, self.deviation[-1]), held).response
         assert response is not None
         return response.state_at(np.linspace(0.0, held, _nodes(held)), held)
 
     def _waves_at(self, t: float, problem: TransportProblem) -> Past:
         """The waves at live time t, of which there are some."""
+        if self.waves is None:
+            problem.check_dry("a motion that goes on from another")
         assert self.waves is not None
-        own = t - self.begins
-        left = own - self.waves.t[-1]
-        if left <= 0.0:
-            return replace(self.waves, now=own)
-        rest = self.left(self.begins + self.waves.t[-1], replace(problem, liquids=problem.every_case))
+        own, ends = t - self.begins, self.waves.t[-1]
+        left = own - ends
+        if left <= SAME:
+            return replace(self.waves, now=min(own, ends))
+        rest = replace(problem, liquids=problem.every_case, past=replace(self.waves, now=ends))
+        rest = _astray(rest, None if self.deviation is None else self.deviation[-1])
         swung = max(left - CALMED, 0.0)  # freely, after the arm that gives way to them has braked them
         left = min(left, CALMED)
         while True:
@@ -136,6 +133,13 @@ class Committed:
         z = np.zeros((4, _nodes(seconds), problem.n))
         z[0] = self.motion.q[-1]
         return problem.at(np.linspace(0.0, 1.0, z.shape[1]), z, seconds)
+
+
+def _astray(problem: TransportProblem, deviation: Array | None) -> TransportProblem:
+    """The problem of an arm that is off by a deviation (2, n, k) where it begins; by nothing that is known for None."""
+    if problem.tracking is None or deviation is None:
+        return problem
+    return replace(problem, tracking=problem.tracking.begun(deviation))
 
 
 def _nodes(seconds: float) -> int:
