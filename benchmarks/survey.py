@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGE, DATA = DOCS / "survey.md", DOCS / "data" / "survey.jsonl"
 SAME = 1e-4  # of a duration; plans that differ by less are one
 TRIES = 50  # to place obstacles that leave both ends free
+Task = Callable[[int], tuple[str, scenario.Scenario]]
 
 # Name, reach (m) from the base, and, for those by URDF, file and flange.
 ARMS: list[tuple[str, float, dict[str, str]]] = [
@@ -69,11 +71,7 @@ def task(number: int) -> tuple[str, scenario.Scenario]:
     shape = {"type": "cylinder", "radius": wide / 2, "height": tall}
     if rng.random() < 0.5:
         shape = {"type": "box", "size": [wide, wide, tall]}
-    ends = []
-    while len(ends) < 2 or np.linalg.norm(ends[1] - ends[0]) < 0.35 * reach:
-        angle = rng.uniform(-1.2, 1.2, 2)
-        radius, height = rng.uniform(0.45, 0.75, 2) * reach, rng.uniform(0.25, 0.6, 2) * reach
-        ends = list(np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1))
+    ends = ends_of(rng, reach)
     data: dict[str, Any] = {
         "name": f"survey-{number}",
         "motion": {
@@ -97,6 +95,16 @@ def task(number: int) -> tuple[str, scenario.Scenario]:
     made = scenario.parse(data, data["name"])
     count = int(rng.integers(1, 4)) if number % 2 else 0
     return name, _among(made, ends, count, reach, rng) if count else made
+
+
+def ends_of(rng: np.random.Generator, reach: float) -> list[np.ndarray]:
+    """Where a motion begins and ends, m, in front of an arm."""
+    ends: list[np.ndarray] = []
+    while len(ends) < 2 or np.linalg.norm(ends[1] - ends[0]) < 0.35 * reach:
+        angle = rng.uniform(-1.2, 1.2, 2)
+        radius, height = rng.uniform(0.45, 0.75, 2) * reach, rng.uniform(0.25, 0.6, 2) * reach
+        ends = list(np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1))
+    return ends
 
 
 def _among(
@@ -141,7 +149,7 @@ def attempt(case: scenario.Scenario, options: FastestOptions | None) -> dict[str
     return {"duration": duration, "cpu": time.process_time() - cpu, "says": says}
 
 
-def survey(numbers: range, path: Path, thorough: bool) -> None:
+def survey(numbers: range, path: Path, thorough: bool, task: Task = task) -> None:
     """Plan the tasks that the file does not hold yet, one line each."""
     path.parent.mkdir(parents=True, exist_ok=True)
     done = {record["number"] for record in read(path)}
@@ -157,7 +165,7 @@ def survey(numbers: range, path: Path, thorough: bool) -> None:
         print(number, name, record["obstacles"], record["default"], flush=True)
 
 
-def run_corners(path: Path, count: int) -> None:
+def run_corners(path: Path, count: int, task: Task = task) -> None:
     """Plan each solved task again, and run it in the engine with objects at so many corners of the set, drawn at
     random; one line for each, beside the file. A corner that is drawn again would end as before, and counts again."""
     beside = corners_of(path)
