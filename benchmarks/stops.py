@@ -234,8 +234,8 @@ tipped, lifted off or off the tray.
 """
 MIDDLE = """
 How long it takes, over instants all along the plan. A stop is stored every 20 ms where it is sooner at rest than going
-on to the next one; so none is later than finishing. CPU times are of one core of a machine that was busy with other
-work.
+on to the next one, and that is not at rest within .1 s; so none is later than finishing. CPU times are of one core of a
+machine that was busy with other work.
 
 | load | plan, s | stops (CPU) | takes, s: median, longest | of finishing | of the cool stop: median, most |
 |---|---|---|---|---|---|

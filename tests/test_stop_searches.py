@@ -181,6 +181,7 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
     monkeypatch.setattr(stops, "brake_on", lambda problem, path, end, now, begun, law, most: stop(now, most))
     monkeypatch.setattr(stops, "_going_on", lambda motion, now, begin, ahead: now)
     monkeypatch.setattr(stops, "_late", lambda problem, state: np.inf)  # none is sought from another beginning
+    monkeypatch.setattr(stops, "SOON", 0.0)  # nor is any too late to be worth it
     library = plan_stops(nowhere, whole, 0.1, on_path=on_path, progress=lambda *done: told.append(done))
     assert told == [(k + 1, 9) for k in range(9)]
     assert [now for now, _ in asked] == pytest.approx(np.arange(9, 0, -1) / 10)
@@ -228,6 +229,26 @@ def test_where_a_stop_is_late_it_is_sought_anew_and_instants_are_half_as_far_apa
     coarse = plan_stops(nowhere, swaying(1.0), 0.1)
     assert len(anew) == IN_VAIN
     assert coarse.t == pytest.approx(0.1 * np.arange(1, 7))
+
+
+def test_no_stop_is_sought_where_going_on_is_at_rest_soon_anyway(monkeypatch):
+    """Of a motion of 1 s with stops of 25 ms, every 40 ms: from .88 s the end is .12 s ahead; the rest after that stop
+    is at .905 s, 65 ms after .84 s and .105 s after .80 s; and so on."""
+    asked = []
+
+    def stop(problem, state, begun, guess, beat):
+        asked.append(beat)
+        return FoundStop(JointMotion(np.linspace(0, 0.025, STORED.size), *np.zeros((3, STORED.size, 7))), np.zeros(7))
+
+    nowhere = SimpleNamespace(n=7, liquids=())
+    monkeypatch.setattr(stops, "along", lambda problem, motion, space: (np.linspace(0, 1, 11), None, None))
+    monkeypatch.setattr(stops, "stop_from", stop)
+    monkeypatch.setattr(stops, "_late", lambda problem, state: np.inf)
+    told = []
+    library = plan_stops(nowhere, swaying(1.0), 0.04, progress=lambda *done: told.append(done))
+    assert library.t == pytest.approx(np.arange(0.08, 0.9, 0.08))
+    assert len(asked) == len(library.t)
+    assert told == [(k + 1, 24) for k in range(24)]
 
 
 def test_a_stop_may_lean_as_far_as_its_plan_does():

@@ -62,6 +62,7 @@ GAIN = 1e-2  # relative shortening below which a stop is short enough
 STATES = 401  # instants at which the deviation along the plan is known, at least, and
 STATES_EVERY = 4e-3  # s from one to the next, at most
 SMOOTH = 0.1  # weight of acceleration, in normalised time, beside posture in the first guess
+SOON = 0.1  # s: whoever is at rest by then, going on, needs no stop of his own; along what is slow most are
 LEAST = 1e-4  # s by which a stop must be sooner at rest than what there is without it
 Progress = Callable[[int, int], None]
 Space = Literal["object", "joint"]
@@ -120,7 +121,8 @@ def plan_stops(
     """Stops along a motion that the problem's constraints allow.
 
     Found backwards in time: from an instant, going on to the next one and stopping as there is a stop already, and so
-    a place to begin. Instants whose own stop is no sooner at rest than that are left out. Where a stop is late for how
+    a place to begin. Instants whose own stop is no sooner at rest than that are left out, and those at which going on
+    is at rest within `SOON`. Where a stop is late for how
     slow the arm still is, as while the tray leans into the first acceleration, it is sought from other beginnings and
     with more pieces, and instants are half as far apart. What will be no sooner at rest than going on is given up.
     space: where the controller closes its loop along the motion. on_path: stops that never leave the motion's own
@@ -150,7 +152,9 @@ def plan_stops(
         begun = None if strayed is None else strayed.state_at(t, now)
         if past is not None:
             problem = replace(problem, past=replace(past, now=now))
-        if path is None:
+        if rest - now < SOON:
+            found = None
+        elif path is None:
             state, found, beat = state_at(now), None, rest - now - LEAST
             guess = _going_on(motion, now, begin, ahead)
             if vain < IN_VAIN and rest - now > _late(problem, state):

@@ -172,9 +172,9 @@ class Deviation:
 
     def state_at(self, t: Array, now: float) -> Array:
         """(2, n, n_c + 1) e and e' at an instant, of each term and of late commands; t: (T,) of the nodes."""
-        e = np.concatenate([-self.joints.q, -self.held.q[:, :, None]], axis=2)
-        rate = np.concatenate([-self.joints.dq, -self.held.dq[:, :, None]], axis=2)
-        return np.stack([at_instant(t, x, now) for x in (e, rate)])
+        joints, held = self.joints, self.held
+        both = (joints.q, held.q[:, :, None]), (joints.dq, held.dq[:, :, None])
+        return -np.stack([np.concatenate([at_instant(t, x, now) for x in each], axis=1) for each in both])
 
     def joint_radius(self, order: int) -> Array:
         """(T, n) most by which the joints' position (order 0), velocity (1), acceleration (2) can differ from the
