@@ -60,6 +60,22 @@ def test_what_goes_too_fast_or_is_no_number_is_refused(moving):
     assert "not numbers" in verified(moving.problem, lost, 0.0, None).sentence
 
 
+def test_a_verdict_in_haste_is_that_of_the_reference_or_the_whole(moving, monkeypatch):
+    """A motion in .8 of its time breaks rows of its reference: known without what the arm strays, which is looked at
+    for one that breaks none."""
+    base, problem = moving.committed, moving.problem
+    whole, hasty = (verified(problem, base.motion, 3.0, None, hastily=x) for x in (False, True))
+    assert hasty.excess == whole.excess < 0.0
+    assert np.array_equal(hasty.committed.margins.row, whole.committed.margins.row)
+    quick = JointMotion(0.8 * base.motion.t, base.motion.q, base.motion.dq / 0.8, base.motion.ddq / 0.64)
+    strayed = verified(problem, quick, 3.0, None)
+    monkeypatch.setattr(verify.Finer, "of", None)
+    found = verified(problem, quick, 3.0, None, hastily=True)
+    assert found.committed is None
+    assert 0.0 < found.excess <= strayed.excess
+    assert found.what.split(" of ")[0] in ("acceleration", "jerk", "torque rate", "tilt")
+
+
 @pytest.mark.slow
 def test_it_knows_what_a_wrong_load_has_brought_the_arm_into(bottle):
     """The deviation that goes on from motion to motion is that of all of them as one."""

@@ -58,11 +58,17 @@ def linearly(problem, motion, t, z):
     return Full(full, np.searchsorted(dense[order], t))
 
 
+def looked_at(problem, motion):
+    """`seen`, with what the arm strays worked out."""
+    found, straying, knots = seen(problem, motion)
+    return found, straying(), knots
+
+
 @pytest.fixture(scope="module")
 def both(motion):
     """What the verdict sees at its nodes, and what there is."""
     problem, whole = motion
-    found, known, _ = seen(problem, whole)
+    found, known, _ = looked_at(problem, whole)
     t = found.s[found.nodes] * whole.duration
     assert len(known.t) < 0.6 * len(t)
     return found, np.searchsorted(t, known.t - 1e-9), t, along(problem, whole, t, found.at_nodes)
@@ -106,7 +112,7 @@ def test_what_late_commands_do_is_known_where_the_jerk_jumps(motion):
         q.append(q[-1] + h * dq[-1] + h**2 * (2 * before + after) / 6)
         dq.append(dq[-1] + 0.5 * h * (before + after))
     whole = JointMotion(times, np.array(q), np.array(dq), ddq)
-    found, _, knots = seen(problem, whole)
+    found, _, knots = looked_at(problem, whole)
     full = linearly(problem, whole, found.s[found.nodes] * whole.duration, found.at_nodes)
     (w, drift), (w_full, drift_full) = found.response.felt(), full.felt()
     assert np.abs(w - w_full).max() < 2e-5 * 9.81
@@ -121,10 +127,10 @@ def test_what_goes_on_from_a_deviation_strays_as_the_whole(motion, both):
     cut = whole.t[at]
     rest = JointMotion(whole.t[at:] - cut, whole.q[at:], whole.dq[at:], whole.ddq[at:])
     found, _, t, _ = both
-    _, known, _ = seen(problem, whole)
+    _, known, _ = looked_at(problem, whole)
     start = known.response.known.state_at(known.t, cut)
     begun = replace(problem, tracking=problem.tracking.begun(start))
-    later, _, _ = seen(begun, rest)
+    later, _, _ = looked_at(begun, rest)
     first = np.searchsorted(t, cut - 1e-9)
     assert np.abs(later.s[later.nodes] * rest.duration + cut - t[first:]).max() < 1e-9
     (w, drift), (w_whole, drift_whole) = later.response.felt(), found.response.felt()
@@ -181,7 +187,7 @@ def test_where_it_is_known_it_is_what_was_worked_out(both):
 def test_what_a_verdict_worked_out_is_known_at_other_instants_of_the_motion(motion, both):
     """And after its end, where the arm rests: against everything worked out at all of them."""
     problem, whole = motion
-    known = seen(problem, whole)[1]
+    known = looked_at(problem, whole)[1]
     t = np.append(np.linspace(0.0, whole.duration, 57)[:-1] + 1e-3, whole.duration + np.array([0.01, 0.05]))
     z = np.stack([*whole.sample(t), whole.jerk(t) * (t < whole.duration)[:, None]])
     recalled = known.along(along(problem, whole, t, z), t)

@@ -271,7 +271,7 @@ class Steering:
 
     def _judged(self, base: Committed, begins: float, bend: Array) -> Finding:
         """The verdict on what is committed with a bend."""
-        finding = verified(self.problem, self.bent(base, begins, bend), begins, base)
+        finding = verified(self.problem, self.bent(base, begins, bend), begins, base, hastily=True)
         if finding.committed is not None and finding.known is not None:
             self.recent.add(finding.committed, finding.known)
         return finding

@@ -8,7 +8,7 @@ at between the instants too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,15 @@ from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS, JointLimits
 from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
 from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.constraints import PER_METRE, Clearance, Contact, JointLimit, Level, TorqueRateLimit
+from salver.planning.fastest.constraints import (
+    PER_METRE,
+    Clearance,
+    Contact,
+    JointLimit,
+    Level,
+    Tilt,
+    TorqueRateLimit,
+)
 from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import NEAR, KeepOut
 from salver.planning.fastest.programme import Mask
@@ -68,16 +76,23 @@ class Finding:
     known: Known | None = None
 
 
-def verified(problem: TransportProblem, motion: JointMotion, begins: float, before: Committed | None) -> Finding:
-    """The verdict on a motion from live time `begins` on that goes on from the one before (None: from a long rest)."""
+def verified(
+    problem: TransportProblem, motion: JointMotion, begins: float, before: Committed | None, hastily: bool = False
+) -> Finding:
+    """The verdict on a motion from live time `begins` on that goes on from the one before (None: from a long rest).
+    hastily: of a motion whose reference breaks a row already, whatever the arm strays from it, the worst of these."""
     broken = _jolt(motion, begins, before)
     if broken:
         return Finding(None, np.inf, broken)
     begun = problem if before is None else before.left(begins, problem)
-    evaluation, known, knots = seen(begun, motion)
-    response = known.response
+    evaluation, straying, knots = seen(begun, motion)
     nodes, t = evaluation.nodes, evaluation.s * motion.duration
-    keep_out, constraints = problem.keep_out, list(problem.constraints)
+    keep_out, (of_reference, constraints) = problem.keep_out, _apart_by_reference(problem.constraints)
+    blocks = [_begun(told(block, t[nodes], knots), t) for block in evaluate(of_reference, evaluation)]
+    if hastily and max((float(block.values.max()) for block in blocks), default=0.0) > 0.0:
+        return _refused(blocks, _margins(blocks, begins + t, problem), t)
+    known = straying()
+    response = known.response
     if keep_out is not None:
         keep_out = keep_out.near(few(keep_out.parts, evaluation.at_nodes[0]))
     for k, constraint in enumerate(constraints):
@@ -85,16 +100,11 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
             constraints[k] = Clearance(keep_out)
         else:
             constraints[k] = coarse(constraint)
-    blocks = [_begun(told(block, t[nodes], knots), t) for block in evaluate(constraints, evaluation)]
+    blocks += [_begun(told(block, t[nodes], knots), t) for block in evaluate(constraints, evaluation)]
     margins = _margins(blocks, begins + t, problem)
-    worst = int(np.argmax(margins.row))
-    excess = float(margins.row[worst])
+    excess = float(margins.row.max())
     if excess > 0.0:
-        name = margins.names[int(margins.what[worst])]
-        far = name.startswith("clearance of ")  # in metres, not as a share of anything
-        beyond = f"{1e3 * excess / PER_METRE:.2g} mm too small" if far else f"exceeded by {100 * excess:.2g} %"
-        sentence = f"{name} would be {beyond} {t[worst]:.2f} s after it begins"
-        return Finding(None, excess if np.isfinite(excess) else np.inf, sentence, name, _slower(blocks))
+        return _refused(blocks, margins, t)
     if keep_out is not None and not _apart(keep_out, blocks, t[nodes], evaluation.at_nodes[:3]):
         met = sweep(keep_out.parts, motion).touch
         if met is not None:
@@ -111,10 +121,34 @@ def verified(problem: TransportProblem, motion: JointMotion, begins: float, befo
     return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
 
 
-def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Known, Mask]:
-    """A motion at the instants at which it is looked at; what is known at some of them, at which dynamics and what a
-    wrong load does to the arm were worked out, and from where they are continued to all nodes; (N,) which nodes are
-    knots."""
+def _refused(blocks: Sequence[Block], margins: Margins, t: Array) -> Finding:
+    """The verdict on a motion of which some rows are beyond their edge; t: (P,) of the margins, from its beginning."""
+    worst = int(np.argmax(margins.row))
+    excess, name = float(margins.row[worst]), margins.names[int(margins.what[worst])]
+    far = name.startswith("clearance of ")  # in metres, not as a share of anything
+    beyond = f"{1e3 * excess / PER_METRE:.2g} mm too small" if far else f"exceeded by {100 * excess:.2g} %"
+    sentence = f"{name} would be {beyond} {t[worst]:.2f} s after it begins"
+    return Finding(None, excess if np.isfinite(excess) else np.inf, sentence, name, _slower(blocks))
+
+
+def _apart_by_reference(constraints: Sequence[Constraint]) -> tuple[list[Constraint], list[Constraint]]:
+    """Constraints on the reference alone, and those on which it bears what the arm strays from it."""
+    alone: list[Constraint] = []
+    strayed: list[Constraint] = []
+    for constraint in constraints:
+        if isinstance(constraint, JointLimit):
+            first, second = constraint.by_reference
+            alone.append(first)
+            strayed.append(second)
+        else:
+            (alone if isinstance(constraint, TorqueRateLimit | Level | Tilt) else strayed).append(constraint)
+    return alone, strayed
+
+
+def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Callable[[], Known], Mask]:
+    """A motion at the instants at which it is looked at; (N,) which nodes are knots. What it returns second works out
+    what a wrong load does to the arm, and is what is known at some of the instants, from where dynamics and this are
+    continued to all nodes."""
     counts = _counts(motion)
     t, z = motion.evenly(FINER * counts)
     nodes = np.arange(0, len(t), FINER)
@@ -127,20 +161,23 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Kn
     slow = Smooth.of(t[some], knots[smooth.some], SLOW, fewest=2)
     terms = MotionTerms.deriving(problem.model, problem.arm.tray_id, z[:3, some], slow.some, slow.each)
     evaluation.feeling(terms.continued(z[:3, nodes], smooth.each))
-    response = None
-    if problem.tracking is not None:
-        jerk = z[3, some]
-        jerk[knots[smooth.some]] = motion.jerk_before
-        response = Finer.of(problem.tracking, t[nodes], evaluation.terms, terms, z[1:, some], jerk, smooth)
-        evaluation.straying(response)
-    waves = None
-    if problem.liquids:
-        midway = None if response is None else response.midway
-        sloshing = Sloshing.of(problem.every_case, t[some], terms.w, midway, problem.past)
-        each = sloshing.each.items()
-        evaluation.sloshing_as({name: tuple(x.continued(smooth.each) for x in parts) for name, parts in each})
-        waves = sloshing.past(t[some])
-    return evaluation, Known(t[some], knots[smooth.some], terms, response, waves=waves), knots
+
+    def straying() -> Known:
+        response, waves = None, None
+        if problem.tracking is not None:
+            jerk = z[3, some]
+            jerk[knots[smooth.some]] = motion.jerk_before
+            response = Finer.of(problem.tracking, t[nodes], evaluation.terms, terms, z[1:, some], jerk, smooth)
+            evaluation.straying(response)
+        if problem.liquids:
+            midway = None if response is None else response.midway
+            sloshing = Sloshing.of(problem.every_case, t[some], terms.w, midway, problem.past)
+            each = sloshing.each.items()
+            evaluation.sloshing_as({name: tuple(x.continued(smooth.each) for x in parts) for name, parts in each})
+            waves = sloshing.past(t[some])
+        return Known(t[some], knots[smooth.some], terms, response, waves=waves)
+
+    return evaluation, straying, knots
 
 
 def instants(motion: JointMotion) -> tuple[Array, Indices]:

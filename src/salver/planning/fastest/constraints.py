@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -169,15 +169,23 @@ class JointLimit(Constraint):
     """Position, velocity, acceleration, jerk: two rows for each joint with a finite limit.
 
     To position and velocity a wrong load, held commands and liquids add what the arm strays; acceleration and jerk are
-    those of the reference, as makers state their limits.
+    those of the reference, as makers state their limits. orders: of the derivatives that are looked at.
     """
 
     limits: JointLimits
+    orders: tuple[int, ...] = (0, 1, 2, 3)
+
+    @cached_property
+    def by_reference(self) -> tuple[JointLimit, JointLimit]:
+        """Those of the reference, and those to which something is added."""
+        return replace(self, orders=(2, 3)), replace(self, orders=(0, 1))
 
     @cached_property
     def _ranges(self) -> list[tuple[LimitKind, Array, Array, Indices, Indices | slice]]:
         """Kind, middle and half-width of the joints that have one, and which these are; to take what is theirs."""
-        ranges = [(kind, *self.limits.range(kind)) for kind in LIMITS if kind.of == "position"]
+        ranges = [
+            (kind, *self.limits.range(kind)) for kind in LIMITS if kind.of == "position" and kind.order in self.orders
+        ]
         given = [(kind, middle, half, np.flatnonzero(np.isfinite(half))) for kind, middle, half in ranges]
         return [
             (kind, middle[finite], half[finite], finite, finite if len(finite) < len(half) else slice(None))
