@@ -120,7 +120,7 @@ class Motion:
 
     @property
     def key(self) -> str:
-        return f"{self.scenario}, {self.said}, {self.duration:.6f} s"
+        return f"{self.scenario}, {self.said}, {self.duration:.4f} s"
 
 
 def motions(name: str, n: int, beside: int) -> Iterator[Motion]:

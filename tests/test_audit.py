@@ -11,6 +11,7 @@ from recordings import JOINTS, joint_motion, line, tray_csv, write_csv
 from salver import scenario as scenarios
 from salver.auditing import audit, audit_motion
 from salver.auditing.motion import TrayMotion
+from salver.auditing.pace import _least_root
 from salver.cli import app
 from salver.contact_margins import Margins
 from salver.geometry import exp
@@ -75,6 +76,25 @@ def test_run_at_its_pace_the_path_just_holds():
     slow = audit_motion(of_line(0.9), uncertain).pace_worst.factor
     assert audit_motion(of_line(0.9 * slow * 1.001), uncertain).worst.code == "holds"
     assert audit_motion(of_line(0.9 * slow * 0.999), uncertain).worst.code == "slides"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_first_root_of_many_concave_functions(seed):
+    """Of the least of lines each; hardly more of them are asked than there are."""
+    rng = np.random.default_rng(seed)
+    height, slope = rng.uniform(0.1, 2, (300, 4)), rng.uniform(-0.5, 3, (300, 4))
+    low, high, asked = 1e-4, rng.uniform(1, 25), []
+
+    def f(x, some):
+        asked.extend(some)
+        return (height - slope * x).min(axis=1)[failing[some]]
+
+    ends = [(height - slope * x).min(axis=1) for x in (low, high)]
+    failing = np.flatnonzero(ends[1] < 0)
+    root = (height[slope > 0] / slope[slope > 0]).min()
+    found = _least_root(f, low, high, ends[0][failing], ends[1][failing])
+    assert (1 - 3e-6) * root <= found <= root
+    assert len(asked) < 2 * len(failing)
 
 
 @pytest.mark.parametrize(
