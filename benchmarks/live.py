@@ -205,7 +205,8 @@ def spared(problem: TransportProblem, q: np.ndarray, told, seconds: float) -> fl
         for at, states in ((s[:5], still), (s, z))
     )
     left = [SPARED * float(a.values.max()) if a.name.startswith("contact") else 0.0 for a in at_rest]
-    return max(float(b.values[20:].max()) - x for b, x in zip(moving, left, strict=True))
+    along = ((b, x) for b, x in zip(moving, left, strict=True) if len(b.values) > 20)  # and not after it
+    return max(float(b.values[20:].max()) - x for b, x in along)
 
 
 def within(x: np.ndarray, limit: np.ndarray) -> np.ndarray:
@@ -404,12 +405,13 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="*", default=KINDS, help=f"some of them only, or {ARRIVALS}")
     parser.add_argument("--seconds", type=float, default=np.inf, help="begin no further run after so long")
     parser.add_argument("--again", action="store_true", help="forget what is kept")
-    parser.add_argument("--liquids", action="store_true", help="of open liquids")
+    parser.add_argument("--liquids", nargs="*", choices=LIQUIDS, help="of open liquids: these, or all")
     parser.add_argument("--data", type=Path, help="where runs are kept")
     parser.add_argument("--docs", action="store_true", help="write docs/live.md, or the table in docs/liquids.md")
     asked = parser.parse_args()
-    asked.data = asked.data or (LIQUIDS_DATA if asked.liquids else DATA)
-    scenarios = LIQUIDS if asked.liquids else SCENARIOS
+    wet = asked.liquids is not None
+    asked.data = asked.data or (LIQUIDS_DATA if wet else DATA)
+    scenarios = (asked.liquids or LIQUIDS) if wet else SCENARIOS
     begun = time.monotonic()
     runs = read_json(asked.data) if asked.data.is_file() and not asked.again else {}
     each = [(name, kind) for name in scenarios for kind in asked.kinds]
@@ -417,7 +419,8 @@ def main() -> None:
         for name, kind in each:
             kept = runs.setdefault(f"{name}, {kind}", [])
             if len(kept) == k and time.monotonic() - begun < asked.seconds:
-                beside = k % asked.engine == 0, k % asked.filter == 0
+                # By a filter a liquid is lost beyond what the engine takes.
+                beside = k % asked.engine == 0, k % asked.filter == 0 and not wet
                 kept.append(arrival(name, k) if kind == ARRIVALS else run(name, kind, k, *beside, asked.length))
                 write_json(asked.data, runs)
                 if kept[-1].get("worst", 0.0) > 0 or kept[-1].get("lost"):
@@ -425,10 +428,10 @@ def main() -> None:
     changes = [arrived(name, kept) for name in scenarios if (kept := runs.pop(f"{name}, {ARRIVALS}", []))]
     rows = [row(*what.split(", "), kept) for what, kept in runs.items() if kept]
     print("\n".join(rows), faster(runs), ";\n".join(changes), sep="\n", flush=True)
-    if asked.docs and asked.liquids:
+    if asked.docs and wet:
         nearest = max(x["worst"] for kept in runs.values() for x in kept)
         written(LIQUIDS_PAGE, "live", "\n".join([TABLE, *rows, "", f"Nearest to an edge: {nearest:.1e}."]))
-    if not asked.docs or asked.liquids:
+    if not asked.docs or wet:
         return
     thrown = []
     for name in SCENARIOS:

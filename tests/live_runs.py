@@ -19,7 +19,7 @@ LEAD = 0.1  # s: in simulated time planning takes none, and hand-overs are where
 PATIENCE = 60.0  # s: on a busy machine no clock is to decide a test
 JUST = 1e-6  # s before a knot
 APART = 1e-4  # s: between nearer instants a quintic's jerk is lost in rounding
-ROUNDS = 8  # in which waves and the arm that gives way to them are known, also after seconds
+ROUNDS = 8  # in which waves and the arm that gives way to them are known, for two seconds; longer, as many more
 
 
 class Linear(JointLoop):
@@ -119,7 +119,11 @@ def _rows(problem, motion, t, jerk):
     if problem.tracking is not None:
         problem = replace(problem, tracking=Linear(**vars(problem.tracking)))
     at = problem.at(t / motion.duration, np.stack([*motion.sample(t), jerk]), motion.duration, imposed=False)
-    at.sloshing_as(Sloshing.of(problem.liquids, t, at.terms.w, at.response, rounds=ROUNDS).each)
+    at.sloshing_as(
+        Sloshing.of(
+            problem.liquids, t, at.terms.w, at.response, rounds=int(ROUNDS * max(1.0, 0.5 * motion.duration))
+        ).each
+    )
     constraints = [constraint.near(motion.q[::5]) for constraint in problem.constraints]
     if problem.payload.liquids and not problem.liquids:
         constraints = [constraint for constraint in constraints if not isinstance(constraint, Contact)]

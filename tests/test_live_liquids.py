@@ -12,8 +12,10 @@ from live_runs import APART, LEAD, ROUNDS, check, drive, executed, in_turn, plac
 from salver.errors import ScenarioError, Status
 from salver.live import Live
 from salver.live.motion import between
-from salver.live.verify import verified
-from salver.planning.fastest import joint_plan
+from salver.live.steer import HORIZON, TICK, Steering, TwistWanted
+from salver.live.verify import seen, verified
+from salver.planning.fastest import evaluate, joint_plan
+from salver.planning.fastest.brim import Brim
 from salver.sensitivity.arm.liquids import Past, Sloshing
 
 FULL = {"fill": 0.065, "damping": 0.00168, "mass": 0.275, "friction": 0.36}
@@ -100,6 +102,40 @@ def test_nothing_is_spilt_in_the_engine_when_goals_change_and_it_is_stopped(coff
     told = in_turn(drive(live, 1.3, wishes), drive(live, 1.5, [(0.0, Live.stop)], begins=1.3))
     check(live, told)
     assert holds(live, told, true)
+
+
+def test_rows_of_waves_change_with_a_bend_as_differences_say(changed, monkeypatch):
+    """The arm gives way to what it is bent to as it does to what is committed."""
+    live, (base, *_), _ = changed
+    steering, noted = live._planner._steering, []
+    rows, unknowns = Steering._rows, Steering._unknowns
+    monkeypatch.setattr(Steering, "_unknowns", lambda self, motion: noted.append(motion) or unknowns(self, motion))
+    monkeypatch.setattr(Steering, "_rows", lambda self, *of: noted.append((*of, rows(self, *of))) or noted[-1][-1])
+    begins = TICK * round((base.begins + 0.26) / TICK)
+    next(steering._bends(TwistWanted(np.zeros(6), np.zeros(6), begins), base, begins))
+    motion, (blocks, masks, _, matrix) = noted[:2]
+    bend = 1e-5 * np.random.default_rng(1).normal(size=(steering.grid.basis.shape[2], live.problem.n))
+    bend[0] = 0.0
+
+    def values(sign):
+        bent = replace(motion, z=motion.z + sign * steering.grid.motion(bend, HORIZON))
+        return evaluate(constraints, bent.giving_way_as(motion))
+
+    constraints = list(dict.fromkeys(block.of for block in blocks))
+    after, before = values(1.0), values(-1.0)
+    begin, looked = 0, 0
+    for block, mask, one, other in zip(blocks, masks, after, before, strict=True):
+        count = int(mask.sum())
+        if isinstance(getattr(block.of, "judged", block.of), Brim) and count:
+            change = 0.5 * (one.values - other.values)[mask]
+            said = matrix[begin : begin + count] @ bend.ravel()
+            # Of waves that the arm gives way to the derivatives are those of waves as planned.
+            planned, most = np.nonzero(mask)[1] < len(live.problem.liquids[0]), np.abs(change).max()
+            np.testing.assert_allclose(said[planned], change[planned], atol=2e-3 * most, err_msg=block.name)
+            np.testing.assert_allclose(said[~planned], change[~planned], atol=0.2 * most, err_msg=block.name)
+            looked += count
+        begin += count
+    assert looked >= 8
 
 
 @pytest.mark.slow
@@ -210,6 +246,25 @@ def test_a_rest_goes_on_at_whatever_time_it_began(changed):
         later = replace(base, begins=begun, nodes=base.nodes - base.begins + begun)
         found = later.left(later.ends + 0.205, problem).past.begun(cases)
         np.testing.assert_allclose(found.waves.r, known.waves.r, atol=1e-9)
+
+
+def test_on_a_tray_that_leans_a_calm_surface_stays_where_it_is(changed):
+    live, (base, *_), _ = changed
+    problem, z = live.problem, np.zeros((4, 21, live.problem.n))
+    z[0] = base.motion.q[-1] + 0.1 * (np.arange(live.problem.n) == 5)
+    at = problem.at(np.linspace(0.0, 1.0, 21), z, 0.2)
+    now = replace(at.left, now=0.2).begun(problem.liquids).planned.r
+    assert np.abs(now).max() > 1e-3  # m
+    np.testing.assert_allclose(at.rested(2.0).begun(problem.liquids).planned.r, now, atol=1e-9)
+
+
+def test_how_far_the_arm_may_stray_includes_that_it_gives_way_to_waves(changed):
+    live, (before, base, *_), _ = changed
+    found = seen(before.left(base.begins, live.problem), base.motion)[0].joint_radius(0).max(axis=0)
+    alone = replace(base, waves=None).stray(live.problem)
+    assert np.all(base.stray(live.problem) >= 0.999 * found)
+    assert np.all(found >= alone)
+    assert (found / alone).max() > 1.1
 
 
 def test_a_long_stir_does_not_count_for_ever(changed):
