@@ -110,15 +110,15 @@ def test_a_surface_at_rest_is_level_however_the_tray_is_pushed(coffee):
     assert waves.left()[0] == pytest.approx(0.04 * 2 / 9.81 * (1 + 1.8 * (2 / 9.81) ** 2), rel=2e-2)
 
 
-@pytest.mark.parametrize(("push", "known"), [(4.8, True), (5.1, False)])
-def test_a_surface_that_leans_by_half_the_radius_is_as_much_as_is_known(coffee, push, known):
+@pytest.mark.parametrize(("push", "known"), [(4.3, True), (4.55, False)])
+def test_a_surface_that_leans_by_nearly_half_the_radius_is_as_much_as_is_known(coffee, push, known):
     """Pushed ever harder, slowly, no wave runs and the surface leans by push / g; nothing else comes near an edge."""
     deep = coffee.with_changes(objects__0__liquid__fill=0.03, objects__0__uncertainty={})
     t = np.linspace(0, 12, 4001)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0] = push * np.minimum(t / 10, 1) ** 2 * (3 - 2 * np.minimum(t / 10, 1))
     (spill,) = Liquids.along(deep.payload, t, w).spills(worst=False)
-    assert spill.steep[:-1].max() == pytest.approx(push / 9.81 / 0.5, rel=5e-3)
+    assert spill.steep[:-1].max() == pytest.approx(push / 9.81 / 0.45, rel=5e-3)
     assert (spill.steep[:-1].max() < 1) == known
     assert spill.left.min() > 0.01
 
