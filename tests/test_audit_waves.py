@@ -12,7 +12,8 @@ from salver.auditing.waves import _gain, unseen
 from salver.geometry import quat_wxyz_from_matrix
 from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import TraySamples
-from salver.sensitivity.sloshing import Slosh, Spill
+from salver.sensitivity.sloshing import Slosh
+from salver.sensitivity.spills import Spill
 from salver.sensitivity.wave_cases import Case
 from salver.sensitivity.waves import along
 

@@ -18,10 +18,13 @@ from salver.models.liquid import Liquid, damping_of
 from salver.models.tray_motion import at_rest
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
-from salver.sensitivity.sloshing import LIGHTEST, Liquids, Slosh, Spill, slacks
+from salver.sensitivity.sloshing import LIGHTEST, Slosh
+from salver.sensitivity.spills import Liquids, Spill, slacks
+from salver.sensitivity.underway import Underway
 from salver.sensitivity.wave_cases import VERDICT_APART, Case, Cases, cases
+from salver.sensitivity.wave_changes import changed
 from salver.sensitivity.wave_gradients import Unknowns, wrench_by
-from salver.sensitivity.waves import Underway, Waves, along
+from salver.sensitivity.waves import Waves, along
 from salver.simulation import outcome
 
 CUP = Liquid((0.04,), 0.005, 0.06, 0.075, 1000.0, (0.0, 0.03))
@@ -271,7 +274,7 @@ def test_changes_are_first_order_differences(coffee, shape, monkeypatch):
     here, step = along((case,), t, shaken(t)), 1e-5
     dw = np.random.default_rng(2).normal(size=12) * np.cos(3 * t)[:, None]
     dw = np.stack([dw, dw * np.sin(np.pi * t / 0.9)[:, None]], axis=2)
-    change = here.changed(dw[None])
+    change = changed(here, dw[None])
     for k in range(2):
         more, less = (along((case,), t, shaken(t) + sign * step * dw[:, :, k]) for sign in (1, -1))
         for name in ("eta", "free", "wrench"):

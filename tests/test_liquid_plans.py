@@ -23,7 +23,7 @@ from salver.planning.fastest.safest import plan_safest
 from salver.planning.object.problem import Problem
 from salver.scenario import parse
 from salver.sensitivity.arm.liquids import Sloshing, of_cases
-from salver.sensitivity.sloshing import Sloshed
+from salver.sensitivity.slosh_rows import Sloshed
 from salver.sensitivity.wave_cases import Case
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import MotionSamples, SampledReference, min_jerk_line

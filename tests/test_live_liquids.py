@@ -16,7 +16,8 @@ from salver.live.steer import HORIZON, TICK, Steering, TwistWanted
 from salver.live.verify import seen, verified
 from salver.planning.fastest import evaluate, joint_plan
 from salver.planning.fastest.brim import Brim
-from salver.sensitivity.arm.liquids import Past, Sloshing
+from salver.sensitivity.arm.liquids import Sloshing
+from salver.sensitivity.arm.past import Past
 
 FULL = {"fill": 0.065, "damping": 0.00168, "mass": 0.275, "friction": 0.36}
 LOW = {"fill": 0.035, "damping": 0.03, "mass": 0.225, "friction": 0.44}

@@ -18,7 +18,7 @@ from salver.contact_margins import MarginModel, Margins
 from salver.errors import Status
 from salver.geometry import Array
 from salver.models.tray_motion import motion_vector
-from salver.sensitivity.sloshing import Liquids
+from salver.sensitivity.spills import Liquids
 
 PACES = 1.03 ** np.arange(60)  # at which a motion with a liquid is looked at: up to 5.7 times slower
 SLOWEST = 100.0  # times the duration: a path that needs more is called impossible

@@ -28,7 +28,7 @@ from salver.geometry import Array, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.scenario import Scenario
-from salver.sensitivity.sloshing import Liquids, Spill
+from salver.sensitivity.spills import Liquids, Spill
 from salver.tables import Table, Tabular
 
 if TYPE_CHECKING:

@@ -20,7 +20,8 @@ from salver.auditing.recorded import LEVER
 from salver.auditing.slip import SEEN
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY
-from salver.sensitivity.sloshing import Slosh, Spill
+from salver.sensitivity.sloshing import Slosh
+from salver.sensitivity.spills import Spill
 from salver.sensitivity.waves import Waves
 
 FOLLOWED = 2.0  # times the fastest mode: a surface does not follow what shakes it faster, but for what moves a mass

@@ -14,7 +14,8 @@ from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
 from salver.models.internal_wrench import internal_wrenches
 from salver.sensitivity import tubes
-from salver.sensitivity.sloshing import Liquids, Sloshed
+from salver.sensitivity.slosh_rows import Sloshed
+from salver.sensitivity.spills import Liquids
 
 
 @dataclass(frozen=True)

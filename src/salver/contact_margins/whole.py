@@ -18,7 +18,8 @@ from salver.geometry import Array
 from salver.models.interfaces import regions_lost
 from salver.models.liquid import LEAST_WEIGHT
 from salver.scenario import Scenario
-from salver.sensitivity.sloshing import LIGHTEST, Liquids, Spill
+from salver.sensitivity.sloshing import LIGHTEST
+from salver.sensitivity.spills import Liquids, Spill
 
 if TYPE_CHECKING:
     from salver.models.parameters import Parameter

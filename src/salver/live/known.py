@@ -14,7 +14,7 @@ from salver.planning.fastest import Evaluation
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.programme import Mask
 from salver.sensitivity.arm.finer import Finer, Smooth
-from salver.sensitivity.arm.liquids import Past
+from salver.sensitivity.arm.past import Past
 from salver.sensitivity.arm.terms import MotionTerms
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.planning.fastest import Evaluation, TransportProblem
 from salver.planning.fastest.evaluation import Indices
-from salver.sensitivity.arm.liquids import Past
+from salver.sensitivity.arm.past import Past
 from salver.trajectory import JointMotion
 
 SHORTEST = 1e-3  # s that the motion of an arm at rest is written to last

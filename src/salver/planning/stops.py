@@ -35,7 +35,8 @@ from salver.planning.fastest.starts import braking_time
 from salver.planning.follow.forward import tray_motion
 from salver.planning.follow.limits import BETWEEN, verdict
 from salver.planning.stop_library import SAME, StopLibrary
-from salver.sensitivity.arm.liquids import Past, Sloshing
+from salver.sensitivity.arm.liquids import Sloshing
+from salver.sensitivity.arm.past import Past
 from salver.sensitivity.arm.task import task_law
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.arm.tracking import Deviation, deviation, late

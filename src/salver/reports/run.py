@@ -21,7 +21,7 @@ from salver.reports.contact import ContactCurves, contact_curves
 from salver.run_directory import RECORDS, STEMS, check_digest, known_stems, plan_digest, scenario_of
 
 if TYPE_CHECKING:
-    from salver.sensitivity.sloshing import Liquids
+    from salver.sensitivity.spills import Liquids
 
 _NEEDED = (
     "t", "p_SB", "v_S", "a_S", "quat_SB_wxyz", "omega_B", "alpha_B", "wrench_B", "grasp_map", "cone_coefficients",
@@ -122,7 +122,7 @@ class Run:
     def waves(self, motion: Motion) -> Liquids | None:
         """The liquids along a motion as it was planned, at its times; None without any."""
         from salver.contact_margins import tray_motion
-        from salver.sensitivity.sloshing import Liquids
+        from salver.sensitivity.spills import Liquids
         from salver.trajectory import MotionSamples
 
         p, v, a, omega, alpha = (motion.arrays[key] for key in ("p_SB", "v_S", "a_S", "omega_B", "alpha_B"))

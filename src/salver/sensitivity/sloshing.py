@@ -1,24 +1,21 @@
-"""What the waves of liquids ask of their containers, at the worst of all that is uncertain: to stay below the brim, and
-to be held against the wrench of the slosh (`salver.sensitivity.waves` has the waves)."""
+"""How high the waves of liquids stand, how steep and how light, at the worst of all that is uncertain, with derivatives
+by the unknowns of a motion (`salver.sensitivity.waves` has the waves)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.contact_rows import ContactRows
 from salver.models.liquid import GRAVITY, LEANING, LEAST_WEIGHT, LEFT_OVER, STEEPEST, TILTING
-from salver.models.parameters import NOTHING, UncertainSet
-from salver.models.payload import Payload
-from salver.models.worst_case import ALL, Some
 from salver.sensitivity.arm.tracking import Reaction
-from salver.sensitivity.wave_cases import VERDICT_APART, cases
-from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by, wrench_by
-from salver.sensitivity.waves import Change, Indices, Underway, Waves, along
+from salver.sensitivity.underway import Indices, Underway
+from salver.sensitivity.wave_changes import Change, changed
+from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by
+from salver.sensitivity.waves import Waves
 
 LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that a liquid may be relieved of
 _OF_SURFACE = "crest", "free_height", "lightness", "free_left", "left_at_once"
@@ -56,7 +53,7 @@ class Slosh:
         cls, waves: Waves, planned: Waves, reaction: Reaction, dw: Array, start: Underway | None = None
     ) -> Slosh:
         """dw: (K or 1, T, 12, n_c) change of what the tray feels; start: what it made of the waves till then."""
-        change, highest = waves.changed(dw, start), waves.cases.highest
+        change, highest = changed(waves, dw, start), waves.cases.highest
         higher = (highest(np.moveaxis(change.eta, 2, 3)) + np.abs(change.thrown)).sum(axis=2)
         left = np.einsum("kna,knac->kca", waves.cases.gain, np.hypot(*change.ending))
         freer = np.abs(change.free).sum(axis=3)
@@ -300,218 +297,3 @@ class Slosh:
         away, speed = (x[case] for x in waves.ending)
         by_size = fading * which.gain[case] * by_amplitude[:, None] / np.maximum(np.hypot(away, speed), 1e-12)
         return at_node(unknowns, self.planned, case, last, by_size * away, by_size * speed * to_speed)
-
-
-@dataclass(frozen=True, eq=False)
-class Sloshed:
-    """What liquids add to contact rows (T, n): each at its worst case. liquids: of each that is held by one of the
-    rows' bodies which one, its parts, and what these add, (K, T, n) in their cases."""
-
-    rows: ContactRows
-    liquids: list[tuple[int, tuple[Slosh, ...], list[Array]]]
-    values: Array
-
-    @classmethod
-    def of(cls, rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]]) -> Sloshed:
-        """sloshing: the cases of each liquid, in parts, by the name of its body."""
-        total, liquids = np.zeros((1, 1)), []
-        for j, sloshes, added in _each_added(rows, sloshing):
-            total = total + _most(added)
-            if j is not None:
-                liquids.append((j, sloshes, added))
-        return cls(rows, liquids, total)
-
-    def history(self, node: Indices, row: Indices, unknowns: Unknowns) -> Array:
-        """(m, c) derivatives of what liquids add to rows at nodes (m,), by unknowns of the motion.
-
-        How the arm gives way is taken as given.
-        """
-        found = np.zeros((len(node), unknowns.felt.shape[2]))
-        for j, sloshes, added in self.liquids:
-            worst = np.concatenate([part[:, node, row] for part in added]).argmax(axis=0)
-            for part, case, mine in of_parts(sloshes, worst):
-                found[mine] += wrench_by(part.planned, unknowns, case, node[mine], self.rows.wrench[j][row[mine]])
-        return found
-
-
-def given_way(sloshing: Mapping[str, tuple[Slosh, ...]], what: Callable[[Reaction], Array]) -> Array:
-    """(T, m) most by which the slosh of all liquids changes something of the arm that carries them, `what` (T, m, K) of
-    each reaction: each liquid at its worst case."""
-    each = [[what(x.reaction) for x in parts if x.reaction is not None] for parts in sloshing.values()]
-    most = [reduce(np.maximum, [np.abs(x).max(axis=-1) for x in parts]) for parts in each if parts]
-    return sum(most, np.zeros((1, 1)))
-
-
-def of_parts(sloshes: Sequence[Slosh], which: Indices) -> Iterator[tuple[Slosh, Indices, Indices]]:
-    """Cases counted through all parts (m,), part by part: the part, which of its cases, and where in `which`."""
-    before = 0
-    for part in sloshes:
-        count = len(part.wrench)
-        mine = np.flatnonzero((which >= before) & (which < before + count))
-        if len(mine):
-            yield part, which[mine] - before, mine
-        before += count
-
-
-def most_added(
-    rows: ContactRows, sloshing: Mapping[str, tuple[Slosh, ...]], at: Some, some: Some, coarsely: bool
-) -> Array:
-    """What liquids add to some rows at some instants, (T, n), each at its worst case. coarsely: no less than that."""
-    return sum((_most(added) for _, _, added in _each_added(rows, sloshing, at, some, coarsely)), np.zeros((1, 1)))
-
-
-def _most(added: list[Array]) -> Array:
-    """(T, n) of all cases of all parts."""
-    return np.asarray(reduce(np.maximum, [part.max(axis=0) for part in added]))
-
-
-def _each_added(
-    rows: ContactRows,
-    sloshing: Mapping[str, tuple[Slosh, ...]],
-    at: Some = ALL,
-    some: Some = ALL,
-    coarsely: bool = False,
-) -> Iterator[tuple[int | None, tuple[Slosh, ...], list[Array]]]:
-    """Of each liquid the body of the network that it is in, None for one that stands elsewhere, its parts, and what
-    each adds to some rows at some instants, (K, T, n) in its cases, or 0 (1, 1, 1)."""
-    index = {body.name: j for j, body in enumerate(rows.network.bodies)}
-    for name, sloshes in sloshing.items():
-        j = index.get(name)
-        held = None if j is None else rows.wrench[j][some].T
-        yield j, sloshes, [_added(part, rows.nominal[some].T, held, at, coarsely) for part in sloshes]
-
-
-def _added(part: Slosh, nominal: Array, held: Array | None, at: Some, coarsely: bool) -> Array:
-    """Of a part to rows nominal (12, n), and held (6, n) of the wrench that its container must give."""
-    added = np.zeros((1, 1, 1))
-    if part.reaction is not None:  # of whatever stands on the tray: the arm gives way under all
-        added = part.reaction.w[:, at] @ nominal
-    if held is not None:
-        added = added + part.wrench[:, at] @ held
-        if part.change is not None and coarsely:
-            added += np.abs(part.change.wrench[:, at]).sum(axis=3) @ np.abs(held)
-        elif part.change is not None:
-            swings = np.swapaxes(part.change.wrench[:, at], 2, 3)
-            swung = (swings.reshape(-1, 6) @ held).reshape(*swings.shape[:3], held.shape[1])  # (K, T, n_c, n)
-            added += np.abs(swung, out=swung).sum(axis=2)
-    return added
-
-
-@dataclass(frozen=True, eq=False)
-class Liquids:
-    """All liquids of a payload along what its tray feels, w (T, 12) at t (T,), by body: at their nominal fill and
-    damping, and at all cases. whole, kept: of which motion these are some instants, and which."""
-
-    payload: Payload
-    t: Array
-    w: Array
-    whole: Liquids | None = None
-    kept: Indices | None = None
-
-    @classmethod
-    def along(cls, payload: Payload, t: Array, w: Array) -> Liquids | None:
-        """A motion that begins at rest. None without a liquid."""
-        return cls(payload, t, w) if payload.liquids else None
-
-    @cached_property
-    def nominal(self) -> Mapping[str, tuple[Slosh, ...]]:
-        return self._found(NOTHING) if self.whole is None else self._thinned(self.whole.nominal)
-
-    @cached_property
-    def worst(self) -> Mapping[str, tuple[Slosh, ...]]:
-        return self._found(self.payload.uncertain) if self.whole is None else self._thinned(self.whole.worst)
-
-    def _found(self, uncertain: UncertainSet) -> dict[str, tuple[Slosh, ...]]:
-        return {
-            body.name: (Slosh.of(along(cases(body, uncertain, VERDICT_APART), self.t, self.w)),)
-            for body in self.payload.liquids
-        }
-
-    def _thinned(self, found: Mapping[str, tuple[Slosh, ...]]) -> dict[str, tuple[Slosh, ...]]:
-        assert self.kept is not None
-        return {name: tuple(part.at(self.kept) for part in parts) for name, parts in found.items()}
-
-    def at(self, index: Indices) -> Liquids:
-        """Of the wrenches those at some instants; what becomes of the surface stays that of the whole motion."""
-        whole, kept = (self, index) if self.whole is None or self.kept is None else (self.whole, self.kept[index])
-        return replace(self, whole=whole, kept=kept)
-
-    def only(self, payload: Payload) -> Liquids:
-        """The same with another uncertain set."""
-        return replace(self, payload=payload, whole=None if self.whole is None else self.whole.only(payload))
-
-    def spills(self, worst: bool) -> list[Spill]:
-        """What each liquid comes to."""
-        return [Spill.of(name, each) for name, each in (self.worst if worst else self.nominal).items()]
-
-
-@dataclass(frozen=True, eq=False)
-class Spill:
-    """How near one liquid comes to its brim, at its worst case.
-
-    crest: (T,) m, the highest of all cases. left: (T,) m of room over it, least of all cases; infinite under a lid.
-    after: the same for good after the motion. steep: (T,) free wave over the largest for which the model is valid, at
-    the end of all that are left. light: (T,) share of its weight that does not press, over the largest for which it is.
-    settled: m that waves are lower than wanted, some time after the motion; infinite if nothing is wanted. slack: (T,)
-    the least of these as shares of what is allowed. below: the least of left, after and settled, as such a share.
-    """
-
-    name: str
-    t: Array
-    crest: Array
-    left: Array
-    after: float
-    steep: Array
-    light: Array
-    settled: float
-    slack: Array
-    below: float
-
-    @classmethod
-    def of(cls, name: str, parts: Sequence[Slosh]) -> Spill:
-        waves = parts[0].waves
-        which = [part.waves.cases for part in parts]
-        liquid, room = which[0].liquid, np.concatenate([x.room for x in which])
-        crest, rest = (np.concatenate(x) for x in ([p.crest for p in parts], [p.left() for p in parts]))
-        left, after = room[:, None] - crest, room - rest
-        settled = liquid.settled - max(float(p.left(liquid.within).max()) for p in parts)
-        steep, light = (np.concatenate(x).max(axis=0) for x in zip(*(_unmodelled(part) for part in parts), strict=True))
-        dry = left.min(axis=0), float(after.min())
-        slack = np.concatenate([slacks(part) for part in parts]).min(axis=0)
-        below = min(float(_below(part).min()) for part in parts)
-        return cls(name, waves.t, crest.max(axis=0), *dry, steep, light, float(settled), slack, below)
-
-    def kept(self) -> dict[str, float]:
-        """The least that is left of each thing that is allowed, in words, as a share of it."""
-        return {
-            "what they may reach": self.below,
-            "the steepness to which they are known": 1 - float(self.steep.max()),
-            "the weight that may be taken from them": 1 - float(self.light.max()),
-        }
-
-
-def _unmodelled(part: Slosh) -> tuple[Array, Array]:
-    """(K, T) free wave over the largest for which the model is valid, at the end of all that are left, and share of the
-    weight that does not press, over the largest for which it is."""
-    steepest = part.waves.cases.steepest
-    steep = part.free_height / steepest[:, None]
-    steep[:, -1] = part.free_left / steepest  # not lower than there
-    return steep, part.lightness / LIGHTEST
-
-
-def slacks(part: Slosh) -> Array:
-    """(K, T) the least of what each case leaves, as shares of what is allowed."""
-    return np.asarray(np.minimum(1 - np.maximum(*_unmodelled(part)), _below(part)))
-
-
-def _below(part: Slosh) -> Array:
-    """(K, T) the same of heights alone; infinite where any is allowed."""
-    which = part.waves.cases
-    liquid, room = which.liquid, which.room
-    slack = np.full(part.crest.shape, np.inf)
-    if np.isfinite(room).all():
-        slack = 1 - part.crest / room[:, None]
-        slack[:, -1] = np.minimum(slack[:, -1], 1 - part.left() / room)
-    if np.isfinite(liquid.settled):
-        slack[:, -1] = np.minimum(slack[:, -1], 1 - part.left(liquid.within) / liquid.settled)
-    return slack

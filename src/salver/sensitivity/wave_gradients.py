@@ -15,7 +15,8 @@ from salver.geometry import Array
 from salver.models.liquid import GRAVITY
 from salver.models.tray_motion import N_MOTION
 from salver.sensitivity.filter import LinearFilter
-from salver.sensitivity.waves import TURNING, Indices, Waves, across, turned
+from salver.sensitivity.underway import Indices
+from salver.sensitivity.waves import TURNING, Waves, across, turned
 
 Mask = npt.NDArray[np.bool_]
 

@@ -13,51 +13,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY, LEAST_WEIGHT, LEFT_OVER, TILTING
 from salver.models.tray_motion import N_MOTION
-from salver.sensitivity.filter import LinearFilter, at_instant, swinging_at
+from salver.sensitivity.filter import LinearFilter
+from salver.sensitivity.underway import Indices, Underway
 from salver.sensitivity.wave_cases import Case, Cases
 
-Indices = npt.NDArray[np.intp]
 TURNS, SETTLED = 24, 1e-3  # rounds at most in which waves along both sides of a box drive one another, and when to end
 TURNING = np.zeros(N_MOTION)
 TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
-
-
-@dataclass(frozen=True, eq=False)
-class Underway:
-    """Waves of K cases at one instant, or what c changes make of them, (..., c); or at several, (T, ...).
-
-    r, rate: (K, n_modes, 2) of each moving mass, m and m/s. spin, turning: (K,) of the container about its axis, rad
-    and rad/s. peak: (K,) m, how high the linear wave has been till then.
-    """
-
-    r: Array
-    rate: Array
-    spin: Array
-    turning: Array
-    peak: Array
-
-    def part(self, some: slice | Indices) -> Underway:
-        """Of some of the cases."""
-        return Underway(*(x[some] for x in vars(self).values()))
-
-    def of_terms(self, count: int) -> Underway:
-        """What the first of c changes make."""
-        return Underway(*(x[..., :count] for x in vars(self).values()))
-
-    def at(self, t: Array, now: float) -> Underway:
-        """At an instant, of those at nodes t (T,)."""
-        swung, spun = (swinging_at(t, *pair, now) for pair in ((self.r, self.rate), (self.spin, self.turning)))
-        return Underway(*swung, *spun, at_instant(t, self.peak, now))
-
-    def since(self, waves: Waves) -> Underway:
-        """What there is of them beyond other waves that begin now."""
-        assert waves.start is not None
-        return Underway(*(x - y for x, y in zip(vars(self).values(), vars(waves.start).values(), strict=True)))
 
 
 def along(several: Sequence[Case], t: Array, w: Array, start: Underway | None = None) -> Waves:
@@ -153,8 +119,11 @@ class Waves:
     def shifted(self, dw: Array, start: Underway | None = None) -> Waves:
         """The waves of w + dw (K, T, 12), to first order in dw, which begins with the motion; start: how they begin, if
         that is not at rest."""
-        begun = None if start is None else start.since(self)
-        w, change = self.w + dw, self._pushed(dw[..., None], before=False, start=begun)
+        begun = None
+        if start is not None:
+            assert self.start is not None
+            begun = start.since(self.start)
+        w, change = self.w + dw, self.pushed(dw[..., None], before=False, start=begun)
         spin = _spin(self.cases, self.turning, w, start)
         at_modes = _at_modes(self.cases, w, spin)
         other = replace(self, w=w, upward=_upward(self.cases, w), spin=spin, at_modes=at_modes, start=start)
@@ -256,7 +225,7 @@ class Waves:
         stiffness = np.asarray(self.filters.kp)[..., :1]
         return np.stack([drive[:, :, :, 0] / stiffness, np.zeros_like(drive[:, :, :, 0])], axis=3)
 
-    def _pushed(
+    def pushed(
         self, dw: Array, before: bool, start: Underway | None = None, spun: Array | None = None
     ) -> tuple[Array, Array, Array]:
         """r, r' and r'' (K, T, n_modes, 2, c), to first order, by changes dw (K or 1, T, 12, c) of what the tray feels:
@@ -459,14 +428,14 @@ class Waves:
 
     def underway(self, dw: Array | None = None, start: Underway | None = None) -> Underway:
         """How these waves are at each node, (T, K, ...); or, to first order, what changes dw (K, T, 12, c) of what the
-        tray feels, before the motion too, have made of them. start: as of `changed`."""
+        tray feels, before the motion too, have made of them. start: as of `pushed`."""
         if dw is None:
             moved, drive, start = (self.r, self.rate), self.w[:, :, 5], self.start
             peak = np.maximum.accumulate(self.cases.highest(self.eta), axis=1)
             if start is not None:
                 peak = np.maximum(peak, start.peak[:, None])
         else:
-            moved, drive = self._pushed(dw, before=True, start=start)[:2], dw[:, :, 5]
+            moved, drive = self.pushed(dw, before=True, start=start)[:2], dw[:, :, 5]
             peak = np.zeros(drive.shape)
         begun = None if start is None else np.stack([start.spin, start.turning])
         spins = self.turning.respond(drive.swapaxes(0, 1), begun)
@@ -474,8 +443,7 @@ class Waves:
         return Underway(r, rate, *spins, peak.swapaxes(0, 1))
 
     def rested(self, t: Array, dw: Array | None = None, start: Underway | None = None) -> Underway:
-        """The same t (T,), s, after the end, the tray at rest. What is left over of a peak is a wave too, and dies away
-        as one."""
+        """The same t (T,), s, after the end, the tray at rest."""
         last = Underway(*(x[-1] for x in vars(self.underway(dw, start)).values()))
         which, upward = self.cases, self.upward[:, -1, None, None]
         shape = (*which.omega.shape, *(1,) * (last.r.ndim - 3))
@@ -485,87 +453,13 @@ class Waves:
         else:
             drive, stiffness = self._driven(dw, self.spun(dw, start)), np.asarray(self.filters.kp)[..., None]
             rest = self._by_mode(drive[:, :, :, -1:] / stiffness[:, :, :, -1:])[:, 0]
-        after = t.reshape(-1, *(1,) * last.r.ndim)
-        omega = np.sqrt(kp - sigma**2)
-        fading = np.exp(-sigma * after)
-        cosine, sine, away = fading * np.cos(omega * after), fading * np.sin(omega * after) / omega, last.r - rest
-        r = rest + (cosine + sigma * sine) * away + sine * last.rate
-        rate = (cosine - sigma * sine) * last.rate - kp * sine * away
-        spin = np.broadcast_to(last.spin, (len(t), *last.spin.shape))
-        slowest = sigma.reshape(len(sigma), -1).min(axis=1) / 3  # of the peak's third power
-        fading = np.exp(-np.multiply.outer(t, slowest))
-        peak = last.peak * fading.reshape(*fading.shape, *(1,) * (last.peak.ndim - 1))
-        return Underway(r, rate, spin, np.zeros_like(spin), peak)
-
-    def changed(self, dw: Array, start: Underway | None = None) -> Change:
-        """To first order, by changes dw (K or 1, T, 12, c) of what the tray feels, before the motion too. start: what
-        they have made of the waves till then, where these do not begin at rest."""
-        which, spun = self.cases, self.spun(dw, start)
-        r, rate, second = self._pushed(dw, before=True, start=start, spun=spun)
-        spun = spun[:, :, None] * self.cases.round  # (K or 1, T, 1, c)
-        force = which.at_O[:, None] @ dw  # (K, T, 3, c)
-        lateral = turned_each(force[:, :, :2], self.spin)
-        slope = (lateral - self.slope[..., None] * force[:, :, 2:]) / self.upward[:, :, None, None]
-        slope += across(self.slope)[..., None] * spun
-        eta = np.einsum("kna,ktnac->ktac", which.gain, r) - which.rest_rise[:, None, :, None] * slope
-        ending = r[:, -1], rate[:, -1] / which.omega[..., None]
-
-        def weighed(x: Array, dx: Array, mass: Array) -> tuple[Array, Array]:
-            """Sums over the modes in the container's axes, (K, T, 2, 1), and their changes (K, T, 2, c)."""
-            own = turned((mass[:, None] * x).sum(axis=2), -self.spin)
-            moved = np.einsum("kna,ktnac->ktac", mass, dx)
-            return own[..., None], turned_each(moved, -self.spin) - across(own)[..., None] * spun
-
-        pushed = weighed(self.second, second, which.mass)[1]
-        tilted = weighed(self.second, second, which.mass * which.height)[1]
-        hung, hangs = weighed(self.r, r, which.mass)
-        f = self.force[..., None]
-        K, T, n, _, c = r.shape
-        out = np.zeros((K, T, 6, c))
-        out[:, :, :2] = pushed
-        by_r, by_rate, by_second = (which.rising[:, None] * x for x in (self.second, 2 * self.rate, self.r))
-        for by, dx in ((by_r, r), (by_rate, rate), (by_second, second)):
-            out[:, :, 2] += (by.reshape(K, T, 1, 2 * n) @ dx.reshape(K, T, 2 * n, c))[:, :, 0]
-        out[:, :, 3] = hangs[:, :, 1] * f[:, :, 2] + hung[:, :, 1] * force[:, :, 2] - tilted[:, :, 1]
-        out[:, :, 4] = tilted[:, :, 0] - hangs[:, :, 0] * f[:, :, 2] - hung[:, :, 0] * force[:, :, 2]
-        out[:, :, 5] = hangs[:, :, 0] * f[:, :, 1] - hangs[:, :, 1] * f[:, :, 0]
-        out[:, :, 5] += hung[:, :, 0] * force[:, :, 1] - hung[:, :, 1] * force[:, :, 0]
-        thrown = TILTING / GRAVITY * which.wide[:, None, None] ** 2 * (TURNING @ dw)
-        wrench = which.to_E[:, None] @ out
-        return Change(eta, eta + which.half[:, None, :, None] * slope, thrown, wrench, ending)
-
-
-@dataclass(frozen=True, eq=False)
-class Change:
-    """What c changes of what the tray feels make of waves, to first order.
-
-    eta, free: (K, T, 2, c) of the waves' heights along both axes, m. thrown: (K, T, c) of what tilting throws up, m.
-    wrench: (K, T, 6, c) at E. ending: of each mode, (K, n_modes, 2, c) of its place and of its speed over its
-    frequency, m.
-    """
-
-    eta: Array
-    free: Array
-    thrown: Array
-    wrench: Array
-    ending: tuple[Array, Array]
-
-    def part(self, some: slice) -> Change:
-        """Of some of the cases."""
-        ending = self.ending[0][some], self.ending[1][some]
-        return Change(self.eta[some], self.free[some], self.thrown[some], self.wrench[some], ending)
+        return last.later(t, sigma, kp, rest)
 
 
 def turned(x: Array, angle: Array) -> Array:
     """Vectors (..., 2) turned by angles (...), rad."""
     c, s, x, y = np.cos(angle), np.sin(angle), x[..., 0], x[..., 1]
     return _pairs(c * x - s * y, s * x + c * y)
-
-
-def turned_each(x: Array, angle: Array) -> Array:
-    """c vectors (..., 2, c) turned by angles (...), rad."""
-    c, s, x, y = np.cos(angle)[..., None], np.sin(angle)[..., None], x[..., 0, :], x[..., 1, :]
-    return np.stack([c * x - s * y, s * x + c * y], axis=-2)
 
 
 def across(x: Array) -> Array:

@@ -12,7 +12,8 @@ from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.planning.fastest.constraints import FINEST, ROWS_OF_SEVERAL, Block, Constraint, Gradient
 from salver.planning.fastest.evaluation import Evaluation, Indices
-from salver.sensitivity.sloshing import LIGHTEST, Slosh, of_parts
+from salver.sensitivity.slosh_rows import of_parts
+from salver.sensitivity.sloshing import LIGHTEST, Slosh
 from salver.sensitivity.wave_gradients import Unknowns
 
 WAVE_ROWS = 2  # cases of a liquid at one node, of several `ROWS_OF_SEVERAL`: those of a fill and a damping are alike

@@ -21,7 +21,7 @@ from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import ALL, SURE, Drift, Some, WorstCase, values_near
 from salver.planning.fastest.evaluation import Evaluation, Indices
 from salver.planning.fastest.obstacles import AT_NODES, REACH, KeepOut
-from salver.sensitivity.sloshing import Sloshed, most_added
+from salver.sensitivity.slosh_rows import Sloshed, most_added
 from salver.sensitivity.wave_gradients import Unknowns
 
 Gradient = Callable[[Indices, Indices], Array]

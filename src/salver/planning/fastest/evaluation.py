@@ -11,10 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array
-from salver.sensitivity.arm.liquids import Past, Sloshing
+from salver.sensitivity.arm.liquids import Sloshing
+from salver.sensitivity.arm.past import Past
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop, Reaction
-from salver.sensitivity.sloshing import Slosh, given_way
+from salver.sensitivity.slosh_rows import given_way
+from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.wave_cases import Case
 
 Indices = npt.NDArray[np.intp]

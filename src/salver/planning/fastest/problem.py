@@ -37,9 +37,10 @@ from salver.planning.fastest.passing import Passing
 from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
 from salver.scenario import Motion, Scenario
-from salver.sensitivity.arm.liquids import Past, Sloshing
+from salver.sensitivity.arm.liquids import Sloshing
+from salver.sensitivity.arm.past import Past
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
-from salver.sensitivity.sloshing import slacks
+from salver.sensitivity.spills import slacks
 from salver.sensitivity.wave_cases import VERDICT_APART, Case, cases
 
 SURELY_DRY = 1e-4  # of the room, that is left at every fill and damping that a verdict looks at

@@ -33,7 +33,8 @@ from salver.models.worst_case import UncertainRows
 from salver.planning.object.liquid_rows import BrimRows, SloshingRows, Wet
 from salver.scenario import Scenario
 from salver.sensitivity.dual import Dual, joined
-from salver.sensitivity.sloshing import Liquids, Sloshed, Spill
+from salver.sensitivity.slosh_rows import Sloshed
+from salver.sensitivity.spills import Liquids, Spill
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
 from salver.sensitivity.wave_cases import Case, cases
 

@@ -21,7 +21,7 @@ from salver.planning.object.cost import tray_loop
 from salver.scenario import Scenario
 from salver.sensitivity.dual import joined
 from salver.sensitivity.filter import QuadratureGrid
-from salver.sensitivity.sloshing import Liquids
+from salver.sensitivity.spills import Liquids
 from salver.sensitivity.tray import BodyMotion, TrayLoop, TraySensitivity
 from salver.sensitivity.tubes import radius
 from salver.trajectory import MotionSamples, Reference

@@ -17,7 +17,8 @@ import numpy.typing as npt
 from salver.geometry import Array
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import N_MOTION
-from salver.sensitivity.sloshing import LIGHTEST, Slosh, Sloshed
+from salver.sensitivity.slosh_rows import Sloshed
+from salver.sensitivity.sloshing import LIGHTEST, Slosh
 from salver.sensitivity.wave_cases import Case
 from salver.sensitivity.wave_gradients import Unknowns
 from salver.sensitivity.waves import along

@@ -34,7 +34,7 @@ from salver.planning.object.cost import (
 )
 from salver.scenario import Scenario
 from salver.sensitivity.filter import QuadratureGrid
-from salver.sensitivity.sloshing import Liquids
+from salver.sensitivity.spills import Liquids
 from salver.sensitivity.tray import BodyMotion, TrayLoop
 from salver.trajectory import (
     MotionSamples,

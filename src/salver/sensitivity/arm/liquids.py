@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from salver.geometry import Array
 from salver.models.parameters import Parameter
 from salver.sensitivity.arm.load import LoadChange
+from salver.sensitivity.arm.past import Begun, History, Parted, Past, all_cases
 from salver.sensitivity.arm.tracking import Deviation, Reaction
-from salver.sensitivity.filter import swinging_at
 from salver.sensitivity.sloshing import Slosh
+from salver.sensitivity.underway import Underway
 from salver.sensitivity.wave_cases import Case
-from salver.sensitivity.waves import Indices, Underway, Waves, along
+from salver.sensitivity.waves import Waves, along
 
 # In which waves, and the arm that gives way to them, are known to half a hundredth; and to half a thousandth, where
 # motions go on from one another again and again.
 ROUNDS, MORE_ROUNDS = 2, 3
-
-Parted = tuple[tuple[Case, ...], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,19 +59,19 @@ class Sloshing:
         """The same liquids along another motion, with an arm that gives way as along this one."""
         found = []
         for group, (old, *given) in self.together:
-            planned = Slosh.of(along(_cases(group), t, w, old.waves.start))
+            planned = Slosh.of(along(all_cases(group), t, w, old.waves.start))
             found.append((group, (planned, *(part.along(planned.waves) for part in given))))
         return Sloshing(tuple(found))
 
     def past(self, t: Array) -> Past:
         """What a motion comes from that goes on from this one, which was worked out at t (T,)."""
         known = zip(self.together, self.given, strict=True)
-        return Past(t, tuple(_History(group, given.underway) for (group, _), given in known))
+        return Past(t, tuple(History(group, given.underway) for (group, _), given in known))
 
     def rested(self, t: Array) -> Past:
         """What a motion comes from that goes on after a rest that lasts as long as this and t (T,), s, more."""
         known = zip(self.together, self.given, strict=True)
-        return Past(t, tuple(_History(group, given.rested(t)) for (group, _), given in known), t[0])
+        return Past(t, tuple(History(group, given.rested(t)) for (group, _), given in known), t[0])
 
     @property
     def each(self) -> dict[str, tuple[Slosh, ...]]:
@@ -88,28 +86,6 @@ class Sloshing:
                 found[liquid[0].body.name] = (first, *(part.part(some, first.waves) for part in given))
                 begin += len(liquid)
         return found
-
-
-@dataclass(frozen=True, eq=False)
-class Begun:
-    """How K cases of liquids are where a motion begins, at rest unless given: as planned; and, of an arm that gives
-    way, with what it has made of that, what each of n_c terms has made of it, and e and e' (2, n, K) of the arm. Or all
-    of this at T instants, (T, ...)."""
-
-    planned: Underway | None = None
-    waves: Underway | None = None
-    change: Underway | None = None
-    reaction: Array | None = None
-
-    def at(self, t: Array, now: float, some: Indices) -> Begun:
-        """Some of the cases at an instant, of all at t (T,)."""
-        first, second, third = (
-            x if x is None else x.at(t, now).part(some) for x in (self.planned, self.waves, self.change)
-        )
-        if self.reaction is None:
-            return Begun(first, second, third)
-        swung = swinging_at(t, self.reaction[:, 0], self.reaction[:, 1], now)
-        return Begun(first, second, third, np.stack(swung)[..., some])
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +108,7 @@ class Given:
     ) -> Given:
         """Along what the tray feels, w (T, 12), at t (T,). rounds: in which the arm gives way to what the waves push,
         and the waves are then others, by an eighth as much each time."""
-        planned = along(_cases(group), t, w, begun.planned)
+        planned = along(all_cases(group), t, w, begun.planned)
         if response is None:
             return cls(planned, begun)
         felt, drift = response.felt()
@@ -183,55 +159,6 @@ class Given:
         n, K = self.reaction.joints.missing.shape[1:]
         still = np.zeros((len(t), 2, n, K))
         return Begun(planned, self.waves.rested(t), self.waves.rested(t, *self.changing), still)
-
-
-@dataclass(frozen=True, eq=False)
-class Past:
-    """How liquids are along a motion that is left at an instant, `now` (s): at t (T,) of it, all cases that may be
-    asked for, of those that are round and of those in boxes."""
-
-    t: Array
-    known: tuple[_History, ...]
-    now: float = 0.0
-
-    def begun(self, group: Parted) -> Begun:
-        """How liquids that are all round or all in boxes are where the motion is left."""
-        names = [_name(case) for case in _cases(group)]
-        history = next(each for each in self.known if names[0] in each.index)
-        return history.along.at(self.t, self.now, np.array([history.index[name] for name in names]))
-
-    @property
-    def stray(self) -> Array:
-        """(n,) rad, the most by which each joint gives way to what liquids push, each at its worst case; 0 for an arm
-        that follows exactly."""
-        found: Array = np.zeros(1)
-        for history in self.known:
-            reaction = history.along.reaction
-            if reaction is not None:
-                ends = np.cumsum([len(liquid) for liquid in history.group])[:-1]
-                most = np.split(np.abs(reaction[:, 0]).max(axis=0), ends, axis=1)
-                found = found + sum(each.max(axis=1) for each in most)
-        return found
-
-
-@dataclass(frozen=True, eq=False)
-class _History:
-    """`Begun` of cases, by name, fill and damping, at all T instants of a motion."""
-
-    group: Parted
-    along: Begun
-
-    @cached_property
-    def index(self) -> dict[tuple[str, float, float], int]:
-        return {_name(case): k for k, case in enumerate(_cases(self.group))}
-
-
-def _name(case: Case) -> tuple[str, float, float]:
-    return case.body.name, case.fill, case.damping
-
-
-def _cases(group: Parted) -> tuple[Case, ...]:
-    return tuple(case for liquid in group for case in liquid)
 
 
 def of_cases(several: Sequence[Case], load: LoadChange, dw: Array) -> tuple[Array, Array]:

@@ -1,0 +1,86 @@
+"""What a motion comes from that goes on from another, or from a rest: waves, and the arm that gives way to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.sensitivity.filter import swinging_at
+from salver.sensitivity.underway import Indices, Underway
+from salver.sensitivity.wave_cases import Case
+
+Parted = tuple[tuple[Case, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """How K cases of liquids are where a motion begins, at rest unless given: as planned; and, of an arm that gives
+    way, with what it has made of that, what each of n_c terms has made of it, and e and e' (2, n, K) of the arm. Or all
+    of this at T instants, (T, ...)."""
+
+    planned: Underway | None = None
+    waves: Underway | None = None
+    change: Underway | None = None
+    reaction: Array | None = None
+
+    def at(self, t: Array, now: float, some: Indices) -> Begun:
+        """Some of the cases at an instant, of all at t (T,)."""
+        first, second, third = (
+            x if x is None else x.at(t, now).part(some) for x in (self.planned, self.waves, self.change)
+        )
+        if self.reaction is None:
+            return Begun(first, second, third)
+        swung = swinging_at(t, self.reaction[:, 0], self.reaction[:, 1], now)
+        return Begun(first, second, third, np.stack(swung)[..., some])
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """How liquids are along a motion that is left at an instant, `now` (s): at t (T,) of it, all cases that may be
+    asked for, of those that are round and of those in boxes."""
+
+    t: Array
+    known: tuple[History, ...]
+    now: float = 0.0
+
+    def begun(self, group: Parted) -> Begun:
+        """How liquids that are all round or all in boxes are where the motion is left."""
+        names = [_name(case) for case in all_cases(group)]
+        history = next(each for each in self.known if names[0] in each.index)
+        return history.along.at(self.t, self.now, np.array([history.index[name] for name in names]))
+
+    @property
+    def stray(self) -> Array:
+        """(n,) rad, the most by which each joint gives way to what liquids push, each at its worst case; 0 for an arm
+        that follows exactly."""
+        found: Array = np.zeros(1)
+        for history in self.known:
+            reaction = history.along.reaction
+            if reaction is not None:
+                ends = np.cumsum([len(liquid) for liquid in history.group])[:-1]
+                most = np.split(np.abs(reaction[:, 0]).max(axis=0), ends, axis=1)
+                found = found + sum(each.max(axis=1) for each in most)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """`Begun` of cases, by name, fill and damping, at all T instants of a motion."""
+
+    group: Parted
+    along: Begun
+
+    @cached_property
+    def index(self) -> dict[tuple[str, float, float], int]:
+        return {_name(case): k for k, case in enumerate(all_cases(self.group))}
+
+
+def _name(case: Case) -> tuple[str, float, float]:
+    return case.body.name, case.fill, case.damping
+
+
+def all_cases(group: Parted) -> tuple[Case, ...]:
+    return tuple(case for liquid in group for case in liquid)
