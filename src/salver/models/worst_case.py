@@ -29,14 +29,13 @@ from functools import cached_property, lru_cache
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.geometry import Array
 from salver.models.contents import Filling
 from salver.models.parameters import Parameter
 from salver.models.tray_motion import frame_map
+from salver.models.worst_contents import SURE, Case, Indices, bounded, fill
 
-Indices = npt.NDArray[np.intp]
 Some = Indices | slice
 ALL = slice(None)
 Added = Callable[[Some, Some, bool], Array]
@@ -294,14 +293,6 @@ def _strayed(
     return strayed, less
 
 
-@dataclass(frozen=True)
-class _Case:
-    """Values (T, n) of rows but for their fillings, and those fillings' coefficients (T, n, 9), in one case."""
-
-    value: Array
-    coefficients: list[Array]
-
-
 def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL) -> Array:
     """(T, n) worst case of all rows, or of some that have no fillings, in pieces of time; what fillings make of rows
     that matter is sought for all pieces together."""
@@ -318,14 +309,14 @@ def _values(rows: UncertainRows, w: Array, drift: Drift | None, some: Some = ALL
         part = slice(start, start + every)
         found = list(cases(part))
         if rows.fillings:
-            values[part], few = _bounded(rows.fillings, found, start)
+            values[part], few = bounded(rows.fillings, found, start)
             open_ += few
         else:
             values[part] = found[0].value
             for case in found[1:]:
                 np.maximum(values[part], case.value, out=values[part])
     if open_:
-        _fill(rows.fillings, open_, values)
+        fill(rows.fillings, open_, values)
     return values
 
 
@@ -355,7 +346,7 @@ def values_near(
     return values
 
 
-def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Callable[[slice], Iterator[_Case]]:
+def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Callable[[slice], Iterator[Case]]:
     """The cases of which the worst counts, in a piece of time: either side of a swing, strayed or not."""
     n_p, n_k = len(rows.acting), 0 if drift is None else len(drift.terms)
     felt = ALL if drift is not None else np.any(w != 0, axis=0)  # a tray that does not turn feels three of the twelve
@@ -372,7 +363,7 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Ca
         moved, place = np.swapaxes(drift.dw, 1, 2)[:, order], {k: i for i, k in enumerate(order)}
         there = replace(roles, filled=[(place[k], f, q) for k, f, q in roles.filled])
 
-    def cases(part: slice) -> Iterator[_Case]:
+    def cases(part: slice) -> Iterator[Case]:
         count = len(w[part])
         if drift is not None:
             change = (moved[part].reshape(-1, moved.shape[2]) @ nominal).reshape(count, n_k, n)
@@ -388,104 +379,18 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Ca
                 level -= np.einsum("np,tnp->tn", filling.nominal, of)
             radius = _support(rows, terms[:, :n_p])
             if drift is None or fillings:
-                yield _Case(level + radius, own)
+                yield Case(level + radius, own)
             if drift is None:
                 continue
             terms[:, roles.column] += change[:, : len(roles.own)]
             straying = _support(rows, terms[:, :n_p]) + extra
             if not fillings:
-                yield _Case(level + np.maximum(radius, straying), own)
+                yield Case(level + np.maximum(radius, straying), own)
                 continue
             strayed, less = _strayed(fillings, there, change, own)
-            yield _Case(level + straying - less, strayed)
+            yield Case(level + straying - less, strayed)
 
     return cases
-
-
-SURE = -0.02  # rows beyond this are always worked out, so that the sign of every row is right
-_SETTLED = 1e-6  # of the weight: a bound that is within this of a value is the value
-
-
-@dataclass(frozen=True)
-class _Open:
-    """Of m rows at instants at which it can matter, each in one case, what is not known: the worst fillings.
-
-    at (2, m): instants and rows. known: (m,) without fillings; most: (m,) what each of these adds at most, by
-    coefficients: (m, 9). target: (m,) below which no value needs to be improved.
-    """
-
-    at: Indices
-    known: Array
-    most: list[Array]
-    coefficients: list[Array]
-    target: Array
-
-    @classmethod
-    def joined(cls, parts: list[_Open]) -> _Open:
-        at = np.concatenate([part.at for part in parts], axis=1)
-        known, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("known", "target"))
-        most, coefficients = (
-            [np.concatenate(each) for each in zip(*(getattr(part, name) for part in parts), strict=True)]
-            for name in ("most", "coefficients")
-        )
-        return cls(at, known, most, coefficients, target)
-
-    @cached_property
-    def highest(self) -> Array:
-        """(m,) that is not exceeded."""
-        return self.known + sum(self.most)
-
-    def only(self, some: Indices, target: Array) -> _Open:
-        """Some of the rows, with other targets."""
-        most, coefficients = [x[some] for x in self.most], [x[some] for x in self.coefficients]
-        return _Open(self.at[:, some], self.known[some], most, coefficients, target)
-
-    def worst(self, fillings: tuple[Filling, ...]) -> Array:
-        """(m,) with the worst fillings. One after the other: while one is worked out, the others are at their most."""
-        rest = list(self.most)
-        for j, filling in enumerate(fillings):
-            others = self.known + sum(rest) - rest[j]
-            rest[j] = filling.largest(self.coefficients[j], self.target - others)[0]
-        return np.minimum(self.highest, self.known + sum(rest))
-
-
-def _bounded(fillings: tuple[Filling, ...], cases: list[_Case], start: int) -> tuple[Array, list[_Open]]:
-    """(T, n) a bound on the worst of the cases with the worst fillings, but for what is open: the largest row of an
-    instant, and rows near or beyond their edge. Instants are counted from `start`."""
-    limits = [[f.limits(of) for f, of in zip(fillings, case.coefficients, strict=True)] for case in cases]
-    low, high = (
-        np.array([c.value + sum(limit[side] for limit in each) for c, each in zip(cases, limits, strict=True)])
-        for side in (0, 1)
-    )
-    matters = np.minimum(low.max(axis=(0, 2)), SURE)[None, :, None]
-    needed, open_ = (high > matters) & (high - low > _SETTLED), []
-    for case, each, at in zip(cases, limits, needed, strict=True):
-        instant, row = np.nonzero(at)
-        if len(row):
-            most, coefficients = [limit[1][at] for limit in each], [of[at] for of in case.coefficients]
-            target = matters[0, instant, 0]
-            open_.append(_Open(np.stack([start + instant, row]), case.value[at], most, coefficients, target))
-    high[needed] = -np.inf
-    return np.asarray(high.max(axis=0)), open_
-
-
-def _fill(fillings: tuple[Filling, ...], open_: list[_Open], values: Array) -> None:
-    """Values (T, n) are made those of what is open, where these are larger: all of it side by side, for a search asks
-    little of a single row. First of each instant the row that may be largest: others need not be sought that are not
-    as large."""
-    every = _Open.joined(open_)
-    last = np.lexsort((every.highest, every.at[0]))
-    last = last[np.append(np.diff(every.at[0][last]) > 0, True)]
-    first = every.only(last, every.target[last])
-    found, known = first.worst(fillings), np.full(len(values), -np.inf)
-    known[first.at[0]] = np.minimum(found, SURE)
-    target, worst = np.maximum(every.target, known[every.at[0]]), every.highest.copy()
-    worst[last] = found
-    left = every.highest > target
-    left[last] = False
-    others = np.flatnonzero(left)
-    worst[others] = every.only(others, target[others]).worst(fillings)
-    np.maximum.at(values, tuple(every.at), worst)
 
 
 def _support(rows: UncertainRows, terms: Array) -> Array:
