@@ -11,7 +11,7 @@ import salver as sv
 from salver.contact_margins import margins
 from salver.errors import ScenarioError
 from salver.geometry import Array
-from salver.models import worst_case
+from salver.models import worst_contents
 from salver.models.contact_rows import contact_rows
 from salver.models.contents import Hull, largest_mean, most_second_moments
 from salver.models.interfaces import sure_contacts
@@ -219,7 +219,7 @@ def test_rows_that_are_only_bounded_have_the_sign_of_those_worked_out(monkeypatc
     w[:, 2] = nasty.G
     w[:, :2], w[:, 3:6] = 1.5 * rng.standard_normal((60, 2)), 2 * rng.standard_normal((60, 3))
     found = rows.worst(w)
-    monkeypatch.setattr(worst_case, "SURE", -np.inf)
+    monkeypatch.setattr(worst_contents, "SURE", -np.inf)
     exact = rows.worst(w)
     assert ((exact > 0).sum(axis=1) > 1).mean() > 0.5
     assert np.array_equal(found > 0, exact > 0)
@@ -239,7 +239,7 @@ def test_what_is_attained_and_what_is_not_exceeded_lie_on_either_side_of_the_lar
 
 
 def test_a_drift_by_what_the_rows_do_not_know_adds_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worst_case, "SURE", -np.inf)
+    monkeypatch.setattr(worst_contents, "SURE", -np.inf)
     rows, rng = contact_rows(load("any-box-56").payload)[0], np.random.default_rng(2)
     w, dw = nasty.felt(nasty.tray_motion(10, 3)), 0.1 * rng.normal(size=(10, 12, 1))
     strayed = rows.worst(w, Drift(((Parameter("another", "mass"),),), dw))
@@ -341,7 +341,7 @@ def test_the_largest_row_of_an_instant_is_that_of_a_search_of_all_rows(monkeypat
         found = rows.worst(w)
         alone = np.array([rows.worst(one[None])[0].max() for one in w])
         with monkeypatch.context() as all_of_them:
-            all_of_them.setattr(worst_case, "SURE", -np.inf)
+            all_of_them.setattr(worst_contents, "SURE", -np.inf)
             sought = rows.worst(w)
         assert (sought.max(axis=1) > 0).any()
         np.testing.assert_allclose(found.max(axis=1), sought.max(axis=1), rtol=0, atol=1e-5)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from salver.geometry import Array
-from salver.models.worst_case import SURE
+from salver.models.worst_contents import SURE
 from salver.planning.fastest.constraints import Contact
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.evaluation import Evaluation

@@ -11,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 
 GRAVITY_S: Array = np.array([0.0, 0.0, -9.81])
 GRAVITY_S.setflags(write=False)

@@ -11,10 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.errors import SalverError
-from salver.geometry import Array
+from salver.geometry import Array, Mask
 from salver.models.parameters import Parameter, UncertainSet, inertial_vector
 from salver.models.physical import hull_faces, random_inertia, realisable
 
@@ -30,7 +29,7 @@ EXTENSIBLE = ("uniform", "corners", "sobol")
 _WITHIN = 0.95  # of the way to the surface that a centre of mass of any contents is drawn
 _TRIES = 1000  # draws for one run before the set is called impossible
 
-Possible = Callable[[Array], npt.NDArray[np.bool_]]
+Possible = Callable[[Array], Mask]
 
 
 def draw(
@@ -211,7 +210,7 @@ def _possible(uncertain: UncertainSet, bodies: Sequence[Body] | None) -> Possibl
     positive = [j for j, p in enumerate(uncertain.parameters) if p.kind in ("mass", "friction")]
     tests = [_inertial_test(uncertain, body) for body in bodies or ()]
 
-    def possible(p: Array) -> npt.NDArray[np.bool_]:
+    def possible(p: Array) -> Mask:
         fine = np.all(p[:, positive] > 0, axis=1)
         for test in tests:
             fine &= test(p)
@@ -227,7 +226,7 @@ def _inertial_test(uncertain: UncertainSet, body: Body) -> Possible:
     nominal = inertial_vector(body.own)
     within_shape = bool(realisable(body, nominal)[0])
 
-    def test(p: Array) -> npt.NDArray[np.bool_]:
+    def test(p: Array) -> Mask:
         if not columns:
             return np.ones(len(p), dtype=bool)
         values = np.tile(nominal, (len(p), 1))

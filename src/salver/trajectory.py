@@ -18,7 +18,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from salver.display import Outlined
-from salver.geometry import Array, cross, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
+from salver.geometry import Array, Indices, cross, exp, hat, log, quat_wxyz_from_matrix, right_jacobian_inverse
 
 
 @dataclass(frozen=True)
@@ -393,7 +393,7 @@ class JointMotion(Outlined):
         q, dq, ddq = self._spline.several(tc, range(3))
         return q, dq * moving, ddq * moving
 
-    def evenly(self, counts: npt.NDArray[np.intp]) -> tuple[Array, Array]:
+    def evenly(self, counts: Indices) -> tuple[Array, Array]:
         """t (P,) and z (4, P, n), q and its three derivatives there: at as many equal steps of each piece as counts
         say, (T - 1,), and at the end. Of the jerk, what comes after a knot."""
         h, starts = np.diff(self.t), np.concatenate([[0], np.cumsum(counts)])

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.auditing.motion import HIGHEST, Recording, TrayMotion
 from salver.auditing.slip import HIDDEN, NOTICED, Slip, hidden, left_over, slide
 from salver.errors import Status
-from salver.geometry import Array
+from salver.geometry import Array, Mask
 
 CANNOT_TELL = "cannot_tell"
 CLEAR = 2.2  # samples a period, below which a shake may have been seen at its zeros only, for a tenth of a second
@@ -39,7 +38,7 @@ class Borne:
         return hidden(self.motion.samples.t, self.reserve, self.rest, self.motion.recording)
 
     @property
-    def unsure(self) -> npt.NDArray[np.bool_]:
+    def unsure(self) -> Mask:
         """(T,) whether the motion is too much there, but by less than it is known."""
         return (self.reserve < 0) & (self.reserve + self.error > 0)
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 
 FALSE_ALARM = 0.005  # probability, for one stretch of samples, that noise is taken for motion
 SMALLEST = 8  # samples of the shortest window that has frequencies
@@ -186,7 +186,7 @@ def _single(residual: Array, rate: float, level: Level, negligible: Array | floa
     return Cells(k, k + 1, np.full(len(k), 0.5 * rate), size[k], excess[k], np.ones(len(k)))
 
 
-def spikes(t: Array, y: Array, noise: float) -> npt.NDArray[np.intp]:
+def spikes(t: Array, y: Array, noise: float) -> Indices:
     """Samples (indices) that alone lie off the curve of their neighbours on both sides: a sensor's mistakes."""
     n = len(y)
     if n < 24:

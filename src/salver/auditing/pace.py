@@ -12,11 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.contact_margins import MarginModel, Margins
 from salver.errors import Status
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.tray_motion import motion_vector
 from salver.sensitivity.spills import Liquids
 
@@ -50,7 +49,7 @@ def pace(margins: Margins, R_SB: Array, worst: bool) -> Pace:
         return Pace(None, Status("tilted", sentence, False, {"time": when}))
     slowest, fastest = 1 / SLOWEST**2, 1 / FASTEST**2  # of 1/s^2
 
-    def margin(share: float, at: npt.NDArray[np.intp]) -> Array:
+    def margin(share: float, at: Indices) -> Array:
         return _margin(margins.model, rest[at] + share * (w[at] - rest[at]), worst)
 
     # What holds at rest and at a pace holds at every slower one, as margins are concave.
@@ -98,9 +97,7 @@ def _margin(model: MarginModel, w: Array, worst: bool) -> Array:
     return margins.exact_worst if worst else margins.exact
 
 
-def _least_root(
-    f: Callable[[float, npt.NDArray[np.intp]], Array], low: float, high: float, begin: Array, end: Array
-) -> float:
+def _least_root(f: Callable[[float, Indices], Array], low: float, high: float, begin: Array, end: Array) -> float:
     """Where the first of n concave functions turns negative between low, at which they are begin (n,), none negative,
     and high, at which they are end (n,), all negative: to 1e-6, on the side where none has; high where there is none.
 
@@ -117,7 +114,7 @@ def _least_root(
         k = int(np.argmin(ending))
         known = {low: float(begin[k]), root: float(end[k])}
 
-        def first(x: float, one: npt.NDArray[np.intp] = some[[k]], known: dict[float, float] = known) -> float:
+        def first(x: float, one: Indices = some[[k]], known: dict[float, float] = known) -> float:
             return known[x] if x in known else float(f(x, one)[0])
 
         near = ending < root

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.auditing.doubts import CANNOT_TELL, Borne, Doubt, cannot_tell
 from salver.auditing.motion import HIGHEST, TrayMotion, tray_motion
@@ -24,7 +23,7 @@ from salver.contact_margins import MarginModel, Margins, margin_model
 from salver.display import Shown
 from salver.errors import Status
 from salver.files import provenance
-from salver.geometry import Array, invert
+from salver.geometry import Array, Indices, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.scenario import Scenario
@@ -75,7 +74,7 @@ class Audit(Shown, Tabular):
         speed = np.maximum(np.abs(s.v_S).max(axis=1), np.abs(s.omega_B).max(axis=1))
         return bool(speed[0] <= AT_REST), bool(speed[-1] <= AT_REST)
 
-    def _margins_at(self, index: npt.NDArray[np.intp]) -> Margins:
+    def _margins_at(self, index: Indices) -> Margins:
         liquids = None if self._liquids is None else self._liquids.at(index)
         return Margins(self._model, self.motion.samples.t[index], self._w[index], None, liquids)
 
@@ -103,7 +102,7 @@ class Audit(Shown, Tabular):
         return range(0, len(self._w), AT_ONCE)
 
     @cached_property
-    def _decisive(self) -> npt.NDArray[np.intp]:
+    def _decisive(self) -> Indices:
         """Of more than `AT_ONCE` instants those with the least margins in each stretch, the steepest, and the first
         that fail: the extremes of the whole are among them."""
         if len(self._w) <= AT_ONCE:

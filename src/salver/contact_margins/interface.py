@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.contact_margins.model import friction_rows
 from salver.contact_margins.values import RowValues
-from salver.geometry import Array
+from salver.geometry import Array, Indices, Mask
 from salver.models.contact_rows import ContactRows
 from salver.models.interfaces import Interface, to_tray
 from salver.models.tray_motion import frame_map, wrench_map
@@ -142,7 +141,7 @@ class InterfaceMargins:
         w, w_0 = self.whole.w, self._internal_worst
         low, high = 0.0, 5.0
 
-        def values(mu: float, keep: npt.NDArray[np.intp]) -> Array:
+        def values(mu: float, keep: Indices) -> Array:
             at_mu = _combined(tangential, normal, mu)
             return np.asarray((self.whole.at(keep).worst_case(at_mu) + w_0[keep] @ at_mu.internal.T).max(axis=1))
 
@@ -186,7 +185,7 @@ class InterfaceMargins:
             return float(self.t[k]), self.index, code, self
         return None
 
-    def _slides(self) -> npt.NDArray[np.bool_]:
+    def _slides(self) -> Mask:
         """(T,) whether the round cone is left: by pyramids inside and around it where these agree.
 
         Between them first by finer pyramids, then by the cone itself, up to the first instant that slides.
@@ -226,7 +225,7 @@ class InterfaceMargins:
         return f"it needs friction up to {needed:.3f} and has {self.friction:.3f}"
 
 
-def _only(rows: ContactRows, index: npt.NDArray[np.intp]) -> ContactRows:
+def _only(rows: ContactRows, index: Indices) -> ContactRows:
     return replace(
         rows.only(index),
         interface=rows.interface[index],

@@ -7,10 +7,9 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.contact_margins.model import MarginModel
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.contact_rows import ContactRows
 from salver.models.internal_wrench import internal_wrenches
 from salver.sensitivity import tubes
@@ -43,7 +42,7 @@ class RowValues:
         value = rows.worst(self.w)
         return value if self.liquids is None else value + Sloshed.of(rows, self.liquids.nominal).values
 
-    def at(self, keep: npt.NDArray[np.intp]) -> Self:
+    def at(self, keep: Indices) -> Self:
         """The same at some of its instants."""
         return replace(
             self,

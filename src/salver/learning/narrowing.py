@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.errors import SalverError
-from salver.geometry import Array
+from salver.geometry import Array, Mask
 from salver.learning.ranges import (
     LIKELY,
     NAMES,
@@ -102,7 +101,7 @@ def _within(k: int, sure: Ends, before: Ends, likely: Ends) -> Range:
     return Range(low, high, known, (float(inside[0]), float(inside[1])))
 
 
-def _not_denied(mass: Range, nominal: Array, ranged: npt.NDArray[np.bool_], denied: Ends) -> None:
+def _not_denied(mass: Range, nominal: Array, ranged: Mask, denied: Ends) -> None:
     """Raise SalverError when the logs deny the inertia of a scenario that knows no range of it."""
     times = np.array([mass.low, mass.high]) / nominal[0]
     for k, (low, high) in enumerate(zip(*denied, strict=True)):

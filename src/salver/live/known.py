@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Mask
 from salver.live.motion import Committed
 from salver.planning.fastest import Evaluation
 from salver.planning.fastest.obstacles import KeepOut
-from salver.planning.fastest.programme import Mask
 from salver.sensitivity.arm.finer import Finer, Smooth
 from salver.sensitivity.arm.past import Past
 from salver.sensitivity.arm.terms import MotionTerms

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.planning.fastest import Evaluation, TransportProblem
-from salver.planning.fastest.evaluation import Indices
 from salver.sensitivity.arm.past import Past
 from salver.trajectory import JointMotion
 

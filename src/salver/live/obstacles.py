@@ -17,11 +17,10 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from salver.errors import Status
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.arm_geometry import ArmGeometry
 from salver.planning.fastest import Block, Constraint, Evaluation, padded
 from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY
-from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import SAFETY
 
 FAR = 0.15  # m from which on distances are those of bounding spheres: no larger than the true ones

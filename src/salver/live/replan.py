@@ -15,7 +15,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import GRAVITY_S, Array
+from salver.geometry import GRAVITY_S, Array, Indices
 from salver.live.motion import Committed
 from salver.live.verify import Finding, coarse, kept, verified, watches
 from salver.models.arm_limits import JointLimits
@@ -35,7 +35,6 @@ from salver.planning.fastest import (
 from salver.planning.fastest.bound import least_time
 from salver.planning.fastest.constraints import Clearance
 from salver.planning.fastest.curves import FreeCurve, Grid, launch_basis
-from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.exchange import HOPELESS_AT_NODES, ITERATIONS, REPAIR, Checked, optimise, programme_of
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import Array, hat, log
+from salver.geometry import Array, Indices, Mask, hat, log
 from salver.live.known import Recent
 from salver.live.motion import SAME, Committed
 from salver.live.replan import Sought
@@ -23,8 +23,6 @@ from salver.live.verify import Finding, verified
 from salver.planning import qp
 from salver.planning.fastest import Block, Evaluation, TransportProblem, evaluate
 from salver.planning.fastest.curves import Grid, united
-from salver.planning.fastest.evaluation import Indices
-from salver.planning.fastest.programme import Mask
 from salver.planning.fastest.spline import RestSpline
 from salver.sensitivity.arm.terms import motion_terms
 from salver.sensitivity.wave_gradients import Unknowns

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices, Mask
 from salver.live.known import Known
 from salver.live.motion import Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
@@ -29,9 +29,7 @@ from salver.planning.fastest.constraints import (
     Tilt,
     TorqueRateLimit,
 )
-from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.obstacles import NEAR, KeepOut
-from salver.planning.fastest.programme import Mask
 from salver.planning.follow.clearance import EXACT as TOUCHING
 from salver.planning.follow.clearance import sweep
 from salver.sensitivity.arm.finer import Finer, Smooth

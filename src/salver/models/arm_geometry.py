@@ -14,11 +14,10 @@ from typing import Any
 
 import coal
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
 from salver.errors import ScenarioError
-from salver.geometry import Array, cross
+from salver.geometry import Array, Indices, Mask, cross
 from salver.models.arm import ArmModel
 from salver.models.bodies import Body
 from salver.models.described import ObstacleDescription
@@ -108,7 +107,7 @@ class ArmGeometry:
         if len(self._last) > _REMEMBERED:
             del self._last[next(iter(self._last))]
 
-    def _measure(self, q: Array, low: Array, nodes: npt.NDArray[np.intp], within: float | Array) -> None:
+    def _measure(self, q: Array, low: Array, nodes: Indices, within: float | Array) -> None:
         """Put exact distances where those in `low` (N, pairs) are below `within`, at some of the postures (N, n)."""
         due = low[nodes] < within
         if not due.any():
@@ -174,7 +173,7 @@ class ArmGeometry:
                     length += links[joint]
         return levers
 
-    def clearance_gradient(self, q: Array, node: npt.NDArray[np.intp], pair: npt.NDArray[np.intp]) -> Array:
+    def clearance_gradient(self, q: Array, node: Indices, pair: Indices) -> Array:
         """(r, n) derivatives of `clearance` by the joints, at postures q[node] (q: (N, n)) for pairs (r,).
 
         By the velocities of the two nearest points along the normal between them; where those jump (a face
@@ -216,7 +215,7 @@ class ArmGeometry:
         found._remember(q, low[:, pairs])
         return found
 
-    def _coming_near(self, q: Array, distance: float) -> tuple[Array, npt.NDArray[np.bool_]]:
+    def _coming_near(self, q: Array, distance: float) -> tuple[Array, Mask]:
         """What is known of the distances at postures (N, n) (N, pairs), and which pairs come near at one of them."""
         if len(q) > _LONG:
             low = self.clearance(q, distance)
@@ -275,9 +274,9 @@ class ArmGeometry:
 
 
 @lru_cache(maxsize=64)
-def _passes(count: int, several: bool) -> list[tuple[npt.NDArray[np.intp], ...]]:
+def _passes(count: int, several: bool) -> list[tuple[Indices, ...]]:
     """In which order `count` postures are looked at: which ones at a time, and the known ones before and after each."""
-    passes: list[tuple[npt.NDArray[np.intp], ...]] = []
+    passes: list[tuple[Indices, ...]] = []
     known = np.zeros(0, dtype=int)
     for stride in _STRIDES if several else (1,):
         nodes = np.union1d(np.arange(0, count, stride), count - 1)

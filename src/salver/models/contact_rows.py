@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.errors import ScenarioError
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.bodies import Body
 from salver.models.contact import ContactSet
 from salver.models.contents import INERTIA_OF_MOMENTS, Filling, Hull, moments_of_inertia, most_second_moments
@@ -49,7 +49,7 @@ class ContactRows(UncertainRows):
     """
 
     network: ContactNetwork
-    interface: npt.NDArray[np.intp]
+    interface: Indices
     label: npt.NDArray[Any]
     internal: Array
     wrench: Array

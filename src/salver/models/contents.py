@@ -27,9 +27,8 @@ from itertools import combinations
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices, Mask
 from salver.models.hulls import polytope
 from salver.models.parameters import Parameter
 from salver.models.rigid_body import inertia_entries, inertia_matrix
@@ -40,8 +39,6 @@ _STEPS = 60  # rounds of the search at most
 _AT_ONCE = 2000  # rows searched together: they fit in the cache
 _PIVOT = 1e-5  # relative size below which a column does not leave the mixture: the others would nearly depend
 _FLAT = 1e-9  # relative curvature below which a face's largest value is taken on its rim
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +250,7 @@ class Filling:
         nominal, less = np.concatenate([p.nominal for p in parts]), parts[0].less
         return replace(parts[0], rows=stacked[0], nominal=nominal, per=stacked[1], less=less)
 
-    def only(self, rows: npt.NDArray[np.intp] | list[int]) -> Self:
+    def only(self, rows: Indices | list[int]) -> Self:
         """Of some of the rows."""
         return replace(self, rows=self.rows[:, rows], nominal=self.nominal[rows], per=self.per[:, rows])
 

@@ -11,9 +11,8 @@ from typing import Any
 
 import coal
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.hulls import triangles
 
 THINNEST = 1e-3  # m: Coal wants shapes with a volume
@@ -21,7 +20,7 @@ SLABS = 8  # equal ones, that are put together to ...
 PIECES = 3  # ... at most so many pieces
 WORTH = 0.85  # share of the hull's volume that the pieces may have together, to stand for it
 
-Triangles = npt.NDArray[np.intp]
+Triangles = Indices
 
 
 def convex(points: Array) -> Any:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices, Mask
 
 MOST = 64  # rays with a bit each; up to there Qhull takes longer, even when it is loaded
 _IN = 1e-11  # a ray this close to a facet's plane (both of unit size) lies in it,
@@ -26,7 +26,6 @@ _PLANE = 1e-12  # square of the width of rays that lie in less than a plane
 _POINTED = 1e-9  # cosine that the direction inside the polar cone has to every ray of a cone without a line
 
 Bits = npt.NDArray[np.uint64]
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +34,7 @@ class Polytope:
 
     normal: Array
     offset: Array
-    corners: npt.NDArray[np.intp]
+    corners: Indices
 
     def holds(self, x: Array, tolerance: float = 0.0) -> bool:
         """Whether x (d,) lies inside, or beyond no facet by more than a tolerance in the unit of the points."""
@@ -61,7 +60,7 @@ def polytope(points: Array) -> Polytope:
     return Polytope(normal, normal @ centre - size * rows[:, -1] / length, corners)
 
 
-def triangles(points: Array, joggled: bool = False) -> npt.NDArray[np.intp]:
+def triangles(points: Array, joggled: bool = False) -> Indices:
     """(k, 3) which points (n, 3) make the triangles of their hull, each counter-clockwise seen from outside.
 
     joggled: a flat face is not cut into a fan, which gives one of its corners all the others for neighbours.
@@ -135,7 +134,7 @@ def _double_description(rays: Array) -> tuple[Array, Mask] | None:
     return (rows, active) if sure else None
 
 
-def _spanning(rays: Array) -> npt.NDArray[np.intp] | None:
+def _spanning(rays: Array) -> Indices | None:
     """Which d of the rays (n, d) span the space best, one after the other; None when they hardly do."""
     left, chosen = rays.copy(), []
     for _ in range(rays.shape[1]):
@@ -149,7 +148,7 @@ def _spanning(rays: Array) -> npt.NDArray[np.intp] | None:
     return np.array(chosen)
 
 
-def _corners(active: Mask) -> npt.NDArray[np.intp]:
+def _corners(active: Mask) -> Indices:
     """Which points are corners, from those in each facet (m, n): no other lies in all the facets of one."""
     held = active.T.astype(float)
     count = held.sum(axis=1)
@@ -171,7 +170,7 @@ def _through(rays: Array, rows: Array, active: Mask) -> tuple[Array, Array]:
     return fitted * np.where(np.sum(fitted * rows, axis=1) > 0, 1.0, -1.0)[:, None], values
 
 
-def _qhull(points: Array) -> tuple[Array, npt.NDArray[np.intp]]:
+def _qhull(points: Array) -> tuple[Array, Indices]:
     """Rows (m, d + 1) with row . (x, 1) <= 0 in the hull of points (n, d), and its corners, by Qhull."""
     from scipy.spatial import ConvexHull, QhullError
 

@@ -9,10 +9,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
-from salver.geometry import Array
+from salver.geometry import Array, Mask
 from salver.models.arm import ArmModel
 from salver.models.link_shapes import LinkShapes
 
@@ -111,7 +110,7 @@ def _like(hull: Any, shape: Any, number: int) -> Any:
     return pin.GeometryObject(f"{number}", hull.parentJoint, hull.placement, shape)
 
 
-def _overlaps(arm: ArmModel, parts: Any, pairs: Sequence[Pair], postures: Array) -> npt.NDArray[np.bool_]:
+def _overlaps(arm: ArmModel, parts: Any, pairs: Sequence[Pair], postures: Array) -> Mask:
     """(N, pairs) which pairs of parts overlap at postures (N, n)."""
     some = parts.copy()
     some.removeAllCollisionPairs()

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Mask
 from salver.models.hulls import polytope
 from salver.models.rigid_body import inertia_entries, inertia_matrix
 
@@ -48,7 +48,7 @@ def second_moments(values: Array) -> Array:
     return 0.5 * np.trace(inertia, axis1=1, axis2=2)[:, None, None] * np.eye(3) - inertia
 
 
-def realisable(body: Body, values: npt.ArrayLike, *, within_shape: bool = True) -> npt.NDArray[np.bool_]:
+def realisable(body: Body, values: npt.ArrayLike, *, within_shape: bool = True) -> Mask:
     """(n,) whether a mass distribution can have the values (n, 10) of `parameters.INERTIAL`, in B.
 
     within_shape: whether it lies within the shape's convex hull (necessary conditions, see above); otherwise the

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 
-Surface = tuple[Array, npt.NDArray[np.intp]]
+Surface = tuple[Array, Indices]
 _SIDES = 24  # of what is round
 
 

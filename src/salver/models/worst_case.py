@@ -30,11 +30,11 @@ from typing import Self
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.contents import Filling
 from salver.models.parameters import Parameter
 from salver.models.tray_motion import frame_map
-from salver.models.worst_contents import SURE, Case, Indices, bounded, fill
+from salver.models.worst_contents import SURE, Case, bounded, fill
 
 Some = Indices | slice
 ALL = slice(None)

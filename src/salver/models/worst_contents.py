@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.contents import Filling
 
-Indices = npt.NDArray[np.intp]
 SURE = -0.02  # rows beyond this are always worked out, so that the sign of every row is right
 _SETTLED = 1e-6  # of the weight: a bound that is within this of a value is the value
 

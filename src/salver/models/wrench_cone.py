@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array, hat
+from salver.geometry import Array, Mask, hat
 from salver.models import hulls
 from salver.models.contact import ContactSet, cone_edges
 from salver.models.polygons import convex_hull, half_planes
@@ -38,7 +37,7 @@ class Facets:
     """
 
     rows: Array
-    friction_limited: npt.NDArray[np.bool_]
+    friction_limited: Mask
     length: float
 
 

@@ -9,12 +9,11 @@ from functools import reduce
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import ALL, Some
 from salver.sensitivity.arm.tracking import Reaction
 from salver.sensitivity.sloshing import Slosh
-from salver.sensitivity.underway import Indices
 from salver.sensitivity.wave_gradients import Unknowns, wrench_by
 
 

@@ -9,10 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.liquid import GRAVITY, LEANING, LEAST_WEIGHT, LEFT_OVER, STEEPEST, TILTING
 from salver.sensitivity.arm.tracking import Reaction
-from salver.sensitivity.underway import Indices, Underway
+from salver.sensitivity.underway import Underway
 from salver.sensitivity.wave_changes import Change, changed
 from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by
 from salver.sensitivity.waves import Waves

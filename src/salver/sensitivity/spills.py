@@ -8,11 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.parameters import NOTHING, UncertainSet
 from salver.models.payload import Payload
 from salver.sensitivity.sloshing import LIGHTEST, Slosh
-from salver.sensitivity.underway import Indices
 from salver.sensitivity.wave_cases import VERDICT_APART, cases
 from salver.sensitivity.waves import along
 

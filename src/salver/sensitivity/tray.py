@@ -13,16 +13,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.control.object import Gains
-from salver.geometry import GRAVITY_S, Array
+from salver.geometry import GRAVITY_S, Array, Indices
 from salver.models.rigid_body import RigidBody, inertia_matrix
 from salver.sensitivity.dual import Dual, DualRotation, joined
 from salver.sensitivity.filter import LinearFilter, QuadratureGrid
 from salver.trajectory import MotionSamples, Reference
-
-Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)

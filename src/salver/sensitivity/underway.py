@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.sensitivity.filter import at_instant, swinging_at
-
-Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,16 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices, Mask
 from salver.models.liquid import GRAVITY
 from salver.models.tray_motion import N_MOTION
 from salver.sensitivity.filter import LinearFilter
-from salver.sensitivity.underway import Indices
 from salver.sensitivity.waves import TURNING, Waves, across, turned
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

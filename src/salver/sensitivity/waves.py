@@ -14,11 +14,11 @@ from functools import cached_property
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.liquid import GRAVITY, LEAST_WEIGHT, LEFT_OVER, TILTING
 from salver.models.tray_motion import N_MOTION
 from salver.sensitivity.filter import LinearFilter
-from salver.sensitivity.underway import Indices, Underway
+from salver.sensitivity.underway import Underway
 from salver.sensitivity.wave_cases import Case, Cases
 
 TURNS, SETTLED = 24, 1e-3  # rounds at most in which waves along both sides of a box drive one another, and when to end

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.control.object import Errors, Gains, acceleration, apply, command
-from salver.geometry import Array, exp, right_jacobian_inverse
+from salver.geometry import Array, Mask, exp, right_jacobian_inverse
 from salver.integration import Rate, integrate
 from salver.models.rigid_body import RigidBody, spatial_inertia, wrench
 from salver.sensitivity import tubes
@@ -158,7 +158,7 @@ class Coverage:
     tolerance: float
 
     @property
-    def outside(self) -> npt.NDArray[np.bool_]:
+    def outside(self) -> Mask:
         """(n, c) whether a record left a tube."""
         return (self.excess > ROUNDING) & (self.relative > self.tolerance)
 

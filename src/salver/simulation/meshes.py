@@ -9,9 +9,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array, matrix_from_rpy
+from salver.geometry import Array, Indices, matrix_from_rpy
 from salver.models.arm import ArmModel
 from salver.models.link_shapes import link_shapes
 from salver.models.mesh_files import LARGEST, read_mesh_file
@@ -26,7 +25,7 @@ class MeshPart:
     """Triangles of one colour. vertices (n, 3) m, in the link's frame; faces (k, 3); colour (3,) 0 to 1."""
 
     vertices: Array
-    faces: npt.NDArray[np.intp]
+    faces: Indices
     colour: tuple[float, float, float]
 
 
@@ -100,9 +99,9 @@ def _collada(root: ElementTree.Element) -> list[MeshPart]:
 
 def _triangles(
     geometry: ElementTree.Element, by_id: dict[str | None, ElementTree.Element]
-) -> list[tuple[Array, npt.NDArray[np.intp], str | None]]:
+) -> list[tuple[Array, Indices, str | None]]:
     """(vertices, faces, material symbol) of each set of triangles or polygons; polygons are fanned."""
-    found: list[tuple[Array, npt.NDArray[np.intp], str | None]] = []
+    found: list[tuple[Array, Indices, str | None]] = []
     for group in [*geometry.iter("triangles"), *geometry.iter("polylist")]:
         inputs = {i.get("semantic"): i for i in group.findall("input")}
         positions = by_id[inputs["VERTEX"].get("source", "")[1:]].find("input[@semantic='POSITION']")

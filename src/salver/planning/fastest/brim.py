@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.bodies import Body
 from salver.planning.fastest.constraints import FINEST, ROWS_OF_SEVERAL, Block, Constraint, Gradient
-from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.evaluation import Evaluation
 from salver.sensitivity.slosh_rows import of_parts
 from salver.sensitivity.sloshing import LIGHTEST, Slosh
 from salver.sensitivity.wave_gradients import Unknowns

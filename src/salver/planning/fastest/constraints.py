@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from salver.geometry import Array, hat
+from salver.geometry import Array, Indices, hat
 from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
-from salver.models.worst_case import ALL, SURE, Drift, Some, WorstCase, values_near
-from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.models.worst_case import ALL, Drift, Some, WorstCase, values_near
+from salver.models.worst_contents import SURE
+from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.obstacles import AT_NODES, REACH, KeepOut
 from salver.sensitivity.slosh_rows import Sloshed, most_added
 from salver.sensitivity.wave_gradients import Unknowns

@@ -9,9 +9,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.planning.fastest.ends import AtPosture
-from salver.planning.fastest.evaluation import Indices
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import DERIVATIVES, RestSpline, min_jerk_blend
 

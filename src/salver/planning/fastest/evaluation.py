@@ -8,9 +8,8 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.past import Past
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
@@ -18,8 +17,6 @@ from salver.sensitivity.arm.tracking import Deviation, JointLoop, Reaction
 from salver.sensitivity.slosh_rows import given_way
 from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.wave_cases import Case
-
-Indices = npt.NDArray[np.intp]
 
 EASING = 0.25  # of a motion that begins moving: over this share of it margins grow from nothing
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.planning.fastest.constraints import Constraint, evaluate
 from salver.planning.fastest.curves import Curve, Grid, united
-from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.objectives import Duration, Objective, Point, Scalar
 from salver.planning.fastest.problem import TransportProblem, with_missed_cases
 from salver.planning.fastest.programme import Iterate, Programme

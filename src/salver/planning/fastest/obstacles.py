@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.arm_geometry import ArmGeometry
 from salver.planning.follow import clearance
 
@@ -71,6 +70,6 @@ class KeepOut:
         stray, m, no more than it is."""
         return np.asarray(self.parts.clearance(q, self.required + EXACT + stray) - self.required)
 
-    def gradient(self, q: Array, node: npt.NDArray[np.intp], pair: npt.NDArray[np.intp]) -> Array:
+    def gradient(self, q: Array, node: Indices, pair: Indices) -> Array:
         """(r, n) derivatives of the distances at postures q[node] for pairs (r,)."""
         return self.parts.clearance_gradient(q, node, pair)

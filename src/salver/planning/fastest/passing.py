@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.arm import ArmModel
 from salver.planning.fastest.constraints import Block, Constraint
-from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.passing import LEVER
 from salver.planning.postures import PoseTarget
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import ScenarioError
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.arm_geometry import arm_geometry
 from salver.models.arm_limits import JointLimits
@@ -31,7 +31,7 @@ from salver.planning.fastest.constraints import (
     TorqueRateLimit,
 )
 from salver.planning.fastest.ends import AtPose, AtPosture, End
-from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.passing import Passing
 from salver.planning.postures import PoseTarget

@@ -15,18 +15,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices, Mask
 from salver.planning import qp
 from salver.planning.fastest.constraints import Block, Constraint, evaluate, worst_of
 from salver.planning.fastest.curves import Curve
-from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.objectives import Objective, Point, Scalar
 from salver.planning.fastest.trust import SHALLOWEST, Trust
 from salver.sensitivity.wave_gradients import Unknowns
-
-Mask = npt.NDArray[np.bool_]
 
 # The metric of a step: a change of acceleration by 1 rad/s^2 counts like 0.055 rad of posture, of jerk by 1000
 # rad/s^3 like 0.03 rad.

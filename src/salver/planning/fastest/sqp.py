@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import Array
-from salver.planning.fastest.programme import Iterate, Mask, Programme
+from salver.geometry import Array, Mask
+from salver.planning.fastest.programme import Iterate, Programme
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
 

@@ -13,10 +13,10 @@ from functools import cached_property
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.planning.fastest.constraints import Block, Constraint, evaluate
 from salver.planning.fastest.curves import ORDERS, Grid
-from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.exchange import ROUGH_GAIN, ROUGH_ITERATIONS, SHORTEST
 from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.problem import TransportProblem

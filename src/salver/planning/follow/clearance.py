@@ -10,13 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.arm_geometry import ArmGeometry
 from salver.trajectory import JointMotion
-
-Indices = npt.NDArray[np.intp]
 
 FIRST_INSTANTS = 33
 RESOLUTION = 1e-4  # m: parts that may have come nearer than this count as touching

@@ -19,10 +19,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.errors import ScenarioError
-from salver.geometry import Array, exp, invert
+from salver.geometry import Array, Indices, exp, invert
 from salver.models.bodies import TRAY, Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import sure_contacts
@@ -38,7 +37,6 @@ from salver.sensitivity.spills import Liquids, Spill
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
 from salver.sensitivity.wave_cases import Case, cases
 
-Indices = npt.NDArray[np.intp]
 Known = dict[str, tuple[Case, ...]]  # cases of each liquid, by its body
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"

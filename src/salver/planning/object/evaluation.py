@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from salver.display import Outlined
-from salver.geometry import Array, invert
+from salver.geometry import Array, Mask, invert
 from salver.models.parameters import UncertainSet
 from salver.models.tray_motion import frame_map
 from salver.planning.object.conditions import apart, conditions_for, motion_vector
@@ -66,7 +65,7 @@ class Evaluation(Outlined):
         return self.samples.t
 
     @property
-    def _others(self) -> npt.NDArray[np.bool_]:
+    def _others(self) -> Mask:
         """(n_c,) which columns are no contact, but a brim or the limit on tilt."""
         return np.array([apart(owner) for owner in self.slack_owner])
 

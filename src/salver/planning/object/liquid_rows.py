@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import N_MOTION
 from salver.sensitivity.slosh_rows import Sloshed
@@ -23,7 +22,6 @@ from salver.sensitivity.wave_cases import Case
 from salver.sensitivity.wave_gradients import Unknowns
 from salver.sensitivity.waves import along
 
-Indices = npt.NDArray[np.intp]
 Kind = tuple[Array, Array, Callable[[Indices, Indices, Unknowns], Array]]
 
 

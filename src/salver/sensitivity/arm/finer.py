@@ -18,12 +18,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.worst_case import Drift
 from salver.sensitivity.arm.terms import MotionTerms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop
-
-Indices = npt.NDArray[np.intp]
 
 
 def some_of(t: Array, jumps: Array, apart: float, fewest: int = 3) -> Indices:

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.sensitivity.filter import swinging_at
-from salver.sensitivity.underway import Indices, Underway
+from salver.sensitivity.underway import Underway
 from salver.sensitivity.wave_cases import Case
 
 Parted = tuple[tuple[Case, ...], ...]
