@@ -15,9 +15,9 @@ from nominal as it may be, beside what a filter makes of the same stream that kn
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,35 +28,31 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from blocks import replace as written
 
 import salver as sv
-from live_runs import PATIENCE, PERIOD, drive, executed, in_turn, rows_of
+from live_arrivals import HIGHEST, LOWEST, arrival, arrived
+from live_page import HEAD, TABLE, faster, longer, row
+from live_runs import PERIOD, drive, executed, in_turn, rows_of
+from live_streams import SECONDS, SPARED, STREAMS, clipped, stream
 from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
-from salver.files import read_json, write_json
+from salver.files import read_json, write_atomic
 from salver.live import Live
-from salver.live.planner import Answer, Job
 from salver.live.steer import TICK
-from salver.planning.fastest import AtPosture, TransportProblem, evaluate, fastest, joint_plan
+from salver.planning.fastest import TransportProblem, joint_plan
 from salver.playground import World
-from salver.statistics import clopper_pearson
 from salver.trajectory import JointMotion
 
 SCENARIOS = ("panda-cube", "panda-tall-bottle")
 LIQUIDS = ("panda-coffee", "panda-four-glasses", "ur10-beaker")
 LOST = (*DROPPED, "spills")
 BALLS, EVADING = 10, 0.5  # s from a look at a ball to what is done about it
-LOWEST, HIGHEST = np.array([0.40, -0.40, 0.35]), np.array([0.55, 0.15, 0.60])  # m, of goals; of a UR10:
-LOWEST_UR10, HIGHEST_UR10 = np.array([0.45, -0.30, 0.50]), np.array([0.75, 0.30, 0.80])
+LOWEST_UR10, HIGHEST_UR10 = np.array([0.45, -0.30, 0.50]), np.array([0.75, 0.30, 0.80])  # m, of goals of a UR10
 TIMED = 10  # long streams of each kind of which it is kept what every step took
-SECONDS, SILENCE = 1.5, 1.4  # s of a stream, and after it
+SILENCE = 1.4  # s after a stream
 LAGS = np.arange(0.0, 0.06, 1e-3)  # s
-SPARED = 0.2  # of what contact keeps at rest, that a gentle stream leaves, followed as it is told
 NOTHING = Status("optimal", "", True)
 DOCS = Path(__file__).parent.parent / "docs"
 PAGE, DATA, LONG = DOCS / "live.md", DOCS / "data" / "live.json", DOCS / "data" / "live-long.json"
 LIQUIDS_PAGE, LIQUIDS_DATA = DOCS / "liquids.md", DOCS / "data" / "live-liquids.json"
-
-
-ARRIVALS, LATE = "arrivals", 0.15  # a change of goal; share by which it may come later than the best known
 
 
 class Planned:
@@ -100,64 +96,7 @@ def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tup
     return live, in_turn(states, drive(live, 1.6, begins=2.0)), {"changes": len(wishes)}
 
 
-def arrival(name: str, k: int) -> dict[str, float | None]:
-    """A goal that changes at a random time of the way to another: s from the hand-over until the arm is at rest there,
-    by the live motion and by a search as thorough as offline, from the same state; None where none was found."""
-    rng = np.random.default_rng([13, (*SCENARIOS, *LIQUIDS).index(name), len(ARRIVALS), k])
-    live, jobs, found = Live(sv.load_scenario(name), lead=0.1), [], []
-
-    def noted(job: Job) -> Answer:
-        jobs.append(job)
-        found.append(live._planner.answer(job).found)
-        return Answer(None, NOTHING)
-
-    drive(live, rng.uniform(0.2, 0.7), [(0.0, lambda _: live.goto(rng.uniform(LOWEST, HIGHEST)))])
-    live.goto(rng.uniform(LOWEST, HIGHEST))
-    live.plan(PATIENCE, noted)
-    job = jobs[0]
-    start = AtPosture(*job.base.state(job.begins))
-    searched = fastest(job.base.left(job.begins, replace(live.problem, start=start, goal=job.wish.end)))
-    taken = None if found[0] is None else found[0].ends - job.begins
-    return {"taken": taken, "searched": searched.duration if searched.status.ok else None}
-
-
-def arrived(name: str, each: list[dict[str, float | None]]) -> str:
-    """What changes of goal came to beside the best known, in words."""
-    found = np.array([[np.inf if x is None else x for x in (way["taken"], way["searched"])] for way in each])
-    found = found[np.isfinite(found).any(axis=1)]
-    over = found[:, 0] / found.min(axis=1)
-    return (
-        f"{name}, of {len(over)} goals that either found a way to {100 * np.mean(over <= 1 + LATE):.1f} % are reached "
-        f"within {100 * LATE:.0f} % of the best known time, at the median {100 * np.median(over) - 100:.1f} % above it "
-        f"({np.isinf(over).sum()} are not found at once)"
-    )
-
-
-def gentle(rng: np.random.Generator, seconds: float = SECONDS):
-    rate, phase = rng.uniform(0.5, 3.0, 3), rng.uniform(0, 6, 3)
-    return lambda t: np.array([0.12, 0.15, 0.05]) * (np.sin(rate * t + phase) - (1 - min(t, 0.4) / 0.4) * np.sin(phase))
-
-
-def hostile(rng: np.random.Generator, seconds: float = SECONDS):
-    """Another velocity every 0.13 s."""
-    speeds = rng.uniform(-1.3, 1.3, (max(40, int(seconds / 0.13) + 1), 3)) * [1, 1, 0.4]
-    return lambda t: speeds[int(t / 0.13)]
-
-
-def noise(rng: np.random.Generator, seconds: float = SECONDS):
-    """Of up to 5 Hz."""
-    rate, phase = 2 * np.pi * rng.uniform(0.5, 5.0, (6, 3)), rng.uniform(0, 6, (6, 3))
-    return lambda t: np.array([0.4, 0.4, 0.15]) * np.sin(rate * t + phase).sum(axis=0)
-
-
-def gaps(rng: np.random.Generator, seconds: float = SECONDS):
-    """Velocities, and times at which nothing is said."""
-    speeds, silent = hostile(rng, seconds), rng.random(max(40, int(seconds / 0.09) + 1)) < 0.4
-    return lambda t: None if silent[int(t / 0.09)] else speeds(t)
-
-
-STREAMS = {"gentle twists": gentle, "hostile twists": hostile, "noise up to 5 Hz": noise, "twists with gaps": gaps}
-KINDS = ["goals that change", *STREAMS]
+KINDS, ARRIVALS = ["goals that change", *STREAMS], "arrivals"
 
 
 def twists(scenario: sv.Scenario, told, seconds: float) -> tuple[Planned, tuple, dict[str, float]]:
@@ -183,77 +122,15 @@ def _off(t: np.ndarray, followed: np.ndarray, wanted: np.ndarray, late: float) -
     return float(np.linalg.norm((followed - before)[20:]) / np.linalg.norm(wanted[20:]))
 
 
-def spared(problem: TransportProblem, q: np.ndarray, told, seconds: float) -> float:
-    """The largest row of a stream that is followed as it is told, with the tray level; of contact, with a share of what
-    it is at rest left over."""
-    arm, step = problem.arm, 5e-3
-    level, rows = arm.tray_pose(q)[1], []
-    for t in np.arange(0.0, seconds, step):
-        R = arm.tray_pose(q)[1]
-        turned = 0.5 * sum(np.cross(R[:, i], level[:, i]) for i in range(3))
-        dq = np.linalg.pinv(arm.body_jacobian(q)) @ np.concatenate([R.T @ told(t), R.T @ (5.0 * turned)])
-        rows.append((q, dq))
-        q = q + step * dq
-    q_all, dq_all = map(np.array, zip(*rows, strict=True))
-    ddq = np.gradient(dq_all, step, axis=0)
-    z = np.stack([q_all, dq_all, ddq, np.gradient(ddq, step, axis=0)])
-    s = np.linspace(0.0, 1.0, len(rows))
-    constraints = [constraint.near(q_all[::5]) for constraint in problem.constraints]
-    still = np.zeros_like(z[:, :5])
-    still[0] = q_all[0]
-    at_rest, moving = (
-        evaluate(constraints, replace(problem.at(at, states, step * (len(s) - 1), imposed=False), moving=False))
-        for at, states in ((s[:5], still), (s, z))
-    )
-    left = [SPARED * float(a.values.max()) if a.name.startswith("contact") else 0.0 for a in at_rest]
-    along = ((b, x) for b, x in zip(moving, left, strict=True) if len(b.values) > 20)  # and not after it
-    return max(float(b.values[20:].max()) - x for b, x in along)
-
-
-def within(x: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    return x * min(1.0, float(np.min(limit / np.maximum(np.abs(x), 1e-12))))
-
-
-def clipped(problem: TransportProblem, q: np.ndarray, told, seconds: float) -> JointMotion:
-    """What a filter makes of a stream that keeps the tray's orientation and the joints' own limits of position, speed,
-    acceleration and jerk, and knows of no load: velocities by the Jacobian's pseudo-inverse, at 1 kHz; what is beyond a
-    limit is made shorter, all joints alike."""
-    arm, limits = problem.arm, problem.limits
-    dq, ddq = np.zeros_like(q), np.zeros_like(q)
-    level, rows = arm.tray_pose(q)[1], [(q, dq, ddq)]
-    for k in range(round((seconds + 0.8) / PERIOD)):
-        t = k * PERIOD
-        v = told(round(t, 2)) if t < seconds - 0.011 else None
-        R = arm.tray_pose(q)[1]
-        turned = 0.5 * sum(np.cross(R[:, i], level[:, i]) for i in range(3))  # rad, to where it should be, in S
-        wanted = np.concatenate([R.T @ (np.zeros(3) if v is None else v), R.T @ (5.0 * turned)])
-        asked = np.linalg.pinv(arm.body_jacobian(q), rcond=1e-2) @ wanted
-        room = np.sqrt(np.maximum(limits.acceleration * np.stack([limits.q_max - q, q - limits.q_min]), 0.0))
-        asked = within(asked, np.minimum(limits.velocity, np.where(asked > 0, *room)))
-        ddq = ddq + within(within((asked - dq) / 0.02, limits.acceleration) - ddq, limits.jerk * PERIOD)
-        q, dq = q + PERIOD * dq + 0.5 * PERIOD**2 * ddq, dq + PERIOD * ddq
-        rows.append((q, dq, ddq))
-    q_all, dq_all, ddq_all = map(np.array, zip(*rows, strict=True))
-    dq_all[-1] = ddq_all[-1] = 0.0
-    return JointMotion(PERIOD * np.arange(len(q_all)), q_all, dq_all, ddq_all)
-
-
-def stream(name: str, kind: str, rng: np.random.Generator, seconds: float):
-    """One of a kind; a gentle one can be followed as it is told, with some of the contact to spare."""
-    if not kind.startswith("gentle"):
-        return STREAMS[kind](rng, seconds)
-    live = Live(sv.load_scenario(name))
-    while True:
-        told = gentle(rng, seconds)
-        if spared(live.problem, live.committed.motion.q[0], told, seconds) <= 0.0:
-            return told
+def drawn(name: str, kind: str, k: int) -> np.random.Generator:
+    """What is random in the k-th run of a kind with a load."""
+    return np.random.default_rng([13, (*SCENARIOS, *LIQUIDS).index(name), len(kind), k])
 
 
 def run(name: str, kind: str, k: int, engine: bool, beside: bool, seconds: float) -> dict[str, Any]:
     """The k-th run of a kind with a load. engine: there too; beside: what a filter makes of it as well."""
-    scenario = sv.load_scenario(name)
-    rng = np.random.default_rng([13, (*SCENARIOS, *LIQUIDS).index(name), len(kind), k])
-    told = stream(name, kind, rng, seconds) if kind in STREAMS else None
+    scenario, rng = sv.load_scenario(name), drawn(name, kind, k)
+    told = stream(scenario, kind, rng, seconds) if kind in STREAMS else None
     live, states, off = goals(scenario, rng) if told is None else twists(scenario, told, seconds)
     motion, problem = executed(states), live.problem
     found = {
@@ -277,41 +154,6 @@ def run(name: str, kind: str, k: int, engine: bool, beside: bool, seconds: float
 def _speed(problem: TransportProblem, motion: JointMotion, t: float) -> float:
     q, dq, _ = motion.sample(t)
     return float(np.linalg.norm((problem.arm.body_jacobian(q[0]) @ dq[0])[:3]))
-
-
-def row(name: str, kind: str, runs: list[dict[str, Any]]) -> str:
-    ms = np.concatenate([x["ms"] for x in runs])
-    steps = sum(x["steps"] for x in runs)
-    share = sum(x["committed"] for x in runs) / steps
-    error = ""
-    if kind.startswith("gentle"):
-        off, lag = 100 * np.array([x["error"] for x in runs]), 1e3 * np.array([x["lag"] for x in runs])
-        error = f"{np.median(off):.1f} % ({off.max():.1f}), {np.median(lag):.0f} ms ({lag.max():.0f})"
-    engine = [x for x in runs if "lost" in x]
-    filtered = [x["filter lost"] for x in engine if "filter lost" in x]
-    beside = f"{sum(filtered)} of {len(filtered)}" if filtered else ""
-    return (
-        f"| {name} | {kind} | {steps} | {share:.2f} | {np.median(ms):.0f} / {np.quantile(ms, 0.999):.0f} | {error} | "
-        f"{len(runs)} | {sum(x['worst'] > 0 for x in runs)} | {sum(x['lost'] for x in engine)} of {len(engine)} | "
-        f"{beside} |"
-    )
-
-
-def longer() -> str:
-    """What the long streams came to, in words and a table."""
-    if not LONG.is_file():
-        return ""
-    runs = {what: kept for what, kept in read_json(LONG).items() if kept}
-    each = [x for kept in runs.values() for x in kept]
-    broken, gone = sum(x["worst"] > 0 for x in each), sum(x["lost"] for x in each)
-    rate = clopper_pearson(broken + gone, len(each))
-    rows = [row(*what.split(", "), kept) for what, kept in runs.items()]
-    return (
-        f"Streams of 10 s, {len(each)}, each in the engine too (`--length 10 --engine 1 --data "
-        f"docs/data/live-long.json`; times of the first\n{TIMED} of each kind): {broken} broke a row, "
-        f"{gone} lost the load (95 % interval of either: {100 * rate.low:.2g} to {100 * rate.high:.2g} %).\n\n{TABLE}\n"
-        + "\n".join(rows)
-    )
 
 
 def commands(scenario: sv.Scenario) -> tuple[float, float]:
@@ -346,58 +188,11 @@ def balls(scenario: sv.Scenario, count: int) -> tuple[int, int]:
     return evaded, told
 
 
-COLUMNS = (
-    "load, what, steps, committed, ms a step: median / 99.9 %, error and lag, runs, row broken, lost, by the filter"
-)
-TABLE = "\n".join(["| " + " | ".join(COLUMNS.split(", ")) + " |", "|---" * 10 + "|"])
-
-HEAD = """# Changing the motion while it runs, measured
-
-`python benchmarks/live.py -n {n} --docs` wrote this page; its runs are in `docs/data/live.json`. Times are CPU times of
-one core of the machine it ran on, which others used too. Steps: of planning. Committed: share of them that brought a
-verified motion. Lost: in the engine, what was executed, with the load at a random corner of its ranges. Filter: what
-one makes of the same streams that knows the arm's limits of speed, acceleration and jerk, and no load, at such corners.
-Gentle: followed as it is told, a stream keeps all limits and leaves {spared:.0f} % of what contact keeps at rest; the
-error, rms, and how late the tray is are those of the stream in the middle (and the largest of all).
-
-{table}
-{rows}
-
-{longer}
-
-{faster}
-
-Goals that change at a random time of the way to another, beside a search as thorough as offline from the same state
-(`--kinds arrivals`): {changes}.
-
-Balls that are thrown from the side at what stands on the tray, seen 1.2 s before they are there and every 0.1 s from
-then on, with {evading:.1f} s from each look to what is done: {balls}.
-
-`command` takes {median:.1f} us at the median and {most:.0f} us at 99.9 %.
-
-A row is broken when, with what was executed judged as one motion at every millisecond from its own beginning, any of
-the conditions of a fastest motion is exceeded, without margins. The nearest to an edge that any run came: {worst:.1e}
-of what is limited (0 is the edge).
-
-What is wanted is, at the median, 60 ms (cube) and 200 ms (bottle) for a change of goal, 10 and 15 ms for a tick.
-Published, on other machines and for other tasks: *Keep It Upright* (Heins and Schoellig, RA-L 2023) replans within 10
-ms with a horizon of 2 s, in C++; FZI's shared control steps in 13 ms
-([arXiv 2506.23624](https://arxiv.org/abs/2506.23624)).
-"""
-
-
-def faster(runs: dict[str, list[dict[str, Any]]]) -> str:
-    """How quick the tray is beside the filter's, in words."""
-    pairs = [
-        (x["speed"], x["filter speed"], x["filter lost"]) for each in runs.values() for x in each if "filter lost" in x
-    ]
-    if not pairs:
-        return ""
-    ours, filtered, gone = (np.array(x) for x in zip(*pairs, strict=True))
-    return (
-        f"Of the {len(pairs)} shorter streams that the filter was given as well, it loses {int(gone.sum())}.\n"
-        f"The tray's speed, rms: {np.median(ours / filtered):.2f} of the filter's at the median."
-    )
+def keep(path: Path, runs: dict[str, list[dict[str, Any]]]) -> None:
+    """Runs by kind, one a line: so it can be read what came anew."""
+    line = json.JSONEncoder(default=lambda number: number.item()).encode
+    each = (f"{json.dumps(kind)}: [\n" + ",\n".join(map(line, kept)) + "\n]" for kind, kept in runs.items())
+    write_atomic(path, "{\n" + ",\n".join(each) + "\n}\n")
 
 
 def main() -> None:
@@ -425,8 +220,12 @@ def main() -> None:
             if len(kept) == k and time.monotonic() - begun < asked.seconds:
                 # By a filter a liquid is lost beyond what the engine takes.
                 beside = k % asked.engine == 0, k % asked.filter == 0 and not wet
-                kept.append(arrival(name, k) if kind == ARRIVALS else run(name, kind, k, *beside, asked.length))
-                write_json(asked.data, runs)
+                kept.append(
+                    arrival(sv.load_scenario(name), drawn(name, kind, k))
+                    if kind == ARRIVALS
+                    else run(name, kind, k, *beside, asked.length)
+                )
+                keep(asked.data, runs)
                 if kept[-1].get("worst", 0.0) > 0 or kept[-1].get("lost"):
                     print(f"{name}, {kind}, run {k}: {kept[-1]['worst']:.2e}, lost: {kept[-1].get('lost')}", flush=True)
     changes = [arrived(name, kept) for name in scenarios if (kept := runs.pop(f"{name}, {ARRIVALS}", []))]
@@ -445,9 +244,9 @@ def main() -> None:
         print(thrown[-1], flush=True)
     median, most = commands(sv.load_scenario(SCENARIOS[0]))
     print(f"command: {median:.1f} us, {most:.1f} us at 99.9 %")
-    every = [*runs.values(), *(read_json(LONG).values() if LONG.is_file() else [])]
-    worst = max(x["worst"] for kept in every for x in kept)
-    words = {"table": TABLE, "changes": ";\n".join(changes), "longer": longer(), "spared": 100 * SPARED}
+    long = {what: kept for what, kept in read_json(LONG).items() if kept} if LONG.is_file() else {}
+    worst = max(x["worst"] for kept in (*runs.values(), *long.values()) for x in kept)
+    words = {"table": TABLE, "changes": ";\n".join(changes), "longer": longer(long, TIMED), "spared": 100 * SPARED}
     numbers = {"median": median, "most": most, "worst": worst, "balls": ";\n".join(thrown), "evading": EVADING}
     PAGE.write_text(
         HEAD.format(n=asked.n, rows="\n".join(rows), faster=faster(runs), **words, **numbers), encoding="utf-8"

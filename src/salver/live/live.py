@@ -22,10 +22,12 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array
+from salver.live.lead import Lead
 from salver.live.motion import Committed, resting
 from salver.live.obstacles import Moving, Predicted, predicted
 from salver.live.planner import Answer, Job, Planner
 from salver.live.reader import Reader
+from salver.live.ready import STOPS_EVERY, Ready
 from salver.live.running import Running
 from salver.live.standing import standing
 from salver.live.state import State
@@ -52,16 +54,9 @@ from salver.scenario import Scenario, load
 from salver.trajectory import JointMotion
 
 LONGEST_GAP = 0.05  # s between two commands; what is longer is taken for a jump of the clock
-FIRST_LEAD = 0.25  # s from the beginning of planning to the hand-over, before it is known how long planning takes
-FIRST_TICK = 0.05  # s, the same of a tick
 CALMING = 0.3  # s of ticks after a twist or a chunk, in which the motion is calmed; then it runs out
-LEADS = 5  # plans from whose times the lead is taken
-SPARE = 1.3  # of the longest of them
-LEAST_LEAD, MOST_LEAD, MOST_LEAD_WET = 0.02, 1.0, 3.0  # s; with open liquids
 MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
 EVADE = Evade()
-STOPS_EVERY = 0.1  # s between instants from which stops are kept ready
-EARLY = 2e-3  # s by which a stop that is ready must be ahead of the loop
 STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
 
 
@@ -92,9 +87,6 @@ class Live:
         out = problem.keep_out
         self._beside = replace(problem, keep_out=None if out is None else replace(out, parts=out.parts.apart()))
         self._planner = Planner(problem)
-        self._lead = lead
-        # How long planning took of late, s: of motions and of ticks.
-        self._spent: dict[bool, deque[float]] = {steered: deque(maxlen=LEADS) for steered in (False, True)}
         self._planning = threading.Lock()
         # Written by the loop alone.
         self._running = Running.first(rest, problem)
@@ -105,9 +97,7 @@ class Live:
         # Written by whoever plans, taken by the loop.
         self._offer: Running | None = None
         self._offered: Running | None = None
-        self._ready: tuple[Running, ...] = ()  # stops that can be taken without planning
-        self._ready_from: Committed | None = None
-        self._ready_until = 0.0  # live time of the last instant that was looked at
+        self._ready = Ready()
         # Written by whoever wishes.
         self._halt: Running | None = None
         self._wish: Wish | None = None
@@ -122,6 +112,7 @@ class Live:
         # Of open liquids: which; and whether how they move is not known any more.
         self._wet = " and ".join(body.name for body in problem.payload.liquids)
         self._unknown = False
+        self._lead = Lead(lead, bool(self._wet))
         self._reader.read(0.0)
 
     # --- the robot's loop
@@ -197,9 +188,7 @@ class Live:
         self._refused = ""
         self._queue.clear()
         self._wish = Halt()
-        base = self.committed
-        ready = [x for x in self._ready if x.after is base and x.committed.begins > self._now + EARLY]
-        self._halt = min(ready, key=lambda x: x.committed.ends, default=None)
+        self._halt = self._ready.soonest(self.committed, self._now)
         return ACCEPTED
 
     def twist(self, v: npt.ArrayLike, omega: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Status:
@@ -257,7 +246,8 @@ class Live:
             if isinstance(prediction, Status):
                 return self._refuse(prediction.sentence, "What was seen")
             found.append(prediction)
-        self._around, self._ready, self._ready_from = tuple(found), (), None
+        self._around = tuple(found)
+        self._ready.forget()
         return ACCEPTED
 
     def measured(self, q: npt.ArrayLike) -> Status:
@@ -336,15 +326,13 @@ class Live:
 
     def _prepare(self, budget: float, answer: Callable[[Job], Answer]) -> bool:
         running, base = self._running, self.committed
-        if self._ready_from is not base:
-            self._ready_from, self._ready, self._ready_until = base, (), base.begins - STOPS_EVERY
-        begins = self._hand_over(base, False, max(self._now + self.lead, self._ready_until + STOPS_EVERY))
+        begins = self._hand_over(base, False, max(self._now + self.lead, self._ready.due(base)))
         if self._offer is not None or isinstance(self._wish, Follow | Halt) or begins >= base.ends - STOPS_EVERY:
             return False
-        self._ready_until = begins
+        self._ready.looked_at(begins)
         found = answer(Job(Halt(), base, begins, budget, self._around)).found
-        if found is not None and not self._denied(found) and self._ready_from is base:
-            self._ready += (running.then(found, Halt(), self._now, self._problem),)
+        if found is not None and not self._denied(found):
+            self._ready.add(running.then(found, Halt(), self._now, self._problem), base)
         return True
 
     def _denied(self, found: Committed) -> str:
@@ -416,12 +404,7 @@ class Live:
     @property
     def lead(self) -> float:
         """s from the beginning of planning to the hand-over."""
-        if self._lead is not None:
-            return self._lead
-        steered = isinstance(self._wish, Follow)
-        first = FIRST_TICK if steered else FIRST_LEAD
-        most = MOST_LEAD_WET if self._wet else MOST_LEAD
-        return min(max(LEAST_LEAD, SPARE * max(self._spent[steered], default=first / SPARE)), most)
+        return self._lead.of(isinstance(self._wish, Follow))
 
     def _due(self) -> Wish | None:
         """What is to be planned for now."""
@@ -470,7 +453,7 @@ class Live:
                 self._offer = self._offered
                 self._done = None if isinstance(self._wish, Goal) else self._wish
             return
-        self._spent[steered].append(time.perf_counter() - began)
+        self._lead.took(steered, time.perf_counter() - began)
         if answered.done:
             self._done = wish
         late = found is not None and found.begins < self._now and base.ends <= found.begins

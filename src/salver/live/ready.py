@@ -1,0 +1,42 @@
+"""Stops that are kept ready, so that the arm can be stopped without planning."""
+
+from __future__ import annotations
+
+from salver.live.motion import Committed
+from salver.live.running import Running
+
+STOPS_EVERY = 0.1  # s between instants from which stops are kept ready
+EARLY = 2e-3  # s by which a stop that is ready must be ahead of the loop
+
+
+class Ready:
+    """Stops from instants of one committed motion, `after`; those of another are forgotten."""
+
+    def __init__(self) -> None:
+        self._stops: tuple[Running, ...] = ()
+        self._after: Committed | None = None
+        self._until = 0.0  # live time of the last instant that was looked at
+
+    def forget(self) -> None:
+        """None is ready any more."""
+        self._stops, self._after = (), None
+
+    def due(self, after: Committed) -> float:
+        """Live time, s, of the next instant from which one is to be planned."""
+        if self._after is not after:
+            self._after, self._stops, self._until = after, (), after.begins - STOPS_EVERY
+        return self._until + STOPS_EVERY
+
+    def looked_at(self, begins: float) -> None:
+        """One from there is being planned, whatever comes of it."""
+        self._until = begins
+
+    def add(self, stop: Running, after: Committed) -> None:
+        """One that was planned; unless others are asked for by now."""
+        if self._after is after:
+            self._stops += (stop,)
+
+    def soonest(self, after: Committed, now: float) -> Running | None:
+        """The one that is at rest first, of those that can still be taken; None where there is none."""
+        left = [x for x in self._stops if x.after is after and x.committed.begins > now + EARLY]
+        return min(left, key=lambda x: x.committed.ends, default=None)
