@@ -30,7 +30,7 @@ from blocks import replace as written
 import salver as sv
 from live_arrivals import HIGHEST, LOWEST, arrival, arrived
 from live_page import HEAD, TABLE, faster, longer, row
-from live_runs import PERIOD, drive, executed, in_turn, rows_of
+from live_runs import EVERY, drive, executed, in_turn, rows_of
 from live_streams import SECONDS, SPARED, STREAMS, clipped, stream
 from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
@@ -106,13 +106,13 @@ def twists(scenario: sv.Scenario, told, seconds: float) -> tuple[Planned, tuple,
     times = np.arange(0.0, seconds, 0.01)
     said = [(t, told(t)) for t in times]
     wishes = [(t, lambda _, v=v: live.twist(v)) for t, v in said if v is not None]
-    states = drive(live, seconds, wishes, round(TICK / PERIOD))
+    states = drive(live, seconds, wishes, EVERY)
     arm, followed = live.problem.arm, []
     for q, dq in zip(states[0][::10], states[1][::10], strict=True):
         followed.append(arm.tray_pose(q)[1] @ (arm.body_jacobian(q) @ dq)[:3])
     wanted, followed = np.array([np.zeros(3) if v is None else v for _, v in said]), np.array(followed)
     off = [_off(times, followed, wanted, late) for late in LAGS]
-    silence = drive(live, SILENCE, every=round(TICK / PERIOD), begins=seconds)
+    silence = drive(live, SILENCE, every=EVERY, begins=seconds)
     return live, in_turn(states, silence), {"error": off[0], "lag": float(LAGS[int(np.argmin(off))])}
 
 

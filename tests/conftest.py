@@ -51,6 +51,14 @@ def cube() -> Scenario:
 
 
 @pytest.fixture(scope="session")
+def coffee() -> Scenario:
+    """An open cup of coffee on a Panda."""
+    from salver import scenario
+
+    return scenario.load("panda-coffee")
+
+
+@pytest.fixture(scope="session")
 def bottle() -> Scenario:
     """The tall bottle on a Panda."""
     from salver import scenario

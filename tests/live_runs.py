@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from salver.live.steer import TICK
 from salver.planning.fastest import evaluate
 from salver.planning.fastest.constraints import Contact
 from salver.sensitivity.arm.liquids import Sloshing
@@ -15,6 +16,7 @@ from salver.sensitivity.arm.tracking import JointLoop
 from salver.trajectory import JointMotion
 
 PERIOD = 1e-3
+EVERY = round(TICK / PERIOD)  # periods between ticks
 LEAD = 0.1  # s: in simulated time planning takes none, and hand-overs are where they would be
 PATIENCE = 60.0  # s: on a busy machine no clock is to decide a test
 JUST = 1e-6  # s before a knot
@@ -153,3 +155,8 @@ def check(live, states):
     assert velocity < 5e-3  # rad/s: no jump of acceleration by more than that jerk in a period
     assert not np.any(states[1][-1])
     assert not np.any(states[2][-1])
+
+
+def said(stream, seconds):
+    """A stream of twists, 100 a second."""
+    return [(t, lambda live, t=t: live.twist(stream(t))) for t in np.arange(0.0, seconds, 0.01)]

@@ -16,9 +16,8 @@ from salver.planning.fastest.problem import transport_problem
 from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.wave_cases import Case, Cases
 from salver.sensitivity.waves import along
+from shaken import BOX
 
-BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
-BOX = {"objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]}, "objects__0__liquid": BOX_IN}
 DURATION, STEPS, EVERY = 0.6, 180, 3
 AWAY = np.array([0.5, 0.2, 0.0, 0.15, 0.0, 0.1, 0.0])
 

@@ -47,11 +47,6 @@ GLASS = {
 }
 
 
-@pytest.fixture(scope="module")
-def coffee():
-    return sv.load_scenario("panda-coffee")
-
-
 def boxed(scenario, x, y, fill, brim, mass, **changes):
     box = {
         "objects__0__shape": {"type": "box", "size": [x + 2 * WALL, y + 2 * WALL, brim + WALL]},

@@ -22,11 +22,6 @@ from salver.simulation.render import View, snapshots
 STICKY = {"objects__0__friction": 2.0, "motion__duration": 0.75, "arm": None}  # it spills, and stays where it is
 
 
-@pytest.fixture(scope="module")
-def coffee():
-    return sv.load_scenario("panda-coffee")
-
-
 def tilting(coffee, tmp_path, simulated=True):
     """A run of which the tray is tilted by some 11 degrees, turned by 40, and all but at rest."""
     turned = {"rpy_deg": [9.0, -6.0, 40.0]}

@@ -27,15 +27,8 @@ from salver.sensitivity.slosh_rows import Sloshed
 from salver.sensitivity.wave_cases import Case
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import MotionSamples, SampledReference, min_jerk_line
+from shaken import BOX
 
-
-@pytest.fixture(scope="module")
-def coffee():
-    return sv.load_scenario("panda-coffee")
-
-
-BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
-BOX = {"objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]}, "objects__0__liquid": BOX_IN}
 LEVEL = {"motion__orientation": "fixed", "motion__goal_yaw": "fixed"}
 
 

@@ -16,10 +16,9 @@ from salver.planning.stops import along, past_of, stopped, with_stops
 from salver.sensitivity.arm.liquids import Sloshing
 from salver.simulation.physics import simulate
 from salver.trajectory import JointMotion
+from shaken import BOX
 
 NOW, END = 0.3, 0.8  # s: when a motion is left, and its end
-BOX_IN = {"kind": "water", "size": [0.09, 0.06], "fill": 0.05, "brim": 0.08}
-BOX = {"objects__0__shape": {"type": "box", "size": [0.1, 0.07, 0.085]}, "objects__0__liquid": BOX_IN}
 
 
 def swinging(problem: TransportProblem) -> JointMotion:

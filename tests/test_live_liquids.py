@@ -24,11 +24,6 @@ LOW = {"fill": 0.035, "damping": 0.03, "mass": 0.225, "friction": 0.44}
 
 
 @pytest.fixture(scope="module")
-def coffee():
-    return sv.load_scenario("panda-coffee")
-
-
-@pytest.fixture(scope="module")
 def changed(coffee):
     """A goal that is changed while the arm moves, and again when it has just come to rest and the waves have not; what
     is committed then, and what was told."""

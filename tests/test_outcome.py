@@ -12,7 +12,7 @@ from salver.geometry import exp
 from salver.scenario import parse
 from salver.simulation import creep
 from salver.simulation.loads import true_world
-from salver.simulation.outcome import Behaviour, Thresholds, behaviour, judge
+from salver.simulation.outcome import Behaviour, Thresholds, _rate, behaviour, judge
 from salver.simulation.scene import Scene, build
 from salver.simulation.trace import Trace
 
@@ -326,3 +326,13 @@ def test_default_thresholds_are_those_that_are_documented():
     """docs/engine.md: half a millimetre along the tray, 2 degrees, one millimetre up."""
     found = judged(quiet(), thresholds=Thresholds())["thresholds"]
     assert found == {"slip": 5e-4, "tip_angle": pytest.approx(np.pi / 90), "lift": 1e-3}
+
+
+def test_contacts_that_chatter_are_not_waves():
+    """A mean over an interval: exact for a steady push; a jolt of speed counts as spread over it."""
+    t = np.arange(0, 0.2, 0.001)
+    steady = _rate(t, np.outer(t, [3.0, -1.0]), 0.02)
+    np.testing.assert_allclose(steady, np.tile([3.0, -1.0], (len(t), 1)), atol=1e-12)
+    jolt = _rate(t, 0.01 * (t[:, None] > 0.1), 0.02)
+    assert jolt.max() == pytest.approx(0.01 / 0.02)
+    assert np.count_nonzero(jolt) == 20

@@ -1,0 +1,129 @@
+"""How near liquids come to what they may do, at the worst of what is uncertain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from salver.models.tray_motion import at_rest
+from salver.planning.fastest.brim import Brim
+from salver.planning.fastest.problem import transport_problem, with_missed_cases
+from salver.sensitivity.sloshing import LIGHTEST, Slosh
+from salver.sensitivity.spills import Liquids, Spill, slacks
+from salver.sensitivity.wave_cases import VERDICT_APART, Case, cases
+from salver.sensitivity.waves import along
+from shaken import shaken
+
+
+@pytest.mark.parametrize(("push", "known"), [(4.3, True), (4.55, False)])
+def test_a_surface_that_leans_by_nearly_half_the_radius_is_as_much_as_is_known(coffee, push, known):
+    """Pushed ever harder, slowly, no wave runs and the surface leans by push / g; nothing else comes near an edge."""
+    deep = coffee.with_changes(objects__0__liquid__fill=0.03, objects__0__uncertainty={})
+    t = np.linspace(0, 12, 4001)
+    w = np.tile(at_rest(), (len(t), 1))
+    w[:, 0] = push * np.minimum(t / 10, 1) ** 2 * (3 - 2 * np.minimum(t / 10, 1))
+    (spill,) = Liquids.along(deep.payload, t, w).spills(worst=False)
+    assert spill.steep[:-1].max() == pytest.approx(push / 9.81 / 0.45, rel=5e-3)
+    assert (spill.steep[:-1].max() < 1) == known
+    assert spill.left.min() > 0.01
+
+
+def test_worst_case_bounds_waves_at_every_corner(coffee):
+    """What is uncertain, as small as first order needs: no corner is higher, and some corner nearly is."""
+    case, t = Case(coffee.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
+    dw = 1e-3 * np.random.default_rng(3).normal(size=(12, 3)) * np.cos(np.outer(t, [2, 5, 9]))[:, None, :]
+    waves = along((case,), t, shaken(t))
+    here = Slosh.given_way(waves, waves, np.zeros(0), dw[None])
+    corners = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+    crests = np.array([along((case,), t, shaken(t) + dw @ corner).crest[0] for corner in corners]).max(axis=0)
+    assert (crests < here.crest[0] + 2e-6).all()
+    assert (here.crest[0] - crests < 0.5 * (here.crest - here.waves.crest) + 1e-6).any()
+
+
+def test_a_fill_that_was_left_out_is_found_and_added(coffee):
+    problem = transport_problem(coffee)
+    only = tuple(tuple(case for case in each if case.fill < 0.04) for each in problem.liquids)
+    problem = replace(problem, liquids=only)
+    s, q = np.linspace(0, 1, 101), problem.start_posture
+    swept = np.stack([[0.35, 0.25, 0.0, 0.15, 0.0, 0.1, 0.0]] * 101) * (s**3 * (10 - 15 * s + 6 * s**2))[:, None]
+    shares = (s**2 * (30 - 60 * s + 30 * s**2), s * (60 - 180 * s + 120 * s**2), 60 - 360 * s + 360 * s**2)
+    duration = 0.7
+    rates = [swept[-1] * x[:, None] / duration**k for k, x in enumerate(shares, start=1)]
+    motion = problem.at(s, np.stack([q + swept, *rates]), duration, imposed=False)
+    more = with_missed_cases(problem, motion)
+    assert more is not None
+    assert max(case.fill for case in more.liquids[0]) == pytest.approx(0.065)
+    assert with_missed_cases(more, motion) is None
+    slowly = replace(motion, z=motion.z / (4.0 ** np.arange(4))[:, None, None], duration=4.0 * duration)
+    assert with_missed_cases(problem, slowly) is None
+    verdict = cases(coffee.payload.first, problem.payload.uncertain, VERDICT_APART)
+    near = with_missed_cases(problem, slowly, 1.0)  # no case has more left than the whole of its room
+    assert {(case.fill, case.damping) for case in near.liquids[0]} >= {(case.fill, case.damping) for case in verdict}
+    assert with_missed_cases(near, slowly, 1.0) is None
+    (brim,) = (constraint for constraint in more.constraints if isinstance(constraint, Brim))
+    for block in brim.blocks(motion):
+        assert block.points.tolist() == ([100] if "left" in block.name or "settled" in block.name else [*range(101)])
+
+
+def test_every_fill_in_the_range_is_covered_by_the_cases(coffee):
+    """61 fills, the waves at none more than 3 % of the room above the highest of the cases that a verdict looks at."""
+    payload, t = coffee.payload, np.linspace(0, 0.8, 301)
+    w = 0.6 * (shaken(t) - at_rest()) + at_rest()
+    body = payload.first
+    whole = Liquids.along(payload, t, w)
+    assert whole is not None
+    least = Spill.of(body.name, whole.worst[body.name]).slack.min()
+    for fill in np.linspace(0.035, 0.065, 31):
+        for damping in np.linspace(*body.liquid.damping, 3):
+            waves = along((Case(body, float(fill), float(damping)),), t, w)
+            assert 1 - waves.crest.max() / waves.cases.room[0] > least - 0.03
+
+
+def test_a_wave_that_must_have_settled_takes_what_is_missing_of_the_last_slack(coffee):
+    """A twentieth more is allowed than is left after half a second: of that, less than a twentieth is to spare."""
+    t, name = np.linspace(0, 0.8, 301), coffee.payload.first.name
+    w = 0.3 * (shaken(t) - at_rest()) + at_rest()
+
+    def spill(**demand):
+        case = coffee.with_changes(**{f"objects__0__liquid__{key}": value for key, value in demand.items()})
+        parts = Liquids.along(case.payload, t, w).worst[name]
+        return Spill.of(name, parts), max(float(part.left(0.5).max()) for part in parts)
+
+    free, left = spill()
+    found, _ = spill(settled_wave=1.05 * left, settled_within=0.5)
+    assert free.slack[-1] > 0.1
+    assert found.settled == pytest.approx(0.05 * left, rel=1e-6)
+    assert found.slack[-1] == pytest.approx(0.05 / 1.05, rel=1e-6)
+
+
+@pytest.mark.parametrize("wanted", [{}, {"settled_wave": 0.05, "settled_within": 0.5}])
+def test_the_last_slack_is_that_of_what_comes_afterwards(coffee, wanted):
+    """At two seconds on a tray at rest. At the low fill waves are too steep first, at the high one they spill first."""
+    body = coffee.with_changes(**{f"objects__0__liquid__{key}": value for key, value in wanted.items()}).payload.first
+    t = np.linspace(0, 2.8, 1051)
+    moving = t < 0.8 + 1e-9
+    w = np.tile(at_rest(), (len(t), 1))
+    w[moving] += 0.8 * (shaken(t[moving]) - at_rest())
+    pair = (Case(body, 0.035, 0.01), Case(body, 0.07, 0.01))
+    during, all_along = Slosh.of(along(pair, t[moving], w[moving])), Slosh.of(along(pair, t, w))
+    slack, room = slacks(during), np.array([0.044, 0.009])[:, None]  # to 1 mm below the brim
+    shares = np.array([all_along.crest / room, all_along.free_height / 0.012, all_along.lightness / LIGHTEST])
+    assert slack[:, :-1] == pytest.approx(1 - shares.max(axis=0)[:, : moving.sum() - 1])
+    later = shares[:, :, moving.sum() :].max(axis=2)
+    assert later[1, 0] > later[0, 0]
+    assert later[0, 1] > later[1, 1]
+    assert np.all(slack[:, -1] <= 1 - later.max(axis=0))
+    assert 1 - slack[0, -1] < 1.1 * later[1, 0]  # of one mode mostly, and of damping by 0.01
+    assert slack[1, -2] - slack[1, -1] > 0.1
+
+
+def test_a_lid_keeps_the_liquid_in_and_its_force(coffee):
+    sealed = coffee.with_changes(objects__0__liquid__sealed=True)
+    t = np.linspace(0, 0.8, 201)
+    whole = Liquids.along(sealed.payload, t, shaken(t))
+    assert whole is not None
+    spill = whole.spills(True)[0]
+    assert np.isinf(spill.left).all()
+    assert np.abs(whole.nominal["cup"][0].wrench).max() > 0.1
