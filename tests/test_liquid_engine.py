@@ -216,6 +216,19 @@ def test_liquids_are_placed_level(coffee, which, down):
         np.testing.assert_allclose(rod, np.array(down) / np.linalg.norm(down), atol=1e-12)
 
 
+@pytest.mark.parametrize("seed", [7, 10])
+def test_a_cup_that_tumbles_through_the_air_is_no_trouble_for_the_engine(coffee, seed):
+    """Where the second hinge of a mass was a quarter turn from upright, the first had no lever, the engine diverged."""
+    scenario = coffee.with_changes(arm=None)
+    scene = build(scenario, true_world(scenario))
+    data = mujoco.MjData(scene.model)
+    scene.place(data)
+    first = scene.qvel_ids[0]
+    data.qvel[first : first + 6] = [0.0, 0.0, 2.0, *(40.0 * np.random.default_rng(seed).uniform(-1, 1, 3))]
+    mujoco.mj_step(scene.model, data, nstep=1000)
+    assert sum(warning.number for warning in data.warning) == 0
+
+
 @pytest.mark.parametrize("size", [(0.04,), (0.09, 0.06), (0.06, 0.09), (0.2, 0.05), (0.07, 0.07 * (1 + 1e-8))])
 @pytest.mark.parametrize("depth", [0.5, 1.0, 2.5])
 def test_rods_have_the_levers_and_moments_of_modes(size, depth):

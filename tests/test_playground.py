@@ -18,6 +18,8 @@ from salver.playground import World
 from salver.playground.server import Playground
 from salver.playground.unprotected import Unprotected
 from salver.reports.run import read_run
+from salver.simulation.outcome import surfaces
+from salver.simulation.trace import Recorder
 
 
 def run(world, seconds, every=None):
@@ -85,6 +87,69 @@ def test_without_protection_the_arm_keeps_its_own_limits():
         assert np.all(np.abs(free.dq) <= limits.velocity * (1 + 1e-9))
         assert np.all(np.abs(free.ddq) <= limits.acceleration * (1 + 1e-9))
         assert np.all((free.q >= limits.q_min) & (free.q <= limits.q_max))
+
+
+def test_without_protection_the_arm_of_the_engine_goes_no_faster_than_it_can():
+    """Accelerations that jump ask torques of it that its interface does not take: it swung up to 30 times that."""
+    world, rng, top = World(sv.load_scenario("panda-cube"), lead=0.02), np.random.default_rng(1), 0.0
+    assert world.say({"protected": False}).ok
+    for _ in range(8):
+        world.say({"twist": [*rng.uniform(-1.2, 1.2, 3), rng.uniform(-1.5, 1.5)]})
+        for _ in range(80):
+            world.advance()
+            top = max(top, float((np.abs(world._data.qvel[:7]) / world.arm.limits.velocity).max()))
+    assert 0.5 < top < 1.05
+
+
+def test_a_liquid_is_shown_as_the_whole_run_has_it_and_told_when_it_spills(monkeypatch):
+    world = World(sv.load_scenario("panda-coffee"), {"fill": 0.065}, lead=0.02)
+    whole, took, shown, said = Recorder(world.scene, 4000), world.liquids.took, [], None
+    period, late = world.period, world.liquids._late
+    first = world.t
+
+    def taken(t, q, dq, tau, data):
+        took(t, q, dq, tau, data)
+        whole.joints(t, q, dq, tau)
+        whole.take(data)
+
+    monkeypatch.setattr(world.liquids, "took", taken)
+    assert world.say({"protected": False}).ok
+    for k in range(1200):
+        if k % 60 == 0:
+            speed = 0.02 if k < 400 else 0.5 if k < 900 else 0.0
+            world.say({"twist": [speed * (-1) ** (k // 120), 0.6 * speed, 0.0, 0.0]})
+        world.advance()
+        if k % 37 == 0 and k > 200:  # now and then, as a page does, and later than what is kept is long
+            shown.append((world.t, world.frame()["liquids"][0]))
+            if said is None and became(world) == ["spilt"]:
+                said = world.t
+    seen = surfaces(world.scene, whole.trace())[:, 0]
+    liquid, half = world.scenario.payload.bodies[0].liquid, world.scene.loads[0].modes.half
+    for t, drawn in shown:
+        eta = seen[round((t - first) / period) - 1 - late, :2]
+        if np.linalg.norm(eta) < 0.06:  # all of the bottom is wet
+            np.testing.assert_allclose(np.array(drawn["slope"]) * half, eta, atol=1e-5)
+    over = whole.t[late : whole.count - late][seen[late : whole.count - late, 2] > liquid.brim - 0.065][0]
+    assert shown[-1][1]["spilt"] == pytest.approx(over)
+    assert over < said < over + 0.06
+    run(world, 0.5)
+    assert "begin again" in world.say({"protected": True}).sentence
+    assert world.say({"again": True}).ok
+    assert became(world) == [""]
+
+
+def test_a_liquid_is_given_back_to_the_protection_when_it_is_calm():
+    world = World(sv.load_scenario("panda-coffee", objects__0__liquid__damping=[0.1, 0.2]), lead=0.02)
+    assert world.say({"protected": False}).ok
+    world.say({"twist": [0.1, 0.0, 0.0, 0.0]})
+    run(world, 0.15)
+    world.say({"stop": True})
+    run(world, 0.2)
+    slope = np.abs(world.frame()["liquids"][0]["slope"]).max()
+    assert slope * 0.04 > 2e-4
+    assert world.say({"protected": True}).sentence == "The liquid still moves; wait until it is calm, or begin again."
+    run(world, 1.5)
+    assert world.say({"protected": True}).ok
 
 
 def test_what_nobody_can_mean_is_refused_and_changes_nothing():

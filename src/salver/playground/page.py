@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from salver.files import versions
 from salver.reports.page import asset, fill, policy
-from salver.reports.replay import joint_poses, stage
+from salver.reports.replay import joint_poses, liquid, stage
 from salver.reports.style import rgb
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def _scene(world: World) -> dict[str, Any]:
                 "forces": "",
                 "friction": 0.0,
                 "metresPerNewton": 0.0,
-                "liquids": [None] * len(first["objects"]),
+                "liquids": [surface and liquid(surface, np.array([0])) for surface in world.liquids.shown],
                 "path": [base.tolist(), base.tolist()],
             }
         ],

@@ -39,7 +39,7 @@ class Recording:
         room = int(LONGEST / (self.every * scenario.physics.command_period)) + 1
         self._recorder = Recorder(scene, room)
         self._wanted = np.empty((3, room, scene.n))
-        self._room, self._due = room, 0
+        self._due = 0
 
     @property
     def seconds(self) -> float:
@@ -47,7 +47,7 @@ class Recording:
 
     @property
     def full(self) -> bool:
-        return self._recorder.count == self._room
+        return self._recorder.full
 
     @property
     def rests(self) -> bool:
@@ -60,13 +60,10 @@ class Recording:
         self._due += 1
         return (self._due - 1) % self.every == 0 and not self.full
 
-    def joints(self, t: float, q: Array, dq: Array, tau: Array, wanted: tuple[Array, Array, Array]) -> None:
-        """The state at time t, the torque, and q, dq, ddq as they were commanded; `took` follows."""
+    def took(self, t: float, q: Array, dq: Array, tau: Array, wanted: tuple[Array, Array, Array], data: object) -> None:
+        """The state at time t, the torque, q, dq, ddq as they were commanded; the engine has made one step since."""
         self._wanted[:, self._recorder.count] = wanted
         self._recorder.joints(t - self.since, q, dq, tau)
-
-    def took(self, data: object) -> None:
-        """After the engine's next step."""
         self._recorder.take(data)
 
     def commanded(self) -> Plan:

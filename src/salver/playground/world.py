@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from salver.live import Live, LiveCourse
 from salver.live.wishes import numbers
 from salver.models.arm import load_arm
 from salver.playground.ball import Ball
+from salver.playground.liquids import Liquids
 from salver.playground.recording import LONGEST, Recording
 from salver.playground.surroundings import FLOOR, RADIUS, furnish
 from salver.playground.unprotected import Unprotected
@@ -61,9 +63,13 @@ class World:
         self._steps = round(self.period / scenario.physics.timestep)
         self._data = mujoco.MjData(self.scene.model)
         self.ball = Ball(self.scene.model, self.arm, scenario.payload)
+        self.liquids = Liquids(self.scene, self.period)
         self._lock = threading.RLock()
         self._course = LiveCourse(self.live)
         self._controller = controller_for(scenario, self, None, arm=self.arm, space="joint")
+        # Unprotected, as a robot that is jogged: what limits the rate of a torque is its interface for torques.
+        jogged = replace(self.arm, limits=replace(self.arm.limits, torque_rate=np.full(self.arm.n, np.inf)))
+        self._jogging = controller_for(scenario, self, None, arm=jogged, space="joint")
         self.begin = self.live.command(0.0)[0].copy()
         self._free: Unprotected | None = None
         self._goal: Array | None = None  # p_SB
@@ -104,16 +110,15 @@ class World:
         with self._lock:
             data, n = self._data, self.arm.n
             state = ArmState(data.qpos[:n].copy(), data.qvel[:n].copy())
-            self._torque = self._controller.step(state, self.t)
+            self._torque = (self._controller if self.protected else self._jogging).step(state, self.t)
             data.qfrc_applied[:n] = self._torque
-            recording, steps = self._recording, self._steps
+            recording = self._recording
+            mujoco.mj_step(self.scene.model, data)
+            self.liquids.took(self.t, state.q, state.dq, self._torque, data)
             if recording is not None and recording.due():
-                recording.joints(self.t, state.q, state.dq, self._torque, self.at(0, 0.0))
-                mujoco.mj_step(self.scene.model, data)
-                recording.took(data)
-                steps -= 1
-            if steps:
-                mujoco.mj_step(self.scene.model, data, nstep=steps)
+                recording.took(self.t, state.q, state.dq, self._torque, self.at(0, 0.0), data)
+            if self._steps > 1:
+                mujoco.mj_step(self.scene.model, data, nstep=self._steps - 1)
             self.t += self.period
             seen = self.ball.step(data, self.t)
             if seen is not None:
@@ -178,6 +183,7 @@ class World:
         if not wanted:
             q, dq, _ = self._course.at(0, 0.0)
             self._free = Unprotected(self.arm, q, dq)
+            self._jogging.take_over(self._controller)
             self.live.stop()
             return Status("accepted", "Without protection.", True)
         assert self._free is not None
@@ -185,9 +191,12 @@ class World:
             return Status("refused", "The arm moves; press stop first.", False)
         if any(self._displaced()):
             return Status("refused", "The load is not where it stood; begin again.", False)
-        status = self.live.restart(self._free.q)
+        if not self.liquids.calm():
+            return Status("refused", "The liquid still moves; wait until it is calm, or begin again.", False)
+        status = self.live.restart(self._free.q, calm=True)
         if status.ok:
             self._free = None
+            self._controller.take_over(self._jogging)
         return status
 
     @property
@@ -241,6 +250,7 @@ class World:
 
     def _placed(self) -> None:
         self.scene.place(self._data, self.begin)
+        self.liquids.begin()
         self._data.qacc_warmstart[:] = 0
         self._controller.reset()
         self._course.instant(self.t)
@@ -267,7 +277,8 @@ class World:
             tip = float(np.arccos(np.clip((R0[k].T @ R[k])[2, 2], -1.0, 1.0)))
             off = p[k, 2] < 0 or bool(np.any(np.abs(p[k, :2]) > half))
             slid = float(np.linalg.norm((p[k] - p0[k])[:2]))
-            words.append("lost" if off else "fallen" if tip > FALLEN else "slid" if slid > GONE else "")
+            spilt = "spilt" if self.liquids.spilt(k) else ""
+            words.append("lost" if off else "fallen" if tip > FALLEN else spilt or ("slid" if slid > GONE else ""))
         return words
 
     def friction_used(self) -> list[float]:
@@ -304,6 +315,7 @@ class World:
             q = data.qpos[: self.arm.n].copy()
             p_SE, R_SE = scene.tray_pose(data)
             v = (R_SE @ (self.arm.body_jacobian(q) @ data.qvel[: self.arm.n])[:3]).tolist()
+            liquids = self.liquids.shown
             state, words = self.live.state, self._displaced()
             used = self.friction_used()
             self.measure()
@@ -313,6 +325,7 @@ class World:
                 "joints": np.round(joint_poses(q[None], self.arm)[0], 5).ravel().tolist(),
                 "tray": np.round([*p_SE, *quat_wxyz_from_matrix(R_SE)], 5).tolist(),
                 "objects": [np.round(data.qpos[i : i + 7], 5).tolist() for i in scene.qpos_ids],
+                "liquids": [x and {"slope": np.round(x.slope[0], 4).tolist(), "spilt": x.spilt} for x in liquids],
                 "speed": round(float(np.linalg.norm(v)), 4),
                 "friction": [round(min(x, 9.99), 4) for x in used],
                 "load": [{"name": load.name, "became": word} for load, word in zip(scene.loads, words, strict=True)],

@@ -117,7 +117,7 @@ def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
         "metresPerNewton": REST_FORCE_LENGTH * len(points_B) / (body.inertial.mass * abs(GRAVITY_S[2])),
         "contacts": _pack(contacts),
         "forces": _pack(np.einsum("tij,tcj->tci", R, forces_B)),
-        "liquids": [s and _liquid(s, keep) for s in surfaces(motion, run)],
+        "liquids": [s and liquid(s, keep) for s in surfaces(motion, run)],
         "path": np.round(p[_spread(len(p), 90)], 5).tolist(),
     }
 
@@ -146,7 +146,7 @@ def surfaces(motion: Motion, run: Run) -> list[DrawnSurface | None]:
     return out
 
 
-def _liquid(surface: DrawnSurface, keep: np.ndarray) -> dict[str, Any]:
+def liquid(surface: DrawnSurface, keep: np.ndarray) -> dict[str, Any]:
     """In B: corners of the bottom and of the brim, centre and slope of the surface; when it came over the brim, s."""
     return {
         "bottom": np.round(surface.bottom_B, 6).tolist(),

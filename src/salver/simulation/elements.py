@@ -29,6 +29,7 @@ from salver.simulation.liquid_surface import WALL_OPACITY
 from salver.simulation.loads import Load
 
 FOOT_RADIUS = 5e-4  # m
+FARTHEST_SWING = 60.0  # degrees; a quarter turn on, the first of two hinges would move nothing, and the engine diverge
 SMALL_POINT = 1e-6  # of m L^2: the inertia about itself of a mass that stands for a point
 LEAST_INERTIA = 1e-12  # kg m^2; the engine takes less for none, and a gram swings on a few millimetres in a thin glass
 HULL_GAP = 3e-4  # m between the hull's base and the feet: closed once an object tips
@@ -283,6 +284,8 @@ def _add_swing(spec: Any, body: Any, load: Load, k: int) -> None:
                     name=f"{swing_name(k, n)}:{'xy'[axis]}",
                     type=mujoco.mjtJoint.mjJNT_HINGE,
                     axis=np.eye(3)[1 - axis],
+                    limited=True,
+                    range=[-FARTHEST_SWING, FARTHEST_SWING],
                     damping=np.array([2 * damping * modes.omega[n, axis] * inertia[n, axis], 0.0, 0.0]),
                 )
             own = max(SMALL_POINT * inertia[n, rod.along[-1]], LEAST_INERTIA)

@@ -82,6 +82,29 @@ class Recorder:
         )
         self.count = k + 1
 
+    @property
+    def full(self) -> bool:
+        return self.count == len(self.t)
+
+    def keep(self, last: int) -> None:
+        """Forget all but so many of what was taken last."""
+        gone = max(0, self.count - last)
+        samples = (
+            self.t,
+            self.q,
+            self.dq,
+            self.tau,
+            self.position,
+            self.quaternion,
+            self.swung,
+            self.sensed,
+            self.pulled,
+        )
+        for values in samples:
+            values[: self.count - gone] = values[gone : self.count]
+        del self.contacts[:gone]
+        self.count -= gone
+
     def seen_from_rest(self, motion: TrayMotion, step: int) -> None:
         """Of a tray that is the engine's world: what was just taken felt the tray's motion too, at that step of it."""
         k = self.count - 1

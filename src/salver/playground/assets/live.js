@@ -48,6 +48,9 @@ function paint() {
   live.joints = new Float32Array(frame.joints);
   live.tray = new Float32Array(frame.tray);
   live.objects = new Float32Array(frame.objects.flat());
+  frame.liquids.forEach((seen, i) => {
+    if (seen) Object.assign(live.liquids[i], { slope: new Float32Array(seen.slope), spilt: seen.spilt === null ? null : 0 });
+  });
   viewer.options.path = frame.path.length > 1;
   if (viewer.options.path) viewer.refill(live.path, tube(frame.path, 0.0025));
   const goal = state.goal || frame.goal;
@@ -67,7 +70,7 @@ function paint() {
 }
 
 const WORDS = { resting: "The arm rests", following: "Following", stopping: "Stopping", unprotected: "Without protection" };
-const BECAME = { lost: "is off the tray", fallen: "has fallen over", slid: "has slid" };
+const BECAME = { lost: "is off the tray", fallen: "has fallen over", slid: "has slid", spilt: "has spilt" };
 
 function tell() {
   const frame = state.frame, gone = frame.load.filter((item) => item.became);
