@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,8 +21,9 @@ from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
-from salver.planning.fastest.programme import Programme
+from salver.planning.fastest.programme import Programme, Subproblem
 from salver.planning.fastest.spline import RestSpline, b_splines, min_jerk_blend
+from salver.planning.fastest.sqp import Options, minimise
 from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm.terms import motion_terms
@@ -187,6 +189,26 @@ def test_linearised_rows_match_differences_in_coefficients_and_squared_duration(
     # Where the nearest points of two hulls jump, a distance has only one-sided derivatives.
     assert error[names != "clearance"].max() < 1e-5
     assert np.quantile(error[names == "clearance"], 0.9) < 1e-2
+
+
+def test_a_step_that_leads_far_astray_is_not_taken_and_nothing_is_said_of_it(monkeypatch):
+    """Waves of a motion that is 1e60 times as wide are higher than numbers are, and so are their forces, of which one
+    less the other is none."""
+    problem = transport_problem(load("panda-coffee"), robust=False)
+    wet = [each for each in problem.constraints if isinstance(each, Contact | Brim)]
+    spline = RestSpline(5, 6)
+    programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(12))), wet, Duration())
+    path = programme.at(Point(line(problem, spline), 1.2))
+    wide = np.r_[0, np.linspace(0.5e60, 1e60, spline.size - 2), 0].repeat(problem.n)  # both ends stay
+    astray, moved = np.append(wide, 0.0), []
+    monkeypatch.setattr(Subproblem, "solve", lambda self, rows: (astray, 0.0, np.zeros(len(rows.bound))))
+    monkeypatch.setattr(Programme, "moved", lambda *args, of=Programme.moved: moved.append(of(*args)) or moved[-1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = minimise(programme, path, Options(iterations=2))
+    assert moved
+    assert all(each.violation == np.inf for each in moved)
+    assert found.iterate is path
 
 
 def test_rows_of_waves_know_all_that_was_felt_before():

@@ -357,8 +357,7 @@ class Waves:
         which, more = self.cases, np.broadcast_to(more, len(self.r))
         amplitude = self.amplitude(seconds, more)
         highest = which.highest(amplitude + which.half * np.abs(self.slope[:, -1]))
-        with np.errstate(over="ignore"):  # of an iterate that went far astray: infinitely high is high enough
-            over = LEFT_OVER * (self.peak[1] + more) ** 3 / which.half.min(axis=1) ** 2
+        over = LEFT_OVER * (self.peak[1] + more) ** 3 / which.half.min(axis=1) ** 2
         return np.asarray(highest + (which.peaking / which.half * amplitude**2).sum(axis=1) + over)
 
     @cached_property

@@ -130,7 +130,7 @@ class Constraint(ABC):
 
 
 def evaluate(constraints: Sequence[Constraint], motion: Evaluation, margins: bool = True) -> tuple[Block, ...]:
-    """All rows of a motion, margins included unless they are not wanted."""
+    """All rows of a motion, margins included unless they are not wanted. A row that is no number is not kept."""
     blocks = []
     for constraint in constraints:
         for block in constraint.blocks(motion):
@@ -140,6 +140,7 @@ def evaluate(constraints: Sequence[Constraint], motion: Evaluation, margins: boo
             else:
                 values = block.values + margin * motion.eased(block.points[: len(block.values)])[:, None]
                 values[0] = np.where(values[0] < INHERITED, np.minimum(values[0], 0.0), values[0])
+            values[np.isnan(values)] = np.inf
             blocks.append(block.having(values=values, of=constraint))
     return tuple(blocks)
 

@@ -150,6 +150,7 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
     return Solution(path, _status(code, path, options, sought), done, programmes, time.perf_counter() - begun)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a trial that went far astray is not taken
 def _attempt(
     programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust, prices: Sequence[Array], options: Options
 ) -> Attempt | None:
