@@ -16,6 +16,7 @@ from salver.models.parameters import INERTIAL, phi_jacobian
 from salver.models.tray_motion import frame_map, motion_vector, wrench_map
 from salver.models.worst_case import Drift
 from salver.models.wrench_cone import cone_facets
+from salver.planning.fastest import plan_fastest
 from salver.sensitivity.arm import arm_chain, chain_model
 from salver.sensitivity.arm.load import load_change
 from salver.sensitivity.arm.terms import motion_terms
@@ -288,3 +289,49 @@ def test_a_seen_object_in_an_unknown_place_is_refused():
 def test_without_an_arm_there_is_no_chain():
     with pytest.raises(ScenarioError, match=r"has no arm; give it a table \[arm\]"):
         chain_model(CUBE.with_changes(arm=None))
+
+
+def jolted(q: np.ndarray, jerk: float, pieces: int = 24, each: float = 0.031) -> JointMotion:
+    """From rest in a posture with a jerk, rad/s^3, that is constant in each piece and jumps between them, so that it
+    ends at rest; most of it of the first joint, some of the fourth."""
+    way = np.zeros((len(q), 1))
+    way[[0, 3]] = [[1.0], [0.4]]
+    sign = np.array([1.0, -1.0, -1.0, 1.0])  # to speed and acceleration 0 again, and back the same way
+    signs = np.tile(np.concatenate([sign, -sign]), pieces // 8 + 1)[:pieces]
+    states = [np.zeros((3, len(q)))]
+    states[0][0] = q
+    for s in signs:
+        x, v, a = states[-1]
+        j = s * jerk * way[:, 0]
+        states.append(
+            np.array([x + v * each + a * each**2 / 2 + j * each**3 / 6, v + a * each + j * each**2 / 2, a + j * each])
+        )
+    return JointMotion(each * np.arange(pieces + 1), *np.swapaxes(np.array(states), 0, 1))
+
+
+def test_where_the_jerk_jumps_the_least_slack_is_that_of_a_fine_grid(panda):
+    """Against a loop on instants .25 ms apart, beside each jump a microsecond, for which all is linear in between."""
+    model, motion = chain_model(CUBE), jolted(panda.joint.q[0], 100.0)
+    found = arm_chain(model, motion, space="joint")
+    t = np.arange(0.0, motion.duration, 2.5e-4)
+    t = np.unique(np.concatenate([t[np.abs(t[:, None] - motion.t).min(axis=1) > 1e-5], motion.t, motion.t[1:] - 1e-6]))
+    q, *rates = (*motion.sample(t), motion.jerk(t))
+    terms = motion_terms(model.loaded.pin_model, model.loaded.tray_id, q, *rates[:2])
+    fine = replace(found, t=t, deviation=model.loop.along(t, terms, np.stack(rates), order=1))
+    least = fine.least_slack()
+    assert (np.diff(found.t) > 0).all()
+    jumps = motion.t[1:-1][np.arange(1, 24) % 4 != 2]
+    for side in (jumps, jumps - 1e-5):  # after each and before
+        assert np.abs(found.t[:, None] - side).min(axis=0).max() < 1e-5
+    assert found.least_slack() == pytest.approx(np.interp(found.t, t, least), abs=1e-4)
+    assert found.least_slack().min() == pytest.approx(least.min(), abs=1e-4)
+    even = arm_chain(model, motion, space="joint", t=np.linspace(0.0, motion.duration, 81))
+    assert even.least_slack().min() > least.min() + 1e-3
+
+
+def test_a_chain_with_a_liquid_says_no_slack(coffee):
+    """As a solid the coffee of a safe plan would seem to slide: what its waves take off is not in the chain."""
+    plan = plan_fastest(coffee)
+    assert plan.ok
+    assert plan.chain.least_slack().min() < 0
+    assert "contact_slack" not in plan.summary()["arm_chain"]

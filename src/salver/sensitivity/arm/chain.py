@@ -47,6 +47,9 @@ if TYPE_CHECKING:
 
 Space = Literal["object", "joint"]
 _GRID_STEP = 0.0125  # s at most between instants; what is missing is a cubic between them
+_FINE_STEP = 0.005  # s, the same of a motion whose jerk jumps
+_JOLT = 5e-4  # rad/s^2 by which a late command is more or less short where the jerk jumps: 5e-5 of the weight at 1 m
+_JUST = 1e-3  # of a step, before such a jump
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,17 +178,22 @@ class ArmChain(Outlined):
         return -np.max([part.worst(w, drift).max(axis=1) for part in self.model.worst_rows], axis=0)
 
     def summary(self) -> dict[str, Any]:
-        """Figures for a report: largest tube radii along the motion, least contact slack with and without tracking."""
+        """Figures for a report: largest tube radii along the motion, least contact slack with and without tracking; no
+        slack with a liquid, of whose waves the chain does not know."""
         tray, torque = self.radius(self.tray), self.radius(self.torque)
         limits = self.model.arm.limits.torque
-        least, planned = self.least_slack(), self.least_slack(tracking=False)
-        k = int(np.argmin(least))
-        return {
+        found = {
             "space": self.space,
             "tray_position_radius": float(np.linalg.norm(tray[:, :3], axis=1).max()),
             "tray_rotation_radius": float(np.linalg.norm(tray[:, 3:6], axis=1).max()),
             "torque_radius": torque.max(axis=0).tolist(),
             "torque_share": float(((np.abs(self.nominal.torque + self.held.torque) + torque) / limits).max()),
+        }
+        if self.model.scenario.payload.liquids:
+            return found
+        least, planned = self.least_slack(), self.least_slack(tracking=False)
+        k = int(np.argmin(least))
+        return found | {
             "contact_slack": float(least[k]),
             "contact_slack_time": float(self.t[k]),
             "contact_slack_planned": float(planned.min()),
@@ -196,15 +204,23 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
     """The chain's sensitivity along a joint motion.
 
     space: "object" for plans of the object's motion, "joint" for fastest plans, as `salver.simulation` runs them.
-    t: (T,) evenly spaced instants from 0 to the duration; at most 12.5 ms apart unless given.
+    t: (T,) evenly spaced instants from 0 to the duration; at most 12.5 ms apart unless given, and then on the joints
+    also where the jerk jumps, as it does wherever a motion was changed while it ran, and just before.
     """
+    jumps: Array = np.zeros(0)
     if t is None:
-        t = np.linspace(0.0, joint.duration, max(81, int(np.ceil(joint.duration / _GRID_STEP)) + 1))
+        if space == "joint":
+            jumps = _jumps(joint, model.loop.delay)
+        t = _instants(joint.duration, jumps)
     states = joint.sample(t)
     terms = motion_terms(model.loaded.pin_model, model.loaded.tray_id, *states)
     rates = np.stack([*states[1:], joint.jerk(t)])
     if space == "joint":
-        found = model.loop.along(t, terms, rates)
+        before = None
+        if len(jumps):
+            before = rates[2].copy()
+            before[np.searchsorted(t, jumps)] = joint.jerk_before[np.searchsorted(joint.t, jumps)]
+        found = model.loop.along(t, terms, rates, before=before)
     else:
         law = task_law(t, terms, model.items[0], model.gains, model.loop.settle)
         found = deviation(model.load, terms, late(terms, rates, model.loop.delay), law)
@@ -222,3 +238,20 @@ def arm_chain(model: ChainModel, joint: JointMotion, *, space: Space = "object",
         slack=-terms.w @ contact.rows.T,
         slack_p=-np.einsum("pri,ti->trp", contact.rows_p, terms.w) - contact.rows @ found.tray.w[:, :, :n_p],
     )
+
+
+def _jumps(joint: JointMotion, delay: float) -> Array:
+    """When the jerk of a motion jumps by so much that what commands late by `delay`, s, are short of does."""
+    jump = np.abs(joint.jerk(joint.t) - joint.jerk_before).max(axis=1)
+    return joint.t[1:-1][delay * jump[1:-1] > _JOLT]
+
+
+def _instants(duration: float, jumps: Array) -> Array:
+    """(T,) s, of which `jumps` are some, from each to the next in even steps; and just before each."""
+    ends = np.concatenate([[0.0], jumps, [duration]])
+    step = min(_FINE_STEP if len(jumps) else _GRID_STEP, duration / 80)
+    counts = np.ceil(np.diff(ends) / step - 1e-9).astype(int)
+    pieces = [np.linspace(a, b, count + 1) for a, b, count in zip(ends, ends[1:], counts, strict=False)]
+    for piece in pieces[:-1]:
+        piece[-1] -= _JUST * (piece[-1] - piece[-2])
+    return np.concatenate(pieces)
