@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from salver.geometry import Array, Indices, Mask
 from salver.live.known import Known
 from salver.live.motion import Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
-from salver.models.arm_limits import LIMITS, JointLimits
+from salver.models.arm_limits import LIMITS
 from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.constraints import (
@@ -27,6 +28,7 @@ from salver.planning.fastest.constraints import (
     JointLimit,
     Level,
     Tilt,
+    TorqueLimit,
     TorqueRateLimit,
 )
 from salver.planning.fastest.obstacles import NEAR, KeepOut
@@ -111,9 +113,8 @@ def verified(
     instants = t[nodes]
     if response is not None:
         joints, held = response.known.joints, response.known.held
-        e = np.concatenate([-joints.q, -held.q[:, :, None]], axis=2)
-        rate = np.concatenate([-joints.dq, -held.dq[:, :, None]], axis=2)
-        deviation = np.stack([e, rate], axis=1)
+        moved, late = joints.state[:, : 2 * problem.n], np.concatenate([held.q, held.dq], axis=1)
+        deviation = -np.concatenate([moved, late[:, :, None]], axis=2).reshape(len(moved), 2, problem.n, -1)
         instants = known.t
     committed = Committed(begins, motion, begins + instants, deviation, margins, known.waves)
     return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
@@ -236,12 +237,17 @@ def told(block: Block, t: Array, knots: Mask) -> Block:
     acceleration may rise and fall within 3 ms.
     knots: (N,) which instants are.
     """
+    if not isinstance(block.of, JointLimit | TorqueRateLimit):
+        return block
+    most = block.values.max(axis=0)
+    if isinstance(block.of, TorqueRateLimit):  # by less than this is added to any of them
+        most += 2.5 * np.abs(np.diff(block.values, axis=0)).max(axis=0)
+    near = np.flatnonzero(most > BESIDE)
+    if not len(near):
+        return block
+    values = block.values[:, near]
+    before, at, after = values[:-2], values[1:-1], values[2:]
     if isinstance(block.of, JointLimit):
-        near = np.flatnonzero(block.values.max(axis=0) > BESIDE)
-        if not len(near):
-            return block
-        values = block.values[:, near]
-        before, at, after = values[:-2], values[1:-1], values[2:]
         kink = np.zeros(len(values), dtype=bool)
         kink[::FINER] = knots
         bend, tilt = 2 * at - before - after, after - before
@@ -251,22 +257,22 @@ def told(block: Block, t: Array, knots: Mask) -> Block:
         peak = (np.maximum(np.maximum(before, after), at) > BESIDE) & (np.abs(tilt) <= within * bend) & (bend > 0.0)
         i, j = np.nonzero(peak & ~kink[1:-1, None])
         block.values[i + 1, near[j]] += tilt[i, j] ** 2 / (8 * bend[i, j])
-    if isinstance(block.of, TorqueRateLimit):
-        step, kink = np.diff(t), knots[1:-1]
-        before, at, after = block.values[:-2], block.values[1:-1], block.values[2:]
-        # Of three steps in one piece, which are equal: how the parabola through them bends.
-        bend = np.where((kink[:-1] | kink[1:])[:, None], 0.0, before - 2 * at + after)
-        peak = (at >= before) & (at >= after) & (bend < 0)
-        flat = (1.0 - (PERIOD / np.maximum(step[1:-1], PERIOD)) ** 2)[:, None] / 24
-        higher = np.where(peak, (after - before) ** 2 / (8 * np.maximum(-bend, 1e-12)) - flat * bend, 0.0)
-        short = np.minimum(PERIOD / step, 1.0)[:, None]
-        none = np.zeros_like(at[:1])
-        first = _edge(block.values[:-1], block.values[1:], np.vstack([bend, none]), short[:-1])
-        last = _edge(block.values[1:], block.values[:-1], np.vstack([none, bend]), short[1:])
-        first[~knots[:-2] | kink], last[~knots[2:] | kink] = 0.0, 0.0
-        block.values[1:-1] += higher
-        block.values[:-1] += first
-        block.values[1:] += last
+        return block
+    step, kink = np.diff(t), knots[1:-1]
+    # Of three steps in one piece, which are equal: how the parabola through them bends.
+    bend = np.where((kink[:-1] | kink[1:])[:, None], 0.0, before - 2 * at + after)
+    peak = (at >= before) & (at >= after) & (bend < 0)
+    flat = (1.0 - (PERIOD / np.maximum(step[1:-1], PERIOD)) ** 2)[:, None] / 24
+    higher = np.where(peak, (after - before) ** 2 / (8 * np.maximum(-bend, 1e-12)) - flat * bend, 0.0)
+    short = np.minimum(PERIOD / step, 1.0)[:, None]
+    none = np.zeros_like(at[:1])
+    first = _edge(values[:-1], values[1:], np.vstack([bend, none]), short[:-1])
+    last = _edge(values[1:], values[:-1], np.vstack([none, bend]), short[1:])
+    first[~knots[:-2] | kink], last[~knots[2:] | kink] = 0.0, 0.0
+    values[1:-1] += higher
+    values[:-1] += first
+    values[1:] += last
+    block.values[:, near] = values
     return block
 
 
@@ -331,14 +337,19 @@ def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> Ma
     return Margins(t, largest, what, tuple(names))
 
 
-def _labels(block: Block, problem: TransportProblem) -> list[str]:
+def _labels(block: Block, problem: TransportProblem) -> Sequence[str]:
     """What rows of a block are called: by joint, where there is one for each, or by what has to keep apart."""
     if isinstance(block.of, Clearance):
         parts = block.of.keep_out.parts
         return [f"{block.name} of {parts.names[i]} from {parts.names[j]}" for i, j in parts.pairs]
-    limits = getattr(block.of, "limits", None)
-    kind = next((kind for kind in LIMITS if kind.name == block.name), None)
-    if kind is None or not isinstance(limits, JointLimits):
-        return [block.name]
-    finite = np.flatnonzero(np.isfinite(limits.range(kind)[1]))
-    return [f"{block.name} of {problem.arm.joint_names[j]}" for j in (*finite, *finite)]
+    if isinstance(block.of, JointLimit | TorqueLimit | TorqueRateLimit):
+        return _by_joint(block.of, block.name, problem.arm.joint_names)
+    return [block.name]
+
+
+@lru_cache(maxsize=64)
+def _by_joint(constraint: JointLimit | TorqueLimit | TorqueRateLimit, name: str, joints: tuple[str, ...]) -> list[str]:
+    """Names of rows either side of a limit."""
+    kind = next(kind for kind in LIMITS if kind.name == name)
+    finite = np.flatnonzero(np.isfinite(constraint.limits.range(kind)[1]))
+    return [f"{name} of {joints[j]}" for j in (*finite, *finite)]
