@@ -13,7 +13,7 @@ import salver.driver.live as module
 from pylibfranka_stand_in import Library
 from salver.cli import app
 from salver.driver.execution import Watchdog
-from salver.driver.live import dry_run_live, run_live_on_franka
+from salver.driver.live import commanded, dry_run_live, run_live_on_franka
 from salver.driver.preflight import within_fr3
 from salver.driver.robots import SimulatedRobot
 from salver.driver.signals import Signals
@@ -106,6 +106,35 @@ def whole(slow_cube, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     assert dry_run_live(slow_cube, lines(FAR), folder, realtime=False).achieved
     return load_plan(folder)
+
+
+def test_what_was_commanded_is_judged_along_all_of_it(cube, tmp_path):
+    """Between knots that are far apart the tray moves as the joints say; a jolt of 0.04 s in half a minute is seen."""
+    arm, q = Live(cube).problem.arm, Live(cube).command(0.0)[0]
+    turn = np.eye(7)[0]
+    jolt = 1e-3 * turn  # rad, there and back, 20 ms each: 14 rad/s^2, 7 m/s^2 at the tray
+    t = np.array([0.0, 1.2, 20.008, 20.028, 20.048, 30.0])
+    there = np.array([q, *[q + 0.8 * turn] * 5])
+    still = np.zeros_like(there)
+    calm = commanded(cube, JointMotion(t, there, still, still))
+    calm.save(tmp_path)
+    assert calm.verification.ok
+    assert np.diff(calm.t).max() < 0.0101
+    for at in (0.35, 0.55, 0.85):
+        a_S, before, after = (calm.reference.sample(x) for x in ([at], [at - 1e-4], [at + 1e-4]))
+        body = cube.payload.bodies[0]
+        p, near, far = (
+            arm.object_pose(calm.joint.sample([x])[0][0], body.p_EB, body.R_EB)[0] for x in (at, at - 1e-4, at + 1e-4)
+        )
+        np.testing.assert_allclose(a_S.p_SB[0], p, atol=1e-7)
+        np.testing.assert_allclose(a_S.a_S[0], (far - 2 * p + near) / 1e-8, atol=1e-3)
+        np.testing.assert_allclose(after.v_S[0] - before.v_S[0], 2e-4 * a_S.a_S[0], atol=1e-7)
+    assert load_plan(tmp_path).verification.sentence == calm.verification.sentence
+    there[3] += jolt
+    shaken = commanded(cube, JointMotion(t, there, still, still))
+    assert not shaken.verification.ok
+    assert 20.0 < shaken.verification.time < 20.06
+    assert not shaken.margins.verdict(worst=True).ok
 
 
 @pytest.mark.slow

@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     from salver.sensitivity.arm import ArmChain
 
 FINER = 10  # the check's grid against the planner's
+STEERED = (
+    1e-2,
+    2e-3,
+)  # s between instants, and between those of the check, of a motion whose jerk may jump at any time
 COMMAND_LEAD = 0.1  # s by which a corrected command begins before the motion that it is for
 NEAR_ENOUGH = 1e-3  # m: a pose is passed when a motion comes as near; turns count by `passing.LEVER`
 BOUNDARY_TOLERANCE = 1e-9  # m, rad and their rates
@@ -119,6 +123,12 @@ class Plan(Shown, Tabular):
     def evaluation(self) -> Evaluation:
         return evaluate(self.scenario, self.reference, len(self.t))
 
+    @cached_property
+    def _checked(self) -> Evaluation:
+        """The same on the grid of the check, which is as fine or finer."""
+        count = self._instants(STEERED[1])
+        return self.evaluation if count == len(self.t) else evaluate(self.scenario, self.reference, count)
+
     @property
     def duration(self) -> float:
         return self.reference.duration
@@ -130,8 +140,13 @@ class Plan(Shown, Tabular):
 
     @cached_property
     def t(self) -> Array:
-        """(T,) instants of the check, s."""
-        return np.linspace(0.0, self.duration, FINER * (self.scenario.motion.nodes - 1) + 1)
+        """(T,) instants of the arrays, s; those of the check, where that is no finer."""
+        return np.linspace(0.0, self.duration, self._instants(STEERED[0]))
+
+    def _instants(self, step: float) -> int:
+        """How many: as many as are finer than the planner's nodes; of what was steered so near at least."""
+        planned = FINER * (self.scenario.motion.nodes - 1) + 1
+        return planned if self.method != "live" else max(planned, int(np.ceil(self.duration / step)) + 1)
 
     @property
     def cone_coefficients(self) -> Array:
@@ -192,9 +207,9 @@ class Plan(Shown, Tabular):
             turn[1] = np.cross(rotations[1, :, 2], samples.R_SB[-1, :, 2])
         still = [x[ends] for x in (samples.v_S, samples.a_S, samples.omega_B, samples.alpha_B)]
         error = max(float(np.abs(x).max()) for x in (samples.p_SB[ends] - goals, turn, *still))
-        slack, when, body = self.evaluation.worst()
+        slack, when, body = self._checked.worst()
         unit = unit_of(self.scenario, body)
-        return Verification(len(self.t), error, slack, when, body, unit, self._passes())
+        return Verification(len(self._checked.t), error, slack, when, body, unit, self._passes())
 
     def _passes(self) -> float:
         """The most by which a pose to pass is missed, m; infinite when they are passed in another order."""
@@ -213,7 +228,7 @@ class Plan(Shown, Tabular):
         """Exact margins of everything on the tray along the reference (`salver.contact_margins`)."""
         from salver.contact_margins import margins
 
-        return margins(self.scenario, self.evaluation.samples)
+        return margins(self.scenario, self._checked.samples)
 
     @cached_property
     def chain(self) -> ArmChain | None:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 MISSED = 4  # times that cases of a liquid are added which a motion does not keep
 CHECKED = 401  # instants at which that is looked at
 SPARE = 2e-3  # share of the room of liquids that is then kept more
+REFERENCE_STEP = 0.02  # s between samples of the tray's motion at most: its acceleration is then known to 1e-3 m/s^2
 RADII = 101  # and at which what the arm may stray is, for a plan's record
 SLOWER = (1e-4, 1e-3, 4e-3, 1.6e-2)  # by these shares of its time a motion is made slower until its check lets it pass
 
@@ -186,11 +187,21 @@ def joint_plan(
     exact = scenario
     if scenario.contact.condition != "exact":
         exact = scenario.with_changes(contact__condition="exact")
-    reference = SampledReference(object_motion(problem, joint.t, joint.q, joint.dq, joint.ddq))
+    close = _closer(joint)
+    reference = SampledReference(object_motion(problem, close.t, close.q, close.dq, close.ddq))
     parts = None if problem.keep_out is None else problem.keep_out.parts
     plan = Plan(exact, method, reference, status, joint, verdict(problem.arm, joint, problem.items, parts))
     tau = torques(problem.arm, JointMotion(plan.t, *joint.sample(plan.t)), problem.items)
     return replace(plan, tau=tau, solver=record)
+
+
+def _closer(joint: JointMotion) -> JointMotion:
+    """The same motion with samples so near that the tray's, quintic between them as well, is what these joints make."""
+    counts = np.maximum(1, np.ceil(np.diff(joint.t) / REFERENCE_STEP - 1e-9).astype(int))
+    if counts.max() == 1:
+        return joint
+    t, z = joint.evenly(counts)
+    return JointMotion(t, *z[:3])
 
 
 def tracking_record(found: FastestMotion) -> dict[str, float]:
