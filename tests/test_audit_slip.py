@@ -65,7 +65,9 @@ def test_a_hidden_shake_slides_only_where_the_reserve_is_small():
     """0.1 mm of noise at 500 Hz, and a reserve of 0.5 m/s^2 at t = 2 s alone: a cycle of 50 Hz has an amplitude of
     7 sigma sqrt(2 f / rate), and in 0.04 s there are two of them."""
     noise, rate, highest, still = 1e-4, 500.0, 50.0, (0.0, 0.0)
-    recording = Recording(Sensor(Level.even(noise), Level.even(0.0)), rate, highest, (5.0, 5.0), still, still, (), ())
+    recording = Recording(
+        Sensor(Level.even(noise), Level.even(0.0)), rate, highest, np.full(1, 5.0), still, still, (), ()
+    )
     t = np.arange(2001) / rate
     found = []
     for long in (0.04, 0.2, 1.0, 9.0):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import salver as sv
-from salver.contact_margins import margins
+from salver.contact_margins import margins, values
 from salver.contact_margins.whole import spill_status
 from salver.errors import ScenarioError
 from salver.models.parameters import Parameter
@@ -70,6 +70,16 @@ def test_the_safest_motion_of_a_coffee_keeps_as_much_of_its_room_as_of_its_weigh
     assert f"{100 * kept:.2g} % of its room" in plan.status.sentence
     assert plan.verification.slack > kept - 5e-3
     assert min(spill.slack.min() for spill in plan.margins.spills(worst=True)) > kept - 5e-3
+
+
+def test_what_liquids_add_to_contact_at_some_instants_at_a_time_is_what_they_add_to_all(coffee, monkeypatch):
+    line = min_jerk_line(1.1, np.zeros(3), np.array([0.1, 0.4, 0.1]), np.eye(3), np.eye(3))
+    monkeypatch.setattr(values, "AT_ONCE", 7)
+    found = margins(coffee, line.sample(np.linspace(0.0, 1.1, 100)))
+    (rows,), ((whole, _),) = found.model.robust, found.worst_values
+    added = Sloshed.of(rows, found.liquids.worst).values
+    assert added.max() > 0.01
+    np.testing.assert_allclose(whole, rows.worst(found.w) + added, atol=1e-12)
 
 
 def test_tangents_of_a_level_plan_agree_with_differences(coffee):

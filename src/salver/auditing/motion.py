@@ -31,14 +31,14 @@ _AS_FAST = 0.95
 @dataclass(frozen=True)
 class Recording:
     """How a recorded motion was seen. sensor: its noise. rate: Hz. highest: Hz, up to which anything unseen is reckoned
-    with. bandwidth: (least, most) of the curve, Hz. ends: m/s at which it begins and ends.
+    with. bandwidth: (T,) of the curve, Hz. ends: m/s at which it begins and ends.
     slowest: m/s, of the slowest instant from which it comes to such a speed within the recording, and of that to
     which it comes from one. unseen, mirrored: see `salver.auditing.recorded.Stretch`; in s."""
 
     sensor: Sensor
     rate: float
     highest: float
-    bandwidth: tuple[float, float]
+    bandwidth: Array
     ends: tuple[float, float]
     slowest: tuple[float, float]
     unseen: tuple[Cells, ...]
@@ -155,13 +155,12 @@ def _recorded(
     for begin, end in _holes(t, step, longest_gap):
         error[(motion.t > begin) & (motion.t < end)] = np.inf  # what happens there is a guess
     missed = np.concatenate([part.missed for part in parts])
-    bandwidth = np.concatenate([part.bandwidth for part in parts])
     speed = np.linalg.norm(motion.v_S, axis=1) + LEVER * np.linalg.norm(motion.omega_B, axis=1)
     recording = Recording(
         sensor,
         1 / step,
         highest,
-        (float(bandwidth.min()), float(bandwidth.max())),
+        np.concatenate([part.bandwidth for part in parts]),
         (float(speed[0]), float(speed[-1])),
         _slowest(speed),
         tuple(cells for part in parts for cells in part.unseen if len(cells.first)),

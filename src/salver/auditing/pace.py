@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from salver.contact_margins import MarginModel, Margins
+from salver.contact_margins.whole import spill_status
 from salver.errors import Status
 from salver.geometry import Array, Indices
 from salver.models.tray_motion import motion_vector
@@ -80,6 +81,8 @@ def pace_of_liquids(model: MarginModel, t: Array, w: Array, R_SB: Array, worst: 
         felt = rest + (w - rest) / factor**2
         slower = factor * (t - t[0])
         liquids = Liquids.along(model.payload, slower, felt)
+        if liquids is not None and not all(spill_status(spill).ok for spill in liquids.spills(worst)):
+            continue  # contact takes longer to look at
         if Margins(model, slower, felt, None, liquids).verdict(worst).ok:
             sentence = f"It holds at {factor:.3f} times the duration, and at no less that was tried."
             return Pace(float(factor), Status("found", sentence, True, {"factor": float(factor)}))

@@ -24,7 +24,7 @@ HARMLESS = 0.1  # m/s^2: error of the acceleration that is not worth smoothing a
 LEVER = 0.1  # m: what turns is judged by how it moves something so far away
 PER_PERIOD = 12  # instants judged per period of the bandwidth, so 24 of what it follows: peaks are met to 0.9 %
 CHUNK, OVERLAP = 8192, 1024  # samples fitted at once
-_FASTER = 2.0  # bandwidth over the frequency that was found: its acceleration is then met to 2 %
+FASTER = 2.0  # bandwidth over the frequency that was found: its acceleration is then met to 2 %
 _STEP = 1.7  # by which the bandwidth grows at most between two looks at the residuals
 _ROUNDS = 30
 _MISSED = 0.25
@@ -189,7 +189,7 @@ def _follow(
         curve = fit(t, y, bandwidth)
         kinds = found(_residual(curve, t, y), rate, level, negligible)
         wanted = _wanted(kinds[1:], n)
-        raised = np.maximum(bandwidth, np.minimum(_FASTER * wanted, _STEP * bandwidth))
+        raised = np.maximum(bandwidth, np.minimum(FASTER * wanted, _STEP * bandwidth))
         raised = np.minimum(most, np.where(wanted > 0, np.maximum(raised, 1.2 * bandwidth), bandwidth))
         if np.all(raised <= bandwidth * (1 + 1e-9)):
             break

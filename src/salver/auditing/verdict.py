@@ -241,7 +241,7 @@ class Audit(Shown, Tabular):
             "position_noise": float(seen.sensor.position.sizes.max()),
             "orientation_noise": 2 * float(seen.sensor.orientation.sizes.max()),
             "resolution": seen.sensor.position.step,
-            "bandwidth": list(seen.bandwidth),
+            "bandwidth": [float(seen.bandwidth.min()), float(seen.bandwidth.max())],
             "acceleration_error": float(np.median(self.motion.acceleration_error)),
             "hidden_slip": slip.distance,
             "hidden_frequency": slip.frequency,

@@ -4,7 +4,7 @@ What noise hides is a shake a(t) of amplitude A, N cycles and r times a mode's f
 fades, moves by -a + 2 pi f_n times the integral of sin(2 pi f_n (t - s)) a(s), where the shake begins from rest: by
 A (1 + 4 N / r) at most; by 4 N r A, the integral of what drives it; and by 2 A r^2 / |1 - r|, what a shake that is
 there at once moves it by, as it swells and again as it fades. What samples that are too few make the motion fall short
-of is as fast as the motion was read, or faster. The surface at rest beneath a mass is known as well as the acceleration
+of is as fast as what was read there, or faster. The surface at rest beneath a mass is known as well as the acceleration
 is. All of it is added.
 """
 
@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from salver.auditing.motion import Recording, TrayMotion
-from salver.auditing.recorded import LEVER
+from salver.auditing.recorded import FASTER, LEVER
 from salver.auditing.slip import SEEN
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY
@@ -57,7 +57,7 @@ def _away(waves: Waves, motion: TrayMotion) -> tuple[Array, Array]:
     missed, error = (np.broadcast_to(x, waves.t.shape) for x in (motion.missed, motion.acceleration_error))
     if np.isinf(error).any():  # there are no samples
         return np.full((len(omega), len(error), *omega.shape[1:]), np.inf), np.full((len(omega), len(error), 1), np.inf)
-    modes, bandwidth = omega / (2 * np.pi), recording.bandwidth[0]
+    modes, read = omega / (2 * np.pi), np.broadcast_to(recording.bandwidth / FASTER, waves.t.shape)
     shaken, slope = np.zeros_like(omega), 0.0
     fastest = FOLLOWED * float(modes.max())
     for frequency, amplitude, cycles in _shakes(recording, waves.t, modes):
@@ -70,11 +70,11 @@ def _away(waves: Waves, motion: TrayMotion) -> tuple[Array, Array]:
         shaken = shaken + (cells.share * each).sum(axis=-1)
         slow = cells.frequency <= fastest
         slope += float((cells.amplitude * (2 * np.pi * cells.frequency) ** 2)[slow].max(initial=0.0))
-    short = float(missed.max()) / (2 * np.pi * bandwidth) ** 2
-    shaken = shaken + short * _gain(bandwidth, modes, bandwidth * float(np.ptp(waves.t)))
+    short = missed / (2 * np.pi * read) ** 2
+    shaken = shaken + (short * _gain(read, modes[..., None], read * np.ptp(waves.t))).max(axis=-1)
     lifted = 1 + which.omega**2 / GRAVITY * np.abs(waves.r).max(axis=1)  # what is wrong upwards stiffens it
     away = np.broadcast_to((lifted * shaken)[:, None], waves.r.shape)
-    return away, (error + slope + (missed if bandwidth <= fastest else 0.0))[:, None] / up
+    return away, (error + slope + np.where(read <= fastest, missed, 0.0))[:, None] / up
 
 
 def _shakes(recording: Recording, t: Array, modes: Array) -> list[tuple[float, float, float]]:

@@ -12,9 +12,12 @@ from salver.contact_margins.model import MarginModel
 from salver.geometry import Array, Indices
 from salver.models.contact_rows import ContactRows
 from salver.models.internal_wrench import internal_wrenches
+from salver.models.worst_case import ALL
 from salver.sensitivity import tubes
-from salver.sensitivity.slosh_rows import Sloshed
+from salver.sensitivity.slosh_rows import Sloshed, most_added
 from salver.sensitivity.spills import Liquids
+
+AT_ONCE = 256  # instants
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,10 @@ class RowValues:
         if self.tracking is not None:
             change = np.einsum("fk,tkp->tfp", rows.nominal, self.tracking, optimize=True)
             value += tubes.radius(change, self.model.uncertain)
-        if self.liquids is not None:
-            value = value + Sloshed.of(rows, self.liquids.worst).values
+        if self.liquids is not None:  # some instants at a time: of all cases at all of them there is too much
+            for first in range(0, len(value), AT_ONCE):
+                at = slice(first, first + AT_ONCE)
+                value[at] += most_added(rows, self.liquids.worst, at, ALL, coarsely=False)
         return value
 
 
