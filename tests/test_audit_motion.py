@@ -120,6 +120,18 @@ def test_what_a_curve_misses_near_the_samplings_limit_is_told_of_what_is_fast(tu
     assert share.max() < 0.26
 
 
+def test_where_two_parts_of_a_long_recording_meet_there_is_one_instant():
+    """Of two at once waves would be no numbers."""
+    t = np.arange(20 * 1000 + 1) / 1000.0
+    p = np.stack([0 * t, 0.2 * np.sin(2 * np.pi * 0.4 * t), 0 * t], axis=1)
+    seen = TraySamples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "E", "seen.csv")
+    motion = tray_motion(seen, None, AT_B, NO_TURN).samples
+    assert np.diff(motion.t).min() > 1e-5
+    assert (motion.t[0], motion.t[-1]) == (t[0], t[-1])
+    expected = -0.2 * (2 * np.pi * 0.4) ** 2 * np.sin(2 * np.pi * 0.4 * motion.t)
+    assert np.abs(motion.a_S[:, 1] - expected)[50:-50].max() < 1e-4
+
+
 def test_what_is_mirrored_into_the_slow_of_a_long_recording_is_told():
     # At 72 Hz a shake of 67 Hz and one of 5 Hz have the same samples, and up to 70 Hz it may shake.
     t = np.arange(20 * 72 + 1) / 72.0

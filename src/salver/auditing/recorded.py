@@ -151,7 +151,7 @@ def _stretch(
         slower = fit(t, p, np.minimum(bandwidth, slow))
         turned = fit(t, quat, np.minimum(agile, slow))
         mirrored = _left(t, p, quat, slower, turned, sensor, rate)
-    grid = _instants(t, np.maximum(bandwidth, agile), inner)
+    grid = _instants(t, np.maximum(bandwidth, agile), inner)[0 if ends[0] else 1 :]  # the first one ended a part
     motion = _motion(grid, position, turning)
     # Between the outermost samples a curve bends as it likes: there it is taken to bend on as two samples inside, place
     # and turn alike. What is at rest in one of them only is a motion that nobody made.
