@@ -12,6 +12,7 @@ from live_runs import APART, LEAD, ROUNDS, check, drive, executed, in_turn, plac
 from salver.errors import ScenarioError, Status
 from salver.live import Live
 from salver.live.motion import between
+from salver.live.replan import Sought
 from salver.live.steer import HORIZON, TICK, Steering, TwistWanted
 from salver.live.verify import seen, verified
 from salver.planning.fastest import evaluate, joint_plan
@@ -270,3 +271,29 @@ def test_a_long_stir_does_not_count_for_ever(changed):
     end, later = (base.left(base.ends + more, live.problem).past.begun(cases).waves.peak for more in (0.0, 65.0))
     damping = np.array([case.damping * case.modes.omega[0, 0] for liquid in cases for case in liquid])
     np.testing.assert_allclose((later / end) ** 3, np.exp(-damping * 60.0), rtol=1e-2)
+
+
+def test_a_tick_knows_the_waves_of_the_verdict_on_what_it_bends(changed, monkeypatch):
+    """As it would work them out anew at its own, fewer nodes; and with what the arm makes of them."""
+    live, (base, *_), _ = changed
+    finding, noted = verified(live.problem, base.motion, base.begins, None), []
+    assert finding.committed is not None
+    assert finding.known is not None
+    monkeypatch.setattr(Steering, "_unknowns", lambda self, motion: noted.append(motion))
+    begins = TICK * round((base.begins + 0.2) / TICK)
+    wanted = TwistWanted(np.zeros(6), np.zeros(6), begins)
+    for known in (False, True):
+        steering = Steering.of(live.problem, Sought.of(live.problem))
+        if known:
+            steering.recent.add(finding.committed, finding.known)
+        next(steering._bends(wanted, finding.committed, begins))
+    anew, known = noted
+    assert finding.known.reaches(begins - base.begins + HORIZON)
+    (planned, anew_moved), (same, known_moved) = anew.sloshing["cup"], known.sloshing["cup"]
+    for of in ("crest", "free_height", "lightness", "wrench"):
+        assert off(getattr(same, of), getattr(planned, of)) < 1e-5
+        assert off(getattr(known_moved, of), getattr(anew_moved, of)) < 5e-3
+    assert off(known_moved.change.wrench, anew_moved.change.wrench) < 0.02
+    assert off(planned.crest, anew_moved.crest) > 0.02  # what the arm makes of them can be seen
+    for radius in (lambda motion: motion.joint_radius(0), lambda motion: motion.torque_radius()):
+        assert off(radius(known), radius(anew)) < 0.01

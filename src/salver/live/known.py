@@ -13,22 +13,24 @@ from salver.live.motion import Committed
 from salver.planning.fastest import Evaluation
 from salver.planning.fastest.obstacles import KeepOut
 from salver.sensitivity.arm.finer import Finer, Smooth
-from salver.sensitivity.arm.past import Past
+from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.terms import MotionTerms
+
+JUST_ENDED = 0.021  # s of rest, a tick, in which the arm gives way to waves about as it did when it came to rest
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
     """Of a motion of its own time, s, to its end at rest: t (K,) instants at which its terms were worked out, ends (K,)
     which of them are knots, terms with derivatives. response: what a wrong load does to the arm, or None. keep_out:
-    with the pairs that come near along it. waves: of all liquids, None without."""
+    with the pairs that come near along it. sloshing: of all liquids, None without."""
 
     t: Array
     ends: Mask
     terms: MotionTerms
     response: Finer | None
     keep_out: KeepOut | None = None
-    waves: Past | None = None
+    sloshing: Sloshing | None = None
 
     def along(self, motion: Evaluation, own: Array) -> Evaluation:
         """The same motion at other nodes, at own times (N,), with all this known; it rests after its end."""
@@ -36,7 +38,16 @@ class Known:
         onto = Smooth.onto(self.t, self.ends, np.minimum(own, last))
         terms = self.terms.continued(motion.at_nodes[:3], onto.each, derivatives=True)
         motion.feeling(terms)
-        return motion if self.response is None else motion.straying(self.response.onto(terms, onto, own < last))
+        if self.response is not None:
+            motion.straying(self.response.onto(terms, onto, own < last))
+        if self.sloshing is not None and motion.past is not None:
+            t = motion.shares * motion.duration
+            motion.swinging(self.sloshing.onto(motion.liquids, t, terms.w, motion.past, onto.each))
+        return motion
+
+    def reaches(self, own: float) -> bool:
+        """Whether it is known at an own time, s: at rest nothing changes any more, but for waves."""
+        return self.sloshing is None or own <= self.t[-1] + JUST_ENDED
 
 
 class Recent:

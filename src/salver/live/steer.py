@@ -301,12 +301,12 @@ class Steering:
         sought = base.left(begins, self.sought)
         motion = replace(sought.at(grid.s, z, HORIZON, grid.nodes), moving=False)
         known = self.recent.of(base)
-        if sought.liquids and sought.tracking is not None:  # half way where the jerk jumps, as `Finer.midway`
+        if known is not None and known.reaches(own[-1]):
+            known.along(motion, own[grid.nodes])
+        elif sought.liquids and sought.tracking is not None:  # half way where the jerk jumps, as `Finer.midway`
             rates = motion.at_nodes[1:].copy()
             rates[2] = 0.5 * (rates[2] + base.motion.jerk(own[grid.nodes] - SAME) * moving[grid.nodes])
             motion.straying(sought.tracking.along(HORIZON * motion.shares, motion.terms, rates, shares=motion.shares))
-        elif known is not None:
-            known.along(motion, own[grid.nodes])
         whole, near = self.problem.keep_out, None if known is None else known.keep_out
         constraints = [constraint.among(whole, near, motion.at_nodes[0]) for constraint in self.sought.constraints]
         blocks = evaluate(constraints, motion)

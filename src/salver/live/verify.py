@@ -116,7 +116,8 @@ def verified(
         moved, late = joints.state[:, : 2 * problem.n], np.concatenate([held.q, held.dq], axis=1)
         deviation = -np.concatenate([moved, late[:, :, None]], axis=2).reshape(len(moved), 2, problem.n, -1)
         instants = known.t
-    committed = Committed(begins, motion, begins + instants, deviation, margins, known.waves)
+    waves = None if known.sloshing is None else known.sloshing.past(known.t)
+    committed = Committed(begins, motion, begins + instants, deviation, margins, waves)
     return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
 
 
@@ -162,7 +163,7 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Ca
     evaluation.feeling(terms.continued(z[:3, nodes], smooth.each))
 
     def straying() -> Known:
-        response, waves = None, None
+        response, sloshing = None, None
         if problem.tracking is not None:
             jerk = z[3, some]
             jerk[knots[smooth.some]] = motion.jerk_before
@@ -173,8 +174,7 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Ca
             sloshing = Sloshing.of(problem.every_case, t[some], terms.w, midway, problem.past)
             each = sloshing.each.items()
             evaluation.sloshing_as({name: tuple(x.continued(smooth.each) for x in parts) for name, parts in each})
-            waves = sloshing.past(t[some])
-        return Known(t[some], knots[smooth.some], terms, response, waves=waves)
+        return Known(t[some], knots[smooth.some], terms, response, sloshing=sloshing)
 
     return evaluation, straying, knots
 

@@ -117,6 +117,21 @@ class Slosh:
         vars(made).update(found, free_left=self.free_left, left_at_once=self.left_at_once)
         return made
 
+    def onto(
+        self, planned: Waves, some: Indices, start: Underway | None, each: Callable[[list[Array]], list[Array]]
+    ) -> Slosh:
+        """Some of the cases along the same motion from where it is left on, with an arm that gives way as it does here.
+        planned: their waves at other nodes; start: how those begin that the arm has its part in; each: from (T, ...) to
+        these nodes."""
+        assert self.change is not None
+        assert self.reaction is not None
+        known = self.waves.w - self.planned.w, self.higher, self.freer, self.change.wrench
+        by_time = each([np.asarray(x)[some].swapaxes(0, 1) for x in known])
+        dw, higher, freer, wrench = (x.swapaxes(0, 1) for x in by_time)
+        waves = planned.shifted(dw, start)
+        reaction, change = self.reaction.continued(each).part(some), replace(self.change.part(some), wrench=wrench)
+        return Slosh(waves, waves.wrench, planned, reaction, change, higher, freer, np.asarray(self.more_left)[some])
+
     def part(self, some: slice, planned: Waves | None = None) -> Slosh:
         """Some of the cases; planned: theirs, where they are known."""
         waves = self.waves.part(some)

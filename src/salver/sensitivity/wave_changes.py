@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salver.geometry import Array
+from salver.geometry import Array, Indices
 from salver.models.liquid import GRAVITY, TILTING
 from salver.sensitivity.underway import Underway
 from salver.sensitivity.waves import TURNING, Waves, across, turned
@@ -27,7 +27,7 @@ class Change:
     wrench: Array
     ending: tuple[Array, Array]
 
-    def part(self, some: slice) -> Change:
+    def part(self, some: slice | Indices) -> Change:
         """Of some of the cases."""
         ending = self.ending[0][some], self.ending[1][some]
         return Change(self.eta[some], self.free[some], self.thrown[some], self.wrench[some], ending)

@@ -86,8 +86,11 @@ class Evaluation:
         """This motion, with an arm that gives way to its load and to its waves as along a motion like it, at the same
         shares of its time."""
         self.straying_as(other)
-        t = self.shares * self.duration
-        self.__dict__["_waves"] = other._waves.along(t, self.terms.w)
+        return self.swinging(other._waves.along(self.shares * self.duration, self.terms.w))
+
+    def swinging(self, waves: Sloshing) -> Evaluation:
+        """This motion, with the waves of all cases known."""
+        self.__dict__["_waves"] = waves
         return self
 
     def straying(self, response: Any) -> Evaluation:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +61,20 @@ class Sloshing:
         for group, (old, *given) in self.together:
             planned = Slosh.of(along(all_cases(group), t, w, old.waves.start))
             found.append((group, (planned, *(part.along(planned.waves) for part in given))))
+        return Sloshing(tuple(found))
+
+    def onto(
+        self, liquids: Parted, t: Array, w: Array, past: Past, each: Callable[[list[Array]], list[Array]]
+    ) -> Sloshing:
+        """Some of the cases along the same motion from where it is left (past) on, at other nodes t (T,), at which the
+        tray feels w: what an arm that gives way makes of them is known. each: from (T, ...) to these nodes."""
+        found = []
+        for history, (_, (_, *given)) in zip(past.known, self.together, strict=True):
+            group = tuple(liquid for liquid in liquids if liquid and liquid[0].liquid.round is history.round)
+            if group:
+                some, begun = history.places(group), past.begun(group)
+                planned = Slosh.of(along(all_cases(group), t, w, begun.planned))
+                found.append((group, (planned, *(part.onto(planned.waves, some, begun.waves, each) for part in given))))
         return Sloshing(tuple(found))
 
     def past(self, t: Array) -> Past:

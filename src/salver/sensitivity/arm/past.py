@@ -48,9 +48,8 @@ class Past:
 
     def begun(self, group: Parted) -> Begun:
         """How liquids that are all round or all in boxes are where the motion is left."""
-        names = [_name(case) for case in all_cases(group)]
-        history = next(each for each in self.known if names[0] in each.index)
-        return history.along.at(self.t, self.now, np.array([history.index[name] for name in names]))
+        history = next(each for each in self.known if _name(group[0][0]) in each.index)
+        return history.along.at(self.t, self.now, history.places(group))
 
     @property
     def stray(self) -> Array:
@@ -73,9 +72,18 @@ class History:
     group: Parted
     along: Begun
 
+    @property
+    def round(self) -> bool:
+        """Whether they are in round containers, or else in boxes."""
+        return self.group[0][0].liquid.round
+
     @cached_property
     def index(self) -> dict[tuple[str, float, float], int]:
         return {_name(case): k for k, case in enumerate(all_cases(self.group))}
+
+    def places(self, group: Parted) -> Indices:
+        """Which of the cases those of a group are."""
+        return np.array([self.index[_name(case)] for case in all_cases(group)])
 
 
 def _name(case: Case) -> tuple[str, float, float]:

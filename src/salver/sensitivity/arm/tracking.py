@@ -27,7 +27,7 @@ from typing import Protocol
 
 import numpy as np
 
-from salver.geometry import Array, hat
+from salver.geometry import Array, Indices, hat
 from salver.models.payload import Payload
 from salver.models.worst_case import Drift
 from salver.scenario import Scenario
@@ -112,10 +112,13 @@ class Reaction:
         vars(made)["torque"] = found[4]
         return made
 
-    def part(self, some: slice) -> Reaction:
+    def part(self, some: slice | Indices) -> Reaction:
         """To some of the wrenches."""
         joints, tray = ({name: x[..., some] for name, x in vars(of).items()} for of in (self.joints, self.tray))
-        return Reaction(self.terms, JointDeviation(**joints), TrayDeviation(**tray))
+        made = Reaction(self.terms, JointDeviation(**joints), TrayDeviation(**tray))
+        if "torque" in vars(self):
+            vars(made)["torque"] = self.torque[..., some]
+        return made
 
 
 @dataclass(frozen=True, eq=False)
