@@ -24,6 +24,17 @@ def arm():
 # Reading ------------------------------------------------------------------------------------------------------
 
 
+def test_joint_positions_in_degrees_are_refused_and_a_joint_beyond_its_range_is_not(arm):
+    case, t = scenarios.load("panda-cube"), np.arange(0, 1, 0.01)
+    q = np.array(case.arm.start_posture) + np.outer(np.sin(t), 0.1 * np.ones(7))
+    columns = dict(zip(arm.joint_names, np.rad2deg(q).T, strict=True))
+    with pytest.raises(FileFormatError, match=r"panda_joint\d at -?\d+.*, which goes from .* rad; these are degrees"):
+        audit({"t": t, **columns}, case)
+    q[:, 6] = 14.0  # a wrist that somebody has wound up twice; as degrees the others would be no posture of this arm
+    q[:, 3] = -np.pi
+    audit({"t": t, **dict(zip(arm.joint_names, q.T, strict=True))}, case)
+
+
 def test_the_names_of_the_columns_decide_not_their_order(tmp_path):
     s = line(1.5)
     quat = quat_wxyz_from_matrix(exp(np.outer(s.t, [0.1, 0.2, 0.3])))

@@ -23,6 +23,7 @@ HIGHEST = 50.0  # Hz, unless stated: above it no arm shakes its tray so that a l
 BRIDGED = 0.02  # s, or so many steps: without samples, and still a curve
 BRIDGED_STEPS = 3.5
 FEWEST = 32  # samples, below which noise is not told from motion
+LEAST_DEGREES = 12.0  # angles beyond this, of which all are within the joints' ranges as degrees, are taken for such
 SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
 JUMP = 5e-4  # m
 _AS_FAST = 0.95
@@ -95,6 +96,7 @@ def tray_motion(
     samples = reordered(samples, arm.joint_names)
     if samples.q.shape[1] != arm.n:
         raise FileFormatError(f"{samples.source} has {samples.q.shape[1]} joints; the arm {arm.name} has {arm.n}.")
+    _in_radians(samples, arm)
     if samples.commanded:
         kind = "quintics" if samples.ddq is not None else "cubics"
         note = f"{len(samples.t)} waypoints with velocities, joined by {kind} as ros2_control's controller joins them."
@@ -107,6 +109,20 @@ def tray_motion(
     quat = continuous(quat_wxyz_from_matrix(np.array([R for _, R in poses])))
     seen = TraySamples(samples.t, np.array([p for p, _ in poses]), quat, "E", samples.source, samples.notes)
     return _recorded(seen, highest, noise, _of_joints(arm, samples, noise), longest_gap)
+
+
+def _in_radians(samples: JointSamples, arm: ArmModel) -> None:
+    """Raises FileFormatError for angles that no joint of the arm has, and that all have if they are degrees."""
+    low, high = arm.limits.q_min, arm.limits.q_max
+    turned = np.deg2rad(samples.q)
+    if np.abs(samples.q).max() > LEAST_DEGREES and np.all((turned >= low) & (turned <= high)):
+        beyond = np.maximum(samples.q - high, low - samples.q)
+        k, j = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        if beyond[k, j] > 0:
+            raise FileFormatError(
+                f"{samples.source} has {arm.joint_names[j]} at {samples.q[k, j]:.4g}, which goes from {low[j]:.4g} to "
+                f"{high[j]:.4g} rad; these are degrees, and joint positions must be in rad."
+            )
 
 
 def continuous(quat_wxyz: Array) -> Array:

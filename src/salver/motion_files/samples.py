@@ -66,7 +66,7 @@ Samples = TraySamples | JointSamples
 
 def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) -> TraySamples:
     """Check and repair poses. Raises FileFormatError, one sentence with the row."""
-    _finite({"time": t, "position": p, "quaternion": quat_wxyz}, source)
+    _finite({"the time": t, "the position": p, "the quaternion": quat_wxyz}, source)
     norm = np.linalg.norm(quat_wxyz, axis=1)
     wrong = np.flatnonzero(np.abs(norm - 1) > 0.02)
     if len(wrong):
@@ -97,8 +97,9 @@ def joint_samples(
     tau: Array | None = None,
 ) -> JointSamples:
     """Check and repair joint positions. Raises FileFormatError, one sentence with the row."""
-    arrays = {"time": t, "positions": q, "velocities": dq, "accelerations": ddq, "efforts": tau}
-    _finite({name: array for name, array in arrays.items() if array is not None}, source)
+    joints = {"positions": q, "velocities": dq, "accelerations": ddq, "efforts": tau}
+    each = {f"one of the {name}": array for name, array in joints.items() if array is not None}
+    _finite({"the time": t, **each}, source)
     keep, notes = _clock(t, source, 2 if commanded else fewest)
     dq, ddq, tau = (None if x is None else x[keep] for x in (dq, ddq, tau))
     return JointSamples(t[keep] - t[0], names, q[keep], dq, ddq, source, notes, commanded, tau=tau)
@@ -132,7 +133,7 @@ def _finite(arrays: dict[str, Array], source: str) -> None:
     for name, array in arrays.items():
         bad = np.flatnonzero(~np.isfinite(array).all(axis=tuple(range(1, array.ndim))))
         if len(bad):
-            raise FileFormatError(f"{source}: the {name} of sample {bad[0] + 1} is not a finite number.")
+            raise FileFormatError(f"{source}: {name} of sample {bad[0] + 1} is not a finite number.")
 
 
 def _clock(t: Array, source: str, fewest: int = FEWEST) -> tuple[Array, tuple[str, ...]]:
