@@ -1,5 +1,6 @@
 """Tasks of several legs: the load changes at stops, and each leg begins where the one before it ended."""
 
+import json
 import re
 from dataclasses import replace
 
@@ -13,6 +14,9 @@ import salver as sv
 from run_files import rewrite
 from salver import scenario as scenarios
 from salver.campaigns import run_campaign
+from salver.campaigns.definition import instant_of_run
+from salver.campaigns.engine import TABLE
+from salver.campaigns.summary import read_table
 from salver.cli import main
 from salver.errors import FileFormatError, SalverError, ScenarioError, Status
 from salver.export import write_export
@@ -29,6 +33,7 @@ from salver.planning.fastest.watch import Watch
 from salver.planning.plan import load_plan
 from salver.planning.postures import PoseTarget
 from salver.planning.round import load_round
+from salver.planning.stops import with_stops
 from salver.reports.page import write_report
 from salver.scenario.legs import Leg, loads
 
@@ -263,6 +268,38 @@ def test_what_slid_begins_the_next_leg_where_it_was_left(planned):
 
 
 @pytest.mark.slow
+def test_a_run_of_all_legs_can_be_stopped_on_any_of_them(planned, tmp_path, capsys):
+    """The legs before are done; the one that the instant falls on comes to rest by its own stop, which ends the run."""
+    legs = tuple(with_stops(leg) for leg in planned.legs)
+    plan = replace(planned, legs=legs)
+    first, second = (leg.duration for leg in legs)
+    for stop_at, own in ((0.3 * first, 0.3 * first), (first + 0.4 * second, 0.4 * second)):
+        run = sv.simulate_legs(plan, stop_at=stop_at)
+        number = 1 + (stop_at > first)
+        assert len(run.legs) == number
+        assert all(leg.outcome == "holds" for leg in run.legs)
+        stopped, course = run.legs[-1], legs[number - 1].stops.course(own)
+        assert course.stop is not None
+        assert run.summary["stop_at"] == stop_at
+        assert run.summary["stop_takes"] == pytest.approx(course.rests - own)
+        rest = legs[number - 1].stops.motion(course.stop).q[-1]
+        assert np.abs(stopped.q[-1] - rest).max() < 1e-3  # rad
+        assert np.abs(legs[number - 1].joint.q[-1] - rest).max() > 0.05
+    with pytest.raises(ScenarioError, match="The stop is asked for at"):
+        sv.simulate_legs(plan, stop_at=first + second + 0.1)
+    plan.save(tmp_path)
+    made = run_campaign(tmp_path, 3, jobs=1, stops=True)
+    rows = read_table(made.folder / TABLE)
+    assert rows["stop_at"] == [instant_of_run(0, k, plan.duration) for k in range(3)]
+    assert made.summary["plans"]["plan"]["stops"]["lost"]["count"] == 0
+    assert main_of("simulate", tmp_path, "--run", 1, "--folder", "stops") == 0
+    number = 1 + (rows["stop_at"][1] > first)
+    assert f"Stopped on leg {number}, which ends the run." in capsys.readouterr().err
+    told = json.loads((tmp_path / "simulation" / f"leg{number}-stop.json").read_text())
+    assert told["stop_takes"] == pytest.approx(rows["stop_takes"][1])
+
+
+@pytest.mark.slow
 def test_commands_take_a_task_of_several_legs(directory, capsys):
     """Simulated, run in a campaign, shown, exported leg by leg; what is for one motion says so."""
     assert main_of("simulate", directory, "--set", "first.mass=0.22") == 0
@@ -282,6 +319,7 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
         ("render", directory),
         ("execute", directory, "--dry-run"),
         ("campaign", directory, "--stem", "leg1"),
+        ("campaign", directory, "--stops"),
         ("simulate", directory, "--stop-at", "0.1"),
     ):
         assert main_of(*refused) == 2

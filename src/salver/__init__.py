@@ -223,14 +223,17 @@ def simulate(
     return run(plan, parameters=parameters, seed=seed, stop_at=stop_at)
 
 
-def simulate_legs(plan: Round, *, parameters: Mapping[str, float] | None = None, seed: int = 0) -> RoundRecord:
+def simulate_legs(
+    plan: Round, *, parameters: Mapping[str, float] | None = None, seed: int = 0, stop_at: float | None = None
+) -> RoundRecord:
     """Run a plan of several legs in the physics engine; what stays on the tray begins each leg where it was left.
 
-    parameters: true values by name where they are not nominal, for example {"glass1.mass": 0.3}. Raises ScenarioError.
+    parameters: true values by name where they are not nominal, for example {"glass1.mass": 0.3}. stop_at: s of all
+    motions together at which a stop is asked for, which ends the run; of legs that have stops. Raises ScenarioError.
     """
     from salver.simulation.round import simulate_round
 
-    return simulate_round(plan, parameters=parameters, seed=seed)
+    return simulate_round(plan, parameters=parameters, seed=seed, stop_at=stop_at)
 
 
 def campaign(

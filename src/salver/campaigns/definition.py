@@ -73,10 +73,10 @@ def define(
     if Path(folder).name != folder or folder in ("", ".."):
         raise SalverError(f'The folder is "{folder}"; it must be one name, for a folder in {directory}.')
     case = load_scenario(directory)
-    if case.legs and (stops or engine == "closed-loop" or list(stems) != ["plan"]):
+    if case.legs and (engine == "closed-loop" or list(stems) != ["plan"]):
         raise SalverError(
             f"{case.name} is a task of {len(case.legs)} legs: a run of its campaign is one of all of them in the "
-            "engine physics; it has no --stem, no --stops, and no other --engine."
+            "engine physics; it has no --stem and no other --engine."
         )
     liquids = [body.name for body in case.bodies if body.liquid is not None]
     if engine == "closed-loop" and liquids:

@@ -26,8 +26,8 @@ from salver.campaigns.summary import read_table, summarise, table, write_table
 from salver.display import Shown
 from salver.errors import FileFormatError, SalverError
 from salver.files import provenance, read_json, sealed, write_json
-from salver.planning.plan import load_plan
-from salver.planning.round import load
+from salver.planning.plan import Plan
+from salver.planning.round import Round, load
 from salver.run_directory import known_stems
 from salver.tables import pandas_module
 
@@ -134,9 +134,10 @@ def run_campaign(
 
 def _chosen(directory: Path, stems: Sequence[str], stops: bool) -> list[str]:
     """Whose runs are made: of the plans named, or of the plan and what stands beside it. Raises SalverError."""
-    legs, known = bool(load_scenario(directory).legs), known_stems(directory)
-    if stops and not legs:
-        known = [stem for stem in known if load_plan(directory, stem).stops is not None]
+    load_scenario(directory)  # raises where there is none
+    known = known_stems(directory)
+    if stops:
+        known = [stem for stem in known if _has_stops(load(directory, stem))]
         lacking = [stem for stem in stems if stem not in known]
         if lacking or not known:
             stem = lacking[0] if lacking else "plan"
@@ -145,6 +146,11 @@ def _chosen(directory: Path, stems: Sequence[str], stops: bool) -> list[str]:
     if not chosen:
         raise SalverError(f"{directory} holds no plan; make one with `salver plan`.")
     return chosen
+
+
+def _has_stops(plan: Plan | Round) -> bool:
+    """Whether a plan, or every leg of one, can be stopped."""
+    return all(each.stops is not None for each in ([plan] if isinstance(plan, Plan) else plan.legs))
 
 
 def _claim(place: Path, definition: Definition) -> dict[str, Any] | None:

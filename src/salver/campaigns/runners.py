@@ -60,14 +60,10 @@ class Context:
             s: Experiment(plan) if isinstance(plan, Plan) else RoundExperiment(plan) for s, plan in self._plans.items()
         }
 
-    def _experiment(self, stem: str, run: int) -> Experiment | RoundExperiment:
-        from salver.simulation.round import RoundExperiment
-
-        experiment = self._experiments[stem]
-        if not self.definition.stops or isinstance(experiment, RoundExperiment):
-            return experiment
-        instant = instant_of_run(self.definition.seed, run, experiment.plan.duration)
-        return replace(experiment, stop_at=instant)
+    def _stop_at(self, stem: str, run: int) -> float | None:
+        if not self.definition.stops:
+            return None
+        return instant_of_run(self.definition.seed, run, self._plans[stem].duration)
 
     def parameters(self, run: int) -> dict[str, float]:
         names, values = self._samples
@@ -79,7 +75,7 @@ class Context:
         drawn = [self.parameters(run) for run in runs]
         seeds = [seed_of_run(self.definition.seed, run) for run in runs]
         if self.definition.engine == "physics":
-            results = _physics([self._experiment(stem, run) for run in runs], drawn, seeds)
+            results = _physics(self._experiments[stem], drawn, seeds, [self._stop_at(stem, run) for run in runs])
         else:
             results = _closed_loop(self._plans[stem], runs, drawn)  # type: ignore[arg-type]
         seconds = (time.perf_counter() - begin) / len(runs)
@@ -95,23 +91,27 @@ def _split(result: Scalars) -> dict[str, Any]:
 
 
 def _physics(
-    experiments: Sequence[Experiment | RoundExperiment], drawn: Sequence[Mapping[str, float]], seeds: Sequence[int]
+    experiment: Experiment | RoundExperiment,
+    drawn: Sequence[Mapping[str, float]],
+    seeds: Sequence[int],
+    stops: Sequence[float | None],
 ) -> list[Scalars]:
-    """Arm, tray and objects in the physics engine."""
+    """Arm, tray and objects in the physics engine; each run is stopped at an instant, s, or not."""
     from salver.simulation.round import RoundExperiment
 
     results: list[Scalars] = []
-    for experiment, parameters, seed in zip(experiments, drawn, seeds, strict=True):
+    for parameters, seed, stop_at in zip(drawn, seeds, stops, strict=True):
         try:
             if isinstance(experiment, RoundExperiment):
-                results.append(round_scalars(experiment.run(dict(parameters), seed)))
+                results.append(round_scalars(experiment.run(dict(parameters), seed, stop_at)))
                 continue
-            record = experiment.run(dict(parameters), seed)
+            one = experiment if stop_at is None else replace(experiment, stop_at=stop_at)
+            record = one.run(dict(parameters), seed)
         except SalverError as error:
             results.append({"outcome": "error", "sentence": str(error)})
             continue
         scalars = run_scalars(record.summary)
-        if experiment.stop_at is None:
+        if stop_at is None:
             scalars |= tube_scalars(experiment.plan, record.t, record.cone_coefficients)
         results.append(scalars)
     return results
@@ -208,10 +208,13 @@ def run_scalars(summary: Mapping[str, Any]) -> Scalars:
 
 
 def round_scalars(record: RoundRecord) -> Scalars:
-    """The figures of a run of several legs, flat: the worst of all legs, which leg the outcome is of, and the outcome
-    and the slip on each."""
+    """The figures of a run of several legs, flat: the worst of all legs, which leg the outcome is of, its stop, and the
+    outcome and the slip on each."""
+    from salver.simulation.round import OF_A_STOP
+
     legs = [run_scalars(leg.summary) for leg in record.legs]
     scalars: Scalars = {"outcome": record.outcome, "leg": int(record.summary["leg"])}
+    scalars |= {key: record.summary[key] for key in OF_A_STOP if key in record.summary}
     for key in dict.fromkeys(key for leg in legs for key in leg if "peak" in key and "." not in key):
         values = [leg[key] for leg in legs if isinstance(leg.get(key), float)]
         if values:

@@ -49,4 +49,5 @@ def report(
     if json:
         print_json({"page": str(path), "bytes": path.stat().st_size})
     else:
-        say(f"Wrote {path} ({path.stat().st_size / 1e6:.1f} MB); open it in a browser.")
+        size = path.stat().st_size
+        say(f"Wrote {path} ({f'{size / 1e6:.1f} MB' if size > 1e6 else f'{size / 1e3:.0f} kB'}); open it in a browser.")

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from salver.planning.plan import Plan
+    from salver.planning.round import Round
     from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
 
@@ -115,7 +116,7 @@ class _Asked:
     stop_at: float | None
     write: Path | None
 
-    def stop(self, plan: Plan) -> float | None:
+    def stop(self, plan: Plan | Round) -> float | None:
         """When a run of that plan is asked to stop, s; None for never."""
         from salver.campaigns import stop_of_run
 
@@ -171,13 +172,15 @@ def _legs(asked: _Asked, json: bool) -> None:
     plan = load_round(directory)
     for k, leg in enumerate(plan.legs, 1):
         _warn(leg, f"leg{k}")
-    record = simulate_round(plan, parameters=asked.parameters, seed=asked.seed)
+    record = simulate_round(plan, parameters=asked.parameters, seed=asked.seed, stop_at=asked.stop(plan))
     record.save(directory)
     if json:
         print_json({"plan": {"parameters": record.parameters, **record.summary}})
         return
     show({f"leg {k}": leg for k, leg in enumerate(record.legs, 1)}, record.parameters)
-    if len(record.legs) < len(plan.legs):
+    if "stop_at" in record.summary:
+        say(f"Stopped on leg {len(record.legs)}, which ends the run.")
+    elif len(record.legs) < len(plan.legs):
         say(f"salver: leg {len(record.legs) + 1} was not begun: the load was lost on the one before it.")
     say(f"Written to {directory / 'simulation'}.")
 

@@ -8,7 +8,7 @@ has come to rest under its new load (`physics.settle_before`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from salver.simulation.record import SimulationRecord
 from salver.simulation.run import Options
 
 _ORDER = (*WORST_FIRST, "limit", "holds")
+OF_A_STOP = ("stop_at", "stop_takes", "finishes")  # of a summary
 ENDS_IT = ("lost", "lifts", "tips")  # what remains on the tray is then not where a next leg could begin
 
 
@@ -31,7 +32,8 @@ class RoundRecord:
     """Records of the legs that were run, in order: fewer than there are when the load was lost on one.
 
     parameters: the values that were not nominal. summary: outcome (the worst of all legs), leg (which one that was, 1
-    for the first), duration, and the summary of each.
+    for the first), duration, and the summary of each; of a run that was stopped also what that of the last leg says of
+    the stop.
     """
 
     legs: tuple[SimulationRecord, ...]
@@ -43,8 +45,10 @@ class RoundRecord:
         return str(self.summary["outcome"])
 
     def save(self, directory: str | Path) -> Path:
-        """Write DIRECTORY/simulation/leg1.npz and .json and so on; returns the path of the last."""
-        return [leg.save(directory, f"leg{k}") for k, leg in enumerate(self.legs, 1)][-1]
+        """Write DIRECTORY/simulation/leg1.npz and .json and so on, of a stopped run leg1-stop; returns the path of the
+        last."""
+        kind = "-stop" if "stop_at" in self.summary else ""
+        return [leg.save(directory, f"leg{k}", kind) for k, leg in enumerate(self.legs, 1)][-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +62,13 @@ class RoundExperiment:
     def _experiments(self) -> list[Experiment]:
         return [Experiment(leg, self.options) for leg in self.plan.legs]
 
-    def run(self, parameters: Mapping[str, float] | None = None, seed: int = 0) -> RoundRecord:
-        """One run of all legs. Raises ScenarioError for parameters that cannot be."""
+    def run(
+        self, parameters: Mapping[str, float] | None = None, seed: int = 0, stop_at: float | None = None
+    ) -> RoundRecord:
+        """One run of all legs. stop_at: s of all motions together, one after the other, at which a stop is asked for;
+        it ends the run. Raises ScenarioError for parameters that cannot be, and for a stop that cannot."""
         true = _known(self.plan.scenario, parameters or {})
+        last, now = (None, 0.0) if stop_at is None else self._of_leg(stop_at)
         moved: dict[Parameter, float] = {}  # by which what remains stands elsewhere
         records: list[SimulationRecord] = []
         for k, experiment in enumerate(self._experiments):
@@ -68,9 +76,11 @@ class RoundExperiment:
             names = {p: p.name for p in all_parameters([item.name for item in scenario.objects])}
             moved = {p: by for p, by in moved.items() if p in names}  # what is put on later stands where it should
             values = {p: true.get(p, 0.0) + moved.get(p, 0.0) for p in (*true, *moved)}
+            if k == last:
+                experiment = replace(experiment, stop_at=now)
             record = experiment.run({names[p]: value for p, value in values.items() if p in names}, seed + k)
             records.append(record)
-            if record.outcome in ENDS_IT:
+            if record.outcome in ENDS_IT or k == last:
                 break
             slid = record.slip_E[-1] - record.creep_E[-1]
             for name, shift in zip(record.object_names, slid, strict=True):
@@ -84,15 +94,30 @@ class RoundExperiment:
             "duration": self.plan.duration,
             "legs": [record.summary for record in records],
         }
+        summary |= {name: records[-1].summary[name] for name in OF_A_STOP if name in records[-1].summary}
+        if "stop_at" in summary:
+            summary["stop_at"] = stop_at
         return RoundRecord(tuple(records), dict(parameters or {}), summary)
 
+    def _of_leg(self, stop_at: float) -> tuple[int, float]:
+        """Which leg, counted from 0, an instant of all motions together falls on, and s of that leg's own time."""
+        *before, _ = self.plan.legs
+        for k, leg in enumerate(before):
+            if stop_at <= leg.duration:
+                return k, stop_at
+            stop_at -= leg.duration
+        return len(before), stop_at
 
-def simulate_round(plan: Round, *, parameters: Mapping[str, float] | None = None, seed: int = 0) -> RoundRecord:
+
+def simulate_round(
+    plan: Round, *, parameters: Mapping[str, float] | None = None, seed: int = 0, stop_at: float | None = None
+) -> RoundRecord:
     """Run a plan of several legs in the physics engine, leg by leg; see `salver.simulation.physics.simulate`.
 
-    parameters: true values by name, where not nominal, of any object: "glass1.mass". Raises as that does.
+    parameters: true values by name, where not nominal, of any object: "glass1.mass". stop_at: see
+    `RoundExperiment.run`. Raises as that does.
     """
-    return RoundExperiment(plan).run(parameters, seed)
+    return RoundExperiment(plan).run(parameters, seed, stop_at)
 
 
 def _known(scenario: Scenario, parameters: Mapping[str, float]) -> dict[Parameter, float]:
