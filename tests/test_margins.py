@@ -203,6 +203,16 @@ def test_arch_holds_at_rest_and_slides_when_fast() -> None:
     assert verdict.details["interface"] in ("left on tray", "right on tray")  # mirror images of each other
 
 
+def test_a_worst_case_is_never_better_than_nominal_however_forces_are_shared() -> None:
+    """What the lintel of an arch needs of each pillar depends on how they push against one another."""
+    made = load("upright-arch")
+    lines = [min_jerk_line(d, np.zeros(3), np.array([0.0, 0.4, 0.0]), np.eye(3), np.eye(3)) for d in (2.5, 1.2)]
+    for line, duration in zip(lines, (2.5, 1.2), strict=True):
+        for m in margins(made, line.sample(np.linspace(0.0, duration, 101))).interfaces:
+            assert m.friction_needed_worst > 0.99 * m.friction_needed.max()
+            assert np.all(m.tip_over_worst <= m.tip_over)
+
+
 def tumbling() -> PolynomialReference:
     rng = np.random.default_rng(3)
     return PolynomialReference(1.0, exp([0.4, -0.3, 1.0]), 0.2 * rng.normal(size=(7, 3)), 1.5 * rng.normal(size=(5, 3)))

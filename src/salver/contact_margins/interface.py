@@ -116,7 +116,8 @@ class InterfaceMargins:
 
     @cached_property
     def tip_over_worst(self) -> Array:
-        """m: least distance over the uncertain set (a bound)."""
+        """m: least distance over the uncertain set (a bound). Where forces can be shared in several ways the worst case
+        takes its own; it is not said to be better than nominal."""
         rows = self.whole.model.support[self.network]
         value = self.whole.worst_case(rows) + self._internal_worst @ rows.internal.T
         own = np.flatnonzero(rows.interface == self.index)
@@ -124,11 +125,13 @@ class InterfaceMargins:
         beyond = value[:, own[kind == 0]].max(axis=1)
         most, least = value[:, own[kind == 1]].max(axis=1), -value[:, own[kind == 2]].max(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(least > 0, -beyond / np.where(beyond > 0, least, most), -np.inf)
+            found = np.where(least > 0, -beyond / np.where(beyond > 0, least, most), -np.inf)
+        return np.asarray(np.minimum(found, self.tip_over))
 
     @cached_property
     def friction_needed_worst(self) -> float:
-        """Least coefficient (of this interface) that keeps the whole motion from sliding in the worst case.
+        """Least coefficient (of this interface) that keeps the whole motion from sliding in the worst case, and no less
+        than what the nominal case needs.
 
         Infinite when no friction would do. By bisection to 1e-4, on the facets with the coefficient taken out.
         """
@@ -139,7 +142,7 @@ class InterfaceMargins:
         own = np.flatnonzero(rows.interface == self.index)
         tangential, normal = (_only(rows, own[rows.label[own] == kind]) for kind in (0, 1))
         w, w_0 = self.whole.w, self._internal_worst
-        low, high = 0.0, 5.0
+        high = 5.0
 
         def values(mu: float, keep: Indices) -> Array:
             at_mu = _combined(tangential, normal, mu)
@@ -147,7 +150,7 @@ class InterfaceMargins:
 
         # Of an instant the value is convex in 1 / mu and grows. So what holds with less than the nominal case needs is
         # not looked at again, and of the others the root lies below that of their chord.
-        sure = float(np.clip(0.999 * self.friction_needed.max(), 1e-4, high))
+        low = sure = float(np.clip(0.999 * self.friction_needed.max(), 1e-4, high))
         at_sure = values(sure, np.arange(len(w)))
         candidates = np.flatnonzero(at_sure > 0)
         at_high = values(high, candidates) if len(candidates) else np.zeros(0)
@@ -158,7 +161,7 @@ class InterfaceMargins:
         while high - low > 1e-4:
             middle = 0.5 * (low + high)
             failing = np.flatnonzero(enough > middle)
-            if middle > sure and len(failing):
+            if len(failing):
                 failing = failing[values(middle, candidates[failing]) > 0]
             if len(failing):
                 low, candidates, enough = middle, candidates[failing], enough[failing]
