@@ -1,6 +1,6 @@
 """What docs/liquids.md says in numbers, written into that page: one command, two tables and a sentence.
 
-    python benchmarks/liquids.py [--only flow|runs|survey] [-n 1000] [--beside 20] [--minutes 60] [--loads 60]
+    python benchmarks/liquids.py [--only flow|runs|survey|leaning] [-n 1000] [--beside 20] [--minutes 60] [--loads 60]
 
 flow: how high a liquid rises, as predicted and as nonlinear potential flow shows it (tests/potential_flow.py), on the
 straight min-jerk line over 0.48 m, level, in a box of 80 mm by 60 mm, along its longer side and at 35 degrees to it,
@@ -13,6 +13,7 @@ time.
 survey: so many random loads, each with a cup or a box of liquid or several, on random arms between random ends: planned
 as fast as they go, and run at corners of all that is uncertain. What is known of each is in docs/data/liquids.jsonl,
 and of its runs beside it; loads that stand there are not planned again.
+leaning: the same loads where surfaces may stand .5 R high at the wall, in docs/data/liquids-leaning.jsonl.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from salver.errors import ScenarioError
+from salver.models.liquid import STEEPEST
 from salver.models.tray_motion import at_rest
 from salver.planning.fastest import plan_fastest
 from salver.planning.fastest.planned import joint_plan
@@ -39,6 +41,7 @@ from salver.planning.make import plan_baseline
 from salver.planning.plan import Plan
 from salver.sampling import draw
 from salver.scenario import Scenario, load, parse
+from salver.sensitivity import sloshing
 from salver.sensitivity.wave_cases import Case
 from salver.sensitivity.waves import along
 from salver.simulation.physics import Experiment, simulate_tray
@@ -56,6 +59,7 @@ SOLVES = 7
 SCENARIOS, SEED = ("panda-coffee", "panda-four-glasses", "ur10-beaker"), 1
 KEPT, DRAWS = Path(__file__).parents[1] / "out" / "liquids.jsonl", 1000
 SURVEY, SURVEY_SEED, CORNERS = PAGE.parent / "data" / "liquids.jsonl", 20261123, 4
+LEANING, LEANS = PAGE.parent / "data" / "liquids-leaning.jsonl", 0.5  # over R
 ARMS = {"panda": 0.8, "ur3": 0.48, "ur5": 0.82, "ur10": 1.2, "xarm7": 0.65, "gen3": 0.8}  # and their reach, m
 PLACES = {1: [[0.0, 0.0]], 2: [[-0.055, 0.0], [0.055, 0.0]], 3: [[-0.05, -0.05], [0.05, -0.05], [0.0, 0.055]]}
 BOX = {
@@ -250,25 +254,53 @@ def load_of(number: int) -> tuple[str, Scenario]:
             continue
 
 
+def surveyed(loads: int, path: Path) -> tuple[dict[int, float], str, float]:
+    """Of so many random loads, kept in a file: durations of those that are planned, s, what became of their runs, in
+    words, and the CPU time of a plan at the median, s."""
+    survey(range(loads), path, False, load_of)
+    run_corners(path, CORNERS, load_of)
+    records, ran = read(path), {line["number"]: line for line in read(corners_of(path))}
+    planned = {x["number"]: x["default"]["duration"] for x in records if x["default"]["duration"] is not None}
+    runs = [outcome for number in planned for outcome in ran[number]["outcomes"]]
+    lost = [f"; load {n}: {ended(ran[n])}" for n in planned if ran[n]["held"] < ran[n]["runs"]]
+    said = f"{runs.count('holds')} of {len(runs)} runs at corners hold{''.join(lost)}"
+    return planned, said, float(np.median([record["default"]["cpu"] for record in records]))
+
+
+def ended(line: dict[str, Any]) -> str:
+    """How the runs of a load end that do not hold."""
+    count = Counter(outcome for outcome in line["outcomes"] if outcome != "holds")
+    said = ", ".join(f"{n} {how}" for how, n in count.items())
+    if "limit" in count:
+        peak, cut = line["limited"]["torque_share_peak"], line["limited"]["torque_cut"]
+        said += f" (it stays; a motor is asked for {peak:.4g} of its torque, in {100 * cut:.2g} % of the periods)"
+    return said
+
+
 def survey_said(loads: int) -> str:
     """What became of that many random loads, in a sentence."""
-    survey(range(loads), SURVEY, False, load_of)
-    run_corners(SURVEY, CORNERS, load_of)
-    records, ran = read(SURVEY), {line["number"]: line for line in read(corners_of(SURVEY))}
-    planned = [record["number"] for record in records if record["default"]["duration"] is not None]
-    runs = [outcome for number in planned for outcome in ran[number]["outcomes"]]
-    lost = [f"load {n} {how}" for n in planned for how in sorted(set(ran[n]["outcomes"]) - {"holds"})]
-    cpu = np.median([record["default"]["cpu"] for record in records])
+    planned, runs, cpu = surveyed(loads, SURVEY)
     return (
-        f"Of {len(records)} random loads with cups and boxes on {len(ARMS)} arms, planned as fast as they go, "
-        f"{len(planned)} were planned, in {cpu:.1f} s of processor time at the median;\n{runs.count('holds')} of "
-        f"{len(runs)} runs at corners hold{''.join(f'; {said}' for said in lost)}."
+        f"Of {loads} random loads with cups and boxes on {len(ARMS)} arms, planned as fast as they go, "
+        f"{len(planned)} were planned, in {cpu:.1f} s of processor time at the median;\n{runs}."
+    )
+
+
+def leaning_said(loads: int) -> str:
+    """The same where surfaces may stand higher, beside those."""
+    known = {record["number"]: record["default"]["duration"] for record in read(SURVEY)}
+    sloshing.LESS = STEEPEST / LEANS
+    planned, runs, _ = surveyed(loads, LEANING)
+    shares = [100 * (duration / known[number] - 1) for number, duration in planned.items() if known[number]]
+    return (
+        f"The first {loads} with surfaces up to {LEANS:g} R high at the wall: {len(planned)} planned, of durations "
+        f"{np.mean(shares):+.2f} %\nat the mean ({min(shares):+.1f} to {max(shares):+.1f} %); {runs}."
     )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=["flow", "runs", "survey"])
+    parser.add_argument("--only", choices=["flow", "runs", "survey", "leaning"])
     parser.add_argument("-n", type=int, default=1000, help="runs of each plan")
     parser.add_argument("--beside", type=int, default=20, help="runs of each of the other motions")
     parser.add_argument("--minutes", type=float, default=1e6, help="write what there is after so many")
@@ -280,6 +312,8 @@ def main() -> None:
         written(PAGE, "survey", survey_said(options.loads))
     if options.only in (None, "runs"):
         written(PAGE, "runs", "\n".join(run_rows(options.n, options.beside, options.minutes)))
+    if options.only == "leaning":
+        written(PAGE, "leaning", leaning_said(options.loads))
 
 
 if __name__ == "__main__":

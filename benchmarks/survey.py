@@ -180,10 +180,12 @@ def run_corners(path: Path, count: int, task: Task = task) -> None:
         drawn = sampling.draw(payload.uncertain, count, 0, "corners", payload.bodies)
         names = payload.uncertain.names
         corners = [tuple(map(float, row)) for row in drawn]
-        ran = {corner: experiment.run(dict(zip(names, corner, strict=True))).outcome for corner in set(corners)}
-        outcomes = [ran[corner] for corner in corners]
+        ran = {corner: experiment.run(dict(zip(names, corner, strict=True))) for corner in set(corners)}
+        outcomes = [ran[corner].outcome for corner in corners]
         line = {"number": number, "ok": plan.ok, "held": outcomes.count("holds"), "runs": count, "distinct": len(ran)}
         line |= {"duration": plan.duration, "outcomes": outcomes}
+        if limited := [run.summary["arm"] for run in ran.values() if run.outcome == "limit"]:
+            line["limited"] = {key: max(arm[key] for arm in limited) for key in ("torque_share_peak", "torque_cut")}
         with beside.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
         print(number, name, line, flush=True)

@@ -37,7 +37,7 @@ TERMS = 24  # of series that fall off with the fourth power or faster
 SHALLOWEST = 0.5  # depth over R: below, waves break and steepen as these modes do not
 STEEPEST = 0.3  # amplitude of a free wave over R, to which the crests were compared (docs/liquids.md)
 # Height of the whole surface at the wall over R, its incline included. Beyond, masses swing further than is linear:
-# with 0.5 two of 140 random loads spilt in the physics engine, whose crests then were up to a quarter higher.
+# with 0.5 a random load spills in the physics engine (docs/liquids.md, `--only leaning`).
 LEANING = 0.45
 LEAST_WEIGHT = 0.2  # of g that must press on the surface: with less there is none
 THICKEST = 0.1  # of critical damping: boundary layers are then no longer thin
