@@ -61,7 +61,8 @@ def test_derivatives_of_what_is_wanted_match_differences(cube):
 @dataclass
 class Bending:
     """What was seen of one tick: along which motions (4, P, n) which rows were evaluated, as they were and as they then
-    stood, which joined, what was kept from their edges, and the programmes."""
+    stood, which joined, what was kept from their edges, and the programmes; how many evaluations each bend took that
+    went to the verdict."""
 
     given: tuple  # by whom, what is wanted, what is committed, from when on
     z: list = field(default_factory=list)
@@ -71,6 +72,7 @@ class Bending:
     more: list = field(default_factory=list)
     posed: list = field(default_factory=list)
     kept: list = field(default_factory=list)
+    judged: list = field(default_factory=list)
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +91,7 @@ def bent_by(scenario, told, seconds):
         seen.append(Bending(given))
         for found in bend(*given):
             seen[-1].kept.append(found[1])
+            seen[-1].judged.append(len(seen[-1].blocks))
             yield found
 
     def evaluating(constraints, motion, *given):
@@ -276,6 +279,20 @@ def test_a_bend_goes_to_the_verdict_when_its_trial_takes_no_more_than_half_of_wh
             enough, more = enough + (fine and worst > steer.BENT), more + (not fine)
     assert enough > 0
     assert more > 0
+
+
+def test_a_small_bend_is_judged_without_a_trial_until_one_would_have_told_that_it_fails(bottle):
+    seen, found = bent_by(bottle, lambda t: np.array([1.2, -1.0, 0.3]) * (-1) ** int(t / 0.13), 0.6)
+    spline, trusting, how = steer.Bends(5, len(steer.BREAKS) - 1), True, set()
+    grid = steer.Grid.of(spline, spline.nodes(steer.NODES_PER_SPAN), steer.POINTS)
+    for tick in seen:
+        bend = found[id(tick.posed[0][-1])].x.reshape(-1, 7)
+        small = np.abs(grid.motion(np.vstack([np.zeros(7), bend]), HORIZON)[3]).max() < steer.SMALL
+        assert (tick.judged[0] == 1) == (small and trusting)
+        how.add((small, trusting))
+        if small and len(tick.blocks) > 1:
+            trusting = len(tick.posed) == 1  # nothing was found wrong with it
+    assert {(True, True), (True, False)} <= how
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])

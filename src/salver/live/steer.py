@@ -177,9 +177,11 @@ class Bends(RestSpline):
 @dataclass
 class Caution:
     """What a bend's size costs, and what is kept from the edges of rows by name, at the nodes, beside what the verdict
-    keeps everywhere: more after a bend that was refused, less after one that was not."""
+    keeps everywhere: more after a bend that was refused, less after one that was not. trusting: whether the bend of a
+    first programme, if it is small, is judged without a trial: the last one that was tried was found to keep all."""
 
     weight: float = LEAST_CAUTION
+    trusting: bool = True
     kept: dict[str, float] = field(default_factory=dict)
 
     def passed(self, whole: bool, jerk: float) -> None:
@@ -290,8 +292,8 @@ class Steering:
         return JointMotion(t, *states)
 
     def _bends(self, wanted: Wanted, base: Committed, begins: float) -> Iterator[tuple[Array, list[tuple[str, float]]]]:
-        """The bend of the first programme, if it is small; then, if that will not do, of a few that were tried; with
-        what was kept from the edges of the rows of which blocks."""
+        """The bend of the first programme, if it is small and such are trusted; then, if that will not do, of a few
+        that were tried; with what was kept from the edges of the rows of which blocks."""
         grid, n = self.grid, self.problem.n
         ahead = TICK * round((begins - base.begins) / TICK)  # the same from tick to tick, to the last digit
         ahead = ahead if abs(begins - base.begins - ahead) < SAME_KNOT else begins - base.begins
@@ -344,7 +346,8 @@ class Steering:
                 return
             bend = np.vstack([np.zeros(n), found.x.reshape(-1, n)])
             added = grid.motion(bend, HORIZON)
-            if left == ROUNDS - 1 and np.abs(added[3]).max() < SMALL:
+            first, small = left == ROUNDS - 1, np.abs(added[3]).max() < SMALL
+            if first and small and self.caution.trusting:
                 yield bend, kept
             if not left:
                 break  # the verdict is another's
@@ -356,7 +359,10 @@ class Steering:
                 block.values[:] -= lack
             excess = max(float(block.values.max()) for block in trial)
             most = [max(BENT, SPENT * room) for _, room in kept]
-            if all(block.values.max() <= least for block, least in zip(trial, most, strict=True)):
+            kept_all = all(block.values.max() <= least for block, least in zip(trial, most, strict=True))
+            if first and small:
+                self.caution.trusting = kept_all
+            if kept_all:
                 break
             if excess > WILD:
                 hessian += excess * self.caution.weight * self.nearness
