@@ -9,9 +9,8 @@ from typer.testing import CliRunner
 
 from recordings import JOINTS, joint_motion, line, tray_csv, write_csv
 from salver import scenario as scenarios
-from salver.auditing import audit, audit_motion
+from salver.auditing import audit, audit_motion, pace
 from salver.auditing.motion import TrayMotion
-from salver.auditing.pace import _least_root
 from salver.cli import app
 from salver.contact_margins import Margins
 from salver.geometry import exp
@@ -92,7 +91,7 @@ def test_the_first_root_of_many_concave_functions(seed):
     ends = [(height - slope * x).min(axis=1) for x in (low, high)]
     failing = np.flatnonzero(ends[1] < 0)
     root = (height[slope > 0] / slope[slope > 0]).min()
-    found = _least_root(f, low, high, ends[0][failing], ends[1][failing])
+    found = pace._least_root(f, low, high, ends[0][failing], ends[1][failing])
     assert (1 - 3e-6) * root <= found <= root
     assert len(asked) < 2 * len(failing)
 
@@ -115,6 +114,25 @@ def test_few_instants_decide_the_pace_as_all_do(duration, contents):
         return Margins(whole.model, whole.t, rest + share * (whole.w - rest)).exact_worst.min()
 
     assert least(share) >= 0 > least(share * (1 + 4e-6))
+
+
+def test_no_pace_is_looked_at_beyond_one_that_surely_fails(monkeypatch):
+    """Margins are concave: none lasts to where the line through what is left at rest and here ends."""
+    motion, asked, margin = of_line(2.0), [], pace._margin
+    found = audit_motion(motion, case(0.4, friction_range="10%")).margins
+    rest = motion_vector(motion.samples.R_SB, *np.zeros((3, len(found.t), 3)))
+
+    def noted(model, w, worst):
+        if w.shape == rest.shape:
+            asked.append(np.linalg.norm(w - rest) / np.linalg.norm(found.w - rest))
+        return margin(model, w, worst)
+
+    monkeypatch.setattr(pace, "_margin", noted)
+    assert pace.pace(found, motion.samples.R_SB, True).factor < 0.8
+    left, here = margin(found.model, rest, True), found.exact_worst
+    less = here < left
+    surely = (left[less] / (left - here)[less]).min()
+    assert 1 < max(asked) < 1.01 * surely < 1 / pace.FASTEST**2
 
 
 def test_what_holds_nominally_may_not_hold_in_the_worst_case():
