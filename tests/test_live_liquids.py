@@ -17,8 +17,9 @@ from salver.live.steer import HORIZON, TICK, Steering, TwistWanted
 from salver.live.verify import seen, verified
 from salver.planning.fastest import evaluate, joint_plan
 from salver.planning.fastest.brim import Brim
-from salver.sensitivity.arm.liquids import Sloshing
+from salver.sensitivity.arm.liquids import Given, Sloshing
 from salver.sensitivity.arm.past import Past
+from salver.trajectory import JointMotion
 
 FULL = {"fill": 0.065, "damping": 0.00168, "mass": 0.275, "friction": 0.36}
 LOW = {"fill": 0.035, "damping": 0.03, "mass": 0.225, "friction": 0.44}
@@ -297,3 +298,25 @@ def test_a_tick_knows_the_waves_of_the_verdict_on_what_it_bends(changed, monkeyp
     assert off(planned.crest, anew_moved.crest) > 0.02  # what the arm makes of them can be seen
     for radius in (lambda motion: motion.joint_radius(0), lambda motion: motion.torque_radius()):
         assert off(radius(known), radius(anew)) < 0.01
+
+
+def test_in_haste_a_motion_that_spills_as_planned_is_refused_without_what_the_arm_makes_of_it(changed, monkeypatch):
+    """One that does not is judged as ever."""
+    live, (base, *_), _ = changed
+    m, noted, along = base.motion, [], Given.along
+    monkeypatch.setattr(Given, "along", lambda *of: noted.append(of[3]) or along(*of))  # what the arm answers
+    quick = JointMotion(0.9 * m.t, m.q, m.dq / 0.9, m.ddq / 0.81)
+    problem = replace(live.problem)
+    vars(problem)["constraints"] = tuple(x for x in live.problem.constraints if isinstance(x, Brim))
+    for motion, kept in ((m, True), (quick, False)):
+        noted.clear()
+        hasty = verified(problem, motion, base.begins, None, hastily=True)
+        given_way = [response for response in noted if response is not None]
+        thorough = verified(problem, motion, base.begins, None)
+        assert (hasty.committed is not None) == (thorough.committed is not None) == kept
+        assert len(given_way) == kept
+        if kept:
+            np.testing.assert_allclose(hasty.committed.margins.row, thorough.committed.margins.row, rtol=0, atol=1e-12)
+        else:
+            assert "cup" in hasty.what
+            assert 0.0 < hasty.excess <= thorough.excess

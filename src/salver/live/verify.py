@@ -89,9 +89,14 @@ def verified(
     nodes, t = evaluation.nodes, evaluation.s * motion.duration
     keep_out, (of_reference, constraints) = problem.keep_out, _apart_by_reference(problem.constraints)
     blocks = [_begun(told(block, t[nodes], knots), t) for block in evaluate(of_reference, evaluation)]
-    if hastily and max((float(block.values.max()) for block in blocks), default=0.0) > 0.0:
+    planned, count = None, len(blocks)
+    if hastily and _kept(blocks) and problem.liquids:
+        planned, swinging = _as_planned(begun, evaluation, t[nodes], knots)
+        blocks += [_begun(block, t) for block in swinging]
+    if hastily and not _kept(blocks):
         return _refused(blocks, _margins(blocks, begins + t, problem), t)
-    known = straying()
+    blocks = blocks[:count]
+    known = straying(planned)
     response = known.response
     if keep_out is not None:
         keep_out = keep_out.near(few(keep_out.parts, evaluation.at_nodes[0]))
@@ -121,6 +126,22 @@ def verified(
     return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
 
 
+def _kept(blocks: Sequence[Block]) -> bool:
+    """Whether no row is beyond its edge."""
+    return max((float(block.values.max()) for block in blocks), default=0.0) <= 0.0
+
+
+def _as_planned(
+    problem: TransportProblem, evaluation: Evaluation, t: Array, knots: Mask
+) -> tuple[Sloshing, tuple[Block, ...]]:
+    """Liquids on a tray that follows a motion exactly, at some of its nodes t (N,), and what becomes of their surfaces;
+    what an arm makes of them that gives way comes beside it."""
+    some = Smooth.of(t, knots, COARSE).some
+    planned = Sloshing.of(problem.every_case, t[some], evaluation.terms.w[some], None, problem.past)
+    at = replace(evaluation, nodes=evaluation.nodes[some]).sloshing_as(planned.each)
+    return planned, evaluate([brim for brim in problem.constraints if isinstance(brim, Brim)], at)
+
+
 def _refused(blocks: Sequence[Block], margins: Margins, t: Array) -> Finding:
     """The verdict on a motion of which some rows are beyond their edge; t: (P,) of the margins, from its beginning."""
     worst = int(np.argmax(margins.row))
@@ -145,10 +166,10 @@ def _apart_by_reference(constraints: Sequence[Constraint]) -> tuple[list[Constra
     return alone, strayed
 
 
-def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Callable[[], Known], Mask]:
+def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Callable[..., Known], Mask]:
     """A motion at the instants at which it is looked at; (N,) which nodes are knots. What it returns second works out
     what a wrong load does to the arm, and is what is known at some of the instants, from where dynamics and this are
-    continued to all nodes."""
+    continued to all nodes; it takes liquids as planned, if they are known there."""
     counts = _counts(motion)
     t, z = motion.evenly(FINER * counts)
     nodes = np.arange(0, len(t), FINER)
@@ -162,7 +183,7 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Ca
     terms = MotionTerms.deriving(problem.model, problem.arm.tray_id, z[:3, some], slow.some, slow.each)
     evaluation.feeling(terms.continued(z[:3, nodes], smooth.each))
 
-    def straying() -> Known:
+    def straying(planned: Sloshing | None = None) -> Known:
         response, sloshing = None, None
         if problem.tracking is not None:
             jerk = z[3, some]
@@ -171,7 +192,7 @@ def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Ca
             evaluation.straying(response)
         if problem.liquids:
             midway = None if response is None else response.midway
-            sloshing = Sloshing.of(problem.every_case, t[some], terms.w, midway, problem.past)
+            sloshing = Sloshing.of(problem.every_case, t[some], terms.w, midway, problem.past, planned=planned)
             each = sloshing.each.items()
             evaluation.sloshing_as({name: tuple(x.continued(smooth.each) for x in parts) for name, parts in each})
         return Known(t[some], knots[smooth.some], terms, response, sloshing=sloshing)

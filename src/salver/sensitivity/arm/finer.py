@@ -48,7 +48,7 @@ class Smooth:
     last: Indices
 
     @classmethod
-    def of(cls, t: Array, jumps: Array, apart: float, fewest: int = 3) -> Smooth:
+    def of(cls, t: Array, jumps: npt.NDArray[np.bool_], apart: float, fewest: int = 3) -> Smooth:
         """At instants t (T,); jumps: (T,) whether a piece ends there, as at both ends; the others: see `some_of`."""
         return _smooth(t.tobytes(), jumps.tobytes(), apart, fewest)
 

@@ -42,16 +42,18 @@ class Sloshing:
         response: Deviation | None,
         past: Past | None = None,
         rounds: int | None = None,
+        planned: Sloshing | None = None,
     ) -> Sloshing:
         """Along w (T, 12) at t (T,), which begins at rest, or where the past is left. rounds: see `Given.along`; more
-        where there is a past unless given."""
+        where there is a past unless given. planned: all of it without a response, if that is known."""
         rounds = rounds or (ROUNDS if past is None else MORE_ROUNDS)
-        found, given = [], []
+        found, given = [], list[Given]()
         for alike in (True, False):
             group = tuple(each for each in liquids if each and each[0].liquid.round is alike)
             if group:
                 begun = Begun() if past is None else past.begun(group)
-                given.append(Given.along(group, t, w, response, begun, rounds))
+                known = None if planned is None else planned.given[len(given)].planned
+                given.append(Given.along(group, t, w, response, begun, rounds, known))
                 found.append((group, given[-1].sloshes))
         return cls(tuple(found), tuple(given))
 
@@ -118,11 +120,18 @@ class Given:
 
     @classmethod
     def along(
-        cls, group: Parted, t: Array, w: Array, response: Deviation | None, begun: Begun, rounds: int = ROUNDS
+        cls,
+        group: Parted,
+        t: Array,
+        w: Array,
+        response: Deviation | None,
+        begun: Begun,
+        rounds: int = ROUNDS,
+        planned: Waves | None = None,
     ) -> Given:
         """Along what the tray feels, w (T, 12), at t (T,). rounds: in which the arm gives way to what the waves push,
-        and the waves are then others, by an eighth as much each time."""
-        planned = along(all_cases(group), t, w, begun.planned)
+        and the waves are then others, by an eighth as much each time. planned: if they are known."""
+        planned = planned or along(all_cases(group), t, w, begun.planned)
         if response is None:
             return cls(planned, begun)
         felt, drift = response.felt()
