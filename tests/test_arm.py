@@ -241,6 +241,8 @@ def test_clearance_gradient_by_differences():
         (PENDULUM, {"flange": "base"}, ["0 degrees of freedom"]),
         (PENDULUM.replace('type="fixed"', 'type="floating"'), {"flange": "plate"}, ["7 degrees of freedom"]),
         (PENDULUM.replace('type="fixed"', 'type="strange"'), {"flange": "plate"}, ["cannot be used"]),
+        (PENDULUM.replace('lower="0"', 'lower="2.5"'), {"flange": "gripper"}, ["grip", "goes from 2.5 to 1;"]),
+        (PENDULUM.replace('lower="0" upper="1"', ""), {"flange": "gripper"}, ["grip", "goes from 0 to 0;"]),
     ],
 )
 def test_mistakes_are_one_sentence(tmp_path, text, keys, words):

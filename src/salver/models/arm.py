@@ -167,6 +167,12 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
         given.append((Path(arm.joint_limits).name, read_joint_limits(Path(arm.joint_limits), names, chain.all_joints)))
     given.append(("arm.limits", _scenario_limits(arm, name, model.nv)))
     limits, sources = joint_limits(model.nv, given)
+    for joint, low, high in zip(names, limits.q_min, limits.q_max, strict=True):
+        if low >= high:
+            raise ScenarioError(
+                f"The joint {joint} of {path} goes from {low:g} to {high:g}; its lower limit must be below its upper "
+                "one (a URDF that leaves them out means 0)."
+            )
     return ArmModel(
         name=name,
         pin_model=model,
