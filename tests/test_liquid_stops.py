@@ -14,11 +14,11 @@ from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.stops import along, past_of, plan_stops, stop_problem, stopped, with_stops
-from salver.scenario import parse
 from salver.sensitivity.arm.liquids import Sloshing
 from salver.simulation.physics import simulate
 from salver.trajectory import JointMotion
 from shaken import BOX
+from transport import cup_and_jar
 
 NOW, END = 0.3, 0.8  # s: when a motion is left, and its end
 
@@ -89,39 +89,7 @@ def test_a_slow_plan_with_coffee_is_stopped_long_before_its_end_and_nothing_spil
 def test_a_cup_stays_where_the_tray_leans_after_a_stop():
     """At rest on an incline friction must be its tangent, whatever the liquid did when the tray stopped: a stop that
     ended on 16 degrees, with .27 sure, slid 4 mm."""
-    cup = {
-        "name": "cup",
-        "shape": {"type": "cylinder", "radius": 0.0297, "height": 0.0571},
-        "mass": 0.0681,
-        "friction": 0.3,
-        "at": [-0.055, 0.0],
-        "support_inset": 0.002,
-        "liquid": {"kind": "coffee", "radius": 0.0267, "fill": 0.023, "brim": 0.0531},
-        "uncertainty": {"mass": "10%", "friction": "10%", "fill": "10%", "com": [0.001, 0.001, 0.002]},
-    }
-    jar = {
-        "name": "jar",
-        "shape": {"type": "cylinder", "radius": 0.0322, "height": 0.0613},
-        "mass": 0.1337,
-        "friction": 0.3,
-        "at": [0.055, 0.0],
-        "support_inset": 0.002,
-        "liquid": {"kind": "water", "radius": 0.0292, "fill": 0.0452, "brim": 0.0573, "sealed": True},
-    }
-    task = {
-        "name": "cup-and-jar",
-        "motion": {
-            "start": {"position": [0.199, -0.396, 0.359]},
-            "goal": {"position": [0.464, -0.303, 0.305]},
-            "goal_yaw": "free",
-        },
-        "objects": [cup, jar],
-        "contact": {"condition": "exact"},
-        "tray": {"size": [0.26, 0.22], "height": 0.03, "mass": 0.4002},
-        "arm": {"model": "panda"},
-        "uncertainty": {"set": "ellipsoid"},
-    }
-    plan = plan_fastest(parse(task, "cup-and-jar"))
+    plan = plan_fastest(cup_and_jar())
     problem = stop_problem(plan)
     found = plan_stops(problem, plan.joint, every=0.06)
     assert len(found.t) > 0

@@ -7,7 +7,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
-from salver.scenario import Scenario, load
+from salver.scenario import Scenario, load, parse
 
 
 def cube(friction: float = 0.4, **changes: object) -> Scenario:
@@ -35,3 +35,40 @@ def line(problem: TransportProblem, spline: RestSpline) -> Array:
     assert goal is not None
     s = np.linspace(0, 1, 101)
     return spline.fit(s, problem.start_posture + min_jerk_blend(s)[:, None] * (goal - problem.start_posture))
+
+
+def cup_and_jar() -> Scenario:
+    """A cup that slides where a stop of nothing but its way leaves the tray leaning, and a jar."""
+    cup = {
+        "name": "cup",
+        "shape": {"type": "cylinder", "radius": 0.0297, "height": 0.0571},
+        "mass": 0.0681,
+        "friction": 0.3,
+        "at": [-0.055, 0.0],
+        "support_inset": 0.002,
+        "liquid": {"kind": "coffee", "radius": 0.0267, "fill": 0.023, "brim": 0.0531},
+        "uncertainty": {"mass": "10%", "friction": "10%", "fill": "10%", "com": [0.001, 0.001, 0.002]},
+    }
+    jar = {
+        "name": "jar",
+        "shape": {"type": "cylinder", "radius": 0.0322, "height": 0.0613},
+        "mass": 0.1337,
+        "friction": 0.3,
+        "at": [0.055, 0.0],
+        "support_inset": 0.002,
+        "liquid": {"kind": "water", "radius": 0.0292, "fill": 0.0452, "brim": 0.0573, "sealed": True},
+    }
+    task = {
+        "name": "cup-and-jar",
+        "motion": {
+            "start": {"position": [0.199, -0.396, 0.359]},
+            "goal": {"position": [0.464, -0.303, 0.305]},
+            "goal_yaw": "free",
+        },
+        "objects": [cup, jar],
+        "contact": {"condition": "exact"},
+        "tray": {"size": [0.26, 0.22], "height": 0.03, "mass": 0.4002},
+        "arm": {"model": "panda"},
+        "uncertainty": {"set": "ellipsoid"},
+    }
+    return parse(task, "cup-and-jar")

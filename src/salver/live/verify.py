@@ -20,6 +20,7 @@ from salver.live.motion import Committed, Margins
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS
 from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
+from salver.planning.fastest.after import stays
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.constraints import (
     PER_METRE,
@@ -123,6 +124,9 @@ def verified(
         instants = known.t
     waves = None if known.sloshing is None else known.sloshing.past(known.t)
     committed = Committed(begins, motion, begins + instants, deviation, margins, waves)
+    resting = np.pad(motion.q[-1:], ((0, 3), (0, 0)))[:, None]
+    if problem.liquids and not stays(committed.left(committed.ends, problem), np.zeros(1), resting):
+        return Finding(None, np.inf, "what is carried would not stay in the wave after it")
     return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
 
 

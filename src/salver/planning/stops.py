@@ -23,7 +23,8 @@ from salver.control.object import Gains
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
 from salver.models.arm import load_arm
-from salver.planning.fastest.constraints import LEVEL_TOLERANCE, Contact, evaluate
+from salver.planning.fastest.after import stays
+from salver.planning.fastest.constraints import LEVEL_TOLERANCE
 from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch_basis, united
 from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.exchange import CurveOf, optimise
@@ -65,7 +66,6 @@ STATES_EVERY = 4e-3  # s from one to the next, at most
 SMOOTH = 0.1  # weight of acceleration, in normalised time, beside posture in the first guess
 SOON = 0.1  # s: whoever is at rest by then, going on, needs no stop of his own; along what is slow most are
 LEAST = 1e-4  # s by which a stop must be sooner at rest than what there is without it
-WATCHED = 100  # instants of a wave after a stop
 Progress = Callable[[int, int], None]
 Space = Literal["object", "joint"]
 
@@ -302,24 +302,11 @@ def _shortest(
     motion = found.problem.at(s, z, found.duration, imposed=False)
     if not found.looked and with_missed_cases(found.problem, motion) is not None:
         return None
-    if problem.liquids and not _stays(found.problem, s * found.duration, z):
+    if problem.liquids and not stays(found.problem, s * found.duration, z):
         return None
     stray = np.zeros(problem.n) if motion.response is None else motion.joint_radius(0).max(axis=0)
     law = curve.law(found.coefficients, found.duration)[0, ::FINER, 0] if isinstance(curve, BrakingCurve) else None
     return FoundStop(JointMotion(STORED * found.duration, *z[:3, ::FINER]), stray, law)
-
-
-def _stays(problem: TransportProblem, t: Array, z: Array) -> bool:
-    """Whether what is carried stays once a motion z (4, P, n) at t (P,), s, has come to rest, for a wave of the slowest
-    liquid: on a tray that leans, a liquid pushes more when it has swung back than when the tray stopped."""
-    liquids = [body.liquid for body in problem.payload.liquids if body.liquid is not None]
-    slowest = min(float(liquid.modes(liquid.fill).omega.min()) for liquid in liquids)
-    rest = np.zeros((4, WATCHED, problem.n))
-    rest[0] = z[0, -1]
-    t = np.concatenate([t, t[-1] + np.arange(1, WATCHED + 1) * (2 * np.pi / slowest / WATCHED)])
-    motion = problem.at(t / t[-1], np.concatenate([z, rest], axis=1), float(t[-1]), imposed=False)
-    contact = [constraint for constraint in problem.constraints if isinstance(constraint, Contact)]
-    return all(block.values.max() <= 0 for block in evaluate(contact, motion, margins=False))
 
 
 def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple[Array, Array, Deviation | None]:
