@@ -133,14 +133,17 @@ def run(name: str, kind: str, k: int, engine: bool, beside: bool, seconds: float
     told = stream(scenario, kind, rng, seconds) if kind in STREAMS else None
     live, states, off = goals(scenario, rng) if told is None else twists(scenario, told, seconds)
     motion, problem = executed(states), live.problem
+    rows = rows_of(problem, states)
     found = {
         "ms": [round(1e3 * x, 1) for x in live.cpu] if k < TIMED or seconds <= SECONDS else [],
         "steps": len(live.cpu),
         "committed": live.committed,
-        "worst": max(rows_of(problem, states).values()),
+        "worst": max(rows.values()),
         "speed": float(np.sqrt(np.mean([_speed(problem, motion, t) ** 2 for t in np.arange(0.2, seconds, 0.02)]))),
         **off,
     }
+    if found["worst"] > 0:
+        found["broken"] = sorted(name for name, value in rows.items() if value > 0)
     if engine:
         found["lost"] = lost(problem, motion, rng)
     if beside and told is not None:

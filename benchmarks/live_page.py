@@ -73,10 +73,12 @@ def longer(runs: dict[str, list[dict[str, Any]]], timed: int) -> str:
     each = [x for kept in runs.values() for x in kept]
     broken, gone = sum(x["worst"] > 0 for x in each), sum(x["lost"] for x in each)
     rate = clopper_pearson(broken + gone, len(each))
+    names = ", ".join(sorted({name for x in each for name in x.get("broken", ())}))
+    which = f" ({names})" if names else ""
     rows = [row(*what.split(", "), kept) for what, kept in runs.items()]
     return (
         f"Streams of 10 s, {len(each)}, each in the engine too (`--length 10 --engine 1 --data "
-        f"docs/data/live-long.json`; times of the first\n{timed} of each kind): {broken} broke a row, "
+        f"docs/data/live-long.json`; times of the first\n{timed} of each kind): {broken} broke a row{which}, "
         f"{gone} lost the load (95 % interval of either: {100 * rate.low:.2g} to {100 * rate.high:.2g} %).\n\n{TABLE}\n"
         + "\n".join(rows)
     )
