@@ -25,7 +25,7 @@ from salver.scenario import parse
 from salver.sensitivity.arm.liquids import Sloshing, of_cases
 from salver.sensitivity.slosh_rows import Sloshed
 from salver.sensitivity.wave_cases import Case
-from salver.simulation.physics import simulate_tray
+from salver.simulation.physics import simulate, simulate_tray
 from salver.trajectory import MotionSamples, SampledReference, min_jerk_line
 from shaken import BOX
 
@@ -355,3 +355,31 @@ def test_what_a_check_misses_of_a_room_is_kept_more_and_a_little_besides(coffee)
     assert twice.spare == pytest.approx(once.spare + 0.03 + SPARE)
     brim = next(x for x in once.constraints if isinstance(x, Brim))
     assert brim.margin == once.spare
+
+
+def to_a_goal_that_leans(coffee, degrees):
+    motion = {"motion__goal__rpy_deg": [degrees, 0, 0]}
+    return sv.fastest(coffee.with_changes(**motion, objects__0__friction=0.3, objects__0__liquid__fill=0.035))
+
+
+@pytest.mark.slow
+def test_a_plan_to_a_goal_that_leans_leaves_so_little_of_a_wave_that_contact_lasts_when_it_swings_back(coffee):
+    """At rest on 12 degrees .213 of friction is needed of .27, without a liquid."""
+    plan = to_a_goal_that_leans(coffee, 12.0)
+    assert plan.ok, plan.status.sentence
+    run = simulate(plan, parameters={"friction": 0.27})
+    assert run.slip.max() < 3e-4
+
+
+@pytest.mark.slow
+def test_a_plan_to_a_goal_that_leans_is_checked_in_the_wave_after_it(coffee):
+    """At rest on 14.5 degrees .259 is needed of .27: of a liquid that swings back nothing can be left."""
+    plan = to_a_goal_that_leans(coffee, 14.5)
+    assert plan.margins.exact_worst.min() > 0.0  # up to its end it holds
+    assert not plan.ok
+    assert "contact condition is missed" in plan.status.sentence
+    assert plan.verification.time > plan.duration
+    run = simulate(plan, parameters={"friction": 0.27})
+    assert run.slip.max() > 1e-3
+    level = to_a_goal_that_leans(coffee, 0.0)
+    assert level.ok, level.status.sentence

@@ -41,6 +41,12 @@ class Payload(Outlined):
         return tuple(body for body in self.bodies if body.liquid is not None)
 
     @property
+    def slowest_wave(self) -> float:
+        """s, the longest period of its liquids at their nominal fill; 0 without any."""
+        each = (float(x.liquid.modes(x.liquid.fill).omega.min()) for x in self.liquids if x.liquid is not None)
+        return max((2 * np.pi / omega for omega in each), default=0.0)
+
+    @property
     def unmodelled(self) -> tuple[str, ...]:
         """What is not known of its liquids, in words; to be said before anything that is said to be safe."""
         return tuple(body.liquid.unmodelled(body.name) for body in self.liquids if body.liquid is not None)

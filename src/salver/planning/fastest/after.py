@@ -3,26 +3,52 @@ tray stopped."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from salver.geometry import Array
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.constraints import Contact, evaluate
+from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.problem import TransportProblem
 
 WATCHED = 40  # instants of a wave
+CALMER = 0.9  # of the wave that contact bears at rest, as its rows look at it, that is left to it
 
 
 def stays(problem: TransportProblem, t: Array, z: Array) -> bool:
     """Whether what is carried stays, and what is in it, to the edge of their rows: along a motion z (4, P, n) at t (P,)
     s, from 0 on, and at rest at its end for a wave of the slowest liquid. With one instant: at rest there, with the
     waves that there are."""
-    liquids = [body.liquid for body in problem.payload.liquids if body.liquid is not None]
-    slowest = min(float(liquid.modes(liquid.fill).omega.min()) for liquid in liquids)
+    carried = [constraint for constraint in problem.constraints if isinstance(constraint, Contact | Brim)]
+    blocks = evaluate(carried, _rested(problem, t, z), margins=False)
+    return all(block.values.max() <= 0 for block in blocks if len(block.points) > 1)  # but for what is left for good
+
+
+def calmer(problem: TransportProblem, t: Array, z: Array) -> TransportProblem:
+    """The problem with so much less of a wave left after it that contact lasts at the end of a motion z (4, P, n) at
+    t (P,), s, which loses it there: what a wave adds to the rows grows with it. As given, if no wave is to blame."""
+    still = np.zeros_like(z)
+    still[0] = z[0, -1]
+    moved, stood = _rested(problem, t, z), _rested(problem, t, still)
+    most, without = (_contact(problem, motion)[len(t) :].max() for motion in (moved, stood))
+    if not without < 0.0 < most:
+        return problem
+    parts = [part for each in moved.sloshing.values() for part in each]
+    left = max(float((part.free_left / part.waves.cases.steepest).max()) for part in parts)
+    return replace(problem, calm=CALMER * left * without / (without - most))
+
+
+def _contact(problem: TransportProblem, motion: Evaluation) -> Array:
+    """(N,) largest row of all contacts at the nodes, with the margin that is asked for."""
+    rows = [Contact(rows, problem.scenario.contact.margin) for rows in problem.contacts]
+    return np.max([block.values.max(axis=1) for block in evaluate(rows, motion)], axis=0)
+
+
+def _rested(problem: TransportProblem, t: Array, z: Array) -> Evaluation:
+    """A motion and the wave after it."""
     rest = np.zeros((4, WATCHED, problem.n))
     rest[0] = z[0, -1]
-    t = np.concatenate([t, t[-1] + np.arange(1, WATCHED + 1) * (2 * np.pi / slowest / WATCHED)])
-    motion = problem.at(t / t[-1], np.concatenate([z, rest], axis=1), float(t[-1]), imposed=False)
-    carried = [constraint for constraint in problem.constraints if isinstance(constraint, Contact | Brim)]
-    blocks = evaluate(carried, motion, margins=False)
-    return all(block.values.max() <= 0 for block in blocks if len(block.points) > 1)  # but for what is left for good
+    t = np.concatenate([t, t[-1] + np.arange(1, WATCHED + 1) * (problem.payload.slowest_wave / WATCHED)])
+    return problem.at(t / t[-1], np.concatenate([z, rest], axis=1), float(t[-1]), imposed=False)

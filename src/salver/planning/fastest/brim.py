@@ -25,10 +25,12 @@ LEFT_MARGIN = 0.03  # and of what may be left at the end, which all of that adds
 @dataclass(frozen=True, eq=False)
 class Brim(Constraint):
     """A body's liquid stays below its brim, during the motion and after it, in all its cases; no wave is steeper than
-    the model is valid for. In units of the room that it has, of which `margin` is kept."""
+    the model is valid for. In units of the room that it has, of which `margin` is kept. calm: share of the
+    steepest that may be left."""
 
     body: Body
     margin: float = 0.0
+    calm: float = 1.0
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         parts, last = motion.sloshing[self.body.name], motion.nodes[-1:]
@@ -72,7 +74,7 @@ class Brim(Constraint):
         light, lightest = joined(x.lightness for x in parts), np.full(len(steepest), LIGHTEST)
         yield block(f"lightness in {name}", light, lightest, Slosh.lightness_by, Slosh.lightness_bends)
         after = joined(x.free_left for x in parts)[:, None]
-        yield block(f"steepness left in {name}", after, steepest, _free_left_by, _free_left_bends)
+        yield block(f"steepness left in {name}", after, self.calm * steepest, _free_left_by, _free_left_bends)
         if np.isfinite(room).all():
             yield block(f"waves in {name}", joined(x.crest for x in parts), room, Slosh.crest_by, Slosh.crest_bends)
         ends = [(0.0, f"waves left in {name}", room)]

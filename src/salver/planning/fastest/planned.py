@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.errors import Status, UnreachableError
+from salver.geometry import Array
+from salver.planning.fastest.after import calmer
 from salver.planning.fastest.bound import least_by_friction, least_duration
 from salver.planning.fastest.constraints import LEVEL_TOLERANCE, Contact
 from salver.planning.fastest.exchange import SHORTEST, reached
@@ -102,6 +104,8 @@ def _sterner(found: FastestMotion, plan: Plan) -> TransportProblem:
         own = f" in {body.removeprefix(LIQUID)}"
         seen = -max(value for name, value in found.worst.items() if name.endswith(own))
         return replace(problem, spare=problem.spare + plan.verification.violation + seen + SPARE)
+    if plan.verification.time > found.duration:
+        return calmer(problem, *_looked_at(found))
     # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
     exactly = tuple(Contact(rows, plan.scenario.contact.margin, exactly=True) for rows in problem.contacts)
     return replace(problem, extra=(*problem.extra, *exactly))
@@ -167,9 +171,14 @@ def _missed(found: FastestMotion) -> TransportProblem | None:
     """The problem with the liquids' cases that the motion does not keep although it keeps those that were asked for."""
     if found.looked or not found.problem.liquids:
         return None
-    s = np.linspace(0.0, 1.0, CHECKED)
-    z = np.stack(found.sample(s * found.duration))
-    return with_missed_cases(found.problem, found.problem.at(s, z, found.duration, imposed=False))
+    t, z = _looked_at(found)
+    return with_missed_cases(found.problem, found.problem.at(t / t[-1], z, found.duration, imposed=False))
+
+
+def _looked_at(found: FastestMotion) -> tuple[Array, Array]:
+    """t (P,), s, and q and its derivatives (4, P, n) there."""
+    t = np.linspace(0.0, found.duration, CHECKED)
+    return t, np.stack(found.sample(t))
 
 
 def joint_plan(

@@ -60,7 +60,8 @@ class TransportProblem:
     extra: constraints beside those that follow from all this. liquids: for each, the cases that stand for all there
     are; every_case: those that a verdict looks at; past: what they come from where the motion begins moving.
     through: poses that are passed on the way.
-    spare: share of their room that liquids keep.
+    spare: share of their room that liquids keep. calm: share of the steepest wave that they are known in, that may be
+    left at the end.
     """
 
     scenario: Scenario
@@ -81,6 +82,7 @@ class TransportProblem:
     past: Past | None = None
     through: tuple[AtPose, ...] = ()
     spare: float = 0.0
+    calm: float = 1.0
 
     @property
     def items(self) -> tuple[Body, ...]:
@@ -128,7 +130,7 @@ class TransportProblem:
             found.append(Level() if self.level else Tilt(self.max_tilt))
         if self.moving and self.past is None:
             self.check_dry("a motion that begins moving")
-        found += [Brim(each[0].body, self.spare) for each in self.liquids]
+        found += [Brim(each[0].body, self.spare, self.calm) for each in self.liquids]
         found += [Passing(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))

@@ -74,9 +74,12 @@ class Evaluation(Outlined):
         """(T, ...) `slack` of the contact conditions alone."""
         return self.slack[:, ~self._others]
 
-    def worst(self) -> tuple[float, float, str]:
-        """Least slack, its time, and the object it belongs to: of the contacts, unless only something else fails."""
+    def worst(self, since: float = 0.0) -> tuple[float, float, str]:
+        """Least slack, its time, and the object it belongs to: of the contacts, unless only something else fails.
+        since: s, of contacts alone from then on."""
         others, slack = self._others, self.slack
+        if since > 0.0:
+            slack = np.where(others | (self.t < since)[:, None], np.inf, slack)
         if slack[:, ~others].min() < 0 or slack[:, others].min(initial=np.inf) >= 0:
             slack = np.where(others, np.inf, slack)  # in a unit of its own
         k, i = np.unravel_index(int(np.argmin(slack)), slack.shape)
@@ -98,10 +101,10 @@ class ClosedLoop:
         return self.loop.sensitivity(self.grid, self.motion, between)
 
 
-def evaluate(scenario: Scenario, reference: Reference, instants: int) -> Evaluation:
-    """Evaluate a reference at uniform instants from its start to its end."""
+def evaluate(scenario: Scenario, reference: Reference, instants: int, rest: float = 0.0) -> Evaluation:
+    """Evaluate a reference at uniform instants from its start to its end; rest: s, and at rest after it."""
     loop, payload = tray_loop(scenario), scenario.payload
-    grid = loop.grid(np.linspace(0, reference.duration, instants))
+    grid = loop.grid(np.linspace(0, reference.duration + rest, instants))
     samples = reference.sample(grid.t)
     motion = BodyMotion.of(samples)
     closed_loop = ClosedLoop(loop, grid, motion, reference)
