@@ -139,6 +139,47 @@ def test_nothing_is_said_any_more_of_what_counts_as_gone(cube):
     assert live.state.passing == ""
 
 
+def test_where_the_arm_is_put_it_is_looked_anew_at_what_passes(cube):
+    """What was clear of it where it was before is not where it is now."""
+    live = Live(cube, lead=0.1)
+    live.command(0.0)
+    turned = live.problem.start.q + 0.8 * np.eye(7)[0]
+    fist = Moving("fist", "sphere", live.problem.arm.tray_pose(turned)[0] + [0, 0, 0.05], radius=0.1, growth=0.0)
+    assert live.obstacles([fist]).ok
+    assert live.plan(60.0).passing == ""
+    assert live.idle
+    assert live.restart(turned).ok
+    assert "Nothing was found that keeps clear of fist" in live.plan(60.0).passing
+
+
+def test_a_motion_that_comes_too_late_is_not_done_later_where_something_passes(cube):
+    """It is clear of what passes in its own time only."""
+    live = Live(cube, lead=0.1)
+    drive(live, 0.05, every=None)
+    away = Moving("ball", "sphere", (2.0, 0.0, 0.5), radius=0.05)
+    assert live.obstacles([away]).ok
+    live.plan(60.0)
+    planner, late = live._planner, []
+
+    def slow(job):
+        answer = planner.answer(job)
+        late.append(answer.found)
+        drive(live, 0.2, every=None, begins=0.06)
+        return answer
+
+    live.goto((0.45, 0.1, 0.45))
+    live.plan(60.0, slow)
+    assert late[0].begins < live.now
+    drive(live, 0.1, every=None, begins=0.26)
+    assert live.committed.at_rest
+    live.obstacles([])
+    live.plan(60.0)
+    drive(live, 0.02, every=None, begins=0.36)
+    live.plan(60.0)
+    drive(live, 0.2, every=None, begins=0.38)
+    assert not live.committed.at_rest
+
+
 def test_what_cannot_be_is_refused_in_a_sentence(cube):
     live = Live(cube, lead=0.1)
     for seen, sentence in (
@@ -157,6 +198,11 @@ def test_what_cannot_be_is_refused_in_a_sentence(cube):
         (Moving("x", "sphere", radius=0.1, samples=(3, np.zeros((2, 3)))), "samples must be times and positions"),
         (Moving("x", "sphere", radius=0.1, samples=(np.array(3), 0)), "samples must be times and positions"),
         (Moving("x", "sphere", radius=0.1, samples=([[0], [1, 2]], np.zeros((2, 3)))), "samples must be increasing"),
+        (Moving("x", "sphere", radius=0.1, samples=([0, 1e-3], [[0, 0, 0], [1, 0, 0]])), "more than 50 m/s .* 1e.03"),
+        (
+            Moving("x", "sphere", radius="big"),
+            "radius must be a finite number, at most 10: the radius of the obstacle x",
+        ),
         ("a ball", "a list of Moving"),
         (Moving("x", "sphere", radius=0.1, samples=([0, 2000], np.zeros((2, 3)))), "samples must be increasing"),
         (Moving("x", "sphere", radius=0.1, samples=([0, 1], np.full((2, 3), 2e3))), "samples must be increasing"),

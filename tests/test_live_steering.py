@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from live_runs import EVERY, drive, in_turn, jolts, rows_of, said
+from salver.geometry import exp, log
 from salver.live import Live, steer
 from salver.live.steer import TICK
 from salver.live.wishes import twist_wish
@@ -115,6 +116,51 @@ def test_a_chunk_of_postures_is_followed_and_its_last_one_held(cube):
     assert live.idle
 
 
+@pytest.mark.slow
+def test_what_a_chunk_asked_too_much_of_is_reached_after_it(cube):
+    live = Live(cube, lead=TICK)
+    first = live.problem.items[0]
+    goal = live.problem.arm.object_pose(live.problem.start.q, first.p_EB, first.R_EB)[0] + [0.0, 0.3, 0.0]
+    assert live.chunk([0.1], [goal]).sentence == "Accepted."
+    states = drive(live, 2.2, every=EVERY)
+    check(live, states)
+    assert np.abs(live.problem.arm.object_pose(states[0][-1], first.p_EB, first.R_EB)[0] - goal).max() < 1e-6
+    assert live.idle
+
+
+def test_a_chunk_says_what_of_its_end_cannot_be(cube):
+    live = Live(cube, lead=TICK)
+    first = live.problem.items[0]
+    here = live.problem.arm.object_pose(live.problem.start.q, first.p_EB, first.R_EB)[0]
+    leaning = exp([[0.0, 0.0, 0.0], [0.0, 0.3, 0.0]])
+    said = live.chunk([0.0, 0.1], (np.tile(here, (2, 1)), leaning)).sentence
+    assert re.search(
+        r"^Accepted, but for its end: the goal leans the tray by 17.2 deg; it may lean by 0.0573 deg\.$", said
+    )
+    assert live.chunk([0.0], [(3.0, 0.0, 0.5)]).ok
+    drive(live, 1.2, every=EVERY)
+    assert "no posture of the arm within its limits reaches it" in live.refused
+
+
+def test_between_its_poses_a_chunk_turns_evenly(cube):
+    """A turn by 0.4 rad about the vertical within a second, told by its two ends."""
+    live = Live(cube, lead=TICK)
+    first = live.problem.items[0]
+    here, R = live.problem.arm.object_pose(live.problem.start.q, first.p_EB, first.R_EB)
+    live.chunk([0.0, 1.0], (np.tile(here, (2, 1)), np.stack([R, exp([0.0, 0.0, 0.4]) @ R])))
+    states = drive(live, 0.9, every=EVERY)
+    turned = np.array([log(live.problem.arm.tray_pose(q)[1] @ first.R_EB @ R.T)[2] for q in states[0][300:800:50]])
+    assert np.abs(turned - 0.4 * states.t[300:800:50]).max() < 0.02
+
+
+def test_twists_are_followed_however_long_before_it_is_done_planning_begins(cube):
+    """0.1 s of silence is counted when planning begins, not when it is done: where ticks take longer nothing moved."""
+    live = Live(cube, lead=0.15)
+    states = drive(live, 0.6, said(lambda t: np.array([0.0, 0.1, 0.0]), 0.6), EVERY)
+    assert velocities(live, states, EVERY)[-5:, 1] == pytest.approx(0.1, abs=0.01)
+    check(live, in_turn(states, drive(live, 1.3, every=EVERY, begins=0.6)))
+
+
 def test_what_cannot_be_followed_is_refused_in_a_sentence(cube):
     live = Live(cube, lead=TICK)
     for wish, sentence in (
@@ -127,6 +173,7 @@ def test_what_cannot_be_followed_is_refused_in_a_sentence(cube):
         (lambda: live.chunk([0.1], joints=np.full((1, 7), 9.0)), "panda_joint1 would be at 9 in posture 0"),
         (lambda: live.chunk([0.1]), "a chunk is of poses or of joints"),
         (lambda: live.chunk("soon", joints=np.zeros((1, 7))), "times"),
+        (lambda: live.chunk([0.0], [(500.0, 0.0, 400.0)]), "a position is 500 m away in S; it must be at most 100 m"),
     ):
         status = wish()
         assert not status.ok

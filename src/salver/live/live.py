@@ -210,13 +210,19 @@ class Live:
         joints: npt.ArrayLike | None = None,
     ) -> Status:
         """To be at poses, or in postures (C, n), at times (C,), s from now, as nearly as safety allows, and to hold the
-        last one. poses: of the first object's frame B, p_SB (C, 3) with the tray level, or (p_SB, R_SB (C, 3, 3))."""
+        last one; where it could not be reached in time, it is a goal then. poses: of the first object's frame B,
+        p_SB (C, 3) with the tray level, or (p_SB, R_SB (C, 3, 3)); between them straight, and turning evenly."""
         wish = chunk_wish(self._problem, times, poses, joints, self._now)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The chunk")
         if self._unknown:
             return self._refuse(self._lost, "The chunk")
-        return self._follow(wish)
+        accepted = self._follow(wish)
+        if isinstance(wish.ends, Goal):
+            self._queue.append(wish.ends)
+        elif wish.ends is not None:
+            return replace(accepted, sentence=f"Accepted, but for its end: {wish.ends.sentence.rstrip('.')}.")
+        return accepted
 
     @property
     def _lost(self) -> str:
@@ -288,7 +294,7 @@ class Live:
         if rest.committed is None:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
         self._wish, self._done, self._refused, self._attempts = None, None, "", 0
-        self._unknown = False
+        self._unknown, self._minded = False, None
         self._queue.clear()
         self._heard.clear()
         self._offer = self._offered = None
@@ -435,14 +441,14 @@ class Live:
         running, began = self._running, time.perf_counter()
         base, steered = running.committed, isinstance(wish, Follow)
         begins = self._hand_over(base, steered)
-        if isinstance(wish, Follow) and begins > wish.until + CALMING:
+        if isinstance(wish, Follow) and self._now > wish.until + CALMING:
             self._done = wish  # what is committed ends at rest
             return
         if isinstance(wish, Halt) and begins >= base.ends:
             self._done = wish
             return
         around = self._around
-        answered = answer(Job(wish, base, begins, budget, around))
+        answered = answer(Job(wish, base, begins, budget, around, self._now))
         found, status = answered.found, answered.status
         if found is not None and (denied := self._denied(found)):
             found, status = None, Status("refused", denied, False)
@@ -457,13 +463,15 @@ class Live:
         if answered.done:
             self._done = wish
         late = found is not None and found.begins < self._now and base.ends <= found.begins
+        late = late and not any(self._now <= one.until for one in around)  # it was clear of these only in its own time
         if late and found is not None:
             # It came late, but the arm was at rest and is: the same motion, from a little later on; unless waves, which
             # go on, are then such that it would not do.
             again = verified(self._problem, found.motion, self._hand_over(base, steered), base)
             found, status = again.committed, Status("refused", again.sentence, False)
         if found is not None:
-            self._refused = ""
+            if not isinstance(wish, Halt):  # of a stop it stays said why the arm is stopped
+                self._refused = ""
             self._offered = running.then(found, wish, self._now, self._problem)
             self._offer = self._offered
         elif wish is not self._done and not steered:

@@ -86,7 +86,8 @@ def predicted(seen: Moving, now: float) -> Predicted | Status:
     for name, (value, shape, most) in ends.items():
         array = numbers(value, shape, most)
         if array is None:
-            return refused(f"{name} must be {shape or 'one'} finite numbers, at most {most:g}: the {name}")
+            of = f"{shape} finite numbers" if shape else "a finite number"
+            return refused(f"{name} must be {of}, at most {most:g}: the {name}")
         found[name] = array
     for name in ("radius", "length", "size", "uncertainty", "growth", "lasts"):
         if np.any(found[name] < 0):
@@ -114,6 +115,11 @@ def predicted(seen: Moving, now: float) -> Predicted | Status:
         t, p = numbers(given[0], (count,), 1e3), numbers(given[1], (count, 3), 1e3)
         if t is None or p is None or not count or np.any(np.diff(t) <= 0):
             return refused("samples must be increasing times and as many positions, finite numbers: the samples")
+        fastest = float((np.linalg.norm(np.diff(p, axis=0), axis=1) / np.diff(t)).max(initial=0.0))
+        if fastest > MOST_SPEED:
+            return refused(
+                f"samples must not move at more than {MOST_SPEED:g} m/s (they do at {fastest:.3g}): the samples"
+            )
         samples = (now + t, p)
     solid.computeLocalAABB()
     sure, grows, lasts = (float(found[name]) for name in ("uncertainty", "growth", "lasts"))

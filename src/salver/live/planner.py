@@ -23,19 +23,21 @@ from salver.trajectory import JointMotion
 ASIDE, ASIDE_STEP = (0.15, 0.25, 0.4), 0.02  # m to which the load is put aside; s between looks at what passes it
 BESIDE = 0.03  # m that are free there
 TRIED = 2
+THERE = 1e-5  # rad or m by which joints may miss a goal that they are at
 SOON = 0.1  # s: whoever is at rest by then need not look for a shorter way to it, which takes as long
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
     """wish: what for. base: what is committed; begins: live time, s, at which it may be left. budget: s. obstacles:
-    what is predicted to pass."""
+    what is predicted to pass. now: live time, s, when it was asked."""
 
     wish: Wish
     base: Committed
     begins: float
     budget: float
     obstacles: tuple[Predicted, ...] = ()
+    now: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ class Planner:
         if isinstance(wish, Evade):
             return self._evading(job, problem, replanner)
         if isinstance(wish, Follow):
-            wanted = wish.wanted if begins <= wish.until else wish.then
+            wanted = wish.wanted if job.now <= wish.until else wish.then
             steering = self._steering
             if problem is not self.problem:
                 steering = replace(steering, problem=problem, sought=Sought.of(problem))
@@ -75,10 +77,18 @@ class Planner:
             found, status = replanner.to(Anywhere(), base, begins, job.budget)
             late = found is not None and found.ends >= base.ends  # it is at rest no later as it is
             return Answer(None if late else found, status, late)
+        if begins >= base.ends and self._there(wish, base):
+            return Answer(None, Status("optimal", "", True), True)
         blocked = why_not(self.problem, wish) or self._unsafe(wish)
         if blocked:
             return Answer(None, Status("unreachable", blocked, False))
         return Answer(*replanner.to(wish.end, base, begins, job.budget))
+
+    def _there(self, goal: Goal, base: Committed) -> bool:
+        """Whether what is committed ends at the goal."""
+        q = base.motion.q[-1]
+        posture = goal.end.nearest(self.problem.arm, self.problem.limits, q)
+        return posture is not None and float(np.abs(posture - q).max()) < THERE
 
     def _unsafe(self, goal: Goal) -> str:
         """Why the load would not stay in a posture that is asked for, or nothing."""

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import Array, Indices, Mask, hat, log
+from salver.geometry import Array, Indices, Mask, exp, hat, log
 from salver.live.known import Recent
 from salver.live.motion import SAME, Committed
 from salver.live.replan import Sought
@@ -103,7 +103,8 @@ class TwistWanted:
 class ChunkWanted:
     """A timed motion of the tray or of the joints: samples at live times t (C,), increasing.
 
-    p_SE (C, 3) and R_SE (C, 3, 3), or q (C, n). Between them linear; after the last one it is held.
+    p_SE (C, 3) and R_SE (C, 3, 3), or q (C, n). Between them linear, turns about a fixed axis; after the last one it is
+    held.
     """
 
     t: Array
@@ -118,8 +119,11 @@ class ChunkWanted:
         assert self.p_SE is not None
         assert self.R_SE is not None
         p = np.stack([np.interp(t, self.t, column) for column in self.p_SE.T], axis=1)
-        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
-        return _pose(motion, p, self.R_SE[k], weight)
+        k = np.interp(t, self.t, np.arange(len(self.t)))
+        first = k.astype(np.intp)
+        R, after = self.R_SE[first], self.R_SE[np.minimum(first + 1, len(self.t) - 1)]
+        turned = R @ exp((k - first)[:, None] * log(np.swapaxes(R, 1, 2) @ after))
+        return _pose(motion, p, turned, weight)
 
 
 def _speed(motion: Evaluation, nodes: Indices, wanted_S: Array, weight: Array) -> Residuals:

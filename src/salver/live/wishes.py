@@ -38,12 +38,14 @@ class Halt:
 class Follow:
     """To do what is wanted as nearly as may be, and to stop when nothing is heard after live time `until`, s.
 
-    Of a chunk that ends in a posture or pose, it is held then.
+    Of a chunk that ends in a posture or pose, it is held then. ends: this, as a goal for what was not done of it by
+    then; or why it can be none.
     """
 
     wanted: Wanted
     until: float
     then: Wanted
+    ends: Goal | Status | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +167,7 @@ def chunk_wish(
             return refused(
                 f"{problem.arm.joint_names[j]} would be at {q[row, j]:.4g} in posture {row}, beyond its limits"
             )
-        wanted = ChunkWanted(t, None, None, q)
+        wanted, ends = ChunkWanted(t, None, None, q), posture_goal(problem, q[-1])
     else:
         whole = isinstance(poses, tuple) and len(poses) == 2
         p = numbers(poses[0] if whole else poses, (count, 3), "positions")
@@ -174,12 +176,15 @@ def chunk_wish(
         R = numbers(poses[1], (count, 3, 3), "rotations") if whole else rotations
         if isinstance(p, Status) or isinstance(R, Status):
             return p if isinstance(p, Status) else R  # type: ignore[return-value]
+        far = float(np.abs(p).max())
+        if far > FARTHEST:
+            return refused(f"a position is {far:.3g} m away in S; it must be at most {FARTHEST:g} m, in S")
         square = R @ np.swapaxes(R, 1, 2) - np.eye(3)
         if np.abs(square).max() > ORTHONORMAL or (np.linalg.det(R) < 0).any():
             return refused("a rotation is none: its rows must be orthonormal and right-handed")
         R_SE = R @ first.R_EB.T
-        wanted = ChunkWanted(t, p - R_SE @ first.p_EB, R_SE, None)
-    return Follow(wanted, float(t[-1]), wanted)
+        wanted, ends = ChunkWanted(t, p - R_SE @ first.p_EB, R_SE, None), pose_goal(problem, (p[-1], R[-1]))
+    return Follow(wanted, float(t[-1]), wanted, ends)
 
 
 def why_not(problem: TransportProblem, goal: Goal) -> str:
