@@ -59,11 +59,14 @@ class Smooth:
 
     @cached_property
     def _matrix(self) -> Any:
+        return self._sparse(self.nearest, len(self.some))
+
+    def _sparse(self, columns: Indices, width: int) -> Any:
+        """(T, width) with the weights in columns (T, 4)."""
         from scipy.sparse import csr_matrix  # a fifth of a second
 
-        count = len(self.nearest)
-        where = self.nearest.ravel(), 4 * np.arange(count + 1)
-        return csr_matrix((self.weights.ravel(), *where), shape=(count, len(self.some)))
+        count = len(columns)
+        return csr_matrix((self.weights.ravel(), columns.ravel(), 4 * np.arange(count + 1)), shape=(count, width))
 
     def between(self, values: Array) -> Array:
         """(T, ...) of values (K, ...)."""
@@ -79,12 +82,15 @@ class Smooth:
         return [x.reshape(len(x), *values.shape[1:]) for x, values in zip(parts, several, strict=True)]
 
     def jumping(self, after: Array, before: Array) -> Array:
-        """(T, ...) of values that jump where a piece ends: before (K, ...) and after (K, ...) that."""
-        found = np.zeros((len(self.nearest), *after.shape[1:]))
-        for j in range(4):
-            at = self.nearest[:, j]
-            found += self.weights[:, j, None] * np.where((at == self.last)[:, None], before[at], after[at])
-        return found
+        """(T, n) of values that jump where a piece ends: before (K, n) and after (K, n) that."""
+        return np.asarray(self._either @ np.concatenate([after, before]))
+
+    @cached_property
+    def _either(self) -> Any:
+        """As `_matrix`, of what comes after instants and then of what comes before them: a piece ends with this."""
+        count = len(self.some)
+        ending = self.nearest == self.last[:, None]
+        return self._sparse(np.where(ending, self.nearest + count, self.nearest), 2 * count)
 
 
 @lru_cache(maxsize=16)
@@ -125,17 +131,12 @@ def _cubic(instants: Array, jumps: Array, t: Array) -> tuple[Indices, Array, Ind
 
 @dataclass(frozen=True, eq=False)
 class _Continued:
-    """Of a deviation, at all instants: joints' q and dq, torque, the tray's displacement and what it feels, for each
-    term and what held commands make of them; and the tray's Jacobian."""
+    """Of a deviation, at all T instants: strayed (T, 3 n + 6, n_c), joints' q, dq, torque and the tray's displacement,
+    for each term, and held (T, 3 n + 6), what held commands make of them; w, held_w, what the tray feels of either; and
+    the tray's Jacobian."""
 
-    q: Array
-    held_q: Array
-    dq: Array
-    held_dq: Array
-    torque: Array
-    held_torque: Array
-    moved: Array
-    held_moved: Array
+    strayed: Array
+    held: Array
     w: Array
     held_w: Array
     jacobian: Array
@@ -176,24 +177,11 @@ class Finer:
     def _continued(self) -> _Continued:
         """Of what is smooth, not of its radius, which has kinks."""
         known, held = self.known, self.known.held
-        joints, tray = known.joints, known.tray
-        return _Continued(
-            *self.smooth.each(
-                [
-                    joints.q,
-                    held.q,
-                    joints.dq,
-                    held.dq,
-                    known.torque,
-                    held.torque,
-                    tray.state[:, :6],
-                    held.tray[:, :6],
-                    tray.w * known.load.half_range,
-                    held.w + held.swing,
-                    known.terms.jacobian,
-                ]
-            )
-        )
+        moving = known.joints.state[:, : 2 * held.q.shape[1]]
+        strayed = np.concatenate([moving, known.torque, known.tray.state[:, :6]], axis=1)
+        by_held = np.concatenate([held.q, held.dq, held.torque, held.tray[:, :6]], axis=1)
+        felt, by_held_felt = known.tray.w * known.load.half_range, held.w + held.swing
+        return _Continued(*self.smooth.each([strayed, by_held, felt, by_held_felt, known.terms.jacobian]))
 
     def along(self, terms: MotionTerms) -> Finer:
         """The same along a motion like it, with its terms."""
@@ -202,16 +190,11 @@ class Finer:
         return other
 
     @cached_property
-    def _radii(self) -> tuple[Array, ...]:
+    def _radii(self) -> list[Array]:
         """Of q, dq, torque, and of the tray's displacement."""
-        found, radius = self._continued, self.known.load.radius
-        pairs = (
-            (found.q, found.held_q),
-            (found.dq, found.held_dq),
-            (found.torque, found.held_torque),
-            (found.moved, found.held_moved),
-        )
-        return tuple(radius(terms) + np.abs(held) for terms, held in pairs)
+        found, n = self._continued, self.terms.q.shape[1]
+        both = self.known.load.radius(found.strayed) + np.abs(found.held)
+        return np.split(both, [n, 2 * n, 3 * n], axis=1)
 
     def joint_radius(self, order: int) -> Array:
         """(T, n) as of a deviation, for position (0) and velocity (1)."""

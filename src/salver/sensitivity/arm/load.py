@@ -54,9 +54,11 @@ class LoadChange:
 
         `tubes.radius` of the parameters, and every product at its largest.
         """
-        n_p = self.uncertain.size
         if not len(self.half_range):
             return np.zeros(sensitivity.shape[:-1])
+        if self.uncertain.kind == "box":  # of the parameters too it is the sum of the largest
+            return np.asarray(np.abs(sensitivity) @ self.half_range)
+        n_p = self.uncertain.size
         first = tubes.radius(sensitivity[..., :n_p], self.uncertain)
         return np.asarray(first + np.abs(sensitivity[..., n_p:]) @ self.half_range[n_p:])
 
