@@ -8,11 +8,11 @@ import pytest
 
 import salver as sv
 from live_runs import JUST, Linear
-from salver.live.verify import COARSE, STEADY, UNHURRIED, seen, told
+from salver.live.verify import COARSE, STEADY, UNHURRIED, _at_rest, seen, told
 from salver.models.arm_limits import LIMITS
 from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import fastest, transport_problem
-from salver.planning.fastest.constraints import FINEST, Block, JointLimit, TorqueRateLimit, evaluate
+from salver.planning.fastest.constraints import FINEST, Block, Clearance, JointLimit, TorqueRateLimit, evaluate, strayed
 from salver.sensitivity.arm.finer import _cubic, some_of
 from salver.trajectory import JointMotion
 
@@ -98,6 +98,30 @@ def test_a_deviation_known_at_some_instants_is_that_of_all_of_them(motion, both)
     near = exact > -0.1
     assert near.any()
     assert np.abs(WorstCase.of(rows, w, drift).values - exact)[near].max() < 0.2 * STEADY
+
+
+def distances(problem, along, row):
+    """Rows of one pair that are the same at all nodes."""
+    of = Clearance(transport_problem(problem.scenario).keep_out)
+    return Block("clearance", np.full((len(along.nodes), 1), row), None, along.nodes, of=of)
+
+
+def test_a_motion_is_as_clear_of_things_at_its_end_as_while_it_rests_there(motion):
+    """Stopped in a fifth of a second, the tray then strays by up to twice as much as at the motion's end."""
+    problem, given = motion
+    q = np.stack([given.q[0], given.q[0] + [0.1, -0.05, 0.05, 0.05, 0.1, 0.05, -0.1]])
+    quick = JointMotion(np.array([0.0, 0.2]), q, np.zeros((2, 7)), np.zeros((2, 7)))
+    resting = JointMotion(np.array([0.0, 0.2, 0.7]), q[[0, 1, 1]], np.zeros((3, 7)), np.zeros((3, 7)))
+    ended, gone_on = (looked_at(problem, each)[0] for each in (quick, resting))
+    after = gone_on.s[gone_on.nodes] * 0.7 > 0.2 - 1e-9
+    told, seen = np.concatenate(ended.response.resting), np.concatenate(gone_on.tray_radius(), axis=1)[after]
+    assert seen.max(axis=0) == pytest.approx(told, rel=0.03, abs=1e-6)
+    assert (told > 1.3 * seen[0]).any()
+    near, far = (_at_rest(distances(problem, ended, row), ended.response) for row in (-0.02, -0.2))  # 2 and 20 mm free
+    more = 10 * (strayed(*ended.response.resting) - strayed(*ended.tray_radius())[-1])  # in units of 0.1 m
+    assert more > 1e-3
+    assert near.values[:, 0] == pytest.approx(np.append(np.full(len(near.values) - 1, -0.02), -0.02 + more))
+    assert np.all(far.values == -0.2)
 
 
 def test_what_late_commands_do_is_known_where_the_jerk_jumps(motion):

@@ -20,7 +20,7 @@ from salver.errors import Status
 from salver.geometry import Array, Indices
 from salver.models.arm_geometry import ArmGeometry
 from salver.planning.fastest import Block, Constraint, Evaluation, padded
-from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY
+from salver.planning.fastest.constraints import PER_METRE, strayed
 from salver.planning.fastest.obstacles import SAFETY
 
 FAR = 0.15  # m from which on distances are those of bounding spheres: no larger than the true ones
@@ -216,8 +216,7 @@ class Passing(Constraint):
         t = motion.s[motion.nodes] * motion.duration
         stray = np.zeros(len(t))
         if motion.response is not None:
-            position, turn = motion.tray_radius()
-            stray = np.linalg.norm(position, axis=1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1)
+            stray = strayed(*motion.tray_radius())
         steps = np.pad(np.diff(t), 1)
         longest = 0.5 * np.maximum(steps[:-1], steps[1:])  # half of the time to the next look
         rest = np.arange(t[-1], max(t[-1], max(x.until for x in self.obstacles) - self.begins) + REST_STEP, REST_STEP)

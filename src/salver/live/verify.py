@@ -31,6 +31,7 @@ from salver.planning.fastest.constraints import (
     Tilt,
     TorqueLimit,
     TorqueRateLimit,
+    strayed,
 )
 from salver.planning.fastest.obstacles import NEAR, KeepOut
 from salver.planning.follow.clearance import EXACT as TOUCHING
@@ -57,6 +58,7 @@ UNSPILT = 3e-3
 KEPT: dict[type[Constraint], float] = {Contact: STEADY, TorqueRateLimit: UNHURRIED, Brim: UNSPILT}
 BESIDE = -0.05  # of their limit: rates of joints that are nearer than this are looked at between their instants
 PERIOD = 1e-3  # s: the shortest, of a loop that is told torques
+OVERSHOOT = 5e-3  # m, than which the arm strays less further after its end: as much as is kept free
 FORGIVEN = 0.2  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
 BEGINNING = 0.02  # s
 AT_REST = 1e-7  # rad/s, rad/s^2: what is left of a motion's end
@@ -107,6 +109,8 @@ def verified(
         else:
             constraints[k] = coarse(constraint)
     blocks += [_begun(told(block, t[nodes], knots), t) for block in evaluate(constraints, evaluation)]
+    if response is not None:
+        blocks = [_at_rest(block, response) for block in blocks]
     margins = _margins(blocks, begins + t, problem)
     excess = float(margins.row.max())
     if excess > 0.0:
@@ -128,6 +132,14 @@ def verified(
     if problem.liquids and not stays(committed.left(committed.ends, problem), np.zeros(1), resting):
         return Finding(None, np.inf, "what is carried would not stay in the wave after it")
     return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
+
+
+def _at_rest(block: Block, response: Finer) -> Block:
+    """The block; if of distances, at the end those at rest too: the arm strays on until it has settled."""
+    if isinstance(block.of, Clearance) and block.values[-1].max() > -PER_METRE * OVERSHOOT:
+        more = strayed(*response.resting) - strayed(*response.tray_radius())[-1]
+        block.values[-1] += PER_METRE * max(0.0, float(more))
+    return block
 
 
 def _kept(blocks: Sequence[Block]) -> bool:

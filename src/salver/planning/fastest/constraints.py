@@ -366,6 +366,11 @@ def _vertical_q(motion: Evaluation) -> Array:
     return np.asarray(hat(up) @ motion.terms.jacobian[:, 3:])
 
 
+def strayed(position: Array, turn: Array) -> Array:
+    """(...) m by which what stands on the tray may be elsewhere, of errors of the tray: (..., 3) m and (..., 3) rad."""
+    return np.asarray(np.linalg.norm(position, axis=-1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=-1))
+
+
 @dataclass(frozen=True, eq=False)
 class Clearance(Constraint):
     """Distances of all watched pairs, less what the arm may stray, in units of 0.1 m."""
@@ -380,8 +385,7 @@ class Clearance(Constraint):
             return
         q, stray = motion.at_nodes[0], np.zeros(1)
         if motion.response is not None:
-            position, turn = motion.tray_radius()
-            stray = np.linalg.norm(position, axis=1) + REACH_BEYOND_TRAY * np.linalg.norm(turn, axis=1)
+            stray = strayed(*motion.tray_radius())
         distance = self.keep_out.distances(q, float(stray.max()))
         if not motion.imposed:
             distance += self.keep_out.required - self.keep_out.least

@@ -23,6 +23,8 @@ from salver.models.worst_case import Drift
 from salver.sensitivity.arm.terms import MotionTerms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop
 
+SETTLES, RESTS = 8.0, 21  # of the loop's time constants, that are looked at of a rest, and at how many instants
+
 
 def some_of(t: Array, jumps: Array, apart: float, fewest: int = 3) -> Indices:
     """Indices of instants t (T,) at which to work things out: where the jerk may jump, and of the smooth pieces between
@@ -145,8 +147,10 @@ class _Continued:
 @dataclass(frozen=True, eq=False)
 class Finer:
     """known: at instants that are some of those of `terms`; smooth: how to come from these to all. late: (T, n)
-    rad/s^2, what a command that is late is short of; before: (K, n) the same just before each instant that is known."""
+    rad/s^2, what a command that is late is short of; before: (K, n) the same just before each instant that is known.
+    loop: what it is of."""
 
+    loop: JointLoop
     known: Deviation
     terms: MotionTerms
     smooth: Smooth
@@ -162,7 +166,7 @@ class Finer:
         known = loop.along(t[smooth.some], some, rates, before=jerk)
         after = known.held.late
         before = after - loop.delay * (rates[2] - jerk)  # M^-1 times M of what jumps
-        return cls(known, terms, smooth, smooth.jumping(after, before), before)
+        return cls(loop, known, terms, smooth, smooth.jumping(after, before), before)
 
     @cached_property
     def midway(self) -> Deviation:
@@ -196,6 +200,19 @@ class Finer:
         both = self.known.load.radius(found.strayed) + np.abs(found.held)
         return np.split(both, [n, 2 * n, 3 * n], axis=1)
 
+    @cached_property
+    def resting(self) -> tuple[Array, Array]:
+        """Each (3,), the largest `tray_radius` while the arm rests at the end, where it has yet to settle."""
+        known, t = self.known, np.linspace(0.0, SETTLES / np.sqrt(self.loop.kp), RESTS)
+        states = np.zeros((3, RESTS, *known.terms.q.shape[1:]))
+        states[0] = known.terms.q[-1]
+        terms = known.terms.continued(states, lambda x: [np.repeat(y[-1:], RESTS, axis=0) for y in x], derivatives=True)
+        last = float(len(known.terms.q) - 1)
+        begun = self.loop.begun(known.state_at(np.arange(last + 1), last))
+        found = begun.along(t, terms, np.zeros((3, RESTS, states.shape[2])))
+        position, turn = found.tray_radius()
+        return position.max(axis=0), turn.max(axis=0)
+
     def joint_radius(self, order: int) -> Array:
         """(T, n) as of a deviation, for position (0) and velocity (1)."""
         return self._radii[order]
@@ -213,7 +230,7 @@ class Finer:
         """At other instants, with terms (T,) there; smooth: how to come to them from those that are known. moving: (T,)
         whether the motion has not ended yet."""
         late = smooth.jumping(self.known.held.late, self.before)
-        return Finer(self.known, terms, smooth, late * moving[:, None], self.before)
+        return replace(self, terms=terms, smooth=smooth, late=late * moving[:, None])
 
     @cached_property
     def swing(self) -> Array:
