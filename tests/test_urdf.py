@@ -50,8 +50,23 @@ MIMIC = '<mimic joint="lean" multiplier="1"/>'
         (lambda t: t.replace('<mass value="4"', '<mass value="-4"'), ["joint x moves weighs -4 kg"]),
         (lambda t: t.replace('ixx="0.02"', 'ixx="0,02"', 1), ['ixx of <inertia> in rail is "0,02"']),
         (lambda t: t.replace('xyz="0 0 0.55"', 'xyz="0 0.55"', 1), ["must be 3 finite numbers"]),
+        (lambda t: t.replace('<axis xyz="0 1 0"', '<axis xyz="0 0 0"', 1), ["xyz of <axis> in y", "a direction"]),
+        (
+            lambda t: gantry(turn="revolute").replace(
+                '"0 0 1"/><limit lower="-2.0"', '"0 0 1"/><limit lower="-170"', 1
+            ),
+            ['lower of <limit> in turn is "-170"', "in rad, at most 62.8", "(-170 deg would be -2.967)"],
+        ),
+        (
+            lambda t: t.replace('ixx="0.02"', 'ixx="2e7"').replace('iyy="0.02" izz="0.02"', 'iyy="2e7" izz="2e7"'),
+            ["what the joint x moves, 4 kg", "2.24e+03 m from its centre", "kg m^2"],
+        ),
+        (lambda t: gantry(more='<safety_controller soft_lower_limit="low"/>'), ["soft_lower_limit", 'turn is "low"']),
     ],
-    ids=["mimic", "two parents", "ring", "xacro", "planar", "text", "nan", "negative", "comma", "two numbers"],
+    ids=[
+        *("mimic", "two parents", "ring", "xacro", "planar", "text", "nan", "negative", "comma", "two numbers"),
+        *("no axis", "degrees", "g mm^2", "soft"),
+    ],
 )
 def test_what_is_no_arm_gets_one_sentence(tmp_path: Path, change, words: list[str]) -> None:
     with pytest.raises(ScenarioError) as refused:
@@ -60,6 +75,20 @@ def test_what_is_no_arm_gets_one_sentence(tmp_path: Path, change, words: list[st
     assert all(word in message for word in words), message
     assert "\n" not in message
     assert message.endswith(".")
+
+
+def test_soft_limits_stand_for_the_limits_that_they_are_within(tmp_path: Path) -> None:
+    """As a robot's safety controller takes them: within the limits. Both 0 is what a URDF means that gives neither."""
+
+    def limits(low: str, high: str, turn: str = "revolute") -> tuple[float, float]:
+        soft = f'<safety_controller k_velocity="1" soft_lower_limit="{low}" soft_upper_limit="{high}"/>'
+        arm = loaded(tmp_path, gantry(turn=turn, more=soft))
+        return float(arm.limits.q_min[3]), float(arm.limits.q_max[3])
+
+    assert limits("-0.2", "0.3") == (-0.2, 0.3)
+    assert limits("-2.5", "1.5") == (-2.0, 1.5)
+    assert limits("0", "0") == (-2.0, 2.0)
+    assert limits("-0.2", "0.3", "continuous") == pytest.approx((-2 * np.pi, 2 * np.pi))
 
 
 def without_inertial(text: str, name: str) -> str:

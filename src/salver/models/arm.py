@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
 
 TRAY_FRAME = "salver_tray"
+LARGEST_GYRATION = (
+    3.0  # m, of what one joint moves; no arm's link is so large, and inertias in g mm^2 are 3e4 times that
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,6 +254,13 @@ def _build(text: str, path: Path) -> Any:
             raise ScenarioError(
                 f"The URDF {path} has a mass or an inertia that none can be (what the joint {name} moves weighs "
                 f"{inertia.mass:g} kg); masses are at least 0, and all numbers finite."
+            )
+        gyration = np.sqrt(np.abs(np.linalg.eigvalsh(inertia.inertia)).max() / inertia.mass) if inertia.mass > 0 else 0
+        if gyration > LARGEST_GYRATION:
+            raise ScenarioError(
+                f"The URDF {path} gives what the joint {name} moves, {inertia.mass:g} kg, an inertia as if it were all "
+                f"{gyration:.3g} m from its centre; inertias are in kg m^2 (1000 kg mm^2 are 0.001), of a mass at "
+                f"most {LARGEST_GYRATION:g} m away."
             )
     model.gravity.linear = GRAVITY_S.copy()
     return model

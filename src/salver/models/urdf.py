@@ -25,6 +25,7 @@ SUFFIXES = (".urdf", ".xml")
 LARGEST = 20_000_000  # bytes
 LONGEST_NAME = 200  # characters, of a link or a joint
 MOST_JOINTS = 20  # that move, between root and flange
+MOST_TURNS = 10.0  # that a revolute joint may be limited to, either way: what is beyond is in degrees
 TURNS = 1.0  # of a continuous joint, either way: the rest of salver counts joint angles as numbers
 MODELS = "example-robot-data"  # the package whose models of some arms come with salver, `salver/robots`
 _NESTED = 2  # folders between one that is searched and a package in it
@@ -46,10 +47,11 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
     """The URDF, cut to the chain from its root to the flange.
 
     What hangs beyond the flange (a gripper) is left off; joints beside the chain are fixed at zero. A continuous
-    joint becomes a revolute one of `TURNS` turns either way. Mesh files that are found get absolute paths.
+    joint becomes a revolute one of `TURNS` turns either way; soft limits of a safety controller that are narrower than
+    the limits stand for them. Mesh files that are found get absolute paths.
 
     Raises ScenarioError: no URDF, no such link, a chain that closes or branches back, a joint on it that follows
-    another one.
+    another one, has no axis or limits that cannot be in rad.
     """
     root = _parse(path)
     for element in root:
@@ -216,6 +218,7 @@ _NUMBERS = {
     "origin": (("xyz", 3), ("rpy", 3)),
     "axis": (("xyz", 3),),
     "limit": tuple((key, 1) for key in ("lower", "upper", "effort", "velocity")),
+    "safety_controller": tuple((key, 1) for key in ("soft_lower_limit", "soft_upper_limit")),
 }
 
 
@@ -279,9 +282,28 @@ def _on_the_chain(joint: ElementTree.Element, path: Path) -> None:
             f"The joint {name} of {path} mimics {mimic.get('joint')}, and it lies between root and flange; joints of "
             "an arm must move on their own: describe the linkage by one joint, or fix this one."
         )
+    axis, limit, soft = joint.find("axis"), joint.find("limit"), joint.find("safety_controller")
+    if joint.get("type") != "fixed" and axis is not None and not any(map(float, axis.get("xyz", "1 0 0").split())):
+        raise ScenarioError(
+            f'The URDF {path}: xyz of <axis> in {name} is "{axis.get("xyz")}"; it must be a direction, of any length '
+            "above 0."
+        )
+    if limit is not None and joint.get("type") == "revolute":
+        most = MOST_TURNS * 2 * np.pi
+        for key in ("lower", "upper"):
+            value = float(limit.get(key, "0"))
+            if abs(value) > most:
+                raise ScenarioError(
+                    f'The URDF {path}: {key} of <limit> in {name} is "{limit.get(key)}"; it must be in rad, at most '
+                    f"{most:.1f} either way ({value:g} deg would be {np.deg2rad(value):.4g}), or the joint continuous."
+                )
+    if limit is not None and soft is not None and joint.get("type") in ("revolute", "prismatic"):
+        low, high = (float(soft.get(f"soft_{key}_limit", "0")) for key in ("lower", "upper"))
+        if low < high:  # both are 0 where nobody gave them
+            limit.set("lower", str(max(low, float(limit.get("lower", "0")))))
+            limit.set("upper", str(min(high, float(limit.get("upper", "0")))))
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")
-        limit = joint.find("limit")
         limit = ElementTree.SubElement(joint, "limit", effort="0", velocity="0") if limit is None else limit
         limit.set("lower", str(-TURNS * 2 * np.pi))
         limit.set("upper", str(TURNS * 2 * np.pi))
