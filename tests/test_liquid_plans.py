@@ -137,7 +137,7 @@ def test_rows_of_a_liquid_are_its_crest_what_is_left_and_what_settles_in_units_o
     parts = motion.sloshing["cup"]
     room = np.concatenate([part.waves.cases.room for part in parts])
     crest = np.concatenate([part.crest for part in parts])
-    now, later = (np.concatenate([part.left(wait) for part in parts]) for wait in (0.0, 0.5))
+    now, later = (np.concatenate([part.left(wait) for part in parts]) for wait in (None, 0.5))
     assert found["waves"] == pytest.approx((crest / room[:, None] - 1).T, abs=1e-12)
     assert found["waves left"] == pytest.approx((now / room - 1)[None], abs=1e-12)
     assert found["settled waves"] == pytest.approx((later / 0.006 - 1)[None], abs=1e-12)

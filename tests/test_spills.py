@@ -98,6 +98,18 @@ def test_a_wave_that_must_have_settled_takes_what_is_missing_of_the_last_slack(c
     assert found.slack[-1] == pytest.approx(0.05 / 1.05, rel=1e-6)
 
 
+def test_on_a_tray_that_leans_the_surface_stands_higher_and_that_is_no_wave_that_must_settle(coffee):
+    """At 10 degrees by tan(10) of the radius; of that a little is allowed for waves that drift, in proportion to its
+    cube."""
+    body, lean, t = coffee.payload.first, np.deg2rad(10.0), np.linspace(0, 0.5, 101)
+    w = np.tile(at_rest(), (len(t), 1))
+    w[:, 0], w[:, 2] = 9.81 * np.sin(lean), 9.81 * np.cos(lean)
+    found = Slosh.of(along((Case(body, 0.05, 0.02),), t, w))
+    stands, over = body.liquid.half[0] * np.tan(lean), found.left(0.0)[0]
+    assert over < 0.1 * stands
+    assert found.left()[0] - over == pytest.approx(stands, rel=1e-3)
+
+
 @pytest.mark.parametrize("wanted", [{}, {"settled_wave": 0.05, "settled_within": 0.5}])
 def test_the_last_slack_is_that_of_what_comes_afterwards(coffee, wanted):
     """At two seconds on a tray at rest. At the low fill waves are too steep first, at the high one they spill first."""

@@ -89,11 +89,11 @@ class Slosh:
     @cached_property
     def left_at_once(self) -> Array:
         """(K,) m, see `left`."""
-        return self.waves.left(0.0, self.more_left)
+        return self.waves.left(None, self.more_left)
 
-    def left(self, seconds: float = 0.0) -> Array:
+    def left(self, seconds: float | None = None) -> Array:
         """(K,) m, see `Waves.left`, at the worst of what is uncertain."""
-        return self.waves.left(seconds, self.more_left) if seconds else self.left_at_once
+        return self.left_at_once if seconds is None else self.waves.left(seconds, self.more_left)
 
     def prepared(self) -> Slosh:
         """With all of it known that becomes of the surface, side by side for all cases: parts need not work it out."""
@@ -229,13 +229,13 @@ class Slosh:
             both.append(surface_by(self.planned, unknowns, case, node, *pair, 0.0))
         return np.stack(both, axis=1)
 
-    def left_bends(self, case: Indices, unknowns: Unknowns, seconds: float = 0.0) -> Array:
+    def left_bends(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
         """Of what is left."""
         waves, which, m = self.waves, self.waves.cases, len(case)
         more = np.broadcast_to(self.more_left, len(which.each))[case]
-        fading, half = waves.fading(seconds)[case], which.half[case]
-        amplitude = waves.amplitude(seconds, self.more_left)[case]
-        stands = amplitude + half * np.abs(waves.slope[case, -1])
+        fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
+        amplitude = waves.amplitude(seconds or 0.0, self.more_left)[case]
+        stands = amplitude + waves.standing[case] * (seconds is None)
         by_amplitude = which.steepest_by(stands) + 2 * which.peaking[case] / half * amplitude
         found, larger = self._amplitude_bends(case, unknowns, fading, stands, by_amplitude)
         peaking = np.sqrt(2 * which.peaking[case] / half)
@@ -285,13 +285,13 @@ class Slosh:
             found.append(aside[:, :1] * larger[0] + aside[:, 1:] * larger[1])
         return found, larger
 
-    def left_by(self, case: Indices, unknowns: Unknowns, seconds: float = 0.0) -> Array:
+    def left_by(self, case: Indices, unknowns: Unknowns, seconds: float | None = None) -> Array:
         """Of what is left; the tray's posture at the end is taken as given."""
         waves, which, m = self.waves, self.waves.cases, len(case)
         more = np.broadcast_to(self.more_left, len(which.each))[case]
-        fading, half = waves.fading(seconds)[case], which.half[case]
-        amplitude = waves.amplitude(seconds, self.more_left)[case]
-        by_amplitude = which.steepest_by(amplitude + half * np.abs(waves.slope[case, -1]))
+        fading, half = waves.fading(seconds or 0.0)[case], which.half[case]
+        amplitude = waves.amplitude(seconds or 0.0, self.more_left)[case]
+        by_amplitude = which.steepest_by(amplitude + waves.standing[case] * (seconds is None))
         by_amplitude = by_amplitude + 2 * which.peaking[case] / half * amplitude
         ending = self._amplitude_by(case, unknowns, fading, by_amplitude)
         k, peak = waves.peak[0][case], waves.peak[1][case]

@@ -351,12 +351,17 @@ class Waves:
         rest = self.at_modes[:, -1] / omega**2 * softer
         return self.r[:, -1] + rest, self.rate[:, -1] / omega * np.sqrt(softer)
 
-    def left(self, seconds: float = 0.0, more: Array | float = 0.0) -> Array:
-        """(K,) m, no crest is higher from so many seconds after the end on, the tray at rest: both modes at their best.
-        more: (K,) m by which the linear waves may be higher."""
+    @cached_property
+    def standing(self) -> Array:
+        """(K, 2) m by which the surface stands higher at the wall after the motion, on a tray that leans."""
+        return np.asarray(self.cases.half * np.abs(self.slope[:, -1]))
+
+    def left(self, seconds: float | None = None, more: Array | float = 0.0) -> Array:
+        """(K,) m, no crest is higher after the end, the tray at rest: both modes at their best. seconds: no wave is
+        higher from then on, beside how the surface stands. more: (K,) m by which the linear waves may be higher."""
         which, more = self.cases, np.broadcast_to(more, len(self.r))
-        amplitude = self.amplitude(seconds, more)
-        highest = which.highest(amplitude + which.half * np.abs(self.slope[:, -1]))
+        amplitude = self.amplitude(seconds or 0.0, more)
+        highest = which.highest(amplitude + self.standing * (seconds is None))
         over = LEFT_OVER * (self.peak[1] + more) ** 3 / which.half.min(axis=1) ** 2
         return np.asarray(highest + (which.peaking / which.half * amplitude**2).sum(axis=1) + over)
 

@@ -77,7 +77,7 @@ class Brim(Constraint):
         yield block(f"steepness left in {name}", after, self.calm * steepest, _free_left_by, _free_left_bends)
         if np.isfinite(room).all():
             yield block(f"waves in {name}", joined(x.crest for x in parts), room, Slosh.crest_by, Slosh.crest_bends)
-        ends = [(0.0, f"waves left in {name}", room)]
+        ends: list[tuple[float | None, str, Array]] = [(None, f"waves left in {name}", room)]
         ends += [(liquid.within, f"settled waves in {name}", np.full(len(room), liquid.settled))]
         for seconds, said, limit in ends:
             if np.isfinite(limit).all():
@@ -85,7 +85,7 @@ class Brim(Constraint):
                 yield block(said, left, limit, partial(_left_by, seconds), partial(_left_bends, seconds))
 
 
-def _left_by(seconds: float, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+def _left_by(seconds: float | None, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
     return part.left_by(case, unknowns, seconds)
 
 
@@ -97,7 +97,7 @@ def _free_left_bends(part: Slosh, case: Indices, node: Indices, unknowns: Unknow
     return part.free_left_bends(case, unknowns)
 
 
-def _left_bends(seconds: float, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
+def _left_bends(seconds: float | None, part: Slosh, case: Indices, node: Indices, unknowns: Unknowns) -> Array:
     return part.left_bends(case, unknowns, seconds)
 
 

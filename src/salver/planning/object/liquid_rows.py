@@ -90,7 +90,7 @@ class BrimRows:
 def _conditions(part: Slosh) -> list[Kind]:
     """Of every kind the values (T, K), their scale (K,), and their derivatives by (case, node)."""
     which, liquid = part.waves.cases, part.waves.cases.liquid
-    ends = [(0.0, which.room), (liquid.within, np.full(len(which.each), liquid.settled))]
+    ends = [(None, which.room), (liquid.within, np.full(len(which.each), liquid.settled))]
     found: list[Kind] = [
         (part.free_height.T, which.steepest, part.free_by),
         (part.lightness.T, np.full(len(which.each), LIGHTEST), part.lightness_by),
