@@ -77,6 +77,12 @@ def test_what_is_no_arm_gets_one_sentence(tmp_path: Path, change, words: list[st
     assert message.endswith(".")
 
 
+def test_a_limit_that_stands_for_none_is_not_taken_for_degrees(tmp_path: Path) -> None:
+    """As models of mobile bases have them: of a Fetch 999999."""
+    text = gantry(turn="revolute").replace('upper="2.0"', 'upper="999999"')
+    assert loaded(tmp_path, text).limits.q_max[3] == 999999.0
+
+
 def test_soft_limits_stand_for_the_limits_that_they_are_within(tmp_path: Path) -> None:
     """As a robot's safety controller takes them: within the limits. Both 0 is what a URDF means that gives neither."""
 

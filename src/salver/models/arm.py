@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
 
 TRAY_FRAME = "salver_tray"
-LARGEST_GYRATION = (
-    3.0  # m, of what one joint moves; no arm's link is so large, and inertias in g mm^2 are 3e4 times that
-)
+# m, of what one joint moves. No arm's link is so large; some have made-up inertias (the jaws of a Robonaut: 3.2), and
+# those in g mm^2 say 3e4 times what is so, in kg mm^2 1e3 times.
+LARGEST_GYRATION = 10.0
 
 
 @dataclass(frozen=True, eq=False)

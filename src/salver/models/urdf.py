@@ -25,7 +25,9 @@ SUFFIXES = (".urdf", ".xml")
 LARGEST = 20_000_000  # bytes
 LONGEST_NAME = 200  # characters, of a link or a joint
 MOST_JOINTS = 20  # that move, between root and flange
-MOST_TURNS = 10.0  # that a revolute joint may be limited to, either way: what is beyond is in degrees
+# Of a revolute joint's limit, either way: more than ten turns in rad are degrees, of which there are up to three turns;
+# what is beyond stands for none (999999 of a Fetch's base).
+DEGREES = 20 * np.pi, 1080.0
 TURNS = 1.0  # of a continuous joint, either way: the rest of salver counts joint angles as numbers
 MODELS = "example-robot-data"  # the package whose models of some arms come with salver, `salver/robots`
 _NESTED = 2  # folders between one that is searched and a package in it
@@ -289,13 +291,13 @@ def _on_the_chain(joint: ElementTree.Element, path: Path) -> None:
             "above 0."
         )
     if limit is not None and joint.get("type") == "revolute":
-        most = MOST_TURNS * 2 * np.pi
         for key in ("lower", "upper"):
             value = float(limit.get(key, "0"))
-            if abs(value) > most:
+            if DEGREES[0] < abs(value) <= DEGREES[1]:
                 raise ScenarioError(
                     f'The URDF {path}: {key} of <limit> in {name} is "{limit.get(key)}"; it must be in rad, at most '
-                    f"{most:.1f} either way ({value:g} deg would be {np.deg2rad(value):.4g}), or the joint continuous."
+                    f"{DEGREES[0]:.1f} either way ({value:g} deg would be {np.deg2rad(value):.4g}), or the joint "
+                    "continuous."
                 )
     if limit is not None and soft is not None and joint.get("type") in ("revolute", "prismatic"):
         low, high = (float(soft.get(f"soft_{key}_limit", "0")) for key in ("lower", "upper"))
