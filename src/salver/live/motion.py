@@ -12,6 +12,7 @@ import numpy as np
 
 from salver.geometry import Array, Indices
 from salver.planning.fastest import Evaluation, TransportProblem
+from salver.sensitivity.arm.finer import SETTLES
 from salver.sensitivity.arm.past import Past
 from salver.trajectory import JointMotion
 
@@ -126,6 +127,12 @@ class Committed:
             if rest.tracking is not None and held.response is not None:
                 sagging = held.response.state_at(np.multiply(step, held.shares), step)
                 rest = replace(rest, tracking=rest.tracking.begun(sagging))
+
+    def settling(self, problem: TransportProblem) -> Evaluation:
+        """The arm at rest after it, until what a wrong load made it stray has settled."""
+        assert problem.tracking is not None
+        seconds = float(SETTLES / np.sqrt(problem.tracking.kp))
+        return self._held(_astray(problem, None if self.deviation is None else self.deviation[-1]), seconds)
 
     def _held(self, problem: TransportProblem, seconds: float) -> Evaluation:
         """The arm at rest after it, for so long, s; the problem is that of going on from its end."""

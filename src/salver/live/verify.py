@@ -58,6 +58,7 @@ UNSPILT = 3e-3
 KEPT: dict[type[Constraint], float] = {Contact: STEADY, TorqueRateLimit: UNHURRIED, Brim: UNSPILT}
 BESIDE = -0.05  # of their limit: rates of joints that are nearer than this are looked at between their instants
 PERIOD = 1e-3  # s: the shortest, of a loop that is told torques
+SETTLING = 2e-2  # of the normal force at rest, by which contact comes nearer to its edge after a motion's end at most
 OVERSHOOT = 5e-3  # m, than which the arm strays less further after its end: as much as is kept free
 FORGIVEN = 0.2  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
 BEGINNING = 0.02  # s
@@ -128,6 +129,14 @@ def verified(
         instants = known.t
     waves = None if known.sloshing is None else known.sloshing.past(known.t)
     committed = Committed(begins, motion, begins + instants, deviation, margins, waves)
+    if response is not None and not problem.liquids and _at_the_edge(blocks):
+        contacts = [coarse(constraint) for constraint in problem.constraints if isinstance(constraint, Contact)]
+        settling = evaluate(contacts, committed.settling(problem), margins=False)
+        worst = max(settling, key=lambda block: float(block.values.max()))
+        excess = float(worst.values.max()) + STEADY
+        if excess > 0.0:
+            sentence = f"{worst.name} would be exceeded by {100 * excess:.2g} % while the arm settles at its end"
+            return Finding(None, excess, sentence, worst.name)
     resting = np.pad(motion.q[-1:], ((0, 3), (0, 0)))[:, None]
     if problem.liquids and not stays(committed.left(committed.ends, problem), np.zeros(1), resting):
         return Finding(None, np.inf, "what is carried would not stay in the wave after it")
@@ -140,6 +149,11 @@ def _at_rest(block: Block, response: Finer) -> Block:
         more = strayed(*response.resting) - strayed(*response.tray_radius())[-1]
         block.values[-1] += PER_METRE * max(0.0, float(more))
     return block
+
+
+def _at_the_edge(blocks: Sequence[Block]) -> bool:
+    """Whether contact comes so near to its edge at the end that it might break while the arm settles."""
+    return any(isinstance(b.of, Contact) and b.values[-1].max() > -SETTLING for b in blocks)
 
 
 def _kept(blocks: Sequence[Block]) -> bool:
