@@ -257,6 +257,11 @@ GOOD = [f"{k / 100},0,0,0.4,1,0,0,0" for k in range(20)]
         ("a.csv", lines("t,x,y,z,qw,qx,qy", *(g[:-2] for g in GOOD)), "no column for qz"),
         ("a.csv", lines("time_in_s,x,y,z,qw,qx,qy,qz", *GOOD), "has no columns of time"),
         ("a.csv", lines(HEADER, *GOOD[:5], "0.05,0,zero,0.4,1,0,0,0"), 'line 7: "zero" is not a number'),
+        (
+            "a.csv",
+            lines(f"{HEADER},X", *(f"{row},9" for row in GOOD)),
+            'two columns "X", 2. and 9., that differ',
+        ),
         ("a.csv", lines(HEADER, *GOOD[:5], "0.05,0,0,0.4,1,0,0"), "line 7: 7 values, but the header names 8"),
         (
             "a.csv",

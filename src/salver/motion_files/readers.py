@@ -169,6 +169,12 @@ def of_table(
 ) -> Samples:
     """Tray or joint motion; the header decides which. With both it is the tray's, or the joints' `as_path`."""
     lowered = [name.lower() for name in header]
+    for j, name in enumerate(lowered):
+        first = lowered.index(name)
+        if not np.array_equal(values[:, first], values[:, j], equal_nan=True):
+            raise FileFormatError(
+                f'{source} has two columns "{header[j]}", {first + 1}. and {j + 1}., that differ; name each once.'
+            )
     clocks = [(j, _TIME[name]) for j, name in enumerate(lowered) if name in _TIME]
     if len(clocks) != 1:
         raise FileFormatError(
