@@ -194,11 +194,11 @@ TURNTABLE = """<robot name="turntable">
 <link name="table"><inertial><origin xyz="0 0 0"/><mass value="1000"/>
 <inertia ixx="1000" ixy="0" ixz="0" iyy="1000" iyz="0" izz="1000"/></inertial></link>
 <joint name="turn" type="revolute"><parent link="base"/><child link="table"/><axis xyz="0 0 1"/>
-<limit effort="1" velocity="100" lower="-100" upper="100"/></joint>
+<limit effort="1" velocity="100" lower="-60" upper="60"/></joint>
 <link name="post"><inertial><origin xyz="0 0 0"/><mass value="1"/>
 <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
 <joint name="swivel" type="revolute"><parent link="table"/><child link="post"/><axis xyz="0 0 1"/>
-<limit effort="1" velocity="100" lower="-100" upper="100"/></joint>
+<limit effort="1" velocity="100" lower="-60" upper="60"/></joint>
 <link name="rim"/>
 <joint name="out" type="fixed"><parent link="post"/><child link="rim"/><origin xyz="0.5 0 0"/></joint>
 </robot>"""
