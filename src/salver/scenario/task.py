@@ -43,7 +43,8 @@ class Pose(Model):
 class Motion(Model):
     """Rest to rest from `start` to `goal`, and how the reference trajectory is parameterised.
 
-    With legs, `goal` is that of the last, and may be left out.
+    With legs, `goal` is that of the last, and may be left out. speeds: where the plan must hold: at "any" constant
+    speed factor from 0 to 1, and at factors that change by up to speed_rate, 1/s; or at "full" speed only.
     """
 
     model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("goal"))
@@ -58,6 +59,8 @@ class Motion(Model):
     max_tilt_deg: Annotated[Number, Field(gt=0, le=90)] | None = None
     goal_yaw: Literal["fixed", "free"] = "fixed"
     stop: Literal["free", "on-path"] = "free"
+    speeds: Literal["any", "full"] = "any"
+    speed_rate: Annotated[Number, Field(ge=0, le=10)] = 0.25
 
     @property
     def may_turn(self) -> bool:
