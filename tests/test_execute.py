@@ -19,6 +19,7 @@ from salver.control.arm import ArmState, controller_for
 from salver.driver import execute
 from salver.driver.execution import Drive, Log, Watchdog, timing
 from salver.driver.robots import SimulatedRobot
+from salver.driver.sensing import Plausible
 from salver.driver.stops import cool_stops
 from salver.errors import MissingDependencyError, SalverError
 from salver.geometry import Array
@@ -141,7 +142,10 @@ def test_watchdog_brakes_to_rest_within_the_torque_rate(plan: Plan) -> None:
     assert "0.02 rad are allowed" in log_.stopped
     stopped_at = float(log_.stopped.split("t = ")[1].split(" s")[0])
     assert 0.4 < stopped_at < 0.55
-    assert not log_.bridged.any()  # pushed, against a joint's stop, thrown back from it: every reading is true
+    # Pushed: every reading is plausible, until the joint strikes its stop, where speeds change at once.
+    struck = int(np.argmax(log_.q[:, 1] > arm.limits.q_max[1]))
+    assert not log_.bridged[: struck - 1].any()
+    assert log_.bridged.sum() <= Plausible().confirmations  # thrown back: believed again after as many readings
     # The last stop's own law: a quintic step within 0.8 of the acceleration, 0.25 s of rest after it; nothing on top.
     began = float(log_.stopped.split("t = ")[-1].split(" s")[0])
     dq = log_.dq[np.argmin(np.abs(log_.t - began))]

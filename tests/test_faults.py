@@ -18,7 +18,7 @@ from salver.files import load_npz
 NAN = float("nan")
 # A clock that runs ahead while the arm is stopped; frozen, false, swapped readings; torques that shake it, or throw a
 # joint against its stop.
-LEFT_TURNING = (20082, 20033, 20749, 20903, 20595, 20621, 20779, 20873, 20069, 20243, 20425, 20443, 20689, 20708)
+LEFT_TURNING = (20082, 20033, 20749, 20903, 20595, 20621, 20873, 20069, 20243, 20425, 20443, 20689)
 
 
 # One by one -----------------------------------------------------------------------------------------------------------

@@ -51,14 +51,12 @@ def test_senses_name_what_is_wrong(rig: Rig) -> None:
     assert said(good) == ""
     # 0.1 of 2.175 rad/s and 100 rad/s^2 for 1 ms are 0.3175 rad/s; 2 * 2.175 rad/s for 1 ms are 0.00435 rad.
     assert said(ArmState(q + 3.1e-4 * turn, np.zeros(7))) == ""
-    assert "panda_joint3 is said to move at 0 rad/s and goes elsewhere" in said(
-        ArmState(q + 3.3e-4 * turn, np.zeros(7))
-    )
-    assert "panda_joint3 is said to have jumped by 0.0048 rad" in said(ArmState(q + 4.8e-3 * turn, np.zeros(7)))
-    assert said(ArmState(q, 0.31 * turn)) == ""
-    assert "the speed of panda_joint3 is said to have jumped by 0.33" in said(ArmState(q, 0.33 * turn))
+    for way in (1.0, -1.0):
+        words = said(ArmState(q + way * 3.3e-4 * turn, np.zeros(7)))
+        assert f"panda_joint3 is said to be at {q[2] + way * 3.3e-4:.5g} rad and to move at 0 rad/s, where" in words
+        assert said(ArmState(q, way * 0.31 * turn)) == ""
+        assert f"and to move at {way * 0.33:.3g} rad/s, where" in said(ArmState(q, way * 0.33 * turn))
     assert "panda_joint3 is said to be at 4 rad" in said(ArmState(np.where(turn > 0, 4.0, q), np.zeros(7)))
-    assert "the speed of panda_joint3 is said to have jumped by 5" in said(ArmState(q, 5.0 * turn))
     for way in (1.0, -1.0):
         assert f"move at {way * 44:g} rad/s, which it cannot" in said(ArmState(q, 44.0 * way * turn))  # 20 limits: 43.5
     assert "no state of its joints" in said(ArmState(q[:6], np.zeros(7)))
@@ -108,7 +106,7 @@ def test_a_state_that_froze_at_rest_is_told_by_the_torques(rig: Rig) -> None:
     assert arm.senses.blind > 10
     assert np.abs(arm.dq - dq).max() > 0.1
     assert arm.off(sensed) < 1e-6
-    assert arm.senses.dark
+    assert arm.senses.blind
 
 
 def test_what_stands_still_and_is_repeated_is_no_fault(rig: Rig) -> None:
@@ -137,7 +135,7 @@ def test_a_joint_that_is_said_to_be_elsewhere_is_not_followed_there(rig: Rig, va
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.5, 2.0])
-def test_a_speed_that_is_not_that_of_its_positions_is_told_and_replaced_by_theirs(rig: Rig, factor: float) -> None:
+def test_speeds_that_are_not_those_of_the_positions_are_noticed(rig: Rig, factor: float) -> None:
     arm = Watched(rig, ACTING)
 
     def false(q: Array, dq: Array, k: int) -> tuple[Array, Array]:
@@ -145,14 +143,9 @@ def test_a_speed_that_is_not_that_of_its_positions_is_told_and_replaced_by_their
 
     arm.goes(150)
     assert abs(arm.dq[1]) > 0.2
-    sensed = arm.goes(100, false)
-    assert "panda_joint2" in sensed.wrong
-    assert arm.off(sensed) < 0.03
-    assert not arm.senses.dark  # its positions still tell
-    arm.beyond = -4 * ACTING
-    while arm.dq[1] * arm.beyond[1] < 0:
-        sensed = arm.goes(1, false)
-        assert arm.off(sensed) < 0.1  # what is too little to be told: 5e-3 rad in 50 ms
+    assert arm.senses.blind == 0
+    assert "panda_joint2 is said to be at" in arm.goes(100, false).wrong
+    assert arm.senses.blind > 50
 
 
 def test_an_arm_that_is_pushed_is_believed_against_its_model(rig: Rig) -> None:
@@ -166,45 +159,6 @@ def test_an_arm_that_is_pushed_is_believed_against_its_model(rig: Rig) -> None:
     assert arm.off(sensed) == 0.0
 
 
-def thrown_against_its_stop(rig: Rig, bounce: float) -> tuple[Watched, list[Any]]:
-    """Joint 2 goes out at 1 rad/s until it meets its stop and is thrown back at a share of its speed; the impulse moves
-    the other joints too, as M says. A spring of 8 Hz at the stop holds it from then on."""
-    arm = Watched(rig, np.zeros(7))
-    end = arm.model.limits.q_max[1]
-    arm.q[1], arm.dq[1] = end - 0.05, 1.0
-    arm.senses = Senses(rig.arm, rig.carried, 1e-3, ArmState(arm.q, arm.dq))
-    sensed = []
-    for _ in range(300):
-        held = arm.q[1] > end
-        if held and arm.dq[1] > 0:
-            gives = np.linalg.inv(arm.model.mass_matrix(arm.q))[:, 1]
-            arm.dq = arm.dq - (1 + bounce) * arm.dq[1] * gives / gives[1]
-        elif not held:
-            arm.beyond = 50.0 * (np.arange(7) == 1)  # pressed outwards all the while, and held where the stop begins
-        sensed.append(arm.goes(1))
-    return arm, sensed
-
-
-@pytest.mark.parametrize("bounce", [0.0, 0.5, 1.0])
-def test_a_joint_that_meets_its_stop_is_believed(rig: Rig, bounce: float) -> None:
-    """However it is thrown back, and while it rests there though a torque presses it outwards."""
-    arm, sensed = thrown_against_its_stop(rig, bounce)
-    assert arm.q[1] == pytest.approx(arm.model.limits.q_max[1], abs=0.05)
-    assert [s.wrong for s in sensed if s.wrong] == []
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_joint_that_is_not_seen_meets_its_stop_in_the_model(rig: Rig, way: float) -> None:
-    arm = Watched(rig, np.zeros(7))
-    end = (arm.model.limits.q_max if way > 0 else arm.model.limits.q_min)[1]
-    arm.q[1], arm.dq[1] = end - way * 0.02, way
-    arm.senses = Senses(rig.arm, rig.carried, 1e-3, ArmState(arm.q, arm.dq))
-    for _ in range(100):
-        state = arm.senses.take(None, arm.model.gravity(arm.q)).state
-    assert -0.02 < way * (state.q[1] - end) < 1e-3
-    assert way * state.dq[1] < 1e-3
-
-
 def test_a_clock_that_runs_ahead_is_told_by_the_joints(rig: Rig) -> None:
     arm = Watched(rig, ACTING)
     arm.goes(200)
@@ -214,20 +168,17 @@ def test_a_clock_that_runs_ahead_is_told_by_the_joints(rig: Rig) -> None:
     assert sensed.elapsed == 1e-3
 
 
-@pytest.mark.parametrize(("way", "believed"), [(0.8e-3, True), (3e-3, False)])
-def test_after_darkness_an_arm_may_be_as_far_away_as_its_model_may_be_wrong(
-    rig: Rig, way: float, believed: bool
+@pytest.mark.parametrize(("way", "away"), [(0.2, False), (-0.2, False), (0.4, True), (-0.4, True)])
+def test_a_joint_that_was_not_seen_is_believed_again_after_twenty_readings_near_the_model(
+    rig: Rig, way: float, away: bool
 ) -> None:
-    """An acceleration that nobody knew of took a joint aside for 40 ms in which it was not seen. The model may be wrong
-    by 0.4 of half the maker's 7.5 rad/s^2, which is 1.2 mrad then; a jolt within one period would be 0.32."""
-    arm, unseen, joint = Watched(rig, ACTING), 40, np.arange(7) == 1
-    arm.goes(100)
+    """It comes back elsewhere, by less or more than the 0.3 rad that the model may be wrong by."""
+    arm, joint = Watched(rig, 0.1 * ACTING), np.arange(7) == 1
 
     def reading(q: Array, dq: Array, k: int) -> tuple[Array, Array]:
-        if k < unseen:
-            return np.where(joint, NAN, q), np.where(joint, NAN, dq)
-        speed = 2 * way / (1e-3 * unseen)
-        return q + joint * (way + speed * 1e-3 * (k - unseen)), dq + joint * speed
+        return np.where(joint, q + way if k >= 15 else NAN, q), dq
 
-    wrong = arm.goes(unseen + 4, reading).wrong
-    assert (wrong == "") == believed, wrong
+    assert arm.goes(15 + 20, reading).wrong
+    sensed = arm.goes(1, lambda q, dq, k: reading(q, dq, 35))
+    assert bool(sensed.wrong) == away
+    assert (sensed.state.q[1] == arm.q[1] + way) != away

@@ -287,7 +287,7 @@ class Drive:
         else:
             # Waited for in periods: a robot's clock that runs ahead does not end a stop while the arm still turns.
             due, waited = self.s >= self.stop.duration, self.stopping * self.period - self.stop.duration
-            if self.senses.dark > self.watchdog.bridged_periods:
+            if self.senses.blind > self.watchdog.bridged_periods:
                 # Who does not see does not hold: what the model is wrong by adds up until torque control ends.
                 return min(self.s, self.stopping * self.period) >= self.stop.duration - HOLD_AFTER_STOP
         return due and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.torque, AT_REST))
