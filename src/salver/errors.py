@@ -29,6 +29,10 @@ class MissingDependencyError(SalverError):
     """An optional package, a renderer or a robot interface is needed and not there."""
 
 
+class UnsafeError(SalverError):
+    """A motion that fails a verdict would be written as a program that does not say so."""
+
+
 class UnreachableError(SalverError):
     """The arm cannot take the posture or follow the motion that was asked for."""
 

@@ -18,6 +18,7 @@ from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.motion_files import JointSamples, Samples, read_path
+from salver.motion_files.verdict import UNSAFE, one_line
 from salver.planning.plan import Plan, load_plan
 from salver.run_directory import SCENARIO
 from salver.scenario import Scenario
@@ -69,6 +70,15 @@ class Paced:
     def ok(self) -> bool:
         """Whether everything holds in the worst case and no joint is too fast."""
         return self.audit.ok and self.too_fast is None
+
+    @property
+    def verdict(self) -> str:
+        """What its file says of it, in one line; what called itself unsafe stays so, for an audit knows no torques and
+        no obstacles."""
+        if self.ok:
+            return self.samples.verdict or one_line(f"Not checked: {self.unchecked}. {self.audit.worst.sentence}")
+        fast = "" if self.too_fast is None else f" The arm cannot follow: {self.too_fast}."
+        return one_line(f"{UNSAFE}: {self.audit.worst.sentence}{fast}")
 
 
 def at_pace(samples: Samples, scenario: Scenario, factor: float | None = None, **options: Any) -> Paced:

@@ -155,8 +155,18 @@ def save_record(
     kind: added to the name of what is no run of the whole plan, and so is not shown as one.
     Records of other runs that stand there are kept, as STEM-1, STEM-2 ...
     """
-    digest = {"plan_digest": plan_digest(directory, stem)} if _holds(directory, stem) else {}
-    return save_result(directory / folder / f"{stem}{kind}", arrays, {**summary, **digest})
+    of_plan, verdict = {}, ""
+    if _holds(directory, stem):
+        verdict = plan_verdict(directory, stem)
+        of_plan = {"plan_digest": plan_digest(directory, stem), "plan_verdict": verdict}
+    return save_result(directory / folder / f"{stem}{kind}", {**arrays, "verdict": verdict}, {**summary, **of_plan})
+
+
+def plan_verdict(directory: Path, stem: str) -> str:
+    """The verdict on the plan `stem`, or on a leg, as its record has it; empty where it has none."""
+    record, number = read_json(directory / f"{file_stem(directory, stem)}.json"), leg_number(stem)
+    legs = record.get("legs") if number is not None else None
+    return str((legs[number - 1] if legs and number else record).get("verdict", ""))
 
 
 def check_digest(summary: Mapping[str, Any], path: Path, directory: Path, stem: str) -> None:

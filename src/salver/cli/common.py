@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from salver.cli.progress import hide, working
-from salver.errors import SalverError, ScenarioError, UnreachableError
+from salver.errors import SalverError, ScenarioError, UnreachableError, UnsafeError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -43,6 +43,14 @@ Stops = Annotated[
     ),
 ]
 
+Unsafe = Annotated[
+    bool,
+    typer.Option(
+        "--unsafe",
+        help="Write also a motion that fails its verdict; its file says UNSAFE first, and in its name.",
+    ),
+]
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
@@ -63,7 +71,7 @@ def handled(command: Command) -> Command:
                 result = command(*args, **kwargs)
             sys.stdout.flush()
             return result
-        except UnreachableError as error:
+        except (UnreachableError, UnsafeError) as error:
             say(f"salver: {error}")
             raise typer.Exit(NO_SAFE_PLAN) from None
         except SalverError as error:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from salver.cli.audit import Topic
-from salver.cli.common import Json, print_json, say
+from salver.cli.common import Json, Unsafe, print_json, say
 from salver.errors import SalverError
 
 
@@ -27,6 +27,7 @@ def export(
         typer.Option("-s", "--scenario", help="Whose arm names the joints of a motion file that only numbers them."),
     ] = None,
     topic: Topic = None,
+    unsafe: Unsafe = False,
     json: Json = False,
 ) -> None:
     """Write a planned motion for other programs: CSV, JSON, ROS 2 bag (mcap), ROS 2 messages as YAML
@@ -35,7 +36,12 @@ def export(
     Numbers keep all their digits; times are whole nanoseconds. Or write a motion file (CSV, JSON, YAML, ROS bag, log of
     a run) in another of these formats: its joints, where it tells them, and in a table the tray's poses.
 
+    A motion that fails its verdict (its plan, its check, its arm) is written with --unsafe only, and then says UNSAFE
+    first and in its name: cube-UNSAFE.csv.
+
     Example: `salver export runs/panda-cube --format ros2 -o cube_bag`
+
+    Ends with 3 when the motion is unsafe and --unsafe was not given.
     """
     from salver.export import convert, write_export
     from salver.motion_files import is_motion_file
@@ -46,13 +52,13 @@ def export(
         if rate is not None or stem != "plan":
             raise SalverError("--rate and --stem are for run directories; a motion file keeps its own instants.")
         chosen = None if scenario is None else scenarios.load(scenario)
-        paths, notes = convert(directory, file_format, output, chosen, topic)
+        paths, notes = convert(directory, file_format, output, chosen, topic, unsafe=unsafe)
         for note in notes:
             say(f"salver: {note}")
     else:
         if scenario is not None or topic is not None:
             raise SalverError(f"--scenario and --topic are for motion files; {directory} is none.")
-        paths = write_export(directory, file_format, output, stem, rate)
+        paths = write_export(directory, file_format, output, stem, rate, unsafe=unsafe)
     if json:
         print_json({"files": [str(path) for path in paths]})
     else:

@@ -30,13 +30,25 @@ def render(
 
     Example: `salver render runs/panda-cube -o cube.mp4`
     """
+    from salver.motion_files.verdict import UNSAFE
     from salver.reports.film import write_film
 
     path = output if output is not None else directory / "film.mp4"
     film = write_film(directory, path, stem, rate=rate, speed=speed, width=width, height=height)
     if film.note:
         say(film.note)
+    for name, verdict in film.verdicts.items():
+        if verdict.startswith(UNSAFE):
+            say(f"salver: {name}: {verdict}")
     if json:
-        print_json({"film": film.path, "frames": film.frames, "renderer": film.renderer, "note": film.note})
+        print_json(
+            {
+                "film": film.path,
+                "frames": film.frames,
+                "renderer": film.renderer,
+                "note": film.note,
+                "verdicts": film.verdicts,
+            }
+        )
     else:
         say(f"Wrote {film.path}: {film.frames} pictures, {film.path.stat().st_size / 1e6:.1f} MB.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
@@ -9,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.audit import Gap, Highest, Noise, Topic
-from salver.cli.common import NO_SAFE_PLAN, Json, Stops, print_json, result_console, save_plans, say
+from salver.cli.common import NO_SAFE_PLAN, Json, Stops, Unsafe, print_json, result_console, save_plans, say
 from salver.cli.searching import stopping
-from salver.errors import ScenarioError
+from salver.errors import ScenarioError, UnsafeError
 
 if TYPE_CHECKING:
     from salver.motion_files import Samples
@@ -49,6 +50,7 @@ def retime(
     noise: Noise = None,
     gap: Gap = None,
     stops: Stops = False,
+    unsafe: Unsafe = False,
     json: Json = False,
 ) -> None:
     """Run through joint waypoints, or along the path of a motion or a plan, as fast as is safe for what is carried.
@@ -58,7 +60,8 @@ def retime(
 
     Example: `salver retime waypoints.csv --scenario panda-cube -o runs/retimed`
 
-    Ends with 0 when the path can be run safely, with 3 when it cannot.
+    Ends with 0 when the path can be run safely, with 3 when it cannot; a file of it (--write, --pace) is then written
+    with --unsafe only.
     """
     from salver import scenario as scenarios
     from salver.export.motion import read_motion
@@ -81,7 +84,15 @@ def retime(
         from salver.auditing import read_for
 
         options = {"highest": highest, "noise": noise, "longest_gap": gap}
-        _at_pace(read_for(chosen, path, topic, joints_first=True), chosen, pace, write or _beside(path), json, options)
+        _at_pace(
+            read_for(chosen, path, topic, joints_first=True),
+            chosen,
+            pace,
+            write or _beside(path),
+            json,
+            unsafe,
+            options,
+        )
         return
     directory = out if out is not None else Path("runs") / f"{chosen.name}-retimed"
     check_free(directory)
@@ -89,14 +100,14 @@ def retime(
     if stops:
         plan = stopping(plan, lambda: save_plans(directory, {"plan": plan}))
     save_plans(directory, {"plan": plan})
-    if write is not None:
-        for file in write_motion(read_motion(directory), write):
-            say(f"Wrote {file}")
     if json:
         print_json({"directory": directory, "plan": plan.summary()})
     else:
         _tell(plan)
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
+    if write is not None:
+        for file in write_motion(read_motion(directory), write, unsafe=unsafe):
+            say(f"Wrote {file}")
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)
 
@@ -122,7 +133,13 @@ def _beside(path: Path) -> Path:
 
 
 def _at_pace(
-    samples: Samples, scenario: Scenario, pace: str, target: Path, json: bool, options: dict[str, float | None]
+    samples: Samples,
+    scenario: Scenario,
+    pace: str,
+    target: Path,
+    json: bool,
+    unsafe: bool,
+    options: dict[str, float | None],
 ) -> None:
     """Write the motion at another pace, and say what becomes of the load."""
     from salver.given import at_pace
@@ -133,7 +150,11 @@ def _at_pace(
     except ValueError:
         raise ScenarioError(f'--pace "{pace}" must be a number, as 0.9, or the word least.') from None
     found = at_pace(samples, scenario, factor, **options)
-    files = write(Motion.of(found.samples), target, samples.form)
+    files, refused = [], None
+    try:
+        files = write(replace(Motion.of(found.samples), verdict=found.verdict), target, samples.form, unsafe=unsafe)
+    except UnsafeError as error:
+        refused = error
     duration = float(found.samples.t[-1])
     if json:
         summary = found.audit.summary()
@@ -143,6 +164,7 @@ def _at_pace(
                 "factor": found.factor,
                 "duration": duration,
                 "ok": found.ok,
+                "verdict": found.verdict,
                 "unchecked": found.unchecked,
                 "too_fast": found.too_fast,
                 "audit": summary,
@@ -156,7 +178,9 @@ def _at_pace(
             tell(f"The arm cannot follow: {found.too_fast}.")
         for file in files:
             say(f"Wrote {file}")
-        if isinstance(found.samples, JointSamples) and found.samples.commanded and form_of(target) == "csv":
+        if files and isinstance(found.samples, JointSamples) and found.samples.commanded and form_of(target) == "csv":
             say("Judged as a command. A table is a recording: salver audit does not join its rows by their velocities.")
+    if refused is not None:
+        raise refused
     if not found.ok:
         raise typer.Exit(NO_SAFE_PLAN)

@@ -155,7 +155,7 @@ def _plans(asked: _Asked) -> dict[str, SimulationRecord]:
         record = results[name] = run_physics(plan, parameters=asked.parameters, seed=asked.seed, stop_at=stop_at)
         record.save(directory, name, "" if stop_at is None else "-stop")
         if asked.write is not None:
-            _write(record, plan.scenario, asked.write)
+            _write(record, plan.scenario, asked.write, plan.verdict)
     return results
 
 
@@ -185,13 +185,17 @@ def _legs(asked: _Asked, json: bool) -> None:
     say(f"Written to {directory / 'simulation'}.")
 
 
-def _write(record: SimulationRecord, scenario: Scenario, path: Path) -> None:
-    """What happened, as a motion file."""
+def _write(record: SimulationRecord, scenario: Scenario, path: Path, verdict: str) -> None:
+    """What happened, as a motion file; one that says so where the motion is unsafe, or the load was not kept."""
     from salver.models.arm import load_arm
     from salver.motion_files import write
+    from salver.motion_files.verdict import UNSAFE, one_line
 
     arm = None if scenario.arm is None or not record.q.shape[1] else load_arm(scenario.arm, scenario.tray)
-    for file in write(record.motion(arm.joint_names if arm else ()), path):
+    if not verdict.startswith(UNSAFE):
+        verdict = "" if record.outcome == "holds" else one_line(f"{UNSAFE}: {' '.join(sentences(record))}")
+    motion = replace(record.motion(arm.joint_names if arm else ()), verdict=verdict)
+    for file in write(motion, path, unsafe=True):
         say(f"Wrote {file}")
 
 
@@ -204,9 +208,10 @@ def _motion(asked: _Asked, scenario: str, topic: str | None) -> dict[str, Simula
     if asked.run is not None or asked.stop_at is not None or asked.stem != "plan":
         raise ScenarioError("--run, --stop-at and --stem are for run directories; a motion file has none of them.")
     chosen, path = scenarios.load(scenario), asked.directory
-    record = simulate_given(read_for(chosen, path, topic), chosen, asked.parameters)
+    samples = read_for(chosen, path, topic)
+    record = simulate_given(samples, chosen, asked.parameters)
     if asked.write is not None:
-        _write(record, chosen, asked.write)
+        _write(record, chosen, asked.write, samples.verdict)
     return {path.name: record}
 
 

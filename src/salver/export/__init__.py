@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from salver.errors import SalverError
 from salver.files import output_file, write_atomic
+from salver.motion_files.verdict import place_for
 
 if TYPE_CHECKING:
     from salver.scenario import Scenario
@@ -26,12 +27,15 @@ def write_export(
     path: str | Path | None = None,
     stem: str = "plan",
     rate: float | None = None,
+    *,
+    unsafe: bool = False,
 ) -> list[Path]:
     """Write the motion `stem` of a run directory in a format; returns the files. By default DIR/export/STEM + ending.
 
     rate: samples per second, the plan's own instants when None (urscript: 500). Another file that stands there is
-    kept, numbered. Raises SalverError for an unknown format, an arm that a format is not for, or a place that is
-    taken, FileFormatError for a directory without such a plan.
+    kept, numbered. unsafe: write also a motion that fails its verdict (plan, check, arm), with UNSAFE in its name and
+    first in the file. Raises UnsafeError for such a motion without it, SalverError for an unknown format, an arm that
+    a format is not for, or a place that is taken, FileFormatError for a directory without such a plan.
     """
     if file_format not in FORMATS:
         raise SalverError(f'There is no export format "{file_format}"; known are {", ".join(FORMATS)}.')
@@ -39,20 +43,21 @@ def write_export(
     if file_format == "mujoco":
         from salver.export.mujoco import write_scene
 
-        return write_scene(directory, target, stem)
+        return write_scene(directory, target, stem, unsafe=unsafe)
     from salver.export.motion import read_motion
 
     if file_format == "urscript":
         from salver.export import urscript
 
         rate = urscript.RATE if rate is None else rate
-        text = urscript.program(read_motion(directory, stem, rate), rate)
+        motion = read_motion(directory, stem, rate)
+        text, target = urscript.program(motion, rate), place_for(target, motion.verdict, unsafe)
         return [write_atomic(output_file(target, (".script",)), text, keep=True)]
     from salver.motion_files import ENDINGS, write
 
     if ENDINGS[file_format]:
         target = output_file(target, ENDINGS[file_format])
-    return write(read_motion(directory, stem, rate), target, file_format)
+    return write(read_motion(directory, stem, rate), target, file_format, unsafe=unsafe)
 
 
 def convert(
@@ -61,12 +66,14 @@ def convert(
     target: str | Path | None = None,
     scenario: Scenario | None = None,
     topic: str | None = None,
+    *,
+    unsafe: bool = False,
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Write a motion file in another format; returns the files, and what was mended on reading. By default beside the
     file, with the ending of the format.
 
     scenario: whose arm names the joints, where the file only numbers them. topic: of a bag with several motions.
-    Raises SalverError, FileFormatError.
+    unsafe: write also what calls itself unsafe, as `write_export`. Raises SalverError, FileFormatError.
     """
     if file_format not in FORMATS or file_format in OF_PLANS:
         known = ", ".join(name for name in FORMATS if name not in OF_PLANS)
@@ -83,4 +90,4 @@ def convert(
         raise SalverError(f"{path} would be written over itself; name another file with -o.")
     if ENDINGS[file_format]:
         place = output_file(place, ENDINGS[file_format])
-    return write(motion, place, file_format), notes
+    return write(motion, place, file_format, unsafe=unsafe), notes

@@ -66,6 +66,7 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
             "method": plan.method,
             "scenario": json.loads(plan.scenario.model_dump_json(exclude_none=True)),
         },
+        verdict=plan.verdict,
     )
 
 

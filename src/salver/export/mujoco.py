@@ -14,6 +14,7 @@ from salver.errors import SalverError
 from salver.export.motion import read_motion
 from salver.files import write_atomic, writing
 from salver.geometry import GRAVITY_S, Array
+from salver.motion_files.verdict import place_for
 from salver.motion_files.writers import write_csv
 from salver.planning.plan import load_plan
 
@@ -26,13 +27,13 @@ MESHES = "meshes"
 STIFFNESS, DAMPING = 4000.0, 200.0  # N m/rad, N m s/rad
 
 
-def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[Path]:
+def write_scene(directory: str | Path, path: Path, stem: str = "plan", *, unsafe: bool = False) -> list[Path]:
     """A new directory: scene.xml, meshes/, motion.csv (the reference). Opens in MuJoCo's viewer.
 
     The scene is the one that `salver simulate` runs, but for servos on the joints and compensated weight, so that it
     holds itself up: set ctrl to the columns q_... of motion.csv to replay. Keyframe "start" has the arm at the start
-    and the objects on the tray. Raises SalverError when `path` exists and for a liquid that is no body to such a file,
-    FileFormatError for a directory without such a plan.
+    and the objects on the tray. unsafe: as `salver.export.write_export`. Raises SalverError when `path` exists and for
+    a liquid that is no body to such a file, FileFormatError for a directory without such a plan, UnsafeError.
     """
     from salver.models.arm import load_arm
     from salver.simulation import scene as scenes
@@ -40,11 +41,12 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[P
     from salver.simulation.engine import mujoco
     from salver.simulation.loads import true_world
 
+    plan = load_plan(directory, stem)
+    path = place_for(path, plan.verdict, unsafe)
     if path.exists():
         raise SalverError(
             f"{path} exists; a MuJoCo scene is a new directory: name another with -o, or remove that one."
         )
-    plan = load_plan(directory, stem)
     scenario = plan.scenario
     arm = load_arm(scenario.arm, scenario.tray) if scenario.arm and plan.joint is not None else None
     world = true_world(scenario)
@@ -70,7 +72,8 @@ def write_scene(directory: str | Path, path: Path, stem: str = "plan") -> list[P
         scene.place(data, q)
         spec.add_key(name=START, qpos=data.qpos, ctrl=q if q is not None else [])
         model = spec.compile()
-        write_atomic(temporary / "scene.xml", with_all_digits(spec.to_xml(), model))
+        comment = f"<!-- {plan.verdict.replace('--', '- -')} -->\n"
+        write_atomic(temporary / "scene.xml", comment + with_all_digits(spec.to_xml(), model))
         if arm is not None:
             write_csv(read_motion(directory, stem), temporary / "motion.csv")
         with writing(path):

@@ -20,6 +20,7 @@ NEAR = 0.01  # rad: further from the start no joint may be when the program begi
 STOP = 2.0  # rad/s^2, of stopj; the arm rests by then
 
 HEAD = """\
+# {verdict}
 # {name}: {duration:.4g} s, {samples} joint positions at {rate:g} Hz. Written by salver {version} from a plan.
 # Speed slider at 100 %, payload set to tray and load: the controller slows a motion down otherwise, and no longer
 # follows the plan.
@@ -58,6 +59,7 @@ def program(motion: Motion, rate: float) -> str:
     assert motion.q is not None
     about = motion.about
     head = HEAD.format(
+        verdict=motion.verdict,
         name=about["scenario"]["name"].replace("\n", " "),
         duration=motion.t[-1],
         samples=len(motion.t),

@@ -19,7 +19,8 @@ class Motion(Outlined):
 
     ns (T,): int64, nanoseconds from the start. joint_names: n names, empty without joints; q, dq, ddq, tau (T, n).
     p_SE, quat_SE_wxyz: the tray. p_SB, quat_SB_wxyz, v_S, a_S, omega_B, alpha_B: the first object. What is not known
-    is None. about: where it comes from, for the heading of a file.
+    is None. about: where it comes from, for the heading of a file. verdict: on the motion, one line, that begins with
+    "UNSAFE: " when it fails; empty when there is none.
     """
 
     ns: Array
@@ -37,6 +38,7 @@ class Motion(Outlined):
     omega_B: Array | None = None
     alpha_B: Array | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
+    verdict: str = ""
 
     @property
     def t(self) -> Array:
@@ -54,10 +56,10 @@ class Motion(Outlined):
         """What was read, to be written again."""
         ns: Any = np.round(samples.t * 1e9).astype(np.int64)
         if isinstance(samples, JointSamples):
-            return cls(ns, samples.names, samples.q, samples.dq, samples.ddq)
+            return cls(ns, samples.names, samples.q, samples.dq, samples.ddq, verdict=samples.verdict)
         if samples.frame == "B":
-            return cls(ns, p_SB=samples.p, quat_SB_wxyz=samples.quat_wxyz)
-        return cls(ns, p_SE=samples.p, quat_SE_wxyz=samples.quat_wxyz)
+            return cls(ns, p_SB=samples.p, quat_SB_wxyz=samples.quat_wxyz, verdict=samples.verdict)
+        return cls(ns, p_SE=samples.p, quat_SE_wxyz=samples.quat_wxyz, verdict=samples.verdict)
 
 
 QUANTITIES = (

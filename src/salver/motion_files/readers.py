@@ -30,6 +30,7 @@ from salver.files import load_npz
 from salver.geometry import Array
 from salver.motion_files.motion import QUANTITIES
 from salver.motion_files.samples import FEWEST, JointSamples, Samples, joint_samples, reordered, tray_samples
+from salver.motion_files.verdict import verdict_in
 
 _PARTS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME = {"t": 1.0, "time": 1.0, "time_s": 1.0, "timestamp": 1.0, "time_from_start": 1.0}
@@ -65,6 +66,12 @@ def read(
     path = Path(path)
     if not _exists(path):
         raise FileFormatError(f"{path} does not exist; give a .csv, .yaml or .json file or a ROS bag.")
+    found = _read(path, joint_names, topic, as_path)
+    return replace(found, verdict=verdict_in(path))
+
+
+def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool) -> Samples:
+    """`read`, without what the file says of itself."""
     ending = path.suffix.lower()
     if path.is_file() and path.stat().st_size > LARGEST and ending not in BAGS:
         raise FileFormatError(f"{path} is larger than {LARGEST // 1_000_000} MB; cut it.")

@@ -18,6 +18,7 @@ from salver.errors import SalverError
 from salver.files import to_json, write_atomic, writing
 from salver.geometry import Array
 from salver.motion_files.motion import Motion
+from salver.motion_files.verdict import UNSAFE
 
 TOPICS = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
@@ -92,6 +93,8 @@ def write_bag(motion: Motion, path: Path) -> list[Path]:
         with writing(path):
             temporary.parent.mkdir(parents=True)
             with Writer(temporary, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+                if motion.verdict:
+                    writer.set_custom_data("verdict", motion.verdict)
                 for topic, message in messages(motion).items():
                     kind = TOPICS[topic]
                     connection = writer.add_connection(f"/salver/{topic}", kind, typestore=store)
@@ -135,23 +138,33 @@ def write_yaml(motion: Motion, path: Path) -> list[Path]:
     found = messages(motion)
     for topic, message in found.items():
         own = path if topic == next(iter(found)) else path.with_name(f"{path.stem}_{topic}{path.suffix}")
-        made.append(write_atomic(own, f"# {TOPICS[topic]}\n" + "\n".join(_block(message, "")) + "\n", keep=True))
+        made.append(
+            write_atomic(own, _headed(motion, TOPICS[topic]) + "\n".join(_block(message, "")) + "\n", keep=True)
+        )
     return made
 
 
 def write_robot_trajectory(motion: Motion, path: Path) -> list[Path]:
     """A moveit_msgs/RobotTrajectory. Raises SalverError for a motion without joints."""
     message = {"joint_trajectory": _joints(motion, path), "multi_dof_joint_trajectory": _NO_OTHER_JOINTS}
-    text = "# moveit_msgs/msg/RobotTrajectory\n" + "\n".join(_block(message, "")) + "\n"
+    text = _headed(motion, "moveit_msgs/msg/RobotTrajectory") + "\n".join(_block(message, "")) + "\n"
     return [write_atomic(path, text, keep=True)]
+
+
+def _headed(motion: Motion, kind: str) -> str:
+    """The comments above a message: its type and the verdict on its motion, first where that is unsafe."""
+    lines = [f"# {text}\n" for text in (kind, motion.verdict) if text]
+    return "".join(reversed(lines) if motion.verdict.startswith(UNSAFE) else lines)
 
 
 _NO_OTHER_JOINTS = {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}, "joint_names": [], "points": []}
 
 
 def write_message(motion: Motion, path: Path) -> list[Path]:
-    """A trajectory_msgs/JointTrajectory as JSON. Raises SalverError for a motion without joints."""
-    return [write_atomic(path, to_json(_joints(motion, path)), keep=True)]
+    """A trajectory_msgs/JointTrajectory as JSON, with its verdict when it is unsafe. Raises SalverError for a motion of
+    the tray."""
+    verdict = {"verdict": motion.verdict} if motion.verdict.startswith(UNSAFE) else {}
+    return [write_atomic(path, to_json({**verdict, **_joints(motion, path)}), keep=True)]
 
 
 def _joints(motion: Motion, path: Path) -> dict[str, Any]:

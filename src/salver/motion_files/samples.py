@@ -20,6 +20,7 @@ class TraySamples(Outlined):
 
     t (N,) s from the first sample; p (N, 3) m; quat_wxyz (N, 4), continuous in sign. frame: "E" or "B".
     notes: what was repaired on reading, as sentences. form: of the file, one of `salver.motion_files.FORMS`.
+    verdict: "UNSAFE: why" where the file says so of itself, else empty.
     """
 
     t: Array
@@ -29,6 +30,7 @@ class TraySamples(Outlined):
     source: str
     notes: tuple[str, ...] = ()
     form: str = "csv"
+    verdict: str = ""
 
     def paced(self, factor: float) -> TraySamples:
         """The same path in `factor` times the time."""
@@ -40,8 +42,8 @@ class JointSamples(Outlined):
     """Joint positions q (N, n) at t (N,), with velocities and accelerations where the file has them.
 
     names: (n,) of the joints, in the order of the columns. commanded: whether a controller is told to run through
-    these waypoints with these velocities; otherwise they are a recording. form: as in `TraySamples`. tau: (N, n) N m,
-    of a recording that has it, where it was asked for.
+    these waypoints with these velocities; otherwise they are a recording. form, verdict: as in `TraySamples`. tau: (N,
+    n) N m, of a recording that has it, where it was asked for.
     """
 
     t: Array
@@ -54,6 +56,7 @@ class JointSamples(Outlined):
     commanded: bool = False
     form: str = "csv"
     tau: Array | None = None
+    verdict: str = ""
 
     def paced(self, factor: float) -> JointSamples:
         """The same path in `factor` times the time."""

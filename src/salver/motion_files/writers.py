@@ -13,6 +13,7 @@ from salver.files import output_file, to_json, write_atomic
 from salver.geometry import Array
 from salver.motion_files.motion import Motion
 from salver.motion_files.readers import FORMAT, column_names
+from salver.motion_files.verdict import UNSAFE, place_for
 
 # Format to the endings of its files; a bag is a directory.
 ENDINGS = {
@@ -25,14 +26,16 @@ ENDINGS = {
 }
 
 
-def write(motion: Motion, path: str | Path, form: str | None = None) -> list[Path]:
+def write(motion: Motion, path: str | Path, form: str | None = None, *, unsafe: bool = False) -> list[Path]:
     """Write a motion; returns the files. Another file that stands at `path` is kept, numbered.
 
-    form: one of `ENDINGS`; by default what the ending says (.json: salver's own; none: a bag). Raises SalverError.
+    form: one of `ENDINGS`; by default what the ending says (.json: salver's own; none: a bag). unsafe: write also a
+    motion that fails its verdict, with UNSAFE in its name and first in the file. Raises SalverError; UnsafeError.
     """
     from salver.motion_files import ros_writers
 
     form = form_of(path, form)
+    path = place_for(path, motion.verdict, unsafe)
     if form == "ros2":
         return ros_writers.write_bag(motion, Path(path))
     target = output_file(path, ENDINGS[form])
@@ -64,9 +67,10 @@ def columns(motion: Motion) -> dict[str, Array]:
 
 
 def write_csv(motion: Motion, path: Path) -> list[Path]:
-    """One row an instant, one column a component; headings as in `columns`."""
+    """One row an instant, one column a component; headings as in `columns`, below the verdict of an unsafe motion."""
     table = columns(motion)
     text = io.StringIO()
+    text.write(f"# {motion.verdict}\n" if motion.verdict.startswith(UNSAFE) else "")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
     for row in zip(*(values.tolist() for values in table.values()), strict=True):
@@ -77,6 +81,7 @@ def write_csv(motion: Motion, path: Path) -> list[Path]:
 def write_json(motion: Motion, path: Path) -> list[Path]:
     """Arrays by name, and where they come from."""
     document: dict[str, Any] = {
+        **({"verdict": motion.verdict} if motion.verdict else {}),
         "format": FORMAT,
         **motion.about,
         "joint_names": list(motion.joint_names),

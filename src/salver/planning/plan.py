@@ -15,6 +15,7 @@ from salver.display import Shown
 from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import provenance
 from salver.geometry import Array, log, matrix_from_quat_wxyz
+from salver.motion_files.verdict import UNSAFE, one_line
 from salver.planning.object.conditions import TILT, apart, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
@@ -176,7 +177,21 @@ class Plan(Shown, Tabular):
     @property
     def ok(self) -> bool:
         """Whether what was asked for was achieved: safe in its own model, and the arm can follow."""
-        return self.status.ok and self.verification.ok and (self.arm_status is None or self.arm_status.ok)
+        return not self._failures
+
+    @property
+    def _failures(self) -> tuple[str, ...]:
+        """What was asked for and not achieved, a sentence each."""
+        verdicts: tuple[Status | Verification | None, ...] = (self.status, self.verification, self.arm_status)
+        return tuple(dict.fromkeys(found.sentence for found in verdicts if found is not None and not found.ok))
+
+    @property
+    def verdict(self) -> str:
+        """What its files say of it, in one line: "UNSAFE: " and what fails, or what was not checked, and what holds."""
+        if self._failures:
+            return one_line(f"{UNSAFE}: {' '.join(self._failures)}")
+        blind = f"Not checked: {'; '.join(self.unchecked)}. " if self.unchecked else ""
+        return one_line(f"{blind}{self.verification.sentence}")
 
     @property
     def unchecked(self) -> tuple[str, ...]:
@@ -285,6 +300,7 @@ class Plan(Shown, Tabular):
         check = self.verification
         lowest = self.cone_coefficients - self.cone_radius
         out: dict[str, Any] = {
+            "verdict": self.verdict,
             "method": self.method,
             "ok": self.ok,
             "unchecked": list(self.unchecked),
@@ -324,6 +340,7 @@ class Plan(Shown, Tabular):
         s = e.samples
 
         out: dict[str, Any] = {
+            "verdict": np.array(self.verdict),
             "t": s.t,
             "p_SB": s.p_SB,
             "v_S": s.v_S,

@@ -14,6 +14,7 @@ from salver.display import Shown
 from salver.errors import FileFormatError, Status
 from salver.files import provenance
 from salver.geometry import Array
+from salver.motion_files.verdict import UNSAFE, one_line
 from salver.planning.plan import Plan, load_plan, plan_of, status_from, status_record
 from salver.planning.plan_files import leg_files, read_files, save_files
 from salver.scenario import Scenario
@@ -61,6 +62,18 @@ class Round(Shown):
         return self.status.ok and all(leg.ok for leg in self.legs) and self.apart <= SAME_POSTURE
 
     @property
+    def verdict(self) -> str:
+        """What its files say of it, in one line, as `Plan.verdict`."""
+        failing = [f"leg {k}: {leg.verdict}" for k, leg in enumerate(self.legs, 1) if not leg.ok]
+        if not self.status.ok:
+            failing.insert(0, self.status.sentence)
+        if self.apart > SAME_POSTURE:
+            failing.append(f"A leg begins {self.apart:.2g} rad or m from where the one before it ended.")
+        if failing:
+            return one_line(f"{UNSAFE}: {' '.join(failing)}")
+        return one_line(f"Not checked: {'; '.join(self.unchecked)}. {self.status.sentence}")
+
+    @property
     def unchecked(self) -> tuple[str, ...]:
         """What the verdict does not cover, in words; to be said before anything that is said to be safe."""
         stops = ("what happens at the stops while objects are taken off and put on",) if len(self.legs) > 1 else ()
@@ -84,6 +97,7 @@ class Round(Shown):
     def summary(self) -> dict[str, Any]:
         """What `plan.json` holds: that of each leg under `legs`."""
         return {
+            "verdict": self.verdict,
             "method": self.method,
             "ok": self.ok,
             "unchecked": list(self.unchecked),

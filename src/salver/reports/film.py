@@ -6,7 +6,7 @@ import io
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -16,6 +16,7 @@ import numpy as np
 
 from salver.errors import MissingDependencyError, SalverError
 from salver.files import put_in_place, write_atomic, writing
+from salver.motion_files.verdict import UNSAFE
 from salver.planning.plan import load_plan
 from salver.run_directory import STEMS, leg_number, scenario_of
 from salver.scenario import load
@@ -33,12 +34,14 @@ _GAP = 4  # pixels between two pictures
 
 @dataclass(frozen=True)
 class Film:
-    """path: the file. frames: how many. renderer: "mujoco", or "matplotlib" when `note` says why."""
+    """path: the file. frames: how many. renderer: "mujoco", or "matplotlib" when `note` says why.
+    verdicts: on the plans of the runs, by stem."""
 
     path: Path
     frames: int
     renderer: str
     note: str
+    verdicts: Mapping[str, str]
 
 
 def write_film(
@@ -69,7 +72,7 @@ def write_film(
         raise SalverError(f"A picture of {width} x {height} pixels was asked for; each side must be from 16 to 4096.")
     width, height = width - width % 2, height - height % 2  # the encoder halves both
     save = _ffmpeg(path) if path.suffix in FILMS else _pillow(path)
-    scenario, records = _records(Path(directory), stem)
+    scenario, records, verdicts = _records(Path(directory), stem)
     end = max(float(r.t[-1]) for r in records.values())
     if end * rate / speed > MOST_PICTURES:
         raise SalverError(
@@ -77,12 +80,12 @@ def write_film(
             f"{MOST_PICTURES} are drawn."
         )
     times = np.arange(0.0, end + 1e-9, speed / rate)
-    pictures, renderer, note = _pictures(records, scenario, times, width, height)
+    pictures, renderer, note = _pictures(records, verdicts, scenario, times, width, height)
     save(pictures, rate, len(times))
-    return Film(path, len(times), renderer, note)
+    return Film(path, len(times), renderer, note, verdicts)
 
 
-def _records(directory: Path, stem: str) -> tuple[Scenario, dict[str, SimulationRecord]]:
+def _records(directory: Path, stem: str) -> tuple[Scenario, dict[str, SimulationRecord], dict[str, str]]:
     if stem not in (*STEMS, "both") and leg_number(stem) is None:
         raise SalverError(f'There is no motion "{stem}" to show; known are {", ".join(STEMS)} and both.')
     if leg_number(stem) is None and (legs := len(load(scenario_of(directory)).legs)):
@@ -96,11 +99,18 @@ def _records(directory: Path, stem: str) -> tuple[Scenario, dict[str, Simulation
             f"{directory} holds no simulation of {missing[0]}; make one with `salver simulate "
             f"{quote(str(directory))} --stem {missing[0]}`."
         )
-    return load_plan(directory, wanted[0]).scenario, {s: load_record(directory, s) for s in wanted}
+    plans = {s: load_plan(directory, s) for s in wanted}
+    verdicts = {s: plan.verdict for s, plan in plans.items()}
+    return plans[wanted[0]].scenario, {s: load_record(directory, s) for s in wanted}, verdicts
 
 
 def _pictures(
-    records: dict[str, SimulationRecord], scenario: Scenario, times: np.ndarray, width: int, height: int
+    records: dict[str, SimulationRecord],
+    verdicts: Mapping[str, str],
+    scenario: Scenario,
+    times: np.ndarray,
+    width: int,
+    height: int,
 ) -> tuple[Iterator[np.ndarray], str, str]:
     """Pictures at `times`, the records side by side; by MuJoCo, or the plain drawing when there is no OpenGL."""
     from salver.simulation.render import NoOpenGLError, frames_at, painter, snapshots
@@ -127,7 +137,10 @@ def _pictures(
         *before, last = records.values()
         parts = [*(_spooled(film(record)) for record in before), film(last)]
         for row in zip(*parts, strict=True):
-            titles = [f"{LABELS.get(stem, stem)}: {records[stem].outcome}" for stem in records]
+            titles = [
+                f"{f'{UNSAFE}, ' if verdicts[stem].startswith(UNSAFE) else ''}{LABELS.get(stem, stem)}: {found.outcome}"
+                for stem, found in records.items()
+            ]
             yield _side_by_side([_titled(p, t) for p, t in zip(row, titles, strict=True)])
 
     return together(), "matplotlib" if note else "mujoco", note

@@ -31,7 +31,7 @@ def verdict(run: Run) -> Verdict:
     plan, load = run.plan, run.load[0].upper() + run.load[1:]
     several = len(run.bodies) > 1
     if not plan.summary.get("ok", True):
-        return Verdict("bad", "No safe plan was found", _why_not(run))
+        return Verdict("bad", "No safe plan was found", str(plan.summary.get("verdict", "")).removeprefix("UNSAFE: "))
     blind = plan.summary.get("unchecked", [])
     promise = (f"Not checked: {'; '.join(blind)}. " if blind else "") + _promise(run)
     outcomes = campaign_outcomes(run, plan.stem)
@@ -62,15 +62,6 @@ def verdict(run: Run) -> Verdict:
     return Verdict(
         "good", f"{load} {verb} predicted to stay put for every parameter in the assumed range", f"{promise}."
     )
-
-
-def _why_not(run: Run) -> str:
-    """The sentence of plan.json that says what is wrong: with the plan, with the arm, between the nodes."""
-    summary = run.plan.summary
-    for part in ("status", "arm", "verification"):
-        if not summary.get(part, {}).get("ok", True):
-            return str(summary[part].get("sentence", ""))
-    return str(summary.get("status", {}).get("sentence", ""))
 
 
 def _promise(run: Run) -> str:

@@ -1,0 +1,56 @@
+"""What a motion file says of the motion in it: one that fails a verdict says so in its name, and first in its text."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from salver.errors import UnsafeError
+
+UNSAFE = "UNSAFE"
+_SAID = re.compile(rf'{UNSAFE}: ([^\n"]*)')
+_HEAD = 2000  # bytes of a file in which its verdict stands
+
+
+def one_line(text: str) -> str:
+    """The text without line breaks and control characters: as a comment of any format may hold it."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def place_for(path: str | Path, verdict: str, unsafe: bool) -> Path:
+    """Where a motion of that verdict is written: at `path`, or with UNSAFE at the end of its name.
+
+    unsafe: whether a motion that fails its verdict may be written at all. Raises UnsafeError.
+    """
+    path = Path(path)
+    if not verdict.startswith(UNSAFE):
+        return path
+    if not unsafe:
+        reason = verdict.removeprefix(f"{UNSAFE}: ").rstrip(".")
+        raise UnsafeError(
+            f"{path} is not written as if it were safe: {reason} (--unsafe, in Python unsafe=True, writes it with "
+            f"{UNSAFE} in its name)."
+        )
+    return path if UNSAFE in path.name else path.with_name(f"{path.stem}-{UNSAFE}{path.suffix}")
+
+
+def verdict_in(path: Path) -> str:
+    """ "UNSAFE: why" where a motion file says so of itself, in its text or its name; else empty."""
+    found = _SAID.search(_text(path))
+    if found:
+        return f"{UNSAFE}: {found[1].strip()}"
+    return f"{UNSAFE}: {path.name} calls itself so." if UNSAFE in path.name else ""
+
+
+def _text(path: Path) -> str:
+    """Where the verdict of a file, or of a bag, stands."""
+    if path.suffix.lower() == ".npz":
+        with np.load(path, allow_pickle=False) as arrays:
+            return str(arrays["verdict"]) if "verdict" in arrays.files else ""
+    if path.is_dir():
+        path = path / "metadata.yaml"
+        return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    with open(path, "rb") as file:
+        return file.read(_HEAD).decode("utf-8", errors="replace")

@@ -1,0 +1,156 @@
+"""A motion that fails a verdict leaves under no name but one that says so: every format, every command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from salver import scenario
+from salver.cli import app
+from salver.errors import Status, UnsafeError
+from salver.export import FORMATS, OF_PLANS, convert, write_export
+from salver.files import load_npz, read_json
+from salver.motion_files import read
+from salver.planning.make import plan_pair
+from salver.planning.plan import load_plan
+
+# Stem of a run directory to what fails there.
+FAILING = {"plan": "cannot follow", "baseline": "contact condition is missed", "nominal": "no time left to search"}
+OF_FILES = [name for name in FORMATS if name not in OF_PLANS]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """In .8 s the plan is too fast for the arm and the straight line for the bottle; the third holds, and its search
+    ended without saying that it does."""
+    folder = tmp_path_factory.mktemp("unsafe") / "run"
+    slow = scenario.load("ur5-bottle")
+    plan, baseline = plan_pair(slow.with_changes(motion__duration=0.8))
+    good = plan_pair(slow)[0]
+    unfinished = replace(
+        good, scenario=plan.scenario, status=Status("time_limit", "There was no time left to search.", False)
+    )
+    for stem, made in (("plan", plan), ("baseline", baseline), ("nominal", unfinished)):
+        made.save(folder, stem)
+    return folder
+
+
+def called(*words: str | Path) -> tuple[int, str]:
+    """Exit code of a command, and all that it says."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    return result.exit_code, result.output + (result.stderr or "")
+
+
+def heads(files: list[Path]) -> list[str]:
+    """How the texts among them begin."""
+    return [file.read_text()[:2000] for file in files if file.suffix in (".csv", ".json", ".yaml", ".script", ".xml")]
+
+
+@pytest.mark.parametrize("stem", FAILING)
+@pytest.mark.parametrize("file_format", FORMATS)
+def test_no_format_is_written_unless_its_name_and_its_first_line_say_so(
+    run: Path, tmp_path: Path, file_format: str, stem: str
+) -> None:
+    place = tmp_path / f"carry{FORMATS[file_format]}"
+    with pytest.raises(
+        UnsafeError, match=rf"carry.* is not written as if it were safe: .*{FAILING[stem]}.* \(--unsafe"
+    ):
+        write_export(run, file_format, place, stem)
+    assert not list(tmp_path.iterdir())
+    files = write_export(run, file_format, place, stem, unsafe=True)
+    assert all("UNSAFE" in path.name for path in tmp_path.iterdir())
+    assert len(list(tmp_path.iterdir())) >= 1
+    for text in heads(files):
+        first = text.splitlines()[1 if text.startswith("{") else 0]
+        if "custom_data" not in text:  # the metadata of a bag are in alphabetical order
+            assert "UNSAFE: " in first, first
+        assert FAILING[stem].split()[0] in text
+
+
+@pytest.mark.parametrize("file_format", OF_FILES)
+def test_a_file_that_was_renamed_still_says_so_and_is_converted_to_nothing_else(
+    run: Path, tmp_path: Path, file_format: str
+) -> None:
+    files = write_export(run, file_format, tmp_path / f"carry{FORMATS[file_format]}", rate=20.0, unsafe=True)
+    written = files[0] if file_format != "ros2" else tmp_path / "carry_bag-UNSAFE"
+    renamed = written.rename(tmp_path / f"fine{FORMATS[file_format]}")
+    assert read(renamed).verdict.startswith("UNSAFE: ur5 cannot follow")
+    for other in OF_FILES:
+        with pytest.raises(UnsafeError, match="ur5 cannot follow"):
+            convert(renamed, other, tmp_path / f"other{FORMATS[other]}")
+        paths, _ = convert(renamed, other, tmp_path / f"other{FORMATS[other]}", unsafe=True)
+        assert all("UNSAFE" in str(path) for path in paths)
+
+
+def test_every_file_of_a_run_directory_carries_the_verdict(run: Path) -> None:
+    for stem, reason in FAILING.items():
+        for verdict in (read_json(run / f"{stem}.json")["verdict"], str(load_npz(run / f"{stem}.npz")["verdict"])):
+            assert verdict.startswith("UNSAFE: ")
+            assert reason in verdict
+    assert read(run / "plan.npz").verdict.startswith("UNSAFE: ur5 cannot follow")
+
+
+def test_export_ends_with_3_and_one_sentence(run: Path, tmp_path: Path) -> None:
+    code, said = called("export", run, "--format", "moveit", "--stem", "baseline", "-o", tmp_path / "m.yaml")
+    assert code == 3
+    assert said.startswith(f"salver: {tmp_path / 'm.yaml'} is not written as if it were safe: The straight")
+    assert not list(tmp_path.iterdir())
+    code, _ = called("export", run, "--format", "moveit", "--stem", "baseline", "-o", tmp_path / "m.yaml", "--unsafe")
+    assert code == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["m-UNSAFE.yaml"]
+
+
+def test_retime_writes_no_program_of_what_does_not_hold(tmp_path: Path) -> None:
+    """At the pace given the arm is too fast; along the path given no timing is safe."""
+    case = scenario.load("ur5-bottle")
+    plan_pair(case)[0].save(tmp_path / "run")
+    (path,) = write_export(tmp_path / "run", "csv", tmp_path / "motion.csv", rate=500.0)
+    before = set(tmp_path.iterdir())
+    words = ("retime", path, "-s", "ur5-bottle", "--pace", "0.3")
+    code, said = called(*words)
+    assert code == 3
+    assert "motion-paced.csv is not written" in said
+    assert set(tmp_path.iterdir()) == before
+    code, said = called(*words, "--unsafe")
+    assert code == 3
+    assert {found.name for found in set(tmp_path.iterdir()) - before} == {"motion-paced-UNSAFE.csv"}
+    code, said = called("retime", path, "-s", "ur5-bottle", "--pace", "2")
+    assert code == 0, said
+    assert not (tmp_path / "motion-paced.csv").read_text().startswith("#")
+
+
+def test_of_a_paced_file_that_called_itself_unsafe_the_mark_stays(run: Path, tmp_path: Path) -> None:
+    """An audit knows no obstacles: that it holds at another pace does not take back what a plan said."""
+    (path,) = write_export(run, "csv", tmp_path / "motion.csv", rate=1000.0, unsafe=True)
+    code, said = called("retime", path, "-s", "ur5-bottle", "--pace", "4", "--json", "--unsafe")
+    found = json.loads(said)
+    assert code == 0
+    assert found["ok"]
+    assert found["files"] == [str(tmp_path / "motion-UNSAFE-paced.csv")]
+    assert (tmp_path / "motion-UNSAFE-paced.csv").read_text().startswith("# UNSAFE: ur5 cannot follow")
+
+
+@pytest.mark.slow
+def test_what_was_recorded_of_an_unsafe_plan_says_so_in_file_and_film(run: Path, tmp_path: Path) -> None:
+    from salver.reports.film import write_film
+
+    code, said = called("simulate", run, "--stem", "plan", "--write", tmp_path / "done.csv")
+    assert code == 0, said
+    assert [path.name for path in tmp_path.iterdir()] == ["done-UNSAFE.csv"]
+    assert str(load_npz(run / "simulation" / "plan.npz")["verdict"]) == load_plan(run).verdict
+    assert read_json(run / "simulation" / "plan.json")["plan_verdict"] == load_plan(run).verdict
+    film = write_film(run, tmp_path / "film.gif", "plan", rate=2.0, width=64, height=48)
+    assert film.verdicts["plan"].startswith("UNSAFE: ur5 cannot follow")
+
+
+def test_a_safe_plan_says_what_was_not_checked_and_is_written_under_its_own_name(tmp_path: Path) -> None:
+    plan_pair(scenario.load("ur5-bottle"))[0].save(tmp_path / "run")
+    (path,) = write_export(tmp_path / "run", "json", tmp_path / "m.json", rate=50.0)
+    document = json.loads(path.read_text())
+    assert next(iter(document)) == "verdict"
+    assert document["verdict"].startswith("Not checked: jerk and torque rate of all joints")
+    assert read(path).verdict == ""
