@@ -41,7 +41,7 @@ def main() -> None:
     )
     print("believed:  ", result.nominal)
     print("worst case:", result.worst)
-    print("slower:    ", result.pace_worst.status)
+    print("slower:    ", result.speeds_worst.pace)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,9 @@ from typer.testing import CliRunner
 
 from recordings import JOINTS, joint_motion, line, tray_csv, write_csv
 from salver import scenario as scenarios
-from salver.auditing import audit, audit_motion, pace
+from salver.auditing import audit, audit_motion
 from salver.auditing.motion import TrayMotion
 from salver.cli import app
-from salver.contact_margins import Margins
-from salver.geometry import exp
-from salver.models.tray_motion import motion_vector
-from salver.trajectory import MotionSamples
 
 PEAK = 10 / np.sqrt(3) * 0.5  # of the min-jerk acceleration over 0.5 m, times T^2
 
@@ -54,7 +50,7 @@ def test_it_slides_when_the_acceleration_passes_friction_times_gravity():
     first = s.t[np.argmax(np.abs(s.a_S[:, 1]) > 0.3 * 9.81)]
     assert result.nominal.code == "slides"
     assert result.nominal.details["time"] == pytest.approx(first, abs=1e-3)
-    assert result.pace.factor == pytest.approx(np.sqrt(PEAK / duration**2 / (0.3 * 9.81)), rel=1e-4)
+    assert result.speeds.pace.details["factor"] == pytest.approx(np.sqrt(PEAK / duration**2 / (0.3 * 9.81)), rel=1e-4)
     assert not result.ok
 
 
@@ -66,73 +62,15 @@ def test_a_tall_box_tips_where_its_base_ends():
     first = s.t[np.argmax(np.abs(s.a_S[:, 1]) > 9.81 / 5)]
     assert result.nominal.code == "tips"
     assert result.nominal.details["time"] == pytest.approx(first, abs=1e-3)
-    assert result.pace.factor == pytest.approx(np.sqrt(PEAK * 5 / 9.81), rel=1e-4)
+    assert result.speeds.pace.details["factor"] == pytest.approx(np.sqrt(PEAK * 5 / 9.81), rel=1e-4)
     assert result.margins.interfaces[0].tip_over.min() == pytest.approx(0.02 - 0.1 * PEAK / 9.81, rel=1e-3)
 
 
 def test_run_at_its_pace_the_path_just_holds():
     uncertain = case(0.3, friction_range="10%")
-    slow = audit_motion(of_line(0.9), uncertain).pace_worst.factor
+    slow = audit_motion(of_line(0.9), uncertain).speeds_worst.pace.details["factor"]
     assert audit_motion(of_line(0.9 * slow * 1.001), uncertain).worst.code == "holds"
     assert audit_motion(of_line(0.9 * slow * 0.999), uncertain).worst.code == "slides"
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_the_first_root_of_many_concave_functions(seed):
-    """Of the least of lines each; hardly more of them are asked than there are."""
-    rng = np.random.default_rng(seed)
-    height, slope = rng.uniform(0.1, 2, (300, 4)), rng.uniform(-0.5, 3, (300, 4))
-    low, high, asked = 1e-4, rng.uniform(1, 25), []
-
-    def f(x, some):
-        asked.extend(some)
-        return (height - slope * x).min(axis=1)[failing[some]]
-
-    ends = [(height - slope * x).min(axis=1) for x in (low, high)]
-    failing = np.flatnonzero(ends[1] < 0)
-    root = (height[slope > 0] / slope[slope > 0]).min()
-    found = pace._least_root(f, low, high, ends[0][failing], ends[1][failing])
-    assert (1 - 3e-6) * root <= found <= root
-    assert len(asked) < 2 * len(failing)
-
-
-@pytest.mark.parametrize(
-    ("duration", "contents"),
-    [(0.5, {}), (0.8, {}), (2.0, {}), (0.8, {"contents": "any", "com": [0.004, 0.003, 0.005]})],
-)
-def test_few_instants_decide_the_pace_as_all_do(duration, contents):
-    """Of the whole motion, which turns as well, the least margin is 0 there."""
-    s = line(duration, 20 if contents else 151)
-    R = exp(np.outer(np.sin(3 * s.t / duration), [0.05, 0.03, 0.2]))
-    scenario = case(0.4).with_changes(objects__0__uncertainty={"friction": "10%", "mass": "10%", **contents})
-    turning = MotionSamples(**(vars(s) | {"R_SB": R, "omega_B": s.v_S * 0.7, "alpha_B": s.a_S * 0.7}))
-    result = audit_motion(TrayMotion(turning), scenario)
-    whole, share = result.margins, 1 / result.pace_worst.factor**2
-    rest = motion_vector(R, *np.zeros((3, len(R), 3)))
-
-    def least(share):
-        return Margins(whole.model, whole.t, rest + share * (whole.w - rest)).exact_worst.min()
-
-    assert least(share) >= 0 > least(share * (1 + 4e-6))
-
-
-def test_no_pace_is_looked_at_beyond_one_that_surely_fails(monkeypatch):
-    """Margins are concave: none lasts to where the line through what is left at rest and here ends."""
-    motion, asked, margin = of_line(2.0), [], pace._margin
-    found = audit_motion(motion, case(0.4, friction_range="10%")).margins
-    rest = motion_vector(motion.samples.R_SB, *np.zeros((3, len(found.t), 3)))
-
-    def noted(model, w, worst):
-        if w.shape == rest.shape:
-            asked.append(np.linalg.norm(w - rest) / np.linalg.norm(found.w - rest))
-        return margin(model, w, worst)
-
-    monkeypatch.setattr(pace, "_margin", noted)
-    assert pace.pace(found, motion.samples.R_SB, True).factor < 0.8
-    left, here = margin(found.model, rest, True), found.exact_worst
-    less = here < left
-    surely = (left[less] / (left - here)[less]).min()
-    assert 1 < max(asked) < 1.01 * surely < 1 / pace.FASTEST**2
 
 
 def test_what_holds_nominally_may_not_hold_in_the_worst_case():
@@ -141,7 +79,7 @@ def test_what_holds_nominally_may_not_hold_in_the_worst_case():
     assert result.nominal.ok
     assert not result.worst.ok
     assert not result.ok
-    assert result.pace_worst.factor == pytest.approx(np.sqrt(0.28 / 0.27), rel=1e-3)
+    assert result.speeds_worst.pace.details["factor"] == pytest.approx(np.sqrt(0.28 / 0.27), rel=1e-3)
     assert next(iter(result.costs)) == "friction"
 
 
@@ -153,17 +91,6 @@ def test_what_passes_the_edge_by_less_than_its_acceleration_is_known_cannot_be_t
         assert audit_motion(TrayMotion(line(duration), acceleration_error=error), case(0.3)).nominal.code == code
         missed = TrayMotion(line(duration), acceleration_error=0.0, missed=np.full(len(line(duration).t), error))
         assert audit_motion(missed, case(0.3)).nominal.code == code
-
-
-def test_a_tray_tilted_beyond_the_friction_angle_has_no_pace():
-    s = line(2.0)
-    tilt = np.deg2rad(20) * np.sin(np.pi * s.t / 2) ** 2
-    R = exp(np.column_stack([tilt, 0 * tilt, 0 * tilt]))
-    zero = np.zeros_like(s.a_S)
-    motion = TrayMotion(MotionSamples(s.t, s.p_SB, s.v_S, s.a_S, R, zero, zero))
-    result = audit_motion(motion, case(friction=0.3))  # 16.7 degrees
-    assert result.pace.factor is None
-    assert "tilted too far at 1.000 s" in result.pace.status.sentence
 
 
 # The command --------------------------------------------------------------------------------------------------

@@ -51,7 +51,8 @@ def test_the_verdict_of_the_page_is_that_of_the_audit(tray_file, joint_file):
         assert words in html
         assert f'<div class="verdict {level}"' in html
         assert html.index("Not checked: whether an arm can follow") < html.index(audit.worst.sentence)
-        assert f"{audit.pace_worst.factor:.3f}" in html
+        assert f"{audit.speeds_worst.pace.details['factor']:.3f}" in html
+        assert audit.speeds_worst.sentence in html
 
 
 def test_a_name_in_a_file_is_text_and_a_page_that_stands_there_is_kept(tray_file, tmp_path):

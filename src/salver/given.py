@@ -1,7 +1,7 @@
 """Motions that are given, in files: timed anew, or run in the engine.
 
 `read_waypoints` gives the path for `salver.planning.fastest.retiming.plan_retimed`. `at_pace` does what
-`Audit.pace_worst` says, and judges what comes of it as it will be written. `simulate_given` moves the tray.
+`Audit.speeds_worst` says, and judges what comes of it as it will be written. `simulate_given` moves the tray.
 """
 
 from __future__ import annotations
@@ -92,10 +92,10 @@ def at_pace(samples: Samples, scenario: Scenario, factor: float | None = None, *
         if not FASTEST <= factor <= SLOWEST:
             raise SalverError(f"A pace of {factor:g} was asked for; it must be {FASTEST:g} to {SLOWEST:g}.")
         return _paced(samples, scenario, factor, options)
-    pace = audit_samples(samples, scenario, **options).pace_worst
-    if pace.factor is None:
-        raise SalverError(f"{samples.source}: {pace.status.sentence}")
-    factor = max(FASTEST, np.ceil(1000 * pace.factor) / 1000, _slowest_joint(samples, scenario)[0])
+    pace = audit_samples(samples, scenario, **options).speeds_worst.pace
+    if not pace.ok:
+        raise SalverError(f"{samples.source}: {pace.sentence}")
+    factor = max(FASTEST, np.ceil(1000 * pace.details["factor"]) / 1000, _slowest_joint(samples, scenario)[0])
     first = found = _paced(samples, scenario, factor, options)
     for _ in range(_TRIES):
         if found.ok or factor * _STEP > SLOWEST:

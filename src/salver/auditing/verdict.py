@@ -7,7 +7,7 @@ two it cannot be told, and the verdict says what would tell.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,10 +16,9 @@ import numpy as np
 
 from salver.auditing.doubts import CANNOT_TELL, Borne, Doubt, cannot_tell
 from salver.auditing.motion import HIGHEST, TrayMotion, tray_motion
-from salver.auditing.pace import Pace, pace, pace_of_liquids
 from salver.auditing.slip import NOTICED, Slip, slide
 from salver.auditing.waves import unseen
-from salver.contact_margins import MarginModel, Margins, margin_model
+from salver.contact_margins import MarginModel, Margins, SafeSpeeds, margin_model, safe_speeds
 from salver.display import Shown
 from salver.errors import Status
 from salver.files import provenance
@@ -29,6 +28,7 @@ from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.scenario import Scenario
 from salver.sensitivity.spills import Liquids, Spill
 from salver.tables import Table, Tabular
+from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -216,19 +216,20 @@ class Audit(Shown, Tabular):
         return CANNOT_TELL if CANNOT_TELL in codes else "holds"
 
     @cached_property
-    def pace(self) -> Pace:
-        """At nominal parameters."""
-        return self._pace(worst=False)
+    def speeds(self) -> SafeSpeeds:
+        """At which constant shares of its speed the load is kept, at nominal parameters; of very many instants, at
+        those that decide at full speed and standing still."""
+        return self._speeds(worst=False)
 
     @cached_property
-    def pace_worst(self) -> Pace:
-        return self._pace(worst=True)
+    def speeds_worst(self) -> SafeSpeeds:
+        return self._speeds(worst=True)
 
-    def _pace(self, worst: bool) -> Pace:
-        R_SB = self.motion.samples.R_SB
-        if self._liquids is not None:
-            return pace_of_liquids(self._model, self.motion.samples.t, self._w, R_SB, worst)
-        return pace(self.margins, R_SB[self._decisive], worst)
+    def _speeds(self, worst: bool) -> SafeSpeeds:
+        few = len(self._w) <= AT_ONCE
+        index = slice(None) if few or self._liquids is not None else self._decisive
+        samples = MotionSamples(*(getattr(self.motion.samples, field.name)[index] for field in fields(MotionSamples)))
+        return safe_speeds(self._model, samples, worst, rate=few)
 
     def _recording(self) -> dict[str, Any] | None:
         seen = self.motion.recording
@@ -254,16 +255,13 @@ class Audit(Shown, Tabular):
 
     def facts(self) -> dict[str, str]:
         """What a notebook shows of it."""
-        factor = self.pace_worst.factor
         return {
             "scenario": self.scenario.name,
             "verdict": self.outcome.replace("_", " "),
             "duration": f"{float(np.ptp(self.motion.samples.t)):.4g} s",
             "nominal": self.nominal.sentence,
             "worst case": self.worst.sentence,
-            "just holds in the worst case at": self.pace_worst.status.sentence
-            if factor is None
-            else f"{factor:.3f} of the time",
+            "speeds in the worst case": self.speeds_worst.sentence,
             **{f"note {k}": note for k, note in enumerate(self.motion.notes, 1)},
         }
 
@@ -310,7 +308,8 @@ class Audit(Shown, Tabular):
                 for m in margins.interfaces
             ],
             "costs": self.costs,
-            "pace": {"nominal": _pace(self.pace), "worst_case": _pace(self.pace_worst)},
+            "speeds": {"nominal": self.speeds.summary(), "worst_case": self.speeds_worst.summary()},
+            "pace": {"nominal": _status(self.speeds.pace), "worst_case": _status(self.speeds_worst.pace)},
             "motion": {
                 "source": self.source,
                 "duration": float(s.t[-1] - s.t[0]),
@@ -326,10 +325,6 @@ class Audit(Shown, Tabular):
 
 def _status(status: Status) -> dict[str, Any]:
     return {"code": status.code, "ok": status.ok, "sentence": status.sentence, **status.details}
-
-
-def _pace(pace: Pace) -> dict[str, Any]:
-    return {"factor": pace.factor, "code": pace.status.code, "sentence": pace.status.sentence}
 
 
 def audit(

@@ -12,6 +12,7 @@ from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console
 
 if TYPE_CHECKING:
     from salver.auditing import Audit
+    from salver.errors import Status
 
 OnTray = Annotated[
     str | None,
@@ -94,9 +95,10 @@ def _show(result: Audit, given: str, options: str) -> None:
             if cost > 5e-4
             else f"No uncertain parameter ({', '.join(result.costs)}) costs any of the margin."
         )
-    lines.append(f"Pace, nominal: {_pace_words(result.pace.factor, result.pace.status.sentence)}")
-    lines.append(f"Pace, worst case: {_pace_words(result.pace_worst.factor, result.pace_worst.status.sentence)}")
-    factor = result.pace_worst.factor
+    for case, speeds in (("nominal", result.speeds), ("worst case", result.speeds_worst)):
+        lines.append(f"Speeds, {case}: {speeds.sentence}")
+        lines.append(f"Pace, {case}: {_pace_words(speeds.pace)}")
+    factor = result.speeds_worst.pace.details["factor"]
     if factor is not None and abs(factor - 1) > 5e-3:
         lines.append(f"Written so that it holds, in the same format: salver retime {given} --pace least{options}")
     lines.append(f"As a page, with a replay: salver report {given}{options}")
@@ -117,9 +119,10 @@ def _seen(result: Audit) -> str:
     )
 
 
-def _pace_words(factor: float | None, sentence: str) -> str:
+def _pace_words(pace: Status) -> str:
+    factor = pace.details["factor"]
     if factor is None:
-        return sentence
+        return pace.sentence
     if factor > 1:
         return f"the same path must take {factor:.3f} times as long."
     return f"the same path could be run in {factor:.3f} of the time."

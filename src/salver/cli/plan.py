@@ -230,6 +230,7 @@ def _show_legs(plan: Round) -> None:
         console.print(headed(f"leg {k}", leg.status))
         console.print(f"  arm: {leg.arm_status}")
         console.print(f"  {leg.verification.sentence}")
+        console.print(f"  {leg.speeds.sentence}")
         if leg.stops is not None:
             console.print(f"  {leg.stops.sentence}")
     console.print(f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}.")
@@ -257,6 +258,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
     console.print(
         f"Uncertain ({plan.uncertain.kind}, SI units): {uncertain or 'nothing'}; duration {plan.duration:.4g} s"
     )
+    console.print(plan.speeds.sentence)
     table = Table(box=None, padding=(0, 3, 0, 0))
     table.add_column("")
     names = (plan.method, beside)

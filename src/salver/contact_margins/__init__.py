@@ -15,6 +15,7 @@ as a first-order tube (`tracking_motion`).
 from salver.contact_margins.interface import InterfaceMargins
 from salver.contact_margins.model import EDGES, MarginModel, margin_model
 from salver.contact_margins.motion import tracking_motion, tray_motion
+from salver.contact_margins.time_scaling import SafeSpeeds, safe_speeds
 from salver.contact_margins.whole import Margins, margins
 
 __all__ = [
@@ -22,8 +23,10 @@ __all__ = [
     "InterfaceMargins",
     "MarginModel",
     "Margins",
+    "SafeSpeeds",
     "margin_model",
     "margins",
+    "safe_speeds",
     "tracking_motion",
     "tray_motion",
 ]

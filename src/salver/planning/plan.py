@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from salver.display import Shown
 from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import provenance
-from salver.geometry import Array, log, matrix_from_quat_wxyz
+from salver.geometry import Array, invert, log, matrix_from_quat_wxyz
 from salver.motion_files.verdict import UNSAFE, one_line
 from salver.planning.object.conditions import TILT, apart, unit_of
 from salver.planning.object.cost import sensitivity_cost
@@ -32,7 +32,7 @@ from salver.trajectory import (
 )
 
 if TYPE_CHECKING:
-    from salver.contact_margins import InterfaceMargins, Margins
+    from salver.contact_margins import InterfaceMargins, Margins, SafeSpeeds
     from salver.models.parameters import UncertainSet
     from salver.sensitivity.arm import ArmChain
 
@@ -256,6 +256,16 @@ class Plan(Shown, Tabular):
         return margins(self.scenario, self._checked.samples)
 
     @cached_property
+    def speeds(self) -> SafeSpeeds:
+        """At which constant shares of full speed the load is kept, in the worst case."""
+        from salver.contact_margins import margin_model, safe_speeds
+
+        first = self.scenario.payload.first
+        tray = self._checked.samples.of_frame(*invert(first.p_EB, first.R_EB))
+        found = safe_speeds(margin_model(self.scenario), tray, worst=True)
+        return found if self.joint is None else replace(found, unchecked="how far the arm strays from the motion")
+
+    @cached_property
     def chain(self) -> ArmChain | None:
         """What wrong parameters do to the arm that carries this plan; None without an arm or without uncertainty."""
         if self.joint is None or self.uncertain.size == 0:
@@ -289,6 +299,7 @@ class Plan(Shown, Tabular):
             **arm,
             **({} if self.stops is None else {"stops": self.stops.sentence}),
             "left in the worst case": f"{100 * self.left:.3g} % of the weight",
+            "speeds": self.speeds.sentence,
         }
 
     def verify(self) -> Verification:
@@ -321,6 +332,7 @@ class Plan(Shown, Tabular):
                 **({"passes": check.passes} if self.scenario.motion.through else {}),
             },
             "margins": {m.name: _margin_record(m) for m in self.margins.interfaces},
+            "speeds": self.speeds.summary(),
             "least_cone_coefficient": float(self.cone_coefficients.min()),
             "least_cone_coefficient_in_tube": float(lowest.min()),
             "solver": dict(self.solver),

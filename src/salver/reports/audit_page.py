@@ -87,7 +87,7 @@ def _tiles(audit: Audit) -> Markup:
             "",
         ),
     ]
-    factor = audit.pace_worst.factor
+    factor = audit.speeds_worst.pace.details["factor"]
     shown.append(
         ("It would just hold in", "no time" if factor is None else f"{factor:.3f}", "of its time, in the worst case")
     )
@@ -148,7 +148,8 @@ def _known(audit: Audit) -> Markup:
         rows.append(["samples", f"{seen.rate:.4g} a second, noise of {1e3 * seen.sensor.displacement:.2g} mm"])
         rows.append(["reckoned with", f"shakes of up to {seen.highest:g} Hz that the samples do not show"])
     rows += [[f"what {name} costs", f"{100 * cost:.1f} % of the weight"] for name, cost in audit.costs.items()]
-    rows.append(["pace, worst case", audit.pace_worst.status.sentence])
+    rows.append(["speeds, worst case", audit.speeds_worst.sentence])
+    rows.append(["pace, worst case", audit.speeds_worst.pace.sentence])
     details = Markup("<details><summary>{}</summary><pre>{}</pre></details>")
     return table(["", ""], rows) + details.format("all figures", to_json(audit.summary()))
 

@@ -1,0 +1,313 @@
+"""At which constant factors of its full speed a motion keeps its load, and how fast that factor may change.
+
+A motion run at speed factor s, which changes at s' (1/s), has s times the velocities, and accelerations s^2 a + s' v.
+So what the tray feels is
+
+    w(s, s') = w_static + s^2 (w(1) - w_static) + s' (twist, 0),
+
+w_static of gravity alone in the same posture, twist = (R^T v, omega) at full speed. A contact margin is concave in w,
+and so in (s^2, s'), also in the worst case. What holds standing still in every posture and at full speed then holds at
+every factor between, and factors at which a motion holds are one interval. Sloshing has its own time scale: with a
+liquid, factors are tried on a grid, finer where little is left.
+
+The tray is taken to follow its motion exactly at every speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from salver.contact_margins.model import MarginModel
+from salver.contact_margins.whole import Margins
+from salver.errors import Status
+from salver.geometry import Array, Indices
+from salver.models.tray_motion import motion_vector
+from salver.sensitivity.spills import Liquids
+from salver.trajectory import MotionSamples
+
+TRIED = np.append(0.0, 1.04 ** np.arange(-59.0, 1.0))  # factors at which a motion with a liquid is looked at
+FINEST = 1e-3  # of the factor: edges are found to this with a liquid
+SLOWEST, FASTEST = 0.01, 5.0  # factors beyond which none is sought
+MOST_RATE = 100.0  # 1/s
+BEYOND = 1.001  # times what no margin lasts to: worst cases of contents are known to a thousandth of their curvature
+_TOLERANCE = 1e-9  # of a margin, as a share of the weight
+_HAPPENS = {"unsettled": "still sloshes"}
+
+Intervals = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class SafeSpeeds:
+    """The constant speed factors at which a motion keeps its load.
+
+    intervals: of factors from 0 to 1, in order. fastest: the largest factor that keeps it, which may be above 1; None
+    without any. failure: what happens at the factor `fails_at`, next below the uppermost interval (or above, where that
+    begins at 0); None when it holds at all from 0 to 1. rate: the largest rate of the factor (1/s, up or down) that
+    keeps contact at every constant factor from 0 to 1; None where that is not known. tried: number of factors that were
+    looked at; 0 when the intervals are exact. unchecked: what is left out at other speeds, in words.
+    """
+
+    intervals: Intervals
+    fastest: float | None
+    worst: bool
+    fails_at: float | None = None
+    failure: Status | None = None
+    rate: float | None = None
+    tried: int = 0
+    unchecked: str = ""
+
+    @property
+    def every(self) -> bool:
+        """Whether the load is kept at every speed from 0 to full speed."""
+        return self.intervals == ((0.0, 1.0),)
+
+    @property
+    def pace(self) -> Status:
+        """The least time in which the same path just holds: details["factor"] of the duration, None without any."""
+        if self.fastest is None:
+            return Status("tilted", self.sentence, False, {"factor": None})
+        tried = ", and at no less that was tried" if self.tried else ""
+        sentence = f"It just holds at {1 / self.fastest:.3f} times the duration{tried}."
+        return Status("found", sentence, True, {"factor": 1 / self.fastest})
+
+    @property
+    def sentence(self) -> str:
+        blind = f"Not checked at other speeds: {self.unchecked}. " if self.unchecked else ""
+        return blind + self.verdict
+
+    @property
+    def verdict(self) -> str:
+        """The same without what was not checked."""
+        tried = f" ({self.tried} speeds were tried)" if self.tried else ""
+        if self.every:
+            return f"Holds at every speed from 0 to 100 %{tried}."
+        case, failure = " in the worst case" if self.worst else "", self.failure
+        assert failure is not None
+        assert self.fails_at is not None
+        what = f"{failure.details['interface']} {_HAPPENS.get(failure.code, failure.code)}{case}"
+        speed = f"at {100 * self.fails_at:.3g} %" if self.fails_at else "standing still"
+        return f"{self._ranges()}: {speed} {what}, in the posture of {failure.details['posture_time']:.3f} s{tried}."
+
+    def _ranges(self) -> str:
+        parts = [(max(0.0, np.ceil(100 * low - 1e-6)), np.floor(100 * high + 1e-6)) for low, high in self.intervals]
+        if not parts:
+            return "Holds at no speed from 0 to 100 %"
+        if len(parts) == 1 and parts[0][1] == 100:
+            return "Only at full speed" if parts[0][0] == 100 else f"Only at {parts[0][0]:g} to 100 % of full speed"
+        told = " and ".join(f"{low:g} to {high:g} %" if high > low else f"{low:g} %" for low, high in parts)
+        return f"Holds at {told} of full speed"
+
+    def summary(self) -> dict[str, Any]:
+        """For machines."""
+        return {
+            "every": self.every,
+            "unchecked": self.unchecked,
+            "sentence": self.sentence,
+            "intervals": [list(each) for each in self.intervals],
+            "fails_at": self.fails_at,
+            "code": None if self.failure is None else self.failure.code,
+            "posture_time": None if self.failure is None else self.failure.details["posture_time"],
+            "rate": self.rate,
+            "tried": self.tried,
+        }
+
+
+def safe_speeds(model: MarginModel, tray: MotionSamples, worst: bool, *, rate: bool = True) -> SafeSpeeds:
+    """At which speeds a motion of the tray frame E keeps the load.
+
+    tray: (T,) instants of E at full speed. worst: over the whole uncertain set, else at nominal parameters. rate:
+    whether the rate of the factor is asked for; of no liquid it is known.
+    """
+    scaled = TimeScaled(model, tray, worst)
+    intervals, fastest, tried = (_tried if model.payload.liquids else _exact)(scaled)
+    most = None
+    if rate and not model.payload.liquids:
+        most = scaled.largest_rate() if intervals == ((0.0, 1.0),) else None
+    fails_at, failure = scaled.failure(intervals)
+    return SafeSpeeds(intervals, fastest, worst, fails_at, failure, most, tried)
+
+
+@dataclass(frozen=True, eq=False)
+class TimeScaled:
+    """A motion of the tray at other speeds. tray: (T,) instants of E at full speed."""
+
+    model: MarginModel
+    tray: MotionSamples
+    worst: bool
+
+    @cached_property
+    def static(self) -> Array:
+        """(T, 12) what the tray feels standing still in each posture."""
+        zero = np.zeros_like(self.tray.v_S)
+        return motion_vector(self.tray.R_SB, zero, zero, zero)
+
+    @cached_property
+    def moving(self) -> Array:
+        """(T, 12) what it feels at full speed beyond that."""
+        s = self.tray
+        return motion_vector(s.R_SB, s.a_S, s.omega_B, s.alpha_B) - self.static
+
+    @cached_property
+    def twist(self) -> Array:
+        """(T, 12) of the tray in E at full speed, and zeros."""
+        s = self.tray
+        return np.hstack([np.einsum("tji,tj->ti", s.R_SB, s.v_S), s.omega_B, np.zeros((len(s.t), 6))])
+
+    def w(self, squared: float, rate: float = 0.0, at: Indices | slice = slice(None)) -> Array:
+        """(T, 12) what it feels at the square of a factor and a rate of it, 1/s."""
+        return np.asarray(self.static[at] + squared * self.moving[at] + rate * self.twist[at])
+
+    def margin(self, squared: float, rate: float = 0.0, at: Indices | slice = slice(None)) -> Array:
+        """(T,) least margin of all contacts, as a share of the weight."""
+        margins = Margins(self.model, self.tray.t[at], self.w(squared, rate, at))
+        return (margins.exact_worst if self.worst else margins.exact) + _TOLERANCE
+
+    def margins(self, factor: float) -> Margins:
+        """Everything at a constant factor, in the time that it then takes; standing still in that of `SLOWEST`."""
+        w, t = self.w(factor**2), (self.tray.t - self.tray.t[0]) / (factor or SLOWEST)
+        return Margins(self.model, t, w, None, Liquids.along(self.model.payload, t, w))
+
+    def slack(self, factor: float) -> float:
+        """The least of all contact margins and of what liquids keep of what they are allowed, as shares."""
+        margins = self.margins(factor)
+        spilt = min((float(spill.slack.min()) for spill in margins.spills(self.worst)), default=np.inf)
+        if spilt < 0:
+            return spilt
+        return min(spilt, float((margins.exact_worst if self.worst else margins.exact).min()) + _TOLERANCE)
+
+    def failure(self, intervals: Intervals) -> tuple[float | None, Status | None]:
+        """A factor beside the uppermost interval at which the load is not kept, and what happens there."""
+        if intervals == ((0.0, 1.0),):
+            return None, None
+        low, high = intervals[-1] if intervals else (0.0, 0.0)
+        if not intervals:  # then it does not hold standing still either
+            beside = [0.0]
+        elif low > 0:
+            below = intervals[-2][1] if len(intervals) > 1 else 0.0
+            beside = [(np.ceil(100 * low - 1e-6) - 1) / 100, 0.5 * (low + below), below]
+        else:
+            beside = [(np.floor(100 * high + 1e-6) + 1) / 100, 0.5 * (1 + high), 1.0]
+        for factor in map(float, beside):
+            status = self.margins(factor).verdict(self.worst)
+            if not status.ok:
+                break
+        else:  # the verdict knows round cones, margins the pyramids inscribed in them
+            factor, status = float(beside[0]), replace(status, code="slides", ok=False)
+        posture = float(status.details["time"]) * (factor or SLOWEST)
+        return factor, replace(status, details={**status.details, "posture_time": posture})
+
+    def largest_rate(self) -> float:
+        """1/s, of the factor up or down, that keeps every contact at every factor from 0 to 1."""
+        corners = [(squared, sign) for squared in (0.0, 1.0) for sign in (1.0, -1.0)]
+
+        def margin(rate: float) -> Array:
+            return np.concatenate([self.margin(squared, sign * rate) for squared, sign in corners])
+
+        begin, high = margin(0.0), 1.0
+        while (end := margin(high)).min() >= 0 and high < MOST_RATE:
+            high *= 10.0
+        failing = np.flatnonzero(end < 0)
+        T = len(self.tray.t)
+
+        def some(rate: float, which: Indices) -> Array:
+            found = np.empty(len(which))
+            for k, (squared, sign) in enumerate(corners):
+                own = np.flatnonzero(failing[which] // T == k)
+                if len(own):
+                    found[own] = self.margin(squared, sign * rate, failing[which][own] % T)
+            return found
+
+        return least_root(some, 0.0, high, begin[failing], end[failing])
+
+
+def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None, int]:
+    """The interval of factors of a load without a liquid, and the largest of them; 0 tried."""
+    still, full = scaled.margin(0.0), scaled.margin(1.0)
+    squared, here = (1.0, full) if full.min() >= 0 else (0.0, still)
+    if here.min() < 0:
+        from scipy.optimize import minimize_scalar
+
+        best = minimize_scalar(lambda u: -scaled.margin(u).min(), bounds=(0.0, FASTEST**2), method="bounded")
+        squared, here = float(best.x), scaled.margin(float(best.x))
+        if here.min() < 0:
+            return (), None, 0
+    low = squared - _edge(scaled, squared, here, 0.0, still)
+    most, beyond = (1.0, full) if full.min() < 0 and squared < 1 else (FASTEST**2, None)
+    if beyond is None:
+        # Nothing holds beyond where the line through rest and here ends: far beyond, all would be sought.
+        ends = np.divide(still, still - here, out=np.full(len(here), np.inf), where=still > here)
+        most = min(most, BEYOND * squared * float(ends.min()))
+        beyond = scaled.margin(most)
+        if beyond.min() >= 0 and most < FASTEST**2:
+            most, beyond = FASTEST**2, scaled.margin(FASTEST**2)
+    high = squared + _edge(scaled, squared, here, most, beyond)
+    if high < SLOWEST**2:
+        return (), None, 0
+    inside = ((float(np.sqrt(low)), float(np.sqrt(min(high, 1.0)))),) if low <= 1 else ()
+    return inside, float(np.sqrt(high)), 0
+
+
+def _edge(scaled: TimeScaled, begin: float, here: Array, end: float, there: Array) -> float:
+    """How far from the square of a factor at which all holds, towards that of another, all of it still holds."""
+    failing, way = np.flatnonzero(there < 0), np.sign(end - begin)
+    return least_root(
+        lambda away, some: scaled.margin(begin + way * away, 0.0, failing[some]),
+        0.0,
+        abs(end - begin),
+        here[failing],
+        there[failing],
+    )
+
+
+def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int]:
+    """The intervals of factors up to 1 of a load with a liquid, the largest of them, and how many were tried."""
+    known = {float(s): scaled.slack(float(s)) for s in TRIED}
+    while True:
+        factors = sorted(known)
+        between = []
+        for a, b in pairwise(factors):
+            edge = (known[a] < 0) != (known[b] < 0)
+            # Between two that hold a third may not, where they differ by more than what is left.
+            near = 0 <= min(known[a], known[b]) < abs(known[a] - known[b])
+            if b - a > (FINEST if edge else 8 * FINEST) and (edge or near):
+                between.append(0.5 * (a + b))
+        if not between:
+            break
+        known |= {s: scaled.slack(s) for s in between}
+    intervals: list[tuple[float, float]] = []
+    for k, s in enumerate(factors):
+        if known[s] >= 0:
+            joins = k > 0 and known[factors[k - 1]] >= 0
+            intervals[len(intervals) - joins :] = [(intervals[-1][0] if joins else s, s)]
+    return tuple(intervals), intervals[-1][1] if intervals else None, len(known)
+
+
+def least_root(f: Callable[[float, Indices], Array], low: float, high: float, begin: Array, end: Array) -> float:
+    """Where the first of n concave functions turns negative between low, at which they are begin (n,), none negative,
+    and high, at which they are end (n,), all negative: to 1e-6, on the side where none has; high where there is none.
+
+    f: of a place, those that are asked for. A function lies above its chord: one whose chord ends beyond a root that is
+    known is not asked again, and few are near the least.
+    """
+    if not len(begin):
+        return high
+    some, root = np.arange(len(begin)), high
+    while len(some):
+        ending = low + (root - low) * begin / (begin - end)
+        k = int(np.argmin(ending))
+        one, near = some[[k]], ending < root
+        near[k] = False
+        inside = low
+        while root - inside > 1e-7 * root:
+            middle = 0.5 * (inside + root)
+            inside, root = (middle, root) if f(middle, one)[0] >= 0 else (inside, middle)
+        some, begin = some[near], begin[near]
+        end = f(root, some) if len(some) else begin
+        some, begin, end = some[end < 0], begin[end < 0], end[end < 0]
+    return max(low, root * (1 - 1e-6))

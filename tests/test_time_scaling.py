@@ -1,0 +1,193 @@
+"""At which constant speed factors a motion keeps its load: by hand, by the laws that margins obey, and for plans."""
+
+import numpy as np
+import pytest
+
+from recordings import line
+from salver import scenario as scenarios
+from salver.contact_margins import margin_model, safe_speeds, time_scaling
+from salver.contact_margins.time_scaling import TimeScaled, least_root
+from salver.geometry import exp
+from salver.trajectory import MotionSamples
+
+FRICTION = 0.3
+PEAK = 10 / np.sqrt(3) * 0.5  # of the min-jerk acceleration over 0.5 m, times T^2
+
+
+def model_of(friction=FRICTION, height=0.04, uncertainty=None):
+    data = scenarios.load("panda-cube").model_dump(mode="json", exclude_none=True)
+    data["objects"][0] |= {"friction": friction, "uncertainty": uncertainty or {}}
+    data["objects"][0]["shape"] = {"type": "box", "size": [0.04, 0.04, height]}
+    data["objects"][0].pop("inertia")
+    return margin_model(scenarios.parse(data, "test"), 16)
+
+
+def tilted(degrees, accelerations=0.0, count=21):
+    """Along y, tilted about x by an angle, with accelerations along y (as many instants)."""
+    t, zero = np.linspace(0.0, 1.0, count), np.zeros((count, 3))
+    a = zero + np.outer(np.broadcast_to(accelerations, count), [0.0, 1.0, 0.0])
+    R = np.broadcast_to(exp(np.array([np.deg2rad(degrees), 0.0, 0.0])), (count, 3, 3))
+    return MotionSamples(t, zero, 0.4 * np.ones((count, 3)), a, R, zero, zero)
+
+
+def turning(rng, count=40):
+    """A random motion of the tray, that turns about all axes and leans by up to some degrees."""
+    t = np.linspace(0.0, 1.0, count)
+    angles = rng.uniform(0.02, 0.12, 3) * np.sin(np.outer(t, rng.uniform(2, 7, 3)) + rng.uniform(0, 6, 3))
+    a, omega, alpha = (size * rng.standard_normal((count, 3)) for size in (1.2, 0.6, 2.0))
+    return MotionSamples(t, 0 * a, rng.standard_normal((count, 3)), a, exp(angles), omega, alpha)
+
+
+# By hand ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("degrees", "static"), [(16.5, True), (-16.5, True), (17.0, False), (-17.0, False)])
+def test_standing_still_it_slides_exactly_where_the_tangent_of_the_tilt_is_above_friction(degrees, static):
+    """atan 0.3 is 16.7 degrees."""
+    found = safe_speeds(model_of(), tilted(degrees), worst=False)
+    assert found.every is static
+    if not static:
+        assert found.fails_at == 0
+        assert "Holds at no speed from 0 to 100 %: standing still" in found.sentence
+        assert not found.pace.ok
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_tray_that_leans_into_its_acceleration_holds_only_near_full_speed(sign):
+    """On a slope of 20 degrees with acceleration a along y the cube needs (g sin - s^2 a cos) / (g cos + s^2 a sin)."""
+    angle, a = np.deg2rad(20.0), 3.2
+    found = safe_speeds(model_of(), tilted(sign * 20.0, -sign * a), worst=False)
+    mu, g = FRICTION, 9.81
+
+    def factor(friction):
+        return np.sqrt(
+            g * (np.sin(angle) - friction * np.cos(angle)) / (a * (np.cos(angle) + friction * np.sin(angle)))
+        )
+
+    ((low, high),) = found.intervals
+    assert low == pytest.approx(factor(mu), rel=1e-5)
+    assert found.fastest == pytest.approx(factor(-mu), rel=1e-5)
+    assert high == 1.0
+    assert 100 * found.fails_at == np.ceil(100 * low) - 1
+    assert found.sentence.startswith(f"Only at {np.ceil(100 * low):g} to 100 % of full speed: at ")
+    assert "slides" in found.sentence
+    assert found.rate is None
+
+
+def test_what_is_too_fast_holds_when_it_is_run_slower():
+    duration = 0.9
+    found = safe_speeds(model_of(), line(duration), worst=False)
+    limit = np.sqrt(FRICTION * 9.81 * duration**2 / PEAK)
+    ((low, high),) = found.intervals
+    assert low == 0
+    assert high == pytest.approx(limit, rel=1e-4)
+    assert found.pace.details["factor"] == pytest.approx(1 / limit, rel=1e-4)
+    assert found.sentence.startswith(f"Holds at 0 to {np.floor(100 * high):g} % of full speed: at ")
+
+
+def test_the_factor_may_change_as_fast_as_friction_accelerates_the_trays_velocity():
+    """Level, without acceleration: a change at a rate r accelerates the tray by r times its velocity."""
+    found = safe_speeds(model_of(), tilted(0.0), worst=False)
+    assert found.every
+    # Friction pyramids of 16 edges hold .4 (1, 1, 0) m/s along an edge; v_z presses by r v_z.
+    flat, up = 0.4 * np.sqrt(2), 0.4
+    assert found.rate == pytest.approx(FRICTION * 9.81 / (flat + FRICTION * up), rel=0.02)
+
+
+def test_factors_between_which_alone_it_holds_are_found():
+    """Neither standing still nor at full speed: half the instants need acceleration, the others bear little."""
+    angle, count = np.deg2rad(20.0), 21
+    a = np.where(np.arange(count) < 10, 9.0, 8.0)
+    found = safe_speeds(model_of(), tilted(20.0, -a, count), worst=False)
+
+    def factor(friction, a):
+        return np.sqrt(
+            9.81 * (np.sin(angle) - friction * np.cos(angle)) / (a * (np.cos(angle) + friction * np.sin(angle)))
+        )
+
+    ((low, high),) = found.intervals
+    assert low == pytest.approx(factor(FRICTION, 8.0), rel=1e-5)
+    assert high == pytest.approx(factor(-FRICTION, 9.0), rel=1e-5)
+    assert high < 1
+
+
+# Laws ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "uncertainty", [{}, {"friction": "10%", "mass": "10%", "com": [0.004, 0.003, 0.005]}, {"contents": "any"}]
+)
+def test_what_holds_at_rest_and_at_full_speed_holds_at_every_factor_and_rate_between(seed, uncertainty):
+    """Margins are concave in (s^2, s'): between the corners they lie above the plane through them."""
+    rng = np.random.default_rng(seed)
+    scaled = TimeScaled(model_of(0.5, 0.1, uncertainty), turning(rng), bool(uncertainty))
+    rate = 0.3
+    still, full = (np.minimum(scaled.margin(squared, rate), scaled.margin(squared, -rate)) for squared in (0.0, 1.0))
+    for factor, share in rng.uniform([0.0, -1.0], 1.0, (8, 2)):
+        between = scaled.margin(factor**2, share * rate)
+        assert (between >= (1 - factor**2) * still + factor**2 * full - 1e-9).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_margin_is_zero_at_the_edges_that_are_told_and_below_it_just_beyond(seed):
+    rng = np.random.default_rng(seed)
+    scaled = TimeScaled(model_of(friction=0.25), turning(rng), False)
+    found = safe_speeds(scaled.model, scaled.tray, worst=False)
+    for factor in rng.uniform(0, 1, 30):
+        inside = any(low <= factor <= high for low, high in found.intervals)
+        assert (scaled.margin(factor**2).min() >= 0) == inside
+    if found.every:
+        assert scaled.margin(0.0, found.rate).min() >= -1e-9
+        assert min(scaled.margin(u, r).min() for u in (0, 1) for r in (1.01 * found.rate, -1.01 * found.rate)) < 0
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_first_root_of_many_concave_functions(seed):
+    """Of the least of lines each; hardly more of them are asked than there are."""
+    rng = np.random.default_rng(seed)
+    height, slope = rng.uniform(0.1, 2, (300, 4)), rng.uniform(-0.5, 3, (300, 4))
+    low, high, asked = 1e-4, rng.uniform(1, 25), []
+
+    def f(x, some):
+        asked.extend(some)
+        return (height - slope * x).min(axis=1)[failing[some]]
+
+    ends = [(height - slope * x).min(axis=1) for x in (low, high)]
+    failing = np.flatnonzero(ends[1] < 0)
+    root = (height[slope > 0] / slope[slope > 0]).min()
+    found = least_root(f, low, high, ends[0][failing], ends[1][failing])
+    assert (1 - 3e-6) * root <= found <= root
+    assert len(asked) < 2 * len(failing)
+
+
+@pytest.mark.parametrize(
+    ("duration", "contents"),
+    [(0.5, {}), (0.8, {}), (2.0, {}), (0.8, {"contents": "any", "com": [0.004, 0.003, 0.005]})],
+)
+def test_few_instants_decide_the_edges_as_all_do(duration, contents):
+    """Of the whole motion, which turns as well, the least margin is 0 there."""
+    s = line(duration, 20 if contents else 151)
+    R = exp(np.outer(np.sin(3 * s.t / duration), [0.05, 0.03, 0.2]))
+    model = model_of(0.4, uncertainty={"friction": "10%", "mass": "10%", **contents})
+    motion = MotionSamples(**(vars(s) | {"R_SB": R, "omega_B": s.v_S * 0.7, "alpha_B": s.a_S * 0.7}))
+    share = safe_speeds(model, motion, worst=True).fastest ** 2
+    scaled = TimeScaled(model, motion, True)
+    assert scaled.margin(share).min() >= 0 > scaled.margin(share * (1 + 4e-6)).min()
+
+
+def test_no_factor_is_looked_at_beyond_one_that_surely_fails(monkeypatch):
+    """Margins are concave: none lasts to where the line through what is left at rest and here ends."""
+    scaled = TimeScaled(model_of(friction=0.4), line(2.0), False)
+    asked, margin = [], TimeScaled.margin
+
+    def noted(self, squared, rate=0.0, at=slice(None)):
+        asked.append(squared)
+        return margin(self, squared, rate, at)
+
+    left, here = scaled.margin(0.0), scaled.margin(1.0)
+    less = here < left
+    surely = (left[less] / (left - here)[less]).min()
+    monkeypatch.setattr(TimeScaled, "margin", noted)
+    assert safe_speeds(scaled.model, scaled.tray, worst=False).fastest > 1.2
+    assert 1 < max(asked) < 1.01 * surely < time_scaling.FASTEST**2
