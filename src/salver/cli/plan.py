@@ -231,6 +231,7 @@ def _show_legs(plan: Round) -> None:
         console.print(f"  arm: {leg.arm_status}")
         console.print(f"  {leg.verification.sentence}")
         console.print(f"  {leg.speeds.sentence}")
+        console.print(f"  {leg.extent.sentence}")
         if leg.stops is not None:
             console.print(f"  {leg.stops.sentence}")
     console.print(f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}.")
@@ -297,6 +298,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
     if plan.method == "robust" and plan.status.ok and plan.arm_status is not None and not plan.arm_status.ok:
         console.print("This plan is of the object alone; --least-sensitive seeks the same within the arm's limits.")
     console.print(plan.verification.sentence)
+    console.print(plan.extent.sentence)
     if plan.stops is not None:
         console.print(plan.stops.sentence)
     if plan.solver:

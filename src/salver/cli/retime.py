@@ -117,7 +117,13 @@ def _tell(plan: Plan) -> None:
     from salver.planning.fastest.retiming import PATH_TOLERANCE
 
     tell = result_console().print
-    sentences = [plan.status, plan.verification.sentence, plan.arm_status, plan.stops and plan.stops.sentence]
+    sentences = [
+        plan.status,
+        plan.verification.sentence,
+        plan.extent.sentence,
+        plan.arm_status,
+        plan.stops and plan.stops.sentence,
+    ]
     for sentence in sentences:
         if sentence is not None:
             tell(str(sentence))

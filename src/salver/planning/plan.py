@@ -16,6 +16,7 @@ from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import provenance
 from salver.geometry import Array, invert, log, matrix_from_quat_wxyz
 from salver.motion_files.verdict import UNSAFE, one_line
+from salver.planning.extent import Extent, extent
 from salver.planning.object.conditions import TILT, apart, unit_of
 from salver.planning.object.cost import sensitivity_cost
 from salver.planning.object.evaluation import Evaluation, evaluate
@@ -279,6 +280,11 @@ class Plan(Shown, Tabular):
         return arm_chain(model, self.joint, space=self.space)
 
     @property
+    def extent(self) -> Extent:
+        """What the motion does: how far the tray leans, turns and rises, how fast it moves, how near things come."""
+        return extent(self._checked.samples, self.scenario.payload.first.R_EB, self.arm_status)
+
+    @property
     def left(self) -> float:
         """What contacts have left in the worst case, a share of the weight: what an exact plan was checked to keep over
         its tubes; with the paper's condition, which counts in newtons, the exact margin along the reference."""
@@ -296,6 +302,7 @@ class Plan(Shown, Tabular):
             "ok": "yes" if self.ok else "no",
             "status": self.status.sentence,
             "check": self.verification.sentence,
+            "motion": self.extent.sentence,
             **arm,
             **({} if self.stops is None else {"stops": self.stops.sentence}),
             "left in the worst case": f"{100 * self.left:.3g} % of the weight",
@@ -317,6 +324,7 @@ class Plan(Shown, Tabular):
             "unchecked": list(self.unchecked),
             "status": status_record(self.status),
             "duration": self.duration,
+            "extent": self.extent.record(),
             "condition": self.scenario.contact.condition,
             "weighting": self.scenario.objective.weighting,
             "cost": self.cost,

@@ -109,7 +109,8 @@ def asked(run: Run) -> str:
         text += f", turning it by {turned:.0f}°"
     if s.obstacles and s.arm:
         text += f", clear of {listed([f'the {obstacle.name}' for obstacle in s.obstacles])}"
-    return text + ". " + _unknown(run)
+    does = plan.summary.get("extent", {}).get("sentence", "")
+    return f"{text}. {_unknown(run)} {does}".rstrip()
 
 
 def _thing(run: Run, i: int) -> str:

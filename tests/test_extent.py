@@ -1,0 +1,75 @@
+"""What a motion does, said in one line: against figures that were put in by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from salver import scenario
+from salver.cli import app
+from salver.errors import Status
+from salver.geometry import exp
+from salver.planning.extent import extent
+from salver.planning.make import make_plan
+from salver.trajectory import MotionSamples
+
+X, Z = np.eye(3)[0], np.eye(3)[2]
+AT_B = exp(np.array([0.3, -0.2, 0.7]))  # how the object lies on the tray
+
+
+def turned(lean_deg: float, heading_deg: float, sign: float) -> MotionSamples:
+    """A motion from a heading of 30 deg to heading_deg away from that, half way leaning; 0.2 m up and down between ends
+    of which one is 0.1 m higher, at 1.5 m/s at most."""
+    s = np.linspace(0.0, 1.0, 101)
+
+    headings = np.deg2rad(30.0) + sign * np.deg2rad(heading_deg) * s
+    leans = np.deg2rad(lean_deg) * np.sin(np.pi * s)
+    R = np.array([exp(h * Z) @ exp(a * X) @ AT_B for h, a in zip(headings, leans, strict=True)])
+    z = 0.4 + 0.1 * s + 0.2 * np.sin(2 * np.pi * s) ** 3
+    none = np.zeros((101, 3))
+    v = np.stack([-sign * 1.5 * np.sin(np.pi * s), 0 * s, 0 * s], axis=1)
+    return MotionSamples(s, np.stack([0 * s, 0 * s, z], axis=1), v, none, R, none, none)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_lean_turn_rise_and_speed_are_those_of_the_tray_however_the_object_stands_on_it(sign: float) -> None:
+    found = extent(turned(19.0, 215.0, sign), AT_B, None)
+    assert np.rad2deg(found.lean) == pytest.approx(19.0, abs=1e-6)
+    assert np.rad2deg(found.turn) == pytest.approx(215.0, abs=0.5), "over half a turn, and not seen by the object"
+    z = turned(19.0, 215.0, sign).p_SB[:, 2]
+    assert found.rise == pytest.approx(z.max() - 0.5)
+    assert found.sink == pytest.approx(0.4 - z.min())
+    assert min(found.rise, found.sink) > 0.1
+    assert found.speed == pytest.approx(1.5)
+    assert found.sentence == (
+        f"The tray leans by up to 19.0 deg, turns by up to 215.0 deg, rises {found.rise:.2f} m above its ends, sinks "
+        f"{found.sink:.2f} m below its ends and moves at up to 1.50 m/s."
+    )
+
+
+def test_the_nearest_thing_is_that_which_stands_around() -> None:
+    near = {"first": "elbow", "second": "shelf", "time": 0.52, "distance": 0.0836}
+    own = {"first": "wrist_1", "second": "wrist_3", "time": 0.1, "distance": 0.014}
+    found = extent(turned(0.0, 0.0, 1.0), AT_B, Status("x", "", True, {"obstacle_clearance": near, "clearance": own}))
+    assert found.sentence.startswith("The tray stays level, keeps its heading, rises")
+    assert found.sentence.endswith("moves at up to 1.50 m/s; elbow passes shelf at 84 mm (t = 0.52 s).")
+    assert extent(turned(0.0, 0.0, 1.0), AT_B, Status("x", "", True, {"clearance": own})).nearest is None
+
+
+@pytest.mark.slow
+def test_plan_page_and_json_say_it_alike(tmp_path: Path) -> None:
+    """Of a plan in one place: the text of the command, its JSON, plan.json and the page."""
+    box = {"type": "box", "name": "shelf", "size": [0.2, 0.2, 0.2], "position": [0.0, 0.9, 0.4]}
+    case = scenario.load("panda-cube-yaw").with_changes(obstacles=[box])
+    plan = make_plan(case)
+    assert plan.extent.nearest is not None
+    plan.save(tmp_path)
+    assert json.loads((tmp_path / "plan.json").read_text())["extent"]["sentence"] == plan.extent.sentence
+    CliRunner().invoke(app, ["report", str(tmp_path)])
+    assert plan.extent.sentence in (tmp_path / "report.html").read_text()
+    said = CliRunner().invoke(app, ["plan", str(tmp_path / "scenario.toml"), "-o", str(tmp_path / "again")]).output
+    assert " ".join(plan.extent.sentence.split()) in " ".join(said.split())
