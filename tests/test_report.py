@@ -64,13 +64,12 @@ def test_a_plan_that_failed_is_not_praised(cube_plans: Path, tmp_path: Path) -> 
     shutil.copytree(cube_plans, tmp_path / "run")
 
     def fail(record: dict[str, Any]) -> None:
-        record["ok"] = False
-        record["verification"] |= {"ok": False, "sentence": "cube leaves its contact condition by 0.2 N at t = 0.3 s."}
+        record |= {"ok": False, "verdict": "UNSAFE: cube leaves its contact condition by 0.2 N at t = 0.3 s."}
 
     rewrite(tmp_path / "run", record=fail)
     answer = verdict(read_run(tmp_path / "run"))
     assert (answer.level, answer.headline) == ("bad", "No safe plan was found")
-    assert "by 0.2 N at t = 0.3 s" in answer.detail
+    assert answer.detail == "cube leaves its contact condition by 0.2 N at t = 0.3 s."
 
 
 def test_task_in_words(cube_plans: Path) -> None:
