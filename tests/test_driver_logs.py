@@ -61,7 +61,7 @@ def test_a_second_run_keeps_the_first_ones_log(rig: Rig, tmp_path: Path) -> None
     assert second.path == tmp_path / "execution" / "plan.npz"
     assert second.summary["stopped"]
     again = load_npz(tmp_path / "execution" / "plan-1.npz")
-    assert all(np.array_equal(kept[name], again[name], equal_nan=True) for name in kept)
+    assert all(np.array_equal(kept[name], again[name], equal_nan=kept[name].dtype.kind == "f") for name in kept)
     assert read_json(tmp_path / "execution" / "plan-1.json")["stopped"] == ""
     for _ in range(3):
         assert keep(tmp_path, "plan", {"t": np.zeros(2)}, {"n": 1}).name == "plan.npz"

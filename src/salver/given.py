@@ -18,7 +18,7 @@ from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.motion_files import JointSamples, Samples, read_path
-from salver.motion_files.verdict import UNSAFE, one_line
+from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.plan import Plan, load_plan
 from salver.run_directory import SCENARIO
 from salver.scenario import Scenario
@@ -76,7 +76,10 @@ class Paced:
         """What its file says of it, in one line; what called itself unsafe stays so, for an audit knows no torques and
         no obstacles."""
         if self.ok:
-            return self.samples.verdict or one_line(f"Not checked: {self.unchecked}. {self.audit.worst.sentence}")
+            speeds = self.audit.speeds_worst
+            only = "" if speeds.every else f"{SPEED}: {speeds.verdict} "
+            found = one_line(f"{only}Not checked: {self.unchecked}. {self.audit.worst.sentence}")
+            return self.samples.verdict if self.samples.verdict.startswith(UNSAFE) else found
         fast = "" if self.too_fast is None else f" The arm cannot follow: {self.too_fast}."
         return one_line(f"{UNSAFE}: {self.audit.worst.sentence}{fast}")
 

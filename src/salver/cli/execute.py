@@ -35,6 +35,10 @@ def execute(
     realtime: Annotated[
         bool, typer.Option(help="Refuse a kernel without real-time priority (a dry run: keep real time).")
     ] = True,
+    full_speed_only: Annotated[
+        bool,
+        typer.Option("--full-speed-only", help="Send also a plan that does not keep its load when it is run slower."),
+    ] = False,
     live: Annotated[
         str | None,
         typer.Option(help="Do what these lines say while it moves: a file of timed wishes, or - for standard input."),
@@ -77,13 +81,15 @@ def execute(
     if not 0 < watchdog < 1:
         raise SalverError(f"--watchdog is {watchdog:g} rad; it must be above 0 and below 1.")
     if live is not None:
-        if mocap is not None or move_to_start or stem != "plan":
-            raise SalverError("--live goes with none of --mocap, --move-to-start and --stem.")
+        if mocap is not None or move_to_start or full_speed_only or stem != "plan":
+            raise SalverError("--live goes with none of --mocap, --move-to-start, --full-speed-only and --stem.")
         result = _told(directory, live, out, address, dry_run, Watchdog(watchdog), realtime, yes, json)
     elif mocap is not None:
         result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
     elif dry_run:
-        result = run_dry(directory, stem, Watchdog(watchdog), realtime, confirm=_warned)
+        result = run_dry(
+            directory, stem, Watchdog(watchdog), realtime, full_speed_only=full_speed_only, confirm=_warned
+        )
     else:
         result = run_on_franka(
             directory,
@@ -92,6 +98,7 @@ def execute(
             Watchdog(watchdog),
             move_to_start=move_to_start,
             realtime=realtime,
+            full_speed_only=full_speed_only,
             confirm=_assent(yes, json),
         )
     if json:

@@ -231,12 +231,10 @@ def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None, int]:
     still, full = scaled.margin(0.0), scaled.margin(1.0)
     squared, here = (1.0, full) if full.min() >= 0 else (0.0, still)
     if here.min() < 0:
-        from scipy.optimize import minimize_scalar
-
-        best = minimize_scalar(lambda u: -scaled.margin(u).min(), bounds=(0.0, FASTEST**2), method="bounded")
-        squared, here = float(best.x), scaled.margin(float(best.x))
-        if here.min() < 0:
+        found = _between(scaled, still, full)
+        if found is None:
             return (), None, 0
+        squared, here = found, scaled.margin(found)
     low = squared - _edge(scaled, squared, here, 0.0, still)
     most, beyond = (1.0, full) if full.min() < 0 and squared < 1 else (FASTEST**2, None)
     if beyond is None:
@@ -251,6 +249,28 @@ def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None, int]:
         return (), None, 0
     inside = ((float(np.sqrt(low)), float(np.sqrt(min(high, 1.0)))),) if low <= 1 else ()
     return inside, float(np.sqrt(high)), 0
+
+
+def _between(scaled: TimeScaled, still: Array, full: Array) -> float | None:
+    """The square of a factor at which all holds, of a motion that holds neither standing still nor at full speed: where
+    the least margin is largest of those instants that are least somewhere."""
+    from scipy.optimize import minimize_scalar
+
+    some = np.unique([np.argmin(still), np.argmin(full)])
+    while True:
+        found = minimize_scalar(
+            lambda squared, some=some: -scaled.margin(squared, 0.0, some).min(),
+            bounds=(0.0, FASTEST**2),
+            method="bounded",
+            options={"xatol": 1e-9},
+        )
+        here = scaled.margin(float(found.x))
+        if here.min() >= 0:
+            return float(found.x)
+        least = np.argmin(here)
+        if found.fun > 0 or least in some:
+            return None
+        some = np.append(some, least)
 
 
 def _edge(scaled: TimeScaled, begin: float, here: Array, end: float, there: Array) -> float:

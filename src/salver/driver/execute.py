@@ -59,17 +59,19 @@ def dry_run(
     watchdog: Watchdog | None = None,
     realtime: bool = True,
     *,
+    full_speed_only: bool = False,
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
     signals: Signals | None = None,
 ) -> Execution:
     """The plan on the simulated arm, in real time, through the very loop that drives a real one.
 
-    confirm: asked with the checks after all of them passed, before anything moves. signals: through which the caller
-    may ask for a stop (`Signals.note`), from another thread.
+    full_speed_only: run also a plan that does not keep its load at every speed. confirm: asked with the checks after
+    all of them passed, before anything moves. signals: through which the caller may ask for a stop (`Signals.note`),
+    from another thread.
     Raises SalverError when a check before the run fails, UnreachableError when the plan has no joint motion.
     """
     plan, arm, carried = _prepared(directory, stem)
-    checks = check_plan(plan, arm, carried)
+    checks = check_plan(plan, arm, carried, full_speed_only)
     demand(checks)
     checks.append(check_place(Path(directory)))
     watchdog = watchdog or Watchdog()
@@ -101,6 +103,7 @@ def run_on_franka(
     *,
     move_to_start: bool = False,
     realtime: bool = True,
+    full_speed_only: bool = False,
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
     signals: Signals | None = None,
 ) -> Execution:
@@ -108,10 +111,11 @@ def run_on_franka(
 
     signals: through which the caller may ask for a stop (`Signals.note`), from another thread.
     move_to_start: go to the start posture first, at a tenth of the speed limits, with nothing on the tray.
+    full_speed_only: run also a plan that does not keep its load at every speed.
     Raises SalverError when a check fails or the arm refuses, MissingDependencyError without pylibfranka.
     """
     plan, arm, carried = _prepared(directory, stem)
-    checks = check_plan(plan, arm, carried)
+    checks = check_plan(plan, arm, carried, full_speed_only)
     demand(checks)
     checks.append(check_place(Path(directory)))
     checks += check_franka(plan, arm)

@@ -266,7 +266,7 @@ def _run(
     if not listen:
         prompter.of(list(script(wishes, source)))
     plan_files.check_place(scenario, directory, edited=True, force=True)
-    about = [c for c in check_plan(plan, arm, carried) if c.name not in ("stops", "command", "rest")]
+    about = [c for c in check_plan(plan, arm, carried) if c.name not in ("stops", "command", "rest", "speeds")]
     checks = [*about, *checks]
     demand(checks)
     checks.append(check_place(directory))

@@ -51,8 +51,11 @@ class Check:
     required: bool = True
 
 
-def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> list[Check]:
-    """What can be checked without the robot. The plan must have a joint motion."""
+def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body], full_speed_only: bool = False) -> list[Check]:
+    """What can be checked without the robot. The plan must have a joint motion.
+
+    full_speed_only: whether a plan may be sent that does not keep its load at every speed.
+    """
     assert plan.joint is not None
     numbers = _numbers(plan, arm)
     if not numbers.ok:  # nothing can be computed from what is no number
@@ -66,6 +69,7 @@ def check_plan(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> list[Check]
         *_arm(motion, arm, bodies, plan),
         _reference(plan, given),
         _contact(plan, given),
+        _speeds(plan, full_speed_only),
         _rest(plan.joint),
         Check(
             "feedback",
@@ -198,6 +202,19 @@ def _contact(plan: Plan, given: MotionSamples) -> Check:
     """What the joints' own motion asks of every contact, in the worst case of the uncertain set."""
     status = margins(plan.scenario, given).verdict(worst=True)
     return Check("contact", status.ok, status.sentence)
+
+
+def _speeds(plan: Plan, full_speed_only: bool) -> Check:
+    """Whether the load stays when something on the way to the motors scales the speed."""
+    speeds = plan.speeds
+    sentence = speeds.sentence
+    if not speeds.every:
+        sentence += (
+            " It is sent as it is, at full speed."
+            if full_speed_only
+            else " Where nothing on the way to the motors scales its speed, --full-speed-only sends it."
+        )
+    return Check("speeds", speeds.every or full_speed_only, sentence)
 
 
 def _stops(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> Check:

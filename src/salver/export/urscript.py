@@ -11,6 +11,7 @@ import numpy as np
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.motion_files import Motion
+from salver.motion_files.verdict import warns
 
 # The order in which `servoj` takes them; URDFs put a prefix before these.
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
@@ -22,8 +23,8 @@ STOP = 2.0  # rad/s^2, of stopj; the arm rests by then
 HEAD = """\
 # {verdict}
 # {name}: {duration:.4g} s, {samples} joint positions at {rate:g} Hz. Written by salver {version} from a plan.
-# Speed slider at 100 %, payload set to tray and load: the controller slows a motion down otherwise, and no longer
-# follows the plan.
+# {slider}
+# Set the payload to tray and load.
 # servoj follows {lag:.0f} ms late or more and smooths: what the tray feels is not quite what was planned. Record a run
 # with the load strapped to the tray (RTDE), and let `salver track` tell what that costs before you carry it loose.
 def salver_motion():
@@ -38,6 +39,11 @@ def salver_motion():
     k = k + 1
   end
 """
+ANY_SPEED = (
+    "Speed slider: the load is kept at any constant setting at which the controller runs all of this slower alike; how "
+    "it does that was not tried."
+)
+FULL_SPEED = "Speed slider at 100 %, no reduced mode: run slower, this motion does not keep its load."
 TAIL = """\
   stopj({stop})
 end
@@ -60,6 +66,7 @@ def program(motion: Motion, rate: float) -> str:
     about = motion.about
     head = HEAD.format(
         verdict=motion.verdict,
+        slider=FULL_SPEED if warns(motion.verdict) else ANY_SPEED,
         name=about["scenario"]["name"].replace("\n", " "),
         duration=motion.t[-1],
         samples=len(motion.t),

@@ -18,7 +18,7 @@ from salver.errors import SalverError
 from salver.files import to_json, write_atomic, writing
 from salver.geometry import Array
 from salver.motion_files.motion import Motion
-from salver.motion_files.verdict import UNSAFE
+from salver.motion_files.verdict import warns
 
 TOPICS = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
@@ -152,18 +152,18 @@ def write_robot_trajectory(motion: Motion, path: Path) -> list[Path]:
 
 
 def _headed(motion: Motion, kind: str) -> str:
-    """The comments above a message: its type and the verdict on its motion, first where that is unsafe."""
+    """The comments above a message: its type and the verdict on its motion, first where that warns."""
     lines = [f"# {text}\n" for text in (kind, motion.verdict) if text]
-    return "".join(reversed(lines) if motion.verdict.startswith(UNSAFE) else lines)
+    return "".join(reversed(lines) if warns(motion.verdict) else lines)
 
 
 _NO_OTHER_JOINTS = {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}, "joint_names": [], "points": []}
 
 
 def write_message(motion: Motion, path: Path) -> list[Path]:
-    """A trajectory_msgs/JointTrajectory as JSON, with its verdict when it is unsafe. Raises SalverError for a motion of
+    """A trajectory_msgs/JointTrajectory as JSON, with its verdict when that warns. Raises SalverError for a motion of
     the tray."""
-    verdict = {"verdict": motion.verdict} if motion.verdict.startswith(UNSAFE) else {}
+    verdict = {"verdict": motion.verdict} if warns(motion.verdict) else {}
     return [write_atomic(path, to_json({**verdict, **_joints(motion, path)}), keep=True)]
 
 

@@ -1,4 +1,5 @@
-"""What a motion file says of the motion in it: one that fails a verdict says so in its name, and first in its text."""
+"""What a motion file says of the motion in it: one that fails a verdict says so in its name, and first in its text; one
+that loses its load when it is run slower says that first in its text."""
 
 from __future__ import annotations
 
@@ -10,13 +11,19 @@ import numpy as np
 from salver.errors import UnsafeError
 
 UNSAFE = "UNSAFE"
-_SAID = re.compile(rf'{UNSAFE}: ([^\n"]*)')
+SPEED = "NOT AT EVERY SPEED"
+_SAID = re.compile(rf'({UNSAFE}|{SPEED}): ([^\n"]*)')
 _HEAD = 2000  # bytes of a file in which its verdict stands
 
 
 def one_line(text: str) -> str:
     """The text without line breaks and control characters: as a comment of any format may hold it."""
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def warns(verdict: str) -> bool:
+    """Whether a verdict must be read before its motion is run, also where a file has no room for a heading."""
+    return verdict.startswith((UNSAFE, SPEED))
 
 
 def place_for(path: str | Path, verdict: str, unsafe: bool) -> Path:
@@ -37,10 +44,11 @@ def place_for(path: str | Path, verdict: str, unsafe: bool) -> Path:
 
 
 def verdict_in(path: Path) -> str:
-    """ "UNSAFE: why" where a motion file says so of itself, in its text or its name; else empty."""
+    """ "UNSAFE: why" where a motion file says so of itself, in its text or its name, or that it is not safe at every
+    speed; else empty."""
     found = _SAID.search(_text(path))
     if found:
-        return f"{UNSAFE}: {found[1].strip()}"
+        return f"{found[1]}: {found[2].strip()}"
     return f"{UNSAFE}: {path.name} calls itself so." if UNSAFE in path.name else ""
 
 

@@ -13,7 +13,7 @@ from salver.files import output_file, to_json, write_atomic
 from salver.geometry import Array
 from salver.motion_files.motion import Motion
 from salver.motion_files.readers import FORMAT, column_names
-from salver.motion_files.verdict import UNSAFE, place_for
+from salver.motion_files.verdict import place_for, warns
 
 # Format to the endings of its files; a bag is a directory.
 ENDINGS = {
@@ -67,10 +67,10 @@ def columns(motion: Motion) -> dict[str, Array]:
 
 
 def write_csv(motion: Motion, path: Path) -> list[Path]:
-    """One row an instant, one column a component; headings as in `columns`, below the verdict of an unsafe motion."""
+    """One row an instant, one column a component; headings as in `columns`, below the verdict where it warns."""
     table = columns(motion)
     text = io.StringIO()
-    text.write(f"# {motion.verdict}\n" if motion.verdict.startswith(UNSAFE) else "")
+    text.write(f"# {motion.verdict}\n" if warns(motion.verdict) else "")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table)
     for row in zip(*(values.tolist() for values in table.values()), strict=True):

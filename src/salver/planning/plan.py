@@ -15,7 +15,7 @@ from salver.display import Shown
 from salver.errors import FileFormatError, ScenarioError, Status
 from salver.files import provenance
 from salver.geometry import Array, invert, log, matrix_from_quat_wxyz
-from salver.motion_files.verdict import UNSAFE, one_line
+from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.extent import Extent, extent
 from salver.planning.object.conditions import TILT, apart, unit_of
 from salver.planning.object.cost import sensitivity_cost
@@ -188,11 +188,14 @@ class Plan(Shown, Tabular):
 
     @property
     def verdict(self) -> str:
-        """What its files say of it, in one line: "UNSAFE: " and what fails, or what was not checked, and what holds."""
+        """What its files say of it, in one line: "UNSAFE: " and what fails; or the only speeds at which it holds; or
+        what was not checked, and what holds."""
         if self._failures:
             return one_line(f"{UNSAFE}: {' '.join(self._failures)}")
         blind = f"Not checked: {'; '.join(self.unchecked)}. " if self.unchecked else ""
-        return one_line(f"{blind}{self.verification.sentence}")
+        if not self.speeds.every:
+            return one_line(f"{SPEED}: {self.speeds.verdict} {blind}{self.verification.sentence}")
+        return one_line(f"{blind}{self.verification.sentence} {self.speeds.sentence}")
 
     @property
     def unchecked(self) -> tuple[str, ...]:

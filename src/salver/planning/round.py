@@ -14,7 +14,7 @@ from salver.display import Shown
 from salver.errors import FileFormatError, Status
 from salver.files import provenance
 from salver.geometry import Array
-from salver.motion_files.verdict import UNSAFE, one_line
+from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.plan import Plan, load_plan, plan_of, status_from, status_record
 from salver.planning.plan_files import leg_files, read_files, save_files
 from salver.scenario import Scenario
@@ -71,7 +71,9 @@ class Round(Shown):
             failing.append(f"A leg begins {self.apart:.2g} rad or m from where the one before it ended.")
         if failing:
             return one_line(f"{UNSAFE}: {' '.join(failing)}")
-        return one_line(f"Not checked: {'; '.join(self.unchecked)}. {self.status.sentence}")
+        slow = [f"leg {k}: {leg.speeds.verdict}" for k, leg in enumerate(self.legs, 1) if not leg.speeds.every]
+        only = f"{SPEED}: {' '.join(slow)} " if slow else ""
+        return one_line(f"{only}Not checked: {'; '.join(self.unchecked)}. {self.status.sentence}")
 
     @property
     def unchecked(self) -> tuple[str, ...]:

@@ -1,0 +1,122 @@
+"""A plan that keeps its load only at full speed says so wherever it goes, and is not sent unless that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tomli_w
+from typer.testing import CliRunner
+
+import salver as sv
+from salver import scenario
+from salver.cli import app
+from salver.driver.preflight import check_plan, demand
+from salver.errors import SalverError
+from salver.export import FORMATS, write_export
+from salver.export.motion import read_motion
+from salver.export.urscript import program
+from salver.files import read_json
+from salver.models.arm import load_arm
+from salver.motion_files import read
+from salver.planning.fastest import plan_fastest
+from salver.planning.plan import Plan, load_plan
+
+BOTTLE = scenario.load("panda-tall-bottle").with_changes(motion__speeds="full")
+ONLY = "NOT AT EVERY SPEED: Only at "
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tall bottle on a tray that leans for the acceleration of full speed."""
+    return plan_fastest(BOTTLE).save(tmp_path_factory.mktemp("speeds") / "run")
+
+
+@pytest.fixture(scope="module")
+def plan(run: Path) -> Plan:
+    return load_plan(run)
+
+
+def checks_of(plan: Plan, **options: bool) -> list[str]:
+    """Names of the checks that fail and are required."""
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+    checks = check_plan(plan, arm, plan.scenario.payload.bodies, **options)
+    return [check.name for check in checks if check.required and not check.ok]
+
+
+def test_the_plan_and_its_record_say_at_which_speeds_it_holds(run: Path, plan: Plan) -> None:
+    said = read_json(run / "plan.json")["speeds"]
+    assert plan.ok
+    assert plan.speeds.sentence in plan.facts()["speeds"]
+    assert said["sentence"].endswith(plan.speeds.verdict)
+    assert said["sentence"].startswith("Not checked at other speeds: how far the arm strays")
+    assert said["intervals"] == [[pytest.approx(plan.speeds.intervals[0][0]), 1.0]]
+    assert said["code"] == "tips"
+    assert 0 < said["posture_time"] < plan.duration
+    assert said["rate"] is None
+
+
+def test_the_command_says_it_before_the_table_of_margins(tmp_path: Path) -> None:
+    file = tmp_path / "bottle.toml"
+    file.write_text(tomli_w.dumps(BOTTLE.model_dump(mode="json", exclude_none=True)))
+    said = CliRunner().invoke(app, ["plan", str(file), "--fastest", "-o", str(tmp_path / "run")])
+    assert said.exit_code == 0, said.output
+    words = " ".join(said.output.split())
+    assert words.index("Only at") < words.index("sensitivity cost")
+    assert "% bottle on tray tips in the worst case" in words
+
+
+def test_an_audit_of_the_planned_motion_says_the_same(run: Path, tmp_path: Path, plan: Plan) -> None:
+    file = write_export(run, "csv", tmp_path / "bottle.csv", rate=1000.0)[0]
+    audit = sv.audit(file, sv.load_scenario("panda-tall-bottle"))
+    assert audit.speeds_worst.sentence.startswith("Only at ")
+    assert audit.speeds_worst.intervals[0][0] == pytest.approx(plan.speeds.intervals[0][0], abs=5e-3)
+    assert audit.speeds_worst.sentence in sv.report(audit).html
+    text = CliRunner().invoke(app, ["audit", str(file), "-s", "panda-tall-bottle"]).stdout
+    assert f"Speeds, worst case: {audit.speeds_worst.sentence}" in " ".join(text.split())
+    assert audit.summary()["speeds"]["worst_case"]["sentence"] == audit.speeds_worst.sentence
+
+
+@pytest.mark.parametrize("file_format", [name for name in FORMATS if name != "urscript"])
+def test_every_format_says_it_in_its_heading(run: Path, tmp_path: Path, file_format: str) -> None:
+    files = write_export(run, file_format, tmp_path / f"carry{FORMATS[file_format]}")
+    heads = [file.read_text()[:1000] for file in files if file.suffix in (".csv", ".json", ".yaml", ".xml")]
+    assert heads
+    assert all(ONLY in head for head in heads)
+    if file_format in ("csv", "json"):
+        assert read(files[0]).verdict.startswith(ONLY)
+
+
+def test_the_table_of_a_motion_that_holds_at_every_speed_begins_with_its_heading(tmp_path: Path) -> None:
+    still = plan_fastest(scenario.load("panda-cube").with_changes(motion__orientation="fixed"))
+    assert still.speeds.every
+    assert "Holds at every speed from 0 to 100 %" in still.verdict
+    still.save(tmp_path / "run")
+    assert write_export(tmp_path / "run", "csv", tmp_path / "cube.csv")[0].read_text().startswith("t,")
+
+
+def test_a_program_says_what_the_speed_slider_does(run: Path) -> None:
+    motion = read_motion(run, "plan", 500.0)
+    names = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    six = replace(motion, joint_names=tuple(f"{n}_joint" for n in names), q=np.asarray(motion.q)[:, :6])
+    text = program(six, 500.0)
+    assert text.startswith(f"# {ONLY}")
+    assert "# Speed slider at 100 %" in text
+    other = program(replace(six, verdict="Holds at every speed from 0 to 100 %."), 500.0)
+    assert "Speed slider at 100 %" not in other
+    assert "# Speed slider: the load is kept at any constant setting" in other
+
+
+def test_it_is_not_sent_unless_full_speed_only_is_given(run: Path, plan: Plan) -> None:
+    assert checks_of(plan) == ["speeds"]
+    assert checks_of(plan, full_speed_only=True) == []
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+    with pytest.raises(
+        SalverError, match=r"Not moved\. .*Only at .* % of full speed|Only at full speed.*--full-speed-only"
+    ):
+        demand(check_plan(plan, arm, plan.scenario.payload.bodies))
+    refused = CliRunner().invoke(app, ["execute", str(run), "--dry-run", "--no-realtime"])
+    assert refused.exit_code != 0
+    assert "--full-speed-only" in refused.output
