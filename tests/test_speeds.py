@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import salver as sv
 from salver import scenario
 from salver.cli import app
 from salver.driver.preflight import check_plan, demand
-from salver.errors import SalverError
+from salver.errors import SalverError, ScenarioError
 from salver.export import FORMATS, write_export
 from salver.export.motion import read_motion
 from salver.export.urscript import program
@@ -120,3 +121,16 @@ def test_it_is_not_sent_unless_full_speed_only_is_given(run: Path, plan: Plan) -
     refused = CliRunner().invoke(app, ["execute", str(run), "--dry-run", "--no-realtime"])
     assert refused.exit_code != 0
     assert "--full-speed-only" in refused.output
+
+
+@pytest.mark.slow
+def test_in_the_engine_the_bottle_tips_at_half_speed_and_stays_at_full_speed(run: Path, plan: Plan) -> None:
+    """Where the nominal bottle does not stay either; one on a level tray does."""
+    audited = CliRunner().invoke(app, ["simulate", str(run), "--speed", "0.5", "--json"])
+    assert audited.exit_code == 0, audited.output
+    assert json.loads(audited.stdout)["plan"]["outcome"] in ("tips", "lost")
+    full = CliRunner().invoke(app, ["simulate", str(run), "--json"])
+    assert json.loads(full.stdout)["plan"]["outcome"] == "holds"
+    assert plan.at_speed(0.5).duration == pytest.approx(2 * plan.duration)
+    with pytest.raises(ScenarioError, match="above 0 and at most 1"):
+        plan.at_speed(1.5)

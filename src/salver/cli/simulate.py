@@ -44,6 +44,9 @@ def simulate(
     stop_at: Annotated[
         float | None, typer.Option(help="Ask for a stop at this time, s: the plan needs stops (salver plan --stops).")
     ] = None,
+    speed: Annotated[
+        float, typer.Option(help="Run the plan at this constant share of its speed, above 0 and at most 1.")
+    ] = 1.0,
     scenario: OnTray = None,
     topic: Topic = None,
     write: Annotated[
@@ -60,7 +63,7 @@ def simulate(
     Tells whether each object held, slid, tipped or left the tray, how far the arm was from its limits, and how far the
     measured contact forces are from the plan's tube. Without an arm in the scenario, the tray is moved exactly.
     Writes DIRECTORY/simulation/STEM.npz (time histories) and .json (summary); earlier runs are kept as STEM-1, STEM-2.
-    A stopped run is STEM-stop, and no run of the plan to the page.
+    A stopped run is STEM-stop, one at another speed STEM-slow, and neither a run of the plan to the page.
 
     The legs of a task of several are run one after the other: what stays on the tray begins each where the one before
     has left it. They are written as leg1, leg2 and so on.
@@ -80,7 +83,9 @@ def simulate(
         raise ScenarioError(f'--stem = "{stem}"; it must be {", ".join(STEMS)} or both; or leg1, leg2, ...')
     if scenario is None:
         of_a_run(directory)
-    asked = _Asked(directory, stem, true_values(set_ or []), seed, run, folder, stop_at, write)
+    asked = _Asked(directory, stem, true_values(set_ or []), seed, run, folder, stop_at, write, speed)
+    if speed != 1.0 and (scenario is not None or run is not None or stop_at is not None):
+        raise ScenarioError("--speed is for a run of a plan; leave out --scenario, --run and --stop-at.")
     if run is not None:
         asked = _repeated(asked)
     if write is not None:
@@ -115,6 +120,7 @@ class _Asked:
     folder: str
     stop_at: float | None
     write: Path | None
+    speed: float = 1.0
 
     def stop(self, plan: Plan | Round) -> float | None:
         """When a run of that plan is asked to stop, s; None for never."""
@@ -152,8 +158,9 @@ def _plans(asked: _Asked) -> dict[str, SimulationRecord]:
         plan = load_plan(directory, name)
         _warn(plan, name)
         stop_at = asked.stop(plan)
-        record = results[name] = run_physics(plan, parameters=asked.parameters, seed=asked.seed, stop_at=stop_at)
-        record.save(directory, name, "" if stop_at is None else "-stop")
+        moved = plan if asked.speed == 1.0 else plan.at_speed(asked.speed)
+        record = results[name] = run_physics(moved, parameters=asked.parameters, seed=asked.seed, stop_at=stop_at)
+        record.save(directory, name, "-stop" if stop_at is not None else "" if moved is plan else "-slow")
         if asked.write is not None:
             _write(record, plan.scenario, asked.write, plan.verdict)
     return results
@@ -168,6 +175,8 @@ def _legs(asked: _Asked, json: bool) -> None:
         raise ScenarioError("--stop-at is a time on one leg: name that too, as --stem leg1.")
     if asked.write is not None:
         raise ScenarioError("--write is for one leg: name it, as --stem leg1.")
+    if asked.speed != 1.0:
+        raise ScenarioError("--speed is for one leg: name it, as --stem leg1.")
     directory = asked.directory
     plan = load_round(directory)
     for k, leg in enumerate(plan.legs, 1):

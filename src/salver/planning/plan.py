@@ -269,6 +269,20 @@ class Plan(Shown, Tabular):
         found = safe_speeds(margin_model(self.scenario), tray, worst=True)
         return found if self.joint is None else replace(found, unchecked="how far the arm strays from the motion")
 
+    def at_speed(self, factor: float) -> Plan:
+        """The same motion run at a constant share of its speed, without torques, stops and a tuned command.
+
+        Raises ScenarioError for a factor that is not above 0 and at most 1.
+        """
+        if not 0 < factor <= 1:
+            raise ScenarioError(f"A speed of {factor:g} was asked for; it must be above 0 and at most 1 (full speed).")
+        s, joint = self.evaluation.samples, self.joint
+        rates = s.v_S * factor, s.a_S * factor**2, s.R_SB, s.omega_B * factor, s.alpha_B * factor**2
+        if joint is not None:
+            joint = JointMotion(joint.t / factor, joint.q, joint.dq * factor, joint.ddq * factor**2)
+        reference = SampledReference(MotionSamples(s.t / factor, s.p_SB, *rates))
+        return replace(self, reference=reference, joint=joint, tau=None, stops=None, command=None)
+
     @cached_property
     def chain(self) -> ArmChain | None:
         """What wrong parameters do to the arm that carries this plan; None without an arm or without uncertainty."""
