@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from salver.models.arm import load_arm
 from salver.motion_files import read
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan, load_plan
+from salver.reports.speed_bar import speed_bar
 
 BOTTLE = scenario.load("panda-tall-bottle").with_changes(motion__speeds="full")
 ONLY = "NOT AT EVERY SPEED: Only at "
@@ -74,7 +76,7 @@ def test_an_audit_of_the_planned_motion_says_the_same(run: Path, tmp_path: Path,
     audit = sv.audit(file, sv.load_scenario("panda-tall-bottle"))
     assert audit.speeds_worst.sentence.startswith("Only at ")
     assert audit.speeds_worst.intervals[0][0] == pytest.approx(plan.speeds.intervals[0][0], abs=5e-3)
-    assert audit.speeds_worst.sentence in sv.report(audit).html
+    assert audit.speeds_worst.sentence in sv.report(audit).html.split('class="speeds"')[1]
     text = CliRunner().invoke(app, ["audit", str(file), "-s", "panda-tall-bottle"]).stdout
     assert f"Speeds, worst case: {audit.speeds_worst.sentence}" in " ".join(text.split())
     assert audit.summary()["speeds"]["worst_case"]["sentence"] == audit.speeds_worst.sentence
@@ -134,3 +136,17 @@ def test_in_the_engine_the_bottle_tips_at_half_speed_and_stays_at_full_speed(run
     assert plan.at_speed(0.5).duration == pytest.approx(2 * plan.duration)
     with pytest.raises(ScenarioError, match="above 0 and at most 1"):
         plan.at_speed(1.5)
+
+
+def test_the_bar_of_a_page_is_green_where_it_holds() -> None:
+    bar = speed_bar({"intervals": [[0.0, 0.4], [0.92, 1.0]], "sentence": "<b>"})
+    assert re.findall(r'x="([0-9.]+)" y="4" width="([0-9.]+)"', bar) == [
+        ("20.00", "400.00"), ("20.00", "160.00"), ("388.00", "32.00")
+    ]  # fmt: skip
+    assert "&lt;b&gt;" in bar
+    assert "constant speed, % of full speed" in bar
+    assert speed_bar(None) == ""
+
+
+def test_the_page_of_a_plan_shows_the_bar(run: Path) -> None:
+    assert load_plan(run).speeds.verdict in sv.report(run).html.split('class="speeds"')[1]

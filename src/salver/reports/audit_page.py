@@ -21,6 +21,7 @@ from salver.reports.charts import Spec, thin, time_chart
 from salver.reports.page import filled, replay
 from salver.reports.run import Motion, Run
 from salver.reports.sections import Sections, tile_list
+from salver.reports.speed_bar import speed_bar
 from salver.reports.style import BLUE, VERMILION
 from salver.reports.words import Verdict
 from salver.trajectory import MotionSamples, SampledReference
@@ -134,7 +135,13 @@ def _sections(audit: Audit) -> Sections:
             "As the audit understands the motion.",
         ),
     ]
-    page.add("margins", "Margins", "How near the motion comes to moving what it carries.", charts)
+    page.add(
+        "margins",
+        "Margins",
+        "How near the motion comes to moving what it carries.",
+        charts,
+        speed_bar(audit.speeds_worst.summary()),
+    )
     page.add("known", "How the motion is known", "", extra=_known(audit))
     return page
 

@@ -12,14 +12,14 @@ from markupsafe import Markup
 from salver.models.arm_limits import LIMITS
 from salver.reports import charts, perturbed_runs
 from salver.reports.cells import NOTHING, joined, motion_cell, number, outcome_cell, table
+from salver.reports.speed_bar import speed_bar
 from salver.reports.tables import arm_usage, scenario_rows, solver_rows
 from salver.reports.words import length, true_parameters
 from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
-    from salver.reports.run import Motion, Record, Run
-
+from salver.reports.run import Motion, Record, Run
 
 NAVIGATION = {
     "replay": "Replay",
@@ -80,6 +80,7 @@ def build(run: Run, arm: ArmModel | None) -> Sections:
         "Margins",
         f"Four views of the distance between {run.load} and sliding, tipping or lifting.",
         charts.margin_charts(run),
+        speed_bar(run.plan.summary.get("speeds")),
     )
     if run.scenario.payload.liquids:
         page.add("liquid", "Liquid", "How near it comes to its brim.", charts.liquid_charts(run))
