@@ -333,7 +333,7 @@ def test_options_that_are_not_for_several_legs_are_refused(tmp_path, capsys):
         ("--beside", "nominal"): "legs",
         ("--no-arm",): "legs",
         ("--safest",): "motion.duration is missing",
-        ("--duration", "3"): "--safest",
+        ("--duration", "3", "--fastest"): "--safest",
     }
     for option, words in refusals.items():
         assert main_of("plan", path, "-o", tmp_path / "run", *option) == 2

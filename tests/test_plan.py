@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from salver.errors import FileFormatError, ScenarioError
-from salver.planning.make import make_plan, plan_baseline, plan_object
+from salver.planning.make import make_plan, method_of, plan_baseline, plan_object, plan_pair
 from salver.planning.object.evaluation import evaluate
 from salver.planning.plan import load_plan
-from salver.scenario import load
+from salver.scenario import load, names
 
 PAPER = load("panda-cube")
 
@@ -189,3 +189,32 @@ def test_what_is_left_is_of_the_contacts_whatever_else_is_limited(tilt):
     rows = plan.evaluation.slack[:, [owner == "cube on tray" for owner in plan.evaluation.slack_owner]]
     assert rows.shape[1] >= 8
     assert plan.left == rows.min()
+
+
+@pytest.mark.parametrize(
+    ("changes", "arm", "method"),
+    [
+        ({}, True, "safest"),
+        ({}, False, "robust"),
+        ({"arm": None}, True, "robust"),
+        ({"motion__duration": None}, True, "fastest"),
+        ({"plan__method": "least-sensitive"}, True, "least-sensitive"),
+        ({"plan__method": "fastest"}, False, "fastest"),
+    ],
+)
+def test_a_scenario_that_names_no_method_gets_the_safest_in_its_time_or_the_fastest(changes, arm, method):
+    assert method_of(load("ur5-bottle").with_changes(**changes), arm) == method
+
+
+def test_the_scenarios_of_the_paper_name_its_method_and_no_other_does():
+    named = {name: load(name).plan.method for name in names()}
+    assert {name for name, method in named.items() if method} == {n for n in named if n.startswith("panda-cube")}
+    assert {method for method in named.values() if method} == {"robust"}
+
+
+@pytest.mark.slow
+def test_what_is_planned_where_nothing_is_asked_leaves_more_than_the_straight_line_and_than_the_papers():
+    case = load("ur10-bottle")
+    plan, line = plan_pair(case)
+    assert plan.method == "safest"
+    assert plan.left > 1.5 * max(line.left, make_plan(case, "robust").left)

@@ -29,8 +29,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ended without saying that it does."""
     folder = tmp_path_factory.mktemp("unsafe") / "run"
     slow = scenario.load("ur5-bottle")
-    plan, baseline = plan_pair(slow.with_changes(motion__duration=0.8))
-    good = plan_pair(slow)[0]
+    plan, baseline = plan_pair(slow.with_changes(motion__duration=0.8), "robust")
+    good = plan_pair(slow, "robust")[0]
     unfinished = replace(
         good, scenario=plan.scenario, status=Status("time_limit", "There was no time left to search.", False)
     )
@@ -107,7 +107,7 @@ def test_export_ends_with_3_and_one_sentence(run: Path, tmp_path: Path) -> None:
 def test_retime_writes_no_program_of_what_does_not_hold(tmp_path: Path) -> None:
     """At the pace given the arm is too fast; along the path given no timing is safe."""
     case = scenario.load("ur5-bottle")
-    plan_pair(case)[0].save(tmp_path / "run")
+    plan_pair(case, "robust")[0].save(tmp_path / "run")
     (path,) = write_export(tmp_path / "run", "csv", tmp_path / "motion.csv", rate=500.0)
     before = set(tmp_path.iterdir())
     words = ("retime", path, "-s", "ur5-bottle", "--pace", "0.3")
@@ -148,7 +148,7 @@ def test_what_was_recorded_of_an_unsafe_plan_says_so_in_file_and_film(run: Path,
 
 
 def test_a_safe_plan_says_what_was_not_checked_and_is_written_under_its_own_name(tmp_path: Path) -> None:
-    plan_pair(scenario.load("ur5-bottle"))[0].save(tmp_path / "run")
+    plan_pair(scenario.load("ur5-bottle"), "robust")[0].save(tmp_path / "run")
     (path,) = write_export(tmp_path / "run", "json", tmp_path / "m.json", rate=50.0)
     document = json.loads(path.read_text())
     assert next(iter(document)) == "verdict"

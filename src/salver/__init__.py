@@ -75,12 +75,13 @@ def _scenario(given: Scenario | str | Path) -> Scenario:
     return load(given)
 
 
-def plan(scenario: Scenario | str | Path, method: str = "robust", *, arm: bool = True) -> Plan:
+def plan(scenario: Scenario | str | Path, method: str | None = None, *, arm: bool = True) -> Plan:
     """Plan a motion that keeps the objects on the tray.
 
     method: "robust" (the paper's optimisation, eqs 13-17), "baseline" (straight min-jerk line), "fastest" (the
     shortest safe duration; also what "robust" means for a scenario without one), "safest" (the largest worst-case
-    margin in the scenario's duration) or "least-sensitive" (eq 13 in that duration, within the arm's limits). arm:
+    margin in the scenario's duration) or "least-sensitive" (eq 13 in that duration, within the arm's limits); by
+    default the scenario's `plan.method`, else "safest" where it has a duration and "fastest" where it has none. arm:
     follow it with the scenario's arm, when it has one. Infeasible problems give a plan whose `ok` is False and whose
     `status` says which constraint fails, when and by how much. Raises ScenarioError for mistakes in the scenario.
     """

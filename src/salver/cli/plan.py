@@ -62,6 +62,13 @@ def plan(
             "(what the paper minimises), clear of obstacles and within the arm's limits.",
         ),
     ] = False,
+    robust: Annotated[
+        bool,
+        typer.Option(
+            "--robust",
+            help="Find the paper's motion: the same of the object alone, whatever the arm can follow; at once.",
+        ),
+    ] = False,
     beside: Annotated[
         str | None,
         typer.Option(
@@ -94,6 +101,9 @@ def plan(
 ) -> None:
     """Plan a motion that keeps the object on the tray, and another one beside it to compare it with.
 
+    Without an option it is what the scenario's plan.method says; else the safest motion in its duration, and the
+    fastest where it has none.
+
     Plans of the same scenario, as it was before it was edited, are replaced: they move to earlier/ with their results.
 
     Example: `salver plan panda-cube -o runs/cube`
@@ -114,8 +124,8 @@ def plan(
     chosen = scenarios.load(scenario)
     if duration is not None:
         chosen = chosen.with_changes(motion__duration=duration)
-    asked = {"fastest": fastest, "safest": safest, "least-sensitive": least_sensitive}
-    method = _method(chosen, [name for name, wanted in asked.items() if wanted])
+    asked = {"fastest": fastest, "safest": safest, "least-sensitive": least_sensitive, "robust": robust}
+    method = _method(chosen, arm, [name for name, wanted in asked.items() if wanted])
     if method == "robust" and beside != "nominal" and (effort is not None or time_limit is not None):
         raise typer.BadParameter(
             "--effort and --time-limit are for the searches of --fastest, --safest and --least-sensitive."
@@ -138,11 +148,16 @@ def plan(
         raise typer.Exit(NO_SAFE_PLAN)
 
 
-def _method(scenario: Scenario, asked: list[str]) -> str:
-    """What is asked, by the options given, or by what the scenario leaves open."""
+def _method(scenario: Scenario, arm: bool, asked: list[str]) -> str:
+    """What is asked, by the options given, or by the scenario."""
+    from salver.planning.make import method_of
+
     if len(asked) > 1:
-        raise typer.BadParameter("--fastest, --safest and --least-sensitive are three questions: give one of them.")
-    return asked[0] if asked else "fastest" if scenario.motion.duration is None else "robust"
+        raise typer.BadParameter(
+            "--fastest, --safest, --least-sensitive and --robust are four questions: give one of them."
+        )
+    method = asked[0] if asked else method_of(scenario, arm)
+    return "fastest" if method == "robust" and scenario.motion.duration is None else method
 
 
 def _pair(

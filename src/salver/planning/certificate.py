@@ -41,7 +41,9 @@ def check(
 ) -> None:
     """Raise FileFormatError, one sentence with what differs, unless a plan's files are what its certificate says."""
     certified = record.get(CERTIFICATE)
-    asked = f" --{record['method']}" if record.get("method") in ("fastest", "safest", "least-sensitive") else ""
+    method = record.get("method")
+    named = method in ("fastest", "safest", "least-sensitive", "robust") and method != scenario.plan.method
+    asked = f" --{method}" if named else ""
     again = f"plan again with `salver plan {quote(f'{directory}/scenario.toml')}{asked} -o ANOTHER_DIRECTORY`"
     if not isinstance(certified, dict):
         raise FileFormatError(

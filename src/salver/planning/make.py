@@ -114,9 +114,19 @@ def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
     return replace(plan, joint=joint, arm_status=status, tau=tau)
 
 
+def method_of(scenario: Scenario, arm: bool = True) -> str:
+    """The method that a scenario asks for by `plan.method`, or by what it leaves open: "safest" in its duration,
+    "fastest" without one; "robust", which needs no arm, where there is none."""
+    if scenario.plan.method is not None:
+        return scenario.plan.method
+    if scenario.motion.duration is None:
+        return "fastest"
+    return "safest" if arm and scenario.arm is not None else "robust"
+
+
 def plan_pair(
     scenario: Scenario,
-    method: str = "robust",
+    method: str | None = None,
     arm: bool = True,
     beside: str = "baseline",
     *,
@@ -145,26 +155,28 @@ def plan_pair(
 
 def make_plan(
     scenario: Scenario,
-    method: str = "robust",
+    method: str | None = None,
     arm: bool = True,
     *,
     options: FastestOptions | None = None,
     watch: Watch | None = None,
 ) -> Plan:
     """A plan by method: "robust", "baseline", "fastest", "safest" or "least-sensitive" (these two in the scenario's
-    duration), with the arm's motion when the scenario has an arm.
+    duration), by default `method_of`; with the arm's motion when the scenario has an arm.
 
     options, watch: of the search for the last three.
 
     Raises ScenarioError when the scenario does not say what the method needs.
     """
+    method = method or method_of(scenario, arm)
     scenario.check_one_leg(f"the {method} plan" if method in METHODS else "this")
-    if method == "robust" and scenario.motion.duration is None and scenario.arm is None:
+    quickest = method == "fastest" or (method == "robust" and scenario.motion.duration is None)
+    if quickest and scenario.motion.duration is None and scenario.arm is None:
         raise ScenarioError(
             f"{scenario.name}: motion.duration is missing, and the shortest that is safe is found with an arm only; "
             'give it in seconds, or add an [arm] table, for example model = "panda".'
         )
-    if method == "fastest" or (method == "robust" and scenario.motion.duration is None):
+    if quickest:
         from salver.planning.fastest import plan_fastest
 
         return plan_fastest(scenario.with_changes(motion__duration=None), options=options, watch=watch)

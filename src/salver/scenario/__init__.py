@@ -20,11 +20,11 @@ from salver.scenario.objects import (
     Uncertainty,
     UncertaintySet,
 )
-from salver.scenario.task import Contact, Control, Motion, Objective, Pose
+from salver.scenario.task import Contact, Control, Motion, Objective, Planning, Pose
 
 __all__ = [
     "SCENARIO_DIR", "Arm", "ArmLimits", "Box", "CarriedObject", "Composite", "Contact", "Control", "Cylinder",
     "Leg", "LiquidIn", "Mesh",
-    "Motion", "Objective", "Obstacle", "Part", "Physics", "Pose", "Prism", "Robot", "Scenario", "Tray", "Uncertainty",
-    "UncertaintySet", "load", "names", "parse",
+    "Motion", "Objective", "Obstacle", "Part", "Physics", "Planning", "Pose", "Prism", "Robot", "Scenario", "Tray",
+    "Uncertainty", "UncertaintySet", "load", "names", "parse",
 ]  # fmt: skip

@@ -21,7 +21,7 @@ from salver.scenario.cell import Arm, Obstacle, Physics, Tray
 from salver.scenario.fields import Model, Text, Whole
 from salver.scenario.legs import Leg, fixed_to_tray, loads
 from salver.scenario.objects import CarriedObject, UncertaintySet
-from salver.scenario.task import Contact, Control, Motion, Objective, Pose
+from salver.scenario.task import Contact, Control, Motion, Objective, Planning, Pose
 from salver.validation import sentences
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ class Scenario(Shown, Model):
     contact: Contact = Contact()
     control: Control = Control()
     objective: Objective = Objective()
+    plan: Planning = Planning()
     tray: Tray = Tray()
     arm: Arm | None = None
     obstacles: list[Obstacle] = Field(default=[], max_length=100)

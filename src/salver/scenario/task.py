@@ -108,6 +108,13 @@ class Control(Model):
                 )
 
 
+class Planning(Model):
+    """Which motion `salver plan` seeks: one of the methods, or, where none is named, the safest in motion.duration, and
+    without a duration the fastest."""
+
+    method: Literal["robust", "fastest", "safest", "least-sensitive"] | None = None
+
+
 class Objective(Model):
     """How the rows of the state sensitivity are weighted in the cost, eq (13)."""
 
