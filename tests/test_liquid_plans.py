@@ -106,7 +106,7 @@ def test_what_does_not_know_liquids_says_so(coffee):
     from salver.planning.fastest import Anywhere, AtPosture
 
     with pytest.raises(ScenarioError, match="plan with --fastest"):
-        sv.plan(coffee.with_changes(motion__duration=2.0))
+        sv.plan(coffee.with_changes(motion__duration=2.0), "robust")
     with pytest.raises(ScenarioError, match="knows no liquids"):
         sv.plan(coffee.with_changes(motion__duration=2.0, contact__condition="paper"), "baseline").verify()
     problem = transport_problem(coffee)
