@@ -120,6 +120,23 @@ def test_torque_is_equation_22_with_25(panda, reference, joint, feedback):
         assert controller.step(state, t) == pytest.approx(expected, abs=tolerance)
 
 
+def test_what_stands_beside_the_object_is_part_of_the_arm(panda, reference, joint):
+    """A second body, 1.3 kg and away from the first: the torque is that of an arm with it stuck to its tray."""
+    cube = CUBE.payload.first
+    beside = replace(
+        cube,
+        name="beside",
+        inertial=replace(cube.inertial, mass=1.3, inertia_com=2 * cube.inertial.inertia_com),
+        p_EB=np.array([-0.03, 0.05, 0.08]),
+        R_EB=exp(np.array([0.0, 0.0, 0.6])),
+    )
+    controller = ArmController(panda, [cube, beside], joint, reference, GAINS, limit_torque=False)
+    q, dq, _ = (x[0] for x in joint.sample(0.3))
+    state = state_at(panda, q + 0.01, dq - 0.05, cube)
+    expected = torque_of_the_paper(with_load(panda, [beside]), joint, reference, state, 0.3, np.linalg.pinv)
+    assert controller.step(state, 0.3) == pytest.approx(expected, abs=1e-7)
+
+
 def test_feedback_from_a_sticking_object_changes_nothing(panda, reference, joint):
     cube = CUBE.payload.first
     by_joints, by_object = (
@@ -224,19 +241,21 @@ def test_torques_and_their_rates_are_cut_and_counted(panda, reference, joint):
     assert controller.step(calm, 0.0) == pytest.approx(first, abs=0)
 
 
-def test_singular_posture_is_left_by_damped_least_squares(panda, reference, joint):
-    """Stretched out, J has a pivot of zero: then u is least in |J u - wanted|^2 + (1e-3 |u|)^2 (Wampler 1986)."""
+@pytest.mark.parametrize(("bent", "near"), [(0.0, True), (-4e-4, True), (4e-4, True), (2e-3, False)])
+def test_singular_posture_is_left_by_damped_least_squares(panda, reference, joint, bent, near):
+    """Stretched out, J has a pivot of zero, and a small one nearly so: u is least in |J u - wanted|^2 + (1e-3 |u|)^2
+    there (Wampler 1986)."""
     cube = CUBE.payload.first
     controller = ArmController(panda, [cube], joint, reference, GAINS, limit_torque=False)
-    stretched, slow = np.zeros(7), np.full(7, 0.01)
+    stretched, slow = bent * np.array([0.3, 1.0, -0.5, -1.0, 0.7, 1.0, 0.2]), np.full(7, 0.01)
     state = state_at(panda, stretched, slow, cube)
-    assert np.linalg.svd(object_jacobian(panda, stretched, cube.p_EB, cube.R_EB))[1][-1] < 1e-3
+    assert (np.linalg.svd(object_jacobian(panda, stretched, cube.p_EB, cube.R_EB))[1][-1] < 1e-3) == near
 
     def damped(jacobian):
         stacked = np.vstack([jacobian, 1e-3 * np.eye(7)])
         return np.linalg.lstsq(stacked, np.vstack([np.eye(6), np.zeros((7, 6))]))[0]
 
-    expected = torque_of_the_paper(panda, joint, reference, state, 0.3, damped)
+    expected = torque_of_the_paper(panda, joint, reference, state, 0.3, damped if near else np.linalg.pinv)
     assert controller.step(state, 0.3) == pytest.approx(expected, rel=1e-4)
 
 

@@ -66,6 +66,18 @@ def test_the_names_of_the_columns_decide_not_their_order(tmp_path):
         assert np.allclose(again.t, first.t, atol=1e-11)
 
 
+@pytest.mark.parametrize("separator", [";", "; ", "\t", " ", "  ", ", "])
+def test_columns_are_separated_by_commas_semicolons_tabs_or_blanks(tmp_path, separator):
+    s = line(1.5, 100.0)
+    quat = quat_wxyz_from_matrix(exp(np.outer(s.t, [0.1, 0.2, 0.3])))
+    first = write_csv(tmp_path / "a.csv", HEADER, s.t, s.p_SB, quat)
+    other = tmp_path / "b.csv"
+    other.write_text(first.read_text().replace(",", separator))
+    one, again = read(first), read(other)
+    for name in ("t", "p", "quat_wxyz"):
+        assert np.array_equal(getattr(one, name), getattr(again, name))
+
+
 def test_sign_flips_of_quaternions_are_no_turns(tmp_path):
     s = line(1.0)
     quat = s.quat_SB_wxyz * np.where(np.arange(len(s.t)) % 3 == 0, -1, 1)[:, None]

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,12 @@ import pytest
 
 from salver import scenario as scenarios
 from salver.campaigns import parameters_of_run, run_campaign, seed_of_run
+from salver.campaigns.definition import Definition
 from salver.campaigns.journal import Journal
 from salver.campaigns.summary import read_table
 from salver.errors import SalverError
 from salver.planning.make import make_plan
+from salver.sampling import METHODS
 
 N = 16
 
@@ -120,6 +123,18 @@ def test_more_runs_can_be_added_and_the_first_ones_stay(finished, run_dir):
     assert parquet(run_dir) == (finished.folder / "runs.parquet").read_bytes()
     for stem, plan in again.summary["plans"].items():
         assert plan | {"worst_run": 0} == finished.summary["plans"][stem] | {"worst_run": 0}  # it names the directory
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_runs_can_be_added_where_the_first_ones_do_not_depend_on_how_many_there_are(method):
+    few = Definition("s", {"plan": "a", "baseline": "b"}, 4, 1, method, "physics")
+    more = replace(few, n=6)
+    assert few.extends(few)
+    assert more.extends(few) == (method != "lhs")
+    assert not few.extends(more)
+    others = {"scenario": "t", "plans": {"plan": "a"}, "seed": 2, "method": "?", "engine": "closed-loop", "stops": True}
+    for name, value in others.items():
+        assert not replace(more, **{name: value}).extends(few), name
 
 
 def test_a_finished_campaign_is_not_run_again(finished, monkeypatch):

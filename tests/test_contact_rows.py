@@ -10,7 +10,7 @@ from scipy.optimize import linprog
 
 from salver.geometry import GRAVITY_S, Array, exp
 from salver.models.bodies import Body
-from salver.models.contact_rows import contact_rows
+from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import networks, sure_contacts, to_tray
 from salver.models.internal_wrench import internal_wrenches
 from salver.models.parameters import INERTIAL, inertial_vector
@@ -210,6 +210,21 @@ def test_arch_agrees_with_all_contact_forces_at_once() -> None:
     assert 5 < sum(feasible) < 35
     assert_allclose(best <= 0, feasible)
     assert np.any((value.max(axis=1) > 0) & (best <= 0))
+
+
+@pytest.mark.parametrize("name", ["left", "right", "top"])
+@pytest.mark.parametrize("place", [[0.002, 0.0], [0.0, 0.003]])
+def test_an_arch_of_which_one_body_may_stand_elsewhere_counts_on_no_internal_wrenches(
+    name: str, place: list[float]
+) -> None:
+    """Their lever arms are known only where every body surely stands; friction and mass may be uncertain."""
+
+    def rows(unknown: dict) -> ContactRows:
+        uncertain = [{**body, "uncertainty": unknown} if body["name"] == name else body for body in ARCH]
+        return contact_rows(scenario(uncertain).payload)[0]
+
+    assert rows({"friction": 0.05, "mass": "10%"}).internal.shape[1] == 6
+    assert rows({"position": place}).internal.shape[1] == 0
 
 
 def least_of(row: Array, internal: Array) -> float:

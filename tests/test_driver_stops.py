@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -107,6 +108,32 @@ def test_what_becomes_of_the_arm_in_a_stop_is_said_as_it_is(safe: Rig) -> None:
     cannot = one(safe, ask, Fault("planned", 0, 10**6, "", error=lambda: MemoryError())).result.summary
     assert "A stop could not begin (MemoryError)." in cannot["stopped"]
     assert cannot["load_kept_in_stop"] is False
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_stop_keeps_the_load_while_no_joint_is_farther_off_than_was_checked(safe: Rig, way: float) -> None:
+    """Each stop has its own bounds, the plan's end the last; what is measured may be 0.5 mrad off."""
+    plan, arm, carried = safe.plan, safe.arm, safe.carried
+    controller = controller_for(plan.scenario, plan.joint, plan.reference, arm=arm, space=plan.space)  # type: ignore[arg-type]
+    stops = PlannedStops(plan, controller, arm, carried)
+    count = len(stops.library.t)
+    bounds = 1e-3 * (1 + np.arange(7 * (count + 1)).reshape(count + 1, 7))
+    stops.library = replace(stops.library, stray=bounds)
+    taken = set()
+    for t in (0.1, 0.5, plan.duration + 0.1):
+        number = stops.library.course(t).stop
+        taken.add(number)
+        own = bounds[-1 if number is None else number]
+        for turn, bound in zip(way * np.eye(7), own, strict=True):
+            for beyond, keeps in ((4e-4, True), (6e-4, False)):
+                q, dq, _ = stops(ArmState(np.zeros(7), np.zeros(7)), t).course(0.0)
+                assert stops(ArmState(q + (bound + beyond) * turn, dq), t).keeps_load == keeps
+                stop = stops(ArmState(q, dq), t)
+                q, dq, _ = stop.course(0.2)
+                stop.step(ArmState(q + (bound + beyond) * turn, dq), 0.2)
+                assert stop.keeps_load == keeps
+    assert None in taken
+    assert len(taken - {0, count - 1}) > 1
 
 
 @pytest.mark.slow

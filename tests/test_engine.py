@@ -52,19 +52,34 @@ def largest_relative(a: np.ndarray, b: np.ndarray) -> float:
     return float((np.abs(a - b).max(axis=(0, 1)) / np.abs(b).max(axis=(0, 1))).max())
 
 
-def test_linear_loop_with_integral_action_has_the_closed_form():
-    """Everything is linear, so x, xi, Pi, Pi_xi are blocks of one matrix exponential."""
-    t = np.linspace(0, 3, 7)
-    result = sensitivity(pi_controlled(leak=0.2), [0.5, 0.0], t, [0.3], [0.1])
-    assert result.status.ok
+def closed_form(t):
+    """(T, 9) x, xi, sin 2t, cos 2t, 1, dx/da, dxi/da, dx/dd, dxi/dd of the leaking loop: everything is linear, so they
+    are blocks of one matrix exponential."""
     loop = np.array([[0.5 - 4, -3], [1, -0.2]])
-    # (x, xi, sin 2t, cos 2t, 1, dx/da, dxi/da, dx/dd, dxi/dd)
     m = np.zeros((9, 9))
     m[:2, :2] = m[5:7, 5:7] = m[7:, 7:] = loop
     m[:2, 2] = [4, -1]
     m[2, 3], m[3, 2] = 2, -2
     m[5, 0], m[7, 4] = 1, 1
-    z = np.array([expm(m * ti) @ [0.3, 0.1, 0, 1, 1, 0, 0, 0, 0] for ti in t])
+    return np.array([expm(m * ti) @ [0.3, 0.1, 0, 1, 1, 0, 0, 0, 0] for ti in t])
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-8, 1e-10])
+def test_the_error_is_no_less_than_is_said(tolerance):
+    """Of the motion and of every sensitivity, relative to its peak; halved steps promise 16 and often give 255."""
+    t = np.linspace(0, 3, 7)
+    result, z = sensitivity(pi_controlled(leak=0.2), [0.5, 0.0], t, [0.3], [0.1], tolerance=tolerance), closed_form(t)
+    found = [result.x, result.xi, result.state_sensitivity[:, 0], result.controller_sensitivity[:, 0]]
+    error = np.abs(np.hstack(found) - z[:, [0, 1, 5, 7, 6, 8]]).max(axis=0)
+    worst = (error / np.abs(z[:, [0, 1, 5, 7, 6, 8]]).max(axis=0)).max()
+    assert worst <= result.status.details["error"] <= min(tolerance, 255 * worst)
+
+
+def test_linear_loop_with_integral_action_has_the_closed_form():
+    t = np.linspace(0, 3, 7)
+    result = sensitivity(pi_controlled(leak=0.2), [0.5, 0.0], t, [0.3], [0.1])
+    assert result.status.ok
+    z = closed_form(t)
     np.testing.assert_allclose(result.x[:, 0], z[:, 0], atol=1e-10)
     np.testing.assert_allclose(result.xi[:, 0], z[:, 1], atol=1e-10)
     np.testing.assert_allclose(result.state_sensitivity[:, 0], z[:, [5, 7]], atol=1e-10)
@@ -104,6 +119,19 @@ def test_parameters_that_reach_the_controller_act_directly_too():
     decay = np.exp(-0.8 * t)
     np.testing.assert_allclose(result.state_sensitivity[:, 0, 0], -t * decay, atol=1e-10)
     np.testing.assert_allclose(result.input_sensitivity[:, 0, 0], -decay + 0.8 * t * decay, atol=1e-10)
+
+
+def test_parameters_that_reach_the_controllers_state_act_directly_too():
+    """The integral of a sensor of scale p, xi' = p x: of (x, xi, dx/dp, dxi/dp) everything is linear."""
+    x, u, p, xi = symbols("x", "u", "p", "xi")
+    loop = ClosedLoop(x=x, u=u, p=p, f=u, h=-2 * x - xi, xi=xi, g=p * x, parameters_reach_controller=True)
+    t = np.linspace(0, 2, 5)
+    result = sensitivity(loop, [0.8], t, [1.0], [0.3])
+    m = np.kron(np.eye(2), [[-2.0, -1.0], [0.8, 0.0]])
+    m[3, 0] = 1.0
+    z = np.array([expm(m * ti) @ [1.0, 0.3, 0.0, 0.0] for ti in t])
+    np.testing.assert_allclose(result.state_sensitivity[:, 0, 0], z[:, 2], atol=1e-10)
+    np.testing.assert_allclose(result.controller_sensitivity[:, 0, 0], z[:, 3], atol=1e-10)
 
 
 def test_what_the_controller_believes_is_not_perturbed():

@@ -190,6 +190,19 @@ def test_watchdog_complains_in_words(plan: Plan) -> None:
     assert "30 control periods in a row" in str(dog.complaint(arm, good, q, 30, 0.1))
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_joint_off_its_reference_or_too_fast_is_seen_either_way(plan: Plan, way: float) -> None:
+    """Every joint, beyond 0.05 rad and beyond the maker's speed."""
+    arm, _, _ = _parts(plan)
+    q, dog = plan.joint.sample(0.0)[0][0], Watchdog()  # type: ignore[union-attr]
+    for name, turn, fastest in zip(arm.joint_names, way * np.eye(7), arm.limits.velocity, strict=True):
+        assert dog.complaint(arm, ArmState(q + 0.049 * turn, 0.99 * fastest * turn), q, 0, 0.2) == ""
+        off = dog.complaint(arm, ArmState(q + 0.051 * turn, 0 * q), q, 0, 0.2)
+        assert off == f"{name} is 0.051 rad off its reference at t = 0.200 s; 0.05 rad are allowed."
+        fast = dog.complaint(arm, ArmState(q, 1.02 * fastest * turn), q, 0, 0.2)
+        assert fast.startswith(f"{name} moves at {1.02 * way * fastest:.3f} rad/s")
+
+
 def test_cool_stop_reference_is_smooth_and_within_its_share(plan: Plan) -> None:
     arm, carried, _ = _parts(plan)
     dq = np.array([1.5, -0.4, 0.3, 0.0, 2.0, -1.0, 0.5])
@@ -313,6 +326,21 @@ def test_franka_that_does_not_answer(directory: Path, plan: Plan, monkeypatch: p
     monkeypatch.setitem(sys.modules, "pylibfranka", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'salver\[robot\]'"):
         execute.run_on_franka(directory, "172.16.0.2")
+
+
+def test_a_franka_that_cannot_be_told_to_stop_says_so(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loop tries again, and writes into the log that the arm was not told."""
+    from salver.driver.robots import FrankaRobot
+
+    monkeypatch.setitem(sys.modules, "pylibfranka", Library(plan))
+    robot = FrankaRobot("arm", _parts(plan)[0], 0.15, np.full(3, 1e-4), realtime=False)
+
+    def gone() -> None:
+        raise RuntimeError("libfranka: connection lost")
+
+    monkeypatch.setattr(robot._robot, "stop", gone)
+    with pytest.raises(RuntimeError, match="connection lost"):
+        robot.stop()
 
 
 def test_pylibfranka_has_the_names_that_are_used() -> None:

@@ -165,6 +165,15 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["plan.json"]
 
 
+def test_who_reads_a_file_while_it_is_written_sees_all_of_the_old_one(tmp_path):
+    path = files.write_atomic(tmp_path / "plan.json", "old " * 3)
+    with open(path, "rb", buffering=0) as reader:
+        assert reader.read(4) == b"old "
+        files.write_atomic(path, "new")
+        assert reader.read() == b"old old "
+    assert path.read_text() == "new"
+
+
 def test_a_place_that_cannot_be_written_to(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(SalverError, match="cannot be written: "):

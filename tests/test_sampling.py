@@ -100,6 +100,32 @@ def test_a_latin_hypercube_has_one_run_in_each_stratum():
         assert sorted(np.floor((s[:, j] + 1) * 25).astype(int)) == list(range(50))
 
 
+def test_what_cannot_be_in_a_latin_hypercube_is_drawn_freely_and_the_rest_stays():
+    """Six of its runs are no object (the triangle inequality); what takes their place differs from run to run."""
+    scenario = scenarios.parse(cube(inertia=[2e-5, 2e-5, 6e-5]), "test")
+    uncertain, bodies = scenario.payload.uncertain, scenario.payload.bodies
+    design, values = draw(uncertain, 60, 0, "lhs"), draw(uncertain, 60, 0, "lhs", bodies)
+    drawn = np.any(design != values, axis=1)
+    assert drawn.sum() == 6
+    assert len(np.unique(values, axis=0)) == 60
+    freely = draw(uncertain, 60, 0, "uniform", bodies)
+    assert np.array_equal(values[drawn], freely[drawn])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_any_contents_differ_from_run_to_run_and_a_run_comes_again(method):
+    """Nothing but the contents is unknown: inertias that are all others, of as many runs as are asked for."""
+    scenario = scenarios.parse(cube(contents="any", com=[0.004, 0.003, 0.002]), "test")
+    uncertain, bodies = scenario.payload.uncertain, scenario.payload.bodies
+    values = draw(uncertain, 12, 5, method, bodies)
+    inertia = values[:, [p.kind == "inertia" for p in uncertain.parameters]]
+    assert len(np.unique(inertia.round(12), axis=0)) == 12
+    assert np.ptp(inertia, axis=0).min() > 1e-5
+    assert np.array_equal(values, draw(uncertain, 12, 5, method, bodies))
+    if method != "lhs":
+        assert np.array_equal(values[:5], draw(uncertain, 5, 5, method, bodies))
+
+
 def test_a_sobol_sequence_is_spread_more_evenly_than_chance():
     from scipy.stats import qmc
 

@@ -70,6 +70,21 @@ def test_senses_name_what_is_wrong(rig: Rig) -> None:
         Senses(rig.arm, rig.carried, 1e-3, ArmState(q, np.full(7, NAN)))
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_an_arm_rests_when_it_is_slow_and_its_torque_keeps_it_so(rig: Rig, way: float) -> None:
+    """At 0.01 rad/s at most, 2 ms later too, with an acceleration of 5 rad/s^2 at most in any joint."""
+    loaded, q = with_load(rig.arm, rig.carried), rig.plan.joint.q[0]  # type: ignore[union-attr]
+    senses = Senses(rig.arm, rig.carried, 1e-3, ArmState(q, 0 * q))
+    for turn in way * np.eye(7):
+        for speed, acceleration, rests in (
+            (0.0, 4.9, True), (0.0, 5.1, False), (0.0099, 0.0, True), (0.0101, 0.0, False), (0.006, 2.1, False),
+            (0.006, -2.1, False),
+        ):  # fmt: skip
+            dq = speed * turn
+            torque = loaded.inverse_dynamics(q, dq, acceleration * turn)
+            assert senses.rests(ArmState(q, dq), torque, 0.01) == rests
+
+
 class Watched:
     """An arm as the model has it, at a steady torque beyond gravity's; what is believed of readings of it."""
 
