@@ -30,7 +30,7 @@ from blocks import replace as written
 import salver as sv
 from live_arrivals import HIGHEST, LOWEST, arrival, arrived
 from live_page import HEAD, TABLE, faster, longer, row
-from live_runs import EVERY, drive, executed, in_turn, rows_of
+from live_runs import EVERY, drive, executed, halted, in_turn, rows_of
 from live_streams import SECONDS, SPARED, STREAMS, clipped, stream
 from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
@@ -90,7 +90,7 @@ def goals(scenario: sv.Scenario, rng: np.random.Generator) -> tuple[Planned, tup
     while t < 2.0:
         place = rng.uniform(*region)
         stop = rng.random() < 0.2
-        wishes.append((t, lambda _, place=place, stop=stop: live.stop() if stop else live.goto(place)))
+        wishes.append((t, lambda _, place=place, stop=stop: halted(live) if stop else live.goto(place)))
         t += rng.uniform(0.1, 0.7)
     states = drive(live, 2.0, wishes)
     return live, in_turn(states, drive(live, 1.6, begins=2.0)), {"changes": len(wishes)}

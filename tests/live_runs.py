@@ -146,6 +146,12 @@ def place(x, y, z):
     return lambda live: live.goto((x, y, z))
 
 
+def halted(live):
+    """To rest, and on from there when something else is requested."""
+    live.stop()
+    return live.resume()
+
+
 def check(live, states):
     """What must be true of anything that was executed, and then left alone until it rests."""
     worst = rows_of(live.problem, states)

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 import salver as sv
-from live_runs import LEAD, check, drive, executed, in_turn, place, rows_of
+from live_runs import LEAD, check, drive, executed, halted, in_turn, place, rows_of
 from salver.live import Live, Worker
 from salver.live.replan import Replanner
 from salver.live.wishes import pose_goal
@@ -64,7 +64,7 @@ garbage = st.sampled_from(
     ]
 )
 goals = st.tuples(st.floats(0.35, 0.6), st.floats(-0.4, 0.2), st.floats(0.3, 0.6)).map(lambda p: place(*p))
-wish = st.one_of(goals, st.just(Live.stop), garbage)
+wish = st.one_of(goals, st.just(halted), st.just(Live.stop), garbage)
 
 
 @pytest.mark.slow
@@ -75,8 +75,8 @@ wish = st.one_of(goals, st.just(Live.stop), garbage)
     suppress_health_check=list(HealthCheck),
     phases=[Phase.explicit, Phase.generate],  # what was wished is short, to make it shorter takes minutes
 )
-@example([(0.0, Live.stop), (0.0, place(0.5, 0.0, 0.5)), (0.0, place(0.35, 0.0, 0.3)), (0.0078, Live.stop)], 1)
-@example([(0.0, place(0.375, 0.0, 0.305)), (0.006, Live.stop), (0.2, Live.stop)], 2)
+@example([(0.0, halted), (0.0, place(0.5, 0.0, 0.5)), (0.0, place(0.35, 0.0, 0.3)), (0.0078, Live.stop)], 1)
+@example([(0.0, place(0.375, 0.0, 0.305)), (0.006, halted), (0.2, Live.stop)], 2)
 @given(st.lists(st.tuples(st.floats(0.0, 1.2), wish), min_size=2, max_size=6), st.integers(5, 90))
 def test_whatever_is_wished_no_row_is_broken_and_it_ends_at_rest(cube, wishes, every):
     live = Live(cube, lead=LEAD)

@@ -187,6 +187,8 @@ def test_where_how_a_liquid_moves_is_not_known_the_arm_rests_until_it_is_calm(co
         == "A restart is refused: the liquid in cup may still move; say calm=True when it stands still."
     )
     assert live.restart(q, calm=True).ok
+    assert not live.goto((0.5, 0.0, 0.5)).ok
+    assert live.resume().ok
     assert live.goto((0.5, 0.0, 0.5)).ok
     live.command(9.0)  # nor after a clock that jumped, for waves go on meanwhile
     assert not live.goto((0.5, 0.0, 0.5)).ok

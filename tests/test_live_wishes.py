@@ -88,10 +88,11 @@ def test_an_arm_that_is_elsewhere_is_stopped(cube):
     drive(live, 0.4, [(0.0, place(0.45, 0.1, 0.45))])
     told = live.command(0.4)[0].copy()
     assert live.measured(told + 0.01).ok
-    assert "panda_joint1 is 0.100 rad from where it was told to be" in live.measured(told + np.eye(7)[0] * 0.1).sentence
+    off = np.eye(7)[0] * 0.1
+    assert "panda_joint1 is 0.100 rad from where it was commanded to be" in live.measured(told + off).sentence
     state = live.plan(60.0)
     assert state.doing == "stopping"
-    assert "panda_joint1 is 0.100 rad from where it was told to be; the arm is stopped." in str(state)
+    assert "Stopped by the monitor: panda_joint1 is 0.100 rad from where it was commanded to be." in str(state)
 
 
 def test_a_load_that_is_not_safe_at_rest_is_not_begun_with(cube, problem):

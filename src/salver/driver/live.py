@@ -281,7 +281,7 @@ def _run(
     loaded = with_load(arm, carried)
 
     def stop_from(state: ArmState, t: float) -> Stop:
-        live.stop()
+        live.stop("the loop that drives the arm stopped it", source="monitor")
         return LiveStop(live, course, controller, loaded, state, t)
 
     for _ in range(50):  # first calls load code; they must not happen in the loop

@@ -97,7 +97,7 @@ class KeepLoad(PolicyActionProcessorStep):
             ahead = np.clip(q[-1] + steps * (q[-1] - before), limits.q_min, limits.q_max)
             self._before = q[-1]
         out = rows[: len(rows) if alone else self.execute].copy()
-        self.live.chunk((np.arange(len(ahead)) + 1) / self.fps, joints=ahead)
+        self.live.chunk((np.arange(len(ahead)) + 1) / self.fps, joints=ahead, source="policy")
         for row in out:
             row[:n] = self._next(every) / unit
         shape = (1,) * (wanted.ndim == 3) + out.shape if wanted.ndim > 1 else out.shape[1:]

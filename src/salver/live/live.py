@@ -4,12 +4,16 @@ At every moment a motion is committed that was verified (`salver.live.verify`) a
 replaced by another such motion that goes on from it. So nothing that planners, users or networks do, or fail to do, can
 bring the load into danger: what is not verified is not committed, and when nothing new comes the arm comes to rest.
 
+Requests have a source. While what a source of higher priority requested is carried out, others are refused. A stop
+latches: until it is lifted by `resume`, nothing but a motion to rest is committed, and every other request is refused.
+
 Two threads meet here, and neither waits for the other. The robot's loop calls `command`; whoever plans calls `plan`. A
 new motion is laid before the loop, which alone decides whether it still comes in time.
 """
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections import deque
@@ -32,14 +36,18 @@ from salver.live.running import Running
 from salver.live.standing import standing
 from salver.live.state import State
 from salver.live.steer import TICK
+from salver.live.stopped import Stopped
 from salver.live.verify import verified
 from salver.live.wishes import (
     ACCEPTED,
+    OPERATOR,
+    PRIORITY,
     Evade,
     Follow,
     Goal,
     Halt,
     Pose,
+    Source,
     Wish,
     chunk_wish,
     numbers,
@@ -55,6 +63,7 @@ from salver.trajectory import JointMotion
 
 LONGEST_GAP = 0.05  # s between two commands; what is longer is taken for a jump of the clock
 CALMING = 0.3  # s of ticks after a twist or a chunk, in which the motion is calmed; then it runs out
+MOST_QUEUED = 100  # goals
 MOST_ATTEMPTS = 4  # at a goal while moving; once more from rest
 EVADE = Evade()
 STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
@@ -98,7 +107,10 @@ class Live:
         self._offer: Running | None = None
         self._offered: Running | None = None
         self._ready = Ready()
-        # Written by whoever wishes.
+        # Written by whoever requests.
+        self._stopped: Stopped | None = None  # read by the loop too, which takes nothing but a stop while there is one
+        self._astray = ""  # why the arm is not where it was commanded to be, as it was measured last
+        self._refusals = 0
         self._halt: Running | None = None
         self._wish: Wish | None = None
         self._queue: deque[Goal] = deque()
@@ -138,7 +150,7 @@ class Live:
                     now = self._now + step
                     offer = self._halt or self._offer
                     if offer is not None:
-                        wanted = isinstance(offer.wish, (Halt, Evade)) or not isinstance(self._wish, Halt)
+                        wanted = self._wanted(offer.wish)
                         in_time = offer.after is self._running.committed and self._now <= offer.committed.begins
                         if wanted and in_time:
                             reader.take(offer.pieces)
@@ -159,21 +171,62 @@ class Live:
             self._clock = f"A command failed ({type(error).__name__}); the arm kept what it was told last."
         return reader.q, reader.dq, reader.ddq, reader.tau
 
-    # --- whoever wishes
+    def _wanted(self, wish: Wish | None) -> bool:
+        """Whether a motion that was planned for a request may still be committed."""
+        if isinstance(wish, Halt):
+            return True
+        if self._stopped is not None:
+            return False
+        now = self._wish
+        if wish is None or now is None or isinstance(wish, Evade):
+            return True
+        return not isinstance(now, Halt) and PRIORITY[wish.source] >= PRIORITY[now.source]
 
-    def goto(self, pose: Pose | None = None, *, q: npt.ArrayLike | None = None, queued: bool = False) -> Status:
+    # --- whoever requests
+
+    def _unable(self, source: Source) -> str:
+        """Why a request from a source cannot be carried out now, or nothing."""
+        if source not in PRIORITY:
+            return f"source is {str(source)[:40]!r}; it must be one of {', '.join(PRIORITY)}"
+        stopped, wish = self._stopped, self._wish
+        if stopped is not None:
+            stopped.refused += 1
+        if self._unknown:
+            return self._lost
+        if stopped is not None:
+            why = f" ({stopped.reason.rstrip('.')})" if stopped.reason else ""
+            return f"the arm was stopped by the {stopped.source}{why}; resume() comes first"
+        if wish is None or PRIORITY[source] >= PRIORITY[wish.source]:
+            return ""
+        over = wish is self._done and not self._queue and self._now >= self.committed.ends
+        return "" if over else f"what the {wish.source} requested is carried out first"
+
+    def goto(
+        self,
+        pose: Pose | None = None,
+        *,
+        q: npt.ArrayLike | None = None,
+        queued: bool = False,
+        source: Source = OPERATOR,
+    ) -> Status:
         """To come to rest with the first object's frame B at p_SB (3,), m, any heading, or at a pose (p_SB, R_SB); or
         in a posture q (n,), rad. queued: when the goals before are reached; otherwise at once, in place of them.
+        source: who requests it, "operator" or "policy".
 
         The status says whether it is tried; `state` what became of it.
         """
         if (pose is None) == (q is None):
             return self._refuse("a goal is a pose or a posture q, one of them", "The goal")
+        if (given := str(queued)) not in ("True", "False"):
+            return self._refuse(f"queued is {given[:40]!r}; it must be True or False", "The goal")
+        if unable := self._unable(source):
+            return self._refuse(unable, "The goal")
         goal = pose_goal(self._problem, pose) if pose is not None else posture_goal(self._problem, q)  # type: ignore[arg-type]
-        if self._unknown:
-            return self._refuse(self._lost, "The goal")
         if isinstance(goal, Status):
             return self._refuse(goal.sentence, "The goal")
+        if queued and len(self._queue) >= MOST_QUEUED:
+            return self._refuse(f"{MOST_QUEUED} goals are queued already, which is the most", "The goal")
+        goal = replace(goal, source=source)
         self._refused = ""
         if queued:
             self._queue.append(goal)
@@ -182,23 +235,54 @@ class Live:
             self._wish = goal
         return ACCEPTED
 
-    def stop(self) -> Status:
+    def stop(self, reason: str = "", *, source: Source = OPERATOR) -> Status:
         """To come to rest as soon as the load allows: by a stop that is ready (`prepare`) in the next period, else by
-        one that is planned now. What was committed ends at rest in any case."""
-        self._refused = ""
+        one that is planned now. What was committed ends at rest in any case.
+
+        It latches: until `resume`, every other request is refused, whoever makes it. A stop is never refused; one from
+        a source that is not known counts as the operator's.
+        """
+        source = source if source in PRIORITY else OPERATOR
+        stopped, halt = self._stopped, Halt(source)
+        if stopped is None:
+            self._stopped = Stopped(str(reason), source, self._now, halt)
+        else:
+            pending = stopped.halt is not self._done
+            self._stopped = stopped.again(str(reason), source, stopped.halt if pending else halt)
         self._queue.clear()
-        self._wish = Halt()
         self._halt = self._ready.soonest(self.committed, self._now)
         return ACCEPTED
 
-    def twist(self, v: npt.ArrayLike, omega: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Status:
+    def resume(self, *, source: Source = OPERATOR) -> Status:
+        """Lift the stop that is latched: from now on requests are granted again. Nothing moves because of it.
+
+        Refused to a policy where the operator or the monitor stopped the arm; while the arm is not where it was
+        commanded to be; and with an open liquid of which nobody knows how it moves.
+        """
+        stopped = self._stopped
+        if stopped is None:
+            return ACCEPTED
+        if source not in PRIORITY:
+            return self._refuse(self._unable(source), "To resume")
+        if PRIORITY[source] < PRIORITY[stopped.source]:
+            return self._refuse(f"the {stopped.source} stopped the arm", "To resume")
+        if self._astray or self._unknown:
+            return self._refuse(self._astray or self._lost, "To resume")
+        self._refused = ""
+        self._queue.clear()
+        self._wish = stopped.halt  # to rest, until something else is requested
+        self._stopped = None
+        return ACCEPTED
+
+    def twist(self, v: npt.ArrayLike, omega: npt.ArrayLike = (0.0, 0.0, 0.0), *, source: Source = OPERATOR) -> Status:
         """To move the tray at v_S (3,), m/s, and omega_S (3,), rad/s, both in S, as nearly as safety allows; to be said
-        again and again: after 0.1 s of silence it is to come to rest."""
+        again and again: after 0.1 s of silence it is to come to rest. source: as of `goto`."""
+        if unable := self._unable(source):
+            return self._refuse(unable, "The twist")
         wish = twist_wish(list(self._heard), v, omega, self._now)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The twist")
-        if self._unknown:
-            return self._refuse(self._lost, "The twist")
+        wish = replace(wish, source=source)
         self._heard.append((self._now, wish.wanted.twist))  # type: ignore[attr-defined]
         return self._follow(wish)
 
@@ -208,18 +292,21 @@ class Live:
         poses: npt.ArrayLike | tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
         *,
         joints: npt.ArrayLike | None = None,
+        source: Source = OPERATOR,
     ) -> Status:
         """To be at poses, or in postures (C, n), at times (C,), s from now, as nearly as safety allows, and to hold the
         last one; where it could not be reached in time, it is a goal then. poses: of the first object's frame B,
-        p_SB (C, 3) with the tray level, or (p_SB, R_SB (C, 3, 3)); between them straight, and turning evenly."""
+        p_SB (C, 3) with the tray level, or (p_SB, R_SB (C, 3, 3)); between them straight, and turning evenly. source:
+        as of `goto`."""
+        if unable := self._unable(source):
+            return self._refuse(unable, "The chunk")
         wish = chunk_wish(self._problem, times, poses, joints, self._now)
         if isinstance(wish, Status):
             return self._refuse(wish.sentence, "The chunk")
-        if self._unknown:
-            return self._refuse(self._lost, "The chunk")
+        wish = replace(wish, source=source)
         accepted = self._follow(wish)
         if isinstance(wish.ends, Goal):
-            self._queue.append(wish.ends)
+            self._queue.append(replace(wish.ends, source=source))
         elif wish.ends is not None:
             return replace(accepted, sentence=f"Accepted, but for its end: {wish.ends.sentence.rstrip('.')}.")
         return accepted
@@ -232,8 +319,7 @@ class Live:
         """How open liquids move is not known any more: the arm is to come to rest, and to wait for `restart`."""
         if self._wet:
             self._unknown = True
-            if not isinstance(self._wish, Halt):
-                self.stop()
+            self.stop(self._lost, source="monitor")
 
     def _follow(self, wish: Follow) -> Status:
         self._refused = ""
@@ -257,25 +343,27 @@ class Live:
         return ACCEPTED
 
     def measured(self, q: npt.ArrayLike) -> Status:
-        """Where the arm is, (n,) rad, as its loop sees it: when that is too far from where it was told to be, it is
-        stopped. With an open liquid nothing is granted then until `restart`: how that moves is not known any more."""
+        """Where the arm is, (n,) rad, as its loop sees it: when that is too far from where it was commanded to be, it
+        is stopped, until it is there again and `resume` is called. With an open liquid `restart` must come before
+        that: how it moves is not known any more."""
         seen = numbers(q, (self._problem.n,), "the measured posture")
         if isinstance(seen, Status):
             return self._refuse(seen.sentence, "A measurement")
         away = np.abs(seen - self._reader.q)
         if away.max() <= STRAYED:
+            self._astray = ""
             return ACCEPTED
         arm, j = self._problem.arm, int(np.argmax(away))
-        if not isinstance(self._wish, Halt):
-            self.stop()
-        self._lose_sight()
-        self._refused = (
-            f"{arm.joint_names[j]} is {away[j]:.3f} {arm.unit(j)} from where it was told to be; the arm is stopped."
-        )
-        return refused(self._refused)
+        astray = f"{arm.joint_names[j]} is {away[j]:.3f} {arm.unit(j)} from where it was commanded to be"
+        if not self._astray:  # the reason is that of the first time
+            self.stop(astray, source="monitor")
+            self._lose_sight()
+        self._astray = astray
+        return refused(f"{astray}; the arm is stopped.")
 
     def restart(self, q: npt.ArrayLike, *, calm: bool = False) -> Status:
-        """Go on from rest at q (n,), rad, where the arm was put by something else; what was wished is forgotten.
+        """Go on from rest at q (n,), rad, where the arm was put by something else; what was requested is forgotten. A
+        stop that is latched stays so until `resume`.
 
         From the robot's loop, between two commands: what they say jumps to q. Refused while what is committed moves,
         and where the load is not safe at rest. calm: that open liquids stand still; nobody else knows, and unless it is
@@ -294,7 +382,9 @@ class Live:
         if rest.committed is None:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
         self._wish, self._done, self._refused, self._attempts = None, None, "", 0
-        self._unknown, self._minded = False, None
+        self._unknown, self._astray, self._minded = False, "", None
+        if (stopped := self._stopped) is not None:
+            self._done = stopped.halt
         self._queue.clear()
         self._heard.clear()
         self._offer = self._offered = None
@@ -313,7 +403,7 @@ class Live:
                 self._step(budget, answer or self._planner.answer)
             except Exception as error:  # the committed motion does not depend on it
                 self._refused = f"The planner failed ({type(error).__name__}: {error}); what was committed goes on."
-                self._done = self._wish
+                self._done = self._asked
             finally:
                 self._planning.release()
         return self.state
@@ -333,7 +423,7 @@ class Live:
     def _prepare(self, budget: float, answer: Callable[[Job], Answer]) -> bool:
         running, base = self._running, self.committed
         begins = self._hand_over(base, False, max(self._now + self.lead, self._ready.due(base)))
-        if self._offer is not None or isinstance(self._wish, Follow | Halt) or begins >= base.ends - STOPS_EVERY:
+        if self._offer is not None or isinstance(self._asked, Follow | Halt) or begins >= base.ends - STOPS_EVERY:
             return False
         self._ready.looked_at(begins)
         found = answer(Job(Halt(), base, begins, budget, self._around)).found
@@ -348,7 +438,7 @@ class Live:
     @property
     def settled(self) -> bool:
         """Whether the arm rests and nothing is left of what was wished."""
-        idle = self._wish is self._done and not self._queue and self._offer is None and self._halt is None
+        idle = self._asked is self._done and not self._queue and self._offer is None and self._halt is None
         return idle and self._now >= self.committed.ends
 
     @property
@@ -371,16 +461,24 @@ class Live:
             "resting"
             if not rests_in or committed.at_rest
             else "stopping"
-            if isinstance(self._wish, Halt)
+            if isinstance(self._asked, Halt)
             else "following"
         )
         touched = self._touched if any(now <= one.until for one in self._around) else ""
-        return State(doing, rests_in, limit, margin, self._refused, self._clock, self.lead, touched)
+        stopped = "" if self._stopped is None else str(self._stopped)
+        return State(
+            doing, rests_in, limit, margin, self._refused, self._clock, self.lead, touched, stopped, self._refusals
+        )
 
     @property
     def refused(self) -> str:
-        """The last wish that was not granted, and why; nothing when it was."""
+        """The last request that was not granted, and why; nothing when it was."""
         return self._refused
+
+    @property
+    def stopped(self) -> str:
+        """By whom and why the arm is stopped, while a stop is latched; nothing when none is."""
+        return "" if self._stopped is None else str(self._stopped)
 
     @property
     def now(self) -> float:
@@ -410,14 +508,20 @@ class Live:
     @property
     def lead(self) -> float:
         """s from the beginning of planning to the hand-over."""
-        return self._lead.of(isinstance(self._wish, Follow))
+        return self._lead.of(isinstance(self._asked, Follow))
+
+    @property
+    def _asked(self) -> Wish | None:
+        """What is to be carried out: the stop that is latched, else what was requested last."""
+        stopped = self._stopped
+        return self._wish if stopped is None else stopped.halt
 
     def _due(self) -> Wish | None:
         """What is to be planned for now."""
-        wish, offered = self._wish, self._offered
+        wish, offered = self._asked, self._offered
         if isinstance(wish, Halt) and (self._halt is not None or isinstance(self._running.wish, Halt)):
             self._done = wish  # by a stop that was ready
-        if self._minded is not self._around and self._offer is None:
+        if self._minded is not self._around and self._offer is None and self._stopped is None:
             return EVADE
         if offered is not None and self._offer is None:
             self._offered = None
@@ -429,9 +533,10 @@ class Live:
         if wish is not self._done:
             early = isinstance(wish, Follow) and self._hand_over(self.committed, True) <= self.committed.begins + 1e-9
             return None if early else wish
-        if self._queue and self._now >= self.committed.ends:
-            self._wish = self._queue.popleft()
-            return self._wish
+        if self._stopped is None and self._now >= self.committed.ends:
+            with contextlib.suppress(IndexError):  # none is queued, or not any more
+                self._wish = self._queue.popleft()
+                return self._wish
         return None
 
     def _step(self, budget: float, answer: Callable[[Job], Answer]) -> None:
@@ -492,5 +597,6 @@ class Live:
         return float(base.nodes[k]) if k < len(base.nodes) else begins
 
     def _refuse(self, reason: str, what: str) -> Status:
+        self._refusals += 1
         self._refused = f"{what} is refused: {reason.rstrip('.')}."
         return refused(self._refused)

@@ -15,7 +15,8 @@ class State(Shown):
     row comes nearest to its edge from now to that rest, and margin, how far from it at least, as a share of what it
     limits. refused: the last wish that was not granted, and why; clock: what was wrong with the times that were asked
     for. Both are empty when nothing was. lead: s from now to the next hand-over. passing: what is to be expected of
-    obstacles that move, when nothing was found that keeps clear of them.
+    obstacles that move, when nothing was found that keeps clear of them. stopped: by whom and why, while a stop is
+    latched; empty when none is. refusals: requests that were refused since the beginning.
     """
 
     doing: str
@@ -26,10 +27,13 @@ class State(Shown):
     clock: str
     lead: float
     passing: str = ""
+    stopped: str = ""
+    refusals: int = 0
 
     def facts(self) -> dict[str, str]:
         told = {"live": self.doing, "at rest in": f"{self.rests_in:.2f} s", "nearest limit": self.nearest}
-        return {**told, **{name: text for name in ("refused", "passing", "clock") if (text := getattr(self, name))}}
+        said = ("stopped", "refused", "passing", "clock")
+        return {**told, **{name: text for name in said if (text := getattr(self, name))}}
 
     @property
     def nearest(self) -> str:
@@ -40,4 +44,4 @@ class State(Shown):
 
     def __str__(self) -> str:
         sentence = "The arm rests." if self.doing == "resting" else f"It is {self.doing}, {self.nearest}."
-        return " ".join([sentence, *filter(None, (self.passing, self.refused, self.clock))])
+        return " ".join([sentence, *filter(None, (self.stopped, self.passing, self.refused, self.clock))])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,11 @@ from salver.planning.postures import PoseTarget
 
 ORTHONORMAL = 1e-6  # by which a rotation may fail to be one
 Pose = npt.ArrayLike | tuple[npt.ArrayLike, npt.ArrayLike]
+Source = Literal["policy", "operator", "monitor"]
+OPERATOR: Source = "operator"
+# Priority of who requests: what a higher one requested is carried out first, and a stop of it only it may lift; the
+# operator lifts those of the monitor, which is this package itself and whoever watches the arm.
+PRIORITY: dict[str, int] = {"policy": 0, "operator": 1, "monitor": 1}
 ACCEPTED = Status("accepted", "Accepted.", True)
 
 
@@ -27,11 +32,14 @@ class Goal:
 
     end: End
     what: str
+    source: Source = OPERATOR
 
 
 @dataclass(frozen=True, eq=False)
 class Halt:
     """To rest, as soon as may be."""
+
+    source: Source = OPERATOR
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +54,14 @@ class Follow:
     until: float
     then: Wanted
     ends: Goal | Status | None = None
+    source: Source = OPERATOR
 
 
 @dataclass(frozen=True, eq=False)
 class Evade:
     """To keep clear of what is predicted to pass: nothing, where what is committed does; else rest elsewhere."""
+
+    source: Source = "monitor"
 
 
 Wish = Goal | Halt | Follow | Evade

@@ -135,8 +135,8 @@ class World:
 
     def say(self, message: Any) -> Status:
         """What the page says, as JSON: {"goto": [x, y, z]} of the first object, m; {"twist": [vx, vy, vz, turn]}, m/s
-        and rad/s about the vertical; {"stop": true}; {"protected": bool}; {"again": true};
-        {"record": bool}; {"throw": true}."""
+        and rad/s about the vertical; {"stop": true}, which latches until {"resume": true}; {"protected": bool};
+        {"again": true}; {"record": bool}; {"throw": true}."""
         if not isinstance(message, dict) or len(message) != 1:
             return Status("refused", "A message has one key.", False)
         ((key, value),) = message.items()
@@ -149,6 +149,8 @@ class World:
                 case "stop":
                     self._goal, self._hand = None, (-np.inf, np.zeros(3), np.zeros(3))
                     return self.live.stop()
+                case "resume":
+                    return self.live.resume()
                 case "protected" if isinstance(value, bool):
                     return self._protect(value)
                 case "throw" if value is True:
@@ -164,8 +166,9 @@ class World:
         p = numbers(value, (3,), "the goal")
         if isinstance(p, Status):
             return p
-        self._goal = p
-        return self.live.goto(p) if self.protected else Status("accepted", "", True)
+        status = self.live.goto(p) if self.protected else Status("accepted", "", True)
+        self._goal = p if status.ok else None
+        return status
 
     def _twist(self, value: Any) -> Status:
         twist = numbers(value, (4,), "the twist")
@@ -184,7 +187,7 @@ class World:
             q, dq, _ = self._course.at(0, 0.0)
             self._free = Unprotected(self.arm, q, dq)
             self._jogging.take_over(self._controller)
-            self.live.stop()
+            self.live.stop("it is steered without protection", source="monitor")
             return Status("accepted", "Without protection.", True)
         assert self._free is not None
         if np.abs(self._free.dq).max() > STILL:
@@ -195,6 +198,7 @@ class World:
             return Status("refused", "The liquid still moves; wait until it is calm, or begin again.", False)
         status = self.live.restart(self._free.q, calm=True)
         if status.ok:
+            self.live.resume()
             self._free = None
             self._controller.take_over(self._jogging)
         return status
@@ -217,7 +221,9 @@ class World:
             self._recording = Recording(self.scenario, self._parameters, self.scene, self.t)
             return Status("accepted", "", True)
         self._ending = True
-        return self.say({"stop": True})
+        stopped = bool(self.live.stopped)
+        status = self.say({"stop": True})
+        return status if stopped or not self.protected else self.live.resume()  # it only has to come to rest
 
     def _watch(self, recording: Recording) -> None:
         """A recording that is to end, does so at rest; one that is too long is to end."""
@@ -244,6 +250,7 @@ class World:
             self.t += self.period
             self.live.command(self.t)
         status = self.live.restart(self.begin, calm=True)  # the scene begins anew
+        self.live.resume()
         self._free = self._goal = None
         self._placed()
         return status
@@ -331,12 +338,13 @@ class World:
                 "load": [{"name": load.name, "became": word} for load, word in zip(scene.loads, words, strict=True)],
                 "goal": None if self._goal is None else self._goal.tolist(),
                 "protected": self.protected,
+                "stopped": bool(state.stopped) and self.protected,
                 "doing": state.doing if self.protected else "unprotected",
                 "restsIn": round(state.rests_in, 3),
                 "limit": state.limit,
                 "nearest": state.nearest,
                 "margin": round(state.margin, 4),
-                "said": " ".join(filter(None, (state.passing, state.refused, self.note))),
+                "said": " ".join(filter(None, (state.stopped, state.passing, state.refused, self.note))),
                 "lead": round(state.lead, 3),
                 "recording": None if self._recording is None else round(self._recording.seconds, 2),
                 "path": self._path(),

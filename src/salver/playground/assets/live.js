@@ -83,6 +83,7 @@ function tell() {
       : `${WORDS[frame.doing]}.`;
   byId("detail").textContent = [state.answer, frame.said, frame.balls.length && frame.passed !== null ? `The ball has come to ${(1000 * frame.passed).toFixed(0)} mm.` : ""].filter(Boolean).join(" ");
   byId("protected").checked = frame.protected;
+  byId("stop").firstChild.textContent = frame.stopped ? "Resume " : "Stop ";
   byId("limit").textContent = frame.protected ? `${(100 * frame.margin).toFixed(1)} % at ${frame.limit}` : "nothing is committed";
   byId("friction-shown").textContent = frame.load.map((item, i) => `${item.name} ${frame.friction[i].toFixed(2)}`).join(" · ");
   byId("speed-now").textContent = `${frame.speed.toFixed(2)} m/s`;
@@ -196,7 +197,7 @@ function stop() {
   return say({ stop: true });
 }
 
-byId("stop").addEventListener("click", stop);
+byId("stop").addEventListener("click", () => (state.frame && state.frame.stopped ? say({ resume: true }) : stop()));
 byId("again").addEventListener("click", () => {
   state.goal = null;
   say({ again: true });

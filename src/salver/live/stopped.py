@@ -1,0 +1,24 @@
+"""A stop that latches: from when, by whom and why, and what was refused because of it."""
+
+from __future__ import annotations
+
+from salver.live.wishes import PRIORITY, Halt, Source
+
+
+class Stopped:
+    """The stop that is latched. halt: what the planner is asked for because of it. refused: requests refused since."""
+
+    def __init__(self, reason: str, source: Source, at: float, halt: Halt, refused: int = 0) -> None:
+        """reason: in words, or nothing. at: live time, s."""
+        self.reason, self.source, self.at, self.halt, self.refused = reason, source, at, halt, refused
+
+    def again(self, reason: str, source: Source, halt: Halt) -> Stopped:
+        """Requested once more while it is latched: the reason and source of the higher priority stand."""
+        if PRIORITY[source] < PRIORITY[self.source]:
+            reason, source = self.reason, self.source
+        return Stopped(reason, source, self.at, halt, self.refused)
+
+    def __str__(self) -> str:
+        why = f": {self.reason.rstrip('.')}" if self.reason else ""
+        since = f" {self.refused} requests were refused since." if self.refused else ""
+        return f"Stopped by the {self.source}{why}.{since}"
