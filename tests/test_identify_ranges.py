@@ -175,6 +175,26 @@ def test_an_ellipsoid_holds_the_truth_as_often_as_the_box_is_sure_to(names: tupl
         assert np.mean([inside(smaller, values_of(x)) for x in draws]) < 1 - len(names) * 0.0027
 
 
+def test_an_ellipsoid_of_a_load_that_slid_holds_whatever_the_slide_may_have_added() -> None:
+    """Every point of the one without the slide, off by up to so much in every value, either way."""
+    rng = np.random.default_rng(9)
+    phi = phi_of(filled(bottle(), rng))
+    C = covariance(rng, phi, 0.02)
+    off = slid(phi, C, np.array([2e-3, 1e-3, 5e-4]))
+    bare, found = (ellipsoid(phi, C, INERTIAL, x) for x in (None, off))
+    assert bare is not None
+    assert found is not None
+    root = np.linalg.cholesky(bare.correlation)
+    at_the_edge = 0
+    for _ in range(500):
+        direction = rng.standard_normal(10)
+        edge = bare.centre + bare.half * (root @ direction) / np.linalg.norm(direction)
+        added = off * rng.choice([-1.0, 1.0], 10)
+        assert inside(found, edge + added)
+        at_the_edge += not inside(bare, edge + added)
+    assert at_the_edge > 100
+
+
 @pytest.fixture
 def plan(bottle_plan: Plan) -> Plan:
     return bottle_plan

@@ -13,9 +13,10 @@ from salver.errors import ScenarioError
 from salver.learning.friction import UNNOTICED
 from salver.learning.ranges import NAMES
 from salver.learning.tilts import FARTHEST
-from salver.learning.trips import trips, true_load
+from salver.learning.trips import _Hidden, trips, true_load
 from salver.planning.fastest import plan_fastest
-from salver.scenario import load
+from salver.planning.plan import Plan
+from salver.scenario import Scenario, load
 
 
 @pytest.mark.slow
@@ -70,6 +71,33 @@ def test_friction_is_looked_for_unless_it_is_not_to_be() -> None:
     assert tilted.tilts
     assert not_tilted.learnt is not None
     assert not_tilted.tilts == ()
+
+
+def test_a_plan_that_is_slower_is_not_taken(cube: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one before was safe for wider ranges; one that is quicker is taken."""
+    case = cube.with_changes(objects__0__uncertainty={"mass": "10%"})
+    plan = plan_fastest(case.with_changes(contact__margin=0.02))
+    monkeypatch.setattr(_Hidden, "tell", lambda hidden: None)
+    for others, kept in ((plan.at_speed(0.9), True), (plan_fastest(case), False)):
+        monkeypatch.setattr(_Hidden, "fastest", lambda hidden, others=others: others)
+        second = list(trips(case, 2, 1, "torques", plan, tilts=False))[1]
+        assert second.kept == kept
+        assert second.plan is (plan if kept else others)
+
+
+def test_ranges_are_narrowed_by_all_logs_within_what_was_known(bottle_plan: Plan) -> None:
+    """Twice the same motion: half the variance. What was known besides, here the mass, stays known."""
+    hidden = _Hidden(bottle_plan.scenario, true_load(bottle_plan.scenario, 3), 3, "wrist")
+    one, two = (hidden.identify(bottle_plan, name) for name in ("one", "two"))
+    share = np.diag(two.covariance)[:4] / np.diag(one.covariance)[:4]
+    assert np.all((share > 0.4) & (share < 0.75))
+    assert len(hidden.runs) == 2
+    mass, half = float(hidden.true[0]), 1e-7
+    known = {"objects__0__mass": mass, "objects__0__uncertainty__mass": half}
+    hidden.known = bottle_plan.scenario.with_changes(**known)
+    hidden.identify(bottle_plan, "three")
+    assert hidden.known.payload.uncertain.half_range[0] <= half * (1 + 1e-9)
+    assert abs(hidden.known.payload.first.inertial.mass - mass) <= half
 
 
 def test_true_load_lies_in_the_set_and_differs_with_the_seed() -> None:

@@ -11,15 +11,16 @@ from typer.testing import CliRunner
 
 from salver.cli import app
 from salver.errors import ScenarioError
-from salver.geometry import Array
-from salver.learning.friction import GRAVITY, UNNOTICED, friction, ways
-from salver.learning.tilts import FARTHEST, LEVELLED, room, short_tilt, tilt_test
+from salver.geometry import Array, log
+from salver.learning.friction import GRAVITY, UNNOTICED, friction, proves, ways
+from salver.learning.tilts import FARTHEST, LEVELLED, _motion, room, short_tilt, tilt_test
 from salver.models.arm import load_arm
 from salver.models.tray_motion import N_MOTION
 from salver.motion_files.samples import joint_samples
 from salver.planning.plan import Plan
 from salver.scenario import Scenario, load
 from salver.simulation.physics import Experiment
+from salver.trajectory import MotionSamples
 
 WIDE = {"objects__0__friction": 0.4, "objects__0__uncertainty__friction": 0.2}
 POINT = {"objects__0__uncertainty__com": None, "objects__0__uncertainty__position": None}
@@ -66,6 +67,34 @@ def test_a_block_slides_as_far_as_newton_says(scenario: Scenario) -> None:
         assert least == pytest.approx(slid(coefficient, steepest, bend), rel=1e-3)
     assert slides(0.229)[0] == pytest.approx(4.5 * GRAVITY * 0.001**2 / bend * np.cos(steepest) ** 3, rel=0.01)
     assert slides(0.23) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.004])
+def test_with_the_friction_that_is_proven_a_block_slides_just_farther_than_could_be_seen(
+    scenario: Scenario, moved: float
+) -> None:
+    """A millimetre that nobody notices, beyond what was seen."""
+    t, steepest, bend = np.linspace(-0.4, 0.4, 4001), np.arctan(0.25), 4.0
+    low = proves(t, felt(steepest - 0.5 * bend * t**2), scenario.with_changes(**POINT), 0.0, moved)
+    assert slid(low, steepest, bend) == pytest.approx(moved + 1e-3, rel=5e-3)
+
+
+@pytest.mark.parametrize("heading", [0.7, -2.0])
+def test_from_a_start_that_is_turned_rates_are_those_of_the_turn(scenario: Scenario, heading: float) -> None:
+    """Against differences of R_SB; the tray falls towards the heading, and its frame stays where it is."""
+    turned = scenario.with_changes(motion__start__rpy_deg=[10.0, -5.0, 110.0])
+    t, h = np.linspace(0.0, 1.0, 21), 1e-5
+
+    def at(t: Array) -> MotionSamples:
+        return _motion(turned, heading, t, 0.3 * np.sin(2 * t), 0.6 * np.cos(2 * t), -1.2 * np.sin(2 * t))
+
+    now, before, after = at(t), at(t - h), at(t + h)
+    turns = log(np.swapaxes(before.R_SB, 1, 2) @ after.R_SB) / (2 * h)
+    np.testing.assert_allclose(now.omega_B, turns, atol=1e-8)
+    np.testing.assert_allclose(now.alpha_B, (after.omega_B - before.omega_B) / (2 * h), atol=1e-8)
+    fallen = (now.R_SB @ turned.motion.start.rotation.T)[-1, :, 2]  # of what was upright
+    np.testing.assert_allclose(fallen[:2], np.sin(0.3 * np.sin(2.0)) * np.array([np.cos(heading), np.sin(heading)]))
+    assert np.ptp(now.p_SB, axis=0).max() == 0
 
 
 def test_way_lies_within_what_is_told_wherever_the_load_is_and_the_base_leans(scenario: Scenario) -> None:
