@@ -3,6 +3,7 @@
 import io
 import json
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -222,10 +223,21 @@ def test_what_the_research_3_does_not_do_is_said():
     [
         ("goto 1 2 3", "is no JSON"),
         ("[1, 2]", "it is no object of JSON"),
-        ('{"t": 1}', "it has none of goto, posture, twist, chunk, stop; a line has one of them"),
+        ('{"t": 1}', "it has none of goto, posture, twist, chunk, stop, resume; a line has one of them"),
         ('{"stop": true, "goto": [1, 2, 3]}', "it has goto and stop of"),
+        ('{"stop": false}', "stop is false; it must be true"),
+        ('{"stop": 1}', "stop is 1; it must be true"),
+        ('{"resume": "yes"}', 'resume is "yes"; it must be true'),
+        ('{"stop": true, "reason": 3}', "reason is 3; it must be a text"),
+        ('{"goto": [1, 2, 3], "queued": "no"}', 'queued is "no"; it must be true or false'),
+        ('{"goto": [1, 2, 3], "source": "me"}', 'source is "me"; it must be one of policy, operator, monitor'),
+        ('{"t": true, "goto": [1, 2, 3]}', "t is true; it must be a number of seconds"),
+        ('{"t": 1' + "0" * 400 + ', "stop": true}', "0...; it must be a number of seconds"),
+        ('{"t": 1' + "0" * 5000 + ', "stop": true}', "is no JSON"),
+        ('{"goto": ' + "[" * 50_000 + "]" * 50_000 + "}", "is no JSON"),
+        ('{"goto": ' + "[" * 400 + "]" * 400 + "}", "it is nested deeper than any request is"),
         ('{"t": -1, "stop": true}', "t is -1; it must be a number of seconds from 0 on"),
-        ('{"t": "now", "stop": true}', "t is now;"),
+        ('{"t": "now", "stop": true}', 't is "now";'),
         ('{"goto": [1, 2, 3], "for": 2}', 'nobody knows what "for" means beside goto'),
         ('{"twist": [1, 2], "for": 2}', "twist must be three numbers"),
         ('{"twist": [1, 2, 3], "for": -1}', "for is -1; it must be a number of seconds, at least 0"),
@@ -264,7 +276,7 @@ def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
     prompter = Prompter(heard).of(
         script(
             lines(
-                {"t": 0.01, "goto": [0.4, 0.0, 0.5]},
+                {"t": 0.01, "goto": [0.4, 0.0, 0.5], "source": "policy"},
                 {"posture": [0.0] * 7, "queued": True},
                 {"t": 0.03, "twist": [0.1, 0.2, 0.3, 0.4], "for": 0.1},
                 {"t": 0.2, "chunk": [0.1, 0.2], "postures": [[0.0] * 7] * 2},
@@ -279,8 +291,8 @@ def test_wishes_are_said_at_their_times_and_a_twist_as_long_as_it_lasts():
         assert len(heard.told) <= before + 1
     names = [name for name, *_ in heard.told]
     assert names == ["goto", "goto"] + ["twist"] * 6 + ["chunk", "stop"]
-    assert heard.told[0] == ("goto", ([0.4, 0.0, 0.5],), {"queued": False})
-    assert heard.told[1] == ("goto", (), {"q": [0.0] * 7, "queued": True})
+    assert heard.told[0] == ("goto", ([0.4, 0.0, 0.5],), {"queued": False, "source": "policy"})
+    assert heard.told[1] == ("goto", (), {"q": [0.0] * 7, "queued": True, "source": "operator"})
     assert heard.told[2][1] == ([0.1, 0.2, 0.3], (0.0, 0.0, 0.4))
     assert prompter.over
     assert [note["t"] for note in prompter.notes] == pytest.approx([0.01, 0.011, 0.03, 0.2, 0.25])
@@ -295,6 +307,78 @@ def test_lines_may_come_while_it_moves_and_a_wrong_one_is_only_noted():
             break
     assert [name for name, *_ in heard.told] == ["stop"]
     assert "standard input, line 1: 'nonsense" in prompter.notes[0]["answer"]
+
+
+def heard_in(prompter, heard, periods):
+    """What is requested in so many periods, once all lines have come."""
+    while not prompter._ended:
+        time.sleep(1e-3)
+    for k in range(periods):
+        prompter.period(k * 1e-3)
+    return [name for name, *_ in heard.told]
+
+
+def test_a_stop_waits_for_no_line_before_it():
+    """Five thousand twists come before it, and what comes after it is judged after it."""
+    heard = Heard()
+    told = [*lines(*[{"twist": [0.1, 0.0, 0.0]}] * 5000, {"stop": True}, {"goto": [0.5, 0.0, 0.5]})]
+    prompter = Prompter(heard).listening(io.StringIO("\n".join(told)), "standard input")
+    assert heard_in(prompter, heard, 1) == ["stop"]
+    assert prompter.dropped == 5000
+    assert heard_in(prompter, heard, 1) == ["stop", "goto"]
+    assert prompter.over
+
+
+def test_a_timed_stop_comes_in_time_whatever_waits():
+    heard = Heard()
+    told = [{"twist": [0.1, 0.0, 0.0]}] * 900 + [{"t": 0.1, "stop": True}, {"goto": [0.5, 0.0, 0.5]}]
+    prompter = Prompter(heard).of(script(lines(*told), "wishes"))
+    names = heard_in(prompter, heard, 105)
+    assert names == ["twist"] * 100 + ["stop", "goto"]
+    assert (prompter.accepted, prompter.dropped) == (102, 800)
+
+
+def test_nothing_that_comes_makes_it_deaf():
+    heard = Heard()
+    deep = b'{"goto": ' + b"[" * 100_000 + b"]" * 100_000 + b"}"
+    coming = [b'{"twist": [0.1, 0, 0]}', b"\xff\xfe{}", deep, b'{"t": 1e999, "goto": [0, 0, 0]}', b'{"stop": true}']
+    prompter = Prompter(heard).listening(coming, "standard input")
+    assert heard_in(prompter, heard, 10) == ["stop"]
+    heard = Heard()
+    prompter = Prompter(heard).listening(coming[1:4], "standard input")
+    heard_in(prompter, heard, 10)
+    said = [note["answer"] for note in prompter.notes]
+    assert "line 1: it is no text in UTF-8" in said[0]
+    assert "line 2: '{" in said[1]
+    assert "is no JSON" in said[1]
+    assert "line 3: t is Infinity" in said[2]
+
+    def breaking():
+        yield b'{"twist": [0.1, 0, 0]}'
+        raise OSError("the line was cut")
+
+    prompter = Prompter(heard).listening(breaking(), "standard input")
+    heard_in(prompter, heard, 10)
+    assert prompter.notes[-1]["answer"] == "standard input cannot be read any more (OSError: the line was cut)."
+    assert prompter.over
+
+
+def test_lines_that_come_are_not_kept_without_end():
+    heard = Heard()
+    prompter = Prompter(heard).listening(lines(*[{"twist": [0.1, 0.0, 0.0]}] * 30_000), "standard input")
+    heard_in(prompter, heard, 0)
+    assert (len(prompter._waiting), prompter.dropped) == (1000, 29_000)
+
+
+def test_a_run_of_which_all_was_refused_does_not_end_well(cube, tmp_path):
+    """And one of whose lines some were granted does."""
+    refused = lines({"goto": [9.0, 0.0, 900.0]}, {"twist": [99.0, 0.0, 0.0]})
+    result = dry_run_live(cube, refused, tmp_path / "a", realtime=False)
+    assert result.summary["requests"] == {"accepted": 0, "refused": 2, "dropped": 0}
+    assert result.summary["outcome"] == "holds"
+    assert not result.achieved
+    assert dry_run_live(cube, [*refused, '{"stop": true}'], tmp_path / "b", realtime=False).achieved
+    assert dry_run_live(cube, [], tmp_path / "c", realtime=False).achieved
 
 
 def test_commands_that_cannot_be(tmp_path):

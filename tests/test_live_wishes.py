@@ -40,6 +40,18 @@ def test_what_cannot_be_is_refused_in_a_sentence(cube):
         (lambda: live.goto((0.5, 0, 0.5), q=np.zeros(7)), "a goal is a pose or a posture q, one of them"),
         (lambda: live.goto(((0.5, 0, 0.5), np.ones((3, 3)))), "the rotation is none"),
         (lambda: live.goto(((0.5, 0, 0.5), np.diag([1.0, -1, -1]))), "leans the tray by 180 deg"),
+        (lambda: live.goto(("0.5", "0", "0.5")), "the position is no array of numbers"),
+        (lambda: live.goto("123"), "the position is no array of numbers"),
+        (lambda: live.goto([True, 0.0, 0.5]), "the position is no array of numbers"),
+        (lambda: live.goto(np.array([True, False, True])), "the position is no array of numbers"),
+        (lambda: live.goto([0.5, 0.0, 10**400]), "the position is no array of numbers"),
+        (lambda: live.goto(np.array([0.5, 0, 0.5 + 1j])), "the position is no array of numbers"),
+        (lambda: live.goto(np.ma.masked_array([0.5, 0, 0.5], [0, 1, 0])), "the position is no array of numbers"),
+        (lambda: live.goto([[[0.5]], [0], [0.5]]), "the position is no array of numbers"),
+        (lambda: live.twist([0.1, 0, None]), "v is no array of numbers"),
+        (lambda: live.chunk("12", [(0.5, 0, 0.5)] * 2), "times is no array of numbers"),
+        (lambda: live.chunk(0.5, [(0.5, 0, 0.5)]), "times"),
+        (lambda: live.measured(["0"] * 7), "the measured posture is no array of numbers"),
     ):
         status = wish()
         assert not status.ok

@@ -41,7 +41,7 @@ def execute(
     ] = False,
     live: Annotated[
         str | None,
-        typer.Option(help="Do what these lines say while it moves: a file of timed wishes, or - for standard input."),
+        typer.Option(help="Do what these lines say while it moves: a file of timed requests, or - for standard input."),
     ] = None,
     out: Annotated[
         Path, typer.Option("--out", "-o", help="With --live: run directory for what was commanded, and the log.")
@@ -68,7 +68,7 @@ def execute(
     verified before it is committed and ends at rest with the load in place; what was commanded is kept as a plan.
 
     Ends with 0 when the motion ran to its end (with --mocap: and the load held as far as it was seen), with 1 when it
-    did not, with 3 when motion capture cannot tell.
+    did not or all that the lines requested was refused, with 3 when motion capture cannot tell.
 
     Example: `salver execute runs/panda-cube --dry-run`
     """
@@ -130,7 +130,7 @@ def _told(
     case = load(str(scenario / SCENARIO if (scenario / SCENARIO).is_file() else scenario))
     listen = lines == "-"
     try:
-        wishes = sys.stdin if listen else Path(lines).read_text(encoding="utf-8").splitlines()
+        wishes = sys.stdin.buffer if listen else Path(lines).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise SalverError(f"{lines} cannot be read: {getattr(error, 'strerror', None) or 'it is no text'}.") from None
     source = "standard input" if listen else lines
@@ -217,6 +217,9 @@ def _tell(result: Execution) -> None:
         tell("The way to rest was not one that surely keeps the load: it may have moved or fallen.")
     elif summary["load_kept_in_stop"]:
         tell("It was brought to rest by a planned stop, and was where that is safe for the load all along.")
+    requests = summary.get("requests", {})
+    if any(requests.values()):
+        tell("Requests: " + ", ".join(f"{count} {what}" for what, count in requests.items()) + ".")
     for note in summary.get("wishes", ()):
         if not str(note["answer"]).startswith("Accepted"):
             tell(f"At {note['t']:.2f} s: {note['answer']}")

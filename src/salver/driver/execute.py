@@ -49,8 +49,10 @@ class Execution:
 
     @property
     def achieved(self) -> bool:
-        """The motion ran to its end, and nothing slipped as far as is known."""
-        return not self.summary["stopped"] and self.summary["outcome"] in ("holds", "done")
+        """The motion ran to its end, nothing slipped as far as is known, and not all that was requested was refused."""
+        requests = self.summary.get("requests", {})
+        in_vain = any(requests.values()) and not requests["accepted"]
+        return not self.summary["stopped"] and self.summary["outcome"] in ("holds", "done") and not in_vain
 
 
 def dry_run(

@@ -174,7 +174,7 @@ class LiveDrive(Drive):
 
 def dry_run_live(
     scenario: Scenario,
-    wishes: Iterable[str],
+    wishes: Iterable[str | bytes],
     directory: str | Path,
     watchdog: Watchdog | None = None,
     realtime: bool = True,
@@ -202,7 +202,7 @@ def dry_run_live(
 
 def run_live_on_franka(
     scenario: Scenario,
-    wishes: Iterable[str],
+    wishes: Iterable[str | bytes],
     address: str,
     directory: str | Path,
     watchdog: Watchdog | None = None,
@@ -251,7 +251,7 @@ def _run(
     plan: Plan,
     robot: Robot,
     start: float,
-    wishes: Iterable[str],
+    wishes: Iterable[str | bytes],
     source: str,
     listen: bool,
     directory: Path,
@@ -264,7 +264,7 @@ def _run(
     scenario, arm, carried = plan.scenario, live.problem.arm, plan.scenario.payload.bodies
     prompter = Prompter(live)
     if not listen:
-        prompter.of(list(script(wishes, source)))
+        prompter.of(list(script([x if isinstance(x, str) else x.decode() for x in wishes], source)))
     plan_files.check_place(scenario, directory, edited=True, force=True)
     about = [c for c in check_plan(plan, arm, carried) if c.name not in ("stops", "command", "rest", "speeds")]
     checks = [*about, *checks]
@@ -332,6 +332,7 @@ def _kept(
         **summary_of(plan, robot.source, log_, checks, watchdog),
         "realtime": realtime,
         "wishes": drive.prompter.notes,
+        "requests": {name: getattr(drive.prompter, name) for name in ("accepted", "refused", "dropped")},
         "unjudged": unjudged,
         "provenance": provenance(plan.scenario),
     }

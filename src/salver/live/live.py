@@ -50,6 +50,7 @@ from salver.live.wishes import (
     Source,
     Wish,
     chunk_wish,
+    is_flag,
     numbers,
     pose_goal,
     posture_goal,
@@ -217,8 +218,8 @@ class Live:
         """
         if (pose is None) == (q is None):
             return self._refuse("a goal is a pose or a posture q, one of them", "The goal")
-        if (given := str(queued)) not in ("True", "False"):
-            return self._refuse(f"queued is {given[:40]!r}; it must be True or False", "The goal")
+        if not is_flag(queued):
+            return self._refuse(f"queued is {str(queued)[:40]!r}; it must be True or False", "The goal")
         if unable := self._unable(source):
             return self._refuse(unable, "The goal")
         goal = pose_goal(self._problem, pose) if pose is not None else posture_goal(self._problem, q)  # type: ignore[arg-type]

@@ -18,6 +18,7 @@ import pinocchio as pin
 
 from salver.errors import Status
 from salver.geometry import Array, Indices
+from salver.live import wishes
 from salver.models.arm_geometry import ArmGeometry
 from salver.planning.fastest import Block, Constraint, Evaluation, padded
 from salver.planning.fastest.constraints import PER_METRE, strayed
@@ -63,12 +64,8 @@ def predicted(seen: Moving, now: float) -> Predicted | Status:
         return Status("refused", f"{what} of the obstacle {seen.name}", False)
 
     def numbers(value: Any, shape: tuple[int, ...], most: float) -> Array | None:
-        try:
-            array = np.array(value, dtype=float)
-        except (TypeError, ValueError):
-            return None
-        good = array.shape == shape and np.all(np.isfinite(array)) and np.abs(array).max(initial=0.0) <= most
-        return array if good else None
+        array = wishes.numbers(value, shape, "")
+        return None if isinstance(array, Status) or np.abs(array).max(initial=0.0) > most else array
 
     ends = {
         "position": (seen.position, (3,), 1e3),

@@ -1,20 +1,21 @@
-"""What is wished of a live motion, written down: a line of JSON for each wish, said at its time.
+"""Requests of a live motion, written down: a line of JSON for each, made at its time.
 
     {"t": 0.0, "goto": [0.45, 0.1, 0.5]}                      first object's frame B, m in S; any heading
     {"t": 0.0, "goto": [...], "quat_wxyz": [1, 0, 0, 0]}      and its orientation; "queued": true: after goals before
     {"t": 1.0, "posture": [0.1, -0.8, ...]}                   rad; "queued" likewise
     {"t": 2.0, "twist": [0.1, 0, 0, 0.2], "for": 0.5}         m/s in S and rad/s about the vertical, or six numbers
     {"t": 3.0, "chunk": [0.1, 0.2], "positions": [[...], [...]]}   s from then; or "postures", rad; "quats_wxyz"
-    {"t": 4.0, "stop": true}
+    {"t": 4.0, "stop": true, "reason": "a hand is near"}      latches: every other request is refused until
+    {"t": 5.0, "resume": true}
 
-t is in s from when the motion may begin, and never less than in the line before; without it the wish follows the one
-before at once. A twist is said again and again for so long; without "for", once.
+Each may have a "source": "operator" (the default) or "policy". t is in s from when the motion may begin, and never less
+than in the line before; without it the request follows the one before at once. A twist is sent again and again for so
+long; without "for", once. A stop waits for no line before it: those that were not carried out by then are dropped.
 """
 
 from __future__ import annotations
 
 import json
-import queue
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -26,51 +27,63 @@ import numpy as np
 from salver.errors import SalverError, Status
 from salver.geometry import matrix_from_quat_wxyz
 from salver.live.live import Live
-from salver.live.wishes import numbers
+from salver.live.wishes import OPERATOR, PRIORITY, is_flag, numbers
 
-AGAIN = 0.02  # s after which a twist that lasts is said again
+AGAIN = 0.02  # s after which a twist that lasts is sent again
+# What may stand beside each request, with "t" and "source".
 KEYS = {
     "goto": {"quat_wxyz", "queued"},
     "posture": {"queued"},
     "twist": {"for"},
     "chunk": {"positions", "quats_wxyz", "postures"},
-    "stop": set(),
+    "stop": {"reason"},
+    "resume": set(),
 }
 LONGEST = 3600.0  # s
+MOST_WAITING = 1000  # lines that wait to be carried out, of those that come while the arm moves
+MOST_NOTES = 10_000
+DEEPEST = 3  # levels of lists in a line, with its numbers
+SHOWN = 60  # characters of what is wrong
 
 
 @dataclass(frozen=True)
 class Said:
-    """One wish, at time t, s; None: at once. line: where it stands. Its numbers are judged by who is asked."""
+    """One request, at time t, s; None: at once. line: where it stands. Its numbers are judged by who is asked."""
 
     t: float | None
     line: int
     words: dict[str, Any]
 
     def to(self, live: Live) -> Status:
-        """Wish it."""
+        """Request it."""
         words = self.words
-        queued = bool(words.get("queued", False))
+        queued, source = words.get("queued", False), words.get("source", OPERATOR)
         if "goto" in words:
             turned = words.get("quat_wxyz")
             pose = words["goto"] if turned is None else (words["goto"], _rotation(turned))
-            return live.goto(pose, queued=queued)
+            return live.goto(pose, queued=queued, source=source)
         if "posture" in words:
-            return live.goto(q=words["posture"], queued=queued)
+            return live.goto(q=words["posture"], queued=queued, source=source)
         if "twist" in words:
             v, turn = words["twist"][:3], words["twist"][3:]
-            return live.twist(v, turn if len(turn) == 3 else (0.0, 0.0, turn[0] if turn else 0.0))
+            return live.twist(v, turn if len(turn) == 3 else (0.0, 0.0, turn[0] if turn else 0.0), source=source)
         if "chunk" in words:
             if "postures" in words:
-                return live.chunk(words["chunk"], joints=words["postures"])
+                return live.chunk(words["chunk"], joints=words["postures"], source=source)
             places, turned = words.get("positions"), words.get("quats_wxyz")
             poses: Any = places if turned is None else (places, [_rotation(quat) for quat in turned])
-            return live.chunk(words["chunk"], poses)
-        return live.stop()
+            return live.chunk(words["chunk"], poses, source=source)
+        if "resume" in words:
+            return live.resume(source=source)
+        return live.stop(words.get("reason", ""), source=source)
+
+    @property
+    def stops(self) -> bool:
+        return "stop" in self.words
 
     @property
     def lasts(self) -> float:
-        """s for which it is said again and again."""
+        """s for which it is sent again and again."""
         return float(self.words.get("for", 0.0))
 
 
@@ -87,32 +100,59 @@ def understood(text: str, line: int, source: str, last: float) -> Said:
     def wrong(what: str) -> SalverError:
         return SalverError(f"{source}, line {line}: {what}.")
 
+    def seconds(key: str, low: float, what: str) -> float | None:
+        value = words.get(key)
+        number = isinstance(value, int | float) and not is_flag(value)
+        if value is not None and not (number and low <= value <= LONGEST):
+            raise wrong(f"{key} is {_shown(value)}; it must be {what}, at most {LONGEST:g}")
+        return None if value is None else float(value)
+
     try:
         words = json.loads(text)
-    except ValueError:
-        raise wrong(f'{text[:60]!r} is no JSON; a line is like {{"t": 0.5, "goto": [0.45, 0.1, 0.5]}}') from None
+    except (ValueError, RecursionError):
+        raise wrong(f'{text[:SHOWN]!r} is no JSON; a line is like {{"t": 0.5, "goto": [0.45, 0.1, 0.5]}}') from None
     if not isinstance(words, dict):
         raise wrong("it is no object of JSON with names and values")
+    if _deep(words, DEEPEST):
+        raise wrong("it is nested deeper than any request is")
     found = [key for key in KEYS if key in words]
     if len(found) != 1:
         raise wrong(f"it has {' and '.join(found) or 'none'} of {', '.join(KEYS)}; a line has one of them")
-    t = words.pop("t", None)
-    unknown = sorted(set(words) - {found[0]} - KEYS[found[0]])
+    t = seconds("t", last, f"a number of seconds from {last:g} on, the time of the line before")
+    unknown = sorted(set(words) - {found[0], "t", "source"} - KEYS[found[0]])
     if unknown:
-        raise wrong(f'nobody knows what "{unknown[0]}" means beside {found[0]}')
-    if t is not None and not (isinstance(t, int | float) and last <= t <= LONGEST):
-        raise wrong(f"t is {t}; it must be a number of seconds from {last:g} on, the time of the line before")
-    lasts = words.get("for", 0.0)
-    if not (isinstance(lasts, int | float) and 0 <= lasts <= LONGEST):
-        raise wrong(f"for is {lasts}; it must be a number of seconds, at least 0")
+        raise wrong(f'nobody knows what "{unknown[0][:SHOWN]}" means beside {found[0]}')
+    seconds("for", 0.0, "a number of seconds, at least 0")
+    for key in ("stop", "resume"):
+        if key in words and words[key] is not True:
+            raise wrong(f"{key} is {_shown(words[key])}; it must be true")
+    if not is_flag(words.get("queued", False)):
+        raise wrong(f"queued is {_shown(words['queued'])}; it must be true or false")
+    if not isinstance(words.get("reason", ""), str):
+        raise wrong(f"reason is {_shown(words['reason'])}; it must be a text")
+    if not (isinstance(by := words.get("source", OPERATOR), str) and by in PRIORITY):
+        raise wrong(f"source is {_shown(by)}; it must be one of {', '.join(PRIORITY)}")
     twist = words.get("twist", [])
     if not (isinstance(twist, list) and len(twist) in (0, 3, 4, 6) and ("twist" not in words or twist)):
         raise wrong("twist must be three numbers, m/s, or those and one or three more, rad/s")
-    return Said(None if t is None else float(t), line, words)
+    words.pop("t", None)
+    return Said(t, line, words)
+
+
+def _shown(value: Any) -> str:
+    """A value of JSON as it stands there, or its beginning."""
+    text = json.dumps(value)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+
+
+def _deep(value: Any, most: int) -> bool:
+    """Whether it is nested deeper than so."""
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return most < 0 or any(_deep(one, most - 1) for one in inside)
 
 
 def script(lines: Iterable[str], source: str, first: int = 1) -> Iterator[Said]:
-    """The wishes of a script, line by line, the first of which has that number; empty lines and those that begin with
+    """The requests of a script, line by line, the first of which has that number; empty lines and those that begin with
     # say nothing. Raises SalverError."""
     last = 0.0
     for number, text in enumerate(lines, first):
@@ -125,65 +165,98 @@ def script(lines: Iterable[str], source: str, first: int = 1) -> Iterator[Said]:
 
 @dataclass
 class Prompter:
-    """Says what is wished at its time, one wish in a period, and notes what came of it.
+    """Makes requests at their times, one in a period, and notes what came of them. A stop comes first.
 
-    notes: {"t", "line", "said", "answer"} of each wish, and {"t", "answer"} of what was refused later on.
+    notes: {"t", "line", "said", "answer"} of each request, and {"t", "answer"} of what was refused later on; no more
+    than `MOST_NOTES`. accepted, refused: how many requests were; dropped: how many lines a stop overtook, or came when
+    too many waited.
     """
 
     live: Live
     notes: list[dict[str, Any]] = field(default_factory=list)
+    accepted: int = 0
+    refused: int = 0
+    dropped: int = 0
 
     def __post_init__(self) -> None:
-        self._coming: queue.SimpleQueue[Said | str | None] = queue.SimpleQueue()
-        self._next: Said | None = None
+        self._waiting: deque[Said | str] = deque()  # requests, and sentences about lines that cannot be understood
+        self._stops: deque[tuple[Said, int]] = deque()  # and how many lines came before
+        self._came = self._left = 0  # lines so far; and those that do not wait any more
         self._lasting: deque[tuple[Said, float]] = deque(maxlen=1)  # a twist, and until when
         self._again = 0.0
         self._ended = False
-        self._refused = ""
+        self._refusal = ""
 
     def of(self, wishes: Iterable[Said]) -> Prompter:
         """All of it is known."""
         for said in wishes:
-            self._coming.put(said)
-        self._coming.put(None)
+            self._add(said)
+        self._ended = True
         return self
 
-    def listening(self, lines: Iterable[str], source: str) -> Prompter:
+    def listening(self, lines: Iterable[str | bytes], source: str) -> Prompter:
         """It comes while the arm moves; a line that cannot be understood is noted, and no more."""
 
+        def heard(text: str | bytes, number: int) -> None:
+            try:
+                words = text.decode() if isinstance(text, bytes) else text
+                found: list[Said | str] = list(script([words], source, number))
+            except UnicodeDecodeError:
+                found = [f"{source}, line {number}: it is no text in UTF-8."]
+            except SalverError as error:
+                found = [str(error)]
+            except Exception as error:  # what nobody foresaw in a line is no reason not to hear the next
+                found = [f"{source}, line {number}: it cannot be understood ({type(error).__name__})."]
+            for one in found:
+                overtaken = max((before for stop, before in tuple(self._stops) if stop.t is None), default=0)
+                waiting = self._came - max(self._left, overtaken)
+                if waiting < MOST_WAITING or (isinstance(one, Said) and one.stops):
+                    self._add(one)
+                else:
+                    self.dropped += 1
+
         def listen() -> None:
-            for number, text in enumerate(lines, 1):
-                try:
-                    for said in script([text], source, number):
-                        self._coming.put(said)
-                except SalverError as error:
-                    self._coming.put(str(error))
-            self._coming.put(None)
+            try:
+                for number, text in enumerate(lines, 1):
+                    heard(text, number)
+            except Exception as error:
+                self._add(f"{source} cannot be read any more ({type(error).__name__}: {error}).")
+            self._ended = True
 
         threading.Thread(target=listen, name="salver-script", daemon=True).start()
         return self
 
+    def _add(self, one: Said | str) -> None:
+        """From one thread."""
+        if isinstance(one, Said) and one.stops:
+            self._stops.append((one, self._came))
+        else:
+            self._waiting.append(one)
+            self._came += 1
+
     def period(self, t: float) -> None:
         """What is due at time t, s. From the robot's loop: it waits for nobody and never raises."""
-        if self._next is None and not self._ended:
-            try:
-                coming = self._coming.get_nowait()
-            except queue.Empty:
-                coming = ""
-            if coming is None:
-                self._ended = True
-            elif isinstance(coming, Said):
-                self._next = coming
-            elif coming:
-                self.notes.append({"t": t, "answer": coming})
-        said = self._next
-        if said is not None and (said.t is None or t >= said.t - 1e-9) and t >= 0:
-            self._next = None
+        if self._stops and self._due(self._stops[0][0], t):
+            said, before = self._stops.popleft()
+            while self._left < before:
+                self._left += 1
+                if isinstance(overtaken := self._waiting.popleft(), str):
+                    self._misunderstood(overtaken, t)
+                else:
+                    self.dropped += 1
             self._lasting.clear()
             self._say(said, t, noted=True)
-            if said.lasts:
-                self._lasting.append((said, t + said.lasts))
-                self._again = t + AGAIN
+        elif self._waiting and self._due(self._waiting[0], t):
+            one = self._waiting.popleft()
+            self._left += 1
+            if isinstance(one, Said):
+                self._lasting.clear()
+                self._say(one, t, noted=True)
+                if one.lasts:
+                    self._lasting.append((one, t + one.lasts))
+                    self._again = t + AGAIN
+            else:
+                self._misunderstood(one, t)
         elif self._lasting and t >= self._again - 1e-9:
             said, until = self._lasting[0]
             self._again = t + AGAIN
@@ -192,22 +265,41 @@ class Prompter:
             else:
                 self._say(said, t, noted=False)
         told = self.live.refused
-        if told != self._refused:
-            self._refused = told
+        if told != self._refusal:
+            self._refusal = told
             if told and (not self.notes or self.notes[-1]["answer"] != told):
-                self.notes.append({"t": t, "answer": told})
+                self._note({"t": t, "answer": told})
+
+    def _due(self, one: Said | str, t: float) -> bool:
+        """Whether its time has come; of a timed line that waits behind a stop, only after that."""
+        if isinstance(one, str):
+            return True
+        if one.stops and one.t is None:
+            return True
+        behind = not one.stops and bool(self._stops) and self._stops[0][1] <= self._left
+        return not behind and t >= (one.t or 0.0) - 1e-9
+
+    def _misunderstood(self, sentence: str, t: float) -> None:
+        self.refused += 1
+        self._note({"t": t, "answer": sentence})
+
+    def _note(self, note: dict[str, Any]) -> None:
+        if len(self.notes) < MOST_NOTES:
+            self.notes.append(note)
 
     def _say(self, said: Said, t: float, noted: bool) -> None:
         try:
             status = said.to(self.live)
-        except Exception as error:  # what nobody foresaw in a wish is no reason to stop
-            status = Status("refused", f"It could not be wished ({type(error).__name__}).", False)
+        except Exception as error:  # what nobody foresaw in a request is no reason to stop
+            status = Status("refused", f"It could not be requested ({type(error).__name__}).", False)
+        if noted:
+            self.accepted, self.refused = self.accepted + status.ok, self.refused + (not status.ok)
         if noted or not status.ok:
-            self._refused = self.live.refused
+            self._refusal = self.live.refused
             words = status.sentence if status.ok else self.live.refused or status.sentence
-            self.notes.append({"t": t, "line": said.line, "said": said.words, "answer": words})
+            self._note({"t": t, "line": said.line, "said": said.words, "answer": words})
 
     @property
     def over(self) -> bool:
         """Whether nothing more will be said."""
-        return self._ended and self._next is None and not self._lasting
+        return self._ended and not self._waiting and not self._stops and not self._lasting

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
@@ -77,11 +78,29 @@ def refused(sentence: str) -> Status:
     return Status("refused", sentence, False)
 
 
+def is_flag(value: object) -> bool:
+    """Whether it is True or False, and nothing that only counts as such."""
+    return isinstance(value, bool | np.bool_)
+
+
+def _plain(value: Any, depth: int) -> bool:
+    """Whether it is real numbers, nested at most so deep: no truth values, texts, complex or masked numbers."""
+    if isinstance(value, list | tuple):
+        return depth > 0 and all(_plain(one, depth - 1) for one in value)
+    if isinstance(value, np.ma.MaskedArray):
+        return False
+    if isinstance(value, Real):
+        return not isinstance(value, bool)
+    return getattr(np.asarray(value), "dtype", np.dtype(object)).kind in "iuf"
+
+
 def numbers(value: Any, shape: tuple[int, ...], what: str) -> Array | Status:
     """An array of finite numbers of a shape, or why it is none."""
     try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+        array = np.array(value, dtype=float) if _plain(value, len(shape)) else None
+    except Exception:  # whatever is in what was given
+        array = None
+    if array is None:
         return refused(f"{what} is no array of numbers; it must be {shape} finite numbers")
     if array.shape != shape:
         return refused(f"{what} has shape {array.shape}; it must be {shape}")
@@ -159,8 +178,8 @@ def chunk_wish(
     if (poses is None) == (joints is None):
         return refused("a chunk is of poses or of joints, one of them")
     try:
-        count = len(np.atleast_1d(np.asarray(times, dtype=float)))
-    except (TypeError, ValueError):
+        count = len(times)  # type: ignore[arg-type]
+    except TypeError:
         count = 0
     t = numbers(times, (count,), "times")
     if isinstance(t, Status):
