@@ -6,7 +6,7 @@ import pytest
 from recordings import AT_B, GOAL, HEADER, JOINTS, NO_TURN, START, joint_motion, line, write_csv
 from salver import scenario as scenarios
 from salver.auditing.motion import forward, tray_motion
-from salver.auditing.recorded import sensor_of, stretches
+from salver.auditing.recorded import LEVER, sensor_of, stretches
 from salver.auditing.spline import fit
 from salver.errors import FileFormatError
 from salver.geometry import exp, log, quat_wxyz_from_matrix
@@ -95,6 +95,19 @@ def test_what_the_samples_are_too_few_for_is_left_over_and_told():
     part = one(t, 1e-4 * np.sin(2 * np.pi * 93 * t))
     assert max(cells.amplitude.max() for cells in part.unseen if len(cells.first)) == pytest.approx(1e-4, rel=0.4)
     assert any(np.any(np.abs(cells.frequency - 93) < 4) for cells in part.unseen)
+
+
+@pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [-0.6, 0.0, 0.8]])
+def test_a_shake_in_turning_counts_as_one_of_place_at_the_lever_and_by_the_tilt_of_gravity(axis):
+    """By an angle a at angular frequency w: (lever + g / w^2) a; the same windows find the same amplitudes."""
+    t, omega, angle = np.arange(401) / 200, 2 * np.pi * 93, 2e-3
+    shake, still = np.sin(omega * t), np.zeros((len(t), 3))
+    level, turned = np.tile([1.0, 0, 0, 0], (len(t), 1)), quat_wxyz_from_matrix(exp(angle * np.outer(shake, axis)))
+    moved = np.outer((LEVER + 9.81 / omega**2) * angle * shake, [0.0, 1.0, 0.0])
+    (turning,), (moving,) = (stretches(t, p, q, sensor_of(t, p, q), 50.0) for p, q in ((still, turned), (moved, level)))
+    each, same = (np.concatenate([cells.amplitude for cells in part.unseen]) for part in (turning, moving))
+    assert len(each) == len(same) > 10
+    np.testing.assert_allclose(each, same, rtol=2e-3)
 
 
 def test_what_may_be_mirrored_at_the_sampling_rate_is_told():

@@ -142,6 +142,17 @@ def test_what_the_sampling_cannot_resolve_never_holds(tmp_path, frequency, rate)
     assert of(tmp_path, t, size * np.sin(2 * np.pi * frequency * t + 0.7)).outcome == "does_not_hold"
 
 
+def test_what_may_be_mirrored_at_the_sampling_rate_is_said_and_what_would_tell(tmp_path):
+    """0.2 mm at 15 Hz, 1.8 m/s^2, would not slide the cube; at 60 samples a second 45 Hz, 16 m/s^2, looks like it."""
+    t = np.arange(181) / 60
+    y = move(t) + 2e-4 * np.sin(30 * np.pi * t + 0.7)
+    found = of(tmp_path, t, y)
+    for status in (found.nominal, found.worst):
+        assert status.details["reasons"] == ["mirrored"]
+        assert "what looks like 15 Hz may be 0.2 mm at 45 Hz around 1.900 s: at 60 samples a second" in status.sentence
+    assert of(tmp_path, t, y, highest=20.0).outcome == "holds"
+
+
 def test_too_few_samples_a_second_are_said_and_what_would_tell(tmp_path):
     t = np.arange(51) / 10
     found = of(tmp_path, t, move(t, 5.0))

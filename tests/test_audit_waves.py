@@ -1,13 +1,16 @@
 """What a recording does not say of waves, and what an audit then says."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from scipy.integrate import cumulative_trapezoid
 
+import recordings
 import salver as sv
 from recordings import HEADER, write_csv
-from salver.auditing import audit
-from salver.auditing.motion import tray_motion
+from salver.auditing import audit, audit_motion
+from salver.auditing.motion import TrayMotion, tray_motion
 from salver.auditing.waves import _gain, unseen
 from salver.geometry import quat_wxyz_from_matrix
 from salver.models.tray_motion import at_rest
@@ -16,6 +19,7 @@ from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.spills import Spill
 from salver.sensitivity.wave_cases import Case
 from salver.sensitivity.waves import along
+from salver.trajectory import MotionSamples
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +68,19 @@ def test_a_shake_that_noise_hides_raises_no_wave_by_more_than_is_allowed_for(cup
         waves = along((case,), t, shaken)
         assert np.all(waves.crest <= most.crest), frequency
     assert np.median(most.crest) < 0.5 * case.room  # and it is no empty statement
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, None), (0, -60), (60, None)])
+def test_how_a_liquid_moves_where_the_motion_begins_moving_is_not_known(cup, first, last):
+    """What moves at its end alone says all that came before."""
+    s = recordings.line(3.0, 100.0)
+    cut = MotionSamples(*(getattr(s, field.name)[first:last] for field in fields(s)))
+    found = audit_motion(TrayMotion(cut), cup)
+    begun = first > 0
+    for status in (found.nominal, found.worst):
+        assert status.details.get("reasons", []) == ["begun"] * begun
+        assert ("how the liquid moves then is not known" in status.sentence) == begun
+    assert found.outcome == ("cannot_tell" if begun else "holds")
 
 
 def test_what_is_missed_of_a_jolt_is_as_fast_as_the_jolt(cup):

@@ -215,6 +215,24 @@ def test_stack_forces_by_hand():
     assert not trace.foreign.any()
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_what_slides_against_another_object_is_held_by_it(sign, first):
+    """Three boxes in a row on a slope, two nearly without friction, 1 cm apart: they end side by side, in any order."""
+    box = {"shape": {"type": "box", "size": [0.03, 0.05, 0.04]}, "mass": 0.1, "friction": 0.02}
+    places = np.roll([-0.04, 0.0, 0.04], first)
+    objects = [box | {"name": f"box-{k}", "at": [float(x), 0.0]} for k, x in enumerate(places)]
+    lowest = int(np.argmax(sign * places))
+    objects[lowest] |= {"friction": 1.0, "mass": 2.0}
+    data = scenarios.load("panda-cube").model_dump(mode="json", exclude_none=True) | {"objects": objects}
+    angle = np.deg2rad(15.0)
+    gravity = (sign * G * np.sin(angle), 0, -G * np.cos(angle))
+    _, trace = settled(parse(data, "test"), gravity=gravity)
+    x = np.sort(trace.p_XB[0, :, 0])
+    np.testing.assert_allclose(np.diff(x), 0.03, atol=5e-4)
+    assert trace.p_XB[0, lowest, 0] == pytest.approx(sign * 0.04, abs=1e-3)
+
+
 @pytest.mark.parametrize(
     "shape",
     [

@@ -1,14 +1,16 @@
 """At which constant speed factors a motion keeps its load: by hand, by the laws that margins obey, and for plans."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from recordings import line
+from recordings import GOAL, START, line
 from salver import scenario as scenarios
 from salver.contact_margins import margin_model, safe_speeds, time_scaling
 from salver.contact_margins.time_scaling import TimeScaled, least_root
 from salver.geometry import exp
-from salver.trajectory import MotionSamples
+from salver.trajectory import MotionSamples, min_jerk_line
 
 FRICTION = 0.3
 PEAK = 10 / np.sqrt(3) * 0.5  # of the min-jerk acceleration over 0.5 m, times T^2
@@ -92,6 +94,26 @@ def test_the_factor_may_change_as_fast_as_friction_accelerates_the_trays_velocit
     # Friction pyramids of 16 edges hold .4 (1, 1, 0) m/s along an edge; v_z presses by r v_z.
     flat, up = 0.4 * np.sqrt(2), 0.4
     assert found.rate == pytest.approx(FRICTION * 9.81 / (flat + FRICTION * up), rel=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8])
+def test_a_liquid_at_a_part_of_the_speed_is_that_of_the_slower_motion(coffee, factor):
+    """Of a motion that turns: the same instants of the one that takes 1 / factor times as long, from its own 0 s."""
+    model, count = margin_model(coffee, 16), 201
+
+    def motion(duration):
+        t = np.linspace(0.0, duration, count)
+        return min_jerk_line(duration, START, GOAL, exp([0.0, 0.0, 0.4]), exp([0.03, -0.05, -0.2])).sample(t)
+
+    fast = motion(1.0)
+    scaled = TimeScaled(model, replace(fast, t=fast.t + 0.3), True)
+    slower = TimeScaled(model, motion(1.0 / factor), True)
+    at_part, whole = scaled.margins(factor), slower.margins(1.0)
+    np.testing.assert_allclose(at_part.t, whole.t, atol=1e-12)
+    (spill,), (expected,) = (margins.spills(True) for margins in (at_part, whole))
+    np.testing.assert_allclose(spill.slack, expected.slack, rtol=1e-9)
+    assert scaled.slack(factor) == pytest.approx(slower.slack(1.0), rel=1e-9)
+    assert scaled.slack(factor) != pytest.approx(scaled.slack(1.0), rel=0.05)
 
 
 def test_factors_between_which_alone_it_holds_are_found():
