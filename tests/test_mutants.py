@@ -10,14 +10,17 @@ import pytest
 TOOLS = Path(__file__).parents[1] / "tools"
 sys.path.insert(0, str(TOOLS))
 
-from mutants import mutants  # noqa: E402
+from mutants import mutants, signatures  # noqa: E402
 from test_map import RECORDER, instrumented  # noqa: E402
 
 sys.path.remove(str(TOOLS))
 
 
 def becomes(line: str) -> set[str]:
-    return {mutant.becomes for mutant in mutants(Path("x.py"), f"{line}\n")}
+    return {mutant.becomes for mutant in mutants(Path("x.py"), f"{line}\n", KNOWN)}
+
+
+KNOWN = signatures(["def run(a, b, c=1): ...", "class Thing:\n    x: int\n    y: int = 0"])
 
 
 @pytest.mark.parametrize(
@@ -30,15 +33,30 @@ def becomes(line: str) -> set[str]:
         ("y = np.minimum(a, b)", {"y = np.maximum(a, b)"}),
         ("y = x[i, j]", {"y = x[j, i]"}),
         ("y = x[k:]", {"y = x[:]"}),
-        ("y = a and not b", {"y = (a or not b)", "y = a and b"}),
+        ("y = a and not b", {"y = (a or not b)", "y = a and b", "y = (not b)", "y = a"}),
+        ("y = a or b or c", {"y = (a and b and c)", "y = (a or b)", "y = (a or c)", "y = (b or c)"}),
         ("y = 0.5", {"y = 5.0"}),
         ("y = 3", {"y = 4"}),
         ("y = True", {"y = False"}),
         ("y = a < b", {"y = (a >= b)"}),
         ("y = len(a) < b", {"y = (len(a) >= b)", "y = (len(a) <= b)"}),
-        ("y = a if c else b", {"y = (b if c else a)"}),
+        ("y = a if c else b", {"y = (b if c else a)", "y = b"}),
         ("y = f(x, tol=e)", {"y = f(x)"}),
-        ("y = [x for x in z if x]", {"y = ([x for x in z])"}),
+        ("y = [x for x in z if x]", {"y = ([x for x in z])", "y = []"}),
+        ("y = [a, b]", {"y = []"}),
+        ("y = np.stack([a, b])", set()),
+        ("y = {'a': a, 'b': b}", {"y = {'a': a}", "y = {'b': b}"}),
+        ("y = run(a, b, c)", {"y = run(a, b)"}),
+        ("y = run(a, b)", {"y = run(b, a)"}),
+        ("y = Thing(x=a, y=b)", {"y = Thing(x=a)"}),
+        ("y = f(self.t)", {"y = f(0.5 * self.t)"}),
+        ("y = t - t[0]", {"y = t", "y = (t + t[0])", "y = t - t[1]"}),
+        ("y = range(k)", {"y = range(0, k - 1)", "y = range(0 + 1, k)"}),
+        ("y = default_rng([s, k])", {"y = default_rng([s])", "y = default_rng([])"}),
+        ("y = default_rng(s)", {"y = default_rng(0)"}),
+        ("y = np.array(x)", {"y = np.array(x, dtype=np.float32)"}),
+        ("y = np.empty(n, dtype=bool)", set()),
+        ("if a:\n    b += c\nelse:\n    c", {"if (not a):", "if False:", "b -= c", "pass"}),
         ("x += dx", {"x -= dx", "pass"}),
         ("x.f(a)", {"pass"}),
         # texts, annotations, precautions and what words an error are left alone

@@ -5,7 +5,7 @@ Left alone are texts, annotations, decorators and what only words an error: a ch
 
 import ast
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,6 +29,8 @@ WRAPPERS = {  # f(x, ...) becomes x
 }  # fmt: skip
 METHODS = {"transpose", "swapaxes", "clip", "strip", "copy", "conj"}  # x.f(...) becomes x
 PRECAUTIONS = {"strict", "encoding", "dtype"}  # keywords that change nothing where the rest is right
+TIMES = {"t", "now", "time", "elapsed", "period", "duration"}
+PRECISE = {"array", "asarray", "empty", "linspace"}  # np.f(...) whose numbers may be of float32
 UNORDERED = {"isinstance", "issubclass", "getattr", "hasattr", "zip", "min", "max", "minimum", "maximum", "allclose"}
 
 
@@ -54,13 +56,32 @@ class Mutant:
         return f"{self.path.as_posix()}:{self.function}{nth}:{self.was}:{self.becomes}"
 
 
-def mutants(path: Path, text: str) -> list[Mutant]:
-    """All mutants of a file, in the order of its lines."""
+def signatures(texts: Iterable[str]) -> dict[str, dict[str, bool]]:
+    """Of the functions and classes of some files, by name: whether each parameter need not be given. Two functions of
+    one name are left out."""
+    found: dict[str, dict[str, bool]] = {}
+    for text in texts:
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ClassDef):
+                own = {x.target.id: x.value is not None for x in node.body if isinstance(x, ast.AnnAssign)}
+            elif isinstance(node, ast.FunctionDef):
+                given, defaults = node.args.args, node.args.defaults
+                own = {arg.arg: k >= len(given) - len(defaults) for k, arg in enumerate(given)}
+                own |= {a.arg: x is not None for a, x in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)}
+                own.pop("self", None)
+            else:
+                continue
+            found[node.name] = {} if node.name in found else own
+    return found
+
+
+def mutants(path: Path, text: str, known: Mapping[str, Mapping[str, bool]] | None = None) -> list[Mutant]:
+    """All mutants of a file, in the order of its lines. known: `signatures` of what it calls."""
     data, starts = text.encode(), [0]
     for line in text.splitlines(keepends=True):
         starts.append(starts[-1] + len(line.encode()))
     found: dict[str, Mutant] = {}
-    for function, node, replacement, operator in _changes(ast.parse(text), ""):
+    for function, node, replacement, operator in _changes(ast.parse(text), "", known or {}):
         begin = starts[node.lineno - 1] + node.col_offset
         end = starts[node.end_lineno - 1] + node.end_col_offset
         new = ast.unparse(ast.fix_missing_locations(replacement))
@@ -80,25 +101,33 @@ def mutants(path: Path, text: str) -> list[Mutant]:
     return numbered
 
 
-_ATOMS = (ast.Name, ast.Constant, ast.Attribute, ast.Call, ast.Subscript, ast.Slice, ast.Tuple)
+_ATOMS = (ast.Name, ast.Constant, ast.Attribute, ast.Call, ast.Subscript, ast.Slice, ast.Tuple, ast.List, ast.Dict)
 
 
 def _flat(text: str) -> str:
     return "\n".join(line.strip() for line in text.strip().splitlines())
 
 
-def _changes(node: ast.AST, function: str) -> Iterator[tuple[str, ast.AST, ast.AST, str]]:
+def _changes(
+    node: ast.AST, function: str, known: Mapping[str, Mapping[str, bool]]
+) -> Iterator[tuple[str, ast.AST, ast.AST, str]]:
     """(function, node, what takes its place, operator) for everything below a node."""
     for child in _children(node):
         inside = function
         if isinstance(child, ast.ClassDef | ast.FunctionDef) and (not function or isinstance(node, ast.ClassDef)):
             inside = f"{function}.{child.name}" if function else child.name
         if isinstance(child, ast.If):  # of a condition the test alone is changed
-            yield inside, child.test, *_condition(child)
+            for replacement, operator in _condition(child):
+                yield inside, child.test, replacement, operator
+        elif isinstance(child, ast.List) and isinstance(node, ast.Call) and "np." in ast.unparse(node.func):
+            pass  # no array of that shape would be any use
         elif type(child) in _MAKERS:
             for replacement, operator in _MAKERS[type(child)](child):
                 yield inside, child, replacement, operator
-        yield from _changes(child, inside)
+        if isinstance(child, ast.Call):
+            for replacement in _shorter(child, known):
+                yield inside, child, replacement, "argument not passed"
+        yield from _changes(child, inside, known)
 
 
 def _children(node: ast.AST) -> Iterator[ast.AST]:
@@ -142,6 +171,8 @@ def _binary(node: ast.BinOp) -> Iterator[tuple[ast.AST, str]]:
             yield _with(node, left=node.right, right=node.left), "factors swapped"
     elif type(node.op) in ARITHMETIC:
         yield _with(node, op=ARITHMETIC[type(node.op)]()), _kind(node.op)
+        if isinstance(node.op, ast.Sub) and ast.unparse(node.right) == f"{ast.unparse(node.left)}[0]":
+            yield node.left, "time base"
 
 
 def _kind(operator: ast.operator) -> str:
@@ -155,6 +186,9 @@ def _unary(node: ast.UnaryOp) -> Iterator[tuple[ast.AST, str]]:
 
 def _boolean(node: ast.BoolOp) -> Iterator[tuple[ast.AST, str]]:
     yield _with(node, op=ast.Or() if isinstance(node.op, ast.And) else ast.And()), "and, or"
+    for k in range(len(node.values)):
+        values = node.values[:k] + node.values[k + 1 :]
+        yield values[0] if len(values) == 1 else _with(node, values=values), "operand dropped"
 
 
 def _constant(node: ast.Constant) -> Iterator[tuple[ast.AST, str]]:
@@ -169,12 +203,15 @@ def _constant(node: ast.Constant) -> Iterator[tuple[ast.AST, str]]:
 
 def _choice(node: ast.IfExp) -> Iterator[tuple[ast.AST, str]]:
     yield _with(node, body=node.orelse, orelse=node.body), "choice swapped"
+    yield node.orelse, "never true"
 
 
-def _condition(node: ast.If) -> tuple[ast.AST, str]:
+def _condition(node: ast.If) -> Iterator[tuple[ast.AST, str]]:
     if isinstance(node.body[-1], ast.Return | ast.Raise | ast.Continue | ast.Break) and not node.orelse:
-        return ast.Constant(False), "guard dropped"
-    return ast.UnaryOp(ast.Not(), node.test), "condition turned"
+        yield ast.Constant(False), "guard dropped"
+        return
+    yield ast.UnaryOp(ast.Not(), node.test), "condition turned"
+    yield ast.Constant(False), "never true"
 
 
 def _attribute(node: ast.Attribute) -> Iterator[tuple[ast.AST, str]]:
@@ -200,6 +237,49 @@ def _call(node: ast.Call) -> Iterator[tuple[ast.AST, str]]:
     plain = len(node.args) == 2 and not any(isinstance(arg, ast.Starred | ast.Constant) for arg in node.args)
     if plain and not node.keywords and name not in UNORDERED:
         yield _with(node, args=node.args[::-1]), "arguments swapped"
+    for k, arg in enumerate(node.args):
+        if ast.unparse(arg).split(".")[-1] in TIMES:
+            half = ast.BinOp(ast.Constant(0.5), ast.Mult(), arg)
+            yield _with(node, args=[*node.args[:k], half, *node.args[k + 1 :]]), "time base"
+    if name == "range" and len(node.args) < 3:
+        first, last = [ast.Constant(0), *node.args][-2:]
+        yield _with(node, args=[first, ast.BinOp(last, ast.Sub(), ast.Constant(1))]), "range by one"
+        yield _with(node, args=[ast.BinOp(first, ast.Add(), ast.Constant(1)), last]), "range by one"
+    if name == "default_rng" and node.args:
+        seeds = node.args[0].elts if isinstance(node.args[0], ast.List | ast.Tuple) else node.args
+        fewer = ast.List(seeds[:-1]) if len(seeds) > 1 else ast.Constant(0)
+        yield _with(node, args=[fewer, *node.args[1:]]), "seed used twice"
+    dtypes = [ast.unparse(keyword.value) for keyword in node.keywords if keyword.arg == "dtype"]
+    if module == "np" and name in PRECISE and dtypes in ([], ["float"]):
+        others = [keyword for keyword in node.keywords if keyword.arg != "dtype"]
+        single = ast.keyword("dtype", ast.parse("np.float32", mode="eval").body)
+        yield _with(node, keywords=[*others, single]), "float32"
+
+
+def _shorter(node: ast.Call, known: Mapping[str, Mapping[str, bool]]) -> Iterator[ast.AST]:
+    """A call without an argument that it need not give: the last by position, or one by name."""
+    function = node.func
+    parameters = known.get(function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", ""), {})
+    given = len(node.args)
+    last = list(parameters)[given - 1 : given]
+    if given and last and parameters[last[0]] and not any(isinstance(arg, ast.Starred) for arg in node.args):
+        yield _with(node, args=node.args[:-1])
+    for k, keyword in enumerate(node.keywords):
+        if parameters.get(keyword.arg or ""):
+            yield _with(node, keywords=node.keywords[:k] + node.keywords[k + 1 :])
+
+
+def _list(node: ast.List | ast.ListComp) -> Iterator[tuple[ast.AST, str]]:
+    if isinstance(node, ast.ListComp):
+        yield from _filtered(node)
+    if isinstance(node, ast.ListComp) or (node.elts and isinstance(node.ctx, ast.Load)):
+        yield ast.List([], ast.Load()), "list emptied"
+
+
+def _dict(node: ast.Dict) -> Iterator[tuple[ast.AST, str]]:
+    for k in range(len(node.keys) if len(node.keys) > 1 else 0):
+        keys, values = (part[:k] + part[k + 1 :] for part in (node.keys, node.values))
+        yield _with(node, keys=keys, values=values), "entry dropped"
 
 
 def _subscript(node: ast.Subscript) -> Iterator[tuple[ast.AST, str]]:
@@ -252,6 +332,6 @@ _MAKERS = {
     ast.Compare: _compare, ast.BinOp: _binary, ast.UnaryOp: _unary, ast.BoolOp: _boolean, ast.Constant: _constant,
     ast.IfExp: _choice, ast.Attribute: _attribute, ast.Call: _call, ast.Subscript: _subscript,
     ast.Slice: _slice, ast.Return: _return, ast.AugAssign: _augmented, ast.Assign: _assignment, ast.Expr: _expression,
-    ast.Raise: _statement, ast.Continue: _statement, ast.Break: _statement, ast.ListComp: _filtered,
-    ast.SetComp: _filtered, ast.GeneratorExp: _filtered, ast.DictComp: _filtered,
+    ast.Raise: _statement, ast.Continue: _statement, ast.Break: _statement, ast.ListComp: _list, ast.List: _list,
+    ast.Dict: _dict, ast.SetComp: _filtered, ast.GeneratorExp: _filtered, ast.DictComp: _filtered,
 }  # fmt: skip

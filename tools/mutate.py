@@ -23,7 +23,7 @@ from pathlib import Path
 from queue import Queue
 from typing import Any
 
-from mutants import Mutant, mutants
+from mutants import Mutant, mutants, signatures
 from pytest_child import Outcome, run_tests
 from test_map import MAP, ROOT, TestMap, copy_of_the_tree, file_of
 
@@ -40,6 +40,7 @@ FOLDERS = [
     "live",
     "learning",
     "motion_files",
+    "scenario",
 ]
 EQUIVALENT = ROOT / "tools" / "equivalent.toml"
 
@@ -74,13 +75,14 @@ class Baseline:
 
 def all_mutants(modules: list[str]) -> list[Mutant]:
     found = []
+    known = signatures(path.read_text(encoding="utf-8") for path in sorted(ROOT.glob("src/**/*.py")))
     for module in modules:
         path = ROOT / "src" / module.replace(".", "/")
         files = sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]
         for file in files:
             if not file.is_file():
                 raise SystemExit(f"There is no module {module} in src/.")
-            found += mutants(file.relative_to(ROOT), file.read_text(encoding="utf-8"))
+            found += mutants(file.relative_to(ROOT), file.read_text(encoding="utf-8"), known)
     return found
 
 
