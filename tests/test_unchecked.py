@@ -121,6 +121,27 @@ def test_moveit_limits_override_the_urdf_and_are_overridden_by_the_scenario(tmp_
     assert arm.limits.torque == pytest.approx([150, 150, 100, 28, 28, 28])
 
 
+def test_an_arm_without_masses_is_planned_as_one_that_follows_exactly(tmp_path: Path) -> None:
+    """As the URDFs of FANUC, ABB and KUKA; of seven joints, as then no mass matrix has an inverse."""
+    case = scenario.load("panda-cube")
+    assert case.arm is not None
+    root = ElementTree.fromstring(load_arm(case.arm, case.tray).urdf)
+    for link in root.iter("link"):
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+    path = tmp_path / "massless.urdf"
+    path.write_text(ElementTree.tostring(root, encoding="unicode"))
+    plan = make_plan(case.with_changes(arm__model=str(path), arm__flange="panda_link8"), "fastest")
+    assert plan.ok, plan.verdict
+    first = "joint torques, and how far the arm strays from its motion (the URDF gives no masses: "
+    assert plan.unchecked[0].startswith(first)
+    assert plan.arm_status is not None
+    assert plan.arm_status.sentence.startswith(f"Not checked: {first}")
+    assert plan.tau is None
+    assert plan.chain is None
+    assert plan.margins.exact_worst.min() >= 0.0  # for every mass of the set
+
+
 # ---- shapes of links ------------------------------------------------------------------------------------------
 
 

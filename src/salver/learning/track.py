@@ -57,7 +57,7 @@ class Judge:
             )
         arm = load_arm(scenario.arm, scenario.tray)
         loop, robot = None, scenario.physics.robot
-        if payload.uncertain.size:
+        if payload.uncertain.size and not arm.weightless:
             loop = joint_loop(scenario, payload.with_only([p for p in payload.uncertain.parameters if p.loads]))
             if robot.control == "position":  # a wrong load moves the slowest joint of such a robot the most
                 rate = 2 * np.pi * float(np.min(robot.bandwidth))

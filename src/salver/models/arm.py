@@ -46,7 +46,8 @@ class ArmModel:
     fixed, mesh files that were found by their absolute paths. urdf_path: the file it came from.
     collisions: what is done about links whose geometry is not known: "meshes" (refuse), "capsules" (fit some),
     "unchecked" (leave them out). disabled_pairs: links that an SRDF says need not be compared, (first, second) sorted.
-    weightless: links that a joint moves and to which, with all that is fixed to them, the URDF gives no mass.
+    weightless: links that a joint moves and to which, with all that is fixed to them, the URDF gives no mass. If there
+    are any, torques are not known: the arm has no limits of torque, and counts as one under position control.
     base_position, base_yaw: pose of the URDF's root in S, m and rad.
     p_FE: (3,) centre of the tray's top surface in F, m. tray_com_F: (3,) the tray's centre of mass in F.
     tray_size: its edges along x and y of E, m.
@@ -169,6 +170,8 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
     if arm.joint_limits is not None:
         given.append((Path(arm.joint_limits).name, read_joint_limits(Path(arm.joint_limits), names, chain.all_joints)))
     given.append(("arm.limits", _scenario_limits(arm, name, model.nv)))
+    if weightless:
+        given.append(("", dict.fromkeys(("torque", "torque_rate"), np.full(model.nv, np.inf))))
     limits, sources = joint_limits(model.nv, given)
     for joint, low, high in zip(names, limits.q_min, limits.q_max, strict=True):
         if low >= high:

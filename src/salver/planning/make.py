@@ -109,7 +109,7 @@ def with_arm(plan: Plan, q_start: Array | None = None) -> Plan:
     arm = load_arm(scenario.arm, scenario.tray)
     joint, status = follow_scenario(scenario, plan.reference, arm, q_start)
     tau = None
-    if joint is not None:
+    if joint is not None and not arm.weightless:
         tau = torques(arm, JointMotion(plan.t, *joint.sample(plan.t)), scenario.payload.bodies)
     return replace(plan, joint=joint, arm_status=status, tau=tau)
 

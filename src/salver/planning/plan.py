@@ -99,7 +99,8 @@ class Plan(Shown, Tabular):
     their duration), "live" (steered by hand, as it was commanded), "excite" or "tilt" (to learn what is carried).
     reference: the motion of B. joint: the arm's motion, or None. status: how planning ended; arm_status: whether the
     arm can follow, None without an arm. solver: method, cost, duality gap, iterations, times.
-    tau: (T, n) feed-forward torque at `t`, or None. Arrays have the time axis first (docs/conventions.md).
+    tau: (T, n) feed-forward torque at `t`, or None, as of an arm without masses. Arrays have the time axis first
+    (docs/conventions.md).
     stops: ways to rest on the way that keep the load (`salver.planning.stops`), or None.
     command: what the joints of one robot are told so that they do `joint` (`salver tune`), from `COMMAND_LEAD` s before
     it on; None: `joint` itself.

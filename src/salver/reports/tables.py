@@ -140,9 +140,9 @@ def arm_usage(m: Motion, arm: ArmModel) -> dict[str, np.ndarray]:
 
     Jerk by differences of the acceleration. Kinds that no joint has are left out.
     """
-    t, q, dq, ddq, torque = (m.arrays[key] for key in ("t", "q", "dq", "ddq", "tau"))
-    jerk = np.gradient(ddq, t, axis=0)
-    curves = {"position": q, "velocity": dq, "acceleration": ddq, "jerk": jerk, "torque": torque}
+    t, q, dq, ddq = (m.arrays[key] for key in ("t", "q", "dq", "ddq"))
+    curves = {"position": q, "velocity": dq, "acceleration": ddq, "jerk": np.gradient(ddq, t, axis=0)}
+    curves |= {"torque": m.arrays["tau"]} if "tau" in m.arrays else {}
     shares = arm.limits.shares(curves)
     known = {kind.key: np.isfinite(arm.limits.range(kind)[1]) for kind in LIMITS}
     return {

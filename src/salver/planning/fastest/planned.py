@@ -200,8 +200,10 @@ def joint_plan(
     reference = SampledReference(object_motion(problem, close.t, close.q, close.dq, close.ddq))
     parts = None if problem.keep_out is None else problem.keep_out.parts
     plan = Plan(exact, method, reference, status, joint, verdict(problem.arm, joint, problem.items, parts))
-    tau = torques(problem.arm, JointMotion(plan.t, *joint.sample(plan.t)), problem.items)
-    return replace(plan, tau=tau, solver=record)
+    if not problem.arm.weightless:
+        tau = torques(problem.arm, JointMotion(plan.t, *joint.sample(plan.t)), problem.items)
+        plan = replace(plan, tau=tau)
+    return replace(plan, solver=record)
 
 
 def _closer(joint: JointMotion) -> JointMotion:

@@ -55,7 +55,7 @@ class TransportProblem:
     (`salver.planning.fastest.ends`).
     limits: the share of the arm's limits that may be used. max_tilt: rad from vertical; 0 means level.
     contacts: rows for each network of touching objects. uncertain: what is not known (empty for a nominal plan).
-    tracking: what a wrong load and held commands do to the arm; None for a nominal plan.
+    tracking: what a wrong load and held commands do to the arm; None for a nominal plan, and for an arm without masses.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
     extra: constraints beside those that follow from all this. liquids: for each, the cases that stand for all there
     are; every_case: those that a verdict looks at; past: what they come from where the motion begins moving.
@@ -223,7 +223,7 @@ def transport_problem(
         max_tilt=max_tilt,
         contacts=contact_rows(payload),
         uncertain=payload.uncertain,
-        tracking=_tracking(scenario, payload) if robust else None,
+        tracking=_tracking(scenario, payload) if robust and not arm.weightless else None,
         keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
         extra=tuple(extra),
         liquids=liquids,

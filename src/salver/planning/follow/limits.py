@@ -96,18 +96,20 @@ def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
     and pairs not looked at."""
     nobody: dict[str, list[str]] = {}
     for kind in LIMITS:
+        if arm.weightless and kind.of == "torque":
+            continue
         joints = [name for name, source in zip(arm.joint_names, arm.limit_sources[kind.key], strict=True) if not source]
         if joints:
             nobody.setdefault("all joints" if len(joints) == arm.n else listed(joints), []).append(kind.name)
     limits = [f"{listed(kinds)} of {joints} (nobody gave a limit)" for joints, kinds in nobody.items()]
     masses = []
-    if arm.weightless and any(arm.limit_sources["torque"]):
-        one = len(arm.weightless) == 1
+    if arm.weightless:
+        whose = "" if len(arm.weightless) == arm.n else f"{listed(arm.weightless)} "
         masses.append(
-            f"torques that {listed(arm.weightless)} {'needs' if one else 'need'} (the URDF gives "
-            f"{'it' if one else 'them'} no mass)"
+            f"joint torques, and how far the arm strays from its motion (the URDF gives {whose}no "
+            f"mass{'' if whose else 'es'}: it is planned as one that follows exactly, under position control)"
         )
-    return [*limits, *masses, *parts.unchecked]
+    return [*masses, *limits, *parts.unchecked]
 
 
 def verdict(

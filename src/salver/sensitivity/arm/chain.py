@@ -40,6 +40,7 @@ from salver.sensitivity.arm.tracking import (
     joint_loop,
     late,
 )
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.scenario import Scenario
@@ -81,7 +82,8 @@ class ChainModel:
 def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
     """The constants of a scenario's chain. arm: the scenario's, when it is loaded already.
 
-    Raises ScenarioError when the scenario has no arm, or when the controller sees objects that may stand elsewhere.
+    Raises ScenarioError when the scenario has no arm, its URDF no masses, or the controller sees objects that may stand
+    elsewhere.
     """
     if scenario.arm is None:
         raise ScenarioError(f"The scenario {scenario.name} has no arm; give it a table [arm].")
@@ -94,6 +96,11 @@ def chain_model(scenario: Scenario, arm: ArmModel | None = None) -> ChainModel:
                     'sensitivity here; use feedback = "joints".'
                 )
     arm = load_arm(scenario.arm, scenario.tray) if arm is None else arm
+    if arm.weightless:
+        raise ScenarioError(
+            f"{scenario.name}: the URDF gives {listed(arm.weightless)} no mass, so what a wrong load does to the arm "
+            "is not known; give every link that a joint moves an <inertial> with a mass above 0."
+        )
     gains = Gains(scenario.control.kp, scenario.control.kd)
     return ChainModel(
         scenario,
