@@ -2,17 +2,20 @@
 
 import copy
 import re
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from live_runs import drive, in_turn, rows_of
 from salver.live import Live, Moving
-from salver.live.obstacles import Passing, nearest, predicted
+from salver.live.lookout import Lookout, Sighting
+from salver.live.obstacles import Movable, Passing, nearest, predicted
 from salver.live.verify import few
 from salver.models.arm_geometry import arm_geometry
 from salver.planning.fastest import evaluate
-from salver.planning.fastest.obstacles import NEAR
+from salver.planning.fastest.obstacles import NEAR, SAFETY
 
 G = (0.0, 0.0, -9.81)
 
@@ -42,9 +45,8 @@ def test_distances_are_those_of_an_obstacle_that_stands_there(cube, problem):
         parts = arm_geometry(problem.arm, problem.items, there.obstacles)
         pairs = [(parts.names[i], d) for (i, j), d in zip(parts.pairs, parts.clearance(q[None])[0], strict=True)
                  if parts.names[j] == "x"]  # fmt: skip
-        passing = Passing(problem.keep_out.parts, (), 0.0)
-        mine = passing.distances(q[None], predicted(seen, 0.0), p[None])[0]
-        named = [problem.keep_out.parts.names[k] for k in passing._movable]
+        movable = Movable(problem.keep_out.parts)
+        mine, named = movable.distances(q[None], predicted(seen, 0.0), p[None])[0], movable.names
         near = [(name, d) for name, d in zip(named, mine, strict=True) if d < 0.1]
         assert len(near) >= 2
         for name, distance in near:
@@ -57,7 +59,7 @@ def test_derivatives_by_posture_and_duration_match_differences(problem):
     rng, q = np.random.default_rng(3), problem.start.q
     at = problem.arm.tray_pose(q)[0] + np.array([0.05, 0.04, 0.1])
     ball = predicted(Moving("ball", "sphere", at, (0.4, -0.3, 0.1), radius=0.03), 2.0)
-    passing = Passing(problem.keep_out.parts, (ball,), 2.0)
+    passing = Passing(Movable(problem.keep_out.parts), (ball,), 2.0)
     s, duration = np.linspace(0, 1, 4), 0.2
     z = np.zeros((4, 4, 7))
     z[0] = q + 0.02 * rng.standard_normal((4, 7))
@@ -95,7 +97,7 @@ def test_between_the_postures_that_are_looked_at_no_pair_moves_unseen(problem):
 @pytest.mark.slow
 def test_a_ball_that_would_hit_is_evaded_and_one_that_misses_is_not(cube):
     live = Live(cube, lead=0.1)
-    parts, q = live.problem.keep_out.parts, live.command(0.0)[0].copy()
+    parts, q = Movable(live.problem.keep_out.parts), live.command(0.0)[0].copy()
     p = live.problem.arm.tray_pose(q)[0]
     away = Moving("ball", "sphere", p + np.array([0.6, 0.0, 0.6]), (2.0, 0.0, 0.0), radius=0.05)
     assert live.obstacles([away]).ok
@@ -152,31 +154,179 @@ def test_where_the_arm_is_put_it_is_looked_anew_at_what_passes(cube):
     assert "Nothing was found that keeps clear of fist" in live.plan(60.0).passing
 
 
-def test_a_motion_that_comes_too_late_is_not_done_later_where_something_passes(cube):
-    """It is clear of what passes in its own time only."""
+@pytest.mark.parametrize("comes", [False, True])
+def test_a_motion_that_comes_too_late_is_done_later_only_where_it_keeps_clear_then(cube, comes):
+    """Of what stands still far away it does later too; a ball would have been gone, had it begun in time."""
     live = Live(cube, lead=0.1)
     drive(live, 0.05, every=None)
-    away = Moving("ball", "sphere", (2.0, 0.0, 0.5), radius=0.05)
-    assert live.obstacles([away]).ok
-    live.plan(60.0)
+    v = np.array([0.0, -2.0, 0.0]) if comes else np.zeros(3)
+    p = live.problem.arm.tray_pose(live.problem.start.q)[0] + np.array([0.0, 0.0, 0.1])
+    begin = p - 0.9 * v if comes else np.array([2.0, 0.0, 0.5])
+    assert live.obstacles([Moving("ball", "sphere", begin, v, radius=0.05, uncertainty=0.0, growth=0.0)]).ok
     planner, late = live._planner, []
 
     def slow(job):
         answer = planner.answer(job)
         late.append(answer.found)
-        drive(live, 0.2, every=None, begins=0.06)
+        drive(live, 0.6 if comes else 0.2, every=None, begins=0.06)
         return answer
 
     live.goto((0.45, 0.1, 0.45))
     live.plan(60.0, slow)
     assert late[0].begins < live.now
-    drive(live, 0.1, every=None, begins=0.26)
+    drive(live, 0.1, every=None, begins=0.7)
+    assert live.committed.at_rest == comes
+
+
+def going(cube, **given):
+    """A live motion on its way to a goal, and the ball that hits it there 0.6 s later."""
+    live = Live(cube, **given)
+    drive(live, 0.2, [(0.0, lambda live: live.goto((0.45, 0.1, 0.45)))])
+    at = live.problem.arm.tray_pose(live.committed.state(live.now + 0.6)[0])[0]
+    return live, thrown(at, 0.6, (1.5, 0.3, 0.2))
+
+
+def test_what_comes_is_announced_at_once_whatever_planning_does(cube):
+    """Nobody plans here at all. Nothing is announced of what misses, nor before, nor of what is gone."""
+    live, ball = going(cube, lead=0.1)
+    assert live.state.passing == ""
+    begun = time.thread_time()
+    assert live.obstacles([ball]).ok
+    assert time.thread_time() - begun < 0.05  # s; 2 ms on a quiet machine
+    assert re.fullmatch(r"ball comes too near to the \w+ at 0\.\d\d s\.", live.state.passing)
+    drive(live, 0.3, every=None, begins=0.2)
+    assert live.state.passing
+    away = replace(ball, position=np.add(ball.position, [0.0, 0.0, 4.0]))
+    assert live.obstacles([away]).ok
+    assert live.state.passing == ""
+
+
+def test_what_was_planned_for_another_world_is_not_committed(cube):
+    """A ball is seen while a goal is planned: the motion there would go through it."""
+    live = Live(cube, lead=0.1)
+    drive(live, 0.05, every=None)
+    planner, jobs = live._planner, []
+
+    def meanwhile(job):
+        answer = planner.answer(job)
+        jobs.append(job.wish)
+        end = live.problem.arm.tray_pose(answer.found.motion.q[-1])[0] + np.array([0.0, 0.0, 0.06])
+        assert live.obstacles([Moving("fist", "sphere", end, radius=0.03, growth=0.0)]).ok
+        return answer
+
+    live.goto((0.45, 0.1, 0.45))
+    live.plan(60.0, meanwhile)
+    drive(live, 0.3, every=None, begins=0.05)
+    assert [type(wish).__name__ for wish in jobs] == ["Goal"]
     assert live.committed.at_rest
-    live.obstacles([])
+    assert live.state.passing == ""
+    assert not live.idle  # it is planned again
+
+
+def test_what_comes_after_it_was_planned_and_before_it_is_handed_over_counts_too(cube):
+    live = Live(cube, lead=0.1)
+    drive(live, 0.05, every=None)
+    live.goto((0.45, 0.1, 0.45))
     live.plan(60.0)
-    drive(live, 0.02, every=None, begins=0.36)
+    end = live.problem.arm.tray_pose(live._offer.committed.motion.q[-1])[0] + np.array([0.0, 0.0, 0.06])
+    live.obstacles([Moving("fist", "sphere", end, radius=0.03, growth=0.0)])
+    drive(live, 0.3, every=None, begins=0.05)
+    assert live.committed.at_rest
+    live.obstacles([Moving("fist", "sphere", end + np.array([0, 0, 3.0]), radius=0.03, growth=0.0)])
     live.plan(60.0)
-    drive(live, 0.2, every=None, begins=0.38)
+    drive(live, 0.2, every=None, begins=0.35)
+    assert not live.committed.at_rest
+
+
+def test_looking_out_finds_what_a_fine_scan_of_time_finds(cube):
+    """Balls from everywhere at a moving arm, against distances at every two milliseconds."""
+    live, _ = going(cube, lead=0.1)
+    rng, counts = np.random.default_rng(4), [0, 0]
+    path, lookout, movable = live._running.looked, Lookout(live.problem), Movable(live.problem.keep_out.parts.apart())
+    assert path.ends - live.now > 0.3
+    t = np.arange(live.now, live.now + 1.2, 2e-3)
+    q = path.motion.sample(np.clip(t - path.since, 0.0, path.motion.duration))[0]
+    for _ in range(60):
+        at = live.problem.arm.tray_pose(path.motion.sample([rng.uniform(0, 0.8)])[0][0])[0] + rng.normal(0, 0.15, 3)
+        begin, seconds = at + rng.normal(0, 0.8, 3), rng.uniform(0.2, 1.0)
+        seen = Moving("ball", "sphere", begin, (at - begin) / seconds, radius=0.04, lasts=1.2, growth=0.05)
+        ball = predicted(seen, live.now)
+        near = lookout.outlook(path, Sighting((ball,)), live.now).near
+        free = movable.distances(q, ball, ball.at(t)[0]).min(axis=1) - ball.around(t) - path.off_at(t) - SAFETY
+        first = t[int(np.argmax(free <= 0.0))]
+        counts[bool(near)] += 1
+        if near:
+            assert free.min() < 0.01  # m: both go up to 10 m/s, half a step each
+            assert near[0].t <= first + 2e-3 or free.min() > 0.0
+        else:
+            assert free.min() > 0.0
+    assert min(counts) > 10
+    assert lookout.looks < 60 * 100
+
+
+def test_an_obstacle_is_where_it_was_seen_when_it_was_seen(cube):
+    """Reported 0.2 s late, it has flown on meanwhile."""
+    live = Live(cube, lead=0.1)
+    drive(live, 0.3, every=None, begins=7.0)  # the loop has a clock of its own
+    late = Moving("x", "sphere", (3.0, 0, 0.5), (-2.0, 0, 0), radius=0.05, seen=7.099, lasts=1.0)
+    assert live.obstacles([late]).ok
+    (here,) = live._sighting.obstacles
+    assert here.at(np.array([live.now]))[0][0, 0] == pytest.approx(3.0 - 2.0 * 0.2, abs=1e-9)
+    assert here.until == pytest.approx(live.now + 0.8)
+    sentence = live.obstacles([replace(late, seen=9.0)]).sentence
+    assert "seen must not be later than the loop's clock (it is by 1.7 s): the time of the obstacle x" in sentence
+    assert "each Moving must have a name of its own" in live.obstacles([late, late]).sentence
+
+
+def test_the_lead_of_a_way_out_is_learnt(cube, monkeypatch):
+    """Planning one takes 0.7 s here: out of the way of the first ball it comes too late, and that stays announced; of
+    the second it is in time. The lead of goals stays."""
+    live, missed = Live(cube), []
+    p = live.problem.arm.tray_pose(live.command(0.0)[0])[0]
+    planner = live._planner
+    monkeypatch.setattr(time, "perf_counter", lambda: live.now)
+
+    def slow(job):
+        answer = planner.answer(replace(job, budget=1e9))
+        drive(live, 0.7, every=None, begins=live.now)
+        return answer
+
+    for begun in (0.1, 4.0):
+        drive(live, begun - live.now, every=None, begins=live.now)
+        ball = thrown(p + np.array([0.0, 0.0, 0.08]), 1.5, (0.4, -1.7, 0.2))
+        assert live.obstacles([replace(ball, growth=0.05, lasts=1.8)]).ok
+        assert live.state.passing
+        live.plan(1.0, slow)
+        states = drive(live, 0.75, every=None, begins=live.now)
+        missed.append(live.state.passing == "" and np.any(states[1]))
+    assert missed == [False, True]
+    assert live._lead.of("way out") == pytest.approx(0.91, abs=0.01)
+    assert live._lead.of("motion") == 0.25
+
+
+def test_what_stands_still_and_is_reported_a_hundred_times_a_second_takes_no_planning(cube):
+    """Neither do forty things that stand still; ticks go on."""
+    live, jobs = Live(cube, lead=0.02), []
+    planner = live._planner
+
+    def noted(job):
+        jobs.append(type(job.wish).__name__)
+        return planner.answer(job)
+
+    rng = np.random.default_rng(3)
+    places = [rng.uniform(-1, 1, 3) * [1, 1, 0.3] + [0.0, 0.0, 2.2] for _ in range(40)]
+    for k in range(40):
+        live.command(0.01 * k)
+        noise = rng.normal(0, 1e-3, (40, 3))
+        boxes = [
+            Moving(f"box {i}", "box", p + x, size=(0.1, 0.1, 0.1), seen=0.01 * k)
+            for i, (p, x) in enumerate(zip(places, noise, strict=True))
+        ]
+        assert live.obstacles(boxes).ok
+        live.twist((0.05, 0.05, 0.0))
+        live.plan(60.0, noted)
+    assert live._sighting.news == 1
+    assert set(jobs) == {"Follow"}
     assert not live.committed.at_rest
 
 

@@ -4,28 +4,27 @@ from __future__ import annotations
 
 from collections import deque
 
-FIRST_LEAD = 0.25  # s from the beginning of planning to the hand-over, before it is known how long planning takes
-FIRST_TICK = 0.05  # s, the same of a tick
+# s from the beginning of planning to the hand-over, before it is known how long planning takes.
+FIRST = {"tick": 0.05, "motion": 0.25, "way out": 0.4}
 LEADS = 5  # plans from whose times the lead is taken
 SPARE = 1.3  # of the longest of them
 LEAST_LEAD, MOST_LEAD, MOST_LEAD_WET = 0.02, 1.0, 3.0  # s; with open liquids
 
 
 class Lead:
-    """s from the beginning of planning to the hand-over, of motions and of ticks (steered): given, or learnt from how
-    long planning takes. wet: with open liquids."""
+    """s from the beginning of planning to the hand-over, of a tick, a whole motion or a way out of the way of what
+    passes: given, or learnt from how long planning each takes. wet: with open liquids."""
 
     def __init__(self, given: float | None, wet: bool) -> None:
         self._given, self._most = given, MOST_LEAD_WET if wet else MOST_LEAD
-        self._spent: dict[bool, deque[float]] = {steered: deque(maxlen=LEADS) for steered in (False, True)}
+        self._spent: dict[str, deque[float]] = {kind: deque(maxlen=LEADS) for kind in FIRST}
 
-    def took(self, steered: bool, seconds: float) -> None:
-        """Planning took so long."""
-        self._spent[steered].append(seconds)
+    def took(self, kind: str, seconds: float) -> None:
+        """Planning one took so long."""
+        self._spent[kind].append(seconds)
 
-    def of(self, steered: bool) -> float:
+    def of(self, kind: str) -> float:
         """s."""
         if self._given is not None:
             return self._given
-        first = FIRST_TICK if steered else FIRST_LEAD
-        return min(max(LEAST_LEAD, SPARE * max(self._spent[steered], default=first / SPARE)), self._most)
+        return min(max(LEAST_LEAD, SPARE * max(self._spent[kind], default=FIRST[kind] / SPARE)), self._most)

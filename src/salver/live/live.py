@@ -27,8 +27,9 @@ import numpy.typing as npt
 from salver.errors import Status
 from salver.geometry import Array
 from salver.live.lead import Lead
+from salver.live.lookout import Lookout, Sighting
 from salver.live.motion import Committed, resting
-from salver.live.obstacles import Moving, Predicted, predicted
+from salver.live.obstacles import Moving, predicted
 from salver.live.planner import Answer, Job, Planner
 from salver.live.reader import Reader
 from salver.live.ready import STOPS_EVERY, Ready
@@ -119,13 +120,17 @@ class Live:
         self._done: Wish | None = None
         self._attempts = 0
         self._refused = ""
-        self._around: tuple[Predicted, ...] = ()
-        self._minded: tuple[Predicted, ...] | None = ()  # of which it was looked whether what is committed keeps clear
-        self._touched = ""
+        # What is predicted to pass. Nothing but a stop is committed that was not looked at in the newest sighting.
+        self._sighting = Sighting()
+        self._lookout = Lookout(problem)
+        self._seeing = threading.Lock()  # of whoever reports obstacles
+        # From which motion no way out was found, as of which news of what passes; and what is to be expected.
+        self._resigned: tuple[Running | None, int, str] = (None, 0, "")
         # Of open liquids: which; and whether how they move is not known any more.
         self._wet = " and ".join(body.name for body in problem.payload.liquids)
         self._unknown = False
         self._lead = Lead(lead, bool(self._wet))
+        self._look(self._running)
         self._reader.read(0.0)
 
     # --- the robot's loop
@@ -151,14 +156,15 @@ class Live:
                     now = self._now + step
                     offer = self._halt or self._offer
                     if offer is not None:
-                        wanted = self._wanted(offer.wish)
                         in_time = offer.after is self._running.committed and self._now <= offer.committed.begins
-                        if wanted and in_time:
+                        wanted = in_time and self._wanted(offer.wish)
+                        seen = isinstance(offer.wish, Halt) or offer.outlook.sighting is self._sighting
+                        if wanted and seen and offer.keeps_clear:
                             reader.take(offer.pieces)
                             self._running = offer
                         if offer is self._halt:
                             self._halt = None
-                        else:
+                        elif seen or not wanted:  # else it is being looked at
                             self._offer = None
                     reader.read(now)
                     self._now = now
@@ -329,19 +335,36 @@ class Live:
         return ACCEPTED
 
     def obstacles(self, seen: Sequence[Moving]) -> Status:
-        """What moves around the arm, all of it, as it is seen now; to be said again whenever something is seen to move
-        otherwise. What is not, counts as gone when its prediction ends."""
+        """What moves around the arm, all of it, as it is seen now; to be reported again whenever something is seen to
+        move otherwise, as often as you like. What is not, counts as gone when its prediction ends.
+
+        Whether what is committed keeps clear of it is looked at before this returns, and `state.passing` says so.
+        """
         if not isinstance(seen, Sequence) or not all(isinstance(one, Moving) for one in seen):
             return self._refuse("it must be a list of Moving", "What was seen")
-        found = []
-        for one in seen:
-            prediction = predicted(one, self._now)
-            if isinstance(prediction, Status):
-                return self._refuse(prediction.sentence, "What was seen")
-            found.append(prediction)
-        self._around = tuple(found)
-        self._ready.forget()
+        if len({one.name for one in seen}) < len(seen):
+            return self._refuse("each Moving must have a name of its own", "What was seen")
+        if seen and not self._lookout.sees:
+            return self._refuse("the arm has no geometry that could keep clear of it", "What was seen")
+        with self._seeing:
+            now, clock, found = self._now, self._last, []
+            for one in seen:
+                prediction = predicted(one, now, clock)
+                if isinstance(prediction, Status):
+                    return self._refuse(prediction.sentence, "What was seen")
+                found.append(prediction)
+            sighting = self._sighting.then(found, now)
+            for running in (self._running, self._offer):
+                if running is not None:
+                    running.outlook = self._lookout.outlook(running.looked, sighting, now)
+            self._sighting = sighting
+            self._look(self._running)  # if it is another one by now
         return ACCEPTED
+
+    def _look(self, running: Running) -> None:
+        """Whether it keeps clear, as of the newest sighting."""
+        while running.outlook.sighting is not (sighting := self._sighting):
+            running.outlook = self._lookout.outlook(running.looked, sighting, self._now)
 
     def measured(self, q: npt.ArrayLike) -> Status:
         """Where the arm is, (n,) rad, as its loop sees it: when that is too far from where it was commanded to be, it
@@ -383,13 +406,14 @@ class Live:
         if rest.committed is None:
             return self._refuse(f"the load is not safe at rest there: {rest.sentence}", "A restart")
         self._wish, self._done, self._refused, self._attempts = None, None, "", 0
-        self._unknown, self._astray, self._minded = False, "", None
+        self._unknown, self._astray = False, ""
         if (stopped := self._stopped) is not None:
             self._done = stopped.halt
         self._queue.clear()
         self._heard.clear()
         self._offer = self._offered = None
         self._running = Running.first(rest.committed, self._problem)
+        self._look(self._running)
         self._reader.take(self._running.pieces)
         self._reader.read(self._now)
         return ACCEPTED
@@ -401,6 +425,7 @@ class Live:
         a time; never raises. answer: does the work, elsewhere; in this thread unless given."""
         if self._planning.acquire(blocking=False):
             try:
+                self._look(self._running)
                 self._step(budget, answer or self._planner.answer)
             except Exception as error:  # the committed motion does not depend on it
                 self._refused = f"The planner failed ({type(error).__name__}: {error}); what was committed goes on."
@@ -423,13 +448,15 @@ class Live:
 
     def _prepare(self, budget: float, answer: Callable[[Job], Answer]) -> bool:
         running, base = self._running, self.committed
-        begins = self._hand_over(base, False, max(self._now + self.lead, self._ready.due(base)))
+        begins = self._hand_over(base, "motion", max(self._now + self.lead, self._ready.due(base)))
         if self._offer is not None or isinstance(self._asked, Follow | Halt) or begins >= base.ends - STOPS_EVERY:
             return False
         self._ready.looked_at(begins)
-        found = answer(Job(Halt(), base, begins, budget, self._around)).found
+        found = answer(Job(Halt(), base, begins, budget, self._sighting.obstacles)).found
         if found is not None and not self._denied(found):
-            self._ready.add(running.then(found, Halt(), self._now, self._problem), base)
+            stop = running.then(found, Halt(), self._now, self._problem)
+            self._look(stop)
+            self._ready.add(stop, base)
         return True
 
     def _denied(self, found: Committed) -> str:
@@ -450,7 +477,8 @@ class Live:
     @property
     def idle(self) -> bool:
         """Whether there is nothing to plan."""
-        return self._offer is None and self._due() is None
+        seen = self._running.outlook.sighting is self._sighting
+        return seen and self._offer is None and self._due() is None
 
     @property
     def state(self) -> State:
@@ -465,10 +493,13 @@ class Live:
             if isinstance(self._asked, Halt)
             else "following"
         )
-        touched = self._touched if any(now <= one.until for one in self._around) else ""
+        running, news, touched = self._resigned
+        passing = self._running.outlook.sentence(now)
+        if passing and touched and running is self._running and news == self._sighting.news:
+            passing = touched
         stopped = "" if self._stopped is None else str(self._stopped)
         return State(
-            doing, rests_in, limit, margin, self._refused, self._clock, self.lead, touched, stopped, self._refusals
+            doing, rests_in, limit, margin, self._refused, self._clock, self.lead, passing, stopped, self._refusals
         )
 
     @property
@@ -509,7 +540,7 @@ class Live:
     @property
     def lead(self) -> float:
         """s from the beginning of planning to the hand-over."""
-        return self._lead.of(isinstance(self._asked, Follow))
+        return self._lead.of(_kind(self._asked))
 
     @property
     def _asked(self) -> Wish | None:
@@ -522,17 +553,16 @@ class Live:
         wish, offered = self._asked, self._offered
         if isinstance(wish, Halt) and (self._halt is not None or isinstance(self._running.wish, Halt)):
             self._done = wish  # by a stop that was ready
-        if self._minded is not self._around and self._offer is None and self._stopped is None:
-            return EVADE
         if offered is not None and self._offer is None:
             self._offered = None
-            if isinstance(offered.wish, Evade):
-                if self._running is not offered:
-                    self._minded = None  # it came late: once more
-            elif self._running is offered and not isinstance(offered.wish, Follow):
+            if self._running is offered and not isinstance(offered.wish, Follow | Evade):
                 self._done, self._attempts = offered.wish, 0
+        running = self._running
+        resigned = self._resigned[0] is running and self._resigned[1] == self._sighting.news
+        if running.outlook.sentence(self._now) and not resigned and self._stopped is None and self._offer is None:
+            return EVADE
         if wish is not self._done:
-            early = isinstance(wish, Follow) and self._hand_over(self.committed, True) <= self.committed.begins + 1e-9
+            early = isinstance(wish, Follow) and self._hand_over(self.committed, "tick") <= self.committed.begins + 1e-9
             return None if early else wish
         if self._stopped is None and self._now >= self.committed.ends:
             with contextlib.suppress(IndexError):  # none is queued, or not any more
@@ -544,43 +574,49 @@ class Live:
         wish = self._due()
         if wish is None or self._offer is not None:
             return
-        running, began = self._running, time.perf_counter()
-        base, steered = running.committed, isinstance(wish, Follow)
-        begins = self._hand_over(base, steered)
+        running, began, kind = self._running, time.perf_counter(), _kind(wish)
+        base, begins = running.committed, self._hand_over(running.committed, kind)
         if isinstance(wish, Follow) and self._now > wish.until + CALMING:
             self._done = wish  # what is committed ends at rest
             return
         if isinstance(wish, Halt) and begins >= base.ends:
             self._done = wish
             return
-        around = self._around
-        answered = answer(Job(wish, base, begins, budget, around, self._now))
+        sighting, threats = self._sighting, running.outlook.near
+        names = tuple(one.obstacle for one in threats)
+        answered = answer(Job(wish, base, begins, budget, sighting.obstacles, names, self._now))
         found, status = answered.found, answered.status
         if found is not None and (denied := self._denied(found)):
             found, status = None, Status("refused", denied, False)
-        if isinstance(wish, Evade):
-            self._minded, self._touched = around, answered.touched
-            if found is not None:
-                self._offered = running.then(found, wish, self._now, self._problem)
-                self._offer = self._offered
-                self._done = None if isinstance(self._wish, Goal) else self._wish
-            return
-        self._lead.took(steered, time.perf_counter() - began)
-        if answered.done:
+        self._lead.took(kind, time.perf_counter() - began)
+        if answered.done and not isinstance(wish, Evade):
             self._done = wish
         late = found is not None and found.begins < self._now and base.ends <= found.begins
-        late = late and not any(self._now <= one.until for one in around)  # it was clear of these only in its own time
         if late and found is not None:
             # It came late, but the arm was at rest and is: the same motion, from a little later on; unless waves, which
             # go on, are then such that it would not do.
-            again = verified(self._problem, found.motion, self._hand_over(base, steered), base)
+            again = verified(self._problem, found.motion, self._hand_over(base, kind), base)
             found, status = again.committed, Status("refused", again.sentence, False)
+        offered = None
         if found is not None:
+            offered = running.then(found, wish, self._now, self._problem)
+            offered.resigned = isinstance(wish, Halt) or bool(answered.touched)
+            self._look(offered)
+            if not offered.keeps_clear:
+                if offered.outlook.sighting.news != sighting.news:
+                    return  # it was planned for another world
+                status, offered = Status("refused", offered.outlook.sentence(self._now), False), None
+        if isinstance(wish, Evade):
+            if offered is None or answered.touched:
+                self._resigned = (offered or running, sighting.news, answered.touched or running.outlook.sentence(0.0))
+            if offered is not None:
+                self._offered = self._offer = offered
+                self._done = None if isinstance(self._wish, Goal) else self._wish
+        elif offered is not None:
             if not isinstance(wish, Halt):  # of a stop it stays said why the arm is stopped
                 self._refused = ""
-            self._offered = running.then(found, wish, self._now, self._problem)
-            self._offer = self._offered
-        elif wish is not self._done and not steered:
+            self._offered = self._offer = offered
+        elif wish is not self._done and kind != "tick":
             self._attempts += 1
             resting = begins >= base.ends and not late
             last = status.code == "unreachable" or resting or self._attempts >= MOST_ATTEMPTS
@@ -589,10 +625,10 @@ class Live:
                 what = f"The goal {wish.what}" if isinstance(wish, Goal) else "The stop"
                 self._refuse(status.sentence, what)
 
-    def _hand_over(self, base: Committed, steered: bool, earliest: float | None = None) -> float:
+    def _hand_over(self, base: Committed, kind: str, earliest: float | None = None) -> float:
         """Live time of the next hand-over: the next tick, or where the base's deviation is known exactly."""
-        begins = max(self._now + self.lead if earliest is None else earliest, base.begins)
-        if steered:
+        begins = max(self._now + self._lead.of(kind) if earliest is None else earliest, base.begins)
+        if kind == "tick":
             return TICK * float(np.ceil(begins / TICK - 1e-9))
         k = int(np.searchsorted(base.nodes, begins))
         return float(base.nodes[k]) if k < len(base.nodes) else begins
@@ -601,3 +637,8 @@ class Live:
         self._refusals += 1
         self._refused = f"{what} is refused: {reason.rstrip('.')}."
         return refused(self._refused)
+
+
+def _kind(wish: Wish | None) -> str:
+    """Which lead it has."""
+    return "tick" if isinstance(wish, Follow) else "way out" if isinstance(wish, Evade) else "motion"

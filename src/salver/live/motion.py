@@ -6,7 +6,7 @@ wrong load and held commands have brought the arm into goes on from one motion t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class Committed:
     begins: live time of the motion's own time 0, s. motion: knots from 0 on; at rest after the last one, and before the
     first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
     (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. waves: of all liquids
-    along it, None without.
+    along it, None without. off: (N,) m by which what stands on the tray may be elsewhere.
     """
 
     begins: float
@@ -60,6 +60,7 @@ class Committed:
     deviation: Array | None
     margins: Margins
     waves: Past | None = None
+    off: Array = field(default_factory=lambda: np.zeros(1))
 
     @property
     def ends(self) -> float:

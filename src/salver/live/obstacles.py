@@ -29,6 +29,9 @@ AT_NODES = 5e-3  # m more that a programme keeps at its nodes
 REST_STEP = 5e-3  # s between looks at the arm at rest
 MOST_SPEED, MOST_SIZE = 50.0, 10.0  # m/s, m: what is beyond is in another unit
 LONGEST_PREDICTION = 10.0  # s
+AHEAD = 0.05  # s by which something may be said to be seen ahead of the loop's clock
+AGREES = 8  # instants at which two predictions are compared
+SAME = 1e-9  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +39,11 @@ class Moving:
     """Something that moves, as it is seen now; S is the world.
 
     type: "sphere" (radius, m), "capsule" (radius; length of its axis, m, along z) or "box" (size (3,), m). rotation:
-    (3, 3), kept while it moves. position (3,), m; velocity, m/s, and acceleration, m/s^2 (of a thrown ball (0, 0,
-    -9.81)), from now on. samples: in place of these, times (K,), s from now, and positions (K, 3); linear between them,
-    held after the last. uncertainty: m by which it may be elsewhere now; growth: m/s by which that grows. lasts: s for
-    which all this is believed; what is not seen again by then counts as gone.
+    (3, 3), kept while it moves. seen: when that was, on the clock of `Live.command`, s; when it is reported unless
+    given. position (3,), m, then; velocity, m/s, and acceleration, m/s^2 (of a thrown ball (0, 0, -9.81)), from then
+    on. samples: in place of these, times (K,), s from then, and positions (K, 3); linear between them, held after the
+    last. uncertainty: m by which it may be elsewhere then; growth: m/s by which that grows. lasts: s for which all this
+    is believed; what is not seen again by then counts as gone.
     """
 
     name: str
@@ -55,10 +59,11 @@ class Moving:
     uncertainty: float = 0.01
     growth: float = 0.1
     lasts: float = 1.5
+    seen: float | None = None
 
 
-def predicted(seen: Moving, now: float) -> Predicted | Status:
-    """What is predicted at live time `now`, s, or why nothing can be."""
+def predicted(seen: Moving, now: float, clock: float | None = None) -> Predicted | Status:
+    """What is predicted at live time `now`, s, when the loop's clock is at `clock`, or why nothing can be."""
 
     def refused(what: str) -> Status:
         return Status("refused", f"{what} of the obstacle {seen.name}", False)
@@ -118,6 +123,16 @@ def predicted(seen: Moving, now: float) -> Predicted | Status:
                 f"samples must not move at more than {MOST_SPEED:g} m/s (they do at {fastest:.3g}): the samples"
             )
         samples = (now + t, p)
+    if seen.seen is not None:
+        when = numbers(seen.seen, (), np.inf)
+        if when is None:
+            return refused("seen must be a time on the clock of the loop, s: the time")
+        ahead = float(when) - (now if clock is None else clock)
+        if ahead > AHEAD:
+            return refused(f"seen must not be later than the loop's clock (it is by {ahead:.3g} s): the time")
+        now += min(ahead, 0.0)
+        if samples is not None:
+            samples = (samples[0] + min(ahead, 0.0), samples[1])
     solid.computeLocalAABB()
     sure, grows, lasts = (float(found[name]) for name in ("uncertainty", "growth", "lasts"))
     return Predicted(seen.name, solid, R, now, powers, samples, sure, grows, now + lasts)
@@ -138,12 +153,16 @@ class Predicted:
     until: float
 
     def __reduce__(self) -> Any:  # Coal's shapes do not travel as parts of others
+        rest = (self.R, self.t0, self.powers, self.samples, self.uncertainty, self.growth, self.until)
+        return _restored, (self.name, self._made, rest)
+
+    @cached_property
+    def _made(self) -> tuple[str, tuple[float, ...]]:
+        """What kind of shape it is, and its sizes."""
         shape = self.shape
         kind = type(shape).__name__
         size = {"Sphere": lambda: (shape.radius,), "Capsule": lambda: (shape.radius, 2 * shape.halfLength)}
-        made = (kind, size[kind]() if kind in size else tuple(2 * shape.halfSide))
-        rest = (self.R, self.t0, self.powers, self.samples, self.uncertainty, self.growth, self.until)
-        return _restored, (self.name, made, rest)
+        return kind, size[kind]() if kind in size else tuple(2 * shape.halfSide)
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """(N, 3) positions and velocities at live times (N,)."""
@@ -164,6 +183,28 @@ class Predicted:
         """(N,) m by which it may be elsewhere at live times."""
         return self.uncertainty + self.growth * np.maximum(t - self.t0, 0.0)
 
+    @cached_property
+    def radius(self) -> float:
+        """m, of a sphere around its position that holds it."""
+        return float(np.linalg.norm(self.shape.aabb_center)) + float(self.shape.aabb_radius)
+
+    def fastest(self, speeds: Array) -> Array:
+        """(N,) m/s, no less than its speed at instants at which it is known, and between two of them."""
+        if self.samples is None:
+            return speeds
+        times, positions = self.samples
+        most = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(times)
+        return np.full_like(speeds, most.max(initial=0.0))
+
+    def foresaw(self, seen: Predicted, now: float) -> bool:
+        """Whether what is seen now, live time in s, is where this has said that it may be, for as long as it is
+        believed."""
+        if self._made != seen._made or not np.array_equal(self.R, seen.R) or self.until < now:
+            return False
+        t = np.linspace(now, self.until, AGREES)
+        away = np.linalg.norm(self.at(t)[0] - seen.at(t)[0], axis=1)
+        return bool(np.all(away <= self.around(t)) and seen.uncertainty <= self.around(t[:1])[0] + SAME)
+
 
 def _restored(name: str, made: tuple[str, tuple[float, ...]], rest: tuple[Any, ...]) -> Predicted:
     shape = {"Sphere": coal.Sphere, "Capsule": coal.Capsule, "Box": coal.Box}[made[0]](*made[1])
@@ -171,42 +212,96 @@ def _restored(name: str, made: tuple[str, tuple[float, ...]], rest: tuple[Any, .
     return Predicted(name, shape, *rest)
 
 
+class Movable:
+    """The parts of an arm that can move out of the way: all but its base. Not for use by several threads at once."""
+
+    def __init__(self, parts: ArmGeometry) -> None:
+        arm, model = parts.arm, parts.arm.pin_model
+        self.arm, self._parts = arm, parts
+        mine = len(parts.names) - parts.obstacles
+        self.index = [k for k in range(mine) if parts.model.geometryObjects[k].parentJoint > 1]
+        self.names = [parts.names[k] for k in self.index]
+        self._geometry = [parts.model.geometryObjects[k] for k in self.index]
+        shapes = [one.geometry for one in self._geometry]
+        self._centres = [np.array(x.aabb_center) for x in shapes]  # of bounding spheres, in each part's own frame
+        self.radii = np.array([float(x.aabb_radius) for x in shapes])
+        # (M, n) at most how far a part moves when a joint moves by 1.
+        self.levers = np.zeros((len(shapes), arm.n))
+        links = [np.linalg.norm(x.translation) for x in model.jointPlacements]
+        for row, part in enumerate(self._geometry):
+            length = float(np.linalg.norm(part.placement.act(self._centres[row]))) + self.radii[row]
+            for joint in reversed(list(model.supports[part.parentJoint])[1:]):
+                self.levers[row, joint - 1] = 1.0 if arm.linear[joint - 1] else length
+                length += float(links[joint])
+        self._request, self.result = coal.DistanceRequest(), coal.DistanceResult()
+
+    def _place(self, q: Array) -> Any:
+        parts = self._parts
+        pin.updateGeometryPlacements(self.arm.pin_model, self.arm.data, parts.model, parts.data, q)
+        return parts.data.oMg
+
+    def middles(self, q: Array) -> Array:
+        """(N, M, 3) centres of bounding spheres at postures (N, n)."""
+        out = np.empty((len(q), len(self.index), 3))
+        for k, posture in enumerate(q):
+            placed = self._place(posture)
+            out[k] = [placed[i].act(c) for i, c in zip(self.index, self._centres, strict=True)]
+        return out
+
+    def distance(self, q: Array, row: int, obstacle: Predicted, p: Array) -> float:
+        """Of one part at a posture (n,) from an obstacle at p (3,), m; exact."""
+        return self._between(self._place(q)[self.index[row]], row, obstacle, p)
+
+    def _between(self, placed: Any, row: int, obstacle: Predicted, p: Array) -> float:
+        self.result.clear()
+        here, there = coal.Transform3s(placed.rotation, placed.translation), coal.Transform3s(obstacle.R, p)
+        part = self._geometry[row].geometry
+        return float(coal.distance(part, here, obstacle.shape, there, self._request, self.result))
+
+    def distances(self, q: Array, obstacle: Predicted, p: Array, middles: Array | None = None) -> Array:
+        """(N, M) at postures (N, n) from an obstacle at p (N, 3), m; beyond `FAR` no larger than the true ones. q may
+        be one posture for all. middles: as of these postures, if they are known."""
+        middles = self.middles(q) if middles is None else middles
+        out = np.linalg.norm(middles - p[:, None], axis=2) - self.radii - obstacle.radius
+        last, placed = -1, None
+        known: dict[int, float] = {}
+        for k, row in np.argwhere(out < FAR).tolist():
+            at = min(k, len(q) - 1)
+            if placed is None or at != last or np.any(p[k] != p[k - 1]):
+                known = {}
+            if placed is None or at != last:
+                last, placed = at, self._place(q[at])
+            if row not in known:
+                known[row] = self._between(placed[self.index[row]], row, obstacle, p[k])
+            out[k, row] = known[row]
+        return out
+
+    def slopes(self, q: Array, p: Array, obstacle: Predicted, node: Indices, part: Indices) -> tuple[Array, Array]:
+        """(r, n) derivatives of distances by the joints, and the normals (r, 3) towards the obstacle."""
+        arm, model = self.arm, self.arm.pin_model
+        slopes, normals = np.zeros((len(node), arm.n)), np.zeros((len(node), 3))
+        for k in np.unique(node):
+            pin.computeJointJacobians(model, arm.data, q[k])
+            placed = self._place(q[k])
+            for r in np.flatnonzero(node == k):
+                row = int(part[r])
+                self._between(placed[self.index[row]], row, obstacle, p[k])
+                normal, at = self.result.normal, self.result.getNearestPoint1()
+                joint = self._geometry[row].parentJoint
+                moved = pin.getJointJacobian(model, arm.data, joint, pin.LOCAL_WORLD_ALIGNED)
+                lever = at - arm.data.oMi[joint].translation
+                slopes[r] = -(normal @ moved[:3] + np.cross(lever, normal) @ moved[3:])
+                normals[r] = normal
+        return slopes, normals
+
+
 @dataclass(frozen=True, eq=False)
 class Passing(Constraint):
-    """Rows of a motion whose time 0 is live time `begins`, s: clear of what is predicted to pass.
+    """Rows of a motion whose time 0 is live time `begins`, s: clear of what is predicted to pass."""
 
-    parts: of the arm; its base, which cannot move out of the way, is left out.
-    """
-
-    parts: ArmGeometry
+    movable: Movable
     obstacles: tuple[Predicted, ...]
     begins: float
-
-    @cached_property
-    def _movable(self) -> Indices:
-        joints = [part.parentJoint for part in self.parts.model.geometryObjects]
-        mine = len(self.parts.names) - self.parts.obstacles
-        return np.array([k for k in range(mine) if joints[k] > 1], dtype=np.intp)
-
-    @cached_property
-    def _bounds(self) -> tuple[Array, Array]:
-        """Of each movable part: centre of a bounding sphere in its own frame, and its radius."""
-        shapes = [self.parts.model.geometryObjects[int(k)].geometry for k in self._movable]
-        return np.array([s.aabb_center for s in shapes]), np.array([float(s.aabb_radius) for s in shapes])
-
-    @cached_property
-    def _levers(self) -> Array:
-        """(M, n) at most how far a part moves when a joint moves by 1."""
-        arm, model = self.parts.arm, self.parts.arm.pin_model
-        (centres, radii), links = self._bounds, [np.linalg.norm(x.translation) for x in model.jointPlacements]
-        levers = np.zeros((len(radii), arm.n))
-        for row, k in enumerate(self._movable):
-            part = self.parts.model.geometryObjects[int(k)]
-            length = float(np.linalg.norm(part.placement.act(centres[row]))) + radii[row]
-            for joint in reversed(list(model.supports[part.parentJoint])[1:]):
-                levers[row, joint - 1] = 1.0 if arm.linear[joint - 1] else length
-                length += float(links[joint])
-        return levers
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
         q, dq = motion.at_nodes[:2]
@@ -216,22 +311,26 @@ class Passing(Constraint):
             stray = strayed(*motion.tray_radius())
         steps = np.pad(np.diff(t), 1)
         longest = 0.5 * np.maximum(steps[:-1], steps[1:])  # half of the time to the next look
+        movable, middles = self.movable, self.movable.middles(q)
         rest = np.arange(t[-1], max(t[-1], max(x.until for x in self.obstacles) - self.begins) + REST_STEP, REST_STEP)
         for obstacle in self.obstacles:
             p, v = obstacle.at(self.begins + t)
             speed = np.linalg.norm(v, axis=1) + obstacle.growth
-            free = self.distances(q, obstacle, p) - (SAFETY + obstacle.around(self.begins + t) + stray)[:, None]
+            free = (
+                movable.distances(q, obstacle, p, middles)
+                - (SAFETY + obstacle.around(self.begins + t) + stray)[:, None]
+            )
             if not motion.imposed:  # what both may go until the next look
-                free -= longest[:, None] * (speed[:, None] + np.abs(dq) @ self._levers.T)
+                free -= longest[:, None] * (speed[:, None] + np.abs(dq) @ movable.levers.T)
             free[self.begins + t > obstacle.until] = FAR
 
             def gradient(i: Indices, f: Indices, obstacle: Predicted = obstacle, p: Array = p) -> Array:
-                return padded(-PER_METRE * self._slopes(q, p, obstacle, i, f)[0], motion.n)
+                return padded(-PER_METRE * movable.slopes(q, p, obstacle, i, f)[0], motion.n)
 
             def by_duration(obstacle: Predicted = obstacle, p: Array = p, v: Array = v, free: Array = free) -> Array:
                 out = np.zeros_like(free)
                 i, f = np.nonzero(free < 0.5 * FAR)
-                normal = self._slopes(q, p, obstacle, i, f)[1]
+                normal = movable.slopes(q, p, obstacle, i, f)[1]
                 out[i, f] = -PER_METRE * t[i] * (np.einsum("ri,ri->r", normal, v[i]) - obstacle.growth)
                 return out
 
@@ -250,10 +349,10 @@ class Passing(Constraint):
                 inherits=False,
             )
             # At rest, until nothing is known any more.
-            late, _ = obstacle.at(self.begins + rest)
-            faster = np.linalg.norm(obstacle.at(self.begins + rest)[1], axis=1) + obstacle.growth
+            late, v_late = obstacle.at(self.begins + rest)
+            faster = np.linalg.norm(v_late, axis=1) + obstacle.growth
             kept = SAFETY + obstacle.around(self.begins + rest) + stray[-1] + 0.5 * REST_STEP * faster
-            there = self.distances(np.repeat(q[-1:], len(rest), axis=0), obstacle, late) - kept[:, None]
+            there = movable.distances(q[-1:], obstacle, late, middles[-1:]) - kept[:, None]
             there[self.begins + rest > obstacle.until] = FAR
             worst = np.argmin(there, axis=0)
 
@@ -261,7 +360,7 @@ class Passing(Constraint):
                 i: Indices, f: Indices, obstacle: Predicted = obstacle, late: Array = late, k: Indices = worst
             ) -> Array:
                 postures = np.repeat(q[-1:], len(late), axis=0)
-                return padded(-PER_METRE * self._slopes(postures, late, obstacle, k[f], f)[0], motion.n)
+                return padded(-PER_METRE * movable.slopes(postures, late, obstacle, k[f], f)[0], motion.n)
 
             yield Block(
                 f"rest clear of {obstacle.name}",
@@ -276,63 +375,18 @@ class Passing(Constraint):
                 inherits=False,
             )
 
-    def distances(self, q: Array, obstacle: Predicted, p: Array) -> Array:
-        """(N, M) of the movable parts at postures (N, n) from an obstacle at p (N, 3), m; beyond `FAR` no larger than
-        the true ones."""
-        (centres, radii), shape = self._bounds, obstacle.shape
-        away = float(np.linalg.norm(shape.aabb_center)) + float(shape.aabb_radius)
-        out = np.empty((len(q), len(radii)))
-        request, result = coal.DistanceRequest(), coal.DistanceResult()
-        for k, there in enumerate(p):
-            if k == 0 or np.any(q[k] != q[k - 1]):
-                placed = self._placed(q[k])
-                middle = np.array([x.act(c) for x, c in zip(placed, centres, strict=True)])
-            out[k] = np.linalg.norm(middle - there, axis=1) - radii - away
-            for row in np.flatnonzero(out[k] < FAR):
-                out[k, row] = self._distance(placed[row], int(row), obstacle, there, request, result)
-        return out
 
-    def _placed(self, q: Array) -> list[Any]:
-        parts = self.parts
-        pin.updateGeometryPlacements(parts.arm.pin_model, parts.arm.data, parts.model, parts.data, q)
-        return [pin.SE3(parts.data.oMg[int(k)]) for k in self._movable]
-
-    def _distance(self, placed: Any, row: int, obstacle: Predicted, p: Array, request: Any, result: Any) -> float:
-        result.clear()
-        part = self.parts.model.geometryObjects[int(self._movable[row])].geometry
-        here, there = coal.Transform3s(placed.rotation, placed.translation), coal.Transform3s(obstacle.R, p)
-        return float(coal.distance(part, here, obstacle.shape, there, request, result))
-
-    def _slopes(self, q: Array, p: Array, obstacle: Predicted, node: Indices, part: Indices) -> tuple[Array, Array]:
-        """(r, n) derivatives of distances by the joints, and the normals (r, 3) towards the obstacle."""
-        arm, model = self.parts.arm, self.parts.arm.pin_model
-        slopes, normals = np.zeros((len(node), arm.n)), np.zeros((len(node), 3))
-        request, result = coal.DistanceRequest(), coal.DistanceResult()
-        for k in np.unique(node):
-            pin.computeJointJacobians(model, arm.data, q[k])
-            placed = self._placed(q[k])
-            for r in np.flatnonzero(node == k):
-                row = int(part[r])
-                self._distance(placed[row], row, obstacle, p[k], request, result)
-                normal, at = result.normal, result.getNearestPoint1()
-                joint = self.parts.model.geometryObjects[int(self._movable[row])].parentJoint
-                moved = pin.getJointJacobian(model, arm.data, joint, pin.LOCAL_WORLD_ALIGNED)
-                lever = at - arm.data.oMi[joint].translation
-                slopes[r] = -(normal @ moved[:3] + np.cross(lever, normal) @ moved[3:])
-                normals[r] = normal
-        return slopes, normals
-
-
-def nearest(parts: ArmGeometry, obstacles: Sequence[Predicted], q: Array, t: Array) -> tuple[float, float, str]:
+def nearest(movable: Movable, obstacles: Sequence[Predicted], q: Array, t: Array) -> tuple[float, float, str]:
     """How near a motion through postures (N, n) at live times (N,) comes to what is predicted, beyond its uncertainty:
-    m, when, and to which."""
+    m, when, and to which. q may be one posture for all."""
     found = (np.inf, 0.0, "")
+    middles = movable.middles(q)
     for obstacle in obstacles:
         believed = t <= obstacle.until
         if not believed.any():
             continue
-        passing = Passing(parts, (obstacle,), 0.0)
-        free = passing.distances(q[believed], obstacle, obstacle.at(t[believed])[0]).min(axis=1)
+        some = believed if len(q) > 1 else slice(None)
+        free = movable.distances(q[some], obstacle, obstacle.at(t[believed])[0], middles[some]).min(axis=1)
         free = free - obstacle.around(t[believed])
         k = int(np.argmin(free))
         found = min(found, (float(free[k]), float(t[believed][k]), obstacle.name))

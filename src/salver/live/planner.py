@@ -5,18 +5,20 @@ What it gives was verified (`salver.live.verify`); whoever asked decides whether
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from salver.errors import Status
 from salver.live.motion import SHORTEST, Committed, between, resting
-from salver.live.obstacles import Passing, Predicted, nearest
+from salver.live.obstacles import Movable, Passing, Predicted, nearest
 from salver.live.replan import Replanner, Sought
 from salver.live.steer import Steering
-from salver.live.verify import instants, verified
+from salver.live.verify import verified
 from salver.live.wishes import Evade, Follow, Goal, Halt, Wish, why_not
-from salver.planning.fastest import Anywhere, AtPose, AtPosture, End, TransportProblem, evaluate
+from salver.planning.fastest import Anywhere, AtPose, AtPosture, End, TransportProblem
 from salver.planning.postures import PoseTarget
 from salver.trajectory import JointMotion
 
@@ -30,13 +32,15 @@ SOON = 0.1  # s: whoever is at rest by then need not look for a shorter way to i
 @dataclass(frozen=True, eq=False)
 class Job:
     """wish: what for. base: what is committed; begins: live time, s, at which it may be left. budget: s. obstacles:
-    what is predicted to pass. now: live time, s, when it was asked."""
+    what is predicted to pass; threats: which of it what is committed does not keep clear of. now: live time, s, when it
+    was asked."""
 
     wish: Wish
     base: Committed
     begins: float
     budget: float
     obstacles: tuple[Predicted, ...] = ()
+    threats: tuple[str, ...] = ()
     now: float = 0.0
 
 
@@ -58,6 +62,7 @@ class Planner:
         self.problem = problem
         self._replanner = Replanner.of(problem)
         self._steering = Steering.of(problem, Sought.of(problem))
+        self._movable = None if problem.keep_out is None else Movable(problem.keep_out.parts)
 
     def answer(self, job: Job) -> Answer:
         wish, base, begins = job.wish, job.base, job.begins
@@ -100,27 +105,30 @@ class Planner:
     def _among(self, job: Job) -> TransportProblem:
         """The problem with what is predicted to pass, in the time of a motion from the hand-over on."""
         problem = self.problem
-        if not job.obstacles or problem.keep_out is None:
+        obstacles = tuple(one for one in job.obstacles if one.until > job.begins)
+        if not obstacles or self._movable is None:
             return problem
-        passing = Passing(problem.keep_out.parts, job.obstacles, job.begins)
+        passing = Passing(self._movable, obstacles, job.begins)
         return replace(problem, extra=(*problem.extra, passing))
 
     def _evading(self, job: Job, problem: TransportProblem, replanner: Replanner) -> Answer:
-        """Nothing, when what is committed keeps clear; else the shortest motion found to a rest that does; else what of
-        both goes further from what passes, for the load is kept by both."""
-        base, begins = job.base, job.begins
-        fine = Status("optimal", "", True)
-        if problem is self.problem:
-            return Answer(None, fine, True)
+        """The shortest motion found to a rest that keeps clear; else a stop or what is committed, whichever goes
+        further from what passes, for the load is kept by both."""
+        if problem is self.problem or not job.threats:
+            return Answer(None, Status("optimal", "", True), True)
+        base, begins, ends = job.base, job.begins, time.perf_counter() + job.budget
         own = begins - base.begins
         left = between(base.motion, own, max(base.motion.duration, own + SHORTEST))
-        if self._clear(job, left):
-            return Answer(None, fine, True)
-        for end in [*self._asides(job)[:TRIED], Anywhere()]:
-            found, status = replanner.to(end, base, begins, job.budget, around=False)
+        status = Status("refused", "there was no time to look for a way out", False)
+        for end in self._ways_out(job):
+            if (budget := ends - time.perf_counter()) <= 0:
+                break
+            found, status = replanner.to(end, base, begins, budget, around=False)
             if found is not None:
                 return Answer(found, status)
-        stop, _ = self._replanner.to(Anywhere(), base, begins, job.budget, around=False)
+        stop = None
+        if (budget := ends - time.perf_counter()) > 0 and base.ends > begins:
+            stop, _ = self._replanner.to(Anywhere(), base, begins, budget, around=False)
         motions = {"goes on": left} | ({} if stop is None else {"stops": stop.motion})
         comes = {how: self._nearest(job, motion) for how, motion in motions.items()}
         best = max(comes, key=lambda how: comes[how][0])
@@ -129,16 +137,22 @@ class Planner:
         touched = f"Nothing was found that keeps clear of {name}: it {best}, and {near}."
         return Answer(stop if best == "stops" else None, status, best != "stops", touched)
 
+    def _ways_out(self, job: Job) -> Iterator[End]:
+        """Postures beside the way of what passes, in which the arm may rest, the nearest first; then any rest."""
+        yield from self._asides(job)[:TRIED]
+        yield Anywhere()
+
     def _asides(self, job: Job) -> list[End]:
-        """Postures beside the way of what passes, in which the arm may rest; the nearest first."""
+        """Postures beside the way of what threatens, in which the arm may rest; the nearest first."""
         problem, first = self.problem, self.problem.items[0]
-        assert problem.keep_out is not None
+        assert self._movable is not None
         q, limits = job.base.state(job.begins)[0], problem.limits
         p_SB = problem.arm.object_pose(q, first.p_EB, first.R_EB)[0]
-        until = np.arange(job.begins, max(x.until for x in job.obstacles), ASIDE_STEP)
+        threats = [one for one in job.obstacles if one.name in job.threats]
+        until = np.arange(job.begins, max((x.until for x in threats), default=0.0), ASIDE_STEP)
         found: list[tuple[float, End]] = []
         ways = [np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])]
-        for obstacle in job.obstacles:
+        for obstacle in threats:
             v = obstacle.at(until)[1].mean(axis=0) if len(until) else np.zeros(3)
             across = np.cross(v, [0.0, 0.0, 1.0])
             ways += [sign * x / np.linalg.norm(x) for x in (across, v * [1, 1, 0]) if x.any() for sign in (1.0, -1.0)]
@@ -148,25 +162,15 @@ class Planner:
                 posture = AtPose(target).nearest(problem.arm, limits, q)
                 if posture is None:
                     continue
-                still = np.repeat(posture[None], len(until), axis=0)
-                if nearest(problem.keep_out.parts, job.obstacles, still, until)[0] > BESIDE:
+                if nearest(self._movable, threats, posture[None], until)[0] > BESIDE:
                     found.append((float(np.abs(posture - q).max()), AtPosture(posture)))
                     break
         return [end for _, end in sorted(found, key=lambda pair: pair[0])]
 
-    def _clear(self, job: Job, motion: JointMotion) -> bool:
-        """Whether a motion from the hand-over on keeps clear of what passes."""
-        problem = job.base.left(job.begins, self.problem)
-        s, nodes = instants(motion)
-        z = np.stack([*motion.sample(s * motion.duration), motion.jerk(s * motion.duration)])
-        assert problem.keep_out is not None
-        passing = Passing(problem.keep_out.parts, job.obstacles, job.begins)
-        rows = evaluate([passing], problem.at(s, z, motion.duration, nodes, imposed=False))
-        return max(float(block.values.max()) for block in rows) <= 0.0
-
     def _nearest(self, job: Job, motion: JointMotion) -> tuple[float, float, str]:
-        assert self.problem.keep_out is not None
-        until = max(x.until for x in job.obstacles) - job.begins
+        assert self._movable is not None
+        threats = [one for one in job.obstacles if one.name in job.threats]
+        until = max((x.until for x in threats), default=0.0) - job.begins
         t = np.linspace(0.0, max(until, motion.duration), 200)
         q = motion.sample(np.minimum(t, motion.duration))[0]
-        return nearest(self.problem.keep_out.parts, job.obstacles, q, job.begins + t)
+        return nearest(self._movable, threats, q, job.begins + t)

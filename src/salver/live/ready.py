@@ -17,10 +17,6 @@ class Ready:
         self._after: Committed | None = None
         self._until = 0.0  # live time of the last instant that was looked at
 
-    def forget(self) -> None:
-        """None is ready any more."""
-        self._stops, self._after = (), None
-
     def due(self, after: Committed) -> float:
         """Live time, s, of the next instant from which one is to be planned."""
         if self._after is not after:

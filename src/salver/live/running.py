@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from salver.geometry import Array
+from salver.live.lookout import Outlook, Path, Sighting
 from salver.live.motion import Committed, between, joined
 from salver.live.reader import Pieces
 from salver.live.wishes import Wish
@@ -14,31 +15,52 @@ from salver.planning.fastest import TransportProblem
 from salver.trajectory import JointMotion
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Running:
-    """A committed motion with what leads to it: path, from live time `since` on. after: what it replaces from its
-    beginning on. wish: what it is for. stray: (n,) rad, the most by which each joint may be off the committed motion
-    under the uncertain set; allowed: the same of all of the path."""
+    """A committed motion with what leads to it: a path. after: what it replaces from its beginning on. wish: what it is
+    for. stray: (n,) rad, the most by which each joint may be off the committed motion under the uncertain set; allowed:
+    that of all of the path. outlook: whether it keeps clear of what passes, as of one sighting; anew with each.
+    resigned: it is to be done though it may not keep clear: a stop, or what goes furthest from what passes."""
 
     committed: Committed
-    path: JointMotion
-    since: float
+    looked: Path
     pieces: Pieces
     stray: Array
     allowed: Array
     after: Committed | None = None
     wish: Wish | None = None
+    outlook: Outlook = field(default_factory=lambda: Outlook(Sighting()))
+    resigned: bool = False
 
     @classmethod
     def first(cls, rest: Committed, problem: TransportProblem) -> Running:
         """An arm that rests there."""
         stray = rest.stray(problem)
-        return cls(rest, rest.motion, rest.begins, Pieces(rest.motion, rest.begins), stray, stray)
+        looked = Path(rest.motion, rest.begins, rest.nodes, rest.off)
+        return cls(rest, looked, Pieces(rest.motion, rest.begins), stray, stray)
 
     def then(self, found: Committed, wish: Wish, now: float, problem: TransportProblem) -> Running:
         """This until the beginning of another committed motion, and then that one; what is over is forgotten."""
-        first = self.path.t[max(int(np.searchsorted(self.path.t, now - self.since, side="right")) - 1, 0)]
-        path = joined(between(self.path, float(first), found.begins - self.since), found.motion)
-        since, stray = self.since + float(first), found.stray(problem)
+        before, since = self.path, self.since
+        first = float(before.t[max(int(np.searchsorted(before.t, now - since, side="right")) - 1, 0)])
+        path = joined(between(before, first, found.begins - since), found.motion)
+        since, stray = since + first, found.stray(problem)
         allowed = np.maximum(stray, self.stray if self.committed.begins <= now else self.allowed)
-        return Running(found, path, since, Pieces(path, since), stray, allowed, self.committed, wish)
+        t, off = self.looked.t, self.looked.off
+        some = (t >= since) & (t < found.begins)
+        looked = Path(path, since, np.append(t[some], found.nodes), np.append(off[some], found.off))
+        return Running(found, looked, Pieces(path, since), stray, allowed, self.committed, wish)
+
+    @property
+    def keeps_clear(self) -> bool:
+        """Whether it may be committed, as far as what passes is concerned."""
+        return self.resigned or self.outlook.clear
+
+    @property
+    def path(self) -> JointMotion:
+        """From live time `since` on."""
+        return self.looked.motion
+
+    @property
+    def since(self) -> float:
+        return self.looked.since

@@ -121,14 +121,15 @@ def verified(
         if met is not None:
             return Finding(None, np.inf, f"{met.first} and {met.second} would touch")
     deviation = None
-    instants = t[nodes]
+    instants, off = t[nodes], np.zeros(len(nodes))
     if response is not None:
         joints, held = response.known.joints, response.known.held
         moved, late = joints.state[:, : 2 * problem.n], np.concatenate([held.q, held.dq], axis=1)
         deviation = -np.concatenate([moved, late[:, :, None]], axis=2).reshape(len(moved), 2, problem.n, -1)
         instants = known.t
+        off = np.interp(instants, t[nodes], strayed(*evaluation.tray_radius()))
     waves = None if known.sloshing is None else known.sloshing.past(known.t)
-    committed = Committed(begins, motion, begins + instants, deviation, margins, waves)
+    committed = Committed(begins, motion, begins + instants, deviation, margins, waves, off)
     if response is not None and not problem.liquids and _at_the_edge(blocks):
         contacts = [coarse(constraint) for constraint in problem.constraints if isinstance(constraint, Contact)]
         settling = evaluate(contacts, committed.settling(problem), margins=False)

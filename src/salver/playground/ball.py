@@ -8,7 +8,7 @@ import numpy as np
 
 from salver.geometry import GRAVITY_S, Array
 from salver.live import Moving
-from salver.live.obstacles import Passing, predicted
+from salver.live.obstacles import Movable, predicted
 from salver.models.arm import ArmModel
 from salver.models.arm_geometry import arm_geometry
 from salver.models.payload import Payload
@@ -29,7 +29,7 @@ class Ball:
         joint = model.joint(BALL).id
         self._qpos, self._qvel = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
         self._away = model.qpos0[self._qpos : self._qpos + 7].copy()
-        self._parts, self._base = arm_geometry(arm, payload.bodies), arm.base_position
+        self._movable, self._base = Movable(arm_geometry(arm, payload.bodies)), arm.base_position
         self._rng = np.random.default_rng(0)
         self._since: float | None = None
         self._seen = -np.inf
@@ -73,7 +73,7 @@ class Ball:
         if p[2] < self._base[2] + 2 * RADIUS:
             return []  # it lies on the floor
         return [
-            Moving("ball", "sphere", p, v, GRAVITY_S, radius=RADIUS, uncertainty=UNCERTAINTY, growth=GROWTH, lasts=1.5)
+            Moving("ball", "sphere", p, v, GRAVITY_S, radius=RADIUS, uncertainty=UNCERTAINTY, growth=GROWTH, seen=t)
         ]
 
     def measure(self, data: Any, q: Array) -> None:
@@ -82,5 +82,5 @@ class Ball:
             return
         p, _ = self.state(data)
         here = predicted(Moving("ball", "sphere", p, radius=RADIUS), 0.0)
-        distances = Passing(self._parts, (), 0.0).distances(q[None], here, p[None])  # type: ignore[arg-type]
+        distances = self._movable.distances(q[None], here, p[None])  # type: ignore[arg-type]
         self.passed = min(self.passed, float(distances.min()))
