@@ -1,17 +1,20 @@
 """What anyone proposes to a live motion is only believed after it was looked at."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from live_runs import LEAD, drive, executed, place
-from salver.live import Live, verify
+from salver.live import Live, seal, verify
 from salver.live.motion import between, joined, resting
 from salver.live.planner import Job, Planner
 from salver.live.replan import STRETCHED, Replanner
+from salver.live.seal import sealed
 from salver.live.verify import instants, verified
 from salver.live.wishes import Goal, Halt
+from salver.live.worker import _Process
 from salver.planning.fastest import AtPosture, fastest
 from salver.planning.fastest.constraints import Clearance, Contact, evaluate
 from salver.planning.fastest.exchange import optimise
@@ -222,3 +225,99 @@ def test_a_posture_in_which_the_load_would_not_stay_is_refused_at_once(cube, mon
     answer = Planner(live.problem).answer(Job(Goal(AtPosture(leaning), "leaning"), live.committed, 0.1, 60.0))
     assert answer.found is None
     assert "would not be safe at rest there" in answer.status.sentence
+
+
+@pytest.fixture
+def asked(cube):
+    """At rest, and asked for a goal, with what the planner proposes for it."""
+    live = Live(cube, lead=LEAD)
+    live.command(0.0)
+    live.goto((0.45, 0.1, 0.45))
+    return live, live._planner.answer
+
+
+def altered(motion, times):
+    """It, so many times as fast."""
+    return JointMotion(motion.t / times, motion.q, motion.dq * times, motion.ddq * times**2)
+
+
+def taken(live, answer):
+    live.plan(60.0, answer)
+    drive(live, 0.3, every=None)
+    return live.committed
+
+
+def test_an_answer_that_was_altered_after_it_was_verified_is_not_done(asked):
+    """2.2 times as fast it would throw the load."""
+    live, answer = asked
+
+    def faster(job):
+        found = answer(job)
+        return replace(found, found=replace(found.found, motion=altered(found.found.motion, 2.2)))
+
+    assert taken(live, faster).at_rest
+    assert "would be exceeded by" in live.refused
+
+
+def test_an_answer_of_somebody_else_is_verified_and_then_done(asked):
+    """A little slower than what was proposed it is safe, though nobody has said so; what it claims of the arm's
+    deviation is not believed."""
+    live, answer = asked
+    claimed = []
+
+    def slower(job):
+        found = answer(job)
+        claimed.append(replace(found.found, motion=altered(found.found.motion, 0.95), deviation=None, seal=b"x" * 32))
+        return replace(found, found=claimed[0])
+
+    committed = taken(live, slower)
+    assert np.array_equal(committed.motion.t, claimed[0].motion.t)
+    assert committed is not claimed[0]
+    assert committed.deviation is not None
+
+
+def test_a_sealed_answer_is_done_as_it_is_wherever_it_was_found(asked, monkeypatch):
+    """By a planner in another process: nothing is verified a second time."""
+    live, answer = asked
+    monkeypatch.setattr("salver.live.live.verified", None)
+
+    def sent(what):
+        return pickle.loads(pickle.dumps(what))  # noqa: S301
+
+    committed = taken(live, lambda job: sent(answer(sent(job))))
+    assert not committed.at_rest
+    assert sealed(committed, live._running.after)
+
+
+def test_a_seal_is_of_one_motion_after_one_other_with_one_load(asked, cube):
+    live, answer = asked
+    base = live.committed
+    found = answer(Job(live._wish, base, 0.1, 60.0)).found
+    assert sealed(found, base)
+    other = Live(cube.with_changes(objects__0__mass=0.3), lead=LEAD)
+    assert not sealed(found, other.committed)
+    for name, value in (
+        ("begins", found.begins + 1e-3),
+        ("deviation", 0.999 * found.deviation),
+        ("off", 0.5 * found.off),
+        ("margins", replace(found.margins, row=found.margins.row - 0.1)),
+        ("motion", altered(found.motion, 1.0001)),
+        ("seal", b""),
+    ):
+        assert not sealed(replace(found, **{name: value}), base), name
+    key = seal.key()
+    seal.use(b"another process")
+    assert not sealed(found, base)
+    seal.use(key)
+    assert sealed(found, base)
+
+
+def test_a_planner_in_another_process_seals_with_the_key_of_this_one(cube):
+    live = Live(cube)
+    process = _Process(live)
+    try:
+        live.goto((0.5, -0.25, 0.45))
+        answer = process.answer(Job(live._wish, live.committed, 0.1, 60.0))
+        assert sealed(answer.found, live.committed)
+    finally:
+        process.close()

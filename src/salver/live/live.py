@@ -34,6 +34,7 @@ from salver.live.planner import Answer, Job, Planner
 from salver.live.reader import Reader
 from salver.live.ready import STOPS_EVERY, Ready
 from salver.live.running import Running
+from salver.live.seal import sealed
 from salver.live.standing import standing
 from salver.live.state import State
 from salver.live.steer import TICK
@@ -422,7 +423,8 @@ class Live:
 
     def plan(self, budget: float = 2.0, answer: Callable[[Job], Answer] | None = None) -> State:
         """One step of planning towards what is wished, which may take up to about `budget`, s. From any thread, one at
-        a time; never raises. answer: does the work, elsewhere; in this thread unless given."""
+        a time; never raises. answer: does the work, elsewhere; in this thread unless given. What it proposes is
+        verified here, unless that was done by this process or one that it started (`salver.live.seal`)."""
         if self._planning.acquire(blocking=False):
             try:
                 self._look(self._running)
@@ -453,7 +455,7 @@ class Live:
             return False
         self._ready.looked_at(begins)
         found = answer(Job(Halt(), base, begins, budget, self._sighting.obstacles)).found
-        if found is not None and not self._denied(found):
+        if found is not None and sealed(found, base) and not self._denied(found):
             stop = running.then(found, Halt(), self._now, self._problem)
             self._look(stop)
             self._ready.add(stop, base)
@@ -586,6 +588,9 @@ class Live:
         names = tuple(one.obstacle for one in threats)
         answered = answer(Job(wish, base, begins, budget, sighting.obstacles, names, self._now))
         found, status = answered.found, answered.status
+        if found is not None and not sealed(found, base):  # whoever proposed it
+            again = verified(self._problem, found.motion, found.begins, base)
+            found, status = again.committed, Status("refused", again.sentence, False)
         if found is not None and (denied := self._denied(found)):
             found, status = None, Status("refused", denied, False)
         self._lead.took(kind, time.perf_counter() - began)

@@ -51,7 +51,8 @@ class Committed:
     begins: live time of the motion's own time 0, s. motion: knots from 0 on; at rest after the last one, and before the
     first only when nothing moved before. nodes: (N,) live times at which the deviation is known. deviation:
     (N, 2, n, k) e and e' of each term, see `JointLoop.start`; None where nothing is uncertain. waves: of all liquids
-    along it, None without. off: (N,) m by which what stands on the tray may be elsewhere.
+    along it, None without. off: (N,) m by which what stands on the tray may be elsewhere. seal: that of the process
+    which found that it passes (`salver.live.seal`); empty while nothing did.
     """
 
     begins: float
@@ -61,6 +62,7 @@ class Committed:
     margins: Margins
     waves: Past | None = None
     off: Array = field(default_factory=lambda: np.zeros(1))
+    seal: bytes = b""
 
     @property
     def ends(self) -> float:

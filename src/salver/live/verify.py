@@ -17,6 +17,7 @@ import numpy as np
 from salver.geometry import Array, Indices, Mask
 from salver.live.known import Known
 from salver.live.motion import Committed, Margins
+from salver.live.seal import seal_of
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS
 from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
@@ -141,6 +142,7 @@ def verified(
     resting = np.pad(motion.q[-1:], ((0, 3), (0, 0)))[:, None]
     if problem.liquids and not stays(committed.left(committed.ends, problem), np.zeros(1), resting):
         return Finding(None, np.inf, "what is carried would not stay in the wave after it")
+    committed = replace(committed, seal=seal_of(committed, before))
     return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
 
 

@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Self
 
 from salver.errors import SalverError
+from salver.live import seal
 from salver.live.live import Live
 from salver.live.planner import Answer, Job, Planner
 from salver.planning.fastest import transport_problem
@@ -75,7 +76,7 @@ class _Process:
     """A planner in another process. One that died is replaced when the next job comes."""
 
     def __init__(self, live: Live) -> None:
-        self._about = (live.problem.scenario, live.robust)
+        self._about = (live.problem.scenario, live.robust, seal.key())
         self._running: subprocess.Popen[bytes] | None = None
 
     def ready(self) -> None:
@@ -125,7 +126,8 @@ def serve(descriptor: int) -> None:
     """The other process: answers jobs until nobody is left who could ask."""
     with Connection(descriptor) as pipe:
         try:
-            scenario, robust = pipe.recv()
+            scenario, robust, key = pipe.recv()
+            seal.use(key)
             assert isinstance(scenario, Scenario)
             planner = Planner(transport_problem(scenario, robust=robust))
             pipe.send("ready")
