@@ -6,9 +6,9 @@
     python benchmarks/survey.py --docs -o out/survey.jsonl    write it into docs/survey.md, and the data beside it
     ... --docs --other out/other.jsonl                        and, below, others that the program was not made with
 
-Each task follows from its number. It is planned at the default effort and, to know what is possible, at the thorough
-one with another seed. A task counts as solvable when any of them solves it; the best known is the shortest; `--known
-FILE` adds what an earlier state of the program found (docs/data/survey.jsonl, for one).
+Each task follows from its number; there is no floor. It is planned at the default effort and, to know what is possible,
+at the thorough one with another seed. A task counts as solvable when any of them solves it; the best known is the
+shortest; `--known FILE` adds what an earlier state of the program found (docs/data/survey.jsonl, for one).
 One line of JSON for each task: a run that was interrupted goes on where it stopped.
 """
 
@@ -91,6 +91,7 @@ def task(number: int) -> tuple[str, scenario.Scenario]:
         "contact": {"condition": "exact"},
         "tray": {"size": [0.45 * size, 0.45 * size], "mass": 0.2, "height": 0.05},
         "arm": arm,
+        "surroundings": {"floor": "none"},
     }
     made = scenario.parse(data, data["name"])
     count = int(rng.integers(1, 4)) if number % 2 else 0
@@ -250,7 +251,7 @@ def page(records: list[dict[str, Any]], ran: list[dict[str, Any]], others: list[
         "Written by `python benchmarks/survey.py --docs`; one line for each task is in `docs/data/survey.jsonl`.",
         "",
         f"Tasks {records[0]['number']} to {records[-1]['number']} of the survey: random ends, loads and cells on",
-        "the arms that salver knows and on two URDFs; every other one has one to three obstacles near the way.",
+        "the arms that salver knows and on two URDFs, no floor; every other one has one to three obstacles near it.",
         f"Each is planned at the default effort, {also or 'and nothing else:'}",
         "what any of these solves counts as solvable, and the shortest duration is the best known; nothing says that",
         "no shorter one exists. A task that was planned at the default effort only has nothing to be compared with.",

@@ -143,6 +143,7 @@ def behind_a_post() -> TransportProblem:
 
     post = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
     changes = {"objects__0__uncertainty": {}, "motion__orientation": "free", "obstacles": [post]}
+    changes["surroundings"] = {"floor": "none"}
     return transport_problem(scenario.load("panda-cube").with_changes(**changes))
 
 

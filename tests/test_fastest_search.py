@@ -222,6 +222,7 @@ def test_another_start_takes_the_place_of_one_that_becomes_longer_when_it_is_ref
             "contact": {"condition": "exact"},
             "tray": {"size": [0.18, 0.18], "mass": 0.2, "height": 0.05},
             "arm": {"model": "ur10"},
+            "surroundings": {"floor": "none"},
             "obstacles": [
                 {"type": "box", "position": [0.42032934, -0.08351663, 0.37796455], "size": [0.18, 0.18, 0.12]}
             ],

@@ -203,7 +203,7 @@ def test_candidates_are_different_and_reach(panda):
 @pytest.mark.slow
 def test_scenario_brings_its_posture_and_its_load(panda, cube):
     motion, status = follow_scenario(CUBE, line())
-    alone, _ = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], q_start=POSTURE)
+    alone, _ = follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], obstacles=CUBE.around, q_start=POSTURE)
     assert status.ok
     assert np.array_equal(motion.q, alone.q)
     elsewhere, _ = follow_scenario(CUBE, line(), panda, q_start=motion.q[0])
@@ -225,7 +225,10 @@ def test_what_one_motion_begins_with_beyond_a_limit_is_no_wrong_key(panda):
 @pytest.mark.slow
 def test_scenario_brings_the_seed_of_its_start(panda, cube):
     free, _ = follow_scenario(CUBE.with_changes(arm__start_posture=None, seed=1), line())
-    same, other = (follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], seed=seed)[0] for seed in (1, 0))
+    same, other = (
+        follow(panda, line(), cube.p_EB, cube.R_EB, bodies=[cube], obstacles=CUBE.around, seed=seed)[0]
+        for seed in (1, 0)
+    )
     assert np.array_equal(free.q, same.q)
     assert np.abs(free.q[0] - other.q[0]).max() > 1e-3
 
@@ -357,7 +360,7 @@ def test_a_chosen_start_stays_above_the_base():
     bottle = scenario.load("ur10-bottle")
     arm, carried = load_arm(bottle.arm, scenario.Tray(size=(0.1, 0.1))), bottle.payload.first
     reference = min_jerk_line(2.0, np.array([0.4, -0.2, 0.7]), np.array([0.4, 0.2, 0.7]), UPRIGHT, UPRIGHT)
-    motion, status = follow(arm, reference, carried.p_EB, carried.R_EB, seed=1)
+    motion, status = follow(arm, reference, carried.p_EB, carried.R_EB, obstacles=bottle.around, seed=1)
     assert status.ok, status
     links = [link for link in arm.link_names if link not in ("world", "base_link", "shoulder_link")]
     heights = [arm.link_pose(q, link)[0][2] for q in motion.q[::20] for link in links]

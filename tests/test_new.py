@@ -52,14 +52,14 @@ def test_answers_become_a_scenario_that_plans(tmp_path):
 def test_what_cannot_be_carried_comes_with_what_helps(tmp_path):
     """So near to a UR5 it touches itself; each of the three things that are said does help."""
     file = tmp_path / "near.toml"
-    words = options(load="cylinder 0.03 0.24", friction="0.4 10%", arm="ur5", path="0.2 -0.15 0.2 to 0.2 0.15 0.2")
+    words = options(load="cylinder 0.03 0.24", friction="0.4 10%", arm="ur5", path="0.2 -0.15 0.4 to 0.2 0.15 0.4")
     done = RUNNER.invoke(app, ["new", str(file), *words])
     assert done.exit_code == 3, done.output
     assert "start and goal higher or further from the arm's base, or a smaller tray" in done.stderr
     near = scenario.load(file)
     for changes in (
-        {"motion__start__position": [0.2, -0.15, 0.4], "motion__goal__position": [0.2, 0.15, 0.4]},
-        {"motion__start__position": [0.6, -0.15, 0.2], "motion__goal__position": [0.6, 0.15, 0.2]},
+        {"motion__start__position": [0.2, -0.15, 0.5], "motion__goal__position": [0.2, 0.15, 0.5]},
+        {"motion__start__position": [0.6, -0.15, 0.4], "motion__goal__position": [0.6, 0.15, 0.4]},
         {"tray__size": [0.15, 0.15]},
     ):
         assert make_plan(near.with_changes(**changes), "fastest").ok

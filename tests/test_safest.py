@@ -76,6 +76,7 @@ def test_the_safest_motion_is_found_where_parts_nearly_touch_at_its_end(duration
                 }
             ],
             "contact": {"condition": "exact"},
+            "surroundings": {"floor": "none"},
             "tray": {"size": [0.108, 0.108], "mass": 0.2},
             "arm": {"model": "ur3"},
             "obstacles": [

@@ -153,7 +153,7 @@ def test_a_pair_that_is_too_near_at_an_end_keeps_a_share_of_that_less_what_nodes
         asked.append(most)
         return there
 
-    parts: Any = SimpleNamespace(clearance=clearance)
+    parts: Any = SimpleNamespace(clearance=clearance, of_floor=np.zeros(5, dtype=bool))
     keep_out = KeepOut(parts, required)
     kept = keep_out.kept_by(np.zeros((2, 7)))
     assert 1e3 * kept.required == pytest.approx([5.0, -0.4, -0.6, 1.0, -1.0])

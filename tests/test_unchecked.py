@@ -67,13 +67,15 @@ def make(model: str | Path, **keys) -> ArmModel:
 
 def test_with_all_limits_only_neighbours_are_left() -> None:
     status = verdict(make("ur5"), still(make("ur5")))
-    assert status.details["unchecked"] == ["links that share a joint against one another"]
-    assert status.sentence.startswith("Not checked: links that share a joint against one another. ur5 follows")
+    assert status.details["unchecked"] == ["anything around the arm", "links that share a joint against one another"]
+    assert status.sentence.startswith(
+        "Not checked: anything around the arm; links that share a joint against one another. ur5 follows"
+    )
     assert ("shoulder_link", "upper_arm_link") in status.details["pairs_left_out"]["neighbours"]
 
 
 @pytest.mark.parametrize("blind", [kind for kind in LIMITS if kind.key != "position"], ids=lambda kind: kind.key)
-def test_a_limit_that_nobody_gave_is_told_first(tmp_path: Path, blind) -> None:
+def test_a_limit_that_nobody_gave_is_told(tmp_path: Path, blind) -> None:
     def forget(root: ElementTree.Element) -> None:
         for limit in root.iter("limit"):
             limit.set({"velocity": "velocity", "torque": "effort"}.get(blind.key, "none"), "0")
@@ -82,8 +84,8 @@ def test_a_limit_that_nobody_gave_is_told_first(tmp_path: Path, blind) -> None:
     arm = make(urdf_without(tmp_path, forget), limits=limits)
     status = verdict(arm, still(arm))
     assert status.ok
-    assert status.details["unchecked"][0] == f"{blind.name} of all joints (nobody gave a limit)"
-    assert status.sentence.startswith(f"Not checked: {blind.name} of all joints")
+    assert status.details["unchecked"][1] == f"{blind.name} of all joints (nobody gave a limit)"
+    assert status.sentence.startswith(f"Not checked: anything around the arm; {blind.name} of all joints")
     assert status.details["limit_sources"][blind.key] == (None,) * 6
 
 
@@ -93,7 +95,7 @@ def test_limits_of_one_joint_are_told_by_its_name(tmp_path: Path) -> None:
     file.write_text(moveit)
     arm = make(UR5, limits={"torque_rate": 1e3}, joint_limits=str(file))
     told = verdict(arm, still(arm)).details["unchecked"]
-    assert told[:2] == [
+    assert told[1:3] == [
         "acceleration of shoulder_pan_joint, shoulder_lift_joint, wrist_2_joint and wrist_3_joint "
         "(nobody gave a limit)",
         "jerk of shoulder_pan_joint, shoulder_lift_joint, elbow_joint, wrist_2_joint and wrist_3_joint "
@@ -179,10 +181,12 @@ def test_a_link_of_unknown_shape_is_refused_or_told(tmp_path: Path, link: str, h
 
     left_out = make(path, collisions="unchecked")
     status = verdict(left_out, still(left_out))
-    assert status.sentence.startswith(f"Not checked: whether {link} hits anything (shape not known)")
+    assert status.sentence.startswith(
+        f"Not checked: anything around the arm; whether {link} hits anything (shape not known)"
+    )
     fitted = make(path, collisions="capsules")
     status = verdict(fitted, still(fitted))
-    assert status.sentence.startswith(f"Not checked: the true shape of {link} (capsules")
+    assert status.sentence.startswith(f"Not checked: anything around the arm; the true shape of {link} (capsules")
     assert link in arm_geometry(fitted).names
 
 

@@ -154,10 +154,11 @@ def _smooth(joint: JointMotion, arm: ArmModel) -> Check:
 
 def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan) -> list[Check]:
     """Limits, and the arm against itself, its tray, its load and the scenario's obstacles."""
-    parts = arm_geometry(arm, bodies, plan.scenario.obstacles)
+    parts = arm_geometry(arm, bodies, plan.scenario.around)
     status, swept = verdict(arm, motion, bodies, parts, BETWEEN), sweep(parts, motion)
     near, touch = swept.nearest, swept.touch
-    around = f"{len(plan.scenario.obstacles)} obstacles" if plan.scenario.obstacles else "no obstacles"
+    floor = "" if plan.scenario.floor is None else ", the floor"
+    around = f"{floor} and {len(plan.scenario.obstacles) or 'no'} obstacles"
     if near is None:
         sentence = "Nothing is known of the arm's shape, so collisions cannot be excluded."
     elif touch is not None:
@@ -165,7 +166,7 @@ def _arm(motion: JointMotion, arm: ArmModel, bodies: Sequence[Body], plan: Plan)
     else:
         blind = f"Not looked at: {'; '.join(parts.unchecked)}. " if parts.unchecked else ""
         sentence = (
-            f"{blind}Arm, tray, load and {around} keep apart all along; nearest are {near.first} and {near.second}, "
+            f"{blind}Arm, tray, load{around} keep apart all along; nearest are {near.first} and {near.second}, "
             f"{1e3 * near.distance:.1f} mm at t = {near.time:.2f} s."
         )
     return [
@@ -245,7 +246,7 @@ def _stops(plan: Plan, arm: ArmModel, bodies: Sequence[Body]) -> Check:
             return Check("stops", False, "The plan's stops do not begin where the plan is at their instants.")
     if count and max(np.abs(stops.dq[:, -1]).max(), np.abs(stops.ddq[:, -1]).max()) > STILL:
         return Check("stops", False, "The plan's stops do not end at rest.")
-    parts = arm_geometry(arm, bodies, plan.scenario.obstacles)
+    parts = arm_geometry(arm, bodies, plan.scenario.around)
     for k, now in enumerate(stops.t):
         motion = looked_at(stops.motion(k))
         status = verdict(arm, motion, bodies, parts, BETWEEN)

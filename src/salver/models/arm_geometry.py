@@ -20,13 +20,14 @@ from salver.errors import ScenarioError
 from salver.geometry import Array, Indices, Mask, cross
 from salver.models.arm import ArmModel
 from salver.models.bodies import Body
-from salver.models.described import ObstacleDescription
+from salver.models.described import Floor, ObstacleDescription
 from salver.models.link_pairs import Links, Pair, add, bulky, comparable, placed, postures_of
 from salver.models.link_shapes import link_shapes
 from salver.models.obstacle_shapes import obstacle_shapes
 from salver.wording import listed
 
 TRAY = "tray"
+_STILL = 1e-6  # m: a distance that changes by less does not change
 _STRIDES = (64, 16, 4, 1)  # from coarse to fine, distances along a path are taken where they may be short
 _REMEMBERED = 4  # paths of different numbers of postures of which distances are remembered
 _FEW = 4  # pairs up to which all distances are taken, of up to so many postures:
@@ -161,8 +162,9 @@ class ArmGeometry:
         links[1:] += stroke  # joints have one coordinate each
         radius = []
         for part in self.model.geometryObjects:
-            shape = part.geometry
-            radius.append(float(np.linalg.norm(part.placement.act(shape.aabb_center))) + float(shape.aabb_radius))
+            centre, half = part.geometry.aabb_center, float(part.geometry.aabb_radius)
+            # Of what stands in the world nothing is carried; a floor has no end.
+            radius.append(half + float(np.linalg.norm(part.placement.act(centre))) if part.parentJoint else 0.0)
         levers = np.zeros((len(self.pairs), self.arm.n))
         for row, pair in enumerate(self.pairs):
             chains = [list(model.supports[self.model.geometryObjects[k].parentJoint])[1:] for k in pair]
@@ -195,6 +197,12 @@ class ArmGeometry:
         along = normal @ velocity[:, :3] + cross(points, normal) @ velocity[:, 3:]  # (r, 2, n)
         along *= self._carried[pair]
         return np.asarray(along[:, 1] - along[:, 0])
+
+    @cached_property
+    def of_floor(self) -> Mask:
+        """(pairs,) whether a pair is of a part and the floor."""
+        shapes = [part.geometry for part in self.model.geometryObjects]
+        return np.array([isinstance(shapes[j], coal.Halfspace) for _, j in self.pairs], dtype=bool)
 
     @cached_property
     def _carried(self) -> Array:
@@ -258,20 +266,6 @@ class ArmGeometry:
                     return self.names[i], self.names[j]
         return None
 
-    def lowest(self, q: Array) -> float:
-        """Height over the base (m, the URDF's root) of the lowest point of links beyond the second joint."""
-        low = np.inf
-        beyond = [k for k, part in enumerate(self.model.geometryObjects) if part.parentJoint >= 2]
-        for posture in q:
-            pin.updateGeometryPlacements(self.arm.pin_model, self.arm.data, self.model, self.data, posture)
-            for k in beyond:
-                placement = self.data.oMg[k]
-                box = self.model.geometryObjects[k].geometry.aabb_local
-                centre, half = 0.5 * (box.min_ + box.max_), 0.5 * (box.max_ - box.min_)
-                axis = placement.rotation[2]
-                low = min(low, placement.translation[2] + axis @ centre - np.abs(axis) @ half)
-        return float(low - self.arm.base_position[2])
-
 
 @lru_cache(maxsize=64)
 def _passes(count: int, several: bool) -> list[tuple[Indices, ...]]:
@@ -294,8 +288,8 @@ def arm_geometry(
 
     Compared are the hulls of all pairs that move against one another, of links that are far from convex a few pieces
     where the hulls touch too often (`salver.models.link_pairs`), except: links that share a joint, pairs that the
-    arm's SRDF disables, and pairs of the arm's own parts whose hulls overlap in every posture; two links of which any
-    shapes do are not compared at all.
+    arm's SRDF disables, pairs of the arm's own parts whose hulls overlap in every posture, and links that stand on the
+    floor; two links of which any shapes do are not compared at all.
 
     Raises ScenarioError when the geometry of a link is not known and `arm.collisions` does not say what to do about
     it, or when an obstacle's mesh cannot be used.
@@ -341,7 +335,8 @@ def arm_geometry(
     left_out["always"] = [
         (i, j) for i, j in pairs if (i, j) in overlap or (j < tray and (names[i], names[j]) in linked)
     ]
-    pairs = [pair for pair in pairs if pair not in left_out["always"]]
+    left_out["floor"] = _on_floor(_with_pairs(compared, tuple(pair for pair in pairs if pair[0] < tray)))
+    pairs = [pair for pair in pairs if pair not in left_out["always"] and pair not in left_out["floor"]]
     named = {
         key: list(dict.fromkeys((names[i], names[j]) for i, j in found)) for key, found in left_out.items() if found
     }
@@ -358,6 +353,15 @@ def _always(parts: ArmGeometry) -> list[Pair]:
         if not overlap.all():
             parts = _with_pairs(parts, tuple(pair for pair, yes in zip(parts.pairs, overlap, strict=True) if yes))
     return list(parts.pairs)
+
+
+def _on_floor(parts: ArmGeometry) -> list[Pair]:
+    """Pairs of a link and the floor of which no posture changes anything: what turns about the vertical, and what is
+    nearer in every posture than plans may come."""
+    parts = parts.only(np.flatnonzero(parts.of_floor))
+    distance = parts.clearance(postures_of(parts.arm))
+    moves = np.ptp(distance, axis=0) > _STILL
+    return [pair for k, pair in enumerate(parts.pairs) if not moves[k] or distance[:, k].max() < Floor.clear]
 
 
 def _refusal(arm: ArmModel, missing: dict[str, str]) -> str:

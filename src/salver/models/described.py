@@ -6,6 +6,7 @@ Units and frames are those of the scenario file (docs/scenario-file.md).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 
@@ -70,3 +71,24 @@ class ObstacleDescription(Protocol):
     def file(self) -> str | None: ...
     @property
     def scale(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class Floor:
+    """All that is below a height in the world, m, as an obstacle; `clear` is what plans keep free above it, m."""
+
+    height: float
+    clear: float = 0.01
+    name: str = "floor"
+    type: str = "floor"
+    rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    size: None = None
+    radius: None = None
+    length: None = None
+    file: None = None
+    scale: float = 1.0
+
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """A point of its surface."""
+        return (0.0, 0.0, self.height)

@@ -26,6 +26,8 @@ def obstacle_shapes(obstacle: ObstacleDescription) -> list[tuple[Any, Any]]:
     placement = pin.SE3(matrix_from_rpy(np.deg2rad(obstacle.rpy_deg)), np.array(obstacle.position))
     if obstacle.type == "mesh":
         return [(convex(points), placement) for points in mesh_pieces(obstacle)]
+    if obstacle.type == "floor":
+        return [(coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), placement)]
     if obstacle.type == "box":
         return [(coal.Box(*(obstacle.size or ())), placement)]
     if obstacle.type == "sphere":

@@ -64,7 +64,7 @@ def _scene(world: World) -> dict[str, Any]:
             }
         ],
         "bounds": [(corners.min(axis=0) - [REACH, REACH, 0]).tolist(), (corners.max(axis=0) + REACH).tolist()],
-        "floor": float(base[2]),
+        "floor": float(base[2]) if world.scenario.floor is None else world.scenario.floor,
         "azimuth": float(np.arctan2(out[1], out[0])) + OBLIQUE,
         "first": first,
     }

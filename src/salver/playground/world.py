@@ -22,7 +22,7 @@ from salver.models.arm import load_arm
 from salver.playground.ball import Ball
 from salver.playground.liquids import Liquids
 from salver.playground.recording import LONGEST, Recording
-from salver.playground.surroundings import FLOOR, RADIUS, furnish
+from salver.playground.surroundings import RADIUS, furnish
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
 from salver.simulation.engine import mujoco
@@ -299,7 +299,7 @@ class World:
             contact = data.contact[i]
             foot = max(contact.geom, key=lambda geom: scene.foot_object[geom])
             k = scene.foot_object[foot]
-            if k < 0 or FLOOR in (scene.model.geom(geom).name for geom in contact.geom):
+            if k < 0:
                 continue
             mujoco.mj_contactForce(scene.model, data, i, force)
             tangents = contact.frame.reshape(3, 3)[1:]

@@ -246,7 +246,7 @@ def clearance_charts(run: Run, arm: ArmModel) -> list[Spec]:
     from salver.models.arm_geometry import arm_geometry
 
     try:
-        parts = arm_geometry(arm, run.bodies, run.scenario.obstacles)
+        parts = arm_geometry(arm, run.bodies, run.scenario.around)
     except ScenarioError:  # a mesh that was there when it was planned
         return []
     if not parts.pairs:
@@ -261,7 +261,7 @@ def clearance_charts(run: Run, arm: ArmModel) -> list[Spec]:
             near.append(series(m, m.label, m.t[keep], distance[:, around].min(axis=1)))
     charts = [time_chart("Clearance of arm, tray and load", "least distance, mm", whole, unit="mm", zero=True)]
     if near:
-        names = listed(dict.fromkeys(obstacle.name for obstacle in run.scenario.obstacles))
+        names = listed(dict.fromkeys(obstacle.name for obstacle in run.scenario.around))
         charts.append(time_chart(f"Clearance from {names}", "least distance, mm", near, unit="mm", zero=True))
     return charts
 

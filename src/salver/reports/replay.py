@@ -244,8 +244,8 @@ def _bounds(run: Run, arm: ArmModel | None) -> list[list[float]]:
 
 
 def _floor(run: Run, arm: ArmModel | None) -> float:
-    """Height of the ground, m: where the arm stands, or a little below a tray without one."""
-    return float(arm.base_position[2]) if arm else min(float(m.arrays["p_SB"][:, 2].min()) for m in run.motions) - 0.3
+    """Height of the ground, m: the scenario's floor, or, where there is none, a little below all that is drawn."""
+    return _bounds(run, arm)[0][2] - 0.3 if run.scenario.floor is None else run.scenario.floor
 
 
 def _azimuth(run: Run, arm: ArmModel | None) -> float:

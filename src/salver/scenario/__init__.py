@@ -4,7 +4,7 @@ A scenario is a TOML file, or the name of a ready-made one. It is checked in ful
 computed; each mistake is one sentence with the key, the value and what would be accepted.
 """
 
-from salver.scenario.cell import Arm, ArmLimits, Obstacle, Physics, Robot, Tray
+from salver.scenario.cell import Arm, ArmLimits, Obstacle, Physics, Robot, Surroundings, Tray
 from salver.scenario.files import SCENARIO_DIR, load, names
 from salver.scenario.legs import Leg
 from salver.scenario.liquid import LiquidIn
@@ -25,6 +25,6 @@ from salver.scenario.task import Contact, Control, Motion, Objective, Planning, 
 __all__ = [
     "SCENARIO_DIR", "Arm", "ArmLimits", "Box", "CarriedObject", "Composite", "Contact", "Control", "Cylinder",
     "Leg", "LiquidIn", "Mesh",
-    "Motion", "Objective", "Obstacle", "Part", "Physics", "Planning", "Pose", "Prism", "Robot", "Scenario", "Tray",
-    "Uncertainty", "UncertaintySet", "load", "names", "parse",
+    "Motion", "Objective", "Obstacle", "Part", "Physics", "Planning", "Pose", "Prism", "Robot", "Scenario",
+    "Surroundings", "Tray", "Uncertainty", "UncertaintySet", "load", "names", "parse",
 ]  # fmt: skip

@@ -17,6 +17,7 @@ from salver.scenario.fields import (
     Model,
     Name,
     Number,
+    Place,
     Point,
     Scale,
     Share,
@@ -131,6 +132,18 @@ class Obstacle(Model):
             if getattr(self, key) is None:
                 raise ValueError(f"a {self.type} needs {' and '.join(needed)}")
         return self
+
+
+class Surroundings(Model):
+    """What is around the arm beside the obstacles.
+
+    floor: height in S, m, of the plane above which links, tray and load stay, but for those on which the arm stands.
+    "base": where the arm's base is; "none": nothing is below, as where an arm hangs or stands on a wall.
+    """
+
+    floor: Place | Literal["base", "none"] = Field(
+        default="base", description='a finite number at least -10 and at most 10, "base" or "none"'
+    )
 
 
 Settling = Annotated[Number, Field(ge=0, le=60)]  # s

@@ -17,7 +17,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from salver.display import Shown
 from salver.errors import ScenarioError
-from salver.scenario.cell import Arm, Obstacle, Physics, Tray
+from salver.models.described import Floor, ObstacleDescription
+from salver.scenario.cell import Arm, Obstacle, Physics, Surroundings, Tray
 from salver.scenario.fields import Model, Text, Whole
 from salver.scenario.legs import Leg, fixed_to_tray, loads
 from salver.scenario.objects import CarriedObject, UncertaintySet
@@ -61,6 +62,7 @@ class Scenario(Shown, Model):
     tray: Tray = Tray()
     arm: Arm | None = None
     obstacles: list[Obstacle] = Field(default=[], max_length=100)
+    surroundings: Surroundings = Surroundings()
     physics: Physics = Physics()
 
     def facts(self) -> dict[str, str]:
@@ -247,6 +249,19 @@ class Scenario(Shown, Model):
         for leg in self.each_leg:
             found = {body.name: body for body in leg.payload.bodies} | found
         return tuple(found[item.name] for item in self.objects if item.name in found)
+
+    @property
+    def floor(self) -> float | None:
+        """Height of the floor in S, m; None where there is none, and without an arm."""
+        given = self.surroundings.floor
+        if self.arm is None or given == "none":
+            return None
+        return self.arm.base_position[2] if given == "base" else given
+
+    @property
+    def around(self) -> tuple[ObstacleDescription, ...]:
+        """All that stands around an arm, its tray and its load: the obstacles and the floor."""
+        return (*self.obstacles, *(() if self.floor is None else (Floor(self.floor),)))
 
     @cached_property
     def uncertain(self) -> UncertainSet:

@@ -38,7 +38,7 @@ DAMPING_RATIO = 3.0  # of the contact's spring: below 2 feet chatter near the fr
 SOLIMP = (0.9, DAMPING_WIDTH, 0.001, 0.5, 2.0)
 ARM_PREFIX = "arm/"
 TRAY_BODY = TRAY_GEOM = "salver:tray"
-OBSTACLE, FOOT, HULL = "salver:obstacle:", "salver:foot:", "salver:hull:"
+FLOOR, OBSTACLE, FOOT, HULL = "salver:floor", "salver:obstacle:", "salver:foot:", "salver:hull:"
 # Geoms meet only through explicit pairs, and add no mass of their own.
 INERT: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0}
 TRAY_COLOUR, POST_COLOUR = (0.06, 0.30, 0.36, 1.0), (0.35, 0.37, 0.40, 1.0)  # dark against floor, sky and white links
@@ -149,8 +149,17 @@ def add_tray(body: Any, tray: Tray, flange_E: Array | None = None) -> None:
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, rgba=POST_COLOUR, **post, **INERT)
 
 
+def add_floor(spec: Any, height: float) -> str:
+    """The plane at a height, m, below which there is ground; returns its name."""
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    # Where `add_surroundings` was, as that material; without it, not drawn.
+    material = next((item.name for item in spec.materials if item.name == FLOOR), "")
+    spec.worldbody.add_geom(name=FLOOR, type=plane, size=[0, 0, 0.05], pos=[0, 0, height], material=material, **INERT)
+    return FLOOR
+
+
 def add_surroundings(spec: Any) -> None:
-    """A floor, a sky and soft light."""
+    """The look of a floor, a sky and soft light."""
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
     spec.visual.headlight.specular = [0.1, 0.1, 0.1]
@@ -165,7 +174,7 @@ def add_surroundings(spec: Any) -> None:
         height=1536,
     )
     spec.add_texture(
-        name="salver:floor",
+        name=FLOOR,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         rgb1=[0.86, 0.87, 0.89],
@@ -173,11 +182,9 @@ def add_surroundings(spec: Any) -> None:
         width=256,
         height=256,
     )
-    floor = spec.add_material(name="salver:floor", texrepeat=[4, 4], texuniform=True)
-    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "salver:floor"
-    root = spec.worldbody
-    root.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], material="salver:floor", **INERT)
-    root.add_light(pos=[1.5, -1.5, 3], dir=[-0.4, 0.4, -0.8], diffuse=[0.55, 0.55, 0.55], castshadow=True)
+    floor = spec.add_material(name=FLOOR, texrepeat=[4, 4], texuniform=True)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = FLOOR
+    spec.worldbody.add_light(pos=[1.5, -1.5, 3], dir=[-0.4, 0.4, -0.8], diffuse=[0.55, 0.55, 0.55], castshadow=True)
 
 
 def _add_meshes(spec: Any, arm: ArmModel) -> None:

@@ -22,9 +22,11 @@ from salver.models.bodies import TRAY
 from salver.scenario import Scenario
 from salver.simulation.elements import (
     ARM_PREFIX,
+    FLOOR,
     OBSTACLE,
     TRAY_BODY,
     add_arm,
+    add_floor,
     add_load,
     add_obstacle,
     add_pairs,
@@ -57,7 +59,7 @@ class Scene:
     qpos_ids, qvel_ids: (m,) first index of each object's free joint. contact_time: solref[0], s.
     foot_object, foot_support, foot_number: (n_geom,) per geom: index of the object whose foot it is (-1: no
     foot), index of the object it rests on (-1: tray),
-    number of the foot in `Load.outline_B`. obstacle: (n_geom,) whether it is one.
+    number of the foot in `Load.outline_B`. obstacle: (n_geom,) whether it is one, or the floor.
     swings: what moves of the liquids, in the order of the objects that hold one.
     """
 
@@ -138,7 +140,7 @@ def build(
     strapped: bool = False,
     also: Callable[[Any], None] | None = None,
 ) -> Scene:
-    """Compile the scene of one run. visual: with meshes, floor and light, for pictures; physics is the same. strapped:
+    """Compile the scene of one run. visual: with meshes and light, for pictures; physics is the same. strapped:
     objects are fixed to the tray, and touch nothing. also: adds to the mujoco.MjSpec what else there is."""
     spec = specify(scenario, world, arm, visual=visual, strapped=strapped)
     if also is not None:
@@ -170,6 +172,10 @@ def specify(
     if arm is not None:
         for k, obstacle in enumerate(scenario.obstacles):
             obstacles += add_obstacle(spec, obstacle, k)
+        if scenario.floor is not None:
+            obstacles.append(add_floor(spec, scenario.floor))
+    elif visual:
+        add_floor(spec, 0.0)
     if strapped:
         for k, load in enumerate(world.loads):
             strap(spec, load, k, 2 * scenario.physics.timestep)
@@ -215,7 +221,7 @@ def _compiled(spec: Any, arm: ArmModel | None, world: TrueWorld, contact_time: f
         foot_object=foot[0],
         foot_support=foot[1],
         foot_number=foot[2],
-        obstacle=np.array([model.geom(i).name.startswith(OBSTACLE) for i in range(model.ngeom)]),
+        obstacle=np.array([model.geom(i).name.startswith((OBSTACLE, FLOOR)) for i in range(model.ngeom)]),
         swings=tuple(_found_swing(model, k, load) for k, load in enumerate(world.loads) if load.fill is not None),
     )
 

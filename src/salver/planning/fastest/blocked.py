@@ -10,6 +10,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array, exp
 from salver.models.arm_geometry import ArmGeometry
+from salver.models.described import Floor
 from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.starts import Ends, guess
@@ -34,7 +35,8 @@ def why_blocked(problem: TransportProblem) -> Status | None:
     touch = problem.keep_out.parts.first_touch(problem.start_posture[None])
     if touch is None:
         return None
-    return Status("collision", f"In the start posture {touch.first} and {touch.second} touch.", False)
+    where = " (surroundings.floor says where it is)" if touch.second == Floor.name else ""
+    return Status("collision", f"In the start posture {touch.first} and {touch.second} touch{where}.", False)
 
 
 def why_unreached(problem: TransportProblem) -> Status:
@@ -81,8 +83,24 @@ def why_touching(problem: TransportProblem, pairs: list[Ends], status: Status) -
         return status
     where = ("start", "goal")[end]
     best = f"{touch.first} and {touch.second} do in the best"
-    told = f"No posture was found at the {where} in which nothing touches: {best}."
+    told = f"No posture was found at the {where} in which nothing touches: {best}{_higher(problem, where)}."
     return replace(status, code=COLLISION, sentence=told)
+
+
+def _higher(problem: TransportProblem, where: str) -> str:
+    """By how much the end must be raised for a posture to be found in which nothing touches, in words: in steps of 5 cm
+    up to half a metre."""
+    end = problem.start if where == "start" else problem.goal
+    if not isinstance(end, AtPose) or problem.keep_out is None:
+        return ""
+    rng = np.random.default_rng(0)
+    for rise in np.linspace(0.05, 0.5, 10):
+        raised = replace(end.target, p_SB=end.target.p_SB + np.array([0.0, 0.0, rise]))
+        for attempt in range(TRIES):
+            q, missed = posture_at(problem.arm, raised, guess(problem, rng, attempt), limits=problem.limits)
+            if missed < REACHED and problem.keep_out.parts.first_touch(q[None]) is None:
+                return f"; {rise:.2g} m higher one was found"
+    return ""
 
 
 def _stuck(parts: ArmGeometry, name: str, target: PoseTarget) -> Status | None:

@@ -12,9 +12,10 @@ import numpy as np
 
 from salver.geometry import Array, Indices
 from salver.models.arm_geometry import ArmGeometry
+from salver.models.described import Floor
 from salver.planning.follow import clearance
 
-SAFETY = 5e-3  # m that are kept free
+SAFETY = 5e-3  # m that are kept free, but for the floor's own
 AT_NODES = 1e-3  # m more at the nodes of a programme, for what may happen between them
 REACH = 5e-3  # m; pairs that are further apart than this and what they must be are left out of a programme
 EXACT = 1.5 * REACH + AT_NODES  # m up to which distances are exact: what comes to within reach from there came far
@@ -36,9 +37,9 @@ class KeepOut:
 
     @classmethod
     def of(cls, parts: ArmGeometry, q: Array | None) -> KeepOut:
-        """All pairs; one that is nearer than `SAFETY` at some of the postures (N, n) that are given has to keep a share
+        """All pairs; one that is nearer than `safety` at some of the postures (N, n) that are given has to keep a share
         of that distance."""
-        required = np.full(len(parts.pairs), SAFETY)
+        required = safety(parts)
         if q is not None:
             required = np.minimum(required, KEPT_WHERE_GIVEN * np.maximum(parts.clearance(q).min(axis=0), 0.0))
         return cls(parts, required)
@@ -48,7 +49,7 @@ class KeepOut:
         of what there is, as the arm may stray into the rest, less what the nodes of a programme keep beside it. What a
         given posture keeps is kept: by that motions are judged that begin there."""
         there = self.parts.clearance(ends).min(axis=0)
-        share = np.where(self.required < SAFETY, KEPT_WHERE_GIVEN, KEPT_AT_ENDS)
+        share = np.where(self.required < safety(self.parts), KEPT_WHERE_GIVEN, KEPT_AT_ENDS)
         there = np.maximum(there, 0.0)
         kept = np.maximum(share * there, np.minimum(APART, OF_LITTLE * there))
         less = np.minimum(kept - AT_NODES, self.required)
@@ -73,3 +74,8 @@ class KeepOut:
     def gradient(self, q: Array, node: Indices, pair: Indices) -> Array:
         """(r, n) derivatives of the distances at postures q[node] for pairs (r,)."""
         return self.parts.clearance_gradient(q, node, pair)
+
+
+def safety(parts: ArmGeometry) -> Array:
+    """(pairs,) m that are kept free."""
+    return np.where(parts.of_floor, Floor.clear, SAFETY)

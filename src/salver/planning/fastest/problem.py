@@ -209,7 +209,7 @@ def transport_problem(
     given = scenario.arm.start_posture if start_posture is None else start_posture
     if given is not None:
         start = AtPosture(corrected_posture(arm, given, begin, first.name))
-    parts = arm_geometry(arm, payload.bodies, scenario.obstacles)
+    parts = arm_geometry(arm, payload.bodies, scenario.around)
     liquids = tuple(cases(body, payload.uncertain) for body in payload.liquids)
     more = (cases(body, payload.uncertain, VERDICT_APART) for body in payload.liquids)
     return TransportProblem(

@@ -14,6 +14,7 @@ from salver.models.arm import ArmModel, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.arm_limits import LIMITS, LimitKind
 from salver.models.bodies import Body
+from salver.models.described import Floor
 from salver.planning.follow.clearance import sweep
 from salver.trajectory import JointMotion
 from salver.wording import listed
@@ -86,14 +87,18 @@ def blocked_end(parts: ArmGeometry, ends: Mapping[str, tuple[Array, Array]], wha
     for name, (p_SE, R_SE) in ends.items():
         found = parts.in_the_way(p_SE, R_SE)
         if found is not None:
-            sentence = f"At the {name} the {found[0]} is inside the obstacle {found[1]}{whatever}; move one of them."
+            place = f"inside the obstacle {found[1]}{whatever}; move one of them"
+            if found[1] == Floor.name:
+                place = f"in the floor{whatever}; move the {name} up, or say where the floor is: surroundings.floor = "
+                place += 'a height in m, or "none" for an arm that hangs'
+            sentence = f"At the {name} the {found[0]} is {place}."
             return Status(COLLISION, sentence, False, {COLLISION: {"first": found[0], "second": found[1]}})
     return None
 
 
 def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
-    """What a verdict on this arm does not cover, in words: limits that nobody gave, masses that are not known, shapes
-    and pairs not looked at."""
+    """What a verdict on this arm does not cover, in words: what may stand around it where nothing does, limits that
+    nobody gave, masses that are not known, shapes and pairs not looked at."""
     nobody: dict[str, list[str]] = {}
     for kind in LIMITS:
         if arm.weightless and kind.of == "torque":
@@ -101,6 +106,8 @@ def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
         joints = [name for name, source in zip(arm.joint_names, arm.limit_sources[kind.key], strict=True) if not source]
         if joints:
             nobody.setdefault("all joints" if len(joints) == arm.n else listed(joints), []).append(kind.name)
+    stand = parts.names[len(parts.names) - parts.obstacles :]
+    nothing = [] if set(stand) - {Floor.name} else [f"anything around the arm{' but the floor' if stand else ''}"]
     limits = [f"{listed(kinds)} of {joints} (nobody gave a limit)" for joints, kinds in nobody.items()]
     masses = []
     if arm.weightless:
@@ -109,7 +116,7 @@ def unchecked(arm: ArmModel, parts: ArmGeometry) -> list[str]:
             f"joint torques, and how far the arm strays from its motion (the URDF gives {whose}no "
             f"mass{'' if whose else 'es'}: it is planned as one that follows exactly, under position control)"
         )
-    return [*masses, *limits, *parts.unchecked]
+    return [*nothing, *masses, *limits, *parts.unchecked]
 
 
 def verdict(

@@ -16,10 +16,11 @@ from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.arm_geometry import ArmGeometry, arm_geometry
 from salver.models.bodies import Body
+from salver.models.described import ObstacleDescription
 from salver.planning.follow.limits import COLLISION, blocked_end, verdict
 from salver.planning.follow.redundancy import Choice, TrayPath, first_choice, improved, solve_path, tray_path
 from salver.planning.postures import PoseTarget, candidate_postures, postures_along, start_posture
-from salver.scenario import Obstacle, Scenario
+from salver.scenario import Scenario
 from salver.trajectory import JointMotion, Reference
 
 GRID_STEP = 5e-3  # s between samples of the joint motion; quintic in between
@@ -35,7 +36,7 @@ def follow(
     R_EB: Array,
     *,
     bodies: Sequence[Body] = (),
-    obstacles: Sequence[Obstacle] = (),
+    obstacles: Sequence[ObstacleDescription] = (),
     q_start: Sequence[float] | Array | None = None,
     seed: int = 0,
 ) -> tuple[JointMotion | None, Status]:
@@ -61,7 +62,7 @@ def follow(
     if not whole:
         return None, _unreachable(arm, path, max((reached for _, reached in followed), default=0))
     if q_start is None:
-        whole = _clear(parts, whole)
+        whole = [postures for postures in whole if parts.first_touch(postures) is None] or whole
 
     fallback: tuple[JointMotion, Status] | None = None
     for choice in _choices(with_load(arm, bodies), parts, path, whole, q_start is None):
@@ -101,19 +102,10 @@ def follow_scenario(
         carried[0].p_EB,
         carried[0].R_EB,
         bodies=carried,
-        obstacles=scenario.obstacles,
+        obstacles=scenario.around,
         q_start=q_start,
         seed=scenario.seed,
     )
-
-
-def _clear(parts: ArmGeometry, whole: list[Array]) -> list[Array]:
-    """Of ways along the path, those free of collision, and of these those above the arm's base; all when none is.
-
-    An arm mostly stands on something: unless it has to, it does not reach below.
-    """
-    free = [postures for postures in whole if parts.first_touch(postures) is None] or whole
-    return [postures for postures in free if parts.lowest(postures[::5]) > 0] or free
 
 
 def _choices(

@@ -1,0 +1,156 @@
+"""First files of newcomers: an arm, one object, a start and a goal, nothing else. What is planned, and is it kept?
+
+    python benchmarks/newcomers.py -n 60 -o out/newcomers.jsonl      plan those that the file does not hold yet
+    ... --corners 4                                                  and run each plan in the engine
+    ... --urdf arm.urdf tool0 --package-dir packages                 with other arms beside those by name
+    python benchmarks/newcomers.py --table -o out/newcomers.jsonl    print only what the file holds
+
+Each file follows from its number. Every other one gives a duration (2 s) too, and is planned by the default method, the
+safest, and as the fastest; the others ask for the fastest motion by leaving it out.
+
+How low the arm reaches is read off the visual meshes of its links, placed by Pinocchio every 10 ms: no shape of the
+planner's, no Coal. In the engine the object is the nominal one and one at corners drawn at random: friction 10 % less,
+mass 8 % either way, centre of mass and place 2 mm along both axes; at full speed and at half of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salver import scenario
+from salver.errors import SalverError
+from salver.models.arm import ArmModel, load_arm
+from salver.planning.make import make_plan
+from salver.planning.plan import Plan
+from salver.simulation.meshes import arm_meshes
+from salver.simulation.physics import Experiment
+from survey import ARMS, read
+
+SEED, STEP, DURATION = 20261125, 0.01, 2.0
+SPEEDS = (1.0, 0.5)
+Arms = list[tuple[str, float, dict[str, Any]]]
+
+
+def task(number: int, arms: Arms) -> tuple[str, scenario.Scenario]:
+    """The arm's name and the scenario of a number."""
+    rng = np.random.default_rng([SEED, number])
+    name, reach, keys = arms[int(rng.integers(len(arms)))]
+    ends: list[np.ndarray] = []
+    while len(ends) < 2 or np.linalg.norm(ends[1] - ends[0]) < 0.35 * reach:
+        angle, radius = rng.uniform(-1.2, 1.2, 2), rng.uniform(0.45, 0.75, 2) * reach
+        height = rng.uniform(0.3, 0.7, 2) * reach
+        ends = list(np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1))
+    tall, wide = float(rng.uniform(0.06, 0.22)), float(rng.uniform(0.05, 0.09))
+    shape = {"type": "cylinder", "radius": wide / 2, "height": tall}
+    if rng.random() < 0.5:
+        shape = {"type": "box", "size": [wide, wide, tall]}
+    motion: dict[str, Any] = {"start": {"position": ends[0].tolist()}, "goal": {"position": ends[1].tolist()}}
+    if number % 2:
+        motion["duration"] = DURATION
+    item = {"shape": shape, "mass": float(rng.uniform(0.1, 0.5)), "friction": float(rng.uniform(0.2, 0.6))}
+    return name, scenario.parse({"name": f"newcomer-{number}", "motion": motion, "objects": [item], "arm": keys}, name)
+
+
+def lowest(plan: Plan, arm: ArmModel) -> dict[str, float]:
+    """m over the base of the lowest point of each link that moves, over a plan's motion."""
+    assert plan.joint is not None
+    q = plan.joint.sample(np.arange(0.0, plan.joint.duration, STEP))[0]
+    points = {link: np.vstack([part.vertices for part in parts]) for link, parts in arm_meshes(arm).items()}
+    low = {link: np.inf for link in points if np.ptp([arm.link_pose(x, link)[1] for x in q], axis=0).max() > 1e-6}
+    for x in q:
+        for link in low:
+            p, R = arm.link_pose(x, link)
+            low[link] = min(low[link], float(p[2] + (points[link] @ R[2]).min() - arm.base_position[2]))
+    return low
+
+
+def corners(case: scenario.Scenario, count: int, rng: np.random.Generator) -> list[dict[str, float]]:
+    """True values of so many objects, drawn at random, and none for the nominal one."""
+    item, (com, side) = case.objects[0], 2e-3 * rng.choice([-1.0, 1.0], (2, count, 3))
+    masses = item.mass * (1 + 0.08 * rng.choice([-1.0, 1.0], count))
+    return [{}] + [
+        {"friction": 0.9 * item.friction, "mass": float(mass), "com_x": x, "com_y": y, "position_x": u, "position_y": v}
+        for mass, (x, y, _), (u, v, _) in zip(masses, com.tolist(), side.tolist(), strict=True)
+    ]
+
+
+def attempt(case: scenario.Scenario, method: str | None, count: int, rng: np.random.Generator) -> dict[str, Any]:
+    """One plan of one file: whether it is safe by itself, how low it reaches, how its runs end."""
+    began = time.process_time()
+    try:
+        plan = make_plan(case, method)
+    except SalverError as error:
+        return {"ok": False, "says": str(error), "cpu": time.process_time() - began}
+    found: dict[str, Any] = {"ok": plan.ok, "says": plan.verdict, "cpu": time.process_time() - began}
+    if not plan.ok or plan.joint is None:
+        return found
+    assert case.arm is not None
+    links = lowest(plan, load_arm(case.arm, case.tray))
+    link = min(links, key=lambda name: links[name])
+    found |= {"duration": plan.duration, "lowest": links[link], "link": link}
+    for speed in SPEEDS if count else ():
+        run = Experiment(plan.at_speed(speed) if speed < 1 else plan)
+        outcomes = [run.run(true) for true in corners(case, count, rng)]
+        found[f"at {speed:g}"] = [(record.outcome, float(record.slip.max())) for record in outcomes]
+    return found
+
+
+def table(records: list[dict[str, Any]]) -> str:
+    """Markdown: one row for each method."""
+    rows = [
+        "| planned as | files | planned | lowest link, m | below the base | runs | not held |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for method in ("default", "fastest"):
+        tried = [record[method] for record in records if method in record]
+        ok = [found for found in tried if "lowest" in found]
+        runs = [outcome for found in ok for speed in SPEEDS for outcome, _ in found.get(f"at {speed:g}", ())]
+        low = [found["lowest"] for found in ok]
+        cells = [method, len(tried), len(ok), f"{min(low, default=np.nan):.3f}", sum(x < 0 for x in low), len(runs)]
+        rows.append(f"| {' | '.join(map(str, [*cells, sum(outcome != 'holds' for outcome in runs)]))} |")
+    return "\n".join(rows)
+
+
+def own(urdf: str, flange: str, packages: list[str]) -> tuple[str, float, dict[str, Any]]:
+    """A URDF as an arm of `ARMS`; its reach is what three of four random postures stay within."""
+    keys = {"model": urdf, "flange": flange, "package_dirs": packages, "limits": {"acceleration": 5.0}}
+    arm = load_arm(scenario.Arm.model_validate(keys), scenario.Tray())
+    low, high = np.maximum(arm.limits.q_min, -np.pi), np.minimum(arm.limits.q_max, np.pi)
+    drawn = np.random.default_rng(0).uniform(low, high, (400, arm.n))
+    away = [np.linalg.norm(arm.tray_pose(q)[0][:2]) for q in drawn]
+    return Path(urdf).stem, float(np.quantile(away, 0.75)), keys
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-n", type=int, default=60, help="files up to n - 1,")
+    parser.add_argument("--first", type=int, default=0, help="from this one on")
+    parser.add_argument("-o", "--out", type=Path, default=Path("out/newcomers.jsonl"))
+    parser.add_argument("--corners", type=int, default=0, help="objects beside the nominal one in the engine")
+    parser.add_argument("--urdf", nargs=2, action="append", default=[], metavar=("FILE", "FLANGE"))
+    parser.add_argument("--package-dir", action="append", default=[], help="folder of packages whose meshes URDFs name")
+    parser.add_argument("--table", action="store_true", help="only print the table")
+    given = parser.parse_args()
+    arms: Arms = [arm for arm in ARMS if "flange" not in arm[2]]
+    arms += [own(urdf, flange, given.package_dir) for urdf, flange in given.urdf]
+    done = {record["number"] for record in read(given.out)}
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    for number in [] if given.table else sorted(set(range(given.first, given.n)) - done):
+        name, case = task(number, arms)
+        rng, record = np.random.default_rng([SEED, number, 1]), {"number": number, "arm": name}
+        for key, method in (("default", None), ("fastest", "fastest"))[: 2 if case.motion.duration else 1]:
+            record[key] = attempt(case, method, given.corners, rng)
+        with given.out.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(record) + "\n")
+        print(number, name, record, flush=True)
+    print(table(read(given.out)))
+
+
+if __name__ == "__main__":
+    main()
