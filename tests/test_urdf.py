@@ -175,7 +175,7 @@ def test_that_a_link_has_no_mass_is_said_before_torques_are_said_to_hold(tmp_pat
     """Also of the flange, with which the tray moves; whatever torques the joints have, none is called kept."""
     arm = loaded(tmp_path, without_inertial(gantry(), link))
     told = verdict(arm, JointMotion(np.arange(2.0), *np.zeros((3, 2, arm.n)))).sentence
-    assert told.startswith("Not checked: joint torques, and how far the arm strays from its motion (the URDF gives ")
+    assert told.startswith("Not checked: anything around the arm; joint torques, and how far the arm strays")
     assert f" gives {link} no mass: it is planned as one that follows exactly, under position control); " in told
     assert "torque of all joints" not in told
     assert np.isinf(arm.limits.torque).all()
