@@ -11,6 +11,7 @@ from recordings import JOINTS, joint_motion, line, tray_csv, write_csv
 from salver import scenario as scenarios
 from salver.auditing import audit, audit_motion
 from salver.auditing.motion import TrayMotion
+from salver.auditing.verdict import AT_ONCE
 from salver.cli import app
 
 PEAK = 10 / np.sqrt(3) * 0.5  # of the min-jerk acceleration over 0.5 m, times T^2
@@ -52,6 +53,18 @@ def test_it_slides_when_the_acceleration_passes_friction_times_gravity():
     assert result.nominal.details["time"] == pytest.approx(first, abs=1e-3)
     assert result.speeds.pace.details["factor"] == pytest.approx(np.sqrt(PEAK / duration**2 / (0.3 * 9.81)), rel=1e-4)
     assert not result.ok
+
+
+def test_of_very_many_instants_those_that_decide_are_looked_at():
+    """The least margins of the whole, and the first instants at which they fail, are among them."""
+    duration = 0.9
+    result = audit_motion(TrayMotion(line(duration, 10_000.0)), case(friction=0.3, friction_range="10%"))
+    few, (nominal, worst) = result.margins, result.reserves
+    assert len(few.t) < AT_ONCE < len(nominal)
+    for least, every in ((few.exact, nominal), (few.exact_worst, worst)):
+        assert least.min() == pytest.approx(every.min(), abs=1e-12)
+        assert few.t[np.argmax(least < 0)] == result.motion.samples.t[np.argmax(every < 0)]
+    assert few.t[[0, -1]] == pytest.approx([0.0, duration])
 
 
 def test_a_tall_box_tips_where_its_base_ends():

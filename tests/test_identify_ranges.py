@@ -15,7 +15,8 @@ import salver as sv
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.learning import Identified, identify
-from salver.learning.ranges import NAMES, WIDTH, Ellipsoid, consistent, ellipsoid, inertia_intervals, slid
+from salver.learning.narrowing import correlated
+from salver.learning.ranges import NAMES, WIDTH, Ellipsoid, Range, consistent, ellipsoid, inertia_intervals, slid
 from salver.learning.sensors import SensedArm, Sensors
 from salver.models.bodies import Body
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
@@ -193,6 +194,24 @@ def test_an_ellipsoid_of_a_load_that_slid_holds_whatever_the_slide_may_have_adde
         assert inside(found, edge + added)
         at_the_edge += not inside(bare, edge + added)
     assert at_the_edge > 100
+
+
+@pytest.mark.parametrize("name", [None, *NAMES])
+def test_an_ellipsoid_that_leaves_a_range_is_not_taken(name: str | None) -> None:
+    """Whichever range is narrower than it; the box of the same estimate is cut there instead."""
+    made = load("panda-tall-bottle").with_changes(objects__0__uncertainty=WIDE)
+    body, rng = made.payload.first, np.random.default_rng(10)
+    phi = phi_of(inertial_vector(body.inertial))
+    C = covariance(rng, phi, 0.01)
+    around = ellipsoid(phi, C, NAMES)
+    assert around is not None
+    half = dict(zip(NAMES, 1.3 * around.half, strict=True))
+    if name is not None:
+        half[name] *= 0.7
+    com = [float(half[axis]) for axis in NAMES[1:]]
+    narrow = made.with_changes(objects__0__uncertainty={"mass": float(half["mass"]), "com": com})
+    wide = {each: Range(-1.0, 1.0, (-1.0, 1.0), (-1.0, 1.0)) for each in NAMES}
+    assert (correlated(narrow, phi, C, np.zeros(3), wide) is None) == (name is not None)
 
 
 @pytest.fixture

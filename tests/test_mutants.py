@@ -50,6 +50,7 @@ KNOWN = signatures(["def run(a, b, c=1): ...", "class Thing:\n    x: int\n    y:
         ("y = run(a, b)", {"y = run(b, a)"}),
         ("y = Thing(x=a, y=b)", {"y = Thing(x=a)"}),
         ("y = f(self.t)", {"y = f(0.5 * self.t)"}),
+        ("y = len(self.t)", set()),
         ("y = t - t[0]", {"y = t", "y = (t + t[0])", "y = t - t[1]"}),
         ("y = range(k)", {"y = range(0, k - 1)", "y = range(0 + 1, k)"}),
         ("y = default_rng([s, k])", {"y = default_rng([s])", "y = default_rng([])"}),

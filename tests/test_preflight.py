@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from driver_rig import Rig
 from salver import scenario
 from salver.control.arm import ArmState
 from salver.driver.franka_limits import FR3
@@ -221,6 +222,21 @@ def test_obstacles_of_the_scenario_are_kept_clear_of(plan: Plan, arm: ArmModel) 
         assert ("limits" in said) == hits
         if hits:
             assert "pole touch at t = " in said["clearance"]
+
+
+def test_a_stop_on_whose_way_something_stands_is_refused(safe: Rig) -> None:
+    """By the stop's own check, which names when it begins."""
+    plan, arm = safe.plan, safe.arm
+    assert plan.stops is not None
+    stop, body = plan.stops.motion(len(plan.stops.t) // 2), safe.carried[0]
+    rest, _ = arm.object_pose(stop.q[-1], body.p_EB, body.R_EB)
+    pole = {"type": "capsule", "name": "pole", "radius": 0.01, "length": 0.6}
+    for offset, hits in ((0.0, True), (0.5, False)):
+        there = [{**pole, "position": [float(rest[0]) + offset, float(rest[1]), float(rest[2])]}]
+        (said,) = (c for c in check_plan(replace(plan, scenario=plan.scenario.with_changes(obstacles=there)), arm,
+                                         safe.carried) if c.name == "stops")  # fmt: skip
+        assert said.ok is not hits
+        assert ("is not safe: " in said.sentence and "pole" in said.sentence) == hits
 
 
 def test_a_thin_wall_between_two_samples_is_seen(arm: ArmModel) -> None:

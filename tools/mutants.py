@@ -238,7 +238,7 @@ def _call(node: ast.Call) -> Iterator[tuple[ast.AST, str]]:
     if plain and not node.keywords and name not in UNORDERED:
         yield _with(node, args=node.args[::-1]), "arguments swapped"
     for k, arg in enumerate(node.args):
-        if ast.unparse(arg).split(".")[-1] in TIMES:
+        if name != "len" and ast.unparse(arg).split(".")[-1] in TIMES:
             half = ast.BinOp(ast.Constant(0.5), ast.Mult(), arg)
             yield _with(node, args=[*node.args[:k], half, *node.args[k + 1 :]]), "time base"
     if name == "range" and len(node.args) < 3:
