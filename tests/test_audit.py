@@ -13,6 +13,7 @@ from salver.auditing import audit, audit_motion
 from salver.auditing.motion import TrayMotion
 from salver.auditing.verdict import AT_ONCE
 from salver.cli import app
+from salver.trajectory import MotionSamples
 
 PEAK = 10 / np.sqrt(3) * 0.5  # of the min-jerk acceleration over 0.5 m, times T^2
 
@@ -56,15 +57,19 @@ def test_it_slides_when_the_acceleration_passes_friction_times_gravity():
 
 
 def test_of_very_many_instants_those_that_decide_are_looked_at():
-    """The least margins of the whole, and the first instants at which they fail, are among them."""
-    duration = 0.9
-    result = audit_motion(TrayMotion(line(duration, 10_000.0)), case(friction=0.3, friction_range="10%"))
+    """The least margins of the whole, and the first instants at which they fail, are among them. It accelerates most
+    upwards, which presses the cube on, soon after it slides."""
+    t = np.linspace(0, 1, 10_001)
+    zero, still = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
+    sideways, upwards = (size * np.exp(-(((t - at) / 0.02) ** 2)) for at, size in ((0.1, 3.2), (0.25, 8.0)))
+    motion = MotionSamples(t, zero, zero, np.stack([sideways, 0 * t, upwards], axis=1), still, zero, zero)
+    result = audit_motion(TrayMotion(motion), case(friction=0.3, friction_range="10%"))
     few, (nominal, worst) = result.margins, result.reserves
     assert len(few.t) < AT_ONCE < len(nominal)
     for least, every in ((few.exact, nominal), (few.exact_worst, worst)):
         assert least.min() == pytest.approx(every.min(), abs=1e-12)
         assert few.t[np.argmax(least < 0)] == result.motion.samples.t[np.argmax(every < 0)]
-    assert few.t[[0, -1]] == pytest.approx([0.0, duration])
+    assert few.t[[0, -1]] == pytest.approx([0.0, 1.0])
 
 
 def test_a_tall_box_tips_where_its_base_ends():

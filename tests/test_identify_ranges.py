@@ -295,8 +295,7 @@ def test_ranges_of_inertia_are_narrowed_and_nothing_else_of_it_becomes_uncertain
     told = found(plan, true, 1, {"objects__0__uncertainty": WIDE | {"inertia": "80%"}})
     assert told.ellipsoid is not None
     assert told.ellipsoid.names == ("mass", "com_x", "com_y", "com_z", "inertia_xx", "inertia_yy", "inertia_zz")
-    for correlated in (True, False):
-        made = told.learnt_scenario(correlated)
+    for made in map(told.learnt_scenario, (True, False)):
         ranges = {p.quantity: h for p, h in made.payload.uncertain.ranges.items()}
         off = inertial_vector(made.payload.first.inertial) - true
         for k, name in enumerate(INERTIAL[4:], 4):
