@@ -26,7 +26,7 @@ from salver.cli.searching import searching, stopping
 from salver.cli.watch import watched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from salver.planning.fastest import FastestOptions
     from salver.planning.plan import Plan
@@ -225,6 +225,7 @@ def _show_legs(plan: Round) -> None:
 
     console, scenario = result_console(), plan.scenario
     console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
+    warn(plan.warnings)
     table = Table(box=None, padding=(0, 3, 0, 0))
     for column in ("leg", "on the tray", "then", "duration", "left, worst case", "friction needed / sure", "arm"):
         table.add_column(column)
@@ -252,6 +253,12 @@ def _show_legs(plan: Round) -> None:
     console.print(f"Solved in {1e3 * float(plan.solver['seconds']):.1f} ms by {plan.solver['name']}.")
 
 
+def warn(warnings: Iterable[str]) -> None:
+    """Say on standard output what of a scenario is probably not meant."""
+    for sentence in warnings:
+        result_console().print(headed("Warning", sentence))
+
+
 def options_of(effort: Effort | None) -> FastestOptions | None:
     """The options of the search for an effort; None, the normal ones, loads no search."""
     if effort is None:
@@ -268,6 +275,7 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
     console = result_console()
     scenario = plan.scenario
     console.print(headed(scenario.name, scenario.summary) if scenario.summary else scenario.name)
+    warn(plan.warnings)
     uncertain = ", ".join(
         f"{name} ±{half:.3g}" for name, half in zip(plan.uncertain.names, plan.uncertain.half_range, strict=True)
     )

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
 
 TRAY_FRAME = "salver_tray"
+OWN = ("the URDF", "the maker of")  # how sources of limits begin that are the arm's own
 # m, of what one joint moves. No arm's link is so large; some have made-up inertias (the jaws of a Robonaut: 3.2), and
 # those in g mm^2 say 3e4 times what is so, in kg mm^2 1e3 times.
 LARGEST_GYRATION = 10.0
@@ -40,8 +41,10 @@ class ArmModel:
     name: as in the scenario. pin_model, data: Pinocchio's model (tray included) and work space.
     flange, tray_id: name of the frame F; index of the frame E in `pin_model.frames`.
     joint_names: n names from the base outwards. link_names: links from the root to F, root first.
-    limits: of the joints; planning_limits: the share of them that the scenario lets a plan use. limit_sources: for
-    each kind of limit and joint, who gave it; None where nobody did. linear: whether a joint slides (m instead of rad).
+    limits: of the joints; planning_limits: the share of them that the scenario lets a plan use; own_limits: those that
+    its maker and its URDF give. rated: kg that its maker rates it for, None where that is not known.
+    limit_sources: for each kind of limit and joint, who gave it; None where nobody did. linear: whether a joint slides
+    (m instead of rad).
     urdf: the URDF that was loaded, as text: everything beyond the flange left off, joints beside the chain
     fixed, mesh files that were found by their absolute paths. urdf_path: the file it came from.
     collisions: what is done about links whose geometry is not known: "meshes" (refuse), "capsules" (fit some),
@@ -62,6 +65,8 @@ class ArmModel:
     link_names: tuple[str, ...]
     limits: JointLimits
     planning_limits: JointLimits
+    own_limits: JointLimits
+    rated: float | None
     limit_sources: Mapping[str, tuple[str | None, ...]]
     linear: tuple[bool, ...]
     urdf: str
@@ -173,6 +178,7 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
     if weightless:
         given.append(("", dict.fromkeys(("torque", "torque_rate"), np.full(model.nv, np.inf))))
     limits, sources = joint_limits(model.nv, given)
+    own_limits = joint_limits(model.nv, [one for one in given if one[0].startswith(OWN)])[0]
     for joint, low, high in zip(names, limits.q_min, limits.q_max, strict=True):
         if low >= high:
             raise ScenarioError(
@@ -189,6 +195,8 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
         link_names=chain.links,
         limits=limits,
         planning_limits=limits.scaled(arm.limit_shares),
+        own_limits=own_limits,
+        rated=known.payload if known else None,
         limit_sources=sources,
         linear=tuple("JointModelP" in joint.shortname() for joint in list(model.joints)[1:]),
         urdf=chain.urdf,

@@ -23,6 +23,7 @@ from salver.planning.object.evaluation import Evaluation, evaluate
 from salver.planning.plan_files import NEEDED, PlanFiles, read_plan, save_files
 from salver.planning.stop_library import StopLibrary
 from salver.scenario import Scenario
+from salver.scenario.warnings import warnings_of
 from salver.tables import Table, Tabular, dimensioned
 from salver.trajectory import (
     JointMotion,
@@ -209,6 +210,11 @@ class Plan(Shown, Tabular):
             out.append("whether anything hits an obstacle (planned without an arm)")
         return (*load, *out)
 
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What of the scenario is probably not meant, or more than its arm is made for, a sentence each."""
+        return warnings_of(self.scenario)
+
     @property
     def no_arm_motion(self) -> str:
         """Why `joint` is None, in one sentence."""
@@ -339,6 +345,7 @@ class Plan(Shown, Tabular):
             "verdict": self.verdict,
             "method": self.method,
             "ok": self.ok,
+            "warnings": list(self.warnings),
             "unchecked": list(self.unchecked),
             "status": status_record(self.status),
             "duration": self.duration,

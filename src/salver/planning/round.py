@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.plan import Plan, load_plan, plan_of, status_from, status_record
 from salver.planning.plan_files import leg_files, read_files, save_files
 from salver.scenario import Scenario
+from salver.scenario.warnings import warnings_of
 
 SAME_POSTURE = 1e-9  # rad, m: by which a leg may begin elsewhere than the one before it ended
 
@@ -75,6 +77,11 @@ class Round(Shown):
         only = f"{SPEED}: {' '.join(slow)} " if slow else ""
         return one_line(f"{only}Not checked: {'; '.join(self.unchecked)}. {self.status.sentence}")
 
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """As of a plan, of the whole task."""
+        return warnings_of(self.scenario)
+
     @property
     def unchecked(self) -> tuple[str, ...]:
         """What the verdict does not cover, in words; to be said before anything that is said to be safe."""
@@ -102,6 +109,7 @@ class Round(Shown):
             "verdict": self.verdict,
             "method": self.method,
             "ok": self.ok,
+            "warnings": list(self.warnings),
             "unchecked": list(self.unchecked),
             "status": status_record(self.status),
             "duration": self.duration,

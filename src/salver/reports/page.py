@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,7 +64,9 @@ def _write_legs(directory: Path, target: Path, say: Callable[[str], None], *, ke
         write_atomic(place, page(run, links), keep=keep)
     answer, made, task, shown = overview(files, runs, places, campaign)
     name, source = files.scenario.name, directory.name or str(directory)
-    whole = filled(answer, made, None, name=name, asked=task, notes=notes, tiles=shown, source=source)
+    whole = filled(
+        answer, made, None, name=name, asked=task, notes=[*warned(files.record), *notes], tiles=shown, source=source
+    )
     return write_atomic(target, whole, keep=keep)
 
 
@@ -78,11 +80,16 @@ def page(run: Run, others: Markup = NOTHING) -> str:
         replay(run, arm),
         name=run.scenario.name,
         asked=asked(run),
-        notes=run.notes,
+        notes=[*warned(run.plan.summary), *run.notes],
         tiles=sections.tiles(run),
         source=run.directory.name or str(run.directory),
         others=others,
     )
+
+
+def warned(record: Mapping[str, Any]) -> list[str]:
+    """The warnings that a plan's record holds, to stand before everything else."""
+    return [f"Warning: {sentence}" for sentence in record.get("warnings", [])]
 
 
 def filled(

@@ -1,0 +1,98 @@
+"""What of a scenario is probably not meant, or more than an arm is made for: taken as it is, and said first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.geometry import Array
+from salver.models.arm_limits import LIMITS
+from salver.scenario.model import Scenario
+
+if TYPE_CHECKING:
+    from salver.models.arm import ArmModel
+
+SLIPPERY_AT_MOST = 1.2  # dry rubber on a dry tray has about that; little has more
+LIGHTEST = 1e-3  # kg
+DENSITIES = (5.0, 20e3)  # kg/m^3: less than any foam and any empty carton, and gold
+LEAST_TILT = 2.0  # degrees; who bounds a tilt by less has it in radians
+
+
+def warnings_of(scenario: Scenario) -> tuple[str, ...]:
+    """All of a scenario, a sentence each. Raises what `salver.models.arm.load_arm` does."""
+    found = [*_of_objects(scenario), *_of_angles(scenario.model_dump(exclude_unset=True))]
+    if scenario.arm is not None:
+        from salver.models.arm import load_arm
+
+        arm = load_arm(scenario.arm, scenario.tray)
+        found = [*_of_limits(arm), *_of_payload(scenario, arm), *found]
+        if not scenario.obstacles and not scenario.uncertain.size:
+            found.append(
+                "Nothing is known but the arm: no obstacle is given, and what is carried is taken to be exactly as it "
+                "is said; tables [[obstacles]] and [objects.uncertainty] say more."
+            )
+    return tuple(found)
+
+
+def _of_limits(arm: ArmModel) -> Iterator[str]:
+    """Limits above those that the arm's maker or its URDF gives."""
+    for kind in LIMITS:
+        for end, sign in (("q_min", -1.0), ("q_max", 1.0)) if kind.key == "position" else ((kind.key, 1.0),):
+            given, own = getattr(arm.limits, end), getattr(arm.own_limits, end)
+            beyond = np.flatnonzero(sign * given > sign * own + 1e-6 * np.abs(own))
+            if len(beyond):
+                j = int(beyond[np.argmax(np.abs(given[beyond] / own[beyond]))])
+                others = f" and of {len(beyond) - 1} more" if len(beyond) > 1 else ""
+                yield (
+                    f"The limit of {kind.name} of {arm.joint_names[j]}{others} is above the arm's own: {given[j]:.4g} "
+                    f"instead of {own[j]:.4g} {kind.unit_of(arm.linear[j])}."
+                )
+
+
+def _of_payload(scenario: Scenario, arm: ArmModel) -> Iterator[str]:
+    carried = max(sum(item.loose().inertial.mass for item in leg.objects) for leg in scenario.each_leg)
+    if arm.rated is not None and carried + scenario.tray.mass > arm.rated:
+        yield (
+            f"The tray and its load weigh {carried + scenario.tray.mass:.3g} kg; the maker rates the {arm.name} for "
+            f"{arm.rated:g} kg."
+        )
+
+
+def _of_objects(scenario: Scenario) -> Iterator[str]:
+    from scipy.spatial import ConvexHull
+
+    for item in scenario.objects:
+        if item.friction > SLIPPERY_AT_MOST:
+            yield f"friction = {item.friction:g} of {item.name}: hardly anything has more than {SLIPPERY_AT_MOST:g}."
+        loose = item.loose()
+        density = loose.inertial.mass / float(ConvexHull(loose.solid.bounding_points_G).volume)
+        if item.mass <= LIGHTEST:
+            yield f"mass = {item.mass:g} of {item.name} is {1e3 * item.mass:.3g} g; masses are in kg."
+        elif not DENSITIES[0] <= density <= DENSITIES[1]:
+            like = "lighter than foam" if density < DENSITIES[0] else "heavier than gold"
+            yield (
+                f"mass = {item.mass:g} of {item.name} makes {density:.3g} kg/m^3 of its shape, {like}; masses are in "
+                "kg, lengths in m."
+            )
+
+
+def _of_angles(table: Any, where: str = "") -> Iterator[str]:
+    """Keys in degrees whose values are a twelfth of pi, or a few of them, to three digits."""
+    rows = table.items() if isinstance(table, dict) else enumerate(table) if isinstance(table, list | tuple) else ()
+    for key, value in rows:
+        name = f"{where}[{key}]" if isinstance(key, int) else f"{where}.{key}".lstrip(".")
+        if not str(key).endswith("_deg"):
+            yield from _of_angles(value, name)
+        elif _in_radians(np.atleast_1d(np.array(value, dtype=float)), str(key)):
+            yield f"{name} = {value} looks like radians; keys that end in _deg are in degrees."
+
+
+def _in_radians(angles: Array, key: str) -> bool:
+    if key == "max_tilt_deg":
+        return bool(angles[0] < LEAST_TILT)
+    parts = np.abs(angles) * 12 / np.pi
+    near = (np.abs(parts - np.round(parts)) < 0.02) & (np.round(parts) > 0) & (np.abs(angles) < 6.3)
+    rounded = np.abs(angles * 10 - np.round(angles * 10)) < 1e-9  # 2.1 degrees are 2.1 degrees
+    return bool(np.any(near & ~rounded))
