@@ -304,6 +304,18 @@ def test_a_goal_that_is_blocked_whichever_way_the_tray_points_is_told_at_once() 
     assert why_blocked(problem) is None
 
 
+def test_a_load_that_does_not_stay_even_at_rest_is_told_at_once() -> None:
+    """A bottle of 30 mm radius whose centre of mass is known to 40 mm; to 20 mm it stays, as it does on a polygon of
+    eight points, 27 mm from its middle at least."""
+    bottle = scenario.load("panda-tall-bottle").with_changes(motion__duration=None)
+    for off, falls in ((0.04, True), (0.02, False)):
+        problem = transport_problem(bottle.with_changes(objects__0__uncertainty={"com": [0.0, off, 0.0]}))
+        assert (why_blocked(problem) is not None) == falls
+        if falls:
+            told = "At the start bottle cannot stay even at rest: in the worst case contact lacks "
+            assert fastest(problem).status.sentence.startswith(told)
+
+
 def test_what_touches_in_every_posture_at_an_end_is_told() -> None:
     """A ball under the tray at the goal, where the arm's last link must be."""
     cube = scenario.load("panda-cube").with_changes(motion__goal_yaw="fixed", arm__start_posture=None)

@@ -37,11 +37,12 @@ def test_a_start_that_cannot_be_the_best_is_given_up_early_and_one_that_can_is_n
 
 @pytest.mark.slow
 def test_a_search_that_is_interrupted_says_so_and_keeps_what_it_has(behind_a_post):
-    shares = []
+    shares, tried = [], []
 
-    def tell(share: float, best: float | None) -> None:
-        shares.append(share)
-        if best is not None:
+    def tell(watch: Watch) -> None:
+        shares.append(watch.share)
+        tried.append(watch.trying)
+        if watch.best is not None:
             watch.interrupt()
 
     watch = Watch(tell=tell)
@@ -51,6 +52,24 @@ def test_a_search_that_is_interrupted_says_so_and_keeps_what_it_has(behind_a_pos
     assert "ended by an interruption" in found.status.sentence
     assert shares == sorted(shares)
     assert 0 < shares[-1] < 1
+    assert "straight path of the joints" in tried
+    assert tried[-1].endswith(" s, refined")
+
+
+def test_a_search_that_finds_nothing_answers_with_a_straight_line_that_holds(behind_a_post):
+    """Where the time is up before anything was found too; never with a line through something."""
+    cube = scenario.load("panda-cube").with_changes(motion__duration=None)
+    for problem, ok in ((transport_problem(cube), True), (behind_a_post, False)):
+        found = fastest(problem, watch=Watch(time_limit=0.0))
+        assert found.status.ok == ok
+        assert "ended by the time limit before it was done" in found.status.sentence
+        assert ("It is the straight path of the joints, gone along slowly: nothing" in found.status.sentence) == ok
+        assert ok == (max(found.worst.values()) <= 0.0)
+        q = found.sample(np.linspace(0, found.duration, 9))[0]
+        along = (q - q[0]) @ (q[-1] - q[0]) / np.sum((q[-1] - q[0]) ** 2)
+        assert ok == np.allclose(q, q[0] + along[:, None] * (q[-1] - q[0]), atol=1e-3)
+    assert "violates clearance, by " in found.status.sentence
+    assert " mm. The search" in found.status.sentence
 
 
 def test_an_end_is_turned_by_a_quarter_where_the_last_joint_has_room_for_it(monkeypatch):

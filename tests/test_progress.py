@@ -72,6 +72,20 @@ def test_where_nobody_looks_nothing_is_drawn(on):
     assert seen.getvalue() == ""
 
 
+def test_without_a_terminal_a_line_says_what_is_tried_every_few_seconds(on, monkeypatch):
+    monkeypatch.setattr(progress, "EVERY", 0.02)
+    seen = on(io.StringIO())
+    with progress.working("plan"):
+        time.sleep(0.1)
+        assert seen.getvalue() == ""  # nothing was said yet
+        progress.step(30, 60, "straight path of the joints; 0.812 s so far")
+        assert wait_for(lambda: seen.getvalue().count("\n") > 1)
+    lines = seen.getvalue().splitlines()
+    assert set(lines) == {"salver plan: 0 s, 50 %: straight path of the joints; 0.812 s so far"}
+    time.sleep(0.1)
+    assert seen.getvalue().splitlines() == lines
+
+
 def test_a_bar_can_be_drawn_anywhere():
     seen = io.StringIO()
     bar = progress.Bar("audit", Console(file=seen, force_terminal=True))

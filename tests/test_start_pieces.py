@@ -286,7 +286,7 @@ def test_where_a_straight_path_is_blocked_ways_around_and_past_are_begun(behind_
     begun = one._first()
     names = [start.name for _, start in begun]
     assert names[0] == "way around"
-    assert {"straight", "past"} <= set(names)
+    assert {"straight path of the joints", "path past what is in the way"} <= set(names)
     promises = [search._promise(begin) for begin in begun if begin[1].name != "way around"]
     assert promises == sorted(promises)
     for problem, start in begun:
@@ -324,7 +324,7 @@ def test_the_shortest_safe_motion_is_kept_and_what_brings_nothing_is_given_up(pl
     monkeypatch.setattr(search._Search, "_rough", begin)
     monkeypatch.setattr(search._Search, "_first", lambda self: [(plain, straight(pair))] * 60)
     one = searching(plain, starts=4)
-    one.pairs, one.watch = [pair], Watch(tell=lambda share, best: shares.append(share))
+    one.pairs, one.watch = [pair], Watch(tell=lambda watch: shares.append(watch.share))
     found = one.best()
     assert found.status.ok
     assert found.duration == 0.9

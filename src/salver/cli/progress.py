@@ -1,21 +1,24 @@
 """The bar of every command that takes longer than a second: on a terminal's standard error, gone before anything is
-printed, back after another second of silence."""
+printed, back after another second of silence. Where standard error is no terminal, a line every few seconds instead,
+for commands that say what they are at."""
 
 from __future__ import annotations
 
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
 AFTER = 1.0  # s of silence
+EVERY = 3.0  # s from line to line
 
-_now: Bar | None = None  # of the command that runs
+_now: Bar | Lines | None = None  # of the command that runs
 
 
 class Bar:
@@ -71,14 +74,41 @@ class Bar:
             self._shown.start()
 
 
+class Lines:
+    """What a command does, as a line every `EVERY` s; none before it says something in words."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self._ended, self._begun = name, threading.Event(), time.monotonic()
+        self._done: tuple[int, int, str] = (0, 1, "")
+
+    def step(self, done: int, total: int, words: str = "") -> None:
+        """How many of how many are done."""
+        self._done = done, total, words
+
+    def wait(self) -> None:
+        """Begin."""
+        threading.Thread(target=self._tell, args=(sys.stderr,), daemon=True).start()
+
+    def end(self) -> None:
+        self._ended.set()
+
+    def _tell(self, stream: TextIO) -> None:
+        while not self._ended.wait(EVERY):
+            done, total, words = self._done
+            if words:
+                seconds = time.monotonic() - self._begun
+                stream.write(f"salver {self._name}: {seconds:.0f} s, {100 * done // total} %: {words}\n")
+                stream.flush()
+
+
 @contextmanager
 def working(name: str) -> Iterator[None]:
-    """While a command runs. One bar at a time; none where nobody looks."""
+    """While a command runs. One bar at a time."""
     global _now
-    if _now is not None or not sys.stderr.isatty():
+    if _now is not None:
         yield
         return
-    _now = Bar(name)
+    _now = Bar(name) if sys.stderr.isatty() else Lines(name)
     _now.wait()
     try:
         yield
@@ -95,6 +125,6 @@ def step(done: int, total: int, words: str = "") -> None:
 
 def hide() -> None:
     """Make room for what will be printed or asked now."""
-    if _now is not None:
+    if isinstance(_now, Bar):
         _now.end()
         _now.wait()

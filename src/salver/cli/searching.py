@@ -30,10 +30,12 @@ def searching(time_limit: float | None = None) -> Iterator[Watch]:
     """The watch. Ctrl-C once more ends the command. time_limit: s, None for none."""
     from salver.planning.fastest.watch import Watch
 
-    def tell(share: float, best: float | None) -> None:
-        step(round(100 * share), 100, "" if best is None else f"{best:.3f} s so far; Ctrl-C takes it")
+    def tell(watch: Watch) -> None:
+        best = "" if watch.best is None else f"; {watch.best:.3f} s so far, Ctrl-C takes it"
+        step(round(100 * watch.share), 100, f"{watch.trying}{best}")
 
-    watch = Watch(time_limit, tell)
+    watch = Watch(time_limit, tell, trying="the task is set up")
+    tell(watch)
     if threading.current_thread() is not threading.main_thread():
         yield watch
         return

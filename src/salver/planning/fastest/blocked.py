@@ -1,5 +1,5 @@
-"""Why no motion can begin or end as it should: what is out of reach, what is inside an obstacle there, whatever the arm
-does, and what touches in every posture that was found."""
+"""Why no motion can begin or end as it should: a load that does not stay there at rest, what is out of reach, what is
+inside an obstacle there, whatever the arm does, and what touches in every posture that was found."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from salver.errors import Status
-from salver.geometry import Array, exp
+from salver.geometry import GRAVITY_S, Array, exp
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.described import Floor
-from salver.planning.fastest.ends import AtPose
+from salver.models.tray_motion import N_MOTION
+from salver.models.worst_case import WorstCase
+from salver.planning.fastest.ends import AtPose, AtPosture
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.starts import Ends, guess
 from salver.planning.follow.limits import COLLISION, blocked_end
@@ -22,9 +24,11 @@ TRIES = 48  # postures from which an end is sought before it is called out of re
 
 
 def why_blocked(problem: TransportProblem) -> Status | None:
-    """Why no motion can begin or end as it should, or None."""
-    if problem.keep_out is None:
-        return None
+    """Why no motion can begin or end as it should, or None: what the load or an obstacle forbids whatever the arm does,
+    and what the start posture that was given does."""
+    falling = _falling(problem)
+    if falling is not None or problem.keep_out is None:
+        return falling
     for name, end in (("start", problem.start), ("goal", problem.goal)):
         if isinstance(end, AtPose):
             stuck = _stuck(problem.keep_out.parts, name, end.target)
@@ -37,6 +41,25 @@ def why_blocked(problem: TransportProblem) -> Status | None:
         return None
     where = " (surroundings.floor says where it is)" if touch.second == Floor.name else ""
     return Status("collision", f"In the start posture {touch.first} and {touch.second} touch{where}.", False)
+
+
+def _falling(problem: TransportProblem) -> Status | None:
+    """Why the load does not stay on the tray at an end, even at rest, or None."""
+    for name, end in (("start", problem.start), ("goal", problem.goal)):
+        if isinstance(end, AtPose):
+            R_SE = end.target.tray_pose[1]
+        elif isinstance(end, AtPosture) and not end.moving:
+            R_SE = problem.arm.tray_pose(end.q)[1]
+        else:
+            continue
+        still = np.append(-GRAVITY_S @ R_SE, np.zeros(N_MOTION - 3))[None]
+        for rows in problem.contacts:
+            lacking = float(WorstCase.of(rows, still).values.max()) + problem.scenario.contact.margin
+            if lacking > 0:
+                carried = " and ".join(body.name for body in rows.network.bodies)
+                told = f"At the {name} {carried} cannot stay even at rest: in the worst case contact lacks "
+                return Status("falls", f"{told}{100 * lacking:.3g} % of the weight.", False)
+    return None
 
 
 def why_unreached(problem: TransportProblem) -> Status:
@@ -71,8 +94,10 @@ def _nearest(problem: TransportProblem, target: PoseTarget) -> tuple[Array, floa
     return best
 
 
-def why_touching(problem: TransportProblem, pairs: list[Ends], status: Status) -> Status:
-    """What is in the way of all pairs of end postures that were found; where it is the least."""
+def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
+    """What is in the way of all pairs of end postures that were found, where it is least; None where one is free."""
+    if any(pair.free for pair in pairs):
+        return None
     assert problem.keep_out is not None
     parts = problem.keep_out.parts
     depth = np.array([-parts.clearance(np.stack([pair.start, pair.goal])).min(axis=1) for pair in pairs])
@@ -80,11 +105,11 @@ def why_touching(problem: TransportProblem, pairs: list[Ends], status: Status) -
     end = int(depth[least].argmax())
     touch = parts.first_touch(np.stack([pairs[least].start, pairs[least].goal])[end : end + 1])
     if touch is None:
-        return status
+        return None
     where = ("start", "goal")[end]
     best = f"{touch.first} and {touch.second} do in the best"
     told = f"No posture was found at the {where} in which nothing touches: {best}{_higher(problem, where)}."
-    return replace(status, code=COLLISION, sentence=told)
+    return Status(COLLISION, told, False)
 
 
 def _higher(problem: TransportProblem, where: str) -> str:

@@ -41,6 +41,11 @@ PER_METRE = 10.0  # rows of distances, in m
 INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
 
 
+def of_its_limit(excess: float) -> str:
+    """What a row that is scaled by a limit exceeds it by, in words."""
+    return f"{100 * excess:.3g} % of its limit"
+
+
 @dataclass(frozen=True, eq=False)
 class Block:
     """Rows of one kind along a motion.
@@ -63,6 +68,7 @@ class Block:
     kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one, or turn
     quickly, as those of the height of a wave that may come from any side.
     inherits: whether the first node's rows are of the state that the motion begins in, and so cannot be changed.
+    in_words: what a row above 0 exceeds its limit by, with a unit.
     """
 
     name: str
@@ -82,6 +88,7 @@ class Block:
     always: bool = False
     kinked: bool = False
     inherits: bool = True
+    in_words: Callable[[float], str] = of_its_limit
     of: Constraint | None = None
 
     def having(self, **other: Any) -> Block:
@@ -148,6 +155,12 @@ def evaluate(constraints: Sequence[Constraint], motion: Evaluation, margins: boo
 def worst_of(blocks: Sequence[Block]) -> tuple[float, str]:
     """Largest row, and the name of the block it belongs to."""
     return max((float(block.values.max()), block.name) for block in blocks)
+
+
+def violated(blocks: Sequence[Block]) -> str:
+    """The condition that a motion violates most, and by how much, in words."""
+    worst = max(blocks, key=lambda block: float(block.values.max()))
+    return f"{worst.name}, by {worst.in_words(float(worst.values.max()))}"
 
 
 def padded(rows: Array, n: int) -> Array:
@@ -312,7 +325,17 @@ class Contact(Constraint):
         carried = " and ".join(body.name for body in self.rows.network.bodies)
         margins = (self.margin + 1e-3, max(self.margin, FINEST))
         name = f"contact of {carried}{' when the arm follows exactly' * self.exactly}"
-        yield Block(name, values, gradient, motion.nodes, margins, most=most, history=history, remembers=SLOSH_REACH)
+        yield Block(
+            name,
+            values,
+            gradient,
+            motion.nodes,
+            margins,
+            most=most,
+            history=history,
+            remembers=SLOSH_REACH,
+            in_words=_of_the_weight,
+        )
 
     def _near(self, motion: Evaluation, w: Array, drift: Drift | None) -> WorstCase:
         """Rows with what liquids add to them, exact where they come near their edge; the largest of all always, unless
@@ -328,6 +351,10 @@ class Contact(Constraint):
         return WorstCase(rows, w, drift, values)
 
 
+def _of_the_weight(excess: float) -> str:
+    return f"{100 * excess:.3g} % of the weight"
+
+
 @dataclass(frozen=True)
 class Level(Constraint):
     """Tray level within `LEVEL_TOLERANCE`."""
@@ -341,7 +368,7 @@ class Level(Constraint):
 
         values = LEVEL_SCALE * both_sides(up[:, :2] / LEVEL_TOLERANCE)
         margins = (50 * LEVEL_SCALE * 1e-3, 50 * LEVEL_SCALE * FINEST)
-        yield Block("tilt", values, gradient, motion.nodes, margins, scales=False, always=True)
+        yield Block("tilt", values, gradient, motion.nodes, margins, scales=False, always=True, in_words=_deg)
 
 
 @dataclass(frozen=True)
@@ -357,7 +384,14 @@ class Tilt(Constraint):
         def gradient(i: Indices, f: Indices) -> Array:
             return padded(-scale * _vertical_q(motion)[i, 2], motion.n)
 
-        yield Block("tilt", values, gradient, motion.nodes, scales=False)
+        def in_words(excess: float) -> str:
+            return _deg(np.arccos(np.clip(np.cos(self.largest) - excess / scale, -1.0, 1.0)) - self.largest)
+
+        yield Block("tilt", values, gradient, motion.nodes, scales=False, in_words=in_words)
+
+
+def _deg(angle: float) -> str:
+    return f"{np.rad2deg(angle):.3g} deg"
 
 
 def _vertical_q(motion: Evaluation) -> Array:
@@ -398,4 +432,5 @@ class Clearance(Constraint):
             scales=False,
             reach=PER_METRE * REACH,
             kinked=True,
+            in_words=lambda excess: f"{1e3 * excess / PER_METRE:.3g} mm",
         )

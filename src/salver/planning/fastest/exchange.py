@@ -12,7 +12,7 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array, Indices
-from salver.planning.fastest.constraints import Constraint, evaluate
+from salver.planning.fastest.constraints import Constraint, evaluate, violated
 from salver.planning.fastest.curves import Curve, Grid, united
 from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.objectives import Duration, Objective, Point, Scalar
@@ -165,7 +165,7 @@ def optimise(
         begun = programme.begin(start.coefficients, start.duration)
         solution = minimise(programme, begun, options, Trust(repair, REPAIR_DEPTH))
         done += solution.iterations
-    status = _status(solution, worst, objective.sought, point.duration)
+    status = _status(solution, worst, objective.sought, fine, point)
     looked = point is solution.iterate.point
     return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done, looked)
 
@@ -242,15 +242,14 @@ def reached(sought: str, duration: float) -> Status:
     return Status("optimal", f"The {sought} safe motion found takes {duration:.4f} s.", True)
 
 
-def _status(solution: Solution, worst: dict[str, float], sought: str, duration: float) -> Status:
+def _status(solution: Solution, worst: dict[str, float], sought: str, fine: Curve, point: Point) -> Status:
     excess = max(worst.values())
     if excess <= 0.0:
-        return reached(sought, duration)
+        return reached(sought, point.duration)
     if excess > HOPELESS and not solution.status.ok:
         return solution.status
-    name = max(worst, key=lambda key: worst[key])
-    sentence = f"No safe motion was found: between nodes {name} is exceeded by {100 * excess:.2g} % of its scale."
-    return Status("infeasible", sentence, False, worst)
+    found = violated(evaluate(fine.problem.constraints, _seen(fine, point)))
+    return Status("infeasible", f"No safe motion was found: the best attempt violates {found}.", False, worst)
 
 
 def _seen(fine: Curve, point: Point) -> Evaluation:

@@ -114,4 +114,5 @@ class Passing(Constraint):
             by_duration=(signed @ rates)[None],
             always=True,
             slows=0.0,
+            in_words=lambda excess: f"{1e3 * SCALE * excess:.3g} mm",
         )

@@ -43,7 +43,7 @@ from salver.planning.fastest.starts import (
     tray_line,
     unlike,
 )
-from salver.planning.fastest.watch import INTERRUPTED, WHY, Watch
+from salver.planning.fastest.watch import WHY, Watch
 
 SPILLING = 0.7  # damping of the first step after pieces have been added, when liquids come in too,
 TURNED = 0.3  # after the last joint has been turned by a right angle,
@@ -81,14 +81,16 @@ def fastest(
         found = optimum(problem, options, SplineMotion(near.spline, near.coefficients, near.duration), watch, NEAR)
         if found.status.ok:
             return found
+    watch.trying = "postures at both ends"
     blocked = why_blocked(problem)
     rng = np.random.default_rng(options.seed)
     pairs = [] if blocked is not None else ends(problem, rng, few=2 * options.first(problem))
-    if not pairs:
+    if blocked is None:
+        blocked = why_touching(problem, pairs) if pairs else why_unreached(problem)
+    if blocked is not None:
         spline = RestSpline(DEGREE, options.spans)
-        status = blocked or why_unreached(problem)
         wall = time.perf_counter() - begun
-        return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, status, {}, (), wall, 0)
+        return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, blocked, {}, (), wall, 0)
     pairs = unlike(problem, pairs)
     return replace(_Search(problem, options, watch, pairs, rng).best(), wall_time=time.perf_counter() - begun)
 
@@ -111,9 +113,7 @@ class _Search:
     def best(self) -> FastestMotion:
         """The best of the first few rough optima is refined; when none is feasible, the next that is; at last the
         others."""
-        touching = not any(pair.free for pair in self.pairs)
-        first = self._lines(self.options.first(self.problem)) if touching else self._first()
-        further = iter(()) if touching else self._further()
+        first, further = self._first(), self._further()
         steps = len(first) + self.options.starts
         roughs: list[Rough] = []
         self.watch.share = 0.0
@@ -138,7 +138,7 @@ class _Search:
                 turned = [(problem, rough), *((problem, other) for other in self._turned(problem, rough))]
                 (problem, rough), *others = sorted(turned, key=_merit)
                 roughs += others
-            found, last = self._refined(problem, rough.iterate), (problem, rough.iterate)
+            found = self._refined(problem, rough.iterate)
             begun.append(rough.iterate)
             if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
                 best, refining = found, _refining(rough.iterate, found)
@@ -152,13 +152,39 @@ class _Search:
             if (best.status.ok and enough) or (not hopeful and enough) or self.watch.over():
                 break
         assert best is not None
-        if self.watch.ended == INTERRUPTED and not best.status.ok:
-            # What was begun is mended, in a moment, before it is given back.
-            briefly = replace(self.options, iterations=0.25 * self.options.iterations)
-            mended = replace(self, options=briefly, watch=Watch())._refined(*last)
-            best = mended if mended.status.ok else best
-        status = best.status if best.status.ok or not touching else why_touching(self.problem, self.pairs, best.status)
-        return replace(best, status=_ended(status, self.watch), iterations=self.iterations)
+        if not best.status.ok:
+            best = self._line() or best
+        return replace(best, status=_ended(best.status, self.watch), iterations=self.iterations)
+
+    def _line(self) -> FastestMotion | None:
+        """What is left where the search found nothing: a straight line that holds when it is gone along slowly enough,
+        and, if there is time, the optimum near it. Whatever ended the search, this is not ended."""
+        spline, at_once = RestSpline(DEGREE, self.options.spans), replace(self.options, iterations=0.0)
+        for pair in self.pairs[: self.options.first(self.problem)]:
+            problem = between(self.problem, pair)
+            for line in (straight(pair), tray_line(problem, pair)):
+                if line is None:
+                    continue
+                begin = line.motion(problem, spline)
+                for slower in 2.0 ** np.arange(5):
+                    self.watch.trying = f"{line.name}, slowly"
+                    slow = replace(begin, duration=slower * begin.duration)
+                    found = optimum(problem, at_once, slow, Watch(), NEAR)
+                    self.iterations += found.iterations
+                    if found.status.ok:
+                        return self._shorter(problem, found, line.name)
+        return None
+
+    def _shorter(self, problem: TransportProblem, line: FastestMotion, name: str) -> FastestMotion:
+        """The optimum near a line that holds, unless there is none or no time; then the line."""
+        if not self.watch.over():
+            begin = SplineMotion(line.spline, line.coefficients, line.duration)
+            found = optimum(problem, self.options, begin, self.watch, NEAR)
+            self.iterations += found.iterations
+            if found.status.ok:
+                return found
+        sentence = f"{line.status.sentence} It is the {name}, gone along slowly: nothing else was found."
+        return replace(line, status=replace(line.status, sentence=sentence))
 
     def _tried(self, first: list[Begin], roughs: list[Rough], steps: int) -> set[str]:
         """Add the rough optima of what is begun with, as long as one may become the best; by name what led to some that
@@ -255,6 +281,7 @@ class _Search:
 
     def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:
         """A first optimum with few spline pieces, from a comfortable duration."""
+        self.watch.trying = start.name
         return problem, self._rough_from(problem, start.motion(problem, self._few), 1.0, beat)
 
     def _rough_from(
@@ -283,6 +310,7 @@ class _Search:
         """The optimum with all pieces. Where nothing hinders a shorter time it is none, nor where a motion of fewer
         pieces that knew all that hinders was shorter: then on from there."""
         start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
+        self.watch.trying = f"a motion of {found.duration:.3f} s, refined"
         spline, grid = start.spline, found.curve.grid
         also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
         damping = SPILLING if problem.liquids else REFINED

@@ -59,7 +59,7 @@ def past(problem: TransportProblem, pair: Ends) -> list[Start]:
             if depth < NEARLY_FREE:
                 break
         if best is not None:
-            found.append(Start("past", best))
+            found.append(Start("path past what is in the way", best))
     return found
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array, Mask
+from salver.planning.fastest.constraints import violated
 from salver.planning.fastest.programme import Iterate, Programme
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
@@ -226,9 +227,5 @@ def _status(code: str, path: Iterate, options: Options, sought: str) -> Status:
     value, name = path.worst
     if value <= options.violation:
         return Status(code, f"At the nodes the {sought} motion takes {path.duration:.4f} s.", True)
-    return Status(
-        "infeasible",
-        f"No motion was found that keeps all conditions: {name} is exceeded by {100 * value:.2g} % of its scale.",
-        False,
-        {"worst": name, "violation": value},
-    )
+    sentence = f"No safe motion was found: the best attempt violates {violated(path.blocks)}."
+    return Status("infeasible", sentence, False, {"worst": name, "violation": value})

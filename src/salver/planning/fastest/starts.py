@@ -298,14 +298,14 @@ def between(problem: TransportProblem, pair: Ends) -> TransportProblem:
 
 def straight(pair: Ends) -> Start:
     """Straight in joint space."""
-    return Start("straight", np.stack([pair.start, pair.goal]))
+    return Start("straight path of the joints", np.stack([pair.start, pair.goal]))
 
 
 def bent(pair: Ends, rng: np.random.Generator) -> Start:
     """A random bend beside the straight path."""
     u = np.linspace(0, 1, ALONG)[:, None]
     bell = (4 * u * (1 - u)) ** 3 * rng.normal(0.0, BEND, len(pair.start))
-    return Start("bent", pair.start + u * (pair.goal - pair.start) + bell)
+    return Start("random bend", pair.start + u * (pair.goal - pair.start) + bell)
 
 
 def tray_line(problem: TransportProblem, pair: Ends) -> Start | None:
@@ -322,7 +322,7 @@ def tray_line(problem: TransportProblem, pair: Ends) -> Start | None:
     if np.abs(last - postures[-1]).max() > APART:
         return None
     postures[-1] = last
-    return Start("tray line", postures)
+    return Start("straight path of the tray", postures)
 
 
 def around(problem: TransportProblem, pairs: list[Ends], rng: np.random.Generator, looks: int = LOOKS) -> Start | None:

@@ -9,28 +9,28 @@ from dataclasses import dataclass, field
 TIME_LIMIT, INTERRUPTED = "time_limit", "interrupted"
 WHY = {TIME_LIMIT: "the time limit", INTERRUPTED: "an interruption"}
 
-Tell = Callable[[float, float | None], None]
-
 
 @dataclass
 class Watch:
     """A search asks it between iterations whether to go on. Without a time limit nothing depends on a clock.
 
-    time_limit: s from now, or None. tell: called with the share of the work that is done, in [0, 1], and the shortest
-    duration found so far (s, None before the first). ended: why the search was ended early, one of `WHY`; "" if not.
+    time_limit: s from now, or None. tell: called with the watch itself. ended: why the search was ended early, one of
+    `WHY`; "" if not. share: of the work that is done, in [0, 1]. best: the shortest duration found so far, s; None
+    before the first. trying: what is being tried, in words.
     """
 
     time_limit: float | None = None
-    tell: Tell | None = None
+    tell: Callable[[Watch], None] | None = None
     ended: str = ""
     share: float = 0.0
     best: float | None = None
+    trying: str = ""
     _begun: float = field(default_factory=time.perf_counter)
 
     def over(self) -> bool:
         """Whether to end now with the best so far."""
         if self.tell is not None:
-            self.tell(self.share, self.best)
+            self.tell(self)
         if not self.ended and self.time_limit is not None and time.perf_counter() - self._begun > self.time_limit:
             self.ended = TIME_LIMIT
         return bool(self.ended)
@@ -51,7 +51,7 @@ class _Part(Watch):
     size: float = 1.0
 
     def over(self) -> bool:
-        self.whole.share = self.first + self.size * self.share
+        self.whole.share, self.whole.trying = self.first + self.size * self.share, self.trying
         over = self.whole.over()
         self.ended = self.whole.ended
         return over
