@@ -1,7 +1,8 @@
 """Can the audit be fooled? Random recordings, violent and gentle, each judged from a file and run in the engine.
 
     python benchmarks/audit_survey.py [-n 2000] [--seed 1] [--json cases.json]
-    python benchmarks/audit_survey.py --docs development.json held-out.json
+    python benchmarks/audit_survey.py --defects [-n 10] [--only jittering_stamps] [--json damaged.json]
+    python benchmarks/audit_survey.py --docs development.json held-out.json [damaged.json]
 
 Each recording is a shake (0.5 to 50 Hz), a jolt (10 to 200 ms) or a chirp, alone, on a transfer or on a sway, of the
 tray or of the arm's joints, scaled so that its peak needs 0.1 to 3 times the friction. It is sampled at 50 to 2000 Hz,
@@ -34,9 +35,11 @@ from typing import Any
 
 import numpy as np
 
+from audit_defects import DEFECTS, HELD_OUT, LISTED, POSES_ONLY, record
 from audit_recordings import JOINTS, POSES, draw, write
 from audit_rivals import loses, outcome_of
 from salver.auditing import audit
+from salver.errors import SalverError
 
 ROOT = Path(__file__).parent.parent
 PAGE, DATA = ROOT / "docs" / "howto" / "audit.md", ROOT / "docs" / "data" / "audit-survey.json"
@@ -91,6 +94,74 @@ def case(seed: int, index: int, engine: str = "lost") -> Case:
         seen = outcome_of(motion, scenario)
     made = Case(kind, base, form, frequency, rate, noise, size, need, said, reasons, hidden, seen)
     return replace(made, rival=made.counted and loses(scenario, motion, rate, noise))
+
+
+@dataclass(frozen=True)
+class Damaged:
+    """One recording with a defect: what it was, what the audit said of it, what the engine showed ("" if not run)."""
+
+    defect: str
+    joints: bool
+    need: float
+    rate: float
+    noise: float
+    said: str
+    reasons: str
+    sentence: str
+    engine: str
+
+    @property
+    def wrong(self) -> bool:
+        return (self.said == "holds" and self.engine not in ("", "holds")) or (
+            self.said == "does_not_hold" and self.need < 1
+        )
+
+
+def damaged(seed: int, names: tuple[str, ...], index: int) -> Damaged:
+    """The recording `index` of a seed; defects take turns. The engine runs where the audit could be wrong."""
+    defect = names[index % len(names)]
+    rng = np.random.default_rng([seed, list(DEFECTS).index(defect), index // len(names)])
+    while True:
+        scenario, motion, *_, need = draw(rng)
+        if motion.arm is None or defect not in POSES_ONLY:
+            break
+    seen = ""
+    with tempfile.TemporaryDirectory() as folder:
+        path, rate, noise = record(rng, motion, defect, Path(folder))
+        try:
+            nominal = audit(path, scenario).nominal
+            said, sentence = nominal.code, nominal.sentence
+            reasons = ",".join(nominal.details.get("reasons", ()))
+        except SalverError as error:
+            said, reasons, sentence = "refused", "", str(error)
+    if said not in ("holds", "cannot_tell", "refused"):
+        said = "does_not_hold"
+    if said == "holds" and need > 0.95:
+        seen = outcome_of(motion, scenario)
+    return Damaged(defect, motion.arm is not None, need, rate, noise, said, reasons, sentence, seen)
+
+
+def table_of_defects(cases: list[Damaged]) -> str:
+    """A row for each defect; first those that were listed."""
+    lines = [
+        "| defect | recordings | holds | does not hold | cannot be told, or refused | wrong |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+
+    def row(title: str, some: list[Damaged]) -> str:
+        count = Counter(c.said for c in some)
+        open_ = count["cannot_tell"] + count["refused"]
+        wrong = sum(c.wrong for c in some)
+        return f"| {title} | {len(some)} | {count['holds']} | {count['does_not_hold']} | {open_} | {wrong} |"
+
+    for title, kinds in (("looked at", LISTED), ("held out", HELD_OUT)):
+        names = [kind.__name__ for kind in kinds]
+        lines += [
+            row(name.replace("_", " "), some) for name in names if (some := [c for c in cases if c.defect == name])
+        ]
+        if some := [c for c in cases if c.defect in names]:
+            lines.append(row(f"**{title}**", some))
+    return "\n".join(lines)
 
 
 def report(cases: list[Case]) -> dict[str, Any]:
@@ -149,6 +220,11 @@ def _share_without_rivals(found: dict[str, Any]) -> str:
     return f"{count} ({100 * count / max(1, found['gentle'] - sum(rivals.values())):.1f} %)"
 
 
+def _write_page(name: str, text: str) -> None:
+    old = PAGE.read_text()
+    PAGE.write_text(re.sub(rf"(<!-- written: {name} -->\n).*?(<!-- end -->)", rf"\1{text}\n\2", old, flags=re.S))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-n", type=int, default=2000)
@@ -156,17 +232,35 @@ def main() -> None:
     parser.add_argument("-j", "--jobs", type=int, default=1, help="processes")
     parser.add_argument("--engine", choices=["lost", "doubt"], default="lost")
     parser.add_argument("--json", type=Path, help="add the cases to this file, a line each")
+    parser.add_argument("--defects", action="store_true", help="recordings with defects; -n of each")
+    parser.add_argument("--only", choices=[*DEFECTS, "listed", "held_out"], help="only such defects")
     parser.add_argument(
-        "--docs", type=Path, nargs=2, help="write such files (of a seed, of a held-out one) to the page"
+        "--docs", type=Path, nargs="+", help="write such files (of a seed, of a held-out one, of defects) to the page"
     )
     options = parser.parse_args()
     if options.docs:
-        DATA.write_text(json.dumps([report(read_cases(path)) for path in options.docs], indent=1) + "\n")
-        text = table(*json.loads(DATA.read_text()))
-        old = PAGE.read_text()
-        PAGE.write_text(re.sub(r"(<!-- written: survey -->\n).*?(<!-- end -->)", rf"\1{text}\n\2", old, flags=re.S))
+        DATA.write_text(json.dumps([report(read_cases(path)) for path in options.docs[:2]], indent=1) + "\n")
+        _write_page("survey", table(*json.loads(DATA.read_text())))
+        for path in options.docs[2:]:
+            lines = path.read_text().splitlines()
+            _write_page("defects", table_of_defects([Damaged(**json.loads(line)) for line in lines]))
         return
     began = time.perf_counter()
+    if options.defects:
+        groups = {"listed": LISTED, "held_out": HELD_OUT, None: (*LISTED, *HELD_OUT)}
+        names = tuple(kind.__name__ for kind in groups.get(options.only, ())) or (options.only,)
+        found = []
+        with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+            for d in pool.map(partial(damaged, options.seed, names), range(options.n * len(names))):
+                found.append(d)
+                if options.json:
+                    with open(options.json, "a") as file:
+                        file.write(json.dumps(asdict(d)) + "\n")
+                if d.wrong:
+                    print(f"{len(found) - 1}: {asdict(d)}", flush=True)
+        print(table_of_defects(found))
+        print(f"{time.perf_counter() - began:.0f} s")
+        return
     cases = []
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
         for c in pool.map(partial(case, options.seed, engine=options.engine), range(options.n)):

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from recordings import line
-from salver.auditing.noise import Level, found, level, resolution, spikes
+from salver.auditing.noise import Level, found, level, resolution
 from salver.auditing.recorded import sensor_of, stretches
 from salver.auditing.spline import DEGREE, Fit, fit
 from salver.geometry import exp, quat_wxyz_from_matrix
@@ -185,16 +185,6 @@ def test_resolution_is_the_step_of_rounded_values_and_of_nothing_else():
     assert resolution(y) == 0
     assert resolution(0.002 * np.arange(500.0)[:, None]) == 0  # constant speed
     assert resolution(np.full((500, 3), 0.4)) == 0
-
-
-def test_a_spike_is_one_sample_that_is_off_its_neighbours():
-    t = np.arange(400) / 100
-    y = np.stack([np.sin(t), np.cos(t), t**2], axis=1)
-    assert len(spikes(t, y, 0.0)) == 0
-    y[123, 1] += 0.01
-    assert list(spikes(t, y, 0.0)) == [123]
-    y[60, 2] += 0.02  # a larger one before it hides nothing
-    assert list(spikes(t, y, 0.0)) == [60, 123]
 
 
 def test_the_spacing_of_knots_is_the_least_of_three_intervals():

@@ -99,8 +99,8 @@ def test_a_jump_between_two_samples(tmp_path):
     for rate in (10, 100, 1000):
         t = np.arange(2 * rate + 1) / rate
         found = of(tmp_path, t, np.where(t > 1, 0.1, 0.0))
-        assert not found.ok
-        assert rate == 10 or found.outcome == "does_not_hold"
+        assert found.outcome == "cannot_tell"  # no tray does that: it is an error of the data
+        assert f"the position jumps by 100 mm from 1.000 s to {1 + 1 / rate:.3f} s" in found.nominal.sentence
 
 
 @pytest.mark.slow

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.auditing.commanded import commanded_motion, open_questions
-from salver.auditing.noise import Cells, Level, resolution
-from salver.auditing.recorded import LEVER, Sensor, sensor_of, stretches, without_spikes
+from salver.auditing.defects import Channels, channels_of, repaired
+from salver.auditing.noise import Cells, Level
+from salver.auditing.recorded import LEVER, Sensor, sensor_of, stretches
 from salver.display import Outlined
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import Array, hat, quat_wxyz_from_matrix
@@ -25,7 +26,6 @@ BRIDGED_STEPS = 3.5
 FEWEST = 32  # samples, below which noise is not told from motion
 LEAST_DEGREES = 12.0  # angles beyond this, of which all are within the joints' ranges as degrees, are taken for such
 SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
-JUMP = 5e-4  # m
 _AS_FAST = 0.95
 
 
@@ -44,6 +44,7 @@ class Recording:
     slowest: tuple[float, float]
     unseen: tuple[Cells, ...]
     mirrored: tuple[Cells, ...]
+    louder: Array | float = 1.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,8 +53,8 @@ class TrayMotion(Outlined):
 
     acceleration_error: (T,) m/s^2, or one number: by which the acceleration may be wrong through noise. missed: the
     same, by which it may be too small because the samples are too few. recording: None for a motion that is known
-    exactly. doubts: (code, clause) of what forbids to say that everything holds. notes: sentences on what was
-    repaired, assumed or left out.
+    exactly. doubts: (code, clause) of what forbids to say that everything holds; suspect: of what may explain that
+    something does not. notes: sentences on what was repaired, assumed or left out.
     """
 
     samples: MotionSamples
@@ -61,6 +62,7 @@ class TrayMotion(Outlined):
     missed: Array | float = 0.0
     recording: Recording | None = None
     doubts: tuple[tuple[str, str], ...] = ()
+    suspect: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -87,7 +89,9 @@ def tray_motion(
         if value is not None and not least <= value <= most:
             raise SalverError(f"--{name} {value:g} was asked for; it must be from {least:g} to {most:g}.")
     if isinstance(samples, TraySamples):
-        motion = _recorded(samples, highest, noise, None, longest_gap)
+        found = repaired(channels_of(samples))
+        samples = replace(samples, t=found.t, p=found.y[:, :3], quat_wxyz=found.y[:, 3:])
+        motion = _recorded(samples, highest, noise, None, longest_gap, found)
         return replace(motion, samples=motion.samples.of_frame(p_BE, R_BE)) if samples.frame == "B" else motion
     if arm is None:
         raise SalverError(
@@ -105,10 +109,12 @@ def tray_motion(
             doubts=tuple(open_questions(samples)),
             notes=(*samples.notes, note),
         )
+    found = repaired(channels_of(samples))
+    samples = replace(samples, t=found.t, q=found.y)
     poses = [arm.tray_pose(q) for q in samples.q]
     quat = continuous(quat_wxyz_from_matrix(np.array([R for _, R in poses])))
     seen = TraySamples(samples.t, np.array([p for p, _ in poses]), quat, "E", samples.source, samples.notes)
-    return _recorded(seen, highest, noise, _of_joints(arm, samples, noise), longest_gap)
+    return _recorded(seen, highest, noise, _of_joints(arm, found, noise), longest_gap, found)
 
 
 def _in_radians(samples: JointSamples, arm: ArmModel) -> None:
@@ -131,9 +137,9 @@ def continuous(quat_wxyz: Array) -> Array:
     return quat_wxyz * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
 
 
-def _of_joints(arm: ArmModel, samples: JointSamples, noise: float | None) -> Sensor:
+def _of_joints(arm: ArmModel, found: Channels, noise: float | None) -> Sensor:
     """What a joint sensor's resolution, and its stated noise, are at the tray: through the Jacobian, at its largest."""
-    step, some = resolution(samples.q), samples.q[:: max(1, len(samples.q) // 50)]
+    step, some = found.step / found.metres[0], found.y[:: max(1, len(found.y) // 50)]
     gains = np.array([np.linalg.norm(arm.body_jacobian(q).reshape(2, -1), axis=1) for q in some]).max(axis=0)
     gains /= np.sqrt(3)  # of one component
     size = 0.0 if noise is None else noise
@@ -148,6 +154,7 @@ def _recorded(
     noise: float | None,
     joints: Sensor | None,
     longest_gap: float | None,
+    found: Channels,
 ) -> TrayMotion:
     t, p, quat = samples.t, samples.p, samples.quat_wxyz
     notes, doubts = list(samples.notes), []
@@ -159,13 +166,22 @@ def _recorded(
             sensor = joints
     elif noise is not None:
         sensor = replace(sensor, position=Level.even(noise, sensor.position.step))
-    off = without_spikes(t, p, quat, sensor)
-    if len(off):
-        keep = np.setdiff1d(np.arange(len(t)), off)
-        doubts.append(("spike", _spike(t, p, off)))
-        t, p, quat = t[keep], p[keep], quat[keep]
-    doubts += _clock(t, step, highest) + _jumps(t, p, sensor) + _gaps(t, step, longest_gap, notes)
-    parts = stretches(t, p, quat, sensor, highest)
+    for defect in found.defects:
+        if defect.doubtful:
+            doubts.append((defect.code, defect.clause))
+        else:
+            notes.append(f"{defect.clause[:1].upper()}{defect.clause[1:]}.")
+    if found.shown < highest:
+        doubts.append(
+            (
+                "filtered",
+                f"the samples were filtered at {found.shown:.2g} Hz before they were saved: nothing faster is shown; "
+                "samples before the filter would tell, or the knowledge that nothing is faster (--highest)",
+            )
+        )
+        highest = found.shown
+    doubts += _clock(t, step, highest) + _gaps(t, step, longest_gap, notes)
+    parts = stretches(t, p, quat, sensor, highest, found.jitter)
     motion = _joined([part.motion for part in parts])
     error = np.concatenate([part.acceleration_error for part in parts])
     for begin, end in _holes(t, step, longest_gap):
@@ -181,22 +197,14 @@ def _recorded(
         _slowest(speed),
         tuple(cells for part in parts for cells in part.unseen if len(cells.first)),
         tuple(cells for part in parts for cells in part.mirrored if len(cells.first)),
+        np.concatenate([part.louder for part in parts]),
     )
-    return TrayMotion(motion, error, missed, recording, tuple(doubts), tuple(notes))
+    suspect = tuple((defect.code, defect.clause) for defect in found.defects if defect.systematic)
+    return TrayMotion(motion, error, missed, recording, tuple(doubts), suspect, tuple(notes))
 
 
 def _levels(sensor: Sensor) -> tuple[Level, Level]:
     return sensor.position, sensor.orientation
-
-
-def _spike(t: Array, p: Array, off: Array) -> str:
-    k = int(off[0])
-    size = float(np.linalg.norm(p[k] - 0.5 * (p[max(k - 1, 0)] + p[min(k + 1, len(p) - 1)])))
-    more = f" ({len(off)} such samples)" if len(off) > 1 else ""
-    return (
-        f"the sample at {t[k]:.3f} s lies {1e3 * size:.3g} mm off its neighbours on both sides{more}; the rest is "
-        "judged without it: take it out of the file if the sensor erred"
-    )
 
 
 def _clock(t: Array, step: float, highest: float) -> list[tuple[str, str]]:
@@ -219,21 +227,6 @@ def _clock(t: Array, step: float, highest: float) -> list[tuple[str, str]]:
             )
         )
     return found
-
-
-def _jumps(t: Array, p: Array, sensor: Sensor) -> list[tuple[str, str]]:
-    """Steps between two samples that stand out from those before and after."""
-    size = np.linalg.norm(np.diff(p, axis=0), axis=1)
-    if len(size) < 12:
-        return []
-    others = np.max([np.roll(size, s) for s in (-4, -3, -2, 2, 3, 4)], axis=0)
-    even = np.diff(t) < 1.5 * np.median(np.diff(t))
-    k = np.flatnonzero(even & (size > JUMP) & (size > 8 * others) & (size > 10 * sensor.position.whole))
-    if not len(k):
-        return []
-    worst = int(k[np.argmax(size[k])])
-    clause = f"the position jumps by {1e3 * size[worst]:.3g} mm from {t[worst]:.3f} s to {t[worst + 1]:.3f} s"
-    return [("jump", clause + (f" ({len(k)} such jumps)" if len(k) > 1 else ""))]
 
 
 def _holes(t: Array, step: float, longest_gap: float | None) -> list[tuple[float, float]]:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from salver.geometry import Array, Indices
+from salver.geometry import Array
 
 FALSE_ALARM = 0.005  # probability, for one stretch of samples, that noise is taken for motion
 SMALLEST = 8  # samples of the shortest window that has frequencies
@@ -22,6 +22,7 @@ _RISE = 1.5  # of the power in a whole octave, above which it is not white
 _CORRELATION = 1.94  # neighbouring frequencies of a Hann window are not independent: 1 + 2 (4/9 + 1/36)
 _OVERLAPPING = 1.4  # segments that overlap by half are not independent either
 _FEWEST_LEVELS = 6  # different values before they are taken for steps of a resolution
+_STILL = 0.2  # share of moves after which values stand still, above which they change by steps
 _FEWEST_BINS = 12  # for a median that is right to a fifth
 _SEGMENT = 256  # samples over which the power of noise is told
 
@@ -80,8 +81,9 @@ def resolution(y: Array) -> float:
     steps = []
     for column in y[: 1 << 14].T:
         values = np.unique(column)
-        gaps = np.diff(values)
-        if len(values) < _FEWEST_LEVELS or gaps.min() <= 1e-12 * (1 + np.abs(values).max()):
+        gaps, changes = np.diff(values), int(np.count_nonzero(np.diff(column)))
+        few = changes < 2 * len(values) and len(values) < _FEWEST_LEVELS  # that it does not come back to
+        if len(values) < 2 or few or gaps.min() <= 1e-12 * (1 + np.abs(values).max()):
             continue
         step = float(gaps.min())
         off = (values - values[0]) / step
@@ -89,9 +91,18 @@ def resolution(y: Array) -> float:
         off = (values - values[0]) / step
         moves = np.unique(np.round(np.abs(np.diff(column)) / step))
         # At constant speed all values are multiples of something; what is rounded moves by different numbers of steps.
-        if np.abs(off - np.round(off)).max() < 0.05 and len(moves) > 1:
+        if np.abs(off - np.round(off)).max() < 0.05 and (len(moves) > 1 or len(values) < _FEWEST_LEVELS):
             steps.append(step)
     return min(steps, default=0.0)
+
+
+def stepped(y: Array) -> float:
+    """Least usual move of values (N, d) that stand still between their moves, whatever they are multiples of."""
+    size = np.linalg.norm(np.diff(y, axis=0), axis=1)
+    after = size[1:][size[:-1] > 0]
+    if len(after) < 3 or np.mean(after == 0) < _STILL:
+        return 0.0
+    return float(np.quantile(size[size > 0], 0.25))
 
 
 def principal(residual: Array) -> Array:
@@ -184,34 +195,3 @@ def _single(residual: Array, rate: float, level: Level, negligible: Array | floa
     excess = size / (least + level.blur + negligible / (np.pi * rate) ** 2 + 1e-300)
     k = np.flatnonzero(excess > 1)
     return Cells(k, k + 1, np.full(len(k), 0.5 * rate), size[k], excess[k], np.ones(len(k)))
-
-
-def spikes(t: Array, y: Array, noise: float) -> Indices:
-    """Samples (indices) that alone lie off the curve of their neighbours on both sides: a sensor's mistakes."""
-    n = len(y)
-    if n < 24:
-        return np.zeros(0, dtype=np.intp)
-    off = np.zeros(n)
-    off[2:-2] = _off(y)
-    wide = np.diff(t, prepend=t[0], append=t[-1])
-    wide = np.max([np.roll(wide, s) for s in (-2, -1, 0, 1, 2)], axis=0) > 1.5 * np.median(np.diff(t))
-    off[wide[: len(off)]] = 0.0  # beside a gap no curve is known
-    far = [np.roll(off, s) for s in (-9, -8, -7, -6, -5, 5, 6, 7, 8, 9)]
-    usual = np.max(far, axis=0)
-    k = np.flatnonzero((off > 12 * noise + 1e-9) & (off > 8 * usual))
-    # Of neighbours that all stand out because of one, that one; without it they do not.
-    return np.array([i for i in k if off[i] >= off[max(0, i - 3) : i + 4].max() and _alone(y, int(i))], dtype=np.intp)
-
-
-def _off(y: Array) -> Array:
-    """(N - 4,) how far samples are off the cubic through the two neighbours on each side."""
-    return np.asarray(np.linalg.norm(y[2:-2] - (4 * (y[1:-3] + y[3:-1]) - (y[:-4] + y[4:])) / 6, axis=1))
-
-
-def _alone(y: Array, k: int) -> bool:
-    """Whether sample k alone is off: with it on the cubic, those around it are on theirs."""
-    around = y[max(0, k - 6) : k + 7].copy()
-    own = min(k, 6)
-    before = _off(around).max()
-    around[own] = (4 * (around[own - 1] + around[own + 1]) - (around[own - 2] + around[own + 2])) / 6
-    return bool(_off(around).max() < 0.1 * before)

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from salver.auditing.noise import Cells, Level, found, least, level, principal, resolution, spikes
+from salver.auditing.noise import Cells, Level, found, least, level, principal, resolution, stepped
 from salver.auditing.spline import Fit, fit
 from salver.geometry import Array, matrix_from_quat_wxyz
 from salver.trajectory import MotionSamples
@@ -54,7 +54,8 @@ class Stretch:
     motion: at the instants to be judged. bandwidth (T,): Hz. acceleration_error (T,): m/s^2, by which the
     acceleration may be wrong by noise, and missed (T,), by which a spline so fast falls short of it. unseen: what
     stands out of the noise and is in the samples but not in the motion, as displacements in m and times in s.
-    mirrored: the same for content whose true frequency may be the sampling rate less what it seems.
+    mirrored: the same for content whose true frequency may be the sampling rate less what it seems. louder: (T,) by
+    which noise is more than the sensor's.
     """
 
     motion: MotionSamples
@@ -63,6 +64,7 @@ class Stretch:
     missed: Array
     unseen: tuple[Cells, ...]
     mirrored: tuple[Cells, ...]
+    louder: Array
 
 
 def sensor_of(t: Array, p: Array, quat_wxyz: Array) -> Sensor:
@@ -70,7 +72,9 @@ def sensor_of(t: Array, p: Array, quat_wxyz: Array) -> Sensor:
     n = len(t)
     length = min(n, CHUNK)
     parts = [slice(s, s + length) for s in np.linspace(0, n - length, min(8, 1 + n // length)).astype(int)]
-    return Sensor(*(_level([(t[part], y[part]) for part in parts], resolution(y)) for y in (p, quat_wxyz)))
+    return Sensor(
+        *(_level([(t[part], y[part]) for part in parts], max(resolution(y), stepped(y))) for y in (p, quat_wxyz))
+    )
 
 
 def _level(parts: list[tuple[Array, Array]], step: float) -> Level:
@@ -82,7 +86,7 @@ def _level(parts: list[tuple[Array, Array]], step: float) -> Level:
     sizes = np.median([_sizes(residuals, axes) for residuals in probed], axis=0)
     # What is rounded is off any smooth curve; what is smooth may still be whole multiples of something.
     off = np.concatenate([np.abs(residuals[-1][1]).max(axis=1) for residuals in probed])
-    return Level(axes, sizes, step if np.mean(off > 0.05 * step) > 0.1 else 0.0)
+    return Level(axes, sizes, step if np.mean(off > 0.05 * step) > 0.01 else 0.0)
 
 
 def _probed(t: Array, y: Array) -> list[tuple[float, Array]]:
@@ -113,10 +117,13 @@ def _sizes(residuals: list[tuple[float, Array]], axes: Array) -> Array:
     return least(np.array(sizes)[known], np.array(errors)[known])
 
 
-def stretches(t: Array, p: Array, quat_wxyz: Array, sensor: Sensor, highest: float) -> list[Stretch]:
+def stretches(
+    t: Array, p: Array, quat_wxyz: Array, sensor: Sensor, highest: float, jitter: float = 0.0
+) -> list[Stretch]:
     """The recording in parts of at most `CHUNK` samples, each fitted with its neighbours.
 
-    highest: Hz, above which the tray is taken not to shake; only such content can be mirrored.
+    highest: Hz, above which the tray is taken not to shake; only such content can be mirrored. jitter: s, standard
+    deviation of the times of the samples: noise that grows with the speed.
     """
     n = len(t)
     count = max(1, int(np.ceil(n / CHUNK)))
@@ -126,7 +133,7 @@ def stretches(t: Array, p: Array, quat_wxyz: Array, sensor: Sensor, highest: flo
         begin, end = max(0, first - OVERLAP), min(n, last + OVERLAP)
         part = slice(begin, end)
         inner = (float(t[first]), float(t[min(last, n - 1)]))
-        out.append(_stretch(t[part], p[part], quat_wxyz[part], sensor, highest, inner, (begin == 0, end == n)))
+        out.append(_stretch(t[part], p[part], quat_wxyz[part], sensor, highest, inner, (begin == 0, end == n), jitter))
     return out
 
 
@@ -138,19 +145,21 @@ def _stretch(
     highest: float,
     inner: tuple[float, float],
     ends: tuple[bool, bool],
+    jitter: float,
 ) -> Stretch:
     rate = 1 / float(np.median(np.diff(t)))
     most = RESOLVED * rate
-    position, bandwidth = _follow(t, p, sensor.position, rate, most, NEGLIGIBLE, ends)
-    turning, agile = _follow(t, quat, sensor.orientation, rate, most, NEGLIGIBLE / (2 * LEVER), ends)
-    unseen = _left(t, p, quat, position, turning, sensor, rate)
+    louder = _louder(t, p, quat, sensor, most, jitter)
+    position, bandwidth = _follow(t, p, sensor.position, rate, most, NEGLIGIBLE, ends, louder)
+    turning, agile = _follow(t, quat, sensor.orientation, rate, most, NEGLIGIBLE / (2 * LEVER), ends, louder)
+    unseen = _left(t, p, quat, position, turning, sensor, rate, louder)
     mirrored: tuple[Cells, ...] = ()
     clear = rate - highest
     if clear < most:
         slow = max(clear, 0.5 / (t[-1] - t[0]))
         slower = fit(t, p, np.minimum(bandwidth, slow))
         turned = fit(t, quat, np.minimum(agile, slow))
-        mirrored = _left(t, p, quat, slower, turned, sensor, rate)
+        mirrored = _left(t, p, quat, slower, turned, sensor, rate, louder)
     grid = _instants(t, np.maximum(bandwidth, agile), inner)[0 if ends[0] else 1 :]  # the first one ended a part
     motion = _motion(grid, position, turning)
     # Between the outermost samples a curve bends as it likes: there it is taken to bend on as two samples inside, place
@@ -159,35 +168,46 @@ def _stretch(
         if not (position.rest[end] and turning.rest[end]) and not one_sided.all():
             for bend in (motion.a_S, motion.alpha_B):
                 bend[one_sided] = bend[~one_sided][end]
-    error = np.hypot(
-        sensor.position.whole * position.acceleration_error(grid, 1 / rate, bent=True),
-        2 * LEVER * sensor.orientation.whole * turning.acceleration_error(grid, 1 / rate, bent=True),
-    )
+    error = np.zeros(len(grid))
+    for curve, seen, metres in ((position, sensor.position, 1.0), (turning, sensor.orientation, 2 * LEVER)):
+        noise = _SPREAD * seen.whole * np.interp(grid, t, louder)
+        error = np.hypot(error, metres * noise * curve.acceleration_error(grid, 1 / rate, bent=True))
+        if seen.blur:  # steps last as long as the motion takes to pass one: no number of samples averages them out
+            steps = seen.step / np.sqrt(12) * curve.acceleration_error(grid, curve.spacing(grid), bent=True)
+            error = np.hypot(error, metres * steps)
     # Near the sampling's own limit a spline misses some of the acceleration: a quarter at the limit, by trial.
     fast = np.interp(grid, t, np.maximum(bandwidth / most, agile / most))
     missed = _MISSED * np.linalg.norm(motion.a_S, axis=1) * fast**6
     return Stretch(
         motion,
         np.interp(grid, t, np.maximum(bandwidth, agile)),
-        _SPREAD * error,
+        error,
         missed,
         tuple(_within(cells, t, inner) for cells in unseen),
         tuple(_within(cells, t, inner) for cells in mirrored),
+        np.interp(grid, t, louder),
     )
 
 
 def _follow(
-    t: Array, y: Array, level: Level, rate: float, most: float, negligible: float, ends: tuple[bool, bool]
+    t: Array,
+    y: Array,
+    level: Level,
+    rate: float,
+    most: float,
+    negligible: float,
+    ends: tuple[bool, bool],
+    louder: Array,
 ) -> tuple[Fit, Array]:
     """Spline whose bandwidth (N,) is raised until its residuals are noise."""
     n = len(t)
     if not np.ptp(y, axis=0).any():
         slowest = np.full(n, min(most, 1.5 / (t[-1] - t[0])))
         return fit(t, y, slowest, ends), slowest
-    bandwidth = np.full(n, np.clip(min(_harmless(level.whole, rate), USUAL), 1.5 / (t[-1] - t[0]), most))
+    bandwidth = np.full(n, np.clip(min(_harmless(level.whole * louder.max(), rate), USUAL), 1.5 / (t[-1] - t[0]), most))
     for _ in range(_ROUNDS):
         curve = fit(t, y, bandwidth)
-        kinds = found(_residual(curve, t, y), rate, level, negligible)
+        kinds = found(_residual(curve, t, y) / louder[:, None], rate, level, negligible)
         wanted = _wanted(kinds[1:], n)
         raised = np.maximum(bandwidth, np.minimum(FASTER * wanted, _STEP * bandwidth))
         raised = np.minimum(most, np.where(wanted > 0, np.maximum(raised, 1.2 * bandwidth), bandwidth))
@@ -200,7 +220,7 @@ def _follow(
         asked = (at_rest[0] or end == 0, end == 1)
         if ends[end]:
             resting = fit(t, y, bandwidth, asked)
-            kinds = found(_residual(resting, t, y), rate, level, negligible)
+            kinds = found(_residual(resting, t, y) / louder[:, None], rate, level, negligible)
             if sum(len(cells.first) for cells in kinds) <= noticed:
                 curve, at_rest[end] = resting, True
     return curve, bandwidth
@@ -225,14 +245,26 @@ def _wanted(kinds: list[Cells], n: int) -> Array:
 
 
 def _left(
-    t: Array, p: Array, quat: Array, position: Fit, turning: Fit, sensor: Sensor, rate: float
+    t: Array, p: Array, quat: Array, position: Fit, turning: Fit, sensor: Sensor, rate: float, louder: Array
 ) -> tuple[Cells, ...]:
     """What stands out in the residuals, as displacements in m; of turning, at `LEVER` and by the tilt of gravity."""
-    cells = found(_residual(position, t, p), rate, sensor.position, NEGLIGIBLE)
-    for turned in found(_residual(turning, t, quat), rate, sensor.orientation, NEGLIGIBLE / (2 * LEVER)):
+    off, turned_off = _residual(position, t, p) / louder[:, None], _residual(turning, t, quat) / louder[:, None]
+    cells = found(off, rate, sensor.position, NEGLIGIBLE)
+    for turned in found(turned_off, rate, sensor.orientation, NEGLIGIBLE / (2 * LEVER)):
         metres = LEVER + 9.81 / (2 * np.pi * turned.frequency) ** 2
         cells.append(replace(turned, amplitude=2 * metres * turned.amplitude))
-    return tuple(cells)
+    middle = [(c.first + c.last) // 2 for c in cells]
+    return tuple(replace(c, amplitude=c.amplitude * louder[k]) for c, k in zip(cells, middle, strict=True))
+
+
+def _louder(t: Array, p: Array, quat: Array, sensor: Sensor, most: float, jitter: float) -> Array:
+    """(N,) by which noise is more than the sensor's, where the times of the samples are uncertain by `jitter`, s."""
+    if not jitter:
+        return np.ones(len(t))
+    calm = np.full(len(t), min(USUAL, most))
+    speed = np.linalg.norm(fit(t, p, calm)(t)[1], axis=1)
+    turning = 2 * np.linalg.norm(fit(t, quat, calm)(t)[1], axis=1)
+    return np.sqrt(1 + (jitter / max(sensor.displacement, 1e-9)) ** 2 * (speed**2 + (LEVER * turning) ** 2))
 
 
 def _within(cells: Cells, t: Array, inner: tuple[float, float]) -> Cells:
@@ -274,8 +306,3 @@ def _product(a: Array, b: Array) -> Array:
     w = a[:, 0] * b[:, 0] - np.einsum("ij,ij->i", a[:, 1:], b[:, 1:])
     xyz = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
     return np.concatenate([w[:, None], xyz], axis=1)
-
-
-def without_spikes(t: Array, p: Array, quat_wxyz: Array, sensor: Sensor) -> Array:
-    """Indices of samples that are off their neighbours on both sides."""
-    return np.union1d(spikes(t, p, sensor.position.whole), spikes(t, quat_wxyz, sensor.orientation.whole))

@@ -76,22 +76,24 @@ def hidden(t: Array, reserve: Array, rest: float, recording: Recording) -> tuple
     np.minimum.at(least, np.clip(((t - t[0]) / grid).astype(int), 0, len(least) - 1), reserve)
     empty = np.flatnonzero(np.isinf(least))
     least[empty] = np.interp(edges[empty], t, reserve)
-    noise = recording.sensor.displacement
+    louder = np.interp(edges[:-1] + 0.5 * grid, t, np.broadcast_to(recording.louder, t.shape))[: len(least)]
+    noise = recording.sensor.displacement * louder
     blur = np.hypot(recording.sensor.position.blur, 2 * LEVER * recording.sensor.orientation.blur)
     worst, harmless = Slip(0.0, recording.highest, 0.0, float(t[0])), 0.0
     for frequency in np.geomspace(min(1.0, recording.highest), recording.highest, _FREQUENCIES):
         cycles = 1.0
         while True:
-            amplitude = max(SEEN * noise * np.sqrt(2 * frequency / (recording.rate * cycles)), blur)
+            amplitude = np.maximum(SEEN * noise * np.sqrt(2 * frequency / (recording.rate * cycles)), blur)
             window = max(1, min(len(least), round(cycles / frequency / grid)))
-            there, more = _drift(np.full(len(least), amplitude), np.array(frequency), least, rest)
+            there, more = _drift(amplitude, np.array(frequency), least, rest)
             passed = np.cumsum(np.pad(np.stack([there, more]), ((0, 0), (1, 0))), axis=1)
             sides = (passed[:, window:] - passed[:, :-window]) * cycles / window
             # It settles within two cycles to what drifts away.
             over = np.minimum(sides[0], sides[1] + sides[0] * min(1.0, 2 / cycles))
             k = int(np.argmax(over))
             if over[k] > worst.distance:
-                worst = Slip(float(over[k]), float(frequency), float(amplitude), float(edges[k] + 0.5 * window * grid))
+                middle = float(edges[k] + 0.5 * window * grid)
+                worst = Slip(float(over[k]), float(frequency), float(amplitude[k + window // 2]), middle)
             if cycles / frequency > t[-1] - t[0]:
                 break
             cycles *= 2

@@ -49,7 +49,7 @@ class Fit:
         wide = np.diff(knots)
         return np.asarray(np.minimum.reduce([wide[np.clip(k + j, 0, len(wide) - 1)] for j in (-1, 0, 1)]))
 
-    def acceleration_error(self, t: Array, step: float, bent: bool = False) -> Array:
+    def acceleration_error(self, t: Array, step: Array | float, bent: bool = False) -> Array:
         """(N,) standard deviation of the second derivative for samples of unit noise every `step` s.
 
         bent: as if the ends were free and no knots were left out there: noise hides that a motion was bent there, or

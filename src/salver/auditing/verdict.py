@@ -154,7 +154,7 @@ class Audit(Shown, Tabular):
         if status.code in SPILLS and self.motion.recording is not None and (unsure := self._unsure(worst)):
             return cannot_tell(unsure, worst)
         if not status.ok:
-            return status
+            return cannot_tell(list(self.motion.suspect), worst) if self.motion.suspect else status
         doubts += [*self.motion.doubts, *borne.unseen(), *self._begun(), *self._unsure(worst)]
         if doubts:
             return cannot_tell(doubts, worst)

@@ -80,11 +80,12 @@ def _away(waves: Waves, motion: TrayMotion) -> tuple[Array, Array]:
 def _shakes(recording: Recording, t: Array, modes: Array) -> list[tuple[float, float, float]]:
     """Frequency (Hz), amplitude (m, tilt of gravity in it) and cycles of what noise hides, modes (...) among them."""
     sensor, duration = recording.sensor, float(t[-1] - t[0])
+    louder = float(np.max(recording.louder))
     found = []
     even = np.geomspace(min(1.0, recording.highest), recording.highest, _FREQUENCIES)
     for frequency in np.unique(np.concatenate([even, modes[modes < recording.highest]])):
         metres = 2 * (LEVER + GRAVITY / (2 * np.pi * frequency) ** 2)
-        noise = np.hypot(sensor.position.whole, metres * sensor.orientation.whole)
+        noise = louder * np.hypot(sensor.position.whole, metres * sensor.orientation.whole)
         blur = np.hypot(sensor.position.blur, metres * sensor.orientation.blur)
         cycles = 1.0
         while True:

@@ -1,0 +1,300 @@
+"""Defects of recordings: what loggers, sensors and software make of a motion before an audit reads it.
+
+Each defect takes a recorder (the true motion, its sensor and its rate) and returns time stamps and channels as they
+stand in the file. `LISTED` were looked at while the audit was made; `HELD_OUT` were not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import signal
+
+from audit_recordings import Motion
+from salver.geometry import exp, quat_wxyz_from_matrix
+
+Samples = tuple[np.ndarray, np.ndarray]  # t (N,) s, channels (N, 7): pose with quaternion wxyz, or joints
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """A sensor with white noise (m at the tray), at `rate` Hz."""
+
+    rng: Any
+    motion: Motion
+    rate: float
+    noise: float
+
+    @property
+    def t(self) -> np.ndarray:
+        return np.arange(int(self.motion.duration * self.rate) + 1) / self.rate
+
+    def at(self, t: np.ndarray) -> np.ndarray:
+        """(N, 7) channels at the times t."""
+        t = np.clip(t, 0, self.motion.duration)
+        if self.motion.arm is not None:
+            return self.motion.joints(t) + self.motion.deviation(self.noise) * self.rng.standard_normal((len(t), 7))
+        s = self.motion.tray(t)
+        p = s.p_SB + self.noise * self.rng.standard_normal(s.p_SB.shape)
+        quat = quat_wxyz_from_matrix(s.R_SB @ exp(2 * self.noise * self.rng.standard_normal(s.p_SB.shape)))
+        quat *= np.sign(quat[:, :1])
+        return np.column_stack([p, quat])
+
+    def noisier(self, noise: float) -> Recorder:
+        return replace(self, noise=max(self.noise, noise))
+
+    def uniform(self, low: float, high: float) -> float:
+        """A draw, uniform in the logarithm."""
+        return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+
+
+# Listed -------------------------------------------------------------------------------------------------------
+
+
+def jittering_stamps(r: Recorder) -> Samples:
+    """Samples are even, the times at which they arrive are not."""
+    jitter = r.uniform(5e-5, 6e-4) * r.rng.standard_normal(len(r.t))
+    return np.maximum.accumulate(r.t + np.clip(jitter, -0.45 / r.rate, 0.45 / r.rate)), r.at(r.t)
+
+
+def jittering_samples(r: Recorder) -> Samples:
+    """Stamps are even, the times of the samples are not."""
+    return r.t, r.at(r.t + r.uniform(5e-5, 6e-4) * r.rng.standard_normal(len(r.t)))
+
+
+def held(r: Recorder) -> Samples:
+    """100 Hz written at 1 kHz."""
+    every = int(r.rng.choice([2, 4, 5, 10]))
+    slow = r.at(r.t[::every])
+    return r.t, np.repeat(slow, every, axis=0)[: len(r.t)]
+
+
+def doubled(r: Recorder) -> Samples:
+    """Every sample stands there twice, at a time of its own."""
+    y = r.at(r.t)
+    t = np.column_stack([r.t, r.t + r.rng.uniform(0.05, 0.5) / r.rate]).ravel()
+    return t, np.repeat(y, 2, axis=0)
+
+
+def stale(r: Recorder) -> Samples:
+    """5 % of the samples repeat the one before."""
+    y = r.at(r.t)
+    share = r.rng.uniform(0.01, 0.2)
+    for k in np.flatnonzero(r.rng.random(len(y)) < share):
+        y[k] = y[max(k - 1, 0)]
+    return r.t, y
+
+
+def quantised(r: Recorder) -> Samples:
+    """Encoders of 12 to 14 bits, or a pose in tenths of a millimetre; the shake hardly a step."""
+    y = r.at(r.t)
+    step = 2 * np.pi / 2 ** r.rng.integers(12, 15) if r.motion.arm is not None else r.uniform(1e-4, 1e-3)
+    y = np.round(y / step) * step
+    return r.t, y if r.motion.arm is not None else _unit(y)
+
+
+def spike_on_uneven_clock(r: Recorder) -> Samples:
+    t = r.t + np.r_[0, 0.3 / r.rate * r.rng.uniform(-1, 1, len(r.t) - 2), 0]
+    y = r.at(t)
+    y[r.rng.integers(5, len(y) - 5), r.rng.integers(3)] += r.uniform(1e-3, 0.5)
+    return t, y
+
+
+def zero_phase(r: Recorder) -> Samples:
+    """As motion capture software smooths: Butterworth, forwards and backwards."""
+    y = r.noisier(1e-5).at(r.t)
+    cut = r.uniform(4, 12)
+    return r.t, _unit_of(r, signal.sosfiltfilt(_low(r, 2, cut), y, axis=0))
+
+
+def causal(r: Recorder) -> Samples:
+    y = r.noisier(1e-5).at(r.t)
+    sos = _low(r, int(r.rng.integers(1, 5)), r.uniform(8, 18))
+    return r.t, _unit_of(r, signal.sosfilt(sos, y - y[0], axis=0) + y[0])
+
+
+def kilometres(r: Recorder) -> Samples:
+    return _scaled(r, 1e-3)
+
+
+def millimetres(r: Recorder) -> Samples:
+    return _scaled(r, 1e3)
+
+
+# Held out -----------------------------------------------------------------------------------------------------
+
+
+def interpolated(r: Recorder) -> Samples:
+    """Straight lines between samples of a slower sensor."""
+    every = int(r.rng.choice([4, 5, 10]))
+    y = r.at(r.t[::every])
+    return r.t, _unit_of(r, np.column_stack([np.interp(r.t, r.t[::every], c) for c in y.T]))
+
+
+def moving_average(r: Recorder) -> Samples:
+    width = max(3, round(r.rate * r.uniform(0.03, 0.12)))
+    y = r.noisier(1e-5).at(r.t)
+    padded = np.pad(y, ((width // 2, width - 1 - width // 2), (0, 0)), mode="edge")
+    return r.t, _unit_of(r, np.column_stack([np.convolve(c, np.ones(width) / width, "valid") for c in padded.T]))
+
+
+def exponential(r: Recorder) -> Samples:
+    """y += alpha (new - y)."""
+    y = r.noisier(1e-5).at(r.t)
+    alpha = 1 - np.exp(-2 * np.pi * r.uniform(3, 12) / r.rate)
+    return r.t, _unit_of(r, signal.lfilter([alpha], [1, alpha - 1], y - y[0], axis=0) + y[0])
+
+
+def savitzky_golay(r: Recorder) -> Samples:
+    width = 2 * round(r.rate * r.uniform(0.05, 0.15) / 2) + 1
+    return r.t, _unit_of(r, signal.savgol_filter(r.noisier(1e-5).at(r.t), max(width, 5), 3, axis=0))
+
+
+def median_filtered(r: Recorder) -> Samples:
+    width = 2 * round(r.rate * r.uniform(0.03, 0.1) / 2) + 1
+    return r.t, _unit_of(r, signal.medfilt(r.noisier(1e-5).at(r.t), (max(width, 3), 1)))
+
+
+def rounded_stamps(r: Recorder) -> Samples:
+    """Stamps in whole milliseconds, or in tens of them."""
+    unit = float(r.rng.choice([1e-3, 4e-3, 1e-2]))
+    return np.round(r.t / unit) * unit, r.at(r.t)
+
+
+def bursts(r: Recorder) -> Samples:
+    """Samples arrive together, several at a time, and are stamped then."""
+    every = int(r.rng.integers(2, 9))
+    k = np.arange(len(r.t))
+    arrival = r.t[np.minimum((k // every + 1) * every, len(k) - 1)] + 2e-5 * (k % every)
+    return np.maximum.accumulate(arrival), r.at(r.t)
+
+
+def lost(r: Recorder) -> Samples:
+    """Samples are lost, and the rest numbered through."""
+    keep = r.rng.random(len(r.t)) > r.rng.uniform(0.01, 0.1)
+    return r.t[: keep.sum()], r.at(r.t[keep])
+
+
+def clock_step(r: Recorder) -> Samples:
+    """The clock is set forward, once."""
+    return r.t + r.uniform(3e-3, 0.1) * (np.arange(len(r.t)) > r.rng.integers(5, len(r.t) - 5)), r.at(r.t)
+
+
+def offset(r: Recorder) -> Samples:
+    """Motion capture begins anew somewhere else."""
+    y = r.at(r.t)
+    y[r.rng.integers(5, len(y) - 5) :, :3] += r.uniform(5e-4, 3e-2) * r.rng.standard_normal(3)
+    return r.t, y
+
+
+def wrong_marker(r: Recorder) -> Samples:
+    """Off for some samples, and back."""
+    y = r.at(r.t)
+    k, count = r.rng.integers(5, len(y) - 30), r.rng.integers(2, 25)
+    y[k : k + count, :3] += r.uniform(1e-3, 5e-2) * r.rng.standard_normal(3)
+    return r.t, y
+
+
+def heavy_tails(r: Recorder) -> Samples:
+    y = r.at(r.t)
+    noise = 1e-5 * r.rng.standard_t(2.0, size=y.shape)
+    return r.t, _unit_of(r, y + noise)
+
+
+def deadband(r: Recorder) -> Samples:
+    """A value is written anew once it has changed by so much."""
+    y, least = r.at(r.t), r.uniform(1e-5, 1e-3)
+    for column in y.T:
+        last = column[0]
+        for k in range(len(column)):
+            last = column[k] if abs(column[k] - last) > least else last
+            column[k] = last
+    return r.t, _unit_of(r, y)
+
+
+def frozen(r: Recorder) -> Samples:
+    """The sensor stands still for a while and goes on where it should be."""
+    y = r.at(r.t)
+    k, count = r.rng.integers(5, len(y) // 2), max(3, round(r.rate * r.uniform(0.01, 0.3)))
+    y[k : k + count] = y[k]
+    return r.t, y
+
+
+def swapped(r: Recorder) -> Samples:
+    """Neighbours in the wrong order, their stamps in the right one."""
+    y = r.at(r.t)
+    for k in np.flatnonzero(r.rng.random(len(y) - 1) < r.rng.uniform(0.005, 0.05)):
+        y[[k, k + 1]] = y[[k + 1, k]]
+    return r.t, y
+
+
+def centimetres(r: Recorder) -> Samples:
+    return _scaled(r, 1e2)
+
+
+def resampled(r: Recorder) -> Samples:
+    """A cubic through samples of a slower sensor."""
+    from scipy.interpolate import CubicSpline
+
+    every = int(r.rng.choice([5, 10, 20]))
+    t = r.t[::every]
+    y = CubicSpline(t, r.at(t), axis=0)(np.minimum(r.t, t[-1]))
+    return r.t, _unit_of(r, y)
+
+
+def single_precision(r: Recorder) -> Samples:
+    """Times of the day in s, in single precision: steps of 4 ms."""
+    return np.float32(40_000.0 + r.t).astype(float), r.at(r.t)
+
+
+def _scaled(r: Recorder, factor: float) -> Samples:
+    y = r.at(r.t)
+    y[:, : 3 if r.motion.arm is None else 7] *= factor
+    return r.t, y
+
+
+def _low(r: Recorder, order: int, cut: float) -> Any:
+    return signal.butter(order, min(cut, 0.3 * r.rate), fs=r.rate, output="sos")
+
+
+def _unit_of(r: Recorder, y: np.ndarray) -> np.ndarray:
+    return y if r.motion.arm is not None else _unit(y)
+
+
+def _unit(y: np.ndarray) -> np.ndarray:
+    quat = y[:, 3:]
+    return np.column_stack([y[:, :3], quat / np.linalg.norm(quat, axis=1, keepdims=True)])
+
+
+LISTED: tuple[Callable[[Recorder], Samples], ...] = (
+    jittering_stamps, jittering_samples, held, doubled, stale, quantised, spike_on_uneven_clock, zero_phase, causal,
+    kilometres, millimetres,
+)  # fmt: skip
+HELD_OUT: tuple[Callable[[Recorder], Samples], ...] = (
+    interpolated, moving_average, exponential, savitzky_golay, median_filtered, rounded_stamps, bursts, lost,
+    clock_step, offset, wrong_marker, heavy_tails, deadband, frozen, swapped, centimetres, resampled, single_precision,
+)  # fmt: skip
+POSES_ONLY = {"kilometres", "millimetres", "centimetres", "offset", "wrong_marker"}
+DEFECTS = {defect.__name__: defect for defect in (*LISTED, *HELD_OUT)}
+
+
+def record(rng: Any, motion: Motion, defect: str, folder: Path) -> tuple[Path, float, float]:
+    """A file with that defect, and its rate and noise."""
+    rate = float(np.round(np.exp(rng.uniform(np.log(120), np.log(1000))), 1))
+    noise = 0.0 if rng.random() < 0.2 else float(10 ** rng.uniform(-6.5, -4))
+    t, y = DEFECTS[defect](Recorder(rng, motion, rate, noise))
+    names = ["x", "y", "z", "qw", "qx", "qy", "qz"]
+    if motion.arm is not None:
+        names = [f"panda_joint{i}" for i in range(1, 8)]
+    path, digits = folder / "motion.csv", int(rng.choice([6, 7, 9]))
+    if defect == "kilometres":
+        digits = 9
+    np.savetxt(
+        path, np.column_stack([t, y]), delimiter=",", header=",".join(["t", *names]), comments="",
+        fmt=["%.9f", *[f"%.{digits}f"] * 7],
+    )  # fmt: skip
+    return path, rate, noise

@@ -1,0 +1,151 @@
+"""What loggers, sensors and software make of a recording: named with its size, removed where that is sound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from salver import scenario as scenarios
+from salver.auditing import audit
+from salver.auditing.defects import channels_of, repaired
+from salver.motion_files.samples import TraySamples
+
+CUBE = scenarios.load("panda-cube")
+RATE = 500.0
+T = np.arange(1001) / RATE
+
+
+def truth(t, shake=0.0):
+    """Half a metre in 1.6 s, at rest before and after: 1.13 m/s^2 of the 4.905 there are. shake: m, of 18 Hz."""
+    u = np.clip((t - 0.2) / 1.6, 0, 1)
+    y = 0.5 * u**3 * (10 - 15 * u + 6 * u**2) + shake * np.sin(2 * np.pi * 18 * t)
+    return np.stack([0.5 + 0 * t, y, 0.4 + 0 * t], axis=1)
+
+
+def seen(p, t=T, noise=2e-5):
+    p = p + noise * np.random.default_rng(3).standard_normal(p.shape)
+    return TraySamples(t, p, np.tile([1.0, 0, 0, 0], (len(t), 1)), "E", "by hand")
+
+
+def found(p, t=T, noise=2e-5):
+    return repaired(channels_of(seen(p, t, noise)))
+
+
+def judged(p, t=T, noise=2e-5):
+    s = seen(p, t, noise)
+    return audit({"t": t, **dict(zip("xyz", s.p.T, strict=True)), "qw": 1 + 0 * t, "qx": 0 * t, "qy": 0 * t,
+                  "qz": 0 * t}, CUBE)  # fmt: skip
+
+
+def codes(channels):
+    return [defect.code for defect in channels.defects]
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 2e-5])
+def test_nothing_is_found_in_a_clean_recording(noise):
+    clean = found(truth(T), noise=noise)
+    assert codes(clean) == []
+    assert clean.shown == np.inf
+    assert np.array_equal(clean.t, T)
+
+
+def test_stamps_that_jitter_are_replaced_by_even_ones():
+    stamps = T + 3e-4 * np.random.default_rng(1).standard_normal(len(T)).clip(-2, 2)
+    even = found(truth(T), stamps)
+    (defect,) = even.defects
+    assert "time stamps jitter by 0.2" in defect.clause  # 0.26: of a normal distribution that ends at two of its own
+    # A grid is known to its phase and period from a thousand stamps: 0.3 ms / sqrt(1000), to four of it.
+    assert np.abs(even.t - T).max() < 4e-5
+    assert judged(truth(T), stamps).outcome == "holds"
+
+
+def test_times_that_are_uneven_and_right_are_kept():
+    uneven = T + 3e-4 * np.random.default_rng(1).standard_normal(len(T)).clip(-2, 2)
+    assert codes(found(truth(uneven), uneven)) == []
+
+
+def test_the_jitter_of_samples_is_told_from_errors_that_grow_with_the_speed():
+    taken = T + 3e-4 * np.random.default_rng(1).standard_normal(len(T))
+    shaken = found(truth(taken), noise=1e-6)
+    assert codes(shaken) == ["jitter"]
+    assert shaken.jitter == pytest.approx(3e-4, rel=0.15)
+    assert judged(truth(taken), noise=1e-6).outcome != "does_not_hold"
+
+
+@pytest.mark.parametrize("each", [2, 5])
+def test_held_samples_are_taken_once(each):
+    p = np.repeat(seen(truth(T[::each])).p, each, axis=0)[: len(T)]
+    held = found(p, noise=0.0)
+    assert f"{each} at a time are alike, and {RATE / each:.3g} a second are new" in held.defects[0].clause
+    assert np.array_equal(held.t, T[::each])
+    assert judged(p, noise=0.0).outcome == "holds"
+
+
+def test_stale_samples_are_left_out():
+    p, stale = seen(truth(T)).p, np.array([250, 300, 301, 555, 720])
+    for k in stale:
+        p[k] = p[k - 1]
+    left = found(p, noise=0.0)
+    assert "0.5 % of the samples (5) repeat the one before" in left.defects[0].clause
+    assert np.array_equal(np.flatnonzero(~np.isin(T, left.t)), stale)
+    assert judged(p, noise=0.0).outcome == "holds"
+
+
+def test_a_spike_is_left_out_also_where_the_clock_is_uneven():
+    t = T + 4e-4 * np.random.default_rng(1).uniform(-1, 1, len(T))
+    p = truth(t)
+    p[437] += [0.0, 0.01, 0.0]
+    (defect,) = found(p, t).defects
+    assert defect.code == "spike"
+    assert f"{t[437]:.3f} s lies 10 mm off" in defect.clause or f"{t[437]:.3f} s lies 9.9" in defect.clause
+    assert judged(p, t).nominal.details["reasons"] == ["spike"]
+
+
+def test_a_jump_is_taken_back_and_said():
+    p = truth(T)
+    p[500:] += [0.003, 0.0, -0.004]
+    mended = found(p)
+    assert "the position jumps by 5" in mended.defects[0].clause
+    # It is known as well as a cubic through four samples with noise of 0.02 mm.
+    assert np.abs(mended.y[:, :3] - truth(T)).max() < 2e-4
+    assert judged(p).nominal.details["reasons"] == ["jump"]
+
+
+def test_many_samples_that_are_missing_are_not_taken_for_a_violation():
+    keep = np.random.default_rng(2).random(len(T)) > 0.03
+    t = T[: keep.sum()]
+    assert "lost" in codes(found(truth(T)[keep], t, noise=1e-6))
+    assert judged(truth(T)[keep], t, noise=1e-6).outcome == "cannot_tell"
+
+
+@pytest.mark.parametrize("cut", [5.0, 12.0])
+@pytest.mark.parametrize("causal", [False, True])
+def test_a_filter_is_told_from_where_the_noise_ends(cut, causal):
+    """A shake of 18 Hz that needs three times the friction there is, and that the filter takes away."""
+    sos = signal.butter(4, cut, fs=RATE, output="sos")
+    raw = seen(truth(T, shake=3 * 4.905 / (2 * np.pi * 18) ** 2)).p
+    p = signal.sosfilt(sos, raw - raw[0], axis=0) + raw[0] if causal else signal.sosfiltfilt(sos, raw, axis=0)
+    assert cut / 2 < found(p, noise=0.0).shown < 2 * cut
+    verdict = judged(p, noise=0.0)
+    assert verdict.outcome == "cannot_tell" or (verdict.outcome == "does_not_hold" and cut > 10)
+    if verdict.outcome == "cannot_tell":
+        assert verdict.nominal.details["reasons"][0] == "filtered"
+        assert "nothing faster is shown" in verdict.nominal.sentence
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e2])
+def test_positions_in_another_unit_give_no_verdict(factor):
+    p = truth(T)
+    verdict = judged(factor * p, noise=0.0)
+    assert verdict.outcome == "cannot_tell"
+    assert verdict.nominal.details["reasons"][0] == "unit"
+    assert "positions must be in m" in verdict.nominal.sentence
+
+
+def test_a_small_shake_of_a_coarse_encoder_is_not_taken_for_jolts():
+    p = truth(T, shake=1e-4)
+    p = np.round(p / 5e-4) * 5e-4
+    channels = found(p, noise=0.0)
+    assert channels.step == pytest.approx(5e-4, rel=0.01)
+    assert judged(p, noise=0.0).outcome == "cannot_tell"
