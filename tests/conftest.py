@@ -84,11 +84,11 @@ def safe(tmp_path_factory: pytest.TempPathFactory) -> Rig:
 
 @pytest.fixture(scope="session")
 def bottle_plan() -> Plan:
-    """The fastest motion of the tall bottle, which turns the tray."""
+    """The fastest motion of the tall bottle, which turns the tray; for full speed only, at which it leaves nothing."""
     from salver import scenario
     from salver.planning.fastest import plan_fastest
 
-    return plan_fastest(scenario.load("panda-tall-bottle"))
+    return plan_fastest(scenario.load("panda-tall-bottle").with_changes(motion__speeds="full"))
 
 
 @pytest.fixture(scope="session")
@@ -143,7 +143,7 @@ def behind_a_post() -> TransportProblem:
 
     post = {"type": "capsule", "position": [0.55, -0.02, 0.35], "radius": 0.03, "length": 0.7}
     changes = {"objects__0__uncertainty": {}, "motion__orientation": "free", "obstacles": [post]}
-    changes["surroundings"] = {"floor": "none"}
+    changes |= {"surroundings": {"floor": "none"}, "motion__speeds": "full"}
     return transport_problem(scenario.load("panda-cube").with_changes(**changes))
 
 

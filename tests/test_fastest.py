@@ -39,7 +39,9 @@ UNCERTAIN = {"mass": "20%", "com": [0.003, 0.002, 0.004], "inertia": "10%", "fri
     ("friction", "level", "bar"), [(0.4, True, 0.745), (0.4, False, 0.667), (0.2, True, 0.975), (0.2, False, 0.775)]
 )
 def test_paper_endpoints_are_as_fast_as_the_bar_and_safe(friction, level, bar):
-    scenario = cube(friction, objects__0__uncertainty={}, motion__orientation="fixed" if level else "free")
+    """The bar is that of full speed only."""
+    orientation = "fixed" if level else "free"
+    scenario = cube(friction, objects__0__uncertainty={}, motion__orientation=orientation, motion__speeds="full")
     plan = plan_fastest(scenario)
     assert plan.duration <= bar
     assert plan.ok, (plan.status, plan.verification.sentence, plan.arm_status)
@@ -80,7 +82,7 @@ def test_contact_keeps_the_margin_that_the_scenario_asks_for(margin):
 
 @pytest.mark.slow
 def test_robust_plan_takes_longer_and_the_nominal_one_breaks_its_conditions():
-    scenario = bottle(mass="40%", com=[0.005, 0.005, 0.005], friction="10%")
+    scenario = bottle(mass="40%", com=[0.005, 0.005, 0.005], friction="10%").with_changes(motion__speeds="full")
     robust, nominal = (transport_problem(scenario, robust=robust) for robust in (True, False))
     slow, fast = fastest(robust), fastest(nominal)
     assert slow.status.ok

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import BSpline
 
+from salver.contact_margins import Speed, corners
 from salver.geometry import Array
 from salver.models.arm import with_load
 from salver.models.parameters import Parameter, inertial_vector
@@ -176,7 +177,7 @@ def changes(programme, path, masks, direction, tau):
 
 
 def test_linearised_rows_match_differences_in_coefficients_and_squared_duration():
-    problem = transport_problem(cube(motion__orientation="fixed"), robust=False)
+    problem = transport_problem(cube(motion__orientation="fixed", motion__speed_rate=0.5), robust=False)
     spline = RestSpline(5, 6)
     programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(3))), problem.constraints, Duration())
     rng = np.random.default_rng(4)
@@ -184,7 +185,9 @@ def test_linearised_rows_match_differences_in_coefficients_and_squared_duration(
     path = programme.at(Point(coefficients, 0.9))
     near, direction = [block.near(10.0) for block in path.blocks], rng.normal(size=coefficients.shape)
     names, difference, predicted = changes(programme, path, near, direction, 0.3)
-    assert {"velocity", "torque", "torque rate", "tilt", "clearance", "contact of cube"} <= set(names)
+    assert {"velocity", "torque", "torque rate", "tilt", "clearance"} <= set(names)
+    at = ("", " standing still")
+    assert {f"contact of cube{where} while the speed changes" for where in at} <= set(names)
     error = np.abs(difference - predicted) / (1 + np.abs(predicted))
     # Where the nearest points of two hulls jump, a distance has only one-sided derivatives.
     assert error[names != "clearance"].max() < 1e-5
@@ -211,10 +214,11 @@ def test_a_step_that_leads_far_astray_is_not_taken_and_nothing_is_said_of_it(mon
     assert found.iterate is path
 
 
-def test_rows_of_waves_know_all_that_was_felt_before():
+@pytest.mark.parametrize(("factor", "where"), [(1.0, ""), (0.6, " at 60 % of full speed")])
+def test_rows_of_waves_know_all_that_was_felt_before(factor, where):
     """The whole motion in between changes, and its duration. What is interpolated between the nodes has an error of
     fourth order: on twice as many nodes a sixteenth."""
-    problem = transport_problem(load("panda-coffee"), robust=False)
+    problem = replace(transport_problem(load("panda-coffee"), robust=False), speeds=(Speed(factor),))
     wet = [each for each in problem.constraints if isinstance(each, Contact | Brim)]
     spline, rng = RestSpline(5, 6), np.random.default_rng(4)
     inner = np.r_[0, np.ones(spline.size - 2), 0][:, None]  # at both ends the tray rests level where it was told
@@ -222,14 +226,14 @@ def test_rows_of_waves_know_all_that_was_felt_before():
     errors = []
     for density in (12, 24):
         programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(density))), wet, Duration())
-        path = programme.at(Point(line(problem, spline) + 0.02 * bent, 1.2))
+        path = programme.at(Point(line(problem, spline) + 0.02 * bent, 1.2 * factor))  # at the factor it takes 1.2 s
         exact = [block.values > -block.remembers for block in path.blocks]
         names, difference, predicted = changes(programme, path, exact, direction, 0.3)
         each = ["contact of cup", "lightness in cup", "steepness in cup", "steepness left in cup"]
         each += ["waves in cup", "waves left in cup"]
-        assert sorted(set(names)) == each
+        assert sorted(set(names)) == [f"{name}{where}" for name in each]
         relative = np.abs(difference - predicted) / np.abs(predicted).max()
-        errors.append([relative[names == name].max() for name in each])
+        errors.append([relative[names == f"{name}{where}"].max() for name in each])
     coarse, fine = np.delete(errors, light := each.index("lightness in cup"), axis=1)
     assert np.max(coarse) < 1e-3
     assert np.all(np.divide(coarse, fine) > 10)
@@ -246,12 +250,52 @@ def test_contact_of_an_arm_that_follows_exactly_is_what_the_check_of_a_plan_look
     z = FreeCurve(problem, Grid.of(spline, s)).motion(coefficients, duration)
     motion = problem.at(s, z, duration, imposed=False)
     (rows,) = problem.contacts
-    exactly, allowing = (next(iter(Contact(rows, exactly=x).blocks(motion))) for x in (True, False))
+    assert len(problem.speeds) == 4
+    exactly, allowing = (
+        [next(iter(Contact(rows, speed=speed, exactly=x).blocks(motion))) for speed in problem.speeds]
+        for x in (True, False)
+    )
     reference = SampledReference(object_motion(problem, s * duration, *z[:3]))
     slack = evaluate(scenario.with_changes(contact__condition="exact"), reference, len(s)).slack
-    assert exactly.values == pytest.approx(-slack, abs=1e-9)
-    assert np.abs(exactly.values - allowing.values).max() > 1e-3
-    assert not exactly.gradient(np.array([20]), np.array([3]))[:, 3 * problem.n :].any()  # jerk is for held commands
+    assert np.hstack([block.values for block in exactly]) == pytest.approx(-slack, abs=1e-9)
+    differ = [np.abs(one.values - other.values).max() for one, other in zip(exactly, allowing, strict=True)]
+    assert min(differ[:2]) > 1e-3
+    assert min(differ[2:]) > 1e-5  # the arm sags under a wrong load, by little
+    assert not exactly[0].gradient(np.array([20]), np.array([3]))[:, 3 * problem.n :].any()  # jerk is for held commands
+
+
+def tilting(problem, seed=3, spans=6, points=121, duration=1.2):
+    """A motion of the arm on which the tray turns about every axis, within the limits of its jerk."""
+    spline, rng = RestSpline(5, spans), np.random.default_rng(seed)
+    inner = np.r_[0, np.ones(spline.size - 2), 0][:, None]
+    coefficients = line(problem, spline) + 0.08 * inner * rng.normal(size=(spline.size, problem.n))
+    s = np.linspace(0, 1, points)
+    z = FreeCurve(problem, Grid.of(spline, s)).motion(coefficients, duration)
+    return problem.at(s, z, duration, imposed=False)
+
+
+def test_an_arm_that_stands_still_sags_as_one_that_moves_very_slowly_strays():
+    motion = tilting(transport_problem(bottle(**UNCERTAIN)))
+    slow = motion.at_factor(1e-3).response.felt()[1]
+    assert slow is not None
+    assert motion.sag.terms == slow.terms
+    assert np.abs(motion.sag.dw).max() > 1e-3
+    assert motion.sag.dw[1:] == pytest.approx(slow.dw[1:], abs=1e-5)  # where it begins, it has not quite settled
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_contact_at_any_factor_and_rate_is_no_nearer_to_its_edge_than_at_the_corners(seed):
+    """Of an arm that follows exactly. What a wrong load makes of one has a time scale of its own."""
+    problem = transport_problem(bottle(**UNCERTAIN))
+    (rows,), motion, rng = problem.contacts, tilting(problem, seed=seed), np.random.default_rng(seed)
+
+    def values(speed):
+        return next(iter(Contact(rows, speed=speed, exactly=True).blocks(motion))).values
+
+    full, full_back, still, still_back = (values(speed) for speed in corners("any", 0.25))
+    for factor, rate in rng.uniform([0.02, -0.25], [1.0, 0.25], (6, 2)):
+        at_corners = (1 - factor**2) * np.maximum(still, still_back) + factor**2 * np.maximum(full, full_back)
+        assert (values(Speed(factor, rate)) <= at_corners + 1e-9).all()
 
 
 def test_commands_are_held_for_a_period_also_where_nothing_is_uncertain():

@@ -317,9 +317,10 @@ def test_tube_and_cost_of_a_correlated_set(kind: str) -> None:
     ("load_of", "kind"), [(nasty.stack, "ellipsoid"), (nasty.pair, "box"), (nasty.pair, "ellipsoid")]
 )
 def test_exact_condition_of_a_plan_is_the_worst_case_of_the_rows(load_of: object, kind: str) -> None:
+    """At full speed, and standing still and at full speed while the speed changes by 0.3 1/s either way."""
     made = load_of(kind, contact__condition="exact", motion__orientation="free", motion__duration=1.0)
-    found = evaluate(made, tumbling(made), 9)
-    first = made.payload.first
+    full, first = made.with_changes(motion__speeds="full"), made.payload.first
+    found = evaluate(full, tumbling(made), 9)
     w = nasty.felt(found.samples.of_frame(*invert(first.p_EB, first.R_EB)))
     claimed = np.max([rows.worst(w).max(axis=1) for rows in contact_rows(made.payload)], axis=0)
     assert_allclose(found.slack.min(axis=1), -claimed, atol=1e-9)
@@ -327,6 +328,23 @@ def test_exact_condition_of_a_plan_is_the_worst_case_of_the_rows(load_of: object
     for m in whole.interfaces:
         mine = found.slack[:, [owner == m.name for owner in found.slack_owner]]
         assert_allclose(mine.min(axis=1), m.exact_worst, atol=1e-9)
+    corners = []
+    for moving in (1.0, 0.0):
+        for rate in (0.3, -0.3):
+            of_B = found.samples
+            changed = replace(
+                of_B,
+                a_S=moving * of_B.a_S + rate * of_B.v_S,
+                omega_B=moving * of_B.omega_B,
+                alpha_B=moving * of_B.alpha_B + rate * of_B.omega_B,
+            )
+            # Turned as B, so that v of E is v_B - omega x p_EB, whatever else the tray does.
+            w = nasty.felt(changed.of_frame(*invert(first.p_EB, first.R_EB)))
+            if not moving:  # centripetal accelerations, which `of_frame` adds, are none where nothing turns
+                assert not changed.omega_B.any()
+            corners.append(np.max([rows.worst(w).max(axis=1) for rows in contact_rows(made.payload)], axis=0))
+    slack = evaluate(made.with_changes(motion__speed_rate=0.3), tumbling(made), 9).slack
+    assert_allclose(slack.min(axis=1), -np.max(corners, axis=0), atol=1e-9)
 
 
 # Files -----------------------------------------------------------------------------------------------------------

@@ -66,6 +66,7 @@ def test_the_safest_motion_is_found_where_parts_nearly_touch_at_its_end(duration
                 "goal": {"position": goal.tolist()},
                 "goal_yaw": "free",
                 "duration": duration,
+                "speeds": "full",
             },
             "objects": [
                 {
@@ -205,13 +206,15 @@ def test_how_far_the_safest_motion_keeps_a_contact_from_its_edge_is_told(monkeyp
     monkeypatch.setattr(safest, "quickest_within", lambda *_: (motion, 1.0))
     monkeypatch.setattr(safest, "optima", lambda *_: [replace(motion, margin=x) for x in (0.1, 0.2)])
     monkeypatch.setattr(FastestMotion, "joint_motion", lambda self: None)
+    monkeypatch.setattr(safest, "at_every_speed", lambda found, plan, again: (found, plan))
     monkeypatch.setattr(safest, "solver_record", lambda found, robust: {})
-    told = []
-    monkeypatch.setattr(safest, "joint_plan", lambda case, problem, joint, status, record, method: told.append(status))
-    plan_safest(scenario.load("panda-cube").with_changes(contact__margin=0.05))
-    assert (
-        "keeps every contact 25 % of the weight from its edge; the shortest found takes 0.7000 s." in told[0].sentence
-    )
+
+    def joint_plan(case, problem, joint, status, record, method):
+        return SimpleNamespace(status=status)
+
+    monkeypatch.setattr(safest, "joint_plan", joint_plan)
+    told = plan_safest(scenario.load("panda-cube").with_changes(contact__margin=0.05)).status.sentence
+    assert "keeps every contact 25 % of the weight from its edge; the shortest found takes 0.7000 s." in told
 
 
 @pytest.mark.slow

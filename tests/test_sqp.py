@@ -360,7 +360,7 @@ def test_the_programme_of_an_iteration_bends_as_cost_and_priced_rows_do():
     curved = {"curvature": lambda node, column, unknowns: factors[column].copy(), "scales": True}
     task = programme(Roomy(), Rows(lambda q, _: np.array([q[0], q[1]]), more=curved))
     path = task.at(place(0.2, 0.4))
-    path.__dict__["unknowns"] = None
+    path._unknowns[1.0] = None
     for prices in ([2.0, 0.5], [2.0, 0.0]):
         second = sum(price * f.T @ f for price, f in zip(prices, factors, strict=True))
         assert task.bends(path, [np.array([prices])]) == pytest.approx(second)

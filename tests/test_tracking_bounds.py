@@ -125,7 +125,7 @@ def rows_along(made: Scenario, delay: float = AT_ONCE) -> tuple[Block, ...]:
     """The planner's rows along the motion, no margins."""
     s = np.linspace(0.0, 1.0, FINER * (len(T) - 1) + 1)
     z = np.stack([*JOINT.sample(s), JOINT.jerk(s)])
-    problem = transport_problem(made, level=False)
+    problem = transport_problem(made.with_changes(motion__speeds="full"), level=False)
     assert problem.tracking is not None
     problem = replace(problem, tracking=replace(problem.tracking, delay=delay))
     return evaluate(problem.constraints, problem.at(s, z, 1.0), margins=False)

@@ -18,8 +18,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from typing import Any
+from itertools import groupby, pairwise
+from typing import Any, Literal
 
 import numpy as np
 
@@ -43,6 +43,37 @@ Intervals = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
+class Speed:
+    """A speed factor of a motion and the rate at which it changes, 1/s."""
+
+    factor: float = 1.0
+    rate: float = 0.0
+
+    @property
+    def words(self) -> str:
+        if self.factor == 0.0:
+            at = " standing still"
+        else:
+            at = "" if self.factor == 1.0 else f" at {100 * self.factor:.3g} % of full speed"
+        return f"{at}{' while the speed changes' if self.rate else ''}"
+
+
+FULL_SPEED = Speed()
+
+
+def corners(speeds: Literal["any", "full"], rate: float) -> tuple[Speed, ...]:
+    """The speeds at which the contact of a rigid load must hold so that it does at every constant factor from 0 to 1,
+    and at factors that change by up to `rate`, 1/s; or at full speed alone.
+
+    What the tray feels is linear in (s^2, s'), and contact a convex condition on it: it holds in the whole rectangle of
+    these when it does at its corners.
+    """
+    if speeds == "full":
+        return (FULL_SPEED,)
+    return tuple(Speed(factor, sign * rate) for factor in (1.0, 0.0) for sign in ((1.0, -1.0) if rate else (0.0,)))
+
+
+@dataclass(frozen=True)
 class SafeSpeeds:
     """The constant speed factors at which a motion keeps its load.
 
@@ -50,7 +81,8 @@ class SafeSpeeds:
     without any. failure: what happens at the factor `fails_at`, next below the uppermost interval (or above, where that
     begins at 0); None when it holds at all from 0 to 1. rate: the largest rate of the factor (1/s, up or down) that
     keeps contact at every constant factor from 0 to 1; None where that is not known. tried: number of factors that were
-    looked at; 0 when the intervals are exact. unchecked: what is left out at other speeds, in words.
+    looked at; 0 when the intervals are exact. lacking: of each range of factors at which it fails that at which most is
+    missing, of those tried. unchecked: what is left out at other speeds, in words.
     """
 
     intervals: Intervals
@@ -60,6 +92,7 @@ class SafeSpeeds:
     failure: Status | None = None
     rate: float | None = None
     tried: int = 0
+    lacking: tuple[float, ...] = ()
     unchecked: str = ""
 
     @property
@@ -125,12 +158,16 @@ def safe_speeds(model: MarginModel, tray: MotionSamples, worst: bool, *, rate: b
     whether the rate of the factor is asked for; of no liquid it is known.
     """
     scaled = TimeScaled(model, tray, worst)
-    intervals, fastest, tried = (_tried if model.payload.liquids else _exact)(scaled)
+    tried, lacking = 0, tuple[float, ...]()
+    if model.payload.liquids:
+        intervals, fastest, tried, lacking = _tried(scaled)
+    else:
+        intervals, fastest = _exact(scaled)
     most = None
     if rate and not model.payload.liquids:
         most = scaled.largest_rate() if intervals == ((0.0, 1.0),) else None
     fails_at, failure = scaled.failure(intervals)
-    return SafeSpeeds(intervals, fastest, worst, fails_at, failure, most, tried)
+    return SafeSpeeds(intervals, fastest, worst, fails_at, failure, most, tried, lacking)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,14 +263,14 @@ class TimeScaled:
         return least_root(some, 0.0, high, begin[failing], end[failing])
 
 
-def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None, int]:
-    """The interval of factors of a load without a liquid, and the largest of them; 0 tried."""
+def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None]:
+    """The interval of factors of a load without a liquid, and the largest of them."""
     still, full = scaled.margin(0.0), scaled.margin(1.0)
     squared, here = (1.0, full) if full.min() >= 0 else (0.0, still)
     if here.min() < 0:
         found = _between(scaled, still, full)
         if found is None:
-            return (), None, 0
+            return (), None
         squared, here = found, scaled.margin(found)
     low = squared - _edge(scaled, squared, here, 0.0, still)
     most, beyond = (1.0, full) if full.min() < 0 and squared < 1 else (FASTEST**2, None)
@@ -246,9 +283,9 @@ def _exact(scaled: TimeScaled) -> tuple[Intervals, float | None, int]:
             most, beyond = FASTEST**2, scaled.margin(FASTEST**2)
     high = squared + _edge(scaled, squared, here, most, beyond)
     if high < SLOWEST**2:
-        return (), None, 0
+        return (), None
     inside = ((float(np.sqrt(low)), float(np.sqrt(min(high, 1.0)))),) if low <= 1 else ()
-    return inside, float(np.sqrt(high)), 0
+    return inside, float(np.sqrt(high))
 
 
 def _between(scaled: TimeScaled, still: Array, full: Array) -> float | None:
@@ -285,8 +322,9 @@ def _edge(scaled: TimeScaled, begin: float, here: Array, end: float, there: Arra
     )
 
 
-def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int]:
-    """The intervals of factors up to 1 of a load with a liquid, the largest of them, and how many were tried."""
+def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int, tuple[float, ...]]:
+    """The intervals of factors up to 1 of a load with a liquid, the largest of them, how many were tried, and of each
+    range between at which most is missing."""
     known = {float(s): scaled.slack(float(s)) for s in TRIED}
     while True:
         factors = sorted(known)
@@ -300,12 +338,15 @@ def _tried(scaled: TimeScaled) -> tuple[Intervals, float | None, int]:
         if not between:
             break
         known |= {s: scaled.slack(s) for s in between}
-    intervals: list[tuple[float, float]] = []
-    for k, s in enumerate(factors):
-        if known[s] >= 0:
-            joins = k > 0 and known[factors[k - 1]] >= 0
-            intervals[len(intervals) - joins :] = [(intervals[-1][0] if joins else s, s)]
-    return tuple(intervals), intervals[-1][1] if intervals else None, len(known)
+    holds: list[tuple[float, float]] = []
+    lacking: list[float] = []
+    for kept, run in groupby(factors, key=lambda s: known[s] >= 0):
+        together = list(run)
+        if kept:
+            holds.append((together[0], together[-1]))
+        else:
+            lacking.append(min(together, key=known.__getitem__))
+    return tuple(holds), holds[-1][1] if holds else None, len(known), tuple(lacking)
 
 
 def least_root(f: Callable[[float, Indices], Array], low: float, high: float, begin: Array, end: Array) -> float:

@@ -34,6 +34,7 @@ from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse, Worker
 from salver.live.motion import SAME, between, joined
 from salver.live.script import Prompter, script
+from salver.live.standing import live_scenario
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.arm_limits import JointLimits
 from salver.planning import plan_files
@@ -60,7 +61,7 @@ def commanded(scenario: Scenario, joint: JointMotion) -> Plan:
     for name, posture in (("start", q[0]), ("goal", q[-1])):
         p, R = arm.object_pose(posture, first.p_EB, first.R_EB)
         ends[f"motion__{name}"] = {"position": p.tolist(), "quat_wxyz": quat_wxyz_from_matrix(R).tolist()}
-    moved = scenario.with_changes(**ends)
+    moved = live_scenario(scenario).with_changes(**ends)
     status = Status("recorded", "This is what was commanded.", True)
     return joint_plan(moved, transport_problem(moved), joint, status, {}, method="live")
 

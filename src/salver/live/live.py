@@ -35,7 +35,7 @@ from salver.live.reader import Reader
 from salver.live.ready import STOPS_EVERY, Ready
 from salver.live.running import Running
 from salver.live.seal import sealed
-from salver.live.standing import standing
+from salver.live.standing import live_scenario, standing
 from salver.live.state import State
 from salver.live.steer import TICK
 from salver.live.stopped import Stopped
@@ -92,8 +92,7 @@ class Live:
         Raises ScenarioError when the load is not safe there at rest, or the scenario has no arm.
         """
         scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
-        problem = transport_problem(scenario, robust=robust)
-        problem, rest = standing(problem, q)
+        problem, rest = standing(transport_problem(live_scenario(scenario), robust=robust), q)
         self._problem, self._robust, self._permit = problem, robust, permit
         # The same for the loop's thread: planners have work space that two threads must not share.
         out = problem.keep_out

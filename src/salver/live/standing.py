@@ -16,8 +16,17 @@ from salver.live.wishes import numbers
 from salver.planning.fastest import AtPosture, TransportProblem
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.starts import standing_at
+from salver.scenario import Scenario
 
 LOOKS = 8  # at postures at the scenario's start, when none is given
+
+
+def live_scenario(scenario: Scenario) -> Scenario:
+    """What is asked of live motions: that they hold at every constant speed, so that they can be run slower; of a
+    liquid, at full speed, as only that of a whole motion is looked at."""
+    if scenario.payload.liquids:
+        return scenario.with_changes(motion__speeds="full")
+    return scenario.with_changes(motion__speed_rate=0.0)
 
 
 def standing(problem: TransportProblem, q: npt.ArrayLike | None) -> tuple[TransportProblem, Committed]:

@@ -15,6 +15,7 @@ from salver.errors import SalverError
 from salver.live import seal
 from salver.live.live import Live
 from salver.live.planner import Answer, Job, Planner
+from salver.live.standing import live_scenario
 from salver.planning.fastest import transport_problem
 from salver.scenario import Scenario
 
@@ -129,7 +130,7 @@ def serve(descriptor: int) -> None:
             scenario, robust, key = pipe.recv()
             seal.use(key)
             assert isinstance(scenario, Scenario)
-            planner = Planner(transport_problem(scenario, robust=robust))
+            planner = Planner(transport_problem(live_scenario(scenario), robust=robust))
             pipe.send("ready")
             while True:
                 job = pipe.recv()

@@ -186,7 +186,10 @@ class Plan(Shown, Tabular):
     def _failures(self) -> tuple[str, ...]:
         """What was asked for and not achieved, a sentence each."""
         verdicts: tuple[Status | Verification | None, ...] = (self.status, self.verification, self.arm_status)
-        return tuple(dict.fromkeys(found.sentence for found in verdicts if found is not None and not found.ok))
+        failed = dict.fromkeys(found.sentence for found in verdicts if found is not None and not found.ok)
+        if not failed and self.scenario.motion.speeds == "any" and not self.speeds.every:
+            failed[f"{self.speeds.verdict} motion.speeds asks for every speed."] = None
+        return tuple(failed)
 
     @property
     def verdict(self) -> str:

@@ -24,7 +24,8 @@ from salver.trajectory import MotionSamples, Reference
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """What the object feels along a motion: rotation, specific force R^T (a - g), omega, alpha in B; (T, 1, 3).
+    """What the object feels along a motion: rotation, specific force R^T (a - g), omega, alpha, and its velocity, in B;
+    (T, 1, 3).
 
     Of a motion that does not turn, rotation, omega and alpha are kept at one instant and broadcast.
     """
@@ -33,17 +34,19 @@ class BodyMotion:
     force: Dual
     omega: Dual
     alpha: Dual
+    velocity: Dual
 
     @classmethod
     def of(
         cls,
         samples: MotionSamples,
+        v_tangent: Array | None = None,
         a_tangent: Array | None = None,
         theta_tangent: Array | None = None,
         omega_tangent: Array | None = None,
         alpha_tangent: Array | None = None,
     ) -> BodyMotion:
-        """From samples (T), with derivatives (T, 3, n_z) of a_S, of the rotation (in B), of omega_B and alpha_B."""
+        """From samples (T), with derivatives (T, 3, n_z) of v_S, a_S, the rotation (in B), omega_B and alpha_B."""
 
         def dual(value: Array, tangent: Array | None) -> Dual:
             return Dual(value[:, None], None if tangent is None else tangent[:, None])
@@ -56,7 +59,13 @@ class BodyMotion:
             rotation.to_body(dual(samples.a_S - GRAVITY_S, a_tangent)),
             dual(samples.omega_B[kept], omega_tangent),
             dual(samples.alpha_B[kept], alpha_tangent),
+            rotation.to_body(dual(samples.v_S, v_tangent)),
         )
+
+    @property
+    def weight(self) -> Dual:
+        """R^T (-g): the specific force of the object standing still in each posture."""
+        return self.rotation.to_body(Dual(-GRAVITY_S[None, None]))
 
     def thinned(self, every: int) -> BodyMotion:
         """Each `every`-th instant."""
@@ -65,6 +74,7 @@ class BodyMotion:
             self.force.thinned(every),
             self.omega.thinned(every),
             self.alpha.thinned(every),
+            self.velocity.thinned(every),
         )
 
     def of_frame(self, p_BX: Array, R_BX: Array) -> BodyMotion:
@@ -77,6 +87,7 @@ class BodyMotion:
             force.mapped(turn),
             self.omega.mapped(turn),
             self.alpha.mapped(turn),
+            (self.velocity + self.omega.cross(arm)).mapped(turn),
         )
 
     def wrench(self, phi: Array) -> tuple[Dual, Dual]:

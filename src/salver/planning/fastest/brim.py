@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from salver.contact_margins import FULL_SPEED, Speed
 from salver.geometry import Array, Indices
 from salver.models.bodies import Body
 from salver.planning.fastest.constraints import FINEST, ROWS_OF_SEVERAL, Block, Constraint, Gradient
@@ -26,14 +27,16 @@ LEFT_MARGIN = 0.03  # and of what may be left at the end, which all of that adds
 class Brim(Constraint):
     """A body's liquid stays below its brim, during the motion and after it, in all its cases; no wave is steeper than
     the model is valid for. In units of the room that it has, of which `margin` is kept. calm: share of the
-    steepest that may be left."""
+    steepest that may be left. speed: at which, above 0."""
 
     body: Body
     margin: float = 0.0
     calm: float = 1.0
+    speed: Speed = FULL_SPEED
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
-        parts, last = motion.sloshing[self.body.name], motion.nodes[-1:]
+        parts = motion.at_factor(self.speed.factor).sloshing[self.body.name]
+        last, words = motion.nodes[-1:], self.speed.words
         which = [part.waves.cases for part in parts]
         liquid = which[0].liquid
 
@@ -55,7 +58,16 @@ class Brim(Constraint):
                 return found / np.sqrt(scale[f, None, None])
 
             rows = (values / scale[:, None] - 1).T
-            found = Block(name, rows, _nothing(motion.n), last, history=history, curvature=curvature, kinked=True)
+            found = Block(
+                name + words,
+                rows,
+                _nothing(motion.n),
+                last,
+                history=history,
+                curvature=curvature,
+                kinked=True,
+                factor=self.speed.factor,
+            )
             if len(rows) == 1:
                 return found.having(margins=(LEFT_MARGIN + self.margin, finest))
             margins = (WAVE_MARGIN + self.margin, finest)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from salver.contact_margins import FULL_SPEED, Speed
 from salver.geometry import Array, Indices, hat
 from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
@@ -23,6 +24,7 @@ from salver.models.worst_contents import SURE
 from salver.planning.fastest.evaluation import Evaluation
 from salver.planning.fastest.obstacles import AT_NODES, REACH, KeepOut
 from salver.sensitivity.slosh_rows import Sloshed, most_added
+from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.wave_gradients import Unknowns
 
 Gradient = Callable[[Indices, Indices], Array]
@@ -67,6 +69,7 @@ class Block:
     most: rows of one node that are considered; None for all. always: rows are considered however far away.
     kinked: whether derivatives jump, as those of distances do where the nearest edge becomes another one, or turn
     quickly, as those of the height of a wave that may come from any side.
+    factor: the speed factor at which the rows are taken: what the unknowns make of what the tray feels is that there.
     inherits: whether the first node's rows are of the state that the motion begins in, and so cannot be changed.
     in_words: what a row above 0 exceeds its limit by, with a unit.
     """
@@ -89,6 +92,7 @@ class Block:
     kinked: bool = False
     inherits: bool = True
     in_words: Callable[[float], str] = of_its_limit
+    factor: float = 1.0
     of: Constraint | None = None
 
     def having(self, **other: Any) -> Block:
@@ -289,63 +293,69 @@ class TorqueRateLimit(Constraint):
 class Contact(Constraint):
     """Facets of the contact wrench cones of one network of touching objects, at the worst parameters.
 
-    margin: that the scenario asks for, as a share of the normal force at rest. exactly: of an arm that follows
-    exactly, without what held commands and wrong loads do to it; the verification of a plan asks for that too.
+    margin: that the scenario asks for, as a share of the normal force at rest. speed: at which. exactly: of an arm that
+    follows exactly, without what held commands and wrong loads do to it; the verification of a plan asks for that too.
     coarsely: of rows that are far from their edge a bound is enough.
     """
 
     rows: ContactRows
     margin: float = 0.0
+    speed: Speed = FULL_SPEED
     exactly: bool = False
     coarsely: bool = False
 
     def blocks(self, motion: Evaluation) -> Iterator[Block]:
-        tracking = None if self.exactly else motion.tracking
-        w, drift = (motion.terms.w, None) if self.exactly or motion.response is None else motion.response.felt()
+        speed = self.speed
+        tracking = None if self.exactly or not speed.factor else motion.tracking
+        w, drift = motion.felt(speed.factor, speed.rate, self.exactly)
+        sloshing = motion.at_factor(speed.factor).sloshing if speed.factor else {}
         if motion.coarsely:
-            worst, history = self._near(motion, w, drift), None
+            worst, history = self._near(sloshing, w, drift), None
             values = worst.values
         else:
             worst = WorstCase.of(self.rows, w, drift, self.coarsely)
             values, history = worst.values, None
-            if motion.sloshing:
-                sloshed = Sloshed.of(self.rows, motion.sloshing)
+            if sloshing:
+                sloshed = Sloshed.of(self.rows, sloshing)
                 values, history = values + sloshed.values, sloshed.history
 
         def gradient(i: Indices, f: Indices) -> Array:
             slope, side = worst.attained_swinging(i, f)
-            rows, n = padded(np.einsum("rk,rkz->rz", slope, motion.terms.w_z[i]), motion.n), motion.n
+            slopes = motion.terms.w_z if speed == FULL_SPEED else motion.terms.w_z_at(speed.factor**2, speed.rate)
+            rows, n = padded(np.einsum("rk,rkz->rz", slope, slopes[i]), motion.n), motion.n
             if tracking is not None:
                 # A held command is right when it begins, and when it ends behind by what jerk makes of the acceleration
                 # in twice the delay. All else that the drift depends on is history.
-                rows[:, 3 * n :] = ((side - 1) * tracking.delay)[:, None] * rows[:, 2 * n : 3 * n]
+                rows[:, 3 * n :] = ((side - 1) * tracking.delay * speed.factor)[:, None] * rows[:, 2 * n : 3 * n]
             return rows
 
-        most = CONTACT_ROWS if len(motion.sloshing) < 2 else ROWS_OF_SEVERAL
+        most = CONTACT_ROWS if len(sloshing) < 2 else ROWS_OF_SEVERAL
         carried = " and ".join(body.name for body in self.rows.network.bodies)
         margins = (self.margin + 1e-3, max(self.margin, FINEST))
-        name = f"contact of {carried}{' when the arm follows exactly' * self.exactly}"
+        name = f"contact of {carried}{speed.words}{' when the arm follows exactly' * self.exactly}"
         yield Block(
             name,
             values,
             gradient,
             motion.nodes,
             margins,
+            scales=speed.factor > 0,
             most=most,
             history=history,
             remembers=SLOSH_REACH,
+            factor=speed.factor,
             in_words=_of_the_weight,
         )
 
-    def _near(self, motion: Evaluation, w: Array, drift: Drift | None) -> WorstCase:
+    def _near(self, sloshing: dict[str, tuple[Slosh, ...]], w: Array, drift: Drift | None) -> WorstCase:
         """Rows with what liquids add to them, exact where they come near their edge; the largest of all always, unless
         a bound is enough."""
         rows = self.rows
 
         def added(at: Some, some: Some, coarsely: bool) -> Array:
-            return most_added(rows, motion.sloshing, at, some, coarsely)
+            return most_added(rows, sloshing, at, some, coarsely)
 
-        values = values_near(rows, w, drift, added if motion.sloshing else None, self.margin)
+        values = values_near(rows, w, drift, added if sloshing else None, self.margin)
         if values.max() <= SURE - self.margin and not self.coarsely:
             values = WorstCase.of(rows, w, drift).values + added(ALL, ALL, False)
         return WorstCase(rows, w, drift, values)

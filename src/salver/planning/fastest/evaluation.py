@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
 from salver.geometry import Array, Indices
+from salver.models.worst_case import Drift
 from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.past import Past
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
@@ -77,10 +78,43 @@ class Evaluation:
         shares = self.shares
         return self.tracking.along(shares * self.duration, self.terms, self.at_nodes[1:], shares=shares)
 
+    def felt(self, factor: float = 1.0, rate: float = 0.0, exactly: bool = False) -> tuple[Array, Drift | None]:
+        """w (N, 12) at the nodes, at a speed factor that changes by a rate, 1/s, and how a wrong load and held commands
+        change it; nothing, where the arm follows exactly."""
+        if not factor:
+            return self.terms.w_at(0.0, rate), None if exactly else self.sag
+        at = self.at_factor(factor)
+        w, drift = (at.terms.w, None) if exactly or at.response is None else at.response.felt()
+        if rate:
+            w = w.copy()
+            w[:, :6] += rate * self.terms.twist
+        return w, drift
+
+    def at_factor(self, factor: float) -> Evaluation:
+        """This motion at a speed factor above 0."""
+        if factor == 1.0:
+            return self
+        known: dict[float, Evaluation] = self._at_factors
+        if factor not in known:
+            powers = factor ** np.arange(4.0)[:, None, None]
+            known[factor] = replace(self, z=self.z * powers, duration=self.duration / factor)
+        return known[factor]
+
+    @cached_property
+    def _at_factors(self) -> dict[float, Evaluation]:
+        return {}
+
+    @cached_property
+    def sag(self) -> Drift | None:
+        """What a wrong load does to the arm where it stands still in the postures of the nodes."""
+        return None if self.tracking is None else self.tracking.sag(self.terms)
+
     def straying_as(self, other: Evaluation) -> Evaluation:
         """This motion, with an arm that strays from it as from a motion like it, at the same instants."""
         like = other.response
-        return self if like is None else self.straying(like.along(self.terms))
+        if like is None:
+            return self
+        return self.straying(like.along(self.terms)).sagging(other.sag)
 
     def giving_way_as(self, other: Evaluation) -> Evaluation:
         """This motion, with an arm that gives way to its load and to its waves as along a motion like it, at the same
@@ -96,6 +130,11 @@ class Evaluation:
     def straying(self, response: Any) -> Evaluation:
         """This motion, with what the arm does to it known."""
         self.__dict__["response"] = response  # where the cached property would keep it
+        return self
+
+    def sagging(self, sag: Drift | None) -> Evaluation:
+        """This motion, with what a wrong load does to the arm that stands still known."""
+        self.__dict__["sag"] = sag
         return self
 
     def sloshing_as(self, sloshing: dict[str, tuple[Slosh, ...]]) -> Evaluation:

@@ -17,6 +17,7 @@ from salver.planning.fastest.exchange import SHORTEST, reached
 from salver.planning.fastest.found import FastestMotion, FastestOptions, object_motion
 from salver.planning.fastest.problem import TransportProblem, transport_problem, with_missed_cases
 from salver.planning.fastest.search import fastest
+from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.fastest.spline import SplineMotion
 from salver.planning.fastest.watch import Watch
 from salver.planning.follow.limits import LIMIT_EXCEEDED
@@ -69,6 +70,20 @@ def found_and_planned(
     near: FastestMotion | SplineMotion | None = None,
 ) -> tuple[FastestMotion, Plan]:
     """`plan_problem`, and the motion that the plan is of."""
+    found, plan = _found(problem, robust, options, watch, near)
+    if not robust:
+        return found, plan
+    return at_every_speed(found, plan, lambda known: _found(known.problem, robust, options, watch, known))
+
+
+def _found(
+    problem: TransportProblem,
+    robust: bool,
+    options: FastestOptions | None,
+    watch: Watch | None,
+    near: FastestMotion | SplineMotion | None,
+) -> tuple[FastestMotion, Plan]:
+    """The motion that is found and its plan; a liquid holds at the speeds that the problem names."""
     scenario = problem.scenario
     found = fastest(problem, options, near, watch)
     for _ in range(MISSED):

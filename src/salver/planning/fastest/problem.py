@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from salver.contact_margins import FULL_SPEED, Speed, corners
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices
 from salver.models.arm import ArmModel, load_arm, with_load
@@ -57,9 +58,9 @@ class TransportProblem:
     contacts: rows for each network of touching objects. uncertain: what is not known (empty for a nominal plan).
     tracking: what a wrong load and held commands do to the arm; None for a nominal plan, and for an arm without masses.
     keep_out: what must not touch: parts of the arm, tray, load, obstacles; None for nothing.
-    extra: constraints beside those that follow from all this. liquids: for each, the cases that stand for all there
-    are; every_case: those that a verdict looks at; past: what they come from where the motion begins moving.
-    through: poses that are passed on the way.
+    speeds: at which contact must hold. extra: constraints beside those that follow from all this.
+    liquids: for each, the cases that stand for all there are; every_case: those that a verdict looks at; past: what
+    they come from where the motion begins moving. through: poses that are passed on the way.
     spare: share of their room that liquids keep. calm: share of the steepest wave that they are known in, that may be
     left at the end.
     """
@@ -76,6 +77,7 @@ class TransportProblem:
     uncertain: UncertainSet
     tracking: JointLoop | None
     keep_out: KeepOut | None
+    speeds: tuple[Speed, ...] = (FULL_SPEED,)
     extra: tuple[Constraint, ...] = ()
     liquids: tuple[tuple[Case, ...], ...] = ()
     every_case: tuple[tuple[Case, ...], ...] = ()
@@ -125,12 +127,14 @@ class TransportProblem:
         """All that must hold along the motion."""
         limits = self.limits
         found: list[Constraint] = [JointLimit(limits), TorqueLimit(limits), TorqueRateLimit(limits)]
-        found += [Contact(rows, self.scenario.contact.margin) for rows in self.contacts]
+        margin = self.scenario.contact.margin
+        found += [Contact(rows, margin, speed) for rows in self.contacts for speed in self.speeds]
         if np.isfinite(self.max_tilt):
             found.append(Level() if self.level else Tilt(self.max_tilt))
         if self.moving and self.past is None:
             self.check_dry("a motion that begins moving")
-        found += [Brim(each[0].body, self.spare, self.calm) for each in self.liquids]
+        moving = [speed for speed in self.speeds if speed.factor]
+        found += [Brim(each[0].body, self.spare, self.calm, speed) for each in self.liquids for speed in moving]
         found += [Passing(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
@@ -225,6 +229,7 @@ def transport_problem(
         uncertain=payload.uncertain,
         tracking=_tracking(scenario, payload) if robust and not arm.weightless else None,
         keep_out=KeepOut.of(parts, start.q[None] if isinstance(start, AtPosture) else None) if parts.pairs else None,
+        speeds=(FULL_SPEED,) if liquids else corners(motion.speeds, motion.speed_rate),
         extra=tuple(extra),
         liquids=liquids,
         every_case=tuple((*known, *_others(known, every)) for known, every in zip(liquids, more, strict=True)),

@@ -46,6 +46,7 @@ class Iterate:
     motion: Evaluation
     blocks: tuple[Block, ...]
     cost: float
+    _unknowns: dict[float, Unknowns] = field(default_factory=dict, repr=False)
 
     @property
     def coefficients(self) -> Array:
@@ -55,17 +56,19 @@ class Iterate:
     def duration(self) -> float:
         return self.point.duration
 
-    @cached_property
-    def unknowns(self) -> Unknowns:
-        """What the coefficients and log T / 2 make of what the tray feels at the nodes."""
-        motion, point = self.motion, self.point
-        slope = motion.terms.w_z
-        parts = np.zeros((slope.shape[0] * slope.shape[1], 4, motion.n))
-        parts[:, :3] = slope.reshape(len(parts), 3, motion.n)
-        at = np.repeat(motion.nodes, slope.shape[1])
-        columns = self.curve.columns(point.coefficients, point.duration, parts, at)
-        felt = np.column_stack([columns, 0.5 * np.einsum("rkn,krn->r", parts, self.slower[:, at])])
-        return Unknowns(felt.reshape(*slope.shape[:2], -1), np.append(np.zeros(columns.shape[1]), 0.5))
+    def unknowns(self, factor: float = 1.0) -> Unknowns:
+        """What the coefficients and log T / 2 make of what the tray feels at the nodes, at a speed factor."""
+        if factor not in self._unknowns:
+            motion, point = self.motion, self.point
+            slope = motion.terms.w_z if factor == 1.0 else motion.terms.w_z_at(factor**2, 0.0)
+            parts = np.zeros((slope.shape[0] * slope.shape[1], 4, motion.n))
+            parts[:, :3] = slope.reshape(len(parts), 3, motion.n)
+            at = np.repeat(motion.nodes, slope.shape[1])
+            columns = self.curve.columns(point.coefficients, point.duration, parts, at)
+            felt = np.column_stack([columns, 0.5 * np.einsum("rkn,krn->r", parts, self.slower[:, at])])
+            stretch = np.append(np.zeros(columns.shape[1]), 0.5)
+            self._unknowns[factor] = Unknowns(felt.reshape(*slope.shape[:2], -1), stretch)
+        return self._unknowns[factor]
 
     @cached_property
     def slower(self) -> Array:
@@ -164,7 +167,7 @@ class Programme:
         if block.history is not None:
             near = np.flatnonzero(block.values[node, column] > -block.remembers)
             if len(near):
-                matrix[near] += block.history(node[near], column[near], path.unknowns)
+                matrix[near] += block.history(node[near], column[near], path.unknowns(block.factor))
         if self.objective.scalar is Scalar.DURATION:
             if block.by_duration is not None:
                 matrix[:, -1] += 0.5 * block.by_duration[node, column]
@@ -235,7 +238,7 @@ class Programme:
                 continue
             node, column = np.nonzero(price > CHEAP)
             if len(node):
-                factors = block.curvature(node, column, path.unknowns)
+                factors = block.curvature(node, column, path.unknowns(block.factor))
                 factors *= np.sqrt(price[node, column])[:, None, None]
                 flat = factors.reshape(-1, factors.shape[-1])
                 found += flat.T @ flat

@@ -25,6 +25,7 @@ from salver.planning.fastest.constraints import evaluate, worst_of
 from salver.planning.fastest.curves import Grid, PathCurve, united
 from salver.planning.fastest.exchange import CurveOf, optimise
 from salver.planning.fastest.problem import TransportProblem, transport_problem
+from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
@@ -197,16 +198,21 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
     for end, u in (("start", 0.0), ("goal", 1.0)):
         p_SB, R_SB = problem.arm.object_pose(path.derivatives(np.array([u]), 0)[0, 0], body.p_EB, body.R_EB)
         changes[f"motion__{end}"] = {"position": p_SB.tolist(), "quat_wxyz": quat_wxyz_from_matrix(R_SB).tolist()}
-    record = {
-        "name": "time law by sequential quadratic programming (PIQP)",
-        "robust": robust,
-        "seconds": found.wall_time,
-        "lower_bound": found.lower_bound,
-        "worst": found.worst,
-        "waypoints_missed": path.missed,
-    }
     moved = given.with_changes(**changes, motion__duration=None)
-    return joint_plan(moved, problem, found.joint_motion(), found.status, record)
+
+    def planned(found: RetimedMotion) -> tuple[RetimedMotion, Plan]:
+        record = {
+            "name": "time law by sequential quadratic programming (PIQP)",
+            "robust": robust,
+            "seconds": found.wall_time,
+            "lower_bound": found.lower_bound,
+            "worst": found.worst,
+            "waypoints_missed": path.missed,
+        }
+        return found, joint_plan(moved, problem, found.joint_motion(), found.status, record)
+
+    plan = planned(found)[1]
+    return at_every_speed(found, plan, lambda known: planned(retime(known.problem, path)))[1] if robust else plan
 
 
 def _within_limits(scenario: Scenario, problem: TransportProblem, waypoints: Array) -> None:

@@ -21,6 +21,7 @@ from salver.planning.fastest.optimum import DEGREE, nearby
 from salver.planning.fastest.planned import joint_plan, solver_record
 from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.search import fastest
+from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.starts import Ends, between, straight, tray_line
 from salver.planning.fastest.watch import Watch
@@ -48,20 +49,28 @@ def plan_safest(
     watch = watch or Watch(options.time_limit)
     quickest, duration = quickest_within(scenario, "safest", robust, options, watch)
     problem = quickest.problem
-    found = optima(LeastMargin(), quickest, duration, options, watch)
+    objective = LeastMargin()
+    found = optima(objective, quickest, duration, options, watch)
+
+    def planned(best: FastestMotion) -> tuple[FastestMotion, Plan]:
+        status = best.status
+        if status.ok:
+            ended = " The search was ended before it was done." if watch.ended else ""
+            kept = _kept(best.margin, scenario, bool(problem.liquids))
+            sentence = (
+                f"The safest motion found in {duration:.4g} s keeps {kept}; the shortest found takes "
+                f"{quickest.duration:.4f} s.{ended}"
+            )
+            status = Status(watch.ended or "optimal", sentence, True)
+        record = {**solver_record(best, robust), "margin": best.margin, "shortest": quickest.duration}
+        return best, joint_plan(scenario, problem, best.joint_motion(), status, record, method="safest")
+
+    def again(known: FastestMotion) -> tuple[FastestMotion, Plan]:
+        return planned(nearby(known, objective, duration, options, watch=watch).after(known))
+
     best = max(found, key=lambda motion: (motion.status.ok, motion.margin))
-    status = best.status
-    if status.ok:
-        ended = " The search was ended before it was done." if watch.ended else ""
-        kept = _kept(best.margin, scenario, bool(problem.liquids))
-        sentence = (
-            f"The safest motion found in {duration:.4g} s keeps {kept}; the shortest found takes "
-            f"{quickest.duration:.4f} s.{ended}"
-        )
-        status = Status(watch.ended or "optimal", sentence, True)
     best = best.after(quickest, *(motion for motion in found if motion is not best))
-    record = {**solver_record(best, robust), "margin": best.margin, "shortest": quickest.duration}
-    return joint_plan(scenario, problem, best.joint_motion(), status, record, method="safest")
+    return at_every_speed(*planned(best), again)[1] if robust else planned(best)[1]
 
 
 def _kept(margin: float, scenario: Scenario, liquids: bool) -> str:

@@ -14,9 +14,11 @@ from salver.geometry import Array
 from salver.planning.fastest.curves import Curve, FreeCurve, Grid
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.objectives import Model, Objective, Point
+from salver.planning.fastest.optimum import nearby
 from salver.planning.fastest.planned import joint_plan, solver_record
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.safest import optima, quickest_within
+from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.watch import Watch
 from salver.planning.object.cost import (
@@ -78,22 +80,23 @@ class Sensitivity(Objective):
         """What the object's frame B feels at the points of a curve, with derivatives by the coefficients."""
         z = curve.motion(coefficients, self.duration)
         terms = motion_terms(self.problem.model, self.problem.arm.tray_id, z[0], z[1], z[2])
-        tangents: list[Array | None] = [None] * 4
+        tangents: list[Array | None] = [None] * 5
         if derivatives:
             count, n = z.shape[1:]
             displacement, twist, felt = terms.changed(np.eye(3 * n)[None])
-            by_state = np.concatenate([displacement[:, 3:], twist[:, 3:], felt[:, :6]], axis=1)
-            parts = np.zeros((12 * count, 4, n))
+            by_state = np.concatenate([displacement[:, 3:], twist[:, 3:], felt[:, :6], twist[:, :3]], axis=1)
+            parts = np.zeros((15 * count, 4, n))
             parts[:, :3] = by_state.reshape(-1, 3, n)
-            columns = curve.columns(coefficients, self.duration, parts, np.repeat(np.arange(count), 12))
-            blocks = columns.reshape(count, 4, 1, 3, -1)
-            tangents = [blocks[:, k] for k in range(4)]
-        turned, turning, force, alpha = tangents
+            columns = curve.columns(coefficients, self.duration, parts, np.repeat(np.arange(count), 15))
+            blocks = columns.reshape(count, 5, 1, 3, -1)
+            tangents = [blocks[:, k] for k in range(5)]
+        turned, turning, force, alpha, moving = tangents
         in_E = BodyMotion(
             DualRotation(terms.R_SE[:, None], turned),
             Dual(terms.w[:, None, :3], force),
             Dual(terms.twist[:, None, 3:], turning),
             Dual(terms.w[:, None, 3:6], alpha),
+            Dual(terms.twist[:, None, :3], moving),
         )
         first = self.problem.payload.first
         return in_E.of_frame(first.p_EB, first.R_EB)
@@ -151,18 +154,24 @@ def plan_least_sensitive(
         curve = FreeCurve(problem, Grid.of(motion.spline, np.linspace(0, 1, 2)))
         return objective.value(curve, Point(motion.coefficients, duration))
 
+    def planned(best: FastestMotion) -> tuple[FastestMotion, Plan]:
+        status, share = best.status, cost(best)
+        if status.ok:
+            ended = " The search was ended before it was done." if watch.ended else ""
+            sentence = (
+                f"The least sensitive motion found in {duration:.4g} s costs {share:.3g} times what the straight line "
+                f"does; the shortest found takes {quickest.duration:.4f} s.{ended}"
+            )
+            status = Status(watch.ended or "optimal", sentence, True)
+        record = {**solver_record(best, True), "cost": share * line, "line": line, "shortest": quickest.duration}
+        return best, joint_plan(scenario, problem, best.joint_motion(), status, record, method="least-sensitive")
+
+    def again(known: FastestMotion) -> tuple[FastestMotion, Plan]:
+        return planned(nearby(known, objective, duration, options, watch=watch).after(known))
+
     best = min(found, key=lambda motion: (not motion.status.ok, cost(motion)))
-    status, share = best.status, cost(best)
-    if status.ok:
-        ended = " The search was ended before it was done." if watch.ended else ""
-        sentence = (
-            f"The least sensitive motion found in {duration:.4g} s costs {share:.3g} times what the straight line "
-            f"does; the shortest found takes {quickest.duration:.4f} s.{ended}"
-        )
-        status = Status(watch.ended or "optimal", sentence, True)
     best = best.after(quickest, *(motion for motion in found if motion is not best))
-    record = {**solver_record(best, True), "cost": share * line, "line": line, "shortest": quickest.duration}
-    return joint_plan(scenario, problem, best.joint_motion(), status, record, method="least-sensitive")
+    return at_every_speed(*planned(best), again)[1]
 
 
 def _cost_of_line(scenario: Scenario) -> float:

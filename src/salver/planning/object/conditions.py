@@ -20,6 +20,7 @@ from typing import Protocol
 
 import numpy as np
 
+from salver.contact_margins import FULL_SPEED, Speed, corners
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices, exp, invert
 from salver.models.bodies import TRAY, Body
@@ -103,7 +104,10 @@ def _contact_conditions(scenario: Scenario, known: Known) -> list[Condition]:
     first = payload.first
     payload.check_places()
     if scenario.contact.condition == "exact":
-        return [_exact(rows, first, known) for rows in contact_rows(payload)]
+        motion = scenario.motion
+        # How a liquid sloshes at other speeds is looked at along whole motions, not by rows of instants.
+        speeds = (FULL_SPEED,) if payload.liquids else corners(motion.speeds, motion.speed_rate)
+        return [_exact(rows, first, known, speed) for rows in contact_rows(payload) for speed in speeds]
     if payload.liquids:
         raise ScenarioError(
             f'{scenario.name}: contact.condition = "paper" knows no liquids, and there is one in '
@@ -236,8 +240,8 @@ class MotionRows:
         return np.einsum("mi,mi->m", rows, self.w[instant]), np.einsum("mi,miz->mz", rows, self.w_jacobian[instant])
 
 
-def _exact(rows: ContactRows, first: Body, known: Known) -> Condition:
-    owner = tuple(rows.network.interfaces[int(e)].name for e in rows.interface)
+def _exact(rows: ContactRows, first: Body, known: Known, speed: Speed) -> Condition:
+    owner = tuple(rows.network.interfaces[int(e)].name + speed.words for e in rows.interface)
     of_B = rows.seen_from(first.p_EB, first.R_EB)
 
     def along(motion: BodyMotion, loop: Loop, n_z: int, liquids: Liquids | None) -> Rows:
@@ -245,24 +249,32 @@ def _exact(rows: ContactRows, first: Body, known: Known) -> Condition:
         if liquids is not None and n_z:
             return SloshingRows(owner, rows, _wet(known, liquids, motion, n_z, first))
         sloshed = 0.0 if liquids is None else Sloshed.of(rows, liquids.worst).values
-        return MotionRows(owner, of_B, *motion_vector(motion, n_z), sloshed)
+        return MotionRows(owner, of_B, *motion_vector(motion, n_z, speed), sloshed)
 
     return along
 
 
-def motion_vector(motion: BodyMotion, n_z: int) -> tuple[Array, Array]:
-    """w (T, 12) of B (`salver.models.tray_motion.motion_vector`), with its derivative (T, 12, n_z)."""
-    force = motion.force.value[:, 0]
-    omega, alpha = (np.broadcast_to(part.value[:, 0], force.shape) for part in (motion.omega, motion.alpha))
-    first, second = (list(index) for index in zip(*PRODUCTS, strict=True))
-    w = np.concatenate([force, alpha, omega[:, first] * omega[:, second]], axis=1)
-    tangent = np.zeros((*w.shape, n_z))
-    for columns, part in ((slice(0, 3), motion.force), (slice(3, 6), motion.alpha)):
+def motion_vector(motion: BodyMotion, n_z: int, speed: Speed = FULL_SPEED) -> tuple[Array, Array]:
+    """w (T, 12) of B (`salver.models.tray_motion.motion_vector`) at a speed, with its derivative (T, 12, n_z)."""
+    shape = motion.force.value[:, 0].shape
+    force, alpha, omega = (motion.force, motion.alpha, motion.omega) if speed.factor else (motion.weight, None, None)
+    parts = [(0, force, 1.0), (3, alpha, 1.0)]
+    if speed.rate:
+        parts += [(0, motion.velocity, speed.rate), (3, motion.omega, speed.rate)]
+    w, tangent = np.zeros((shape[0], N_MOTION)), np.zeros((shape[0], N_MOTION, n_z))
+    for at, part, scale in parts:
+        if part is None:
+            continue
+        w[:, at : at + 3] += scale * part.value[:, 0]
         if part.tangent is not None:
-            tangent[:, columns] = part.tangent[:, 0]
-    if motion.omega.tangent is not None:
-        turn = motion.omega.tangent[:, 0]
-        tangent[:, 6:] = omega[:, first, None] * turn[:, second] + omega[:, second, None] * turn[:, first]
+            tangent[:, at : at + 3] += scale * part.tangent[:, 0]
+    if omega is not None:
+        first, second = (list(index) for index in zip(*PRODUCTS, strict=True))
+        turned = np.broadcast_to(omega.value[:, 0], shape)
+        w[:, 6:] = turned[:, first] * turned[:, second]
+        if omega.tangent is not None:
+            turn = omega.tangent[:, 0]
+            tangent[:, 6:] = turned[:, first, None] * turn[:, second] + turned[:, second, None] * turn[:, first]
     return w, tangent
 
 

@@ -242,12 +242,14 @@ class Problem:
         s, rate = 2 * t / self.duration - 1, 2 / self.duration
         null_position = self._position[1]
 
-        a = self._blocks(rate**2 * chebyshev_basis(s, len(null_position) - 1, 2) @ null_position, 0)
+        v, a = (
+            self._blocks(rate**k * chebyshev_basis(s, len(null_position) - 1, k) @ null_position, 0) for k in (1, 2)
+        )
         if not self.rotates:
-            return _Bases(a, None, None)
+            return _Bases(v, a, None, None)
         null_spin = self._spin[1]
         spin = [rate**k * chebyshev_basis(s, len(null_spin) - 1, k) @ null_spin for k in range(2)]
-        return _Bases(a, self._blocks(spin[0], self.n_position), self._blocks(spin[1], self.n_position))
+        return _Bases(v, a, self._blocks(spin[0], self.n_position), self._blocks(spin[1], self.n_position))
 
     @property
     def spin_basis(self) -> Array:
@@ -268,8 +270,10 @@ class Problem:
             theta_between = np.swapaxes(between.R_SB, 1, 2) @ turned_between
         return (
             on_grid,
-            BodyMotion.of(on_grid, basis_grid.a, theta_grid, basis_grid.omega, basis_grid.alpha),
-            BodyMotion.of(between, basis_between.a, theta_between, basis_between.omega, basis_between.alpha),
+            BodyMotion.of(on_grid, basis_grid.v, basis_grid.a, theta_grid, basis_grid.omega, basis_grid.alpha),
+            BodyMotion.of(
+                between, basis_between.v, basis_between.a, theta_between, basis_between.omega, basis_between.alpha
+            ),
             theta_grid,
         )
 
@@ -309,8 +313,9 @@ class Problem:
 
 @dataclass(frozen=True)
 class _Bases:
-    """d a_S, d omega_B, d alpha_B by z at some instants: (T, 3, n_z), or None when the orientation is fixed."""
+    """d v_S, d a_S, d omega_B, d alpha_B by z at some instants: (T, 3, n_z), or None when the orientation is fixed."""
 
+    v: Array
     a: Array
     omega: Array | None
     alpha: Array | None

@@ -166,6 +166,23 @@ class MotionTerms:
         """(T, 3) -g in E."""
         return -(GRAVITY_S @ self.R_SE)
 
+    def w_at(self, squared: float, rate: float) -> Array:
+        """(T, 12) what the tray feels at a speed factor whose square is `squared` and which changes by `rate`, 1/s: of
+        the weight alone in each posture, of what motion adds with the square, of the twist with the rate."""
+        w = squared * self.w
+        w[:, :3] += (1 - squared) * self.up
+        w[:, :6] += rate * self.twist
+        return w
+
+    def w_z_at(self, squared: float, rate: float) -> Array:
+        """(T, 12, 3 n) derivative of `w_at` by (q, dq, ddq)."""
+        n = self.q.shape[1]
+        slope = squared * self.w_z if squared else np.zeros((len(self.q), N_MOTION, 3 * n))
+        slope[:, :3, :n] += (1 - squared) * (hat(self.up) @ self.jacobian[:, 3:])
+        slope[:, :6, :n] += rate * self.twist_q
+        slope[:, :6, n : 2 * n] += rate * self.jacobian
+        return slope
+
     def changed(self, state: Array) -> tuple[Array, Array, Array]:
         """What changes (T, 3 n, c) of the joints' q, dq and ddq make of the tray's motion: its displacement (T, 6, c)
         and twist, in E, and what it feels (T, 12, c), which is `w_z` times them."""

@@ -29,6 +29,7 @@ import numpy as np
 
 from salver.geometry import Array, Indices, hat
 from salver.models.payload import Payload
+from salver.models.tray_motion import N_MOTION
 from salver.models.worst_case import Drift
 from salver.scenario import Scenario
 from salver.sensitivity.arm.load import LoadChange, load_change
@@ -256,6 +257,28 @@ class JointLoop:
         joints = JointDeviation(-state[:, :, None], steps[:, :, None])
         stepped = _held(terms, joints, tray_of_joints(terms, joints), commanded(terms, joints))
         return replace(found, held=found.held + stepped)
+
+    def sag(self, terms: MotionTerms) -> Drift:
+        """How the weight that the tray feels changes where the arm stands still in each posture of a motion, sagged
+        under a wrong load: e = m / kp, by which the tray leans. Second order in the load included."""
+        n_p = self.load.uncertain.size
+        up, jacobian = terms.up, terms.jacobian
+        w = np.zeros_like(terms.w)
+        w[:, :3] = up
+
+        def leaning(wrench: Array) -> Array:
+            """dw (T, 12, n_c) of wrenches (T, n_c, 6) at E that the controller does not know of."""
+            missing = terms.mass_inverse @ np.swapaxes(wrench @ jacobian, 1, 2)
+            dw = np.zeros((len(w), N_MOTION, wrench.shape[1]))
+            dw[:, :3] = hat(up) @ (jacobian[:, 3:] @ missing) / -self.kp
+            return dw
+
+        wrench = np.tensordot(w, self.load.load_p, axes=(1, 2))
+        dw = leaning(wrench)
+        if dw.shape[2] > n_p:
+            again = leaning(self.load.products(self.load.load_p, dw).swapaxes(1, 2))
+            dw[:, :, n_p:] += again
+        return Drift(self.load.terms, dw * self.load.half_range)
 
 
 def joint_loop(scenario: Scenario, payload: Payload) -> JointLoop:

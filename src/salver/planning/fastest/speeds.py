@@ -1,0 +1,56 @@
+"""Motions that hold at every speed factor from 0 to 1, by exchange: a speed at which one fails joins its problem."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from salver.contact_margins import Speed
+from salver.contact_margins.time_scaling import SLOWEST
+from salver.planning.fastest.constraints import Contact, evaluate, worst_of
+
+if TYPE_CHECKING:
+    from salver.planning.plan import Plan
+
+Found = TypeVar("Found", bound=Any)  # a motion with its `problem`, as `joint_motion()`
+
+FACTORS = (0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 0.95)  # speed factors at which a plan without liquids is looked at
+INSTANTS = 401  # at which it is
+ROUNDS = 8  # of adding speeds
+
+
+def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Found, Plan]]) -> tuple[Found, Plan]:
+    """A motion and its plan, sought again until it holds at every speed, if the scenario asks for that. What the tray
+    feels is linear in the square of the factor; sloshing and what the arm makes of a wrong load have time scales of
+    their own, so speeds at which they fail join those at which the motion must hold.
+
+    again: a motion and its plan from one that was found, with a problem that asks for more.
+    """
+    for _ in range(ROUNDS):
+        lacking = _lacking(found, plan) if plan.status.ok and plan.scenario.motion.speeds == "any" else ()
+        if not lacking:
+            break
+        found, plan = again(replace(found, problem=replace(found.problem, speeds=(*found.problem.speeds, *lacking))))
+    return found, plan
+
+
+def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
+    """Speeds at which a motion fails: with a liquid as its plan says; else of some, with what the arm makes of a wrong
+    load."""
+    problem = found.problem
+    if problem.liquids:
+        return tuple(Speed(max(factor, SLOWEST)) for factor in plan.speeds.lacking)
+    joint = found.joint_motion()
+    t = np.linspace(0.0, joint.duration, INSTANTS)
+    motion = problem.at(t / t[-1], np.stack([*joint.sample(t), joint.jerk(t)]), joint.duration, imposed=False)
+    rates = {speed.rate for speed in problem.speeds}
+    between = [Speed(factor, rate) for factor in FACTORS for rate in sorted(rates)]
+
+    def fails(speed: Speed) -> bool:
+        contacts = [Contact(rows, plan.scenario.contact.margin, speed, coarsely=True) for rows in problem.contacts]
+        return worst_of(evaluate(contacts, motion, margins=False))[0] > 0
+
+    return tuple(speed for speed in between if speed not in problem.speeds and fails(speed))
