@@ -10,10 +10,10 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import BSpline
 
-from salver.contact_margins import Speed, corners
 from salver.geometry import Array
 from salver.models.arm import with_load
 from salver.models.parameters import Parameter, inertial_vector
+from salver.models.tray_motion import Speed, corners
 from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import object_motion
 from salver.planning.fastest.brim import Brim

@@ -15,18 +15,15 @@ as a first-order tube (`tracking_motion`).
 from salver.contact_margins.interface import InterfaceMargins
 from salver.contact_margins.model import EDGES, MarginModel, margin_model
 from salver.contact_margins.motion import tracking_motion, tray_motion
-from salver.contact_margins.time_scaling import FULL_SPEED, SafeSpeeds, Speed, corners, safe_speeds
+from salver.contact_margins.time_scaling import SafeSpeeds, safe_speeds
 from salver.contact_margins.whole import Margins, margins
 
 __all__ = [
     "EDGES",
-    "FULL_SPEED",
     "InterfaceMargins",
     "MarginModel",
     "Margins",
     "SafeSpeeds",
-    "Speed",
-    "corners",
     "margin_model",
     "margins",
     "safe_speeds",

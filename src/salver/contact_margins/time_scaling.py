@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby, pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -40,37 +40,6 @@ _TOLERANCE = 1e-9  # of a margin, as a share of the weight
 _HAPPENS = {"unsettled": "still sloshes"}
 
 Intervals = tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True)
-class Speed:
-    """A speed factor of a motion and the rate at which it changes, 1/s."""
-
-    factor: float = 1.0
-    rate: float = 0.0
-
-    @property
-    def words(self) -> str:
-        if self.factor == 0.0:
-            at = " standing still"
-        else:
-            at = "" if self.factor == 1.0 else f" at {100 * self.factor:.3g} % of full speed"
-        return f"{at}{' while the speed changes' if self.rate else ''}"
-
-
-FULL_SPEED = Speed()
-
-
-def corners(speeds: Literal["any", "full"], rate: float) -> tuple[Speed, ...]:
-    """The speeds at which the contact of a rigid load must hold so that it does at every constant factor from 0 to 1,
-    and at factors that change by up to `rate`, 1/s; or at full speed alone.
-
-    What the tray feels is linear in (s^2, s'), and contact a convex condition on it: it holds in the whole rectangle of
-    these when it does at its corners.
-    """
-    if speeds == "full":
-        return (FULL_SPEED,)
-    return tuple(Speed(factor, sign * rate) for factor in (1.0, 0.0) for sign in ((1.0, -1.0) if rate else (0.0,)))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,9 @@ The wrench that a body at rest in the frame needs is `wrench_map(phi) @ w`: the 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal
+
 import numpy as np
 
 from salver.geometry import GRAVITY_S, Array, hat
@@ -58,3 +61,34 @@ def wrench_map(phi: Array) -> Array:
     matrix[4, 6:] = twisted[:, 2, 0] - twisted[:, 0, 2]
     matrix[5, 6:] = twisted[:, 0, 1] - twisted[:, 1, 0]
     return matrix
+
+
+@dataclass(frozen=True)
+class Speed:
+    """A speed factor of a motion and the rate at which it changes, 1/s."""
+
+    factor: float = 1.0
+    rate: float = 0.0
+
+    @property
+    def words(self) -> str:
+        if self.factor == 0.0:
+            at = " standing still"
+        else:
+            at = "" if self.factor == 1.0 else f" at {100 * self.factor:.3g} % of full speed"
+        return f"{at}{' while the speed changes' if self.rate else ''}"
+
+
+FULL_SPEED = Speed()
+
+
+def corners(speeds: Literal["any", "full"], rate: float) -> tuple[Speed, ...]:
+    """The speeds at which the contact of a rigid load must hold so that it does at every constant factor from 0 to 1,
+    and at factors that change by up to `rate`, 1/s; or at full speed alone.
+
+    What the tray feels is linear in (s^2, s'), and contact a convex condition on it: it holds in the whole rectangle of
+    these when it does at its corners.
+    """
+    if speeds == "full":
+        return (FULL_SPEED,)
+    return tuple(Speed(factor, sign * rate) for factor in (1.0, 0.0) for sign in ((1.0, -1.0) if rate else (0.0,)))

@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from salver.contact_margins import FULL_SPEED, Speed
 from salver.geometry import Array, Indices
 from salver.models.bodies import Body
+from salver.models.tray_motion import FULL_SPEED, Speed
 from salver.planning.fastest.constraints import FINEST, ROWS_OF_SEVERAL, Block, Constraint, Gradient
 from salver.planning.fastest.evaluation import Evaluation
 from salver.sensitivity.slosh_rows import of_parts

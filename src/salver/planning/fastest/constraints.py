@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from salver.contact_margins import FULL_SPEED, Speed
 from salver.geometry import Array, Indices, hat
 from salver.models.arm_limits import LIMITS, JointLimits, LimitKind
 from salver.models.contact_rows import ContactRows
+from salver.models.tray_motion import FULL_SPEED, Speed
 from salver.models.worst_case import ALL, Drift, Some, WorstCase, values_near
 from salver.models.worst_contents import SURE
 from salver.planning.fastest.evaluation import Evaluation

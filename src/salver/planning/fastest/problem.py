@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from salver.contact_margins import FULL_SPEED, Speed, corners
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices
 from salver.models.arm import ArmModel, load_arm, with_load
@@ -19,6 +18,7 @@ from salver.models.bodies import Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.parameters import UncertainSet
 from salver.models.payload import Payload
+from salver.models.tray_motion import FULL_SPEED, Speed, corners
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.constraints import (
     LEVEL_TOLERANCE,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from salver.contact_margins import Speed
 from salver.contact_margins.time_scaling import SLOWEST
+from salver.models.tray_motion import Speed
 from salver.planning.fastest.constraints import Contact, evaluate, worst_of
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from typing import Protocol
 
 import numpy as np
 
-from salver.contact_margins import FULL_SPEED, Speed, corners
 from salver.errors import ScenarioError
 from salver.geometry import Array, Indices, exp, invert
 from salver.models.bodies import TRAY, Body
@@ -28,7 +27,7 @@ from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import sure_contacts
 from salver.models.parameters import Parameter
 from salver.models.payload import Payload
-from salver.models.tray_motion import N_MOTION, PRODUCTS, frame_map, wrench_map
+from salver.models.tray_motion import FULL_SPEED, N_MOTION, PRODUCTS, Speed, corners, frame_map, wrench_map
 from salver.models.worst_case import UncertainRows
 from salver.planning.object.liquid_rows import BrimRows, SloshingRows, Wet
 from salver.scenario import Scenario
