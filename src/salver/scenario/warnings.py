@@ -61,13 +61,13 @@ def _of_payload(scenario: Scenario, arm: ArmModel) -> Iterator[str]:
 
 
 def _of_objects(scenario: Scenario) -> Iterator[str]:
-    from scipy.spatial import ConvexHull
-
     for item in scenario.objects:
         if item.friction > SLIPPERY_AT_MOST:
             yield f"friction = {item.friction:g} of {item.name}: hardly anything has more than {SLIPPERY_AT_MOST:g}."
         loose = item.loose()
-        density = loose.inertial.mass / float(ConvexHull(loose.solid.bounding_points_G).volume)
+        density = loose.inertial.mass / float(
+            np.prod(np.ptp(loose.solid.bounding_points_G, axis=0))
+        )  # of a box about it
         if item.mass <= LIGHTEST:
             yield f"mass = {item.mass:g} of {item.name} is {1e3 * item.mass:.3g} g; masses are in kg."
         elif not DENSITIES[0] <= density <= DENSITIES[1]:
