@@ -10,12 +10,15 @@ keys: Motion               the keys of a table of the scenario file, from the mo
 example: cost              a file of examples/extending or benchmarks
 api: salver.trajectory     the public names of a module, each with the first sentence of its docstring (on the site, all
                            of it with signatures: `docs/hooks.py`)
+data: peers                the planners of docs/data/peers.json in few columns (README)
 """
 
 from __future__ import annotations
 
 import importlib
 import inspect
+import json
+import math
 import re
 import sys
 from collections.abc import Callable
@@ -31,7 +34,7 @@ from salver.scenario.fields import Model
 from salver.validation import in_words
 
 DOCS = Path(__file__).parent
-PLACE = re.compile(r"<!-- (help|keys|api|example): ([\w.-]+) -->(?:\n(?:(?!<!-- ).)*<!-- end -->)?", re.S)
+PLACE = re.compile(r"<!-- (help|keys|api|example|data): ([\w.-]+) -->(?:\n(?:(?!<!-- ).)*<!-- end -->)?", re.S)
 
 
 def written(markdown: str) -> str:
@@ -79,6 +82,18 @@ def names_of(module: str) -> str:
     return "\n".join(rows)
 
 
+def results_of(name: str) -> str:
+    """A table of mean duration and share of runs kept, over all loads, of each planner in `docs/data/NAME.json`."""
+    loads = json.loads((DOCS / "data" / f"{name}.json").read_text(encoding="utf-8")).values()
+    rows = ["| planner | mean duration | kept |", "|---|---|---|"]
+    for planner in dict.fromkeys(planner for load in loads for planner in load):
+        found = [load[planner] for load in loads if load.get(planner, {}).get("runs")]
+        kept = sum(run["outcomes"].get("holds", 0) / run["runs"] for run in found) / len(found)
+        mean = sum(run["duration"] for run in found) / len(found)
+        rows.append(f"| {planner} | {mean:.2f} s | {math.floor(1e3 * kept) / 10} % |")
+    return "\n".join(rows)
+
+
 def _first_sentence(thing: object) -> str:
     own = vars(thing).get("__doc__") if isinstance(thing, type) else thing.__doc__
     text = inspect.cleandoc(own or "")
@@ -109,12 +124,13 @@ WRITERS: dict[str, Callable[[str], str]] = {
     "keys": keys_of,
     "api": names_of,
     "example": example_of,
+    "data": results_of,
 }
 
 
 def main() -> int:
     check, stale = "--check" in sys.argv[1:], []
-    for page in sorted(DOCS.rglob("*.md")):
+    for page in [DOCS.parent / "README.md", *sorted(DOCS.rglob("*.md"))]:
         old = page.read_text(encoding="utf-8")
         new = written(old)
         if new != old:

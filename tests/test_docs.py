@@ -6,7 +6,7 @@
     ```text     right after one of these: the output it must give; `...` stands for anything, numbers may differ by 5 %
 
 A block that needs hardware is preceded by a comment: <!-- not run: reason -->. How-to pages start from a run directory
-as the README makes it: a block of commands that it shows too is run there alone, unless its output is promised.
+as docs/commands.md makes it: a block of commands that it shows too is run there alone, unless its output is promised.
 """
 
 import contextlib
@@ -27,6 +27,7 @@ import warm
 from salver.cli import COMMANDS
 
 ROOT = Path(__file__).parents[1]
+COMMAND_LIST = ROOT / "docs" / "commands.md"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.M | re.S)
 NUMBER = r"[-+]?(?:\d+\.\d*|\.\d+|\d+)(?:[eE][-+]?\d+)?"
@@ -101,8 +102,8 @@ def commands(block):
 
 
 @pytest.fixture(scope="module")
-def of_the_readme():
-    blocks = blocks_of((ROOT / "README.md").read_text(encoding="utf-8"))
+def of_all_commands():
+    blocks = blocks_of(COMMAND_LIST.read_text(encoding="utf-8"))
     return set().union(*(commands(block) for block in blocks if block.language == "sh"))
 
 
@@ -124,12 +125,12 @@ def planned(tmp_path_factory, on_the_path):
 
 @pytest.mark.parametrize("page", PAGES, ids=[str(p.relative_to(ROOT)) for p in PAGES])
 @pytest.mark.slow
-def test_blocks_of_the_page_run(page, planned, of_the_readme, tmp_path, monkeypatch):
+def test_blocks_of_the_page_run(page, planned, of_all_commands, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     elsewhere = set()
     if page.parent.name == "howto":
         shutil.copytree(planned, "runs/cube")
-        elsewhere = of_the_readme
+        elsewhere = of_all_commands
     namespace = {"__name__": "__page__"}
     for block in blocks_of(page.read_text(encoding="utf-8")):
         if block.language == "sh" and block.expected is None and commands(block) <= elsewhere:
@@ -143,10 +144,10 @@ def test_blocks_of_the_page_run(page, planned, of_the_readme, tmp_path, monkeypa
 
 
 def test_every_command_is_shown():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    commands = COMMAND_LIST.read_text(encoding="utf-8")
     pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs" / "howto").glob("*.md"))
     for name in COMMANDS:
-        assert f"salver {name}" in readme or f"make {name}" in readme, name
+        assert f"`salver {name}" in commands, name
         assert f"<!-- help: {name} -->" in pages or name in ("demo", "scenarios"), name
 
 
@@ -157,7 +158,7 @@ def test_a_page_reads_the_same_in_a_file_as_on_the_site(page):
     assert not re.search(r"^:::", text, re.M)
     places = re.findall(r"<!-- ([\w -]+): ([^>]*?) -->(.*?)(?=<!-- |\Z)(<!-- end -->)?", text, re.S)
     for kind, name, content, end in places:
-        assert kind in ("help", "keys", "api", "example", "written", "not run"), f"{kind}: {name}"
+        assert kind in ("help", "keys", "api", "example", "data", "written", "not run"), f"{kind}: {name}"
         if kind != "not run":
             assert content.strip(), f"{kind}: {name} is empty"
             assert end, f"{kind}: {name} does not end"
@@ -172,10 +173,20 @@ def test_what_pages_take_from_the_program_is_what_it_says_now():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def anchors(page):
+    """The anchors of a page's headings, as the site makes them."""
+    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.M)
+    plain = (re.sub(r"[^\w\s-]", "", re.sub(r"\]\([^)]*\)", "", heading)) for heading in headings)
+    return {re.sub(r"[-\s]+", "-", heading.strip().lower()) for heading in plain}
+
+
 def test_links_between_pages_lead_somewhere():
     for page in PAGES:
-        for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", page.read_text(encoding="utf-8")):
-            assert (page.parent / target).exists(), f"{page.name} links to {target}"
+        text = FENCE.sub("", page.read_text(encoding="utf-8"))
+        for target, anchor in re.findall(r"\]\((?!https?:|mailto:)([^)#\s]*)(?:#([^)\s]+))?\)", text):
+            there = page.parent / target if target else page
+            assert there.exists(), f"{page.name} links to {target}"
+            assert not anchor or anchor in anchors(there), f"{page.name} links to {target}#{anchor}"
 
 
 def test_the_comparison_of_outputs_notices_differences():
