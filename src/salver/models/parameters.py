@@ -149,6 +149,17 @@ class UncertainSet:
         )
 
 
+def support(terms: Array, spread: Array | None, axis: int = -1) -> Array:
+    """Support function of the set, h(x) = max over s of x . s: the largest that `terms`, slopes by each parameter per
+    half-range along an axis, can add.
+
+    spread: None for the unit box, h = sum_k |x_k|; A (n_p, n_p) for the ellipsoid A s of the unit ball, h = |A^T x|.
+    """
+    if spread is None:
+        return np.asarray(np.abs(terms).sum(axis=axis))
+    return np.asarray(np.linalg.norm(np.moveaxis(terms, axis, -1) @ spread, axis=-1))
+
+
 NOTHING = UncertainSet((), np.zeros(0), np.zeros(0))
 """The set of somebody who knows everything."""
 

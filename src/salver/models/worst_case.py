@@ -32,7 +32,7 @@ import numpy as np
 
 from salver.geometry import Array, Indices
 from salver.models.contents import Filling
-from salver.models.parameters import Parameter
+from salver.models.parameters import Parameter, support
 from salver.models.tray_motion import frame_map
 from salver.models.worst_contents import SURE, Case, bounded, fill
 
@@ -100,7 +100,8 @@ class UncertainRows:
 
     def radius(self, terms: Array) -> Array:
         """(...) most that `terms` (..., n_p + n_r) can add."""
-        return self._support(terms[..., : len(self.acting)]) + np.abs(terms[..., len(self.acting) :]).sum(axis=-1)
+        n_p = len(self.acting)
+        return support(terms[..., :n_p], self.spread) + support(terms[..., n_p:], None)
 
     def dual(self, terms: Array) -> Array:
         """(..., n_p + n_r) derivative of `radius` by the terms: how much of each is at work in the worst case."""
@@ -160,12 +161,6 @@ class UncertainRows:
         if "_roles" in vars(self):  # of parameters, whichever the rows
             vars(made)["_roles"] = vars(self)["_roles"]
         return made
-
-    def _support(self, terms: Array) -> Array:
-        """h (...) of terms (..., n_p)."""
-        if self.spread is None:
-            return np.asarray(np.abs(terms).sum(axis=-1))
-        return np.linalg.norm(terms @ self.spread, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -377,13 +372,13 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Ca
             level = side[part] @ nominal + np.abs(terms[:, n_p:]).sum(axis=1)
             for filling, of in zip(fillings, own, strict=True):
                 level -= np.einsum("np,tnp->tn", filling.nominal, of)
-            radius = _support(rows, terms[:, :n_p])
+            radius = support(terms[:, :n_p], rows.spread, axis=1)
             if drift is None or fillings:
                 yield Case(level + radius, own)
             if drift is None:
                 continue
             terms[:, roles.column] += change[:, : len(roles.own)]
-            straying = _support(rows, terms[:, :n_p]) + extra
+            straying = support(terms[:, :n_p], rows.spread, axis=1) + extra
             if not fillings:
                 yield Case(level + np.maximum(radius, straying), own)
                 continue
@@ -391,10 +386,3 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Ca
             yield Case(level + straying - less, strayed)
 
     return cases
-
-
-def _support(rows: UncertainRows, terms: Array) -> Array:
-    """h (T, n) of terms (T, n_p, n)."""
-    if rows.spread is None:
-        return np.asarray(np.abs(terms).sum(axis=1))
-    return np.asarray(np.sqrt(np.square(np.einsum("pq,tpn->tqn", rows.spread, terms)).sum(axis=1)))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from salver.geometry import Array
-from salver.models.parameters import UncertainSet
+from salver.models.parameters import UncertainSet, support
 
 
 def radius(sensitivity: Array, uncertain: UncertainSet) -> Array:
@@ -18,11 +18,7 @@ def radius(sensitivity: Array, uncertain: UncertainSet) -> Array:
 
     Box: sum_j |s_j| delta_j. Ellipsoid: sqrt(s W s^T).
     """
-    if uncertain.size == 0:
-        return np.zeros(sensitivity.shape[:-1])
-    if uncertain.kind == "box":
-        return np.abs(sensitivity) @ uncertain.half_range
-    return np.linalg.norm(sensitivity @ uncertain.factor, axis=-1)
+    return support(sensitivity * uncertain.half_range, uncertain.spread)
 
 
 def excess(values: Array, nominal: Array, tube_radius: Array) -> Array:

@@ -25,7 +25,7 @@ from salver.geometry import Array, Indices, exp, invert
 from salver.models.bodies import TRAY, Body
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.interfaces import sure_contacts
-from salver.models.parameters import Parameter
+from salver.models.parameters import Parameter, support
 from salver.models.payload import Payload
 from salver.models.tray_motion import FULL_SPEED, N_MOTION, PRODUCTS, Speed, corners, frame_map, wrench_map
 from salver.models.worst_case import UncertainRows
@@ -144,8 +144,7 @@ class WrenchRows:
         if step is not None:
             wrench, spread = _moved(wrench, self.wrench_jacobian, step), _moved(spread, self.spread_jacobian, step)
         terms = self.map @ spread
-        radius = np.abs(terms).sum(axis=-1) if self.box else np.linalg.norm(terms, axis=-1)
-        return wrench @ self.map.T - radius, terms
+        return wrench @ self.map.T - support(terms, None if self.box else np.eye(terms.shape[-1])), terms
 
     def least(self) -> Array:
         return self.slack()[0]

@@ -21,10 +21,9 @@ import numpy.typing as npt
 from salver.geometry import Array
 from salver.models.bodies import Body
 from salver.models.interfaces import to_tray
-from salver.models.parameters import Parameter, UncertainSet, tilt_at
+from salver.models.parameters import Parameter, UncertainSet, support, tilt_at
 from salver.models.payload import Payload
 from salver.models.tray_motion import N_MOTION, frame_map, wrench_map
-from salver.sensitivity import tubes
 
 _STEP = 1e-3  # of a parameter's half-range, for first derivatives; they are then exact to 1e-6, also for a tilt
 
@@ -52,15 +51,10 @@ class LoadChange:
     def radius(self, sensitivity: Array) -> Array:
         """Half-width (...) of the tube of quantities with sensitivity (..., n_c) over the uncertain set.
 
-        `tubes.radius` of the parameters, and every product at its largest.
+        Of the parameters by their set, and every product at its largest.
         """
-        if not len(self.half_range):
-            return np.zeros(sensitivity.shape[:-1])
-        if self.uncertain.kind == "box":  # of the parameters too it is the sum of the largest
-            return np.asarray(np.abs(sensitivity) @ self.half_range)
-        n_p = self.uncertain.size
-        first = tubes.radius(sensitivity[..., :n_p], self.uncertain)
-        return np.asarray(first + np.abs(sensitivity[..., n_p:]) @ self.half_range[n_p:])
+        terms, n_p = sensitivity * self.half_range, self.uncertain.size
+        return support(terms[..., :n_p], self.uncertain.spread) + support(terms[..., n_p:], None)
 
     def deviations(self, values: Array) -> Array:
         """The terms (..., n_c) at values (..., n_p) of the parameters."""
