@@ -87,7 +87,7 @@ def shortest(holds: Callable[[float], bool]) -> float:
 
 def gain() -> None:
     print("shortest level min-jerk line on the paper's endpoints, s, and the engine at that duration")
-    certain = PAPER.with_changes(objects__0__uncertainty=None)
+    certain = PAPER.with_changes(objects__0__uncertainty="none")
     for label, scenario in (
         ("nominal", certain),
         ("mass +-10 %", PAPER),

@@ -63,8 +63,9 @@ def keys_of(model: str) -> str:
     """A table of the keys that a scenario's table may have."""
     rows = ["| key | what it must be | default |", "|---|---|---|"]
     for name, field in getattr(scenario, model).model_fields.items():
-        default = field.get_default(call_default_factory=True)
-        rows.append(f"| `{name}` | {_in_cell(in_words(field))} | {_default(default)} |")
+        of_others = field.default_factory_takes_validated_data  # the default follows from other keys
+        default = "see below" if of_others else _default(field.get_default(call_default_factory=True))
+        rows.append(f"| `{name}` | {_in_cell(in_words(field))} | {default} |")
     return "\n".join(rows)
 
 

@@ -73,7 +73,11 @@ def scenario(objects: Sequence[dict], kind: str = "box", **changes: object) -> S
     if "tilt_deg" in changes or not {"mass", "com", "position", "inertia"} <= known:
         given["correlation"] = {}
     return load("panda-cube").with_changes(
-        objects=list(objects), uncertainty=given, arm__start_posture=None, motion__goal_yaw="fixed", **changes
+        objects=[{"uncertainty": {}} | item for item in objects],
+        uncertainty=given,
+        arm__start_posture=None,
+        motion__goal_yaw="fixed",
+        **changes,
     )
 
 

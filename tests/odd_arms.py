@@ -44,7 +44,15 @@ def gantry(*, turn: str = "continuous", more: str = "") -> str:
 CELL = {
     "name": "gantry",
     "motion": {"duration": 1.2, "start": {"position": [-0.2, -0.1, 0.9]}, "goal": {"position": [0.2, 0.2, 0.95]}},
-    "objects": [{"name": "box", "shape": {"type": "box", "size": [0.06, 0.06, 0.08]}, "mass": 0.3, "friction": 0.4}],
+    "objects": [
+        {
+            "name": "box",
+            "shape": {"type": "box", "size": [0.06, 0.06, 0.08]},
+            "mass": 0.3,
+            "friction": 0.4,
+            "uncertainty": {},
+        }
+    ],
     "contact": {"condition": "exact"},
     "tray": {"height": 0.08},
 }

@@ -14,7 +14,10 @@ SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 def scenario(objects: list[dict], **more: object) -> Scenario:
     ends = {"start": {"position": [0, 0, 0]}, "goal": {"position": [1, 0, 0]}, "duration": 1.0}
-    return parse({"name": "test", "motion": ends, "objects": objects, **more}, "test")
+    return parse(
+        {"name": "test", "motion": ends, "objects": [{"uncertainty": "none"} | item for item in objects], **more},
+        "test",
+    )
 
 
 def cube(name: str, side: float = 0.04, **more: object) -> dict:

@@ -92,7 +92,7 @@ def random_scenario(seed: int, condition: str, **changes: object) -> Scenario:
     made = {
         "name": f"random-{seed}",
         "motion": motion,
-        "objects": objects,
+        "objects": [{"uncertainty": "none"} | item for item in objects],
         "uncertainty": {"set": str(rng.choice(["box", "ellipsoid"])), "tilt_deg": [float(rng.uniform(0, 1)), 0.2]},
         "contact": {"condition": condition, "edges": int(rng.choice([3, 4, 5, 8]))},
         "tray": {"size": [0.8, 0.8]},
@@ -155,7 +155,15 @@ def test_an_object_stands_on_the_top_of_what_is_below_it_in_the_engine() -> None
         {"name": "knob", "shape": knob, "mass": 0.5, "friction": 0.5},
         {"name": "disc", "shape": ball, "mass": 0.2, "friction": 0.5, "on": "knob"},
     ]
-    made = parse({"name": "knob", "motion": ends, "objects": objects, "contact": {"condition": "exact"}}, "test")
+    made = parse(
+        {
+            "name": "knob",
+            "motion": ends,
+            "objects": [{"uncertainty": "none"} | item for item in objects],
+            "contact": {"condition": "exact"},
+        },
+        "test",
+    )
     record = simulate_tray(plan_object(made).reference, made)
     assert record.summary["outcome"] == "holds"
     assert float(record.tip_angle.max()) < 1e-3

@@ -207,7 +207,14 @@ def test_where_one_pair_of_postures_has_no_way_another_has():
                 "goal": {"position": [0.2139, -0.5032, 0.2907]},
                 "goal_yaw": "free",
             },
-            "objects": [{"shape": {"type": "box", "size": [0.097, 0.097, 0.063]}, "mass": 0.3, "friction": 0.29}],
+            "objects": [
+                {
+                    "shape": {"type": "box", "size": [0.097, 0.097, 0.063]},
+                    "mass": 0.3,
+                    "friction": 0.29,
+                    "uncertainty": "none",
+                }
+            ],
             "contact": {"condition": "exact"},
             "tray": {"size": [0.18, 0.18], "mass": 0.2, "height": 0.05},
             "obstacles": [

@@ -195,6 +195,7 @@ def test_waves_that_a_hasty_stop_leaves_are_not_steeper_than_is_known():
     shape = {"type": "cylinder", "radius": 0.0428, "height": 0.0757}
     liquid = {"kind": "coffee", "fill": 0.0418, "brim": 0.0717, "radius": 0.0398}
     cup = {"name": "cup", "shape": shape, "mass": 0.208, "friction": 0.5, "support_inset": 0.002, "liquid": liquid}
+    cup["uncertainty"] = "none"
     scenario = parse(
         {
             "name": "hasty",

@@ -26,7 +26,10 @@ BOX = np.array(list(product(*zip(LOW, HIGH, strict=True))))
 
 def scenario(objects: list[dict], **more: object) -> Scenario:
     ends = {"start": {"position": [0, 0, 0]}, "goal": {"position": [1, 0, 0]}, "duration": 1.0}
-    return parse({"name": "test", "motion": ends, "objects": objects, **more}, "test")
+    return parse(
+        {"name": "test", "motion": ends, "objects": [{"uncertainty": "none"} | item for item in objects], **more},
+        "test",
+    )
 
 
 def same_points(found: Array, expected: Array) -> bool:

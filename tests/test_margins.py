@@ -17,12 +17,15 @@ from salver.simulation.closed_loop import rollout
 from salver.trajectory import MotionSamples, PolynomialReference, min_jerk_line
 
 G = 9.81
-CUBE = load("panda-cube").with_changes(objects__0__uncertainty=None, arm=None)
+CUBE = load("panda-cube").with_changes(objects__0__uncertainty="none", arm=None)
 
 
 def scenario(objects: list[dict], **more: object) -> Scenario:
     ends = {"start": {"position": [0, 0, 0]}, "goal": {"position": [1, 0, 0]}, "duration": 1.0}
-    return parse({"name": "test", "motion": ends, "objects": objects, **more}, "test")
+    return parse(
+        {"name": "test", "motion": ends, "objects": [{"uncertainty": "none"} | item for item in objects], **more},
+        "test",
+    )
 
 
 def tall_box(**more: object) -> dict:

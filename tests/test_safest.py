@@ -73,6 +73,7 @@ def test_the_safest_motion_is_found_where_parts_nearly_touch_at_its_end(duration
                     "shape": {"type": "box", "size": [0.04287422272541662, 0.04287422272541662, height]},
                     "mass": 0.158,
                     "friction": 0.376,
+                    "uncertainty": "none",
                     "support_inset": 0.002,
                 }
             ],
@@ -255,6 +256,7 @@ def test_the_safest_round_keeps_a_liquid_as_far_below_its_brim_as_the_loads_from
         "uncertainty": {"fill": "10%", "mass": "10%"},
     }
     box = {"name": "box", "shape": {"type": "box", "size": (0.05, 0.05, 0.08)}, "mass": 0.2, "friction": 0.4}
+    box["uncertainty"] = "none"
     case = scenario.parse(
         {
             "name": "round",

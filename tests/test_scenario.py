@@ -151,6 +151,58 @@ def test_changes_leave_what_they_are_given_alone():
     """One change may lead into what another one put there."""
     item = scenario.load("panda-cube").model_dump(mode="json", exclude_none=True)["objects"][0]
     before = json.dumps(item)
-    made = scenario.load("panda-cube").with_changes(objects=[item], objects__0__mass=0.3, objects__0__uncertainty=None)
+    made = scenario.load("panda-cube").with_changes(
+        objects=[item], objects__0__mass=0.3, objects__0__uncertainty="none"
+    )
     assert made.objects[0].mass == 0.3
     assert json.dumps(item) == before
+
+
+# ---- what nobody said --------------------------------------------------------------------------------------------
+
+
+def bottle(**more):
+    """A file that says nothing of how exactly the load is known."""
+    shape = {"type": "cylinder", "radius": 0.033, "height": 0.2}
+    item = {"name": "bottle", "shape": shape, "mass": 0.4, "friction": 0.35, **more}
+    ends = {"start": {"position": [0.5, -0.25, 0.4]}, "goal": {"position": [0.5, 0.25, 0.4]}}
+    return scenario.parse({"name": "newcomer", "motion": ends, "objects": [item]}, "newcomer")
+
+
+def test_where_nothing_is_said_ranges_are_assumed():
+    made = bottle()
+    half = dict(zip(made.uncertain.names, made.uncertain.half_range, strict=True))
+    assert half == pytest.approx(
+        {"mass": 0.04, "friction": 0.0525, "com_x": 0.003, "com_y": 0.003, "com_z": 0.01}
+        | {"position_x": 0.002, "position_y": 0.002}
+    )
+    small = bottle(shape={"type": "box", "size": [0.02, 0.05, 0.02]})
+    assert small.objects[0].uncertainty.com == pytest.approx((0.002, 0.002, 0.001))
+
+
+@pytest.mark.parametrize("said", ["none", {}, {"mass": "10%"}])
+def test_what_is_said_is_all_and_stays_through_changes(said):
+    made = bottle(uncertainty=said)
+    names = ("mass",) if said == {"mass": "10%"} else ()
+    assert made.uncertain.names == names
+    assert made.with_changes(motion__duration=2.0).uncertain.names == names
+    assert bottle().with_changes(objects__0__uncertainty=said).uncertain.names == names
+
+
+def test_of_a_liquid_its_height_is_assumed_and_its_place_exact():
+    """10 % of 5 cm; half of the 4 mm to the brim where that is less. What stands on something stays in its place."""
+    for fill, brim, half in ((0.05, 0.1, 0.005), (0.05, 0.054, 0.002)):
+        liquid = {"radius": 0.03, "fill": fill, "brim": brim}
+        made = bottle(shape={"type": "cylinder", "radius": 0.033, "height": brim + 0.002}, liquid=liquid)
+        known = made.objects[0].uncertainty
+        assert known.fill == pytest.approx(half)
+        assert known.position is None
+    base = {"name": "base", "shape": {"type": "box", "size": [0.1, 0.1, 0.02]}, "mass": 0.3, "friction": 0.5}
+    made = bottle().with_changes(objects=[base, {**base, "name": "lid", "on": "base"}])
+    assert [item.uncertainty.position for item in made.objects] == [(0.002, 0.002), None]
+
+
+def test_a_wrong_shape_is_the_only_mistake_where_ranges_would_be_assumed():
+    with pytest.raises(ScenarioError) as refused:
+        bottle(shape={"type": "ball"})
+    assert str(refused.value).count("\n") == 0

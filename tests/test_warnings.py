@@ -49,12 +49,28 @@ def test_ready_made_scenarios_have_none(name: str) -> None:
         ({"motion__max_tilt_deg": 0.3}, "motion.max_tilt_deg = 0.3 looks like radians; keys that end in _deg are in "),
         ({"motion__goal__rpy_deg": [0, 0, 1.5708]}, "motion.goal.rpy_deg = (0.0, 0.0, 1.5708) looks like radians; "),
         ({"arm__base_yaw_deg": -0.785}, "arm.base_yaw_deg = -0.785 looks like radians; "),
-        ({"objects__0__uncertainty": {}}, "Nothing is known but the arm: no obstacle is given, and what is carried "),
+        (
+            {"objects__0__uncertainty": {}},
+            "Nothing is uncertain; what is said to be safe is safe for exactly these values.",
+        ),
     ],
 )
 def test_each_by_itself(changes: dict[str, Any], says: str) -> None:
     (sentence,) = warnings_of(CUBE.with_changes(**changes))
     assert sentence.startswith(says)
+
+
+def test_what_is_assumed_is_said_and_exact_values_are_called_so() -> None:
+    """Of the cube's 4 cm: 3 mm to the sides, 2 mm in height."""
+    made = CUBE.with_changes(objects__0__uncertainty=None)
+    (sentence,) = warnings_of(made)
+    assert sentence == (
+        "Nothing is said of how exactly cube is known; assumed are friction 15 %, mass 10 %, centre of mass "
+        "3, 3, 2 mm, place 2 mm, either way ([objects.uncertainty] says otherwise)."
+    )
+    exact = make_plan(CUBE.with_changes(objects__0__uncertainty="none"), "baseline")
+    assert exact.verification.sentence.startswith("Checked at 601 instants, for exactly these values: the contact ")
+    assert "exactly" not in make_plan(made, "baseline").verification.sentence
 
 
 @pytest.mark.parametrize(
@@ -66,7 +82,6 @@ def test_each_by_itself(changes: dict[str, Any], says: str) -> None:
         {"motion__max_tilt_deg": 2.0},
         {"motion__goal__rpy_deg": [0, 0, 2.1]},  # so typed it is no number of radians
         {"arm__base_yaw_deg": 45.0},
-        {"objects__0__uncertainty": {}, "obstacles": [{"type": "sphere", "radius": 0.1, "position": [1.5, 0, 0.2]}]},
     ],
 )
 def test_what_is_meant_is_not_warned_of(changes: dict[str, Any]) -> None:

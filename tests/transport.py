@@ -57,6 +57,7 @@ def cup_and_jar() -> Scenario:
         "at": [0.055, 0.0],
         "support_inset": 0.002,
         "liquid": {"kind": "water", "radius": 0.0292, "fill": 0.0452, "brim": 0.0573, "sealed": True},
+        "uncertainty": "none",
     }
     task = {
         "name": "cup-and-jar",

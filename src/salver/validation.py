@@ -23,6 +23,8 @@ def sentences(error: ValidationError, model: type[BaseModel], data: Any, where: 
     """One sentence for each wrong key of `data`, which `model` refused."""
     said: dict[str, str] = {}
     for item in error.errors():
+        if item["type"] == "default_factory_not_called":  # another key, of which it is made, is wrong
+            continue
         keys, accepted = _locate(model, data, item["loc"])
         said.setdefault(_path(keys), _sentence(item, model, data, keys, accepted, where))
     return list(said.values())

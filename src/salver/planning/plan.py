@@ -56,7 +56,7 @@ class Verification:
     slack: least contact condition minus its tube, in `unit`; at time `time`, for object or interface `body`.
     violation: how far that is below zero; 0 when the condition holds everywhere.
     passes: the most by which a pose to pass is missed, m (`salver.planning.passing`); infinite when the order is not
-    theirs.
+    theirs. exactly: whether nothing is uncertain.
     """
 
     instants: int
@@ -66,6 +66,7 @@ class Verification:
     body: str
     unit: str
     passes: float = 0.0
+    exactly: bool = False
 
     @property
     def violation(self) -> float:
@@ -89,7 +90,8 @@ class Verification:
             return f"The motion misses a pose to pass by {1e3 * self.passes:.2g} mm, or passes them in another order."
         kept = f"the contact condition keeps {self.slack:.3g} {self.unit} over its tube"
         passed = f" Every pose to pass is passed within {1e3 * self.passes:.2g} mm." if self.passes else ""
-        return f"Checked at {self.instants} instants: {kept} (least for {where}).{passed}"
+        exactly = ", for exactly these values" if self.exactly else ""
+        return f"Checked at {self.instants} instants{exactly}: {kept} (least for {where}).{passed}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -238,7 +240,8 @@ class Plan(Shown, Tabular):
         error = max(float(np.abs(x).max()) for x in (samples.p_SB[ends] - goals, turn, *still))
         slack, when, body = self._worst
         unit = unit_of(self.scenario, body)
-        return Verification(len(self._checked.t), error, slack, when, body, unit, self._passes())
+        exactly = self.uncertain.size == 0
+        return Verification(len(self._checked.t), error, slack, when, body, unit, self._passes(), exactly)
 
     @property
     def _worst(self) -> tuple[float, float, str]:

@@ -33,7 +33,8 @@ def verdict(run: Run) -> Verdict:
     if not plan.summary.get("ok", True):
         return Verdict("bad", "No safe plan was found", str(plan.summary.get("verdict", "")).removeprefix("UNSAFE: "))
     blind = plan.summary.get("unchecked", [])
-    promise = (f"Not checked: {'; '.join(blind)}. " if blind else "") + _promise(run)
+    exactly = "" if run.scenario.uncertain.size else "For exactly these values: "
+    promise = (f"Not checked: {'; '.join(blind)}. " if blind else "") + exactly + _promise(run)
     outcomes = campaign_outcomes(run, plan.stem)
     if outcomes:
         total, held = sum(outcomes.values()), outcomes.get("holds", 0)

@@ -10,6 +10,7 @@ import numpy as np
 from salver.geometry import Array
 from salver.models.arm_limits import LIMITS
 from salver.scenario.model import Scenario
+from salver.scenario.objects import assumed
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -22,18 +23,32 @@ LEAST_TILT = 2.0  # degrees; who bounds a tilt by less has it in radians
 
 def warnings_of(scenario: Scenario) -> tuple[str, ...]:
     """All of a scenario, a sentence each. Raises what `salver.models.arm.load_arm` does."""
-    found = [*_of_objects(scenario), *_of_angles(scenario.model_dump(exclude_unset=True))]
+    found = [*_of_ranges(scenario), *_of_objects(scenario), *_of_angles(scenario.model_dump(exclude_unset=True))]
     if scenario.arm is not None:
         from salver.models.arm import load_arm
 
         arm = load_arm(scenario.arm, scenario.tray)
         found = [*_of_limits(arm), *_of_payload(scenario, arm), *found]
-        if not scenario.obstacles and not scenario.uncertain.size:
-            found.append(
-                "Nothing is known but the arm: no obstacle is given, and what is carried is taken to be exactly as it "
-                "is said; tables [[obstacles]] and [objects.uncertainty] say more."
-            )
     return tuple(found)
+
+
+def _of_ranges(scenario: Scenario) -> Iterator[str]:
+    """What is taken to be uncertain where nothing is said, or that nothing is."""
+    if not scenario.uncertain.size:
+        yield "Nothing is uncertain; what is said to be safe is safe for exactly these values."
+    for item in scenario.objects:
+        ranges = assumed(item.shape, item.on, item.liquid)
+        if item.uncertainty == ranges:
+            com = ", ".join(f"{1e3 * x:.3g}" for x in ranges.com or ())
+            rest = (
+                f", fill {1e3 * ranges.fill:.3g} mm"
+                if isinstance(ranges.fill, float)
+                else ", place 2 mm" * (item.on == "tray")
+            )
+            yield (
+                f"Nothing is said of how exactly {item.name} is known; assumed are friction 15 %, mass 10 %, centre of "
+                f"mass {com} mm{rest}, either way ([objects.uncertainty] says otherwise)."
+            )
 
 
 def _of_limits(arm: ArmModel) -> Iterator[str]:
