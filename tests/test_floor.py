@@ -31,12 +31,12 @@ GEN3 = ([0.256, -0.393, 0.428], [0.519, 0.148, 0.475])
 
 
 def newcomer(model: str, start: list[float], goal: list[float], **more: Any) -> Scenario:
-    """An arm, a bottle, a start and a goal."""
+    """An arm, a bottle that is known exactly, a start and a goal."""
     shape = {"type": "cylinder", "radius": 0.033, "height": 0.15}
     data = {
         "name": "newcomer",
         "motion": {"start": {"position": start}, "goal": {"position": goal}},
-        "objects": [{"name": "bottle", "shape": shape, "mass": 0.4, "friction": 0.35}],
+        "objects": [{"name": "bottle", "shape": shape, "mass": 0.4, "friction": 0.35, "uncertainty": "none"}],
         "arm": {"model": model},
     }
     return scenario.parse({**data, **more}, "newcomer")
@@ -162,7 +162,7 @@ def test_a_start_posture_in_the_floor_is_refused() -> None:
 def test_what_follows_a_motion_of_the_tray_keeps_above_the_floor() -> None:
     """The paper's motion of the tray alone, of which the postures of a UR5 are then chosen."""
     case = newcomer("ur5", [0.35, -0.4, 0.42], [0.35, 0.4, 0.42])
-    plan = make_plan(case.with_changes(motion__duration=4.0, objects__0__uncertainty="none"), "robust")
+    plan = make_plan(case.with_changes(motion__duration=4.0), "robust")
     assert plan.arm_status is not None
     assert plan.arm_status.ok
     assert lowest(plan, ("upper_arm_link", "forearm_link", "wrist_2_link")) > 0.0
