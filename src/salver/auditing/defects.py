@@ -128,13 +128,13 @@ def _without_repeats(channels: Channels) -> Channels:
     usual = (passed[high] - passed[low]) / np.maximum(high - low, 1)
     # At rest the next move is as small as those after it; a sensor's resolution is passed step by step.
     stale = (length > 1) & (catch_up > 0.2 * length * usual) & (catch_up > 4 * channels.step)
+    before = far[max(begins[-1] - 6, 0) : begins[-1]]  # no tray stops from one sample to the next
+    stale[-1] = length[-1] > 1 and before[-1] > max(0.5 * np.median(before), 4 * channels.step)
     if not stale.any():
         return channels
     typical = float(np.median(length[stale]))
     if held:  # all along, also where it turns
         stale |= (length > 1) & (length <= typical + 1)
-    else:
-        stale[-1] = False
     count = int((length[stale] - 1).sum())
     keep = np.ones(len(t), dtype=bool)
     for begin, run in zip(begins[stale], length[stale], strict=True):
@@ -185,17 +185,20 @@ def _with_even_clock(channels: Channels) -> Channels:
         return float(np.mean(np.linalg.norm(off_cubic(at, y), axis=1)[fast]))
 
     least = min(rough(grid) for grid in grids)
-    if least > 0.5 * rough(t) or rough(t) < 2 * channels.step:
-        return channels
+    if least > 1.4 * rough(t) or rough(t) < 2 * channels.step:
+        return channels  # where the samples do not say which times are right, even ones do no harm
     best = min((grid for grid in grids if rough(grid) <= 1.5 * least), key=lambda grid: float(np.std(grid - t)))
     off = t - best
     jump = int(np.argmax(np.abs(np.diff(off))))
     size = float(np.std(off - np.median(off)))
+    if size < 1e-3 * usual:
+        return channels
     if np.ptp(off[: jump + 1]) + np.ptp(off[jump + 1 :]) < 0.2 * abs(np.diff(off)[jump]):
         clause = f"the clock is set by {1e3 * np.diff(off)[jump]:.3g} ms at {t[jump + 1]:.3f} s"
     else:
         clause = f"time stamps jitter by {1e3 * size:.2g} ms (up to {1e3 * np.abs(off).max():.2g} ms)"
-    defect = Defect("clock", f"{clause}, and the samples are even: they are judged at even times", doubtful=False)
+    why = "the samples are even" if least < 0.7 * rough(t) else "the samples do not show whether they are uneven too"
+    defect = Defect("clock", f"{clause}, and {why}: they are judged at even times", doubtful=False)
     return channels.having(defect, t=best)
 
 

@@ -26,6 +26,8 @@ BRIDGED_STEPS = 3.5
 FEWEST = 32  # samples, below which noise is not told from motion
 LEAST_DEGREES = 12.0  # angles beyond this, of which all are within the joints' ranges as degrees, are taken for such
 SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
+SCATTERED = 3.0  # bandwidth over the highest frequency, beyond which a curve follows no motion
+MOSTLY = 0.25  # of the time, and of the power of accelerations
 _AS_FAST = 0.95
 
 
@@ -199,8 +201,28 @@ def _recorded(
         tuple(cells for part in parts for cells in part.mirrored if len(cells.first)),
         np.concatenate([part.louder for part in parts]),
     )
-    suspect = tuple((defect.code, defect.clause) for defect in found.defects if defect.systematic)
-    return TrayMotion(motion, error, missed, recording, tuple(doubts), suspect, tuple(notes))
+    suspect = [(defect.code, defect.clause) for defect in found.defects if defect.systematic]
+    share = _scattered(motion, recording)
+    if share > MOSTLY:
+        clause = (
+            f"{100 * share:.0f} % of the accelerations are faster than {highest:g} Hz: neither noise nor an arm, "
+            "so something is wrong with the samples or their times"
+        )
+        suspect.append(("scatter", clause))
+        doubts.append(suspect[-1])
+    return TrayMotion(motion, error, missed, recording, tuple(doubts), tuple(suspect), tuple(notes))
+
+
+def _scattered(motion: MotionSamples, recording: Recording) -> float:
+    """Share of the accelerations' power above the highest frequency; 0 where the curve is not that fast for long."""
+    fast = recording.bandwidth > SCATTERED * recording.highest
+    if np.where(fast, np.gradient(motion.t), 0.0).sum() < MOSTLY * np.ptp(motion.t):
+        return 0.0
+    t = np.arange(motion.t[0], motion.t[-1], 1 / recording.rate)
+    a = np.column_stack([np.interp(t, motion.t, axis) for axis in motion.a_S.T])
+    power = np.sum(np.abs(np.fft.rfft(a * np.hanning(len(t))[:, None], axis=0)) ** 2, axis=1)
+    high = np.fft.rfftfreq(len(t), 1 / recording.rate) > 0.5 * SCATTERED * recording.highest
+    return float(power[high].sum() / max(power.sum(), 1e-300))
 
 
 def _levels(sensor: Sensor) -> tuple[Level, Level]:

@@ -22,6 +22,7 @@ _RISE = 1.5  # of the power in a whole octave, above which it is not white
 _CORRELATION = 1.94  # neighbouring frequencies of a Hann window are not independent: 1 + 2 (4/9 + 1/36)
 _OVERLAPPING = 1.4  # segments that overlap by half are not independent either
 _FEWEST_LEVELS = 6  # different values before they are taken for steps of a resolution
+_FEWEST_MOVES = 3
 _STILL = 0.2  # share of moves after which values stand still, above which they change by steps
 _FEWEST_BINS = 12  # for a median that is right to a fifth
 _SEGMENT = 256  # samples over which the power of noise is told
@@ -97,12 +98,15 @@ def resolution(y: Array) -> float:
 
 
 def stepped(y: Array) -> float:
-    """Least usual move of values (N, d) that stand still between their moves, whatever they are multiples of."""
-    size = np.linalg.norm(np.diff(y, axis=0), axis=1)
-    after = size[1:][size[:-1] > 0]
-    if len(after) < 3 or np.mean(after == 0) < _STILL:
-        return 0.0
-    return float(np.quantile(size[size > 0], 0.25))
+    """Least usual move of values (N, d), together or one by one, that stand still between their moves; 0 if they do
+    not."""
+    found = 0.0
+    moves = np.diff(y, axis=0)
+    for size in (np.linalg.norm(moves, axis=1), *np.abs(moves).T):
+        after = size[1:][size[:-1] > 0]
+        if len(after) >= _FEWEST_MOVES and np.mean(after == 0) > _STILL:
+            found = max(found, float(np.quantile(size[size > 0], 0.25)))
+    return found
 
 
 def principal(residual: Array) -> Array:

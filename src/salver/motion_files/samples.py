@@ -84,7 +84,7 @@ def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) 
     quat = quat_wxyz / norm[:, None]
     flips = np.cumprod(np.where(np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0, -1.0, 1.0))
     quat = quat * np.concatenate([[1.0], flips])[:, None]
-    keep, notes = _clock(t, source)
+    t, keep, notes = _clock(t, np.hstack([p, quat]), source)
     return TraySamples(t[keep] - t[0], p[keep], quat[keep], frame, source, notes)
 
 
@@ -103,7 +103,7 @@ def joint_samples(
     joints = {"positions": q, "velocities": dq, "accelerations": ddq, "efforts": tau}
     each = {f"one of the {name}": array for name, array in joints.items() if array is not None}
     _finite({"the time": t, **each}, source)
-    keep, notes = _clock(t, source, 2 if commanded else fewest)
+    t, keep, notes = _clock(t, q, source, 2 if commanded else fewest)
     dq, ddq, tau = (None if x is None else x[keep] for x in (dq, ddq, tau))
     return JointSamples(t[keep] - t[0], names, q[keep], dq, ddq, source, notes, commanded, tau=tau)
 
@@ -139,8 +139,9 @@ def _finite(arrays: dict[str, Array], source: str) -> None:
             raise FileFormatError(f"{source}: {name} of sample {bad[0] + 1} is not a finite number.")
 
 
-def _clock(t: Array, source: str, fewest: int = FEWEST) -> tuple[Array, tuple[str, ...]]:
-    """Indices to keep, and notes. Time may stand still (the later sample is dropped), never run backwards."""
+def _clock(t: Array, y: Array, source: str, fewest: int = FEWEST) -> tuple[Array, Array, tuple[str, ...]]:
+    """Times, indices to keep, and notes. Time may stand still, never run backwards: of equal samples (N, d) at one time
+    the later ones are dropped, others are spread till the next time."""
     step = np.diff(t)
     back = np.flatnonzero(step < 0)
     if len(back):
@@ -149,10 +150,17 @@ def _clock(t: Array, source: str, fewest: int = FEWEST) -> tuple[Array, tuple[st
             f"{source}: time runs backwards from {t[k]:.6f} s to {t[k + 1]:.6f} s at sample {k + 2}; samples must be "
             "in the order of time."
         )
-    keep = np.concatenate([[0], 1 + np.flatnonzero(step > 0)])
+    keep = np.concatenate([[0], 1 + np.flatnonzero((step > 0) | np.any(y[1:] != y[:-1], axis=1))])
     notes = []
     if len(keep) < len(t):
         notes.append(f"{len(t) - len(keep)} samples repeat the time of the one before and were left out.")
+    new = np.flatnonzero(np.append(True, np.diff(t[keep]) > 0))
+    if 1 < len(new) < len(keep):
+        notes.append(f"{len(keep) - len(new)} samples have the time of the one before and were spread till the next.")
+        last = len(keep) - new[-1]
+        end = t[-1] + (t[-1] - t[keep][new[-2]]) * last / (new[-1] - new[-2])
+        t = t.astype(float).copy()
+        t[keep] = np.interp(np.arange(len(keep)), np.append(new, len(keep)), np.append(t[keep][new], end))
     if len(keep) < fewest:
         raise FileFormatError(f"{source} has {len(keep)} samples at different times; an audit needs at least {fewest}.")
     usual = float(np.median(np.diff(t[keep])))
@@ -161,4 +169,4 @@ def _clock(t: Array, source: str, fewest: int = FEWEST) -> tuple[Array, tuple[st
             f"{source}: samples come every {usual:.3g} s; an audit reads up to {1 / SHORTEST_STEP:g} a second, so the "
             "unit of its times is another (columns t are in s, t_ms, t_us and t_ns in theirs)."
         )
-    return keep, tuple(notes)
+    return t, keep, tuple(notes)
