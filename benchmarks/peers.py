@@ -356,13 +356,19 @@ def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("-n", type=int, default=20, help="perturbed runs of each motion")
     options.add_argument("--hopeless", type=int, default=100, help="runs after which one that kept nothing is given up")
-    options.add_argument("--only", nargs="*", help="names of loads")
-    options.add_argument("--planners", nargs="*", help="names of planners")
+    options.add_argument("--only", nargs="*", choices=list(scenarios()), metavar="LOAD", help=", ".join(scenarios()))
+    options.add_argument("--planners", nargs="*", choices=list(PLANNERS), metavar="NAME", help=", ".join(PLANNERS))
     options.add_argument("--again", action="store_true", help="forget what is known of these loads and planners")
     options.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options.add_argument("--work", type=Path, default=WORK, help="folder of motions, runs and results")
     options.add_argument("--docs", action="store_true", help="write the tables and the plot of docs/peers.md")
-    options.add_argument("--freeze", nargs="*", help="plan with these planners and write benchmarks/frozen")
+    options.add_argument(
+        "--freeze",
+        nargs="*",
+        choices=list(PLANNERS),
+        metavar="NAME",
+        help="plan with these planners and write benchmarks/frozen",
+    )
     options.add_argument("--agreement", action="store_true", help="only compare time laws with toppra's")
     options.add_argument("--points", type=int, nargs="*", default=[201, 801], help="of --agreement")
     chosen = options.parse_args()

@@ -156,7 +156,9 @@ def test_friction_that_is_needed_stands_beside_what_there_surely_is(tmp_path):
     down = line(0.4)  # 18 m/s^2 at its peak
     p = down.p_SB[:, [0, 2, 1]] * [1, 1, -1]
     fallen = write_csv(tmp_path / "b.csv", "t,x,y,z,qw,qx,qy,qz", down.t, p, down.quat_SB_wxyz)
-    assert "friction needed (none suffices) nominal, of 0.5" in " ".join(run(fallen, "-s", path).stdout.split())
+    told = " ".join(run(fallen, "-s", path).stdout.split())
+    assert "friction needed (none suffices) nominal, of 0.5" in told
+    assert "tip-over margin lifts nominal, lifts worst case" in told
 
 
 def test_json_has_every_figure(tmp_path):

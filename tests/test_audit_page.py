@@ -1,5 +1,7 @@
 """The page of an audit says what the audit says, in a real browser, and shows the motion that was given."""
 
+import re
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +55,10 @@ def test_the_verdict_of_the_page_is_that_of_the_audit(tray_file, joint_file):
         assert html.index("Not checked: whether an arm can follow") < html.index(audit.worst.sentence)
         assert f"{audit.speeds_worst.pace.details['factor']:.3f}" in html
         assert audit.speeds_worst.sentence in html
+        assert f"{datetime.now(UTC):%Y-%m-%d}" in html
+        assert audit.scenario.digest in html
+        for name, half in (("mass", "25.6 g (10 %)"), ("friction", "0.15 (30 %)")):
+            assert re.search(rf"± {name}</t[hd]>\s*<td[^>]*>{re.escape(half)}<", html)
 
 
 def test_a_name_in_a_file_is_text_and_a_page_that_stands_there_is_kept(tray_file, tmp_path):

@@ -229,12 +229,12 @@ def test_rows_of_waves_know_all_that_was_felt_before(factor, where):
         path = programme.at(Point(line(problem, spline) + 0.02 * bent, 1.2 * factor))  # at the factor it takes 1.2 s
         exact = [block.values > -block.remembers for block in path.blocks]
         names, difference, predicted = changes(programme, path, exact, direction, 0.3)
-        each = ["contact of cup", "lightness in cup", "steepness in cup", "steepness left in cup"]
+        each = ["contact of cup", "effective gravity in cup", "steepness in cup", "steepness left in cup"]
         each += ["waves in cup", "waves left in cup"]
         assert sorted(set(names)) == [f"{name}{where}" for name in each]
         relative = np.abs(difference - predicted) / np.abs(predicted).max()
         errors.append([relative[names == f"{name}{where}"].max() for name in each])
-    coarse, fine = np.delete(errors, light := each.index("lightness in cup"), axis=1)
+    coarse, fine = np.delete(errors, light := each.index("effective gravity in cup"), axis=1)
     assert np.max(coarse) < 1e-3
     assert np.all(np.divide(coarse, fine) > 10)
     assert np.max(np.array(errors)[:, light]) < 1e-9  # it remembers nothing

@@ -34,6 +34,7 @@ def test_what_cannot_be_is_refused_in_a_sentence(cube):
     for wish, sentence in (
         (lambda: live.goto((np.nan, 0, 0.5)), "the position has values that are not finite"),
         (lambda: live.goto((450.0, 0, 500.0)), "the position is 500 m away in S; it must be at most 100 m"),
+        (lambda: live.goto((1.0, 2.0)), r"the position has shape \(2,\); it must be \(3,\)"),
         (lambda: live.goto([1.0, 2.0]), r"the position has shape \(2,\); it must be \(3,\)"),
         (lambda: live.goto(q=np.full(7, 9.0)), "panda_joint1 would be at 9; it must be within"),
         (lambda: live.goto(q=np.zeros(6)), r"the posture has shape \(6,\)"),

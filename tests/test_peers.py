@@ -132,6 +132,15 @@ def test_a_planner_of_ones_own_is_scored(tmp_path):
     assert (tmp_path / "results.json").is_file()
 
 
+def test_a_planner_or_load_that_there_is_not_is_refused(monkeypatch, capsys):
+    for words in (["--planners", "salvr"], ["--only", "tall botle"], ["--freeze", "salvr"]):
+        monkeypatch.setattr(sys, "argv", ["peers.py", *words])
+        with pytest.raises(SystemExit) as ended:
+            peers.main()
+        assert ended.value.code == 2
+        assert words[1] in capsys.readouterr().err
+
+
 def test_planners_are_told_nominal_values_only(task):
     """Only salver's last row may know the ranges."""
     assert task.problem.tracking is None

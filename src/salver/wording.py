@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
+
+
+def millimetres(metres: float, otherwise: str = "lifts") -> str:
+    """A distance to tipping in mm with one digit; words where it is not finite, as a load that lifts has none."""
+    return f"{1e3 * metres:.1f} mm" if math.isfinite(metres) else otherwise
 
 
 def listed(names: Iterable[str], before_last: str = "and") -> str:

@@ -139,6 +139,13 @@ def _stops(rows: Sequence[Row]) -> dict[str, Any] | None:
     }
 
 
+LEFT_TUBES = (
+    "A contact coefficient that leaves its tube does not mean that the load moved: the outcomes say that. A tube "
+    "bounds the paper's coefficients to first order for an arm that starts without error; the simulated arm starts "
+    "sagged under the true load."
+)
+
+
 def _tube(rows: Sequence[Row]) -> dict[str, Any] | None:
     """How many runs had a cone coefficient outside the plan's first-order tube, and how far it went.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console
+from salver.wording import millimetres
 
 if TYPE_CHECKING:
     from salver.auditing import Audit
@@ -84,7 +85,7 @@ def _show(result: Audit, given: str, options: str) -> None:
         *(
             f"{m.name}: friction needed {_needed(m.friction_needed.max())} nominal, of {m.friction:.3g}, "
             f"{_needed(m.friction_needed_worst)} worst case, of {m.least_friction:.3g}; tip-over margin "
-            f"{1e3 * m.tip_over.min():.1f} mm nominal, {1e3 * m.tip_over_worst.min():.1f} mm worst case."
+            f"{millimetres(m.tip_over.min())} nominal, {millimetres(m.tip_over_worst.min())} worst case."
             for m in margins.interfaces
         ),
     ]

@@ -82,6 +82,8 @@ def show(summary: dict[str, Any]) -> None:
     """The summary as a table for a person: a column for each plan."""
     from rich.table import Table
 
+    from salver.campaigns.summary import LEFT_TUBES
+
     plans = summary["plans"]
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("")
@@ -96,7 +98,10 @@ def show(summary: dict[str, Any]) -> None:
             cells = [_range(plan["quantiles"].get(name), scale, unit) for plan in plans.values()]
             table.add_row(label, *cells)
     if any(plan["tube"] for plan in plans.values()):
-        table.add_row("left their tube", *(_rate(plan["tube"] and plan["tube"]["left"]) for plan in plans.values()))
+        table.add_row(
+            "coefficient left its tube",
+            *(_rate(plan["tube"] and plan["tube"]["left"]) for plan in plans.values()),
+        )
         table.add_row("furthest out", *(_excess(plan["tube"]) for plan in plans.values()))
     if any(plan.get("stops") for plan in plans.values()):
         for name, label in (("lost", "lost in a stop"), ("beyond_a_limit", "kept beyond a limit of the arm")):
@@ -106,11 +111,7 @@ def show(summary: dict[str, Any]) -> None:
     out = result_console()
     out.print(table)
     if any(plan["tube"] and plan["tube"]["left"]["count"] for plan in plans.values()):
-        out.print(
-            "A tube bounds the paper's contact coefficients to first order, for an arm that starts without error. It "
-            "starts sagged\nunder the wrong mass, so tubes are left at start-up. Whether the load stays, the first row "
-            "tells."
-        )
+        out.print(LEFT_TUBES)
     for pair in summary["paired"]:
         held = pair["holds"]
         out.print(

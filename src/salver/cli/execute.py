@@ -204,7 +204,8 @@ def _tell(result: Execution) -> None:
     if "jitter_median" in clock:
         tell(
             f"{summary['source']}: {clock['periods']} periods of {1e3 * clock['period']:g} ms, "
-            f"{clock['missed']} missed; jitter {1e6 * clock['jitter_median']:.0f} us at the median, "
+            f"{clock['missed']} missed by the robot's clock, {100 * clock['late']:.3g} % late by over half a period "
+            f"on this machine; jitter {1e6 * clock['jitter_median']:.0f} us at the median, "
             f"{1e6 * clock['jitter_p999']:.0f} us at 99.9 %, "
             f"{1e3 * clock['jitter_max']:.2f} ms at most; controller {1e6 * clock['step_median']:.0f} us at the median."
         )

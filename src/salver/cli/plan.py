@@ -24,6 +24,7 @@ from salver.cli.common import (
 )
 from salver.cli.searching import searching, stopping
 from salver.cli.watch import watched
+from salver.wording import millimetres
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -299,8 +300,8 @@ def show(plan: Plan, other: Plan, beside: str) -> None:
     lines |= {
         "exact margin of the weight, worst case": lambda p: f"{100 * p.left:.1f} %",
         "friction needed / sure, worst case": _friction,
-        "distance to tipping, worst case": lambda p: (
-            f"{1e3 * min(m.tip_over_worst.min() for m in p.margins.interfaces):.1f} mm"
+        "distance to tipping, worst case": lambda p: millimetres(
+            min(m.tip_over_worst.min() for m in p.margins.interfaces)
         ),
         "contact condition kept everywhere": lambda p: "yes" if p.verification.violation == 0 else "NO",
         "arm can follow, as far as checked": lambda p: (

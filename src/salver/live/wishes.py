@@ -123,7 +123,7 @@ def posture_goal(problem: TransportProblem, q: npt.ArrayLike) -> Goal | Status:
 
 def pose_goal(problem: TransportProblem, pose: Pose) -> Goal | Status:
     """The first object's frame B at p_SB (3,), m, upright with any heading; or at (p_SB, R_SB) with R_SB (3, 3)."""
-    whole = isinstance(pose, tuple) and len(pose) == 2
+    whole = isinstance(pose, tuple) and len(pose) == 2 and not np.isscalar(pose[0])
     p = numbers(pose[0] if whole else pose, (3,), "the position")  # type: ignore[index]
     rotation = numbers(pose[1], (3, 3), "the rotation") if whole else np.eye(3)  # type: ignore[index]
     for found in (p, rotation):

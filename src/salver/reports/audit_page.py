@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from markupsafe import Markup
 
 from salver.auditing import Audit
 from salver.errors import Status
-from salver.files import output_file, to_json, write_atomic
+from salver.files import output_file, to_json, versions, write_atomic
 from salver.geometry import Array
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import reordered
@@ -19,6 +20,7 @@ from salver.planning.plan import Plan
 from salver.reports.cells import number, table
 from salver.reports.charts import Spec, thin, time_chart
 from salver.reports.page import filled, replay
+from salver.reports.parameters import half_range, pretty
 from salver.reports.run import Motion, Run
 from salver.reports.sections import Sections, tile_list
 from salver.reports.speed_bar import speed_bar
@@ -148,7 +150,19 @@ def _sections(audit: Audit) -> Sections:
 
 def _known(audit: Audit) -> Markup:
     seen = audit.motion.recording
-    rows = [["read from", audit.source], ["nominal", audit.nominal.sentence], ["worst case", audit.worst.sentence]]
+    uncertain = audit.scenario.payload.uncertain
+    ranges = [
+        [f"± {pretty(p)}", half_range(p, nominal, half)]
+        for p, nominal, half in zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
+    ]
+    rows = [
+        ["read from", audit.source],
+        ["judged", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, by salver {versions()['salver']}"],
+        ["for", f"scenario {audit.scenario.name}, digest {audit.scenario.digest}"],
+        *(ranges or [["ranges", "none: the nominal values alone"]]),
+        ["nominal", audit.nominal.sentence],
+        ["worst case", audit.worst.sentence],
+    ]
     if seen is None:
         rows.append(["samples", "a command: known exactly"])
     else:

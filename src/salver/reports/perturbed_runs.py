@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
+from salver.campaigns.summary import LEFT_TUBES
 from salver.reports.cells import joined, motion_cell, outcome_cell, percent, table
 from salver.reports.charts import Spec
 from salver.reports.style import ROLE_COLOURS
@@ -75,9 +76,17 @@ def _remarks(run: Run, m: Motion, own: dict[str, Any]) -> Markup:
     if tube:
         left = tube["left"]
         text += Markup(
-            "<p><b>{}, tubes:</b> in {} of {} runs a cone coefficient left its first-order tube, at most by {:.3g} N "
-            "(run {}){}.</p>"
-        ).format(label, left["count"], left["of"], tube["worst_excess"], tube["worst_run"], _at_start(run, m))
+            "<p><b>{}, tubes:</b> in {} of {} runs a coefficient left its first-order tube, at most by {:.3g} N "
+            "(run {}){}. {}</p>"
+        ).format(
+            label,
+            left["count"],
+            left["of"],
+            tube["worst_excess"],
+            tube["worst_run"],
+            _at_start(run, m),
+            LEFT_TUBES if left["count"] else "",
+        )
     return text
 
 
@@ -88,10 +97,7 @@ def _at_start(run: Run, m: Motion) -> str:
     out = (run.runs["stem"] == m.stem) & (run.runs["tube_excess"].astype(float) > 0)
     if not np.any(out) or np.max(run.runs["tube_excess_time"][out].astype(float)) > START * m.duration:
         return ""
-    return (
-        ", all at the very start: there a tube has no width, because the controller still knows only the nominal body, "
-        "while the contact already carries the true one"
-    )
+    return ", all at the very start"
 
 
 def _paired(run: Run, campaign: dict[str, Any]) -> Markup:

@@ -84,7 +84,7 @@ class Brim(Constraint):
             f"steepness in {name}", joined(x.free_height for x in parts), steepest, Slosh.free_by, Slosh.free_bends
         )
         light, lightest = joined(x.lightness for x in parts), np.full(len(steepest), LIGHTEST)
-        yield block(f"lightness in {name}", light, lightest, Slosh.lightness_by, Slosh.lightness_bends)
+        yield block(f"effective gravity in {name}", light, lightest, Slosh.lightness_by, Slosh.lightness_bends)
         after = joined(x.free_left for x in parts)[:, None]
         yield block(f"steepness left in {name}", after, self.calm * steepest, _free_left_by, _free_left_bends)
         if np.isfinite(room).all():
