@@ -1,4 +1,4 @@
-"""A scenario of one's own, by five questions; and the schema with which editors check one."""
+"""A user-defined scenario, from questions; and the schema with which editors check one."""
 
 import json
 import re
@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from salver import scenario
 from salver.cli import app
+from salver.errors import UnreachableError
 from salver.planning.make import make_plan
 
 RUNNER = CliRunner()
@@ -48,6 +49,36 @@ def test_answers_become_a_scenario_that_plans(tmp_path):
     assert (made.motion.start.position, made.motion.goal.position) == ((0.5, -0.25, 0.4), (0.5, 0.25, 0.4))
 
 
+@pytest.mark.parametrize(("load", "inside"), [("box 0.1 0.08 0.12", (0.094, 0.074)), ("cylinder 0.04 0.12", 0.037)])
+def test_liquid_tray_and_obstacles_become_tables(tmp_path, monkeypatch, load, inside):
+    """A container has walls and a bottom of 3 mm. The file is there also where no plan is."""
+    monkeypatch.setattr("salver.planning.make.make_plan", refusing)
+    file = tmp_path / "cup.toml"
+    tables = {"tray": "0.3 0.2", "obstacles": "box 0.1 0.2 0.3 at 0.5 0 0.2; sphere 0.1 at 0.9 0 0.4"}
+    done = RUNNER.invoke(app, ["new", str(file), *options(load=load, liquid="coffee 0.08 20%", **tables)])
+    assert done.exit_code == 3, done.output
+    made = scenario.load(file)
+    liquid = made.objects[0].liquid
+    assert (liquid.kind, liquid.fill, liquid.brim, liquid.radius or liquid.size) == ("coffee", 0.08, 0.117, inside)
+    assert made.objects[0].uncertainty.fill.relative == 0.2
+    assert made.tray.size == (0.3, 0.2)
+    assert [(o.type, o.size or o.radius, o.position) for o in made.obstacles] == [
+        ("box", (0.1, 0.2, 0.3), (0.5, 0.0, 0.2)),
+        ("sphere", 0.1, (0.9, 0.0, 0.4)),
+    ]
+
+
+def test_a_tray_that_is_not_given_has_room_for_the_load(tmp_path, monkeypatch):
+    monkeypatch.setattr("salver.planning.make.make_plan", refusing)
+    for name, load, tray in (("long", "box 0.3 0.1 0.1", (0.34, 0.25)), ("wide", "cylinder 0.15 0.1", (0.34, 0.34))):
+        RUNNER.invoke(app, ["new", str(tmp_path / f"{name}.toml"), *options(load=load)])
+        assert scenario.load(tmp_path / f"{name}.toml").tray.size == tray
+
+
+def refusing(*_):
+    raise UnreachableError("nothing is found here")
+
+
 @pytest.mark.slow
 def test_what_cannot_be_carried_comes_with_what_helps(tmp_path):
     """So near to a UR5 it touches itself; each of the three things that are said does help."""
@@ -78,12 +109,13 @@ def test_what_is_out_of_reach_comes_with_what_is_not(tmp_path):
 @pytest.mark.slow
 def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_path):
     file = tmp_path / "asked.toml"
-    answers = ["ball 3", "cylinder 0.03 0.2", "heavy", "0.4 20%", "", "nope", "panda", ""]
+    answers = ["ball 3", "cylinder 0.03 0.2", "tea", "", "heavy", "0.4 20%", "", "", "nope", "panda", "", "tree", ""]
     done = RUNNER.invoke(app, ["new", str(file), "--json"], input="\n".join(answers) + "\n")
     assert done.exit_code == 0, done.output
     for sentence in (
         '"ball 3" is no load',
         '"heavy" must be a number and a percentage',
+        '"tree" is no obstacle',
         'arm.model = "nope" is not known',
     ):
         assert sentence in done.stderr
@@ -96,6 +128,10 @@ def test_what_is_not_given_is_asked_and_asked_again_until_it_can_be_read(tmp_pat
         ({"load": "box 1 2"}, "must be 3 numbers"),
         ({"mass": "-1 10%"}, "objects[0].mass = -1.0: must be a finite number at least 1e-06 and at most 100"),
         ({"path": "0 0 0"}, "write x y z to x y z"),
+        ({"tray": "0.3"}, "it must be 2 numbers"),
+        ({"liquid": "water deep"}, '"deep" must be a number and a percentage'),
+        ({"liquid": "milk 0.05 20%"}, "objects[0].liquid.kind"),
+        ({"obstacles": "box 1 1 1"}, "is no obstacle"),
         ({"arm": "arm.urdf"}, "the link that carries the tray"),
         ({"friction": "0.4 x%"}, "is not a percentage"),
     ],

@@ -1,4 +1,4 @@
-"""`salver new`: a scenario of one's own, by five questions."""
+"""`salver new`: a user-defined scenario, from questions."""
 
 from __future__ import annotations
 
@@ -18,29 +18,43 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 QUESTIONS = {
-    "load": ("What is carried: box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres", "cylinder 0.03 0.24"),
-    "mass": ("Its mass in kg, and how far that may be wrong", "0.4 20%"),
-    "friction": ("Friction coefficient between it and the tray, and how far that may be wrong", "0.4 10%"),
+    "load": ("The load: box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres", "cylinder 0.03 0.24"),
+    "liquid": (
+        "An open liquid in it: water, coffee or oil, height of fill in m, how far that may be wrong; or none",
+        "none",
+    ),
+    "mass": ("Mass of the load in kg, without an open liquid, and how far that may be wrong", "0.4 20%"),
+    "friction": ("Friction coefficient between load and tray, and how far that may be wrong", "0.4 10%"),
+    "tray": ("Length and width of the tray, in metres", ""),
     "arm": (
         "The arm: a ready-made one such as panda or ur10, or a URDF file and the link that carries the tray",
         "panda",
     ),
-    "path": ("From where to where: x y z to x y z of the object's centre, in metres from the arm's base", ""),
+    "path": ("From where to where: x y z to x y z of the load's centre, in metres from the arm's base", ""),
+    "obstacles": (
+        "Obstacles: box LENGTH WIDTH HEIGHT at x y z, sphere RADIUS at x y z, with ; between several; or none",
+        "none",
+    ),
 }
+MAY_BE_LEFT_OUT = ("liquid", "tray", "obstacles")
+WALL = 0.003  # m, of a container until the user measures it; the file says so
 
 
 def new(
     file: Annotated[Path, typer.Argument(help="The scenario file to write, ending in .toml.")],
     load: Annotated[str | None, typer.Option(help=QUESTIONS["load"][0])] = None,
+    liquid: Annotated[str | None, typer.Option(help=QUESTIONS["liquid"][0])] = None,
     mass: Annotated[str | None, typer.Option(help=QUESTIONS["mass"][0])] = None,
     friction: Annotated[str | None, typer.Option(help=QUESTIONS["friction"][0])] = None,
+    tray: Annotated[str | None, typer.Option(help=QUESTIONS["tray"][0])] = None,
     arm: Annotated[str | None, typer.Option(help=QUESTIONS["arm"][0])] = None,
     path: Annotated[str | None, typer.Option(help=QUESTIONS["path"][0])] = None,
+    obstacles: Annotated[str | None, typer.Option(help=QUESTIONS["obstacles"][0])] = None,
     json: Json = False,
 ) -> None:
-    """Write a scenario of your own, with comments: what is not given as an option is asked.
+    """Write a scenario of your own, with comments, and plan it once, as fast as is safe.
 
-    The scenario is planned once, as fast as it is safe, so that you know it can be done.
+    You are asked for what you do not give as an option. With load, mass, friction, arm and path given nothing is asked.
 
     Example: `salver new bottle.toml --load "cylinder 0.03 0.24" --mass "0.4 20%"`
 
@@ -53,11 +67,17 @@ def new(
     from salver.run_directory import check_writable
 
     check_writable(file.parent, "name a file elsewhere")  # before anything is asked
-    given = {"load": load, "mass": mass, "friction": friction, "arm": arm, "path": path}
+    given = {"load": load, "liquid": liquid, "mass": mass, "friction": friction, "tray": tray, "arm": arm}
+    given |= {"path": path, "obstacles": obstacles}
+    asking = any(given[key] is None for key in QUESTIONS if key not in MAY_BE_LEFT_OUT)
     answers: dict[str, Any] = {}
-    for key in QUESTIONS:
-        default = _in_reach(*answers["arm"]) if key == "path" else QUESTIONS[key][1]
-        answers[key] = _answer(QUESTIONS[key][0], default, given[key], READERS[key])
+    for key, (question, default) in QUESTIONS.items():
+        if key == "path":
+            default = _in_reach(*answers["arm"])
+        elif key == "tray":
+            default = _room_for(answers["load"])
+        word = default if given[key] is None and not asking else given[key]
+        answers[key] = _answer(question, default, word, READERS[key])
 
     from salver import scenario as scenarios
     from salver.files import write_atomic
@@ -66,12 +86,17 @@ def new(
     text = written(file.stem, **answers)
     scenarios.parse(_data(text, file), str(file))  # what is wrong with it is said before there is a file
     write_atomic(file, text)
+    name, runs = quote(str(file)), quote(f"runs/{file.stem}")
+    helps = (
+        f"What often helps: start and goal higher or further from the arm's base, or a smaller tray ([tray] size), in "
+        f"{file}; then salver plan {name}. For this arm a way well within reach is {_in_reach(*answers['arm'])}."
+    )
     if not json:
         say(f"Written: {file}. Planning it once ...")
     try:
         plan = make_plan(scenarios.load(file), "fastest")
     except SalverError:
-        say(f"For this arm a way well within reach is {_in_reach(*answers['arm'])}.")
+        say(helps)
         raise
     if json:
         print_json({"file": file, "ok": plan.ok, "duration": plan.duration, "status": plan.status.sentence})
@@ -79,12 +104,10 @@ def new(
         result_console().print(plan.status.sentence, markup=False)
         if plan.arm_status is not None:
             result_console().print(plan.arm_status.sentence, markup=False)
-        name, runs = quote(str(file)), quote(f"runs/{file.stem}")
         say(
             f"Next: salver plan {name} -o {runs}, then salver simulate and salver report of that directory."
             if plan.ok
-            else f"What often helps: start and goal higher or further from the arm's base, or a smaller tray ([tray] "
-            f"size), in {file}; then salver plan {name}."
+            else helps
         )
     if not plan.ok:
         raise typer.Exit(NO_SAFE_PLAN)
@@ -111,14 +134,47 @@ def _numbers(words: list[str], what: str, count: int) -> list[float]:
     return values
 
 
-def _load(text: str) -> str:
+def _load(text: str) -> list[float]:
+    """Length, width and height of a box, or radius and height of a cylinder."""
     kind, *words = text.split() or [""]
     if kind == "box":
-        return f'{{ type = "box", size = {_numbers(words, "the size of a box", 3)} }}'
+        return _numbers(words, "the size of a box", 3)
     if kind == "cylinder":
-        radius, height = _numbers(words, "the radius and height of a cylinder", 2)
-        return f'{{ type = "cylinder", radius = {radius}, height = {height} }}'
+        return _numbers(words, "the radius and height of a cylinder", 2)
     raise ScenarioError(f'"{text}" is no load; write box LENGTH WIDTH HEIGHT, or cylinder RADIUS HEIGHT, in metres.')
+
+
+def _room_for(load: list[float]) -> str:
+    """A tray on which a load stands with 2 cm around it, at least a usual one."""
+    length, width = load[:2] if len(load) == 3 else (2 * load[0], 2 * load[0])
+    return f"{max(0.25, length + 0.04):g} {max(0.25, width + 0.04):g}"
+
+
+def _liquid(text: str) -> tuple[str, float, str] | None:
+    """What it is, the height to which it is filled, and the range of that."""
+    kind, _, rest = text.strip().partition(" ")
+    if kind in ("none", ""):
+        return None
+    return kind, *_value_and_range(rest)
+
+
+def _obstacles(text: str) -> list[str]:
+    """The body of a table of the scenario for each."""
+    if text.strip() in ("none", ""):
+        return []
+    found = []
+    for one in text.split(";"):
+        what, at, place = one.partition(" at ")
+        kind, *words = what.split() or [""]
+        if not at or kind not in ("box", "sphere"):
+            raise ScenarioError(f'"{one.strip()}" is no obstacle; write box LENGTH WIDTH HEIGHT at x y z, or none.')
+        size = (
+            f"size = {_numbers(words, 'the size of a box', 3)}"
+            if kind == "box"
+            else (f"radius = {_numbers(words, 'the radius of a sphere', 1)[0]}")
+        )
+        found.append(f'type = "{kind}"\n{size}\nposition = {_numbers(place.split(), "a position", 3)}')
+    return found
 
 
 def _value_and_range(text: str) -> tuple[float, str]:
@@ -163,10 +219,13 @@ def _path(text: str) -> tuple[list[float], list[float]]:
 
 READERS: dict[str, Callable[[str], Any]] = {
     "load": _load,
+    "liquid": _liquid,
     "mass": _value_and_range,
     "friction": _value_and_range,
+    "tray": lambda text: _numbers(text.split(), "length and width of a tray", 2),
     "arm": _arm,
     "path": _path,
+    "obstacles": _obstacles,
 }
 
 
@@ -181,15 +240,31 @@ def _data(text: str, file: Path) -> dict[str, Any]:
 
 def written(
     name: str,
-    load: str,
+    load: list[float],
+    liquid: tuple[str, float, str] | None,
     mass: tuple[float, str],
     friction: tuple[float, str],
+    tray: list[float],
     arm: tuple[str, str | None],
     path: tuple[list[float], list[float]],
+    obstacles: list[str],
 ) -> str:
     """The scenario file, with a comment on all that one may want to change."""
     model, flange = (_quoted(word) if word is not None else None for word in arm)
     carrier = f"flange = {flange}          # the link that carries the tray" if flange else ""
+    box = len(load) == 3
+    shape = f'type = "box", size = {load}' if box else f'type = "cylinder", radius = {load[0]}, height = {load[1]}'
+    contents, fill = "", ""
+    if liquid is not None:
+        inside = [round(x - (2 if box else 1) * WALL, 6) for x in load[:-1]]
+        contents = f"""
+[objects.liquid]                # walls and bottom of {1e3 * WALL:g} mm are assumed: measure yours
+kind = {_quoted(liquid[0])}
+{f"size = {inside}" if box else f"radius = {inside[0]}"}
+fill = {liquid[1]}              # heights over the bottom inside
+brim = {round(load[-1] - WALL, 6)}
+"""
+        fill = f"\nfill = {_quoted(liquid[2])}"
     return (
         f"""\
 # A scenario for salver. Lengths in metres, masses in kilograms, times in seconds. Every key: docs/scenario-file.md
@@ -205,14 +280,14 @@ goal_yaw = "free"               # any heading will do at the goal
 
 [[objects]]
 name = "load"
-shape = {load}
+shape = {{ {shape} }}
 mass = {mass[0]}
 friction = {friction[0]}
 # com = [0.0, 0.0, 0.0]         # centre of mass, from the middle of the shape
-
+{contents}
 [objects.uncertainty]           # half-ranges: the plan is safe for everything within them
 mass = {_quoted(mass[1])}
-friction = {_quoted(friction[1])}
+friction = {_quoted(friction[1])}{fill}
 com = [0.003, 0.003, 0.005]     # nobody knows it better than that without measuring
 # position = [0.003, 0.003]     # how exactly it is put on the tray
 
@@ -220,14 +295,15 @@ com = [0.003, 0.003, 0.005]     # nobody knows it better than that without measu
 condition = "exact"             # "paper" for the sufficient condition of the paper
 
 [tray]
-size = [0.25, 0.25]
-mass = 0.2
+size = {tray}
+mass = 0.2                      # weigh yours
 
 [arm]
 model = {model}
 {carrier}
 """.rstrip()
         + "\n"
+        + "".join(f"\n[[obstacles]]                   # regions to keep out of\n{one}\n" for one in obstacles)
     )
 
 
