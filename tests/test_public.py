@@ -24,6 +24,11 @@ def directory(plan, tmp_path_factory):
     return plan.save(tmp_path_factory.mktemp("public") / "run")
 
 
+def test_what_is_listed_is_what_is_public():
+    assert dir(sv) == sorted([*sv.__all__, "__version__"])
+    assert all(hasattr(sv, name) for name in dir(sv))
+
+
 @pytest.fixture(scope="module")
 def run(plan):
     return sv.simulate(plan, parameters={"mass": 0.27})

@@ -327,3 +327,8 @@ def __getattr__(name: str) -> Any:
 
         return Live
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """What is public."""
+    return sorted(["__version__", *__all__])
