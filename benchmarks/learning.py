@@ -1,6 +1,7 @@
 """Counted runs of identification and of learning while carrying: how often ranges cover the truth, what is dropped.
 
 python benchmarks/learning.py --logs 112 [--docs]    # 12 cases of 112 loads, and the same with the noise doubled
+python benchmarks/learning.py --defects 50 [--docs]    # sensors that are wrong, within their bounds and beyond
 python benchmarks/learning.py --loads 100 --friction open --sensor wrist [--docs]    # careful first, then fast
 
 Logs are made by `salver.learning.sensors`, whose errors are not those that the estimator assumes. Loads are drawn
@@ -26,8 +27,9 @@ import salver as sv
 from salver.errors import SalverError
 from salver.files import read_json, write_json
 from salver.learning.excite import plan_excite
-from salver.learning.identify import Run, identify_runs
-from salver.learning.sensors import SensedArm, Sensors
+from salver.learning.identify import Run, identify, identify_runs
+from salver.learning.sensors import Defects, SensedArm, Sensors
+from salver.learning.systematic import SensorBounds
 from salver.learning.trips import EFFORT, Sensor, trips, true_load
 from salver.models.parameters import INERTIAL, inertial_vector
 from salver.models.physical import random_inertia
@@ -61,14 +63,9 @@ def coverage(name: str, plans: Sequence[Plan], kind: str, times: float, count: i
     """
     inside, learnt, half, spent, refused = np.zeros((2, 10), dtype=int), np.zeros(10, dtype=int), [], [], 0
     scale, scenario = np.array([1e3] * 4 + [1e6] * 6), plans[0].scenario
-    body, (wrist, sensors) = scenario.payload.first, KINDS[kind]
-    nominal = inertial_vector(body.inertial)
+    wrist, sensors = KINDS[kind]
     for k in range(count):
-        rng, values = np.random.default_rng([11, k]), nominal.copy()
-        share = 1 + 0.5 * rng.uniform(-1, 1)
-        values[0], values[1:4] = share * values[0], 0.015 * rng.uniform(-1, 1, 3)
-        values[4:] = values[0] * random_inertia(body, values[1:4], rng)
-        runs = []
+        values, runs = filled(scenario, k), []
         for i, plan in enumerate(plans):
             arm = SensedArm(plan, k + count * i, replace(sensors, times=times), wrist=wrist, joints=not wrist)
             runs.append(Run(plan, arm.log(values), arm.log(None)))
@@ -93,6 +90,68 @@ def coverage(name: str, plans: Sequence[Plan], kind: str, times: float, count: i
     }
     print(f"{name} | {kind} | {found}", file=sys.stderr, flush=True)
     return {"motion": name, "sensor": kind} | found
+
+
+TIMES = (1, 3, 10)
+# Which bounds a sensor reaches or oversteps, and whether it is one in the wrist.
+DEFECTS = {
+    "bias after taring": (True, ("force_bias", "moment_bias")),
+    "scale": (True, ("scale",)),
+    "cross-talk": (True, ("cross_talk",)),
+    "cable": (True, ("cable",)),
+    "place": (True, ("position",)),
+    "tilt": (True, ("tilt",)),
+    "delay": (True, ("delay",)),
+    "bias of torques": (False, ("torque_bias",)),
+    "scale of torques": (False, ("torque_scale",)),
+    "links": (False, ("links",)),
+    "filter of torques": (False, ("filter_time",)),
+    "delay of torques": (False, ("delay",)),
+}
+
+
+def wrong_sensors(plan: Plan, name: str, count: int) -> dict[str, object]:
+    """Of so many loads, how many logs are refused and how many ranges hold all ten parameters, when a sensor is `TIMES`
+    as wrong as its bounds say."""
+    (wrist, kinds), bounds = DEFECTS[name], SensorBounds()
+    size = ", ".join(f"{kind} = {getattr(bounds, kind):g}" for kind in kinds)
+    found: dict[str, object] = {"defect": name, "loads": count, "size": size}
+    for times in TIMES:
+        sizes = {kind: times * getattr(bounds, kind) for kind in kinds}
+        if "torque_scale" in sizes:
+            sizes["scale"] = sizes.pop("torque_scale")
+        if "filter_time" in sizes:
+            sizes["bandwidth"] = 1 / (2 * np.pi * sizes.pop("filter_time"))
+        refused = held = 0
+        for k in range(count):
+            values, defects = filled(plan.scenario, k), Defects(**sizes, seed=k)
+            arm = SensedArm(plan, k, Sensors(rate=1000.0), wrist=wrist, joints=not wrist, defects=defects)
+            try:
+                ranges = identify(plan, [arm.log(values)], arm.log(None)).ranges
+            except SalverError as error:
+                refused += 1
+                print(f"  {name}, {times} times its bound, load {k}: {error}", file=sys.stderr)
+                continue
+            held += all(ranges[key].low <= x <= ranges[key].high for key, x in zip(INERTIAL, values, strict=True))
+        found |= {f"refused_{times}": refused, f"held_{times}": held}
+    print(found, file=sys.stderr, flush=True)
+    return found
+
+
+def of_wrong_sensors(row: dict[str, Any]) -> str:
+    counts = [(row[f"held_{times}"], row[f"refused_{times}"]) for times in TIMES]
+    cells = [f"{held}, {refused}, {row['loads'] - held - refused}" for held, refused in counts]
+    return f"| {row['defect']} | {row['size']} | {row['loads']} | {' | '.join(cells)} |"
+
+
+def filled(scenario: Scenario, seed: int) -> np.ndarray:
+    """(10,) a random mass inside the shape, within the ranges."""
+    body, rng = scenario.payload.first, np.random.default_rng([11, seed])
+    values = inertial_vector(body.inertial)
+    share = 1 + 0.5 * rng.uniform(-1, 1)
+    values[0], values[1:4] = share * values[0], 0.015 * rng.uniform(-1, 1, 3)
+    values[4:] = values[0] * random_inertia(body, values[1:4], rng)
+    return values
 
 
 def of_coverage(row: dict[str, Any]) -> str:
@@ -179,6 +238,7 @@ def of_carried(row: dict[str, Any]) -> str:
 def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__)
     asked.add_argument("--logs", type=int, default=0)
+    asked.add_argument("--defects", type=int, default=0)
     asked.add_argument("--times", type=float, nargs="+", default=[1.0, 2.0], help="the noise that is told")
     asked.add_argument("--only", default="", help="cases whose motion and sensor hold this, as in the table")
     asked.add_argument("--loads", type=int, default=0)
@@ -205,6 +265,11 @@ def main() -> None:
                 wide = [replace(p, scenario=p.scenario.with_changes(objects__0__uncertainty=ranges)) for p in made]
                 for kind in asked_for[name]:
                     keep("identified", coverage(name, wide, kind, times, given.logs), ("motion", "sensor", "times"))
+    if given.defects:
+        plan = sv.plan("panda-tall-bottle", "fastest")
+        wide = replace(plan, scenario=plan.scenario.with_changes(objects__0__uncertainty=WIDE | {"contents": "any"}))
+        for name in [name for name in DEFECTS if given.only in name]:
+            keep("wrong sensors", wrong_sensors(wide, name, given.defects), ("defect",))
     if given.loads:
         row = carried(given.friction, given.sensor, given.loads, given.trips, given.runs)
         keep("learnt", row, ("friction", "sensor", "count"))
@@ -216,6 +281,10 @@ def main() -> None:
     written(
         "identified", DOCS / "howto" / "identify.md", [heads, "|---" * 9 + "|", *map(of_coverage, rows)], given.docs
     )
+    heads = "| error | bound | loads | held, refused, missed: as large as the bound | 3 times | 10 times |"
+    rows = kept.get("wrong sensors", [])
+    lines = [heads, "|---" * 6 + "|", *map(of_wrong_sensors, rows)]
+    written("wrong sensors", DOCS / "howto" / "identify.md", lines, given.docs)
     heads = (
         "| friction | sensor | loads | trip 1, median | trip 2 | second over first, median | worst | sixth | "
         "held, with steps of .5 ms | tilts, lost, moved at most | truth in the ranges; of friction |"

@@ -14,7 +14,6 @@ from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning import identify
 from salver.learning.excite import Information, plan_excite
-from salver.learning.ranges import WIDTH
 from salver.learning.sensors import SensedArm, Sensors, nominal_load
 from salver.planning.fastest import AtPosture, Point, transport_problem
 from salver.planning.fastest.curves import FreeCurve, Grid
@@ -61,9 +60,9 @@ def test_it_is_safe_tells_more_than_the_transport_and_as_much_as_promised(plan: 
     for each in (plan, carried):
         arm = SensedArm(each, 3, Sensors(rate=1000.0), joints=False)
         found.append(identify(each, [arm.log(nominal_load(each))], arm.log(None)))
-    half = [1e3 * WIDTH * float(np.sqrt(seen.covariance[0, 0])) for seen in found]
-    assert half[0] < 0.8 * half[1]
-    assert half[0] == pytest.approx(promised, rel=0.6)
+    half = [1e3 * seen.ranges["mass"].half for seen in found]
+    assert half[0] < half[1]
+    assert half[0] == pytest.approx(promised, rel=0.2)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ import salver as sv
 from salver.cli import app
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
-from salver.learning import Log, identify, read_log
+from salver.learning import Log, SensorBounds, identify, read_log
 from salver.learning.identify import Run, identify_runs
 from salver.learning.narrowing import prior
 from salver.learning.ranges import NAMES, WIDTH, fieller
@@ -27,6 +27,9 @@ from salver.trajectory import JointMotion
 
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015]}
 QUIET = Sensors(times=0.0, links=0.0, friction_change=0.0)
+GOOD = SensorBounds(0.02, 8e-4, 1e-3, 1e-4, 1e-4, 0.05, 1e-5, 1e-4, 1e-3, 1e-3, 1e-4)
+UNBIASED = Sensors(force_bias=0.0, moment_bias=0.0)
+PERFECT = replace(SensorBounds(*[1e-13] * len(fields(SensorBounds))), lever=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +70,10 @@ def test_without_errors_the_load_comes_out(plan: Plan, wrist: bool) -> None:
 @pytest.mark.slow
 def test_one_empty_log_is_noisy_once(plan: Plan) -> None:
     """The mean of n runs less one empty run has the variance 1 + 1 / n, not 2 / n; what is given twice counts once."""
-    arm, load_ = SensedArm(plan, 3, joints=False), drawn(plan, 2)
+    arm, load_ = SensedArm(plan, 3, UNBIASED, joints=False), drawn(plan, 2)
     logs, empty = [arm.log(load_, f"log {k}") for k in range(6)], arm.log(None)
-    one = np.mean([np.sqrt(identify(plan, [log], empty).covariance[0, 0]) for log in logs])
-    six = np.sqrt(identify(plan, logs, empty).covariance[0, 0])
+    one = np.mean([np.sqrt(identify(plan, [log], empty, PERFECT).covariance[0, 0]) for log in logs])
+    six = np.sqrt(identify(plan, logs, empty, PERFECT).covariance[0, 0])
     assert six / one == pytest.approx(np.sqrt((1 + 1 / 6) / 2), rel=0.1)
     with pytest.raises(FileFormatError, match="log 1 and log 1 are the same log"):
         identify(plan, [logs[0], logs[1], logs[1]], empty)
@@ -88,23 +91,25 @@ def test_the_empty_run_may_do_something_else(plan: Plan, wrist: bool, off: list[
     wave = 0.012 * np.sin(rate * t)[:, None] * joints
     slope = 0.012 * rate * np.cos(rate * t)[:, None] * joints
     other = (t, q + wave, dq + slope, ddq - rate**2 * wave)
-    found = [identify(plan, [arm.log(load_)], arm.log(None, "empty", done)).phi for done in (None, other)]
+    logs = [arm.log(None, "empty", done) for done in (None, other)]
+    found = [identify(plan, [arm.log(load_)], log, PERFECT).phi for log in logs]
     assert found[1][0] == pytest.approx(found[0][0], abs=off[0])
     assert found[1][1:3] == pytest.approx(found[0][1:3], abs=off[1])
 
 
 @pytest.mark.parametrize("late", [-0.03, 4.2])
 def test_the_clock_of_a_log_may_begin_anywhere(plan: Plan, late: float) -> None:
-    arm, load_ = SensedArm(plan, 2, joints=False), drawn(plan, 2)
+    arm, load_ = SensedArm(plan, 2, UNBIASED, joints=False), drawn(plan, 2)
     logs = arm.log(load_), arm.log(None)
-    on_time = identify(plan, [logs[0]], logs[1]).phi
-    found = identify(plan, [replace(logs[0], t=logs[0].t + late)], replace(logs[1], t=logs[1].t - 0.5 * late)).phi
+    on_time = identify(plan, [logs[0]], logs[1], PERFECT).phi
+    loaded, empty = replace(logs[0], t=logs[0].t + late), replace(logs[1], t=logs[1].t - 0.5 * late)
+    found = identify(plan, [loaded], empty, PERFECT).phi
     assert found == pytest.approx(on_time, rel=1e-3, abs=1e-5)
 
 
 def test_what_is_likely_lies_within_what_is_planned_with_at_two_deviations_of_three(plan: Plan) -> None:
-    arm, load_ = SensedArm(plan, 4, joints=False), drawn(plan, 4)
-    found = identify(plan, [arm.log(load_)], arm.log(None)).ranges
+    arm, load_ = SensedArm(plan, 4, UNBIASED, joints=False), drawn(plan, 4)
+    found = identify(plan, [arm.log(load_)], arm.log(None), PERFECT).ranges
     for r in found.values():
         assert r.low <= r.likely[0] < r.likely[1] <= r.high
     mass = found["mass"]
@@ -119,7 +124,9 @@ def test_ranges_cover_the_truth(plan: Plan, wrist: bool, times: float) -> None:
     inside, half = [], []
     for k in range(12):
         arm, load_ = SensedArm(plan, k, Sensors(times=times), wrist=wrist, joints=not wrist), drawn(plan, k)
-        found = identify(plan, [arm.log(load_)], arm.log(None)).ranges
+        found = identify(
+            plan, [arm.log(load_)], arm.log(None), replace(GOOD, force_bias=0.04, moment_bias=0.0016)
+        ).ranges
         inside += [found[n].low <= x <= found[n].high for n, x in zip(NAMES, load_[:4], strict=True)]
         half.append(found["mass"].half)
     assert np.mean(inside) >= 0.95
@@ -158,15 +165,15 @@ def test_runs_of_two_plans_are_of_one_load(plan: Plan) -> None:
     )
     slower = replace(slower, scenario=plan.scenario.with_changes(motion__duration=1.3 * plan.duration))
     for seed, each in enumerate((plan, slower)):
-        arm = SensedArm(each, 6 + seed, joints=False)
+        arm = SensedArm(each, 6 + seed, UNBIASED, joints=False)
         runs.append(Run(each, arm.log(load_), arm.log(None)))
-    alone = [identify_runs(plan.scenario, [run]) for run in runs]
-    both = identify_runs(plan.scenario, runs)
+    alone = [identify_runs(plan.scenario, [run], bounds=PERFECT) for run in runs]
+    both = identify_runs(plan.scenario, runs, bounds=PERFECT)
     given = np.diag(1 / prior(plan.scenario)[1] ** 2)
     told = [np.linalg.inv(found.covariance) - given for found in (*alone, both)]
     assert told[2] == pytest.approx(told[0] + told[1], rel=1e-6, abs=1e-3 * np.abs(told[2]).max())
     known = alone[0].learnt_scenario()
-    within = identify_runs(plan.scenario, runs, known).ranges
+    within = identify_runs(plan.scenario, runs, known, PERFECT).ranges
     for name, x in zip(NAMES, load_[:4], strict=True):
         assert alone[0].ranges[name].low - 1e-12 <= within[name].low <= x <= within[name].high
         assert within[name].high <= alone[0].ranges[name].high + 1e-12

@@ -33,7 +33,7 @@ def test_means_over_blocks_vary_as_those_of_fine_samples(length: float) -> None:
     fine = np.exp(-apart / COLOUR), np.exp(-0.5 * (apart / COLOUR) ** 2)
     times = Times.of(t, 5)
     for smooth, (k, integral) in enumerate(zip(fine, (2.0, np.sqrt(2 * np.pi)), strict=True)):
-        made = times.covariance(Noise(0.0, 1.0, 0.0, 0.0, smooth))
+        made = times.covariance(Noise(0.0, 1.0, 0.0, smooth))
         assert made[:4, :4] == pytest.approx(k.reshape(4, 100, 4, 100).mean(axis=(1, 3)), abs=2e-4)
         assert made[30].sum() * length == pytest.approx(integral * COLOUR, rel=0.01)
 
@@ -43,12 +43,12 @@ def test_means_over_blocks_vary_as_those_of_fine_samples(length: float) -> None:
 def test_noise_is_found_as_large_as_it_is(size: float, smooth: bool) -> None:
     """Drawn from its covariance, with a load in it: white noise within a step of what is tried, coloured not below."""
     t, rng = np.arange(0.0, 1.0, 0.005), np.random.default_rng(8)
-    true = Noise(size * 0.05, size * 0.03, 0.01, 0.01, smooth)
+    true = Noise(size * 0.05, size * 0.03, 0.01, smooth)
     effects = np.column_stack([np.sin(3 * t), t**2])
     times, step = Times.of(t, 5), SHARES[1] / SHARES[0]
     root = np.linalg.cholesky(times.covariance(true))
     drawn_ = [root @ rng.standard_normal(200) + effects @ rng.standard_normal(2) for _ in range(20)]
-    found = [times.found(Noise(0.05, 0.03, 0.01, 0.01), values, 3 * effects, 1) for values in drawn_]
+    found = [times.found(Noise(0.05, 0.03, 0.01), values, 3 * effects, 1) for values in drawn_]
     assert 1 / step < np.median([n.white for n in found]) / true.white < step
     assert 0.9 < np.median([n.coloured for n in found]) / true.coloured < step
     assert not smooth or np.mean([n.smooth for n in found]) > 0.7

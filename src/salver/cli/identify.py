@@ -12,7 +12,7 @@ from salver.cli.common import Json, headed, print_json, result_console, say
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
-    from salver.learning import Ellipsoid, Identified
+    from salver.learning import Identified, SensorBounds
 
 
 def identify(
@@ -23,6 +23,10 @@ def identify(
     empty: Annotated[Path, typer.Option(help="A log of the same motion with the empty tray.")],
     stem: Annotated[str, typer.Option(help="Which plan of the directory.")] = "plan",
     topic: Annotated[str | None, typer.Option(help="Topic of the joints (JointState), when a bag has several.")] = None,
+    bound: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="How wrong a sensor may be beside its noise, as scale=0.01."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Write the scenario with the new ranges to this .toml file.")
     ] = None,
@@ -36,7 +40,8 @@ def identify(
     JointState that has efforts, a WrenchStamped of the flange, or both. Ranges of the scenario are narrowed, never
     widened. The centre of mass is found relative to the sensor: where the object stands on the tray
     (uncertainty.position) stays as uncertain as it was. Ranges of inertia are written where the scenario has them;
-    friction keeps its range. What is known much better together than one by one is written as an ellipsoid.
+    friction keeps its range. A sensor's bias, scale, cross-talk, place and delay do not average out over logs: the
+    ranges allow for them up to bounds, which `--bound` states, and logs that show more are refused.
 
     Example: `salver identify loaded.csv --plan runs/panda-tall-bottle --empty empty.csv -o learnt.toml`
 
@@ -52,7 +57,7 @@ def identify(
 
     if out is not None and (out.suffix != ".toml" or out.exists()):
         raise ScenarioError(f"--out = {out} must be a .toml file that does not exist yet.")
-    carried = load_plan(plan, stem)
+    bounds, carried = _bounds(bound or []), load_plan(plan, stem)
     if carried.joint is None:
         raise ScenarioError(
             f"{plan}: this plan has no arm that moves; a load is identified by the arm that carries it."
@@ -60,7 +65,7 @@ def identify(
     assert carried.scenario.arm is not None
     names = load_arm(carried.scenario.arm, carried.scenario.tray).joint_names
     read = [read_log(path, len(names), names, topic) for path in (*logs, empty)]
-    found = learn(carried, read[:-1], read[-1])
+    found = learn(carried, read[:-1], read[-1], bounds)
     if out is not None:
         write_atomic(out, tomli_w.dumps(found.learnt_scenario().model_dump(mode="json", exclude_none=True)))
     if json:
@@ -81,17 +86,30 @@ def summary(found: Identified) -> dict[str, object]:
         "sensors": list(found.sensors),
         "residual": found.residual,
         "not_identified": found.told,
-        "ellipsoid": None if found.ellipsoid is None else _ellipsoid(found.ellipsoid),
+        "shares_of_mass": found.shares,
     }
 
 
-def _ellipsoid(of: Ellipsoid) -> dict[str, object]:
-    values = {"centre": of.centre.tolist(), "half": of.half.tolist(), "correlation": of.correlation.tolist()}
-    return {"parameters": list(of.names), **values}
+def _bounds(given: list[str]) -> SensorBounds:
+    """Of NAME=VALUE each."""
+    from dataclasses import fields
+
+    from salver.learning import SensorBounds
+
+    names, values = [field.name for field in fields(SensorBounds)], dict[str, float]()
+    for text in given:
+        name, _, value = text.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            raise ScenarioError(f"--bound {text} must be NAME=VALUE with a number, such as scale=0.01.") from None
+        if name not in names:
+            raise ScenarioError(f"--bound {text}: {name} is no bound of a sensor; there are {', '.join(names)}.")
+        values[name] = number
+    return SensorBounds(**values)
 
 
 def _show(found: Identified) -> None:
-    import numpy as np
     from rich.table import Table
 
     console = result_console()
@@ -105,10 +123,11 @@ def _show(found: Identified) -> None:
         table.add_row(f"{name}, {unit}", likely, f"{scale * r.low:.2f}", f"{scale * r.high:.2f}", before)
     console.print(f"From {', '.join(found.sensors)} (centre of mass from the nominal one; plan with low to high):")
     console.print(table)
-    if found.ellipsoid is not None:
-        box = np.prod([2 * found.ranges[name].half for name in found.ellipsoid.names])
-        share = 100 * found.ellipsoid.volume / box
-        console.print(f"Together they lie in an ellipsoid of {share:.2g} % of the volume of these ranges.")
+    largest = sorted(found.shares.items(), key=lambda share: -share[1])[:4]
+    parts = ", ".join(f"{1e3 * x:.1f} g {name}" for name, x in largest)
+    console.print(
+        f"The mass's +-{1e3 * found.ranges['mass'].half:.1f} g are mostly {parts} (bounds: --bound NAME=VALUE)."
+    )
     for sentence in found.told:
         console.print(headed("not identified", sentence))
     if found.residual > 1.5:

@@ -2,6 +2,7 @@
 
 from salver.learning.identify import Identified, identify
 from salver.learning.logs import Log, read_log
-from salver.learning.ranges import Ellipsoid, Range
+from salver.learning.ranges import Range
+from salver.learning.systematic import SensorBounds
 
-__all__ = ["Ellipsoid", "Identified", "Log", "Range", "identify", "read_log"]
+__all__ = ["Identified", "Log", "Range", "SensorBounds", "identify", "read_log"]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -12,22 +11,28 @@ from salver.errors import FileFormatError
 from salver.geometry import Array
 from salver.learning import noise
 from salver.learning.logs import Log
+from salver.learning.systematic import Felt, SensorBounds, SystematicError, torque_errors, wrist_errors
 
 RUNS = 2  # of which a difference is
+BEYOND = 10.0  # times its bound, up to which a systematic error is not taken for noise
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Of a log at N instants: what an arm without load would read, and what a load adds per unit of phi."""
+    """Of a log at N instants: tau and wrench beyond what an arm with an empty tray would read, which is model and tray;
+    and what a load adds per unit of phi. links (k, N, n): what joint torques need for each link."""
 
     t: Array
     samples: int
+    q: Array
     dq: Array
     tau: Array | None
     wrench: Array | None
     model: Array
+    tray: Array
     to_tau: Array | None
     to_wrench: Array
+    links: Array | None
 
     @cached_property
     def times(self) -> noise.Times:
@@ -36,107 +41,153 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """One sensor at N instants: values (N,) beyond what the prior's load makes, rows (N, 10) per unit of phi.
+    """A sensor of m channels at N instants: values (N, m) that the load makes, rows (N, m, 10) per unit of phi.
 
-    told: its noise, as far as known beforehand. nuisance (N, m): other effects, per standard deviation.
+    names, told (m): of each channel, and its noise as far as known beforehand. nuisance (m): (N, .) other effects, per
+    standard deviation. links: as in `State`, of joint torques.
     """
 
-    name: str
+    names: tuple[str, ...]
     values: Array
     rows: Array
-    told: noise.Noise
-    nuisance: Array
+    told: tuple[noise.Noise, ...]
+    nuisance: tuple[Array, ...]
+    state: State
+    links: Array | None = None
+
+    def channels(self, bounds: SensorBounds, at: Load, spread: Array) -> tuple[list[SystematicError], list[Channel]]:
+        """Linearised about a load and a delay: systematic errors, and channels whose values are what is left."""
+        state = self.state
+        own = "joint torques" if self.links is not None else "wrist"
+        delay = at.delays.get(own, 0.0)
+        rows = _later(state.t, self.rows, delay)
+        felt = Felt(state.t, state.q, rows @ at.phi, np.stack([rows @ slid for slid in at.slid]))
+        made = wrist_errors(bounds, felt) if self.links is None else torque_errors(bounds, felt, self.links)
+        errors = list(made)
+        effects = np.stack([error.effect for error in errors], axis=2)
+        left = self.values - rows @ at.known
+        late = next(k for k, error in enumerate(errors) if error.kind == "delay")
+        left = left + effects[:, :, late] * delay / bounds.delay  # which the rows have already
+        found = []
+        for j, name in enumerate(self.names):
+            own_effects = effects[:, j]
+            here = own_effects[:, np.any(own_effects, axis=0)]
+            parts = np.hstack([3 * spread * rows[:, j], self.nuisance[j], BEYOND * here])
+            size = state.times.found(self.told[j], left[:, j], parts, RUNS)
+            found.append(
+                Channel.of(
+                    name, left[:, j], np.hstack([rows[:, j], own_effects]), self.nuisance[j], state, self.told[j], size
+                )
+            )
+        return errors, found
+
+
+@dataclass(frozen=True, eq=False)
+class Load:
+    """About which readings are linearised: known and phi (10,) before and by now, slid (2, 10): by how much phi changes
+    per m along x and y. delays: s of each sensor."""
+
+    known: Array
+    phi: Array
+    slid: Array
+    delays: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """A reading with the lower root (N, N) of its errors' covariance. residual: by how much it is noisier than told."""
+    """values (N,) and rows (N, 10 + K), per unit of phi and of systematic errors per bound, whitened. residual: by how
+    much it is noisier than told."""
 
     name: str
     values: Array
     rows: Array
-    root: Array
     residual: float
 
     @classmethod
-    def of(cls, reading: Reading, state: State, found: noise.Noise) -> Channel:
-        """With that noise, or more where more is left of the values than it explains. One that is noisier than was told
-        is taken to drift as much more."""
-        larger = max(1.0, found.share(reading.told, 1))
-        found = replace(found, bias=larger * found.bias, drift=larger * found.drift)
-        covariance = RUNS * state.times.covariance(found) + reading.nuisance @ reading.nuisance.T
-        made = cls(reading.name, reading.values, reading.rows, np.asarray(np.linalg.cholesky(covariance)), 1.0)
-        white, left = made.white
-        left = left - white @ np.linalg.lstsq(white, left, rcond=1e-8)[0]
-        size = max(1.0, float(np.sqrt(np.sum(left**2) / max(1, len(left) - 10))))
-        return replace(made, root=size * made.root, residual=size * found.share(reading.told, state.samples))
-
-    @cached_property
-    def white(self) -> tuple[Array, Array]:
-        """Whitened rows (N, 10) and values (N,)."""
-        return self._whitened(self.root, slice(None))
-
-    def half(self, second: bool) -> tuple[Array, Array]:
-        """Whitened rows and values of half of the instants, as if there were no others."""
-        middle = len(self.values) // 2
-        if not second:
-            return self._whitened(self.root[:middle, :middle], slice(middle))
-        below = self.root[middle:]
-        return self._whitened(np.asarray(np.linalg.cholesky(below @ below.T)), slice(middle, None))
-
-    def _whitened(self, root: Array, part: slice) -> tuple[Array, Array]:
+    def of(
+        cls,
+        name: str,
+        values: Array,
+        rows: Array,
+        nuisance: Array,
+        state: State,
+        told: noise.Noise,
+        found: noise.Noise,
+    ) -> Channel:
+        """With the noise that was found, or more where more is left of the values than it explains."""
         from scipy.linalg import solve_triangular
 
-        both = np.column_stack([self.values[part], self.rows[part]])
-        both = solve_triangular(root, both, lower=True, check_finite=False)
-        return both[:, 1:], both[:, 0]
+        root = np.linalg.cholesky(RUNS * state.times.covariance(found) + nuisance @ nuisance.T)
+        both = solve_triangular(root, np.column_stack([values, rows]), lower=True, check_finite=False)
+        left, white = both[:, 0], both[:, 1:]
+        solution, _, rank, _ = np.linalg.lstsq(white, left, rcond=1e-8)
+        rest = left - white @ solution
+        size = max(1.0, float(np.sqrt(np.sum(rest**2) / max(1, len(left) - rank))))
+        return cls(name, left / size, white / size, size * found.share(told, state.samples))
 
 
-def differences(state: State, without: State, log: Log, empty: Log, prior: tuple[Array, Array]) -> list[Channel]:
+def differences(state: State, without: State, log: Log, empty: Log) -> list[Reading]:
     """What every sensor says more than along the empty run."""
     found: list[Reading] = []
-    (phi_0, spread), nothing = prior, np.zeros((len(state.t), 0))
 
     def at(values: Array) -> Array:
         """(N, m) of the empty run at the loaded run's instants."""
         return np.stack([np.interp(state.t, without.t, column) for column in values.T], axis=1)
 
-    def add(name: str, values: Array, rows: Array, told: noise.Noise, nuisance: Array) -> None:
-        found.append(Reading(name, values - rows @ phi_0, rows, told, nuisance))
-
     if state.tau is not None and state.to_tau is not None and without.tau is not None:
-        difference, before = state.tau - at(without.tau), at(without.dq)
+        before, n = at(without.dq), state.tau.shape[1]
         coulomb, viscous = noise.FRICTION
-        for j in range(difference.shape[1]):
-            here, there = state.dq[:, j], before[:, j]
+        nuisance = []
+        unlike = state.model - at(without.model)
+        for here, there, own in zip(state.dq.T, before.T, unlike.T, strict=True):
             changed = [coulomb * np.tanh(here / noise.STILL[1]), viscous * here]
             other = [np.tanh(here / still) - np.tanh(there / still) for still in noise.STILL]
-            nuisance = np.column_stack([*changed, *(noise.ALL_FRICTION * x for x in (*other, here - there))])
-            add("joint torques", difference[:, j], state.to_tau[:, j], noise.TORQUE, nuisance)
+            friction = np.column_stack([*changed, *(noise.ALL_FRICTION * x for x in (*other, here - there))])
+            nuisance.append(np.hstack([friction, _unlike(state.t, own)]))
+        names = ("joint torques",) * n
+        found.append(
+            Reading(
+                names,
+                state.tau - at(without.tau),
+                state.to_tau,
+                (noise.TORQUE,) * n,
+                tuple(nuisance),
+                state,
+                state.links,
+            )
+        )
     if state.wrench is not None and without.wrench is not None:
-        difference = state.wrench - at(without.wrench)
-        for j in range(6):
-            told, name = (noise.FORCE, "wrist forces") if j < 3 else (noise.MOMENT, "wrist torques")
-            add(name, difference[:, j], state.to_wrench[:, j], told, nothing)
+        names = ("wrist forces",) * 3 + ("wrist torques",) * 3
+        kinds = (noise.FORCE,) * 3 + (noise.MOMENT,) * 3
+        nuisance = [_unlike(state.t, column) for column in (state.tray - at(without.tray)).T]
+        found.append(
+            Reading(
+                names,
+                state.wrench - at(without.wrench),
+                state.to_wrench,
+                kinds,
+                tuple(nuisance),
+                state,
+            )
+        )
     if not found:
         raise FileFormatError(
             f"{log.source} and {empty.source} share no sensor; both must hold tau, or both wrench_F (fx to tz)."
         )
-    return _weighed(found, state, spread)
+    return found
 
 
-def _weighed(readings: Sequence[Reading], state: State, spread: Array) -> list[Channel]:
-    """The noise of each is looked for in what the load, as the others show it if they err as told, does not explain."""
-    shown = []
-    for reading in readings:
-        white, left = Channel.of(reading, state, reading.told).white
-        shown.append(white.T @ np.column_stack([white, left]))
-    channels = []
-    for reading, own in zip(readings, shown, strict=True):
-        others = np.sum(shown, axis=0) - own
-        covariance = np.linalg.inv(np.diag(1 / (3 * spread) ** 2) + others[:, :10])
-        root = np.linalg.cholesky(0.5 * (covariance + covariance.T))
-        left = reading.values - reading.rows @ (covariance @ others[:, 10])
-        effects = np.hstack([reading.rows @ root, reading.nuisance])
-        channels.append(Channel.of(reading, state, state.times.found(reading.told, left, effects, RUNS)))
-    return channels
+def _unlike(t: Array, own: Array) -> Array:
+    """(N, 3) by how much what arm and tray themselves need otherwise than in the empty run (N,) may be wrong: in size
+    and in time, as deviations from the plan are smoothed."""
+    share, time = noise.SMOOTHED
+    rate = np.gradient(own, t)
+    return np.column_stack([share * own, time * rate, time**2 * np.gradient(rate, t)])
+
+
+def _later(t: Array, rows: Array, delay: float) -> Array:
+    """Rows (N, ...) at times that are earlier by a delay."""
+    if not delay:
+        return rows
+    flat = rows.reshape(len(t), -1)
+    return np.stack([np.interp(t - delay, t, column) for column in flat.T], axis=1).reshape(rows.shape)

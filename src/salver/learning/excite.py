@@ -16,8 +16,11 @@ from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, hat
 from salver.learning import noise
 from salver.learning.channels import RUNS
+from salver.learning.identify import identify
 from salver.learning.narrowing import prior
-from salver.learning.ranges import WIDTH
+from salver.learning.ranges import NAMES
+from salver.learning.sensors import SensedArm, Sensors, nominal_load
+from salver.learning.systematic import SensorBounds
 from salver.models.interfaces import to_tray
 from salver.models.tray_motion import frame_map, wrench_map
 from salver.planning.fastest import (
@@ -33,7 +36,7 @@ from salver.planning.fastest import (
     transport_problem,
 )
 from salver.planning.fastest.constraints import Contact
-from salver.planning.fastest.curves import Curve, FreeCurve, Grid
+from salver.planning.fastest.curves import Curve
 from salver.planning.fastest.planned import solver_record
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.starts import ends
@@ -44,7 +47,7 @@ from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 METHOD = "excite"
 SHORTEST, LONGEST = 0.3, 30.0  # s
 DEGREE = 5  # of the joints' splines
-FINE = 6  # nodes in each piece, for what is told
+RATE = 1000.0  # samples a second of the sensor, for what is told
 STARTS = 3  # small random motions from which is begun, one after the other until one leads to a safe motion
 SMALL = 0.02  # rad, of these
 SWINGS = 6  # half waves of these, at most
@@ -75,7 +78,8 @@ class Information(Objective):
         maps[:, 3:] += np.einsum("ij,kjw->kiw", hat(arm.p_FE), maps[:, :3])
         kinds = [noise.FORCE] * 3 + [noise.MOMENT] * 3
         density = np.array([RUNS * (n.white**2 * 1e-3 + 2 * noise.COLOUR * n.coloured**2) for n in kinds])
-        bias = np.array([np.sqrt(RUNS * (n.bias**2 + n.drift**2)) for n in kinds])
+        bounds = SensorBounds()
+        bias = np.hypot([bounds.force_bias] * 3 + [bounds.moment_bias] * 3, [np.sqrt(RUNS) * n.drift for n in kinds])
         spread = prior(problem.scenario)[1]
         return cls(problem, np.swapaxes(maps, 0, 1), density, bias, np.diag(1 / spread**2))
 
@@ -97,13 +101,6 @@ class Information(Objective):
 
     def scale(self, at: Point, value: float) -> float:
         return 1.0  # of a logarithm
-
-    def deviations(self, motion: FastestMotion) -> Array:
-        """(4,) standard deviations that a log of a motion should leave: of the mass, kg, and the centre of mass, m."""
-        curve = FreeCurve(self.problem, Grid.of(motion.spline, motion.spline.nodes(FINE)))
-        covariance = np.linalg.inv(self._seen(curve, Point(motion.coefficients, motion.duration))[0])
-        mass = self.problem.payload.first.inertial.mass
-        return np.asarray(np.sqrt(np.diag(covariance)[:SOUGHT]) / np.array([1.0, mass, mass, mass]))
 
     def _seen(self, curve: Curve, at: Point) -> tuple[Array, Array, MotionTerms]:
         """Information (10, 10), what is read over the noise, without a bias (P, 6, 10), and the terms."""
@@ -145,28 +142,32 @@ def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions 
     failed: list[Status] = []
     for seed in range(STARTS):
         found = nearby(_wiggle(problem, spline, duration, options.seed + seed), objective, duration, options)
-        plan = _planned(there, found, objective)
+        plan = _planned(there, found)
         if plan.status.ok and not plan.verification.ok:  # as `plan_problem` does: quick turns leave what rows allow for
             exactly = tuple(Contact(rows, there.contact.margin, exactly=True) for rows in problem.contacts)
             harder = replace(found, problem=replace(problem, extra=(*problem.extra, *exactly)))
-            plan = _planned(there, nearby(harder, objective, duration, options), objective)
+            plan = _planned(there, nearby(harder, objective, duration, options))
         if plan.ok:
             return plan
         failed.append(plan.status if not plan.status.ok else Status("unsafe", plan.verification.sentence, False))
     raise UnreachableError(f"{scenario.name}: {failed[0].sentence}")
 
 
-def _planned(scenario: Scenario, found: FastestMotion, objective: Information) -> Plan:
-    status = found.status
-    if status.ok:
-        mass, *com = 1e3 * WIDTH * objective.deviations(found)
-        sentence = (
-            f"In {found.duration:.4g} s from the start pose and back a wrist sensor should tell the mass to "
-            f"+-{mass:.2g} g and the centre of mass to +-{', '.join(f'{x:.2g}' for x in com)} mm."
-        )
-        status = Status("optimal", sentence, True)
+def _planned(scenario: Scenario, found: FastestMotion) -> Plan:
+    """The plan, which says what ranges `salver.learning.identify` finds from a log of it with the nominal load, as a
+    usual wrist sensor would make it."""
     record = solver_record(found, True)
-    return joint_plan(scenario, found.problem, found.joint_motion(), status, record, method=METHOD)
+    plan = joint_plan(scenario, found.problem, found.joint_motion(), found.status, record, method=METHOD)
+    if not plan.status.ok:
+        return plan
+    arm = SensedArm(plan, 0, Sensors(rate=RATE), joints=False)
+    ranges = identify(plan, [arm.log(nominal_load(plan))], arm.log(None)).ranges
+    mass, *com = (1e3 * ranges[name].half for name in NAMES)
+    sentence = (
+        f"In {found.duration:.4g} s from the start pose and back a wrist sensor should tell the mass to "
+        f"+-{mass:.2g} g and the centre of mass to +-{', '.join(f'{x:.2g}' for x in com)} mm."
+    )
+    return replace(plan, status=Status("optimal", sentence, True))
 
 
 def _wiggle(problem: TransportProblem, spline: RestSpline, duration: float, seed: int) -> FastestMotion:

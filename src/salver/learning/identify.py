@@ -3,15 +3,16 @@
 The load's wrench is linear in its inertial parameters phi (`salver.models.rigid_body`), so what sensors read with the
 load, less what they read along the same motion with the empty tray, is
 
-    torques:  J_E^T Y phi + Z n + noise        wrist:  Y phi + noise,
+    torques:  J_E^T Y phi + Z n + E e + noise        wrist:  Y phi + E e + noise,
 
-with Z n what joint friction is in one run and not in the other: it changes in between, and acts at each run's own
-velocity. The arm's own model errs the same in both runs, and cancels; of each run its inverse dynamics at its own state
-is taken off first. Noise is coloured (`salver.learning.noise`), as large as the log shows it: generalised least
-squares. The middle of the scenario's ranges is the prior, with their half-ranges as standard deviations; of inertia
-it is whatever the shape allows, unless the scenario has ranges of it. Ranges are `WIDTH` standard deviations
-(`salver.learning.ranges`), and the scenario's own where those are narrower. Those of `LIKELY` are told beside them.
-The estimate is the nearest that a mass inside the shape can have.
+with E e what is wrong in all logs alike (`salver.learning.systematic`), Z n what joint friction is in one run and not
+in the other: it changes in between, and acts at each run's own velocity. The arm's own model errs the same in both
+runs, and cancels; of each run its inverse dynamics at its own state is taken off first. Noise is coloured
+(`salver.learning.noise`), as large as the log shows it: generalised least squares. The middle of the scenario's ranges
+is the prior, with their half-ranges as standard deviations; of inertia it is whatever the shape allows, unless the
+scenario has ranges of it. Ranges are `WIDTH` standard deviations and the extremes of e (`salver.learning.estimate`,
+`salver.learning.ranges`), and the scenario's own where those are narrower. Those of `LIKELY` are told beside them. The
+estimate is the nearest that a mass inside the shape can have.
 """
 
 from __future__ import annotations
@@ -27,11 +28,13 @@ import numpy as np
 
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array, hat
-from salver.learning.channels import Channel, State, differences
+from salver.learning.channels import Reading, State, differences
+from salver.learning.estimate import solve
 from salver.learning.executed import lateness
 from salver.learning.logs import Log
-from salver.learning.narrowing import correlated, half_ranges, narrowed, not_shown, prior
-from salver.learning.ranges import NAMES, Ellipsoid, Range
+from salver.learning.narrowing import half_ranges, narrowed, not_shown, prior
+from salver.learning.ranges import NAMES, Range
+from salver.learning.systematic import SensorBounds
 from salver.models.interfaces import to_tray
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
 from salver.models.physical import nearest, realisable
@@ -58,7 +61,6 @@ OTHER_UNIT = 20.0  # times what the heaviest load needs, that a wrist cannot fee
 ARM = 0.05  # m from which a force makes a moment
 FOREIGN = 0.3  # of the largest torque of a joint: by how much a model of the arm may err,
 FRICTION_SHARE = 0.1  # and of its limit, by friction
-SLIPPED = 3.5  # standard deviations by which the centres of mass of a run's halves differ when the load slid
 STRANGE = 6.0  # times the noise that was told, in the residual: not one rigid load on this arm
 IMPOSSIBLE = 6.5  # standard deviations of ten parameters from anything that a mass inside the shape can have
 
@@ -66,10 +68,10 @@ IMPOSSIBLE = 6.5  # standard deviations of ten parameters from anything that a m
 @dataclass(frozen=True)
 class Identified:
     """ranges: of mass (kg), centre of mass (m from the nominal one, in B) and inertia about it (kg m^2, axes of B). phi
-    (10,), covariance (10, 10): in B; phi is of a mass inside the shape.
+    (10,), covariance (10, 10): in B; phi is of a mass inside the shape, the covariance of noise alone.
 
-    ellipsoid: of what the scenario has ranges of, when it is much smaller than these; None otherwise.
-    residual: by how much the worst channel is noisier than was told. sensors: what was used.
+    residual: by how much the worst channel is noisier than was told. sensors: what was used. shares: kg of the mass's
+    half-range for which noise and each kind of systematic error account.
     """
 
     scenario: Scenario
@@ -78,25 +80,19 @@ class Identified:
     covariance: Array
     residual: float
     sensors: tuple[str, ...]
-    ellipsoid: Ellipsoid | None = None
+    shares: dict[str, float]
     told: list[str] = field(default_factory=list)
 
-    def learnt_scenario(self, correlated: bool = True) -> Scenario:
-        """The scenario with the new ranges, or the ellipsoid if there is one and correlations are to be kept. B moves
-        with the nominal centre of mass, and so do start and goal."""
+    def learnt_scenario(self) -> Scenario:
+        """The scenario with the new ranges, as a box. B moves with the nominal centre of mass, and so do start and
+        goal."""
         item, motion = self.scenario.objects[0], self.scenario.motion
-        keep = self.ellipsoid if correlated else None
         middle = {name: r.middle for name, r in self.ranges.items()}
         half = {name: r.half for name, r in self.ranges.items()}
-        shape: dict[str, object] = {"uncertainty__set": "box", "uncertainty__correlation": {}}
-        if keep is not None:
-            middle |= zip(keep.names, keep.centre.tolist(), strict=True)
-            half |= zip(keep.names, keep.half.tolist(), strict=True)
-            pairs = combinations(range(len(keep.names)), 2)
-            said = {f"{keep.names[i]},{keep.names[j]}": float(keep.correlation[i, j]) for i, j in pairs}
-            shape = {"uncertainty__set": "ellipsoid", "uncertainty__correlation": said}
         shift = np.array([middle[name] for name in NAMES[1:]])
         changes: dict[str, object] = {
+            "uncertainty__set": "box",
+            "uncertainty__correlation": {},
             "objects__0__mass": middle["mass"],
             "objects__0__com": (np.array(item.com) + shift).tolist(),
             "objects__0__uncertainty__mass": half["mass"],
@@ -116,7 +112,7 @@ class Identified:
         for end in ("start", "goal"):
             pose = getattr(motion, end)
             changes[f"motion__{end}__position"] = (np.array(pose.position) + pose.rotation @ shift).tolist()
-        return self.scenario.with_changes(**changes, **shape)
+        return self.scenario.with_changes(**changes)
 
 
 @dataclass(frozen=True)
@@ -128,16 +124,19 @@ class Run:
     empty: Log
 
 
-def identify(plan: Plan, loaded: Sequence[Log], empty: Log) -> Identified:
-    """What logs of a plan's motion tell of its load. empty: the same motion with nothing on the tray.
+def identify(plan: Plan, loaded: Sequence[Log], empty: Log, bounds: SensorBounds | None = None) -> Identified:
+    """What logs of a plan's motion tell of its load. empty: the same motion with nothing on the tray. bounds: of the
+    sensors' systematic errors.
 
-    Raises ScenarioError for a scenario that this cannot be asked of, FileFormatError for logs that do not belong to it,
-    SalverError when the logs contradict the scenario's ranges.
+    Raises ScenarioError for a scenario that this cannot be asked of, FileFormatError for logs that do not belong to it
+    or show a systematic error beyond its bound, SalverError when the logs contradict the scenario's ranges.
     """
-    return identify_runs(plan.scenario, [Run(plan, log, empty) for log in loaded])
+    return identify_runs(plan.scenario, [Run(plan, log, empty) for log in loaded], bounds=bounds)
 
 
-def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | None = None) -> Identified:
+def identify_runs(
+    scenario: Scenario, runs: Sequence[Run], within: Scenario | None = None, bounds: SensorBounds | None = None
+) -> Identified:
     """What runs of any plans tell of a scenario's load, which stood at the same place in all of them.
 
     within: a scenario of the same load whose ranges are known to hold it too (the scenario's own unless given): what is
@@ -145,44 +144,43 @@ def identify_runs(scenario: Scenario, runs: Sequence[Run], within: Scenario | No
     """
     _one_rigid_load(scenario, runs)
     _each_its_own(runs)
-    phi_0, spread = prior(scenario)
-    information, pull = np.diag(1 / spread**2), np.zeros(10)
-    used, shift = list[Channel](), np.zeros(3)
+    sources, bounds = ", ".join(run.loaded.source for run in runs), bounds or SensorBounds()
+    readings = _felt(scenario, runs, prior(scenario))
     # n runs of one motion less the same empty run know n / (1 + n) of what one run without noise in that would.
     with_this = Counter(id(run.empty) for run in runs)
-    for run, (channels, moved) in zip(runs, _felt(scenario, runs, (phi_0, spread)), strict=True):
-        shift = np.maximum(shift, moved)
-        weight = 2 / (1 + with_this[id(run.empty)])
-        for channel in channels:
-            rows, left = channel.white
-            information += weight * rows.T @ rows
-            pull += weight * rows.T @ left
-        used += channels
-    worst = max(used, key=lambda channel: channel.residual)
-    if worst.residual > STRANGE:
+    weights = [2 / (1 + with_this[id(run.empty)]) for run in runs]
+    found = solve(readings, weights, prior(scenario), bounds)
+    if found.residual > STRANGE:
         raise FileFormatError(
-            f"{', '.join(run.loaded.source for run in runs)}: {worst.name} differ from those of one rigid load by "
-            f"{worst.residual:.0f} times the noise: something slid or was put on late, the sensor was tared with the "
-            "load, the log's clock jitters, or the arm or the empty tray is another."
+            f"{sources}: {found.noisiest} differ from those of one rigid load by {found.residual:.0f} times the noise: "
+            "something slid or was put on late, the sensor was tared with the load, the log's clock jitters, or the "
+            "arm or the empty tray is another."
         )
-    covariance = np.asarray(np.linalg.inv(information), dtype=float)
-    phi = phi_0 + covariance @ pull
-    body = scenario.payload.first
+    if found.denied is not None:
+        raise FileFormatError(f"{sources}: {found.denied}")
+    estimate, body = found.estimate, scenario.payload.first
     inside = bool(
         realisable(body, inertial_vector(body.inertial))[0]
     )  # a scenario may say more than its shape can have
-    possible, off = nearest(body, phi, covariance, within_shape=inside)
-    if off > IMPOSSIBLE and phi[0] > 0:  # a mass below 0 is told as such
+    possible, off = nearest(body, estimate.phi, estimate.together, within_shape=inside)
+    if off > IMPOSSIBLE and estimate.phi[0] > 0:  # a mass below 0 is told as such
         raise SalverError(
-            f"{', '.join(run.loaded.source for run in runs)}: what was felt is {off:.1f} standard deviations from any "
-            f"distribution of mass inside {body.name}; at most {IMPOSSIBLE:g} is accepted: its shape or "
-            "its place, the empty tray or the sensor's axes are others."
+            f"{sources}: what was felt is {off:.1f} standard deviations from any distribution of mass inside "
+            f"{body.name}; at most {IMPOSSIBLE:g} is accepted: its shape or its place, the empty tray or the sensor's "
+            "axes are others."
         )
-    sensors = {channel.name for channel in used}
-    ranges = narrowed(scenario, phi, covariance, shift, scenario if within is None else within, inside)
-    narrow = correlated(scenario, phi, covariance, shift, ranges)
-    told = not_shown(ranges, sensors)
-    return Identified(scenario, ranges, possible, covariance, worst.residual, tuple(sorted(sensors)), narrow, told)
+    ranges = narrowed(scenario, estimate, scenario if within is None else within, inside)
+    told = not_shown(ranges, found.sensors)
+    return Identified(
+        scenario,
+        ranges,
+        possible,
+        estimate.covariance,
+        found.residual,
+        tuple(sorted(found.sensors)),
+        found.shares,
+        told,
+    )
 
 
 def _one_rigid_load(scenario: Scenario, runs: Sequence[Run]) -> None:
@@ -201,10 +199,8 @@ def _one_rigid_load(scenario: Scenario, runs: Sequence[Run]) -> None:
         )
 
 
-def _felt(
-    scenario: Scenario, runs: Sequence[Run], known: tuple[Array, Array]
-) -> Iterator[tuple[Sequence[Channel], Array]]:
-    """Of each run: by which channels the load was felt, and by how much (3,), m, its centre of mass surely moved.
+def _felt(scenario: Scenario, runs: Sequence[Run], known: tuple[Array, Array]) -> list[list[Reading]]:
+    """Of each run: what sensors felt of the load.
 
     known: what the scenario says of phi, and its spread. Raises FileFormatError for logs that belong to no such run.
     """
@@ -212,7 +208,7 @@ def _felt(
 
     assert scenario.arm is not None
     arm = load_arm(scenario.arm, scenario.tray)
-    seen: dict[int, tuple[Log, State]] = {}
+    seen, readings = dict[int, tuple[Log, State]](), []
     for run in runs:
         plan = replace(run.plan, scenario=scenario)
         if id(run.empty) not in seen:
@@ -224,9 +220,8 @@ def _felt(
         state = _state(plan, arm, log)
         _same_motion(plan, log, empty)
         _in_units(log, state, float(known[0][0] + known[1][0]) + scenario.tray.mass, known[0])
-        channels = differences(state, without, log, empty, known)
-        moved, error = _moved(channels, log, known)
-        yield channels, np.maximum(np.abs(moved) - error, 0.0)
+        readings.append(differences(state, without, log, empty))
+    return readings
 
 
 def _each_its_own(runs: Sequence[Run]) -> None:
@@ -294,11 +289,25 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
     at_E, torque = np.einsum("kij,tj->tik", maps, terms.w), whole(terms.torque)
     at_F = whole(at_E)
     at_F[:, 3:] += hat(arm.p_FE) @ at_F[:, :3]
-    tau, to_tau = None, None
+    tau, to_tau, links = None, None, None
     if log.tau is not None:
+        links = np.stack([whole(each) for each in _each_link(arm, fine(q), fine(dq), fine(ddq), terms.torque)])
         tau, to_tau = mean(log.tau) - torque, whole(np.einsum("tij,tik->tjk", terms.jacobian, at_E))
-    wrench = None if log.wrench_F is None else mean(log.wrench_F) - _tray_wrench(plan, arm, whole(terms.w))
-    return State(mean(log.t), every, mean(dq), tau, wrench, torque, to_tau, at_F)
+    tray = _tray_wrench(plan, arm, whole(terms.w))
+    wrench = None if log.wrench_F is None else mean(log.wrench_F) - tray
+    return State(mean(log.t), every, mean(q), mean(dq), tau, wrench, torque, tray, to_tau, at_F, links)
+
+
+def _each_link(arm: ArmModel, q: Array, dq: Array, ddq: Array, torque: Array) -> Iterator[Array]:
+    """(T, n) N m that joints need for each link but the last, which carries the tray."""
+    from salver.sensitivity.arm.terms import motion_terms
+
+    for k in range(1, arm.pin_model.njoints - 1):
+        model = arm.pin_model.copy()
+        link = model.inertias[k]
+        link.mass, link.inertia = 2 * link.mass, 2 * link.inertia
+        model.inertias[k] = link
+        yield motion_terms(model, arm.tray_id, q, dq, ddq).torque - torque
 
 
 def _in_units(log: Log, state: State, heaviest: float, phi_0: Array) -> None:
@@ -372,35 +381,3 @@ def _same_motion(plan: Plan, log: Log, empty: Log) -> None:
             f"{empty.source} is of another motion than {log.source}: they are up to {apart:.3g} rad apart; at most "
             f"{SAME:g} is accepted."
         )
-
-
-def _moved(channels: Sequence[Channel], log: Log, prior: tuple[Array, Array]) -> tuple[Array, Array]:
-    """By how much the centre of mass moved between the halves of a run, with standard deviations (3,), m.
-
-    Raises FileFormatError when it surely did: something slid.
-    """
-    phi_0, spread = prior
-    found = []
-    for second in (False, True):
-        information, pull = np.diag(1 / (3 * spread) ** 2), np.zeros(10)
-        for channel in channels:
-            rows, left = channel.half(second)
-            information += rows.T @ rows
-            pull += rows.T @ left
-        covariance = np.linalg.inv(information)
-        phi = phi_0 + covariance @ pull
-        com = phi[1:4] / phi[0]
-        by_phi = np.column_stack([-com, np.eye(3)]) / phi[0]
-        found.append((com, np.diag(by_phi @ covariance[:4, :4] @ by_phi.T)))
-    moved, error = found[1][0] - found[0][0], np.sqrt(found[0][1] + found[1][1])
-    # Along an axis that half a run does not show better than was known before, nothing can be told.
-    told = SLIPPED * error < spread[1:4] / phi_0[0]
-    moved, error = np.where(told, moved, 0.0), np.where(told, error, 1.0)
-    worst = int(np.argmax(np.abs(moved) / error))
-    if np.abs(moved[worst]) > SLIPPED * error[worst]:
-        raise FileFormatError(
-            f"{log.source}: the centre of mass moved by {1e3 * moved[worst]:.1f} mm along {'xyz'[worst]} between the "
-            f"halves of the run, where {1e3 * SLIPPED * error[worst]:.1f} mm may be noise: something slid, or the "
-            "sensor is not at the flange in its axes."
-        )
-    return moved, error

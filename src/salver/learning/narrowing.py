@@ -8,27 +8,15 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.geometry import Array, Mask
-from salver.learning.ranges import (
-    LIKELY,
-    NAMES,
-    WIDTH,
-    Ellipsoid,
-    Range,
-    consistent,
-    ellipsoid,
-    intervals,
-    slid,
-)
+from salver.learning.ranges import LIKELY, NAMES, WIDTH, Estimate, Range, consistent, intervals, slid
 from salver.models.contents import inertia_ranges
 from salver.models.parameters import INERTIAL, inertial_vector, phi_of
-from salver.models.physical import realisable
 
 if TYPE_CHECKING:
     from salver.scenario import Scenario
 
 Ends = tuple[Array, Array]  # (10,) least and largest values of `INERTIAL`
 DENIED = 4.5  # standard deviations from an inertia of which the scenario knows no range
-SMALLER = 0.6  # of the volume of the box: an ellipsoid that is not smaller is no gain
 
 
 def prior(scenario: Scenario) -> tuple[Array, Array]:
@@ -51,18 +39,15 @@ def half_ranges(scenario: Scenario) -> Array:
     return np.array([ranges.get(name, 0.0) for name in INERTIAL])
 
 
-def narrowed(
-    scenario: Scenario, phi: Array, covariance: Array, shift: Array, within: Scenario, inside: bool
-) -> dict[str, Range]:
+def narrowed(scenario: Scenario, estimate: Estimate, within: Scenario, inside: bool) -> dict[str, Range]:
     """Ranges of mass, centre of mass and inertia in the scenario's B, within those of a scenario of the same load.
-    shift: (3,) m that the centre of mass may have moved. inside: whether a mass inside the shape can have the inertia
-    that the scenario says."""
+    inside: whether a mass inside the shape can have the inertia that the scenario says."""
     body, half = within.payload.first, half_ranges(within)
     nominal = inertial_vector(body.inertial)
     nominal[1:4] += body.com_G - scenario.payload.first.com_G
-    off = slid(phi, covariance, shift)
+    off = slid(estimate)
     sure, likely, denied = (
-        (low - off, high + off) for low, high in (intervals(phi, covariance, w) for w in (WIDTH, LIKELY, DENIED))
+        (low - off, high + off) for low, high in (intervals(estimate, width) for width in (WIDTH, LIKELY, DENIED))
     )
     before = nominal - half, nominal + half
     found = {name: _within(k, sure, before, likely) for k, name in enumerate(NAMES)}
@@ -111,28 +96,6 @@ def _not_denied(mass: Range, nominal: Array, ranged: Mask, denied: Ends) -> None
                 f"The logs put {INERTIAL[k]} between {low:.4g} and {high:.4g} kg m^2, the scenario at {nominal[k]:.4g} "
                 f'for {nominal[0]:.4g} kg, with no range: give uncertainty.inertia a range, or contents = "any".'
             )
-
-
-def correlated(
-    scenario: Scenario, phi: Array, covariance: Array, shift: Array, ranges: dict[str, Range]
-) -> Ellipsoid | None:
-    """Of what the scenario has ranges of, if nothing else acts on the load, and it is much smaller than the box."""
-    payload, before = scenario.payload, half_ranges(scenario)
-    acting = [p for p in payload.uncertain.parameters if p.loads]
-    if not acting or payload.first.any_contents or any(p.entry is None for p in acting):
-        return None
-    names = tuple(name for name in INERTIAL if name in {p.quantity for p in acting})
-    found = ellipsoid(phi, covariance, names, slid(phi, covariance, shift))
-    if found is None:
-        return None
-    keep = [INERTIAL.index(name) for name in names]
-    centre = inertial_vector(payload.first.inertial)
-    beyond = np.abs(found.centre - centre[keep]) + found.half > before[keep]
-    centre[keep] = found.centre
-    if beyond.any() or (set(names) - set(NAMES) and not realisable(payload.first, centre)[0]):
-        return None  # no range is widened
-    box = np.prod([2 * ranges[name].half for name in names])
-    return found if found.volume < SMALLER * box else None
 
 
 def not_shown(ranges: dict[str, Range], sensors: set[str]) -> list[str]:

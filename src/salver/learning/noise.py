@@ -2,13 +2,13 @@
 
 Errors of a channel at times d apart have the covariance
 
-    K(d) = white^2 [d = 0] + coloured^2 k(d) + bias^2 + drift^2 exp(-|d| / 2 s),
+    K(d) = white^2 [d = 0] + coloured^2 k(d) + drift^2 exp(-|d| / 2 s),
 
 with k(d) between exp(-|d| / 30 ms) and the smooth exp(-d^2 / (2 30^2 ms^2)). What is read are means over a block of
 samples, and a long motion's blocks are longer than coloured noise remembers: of k it is the mean over both blocks.
 Ordinary least squares takes all errors for white; its ranges then cover the truth in a few runs of a hundred. How
 large white and coloured noise are, and which k, a log tells itself, by the marginal likelihood (Patterson and Thompson
-1971); of a bias and a drift one run says nothing.
+1971); of a drift one run says nothing. A bias is no noise (`salver.learning.systematic`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,6 @@ class Noise:
 
     white: float
     coloured: float
-    bias: float
     drift: float
     smooth: float = 0.0
 
@@ -66,18 +65,17 @@ class Times:
         """(N, N) of its errors."""
         sharp, smooth = (kind[0] for kind in self.kinds)
         out = noise.coloured**2 * ((1 - noise.smooth) * sharp + noise.smooth * smooth)
-        out += noise.drift**2 * self.slow[0] + noise.bias**2
+        out += noise.drift**2 * self.slow[0]
         out[np.diag_indices(len(out))] += noise.white**2 / self.samples
         return np.asarray(out)
 
     def found(self, told: Noise, values: Array, effects: Array, runs: int) -> Noise:
         """The noise of a channel with values (N,), the sum of so many runs': its variances, as the mean over all that
-        are likely. Bias and drift as told.
+        are likely. The drift as told.
 
         effects (N, m): per standard deviation of everything else that may be in the values.
         """
-        ones = np.ones((len(values), 1))
-        parts = np.hstack([effects, np.sqrt(runs) * told.bias * ones, np.sqrt(runs) * told.drift * self.slow[1]])
+        parts = np.hstack([effects, np.sqrt(runs) * told.drift * self.slow[1]])
         m = parts.shape[1]
         white, slower = (x.ravel() ** 2 for x in np.meshgrid(SHARES * told.white, SHARES * told.coloured))
         row, column = np.tril_indices(m + 1)
@@ -118,9 +116,10 @@ def _smooth(d: Array) -> Array:
 
 # Of one run; a difference of two has twice the covariance. Joint torques of a Panda are good to some 0.1 N m
 # (franka_ros, issue 404); a wrist sensor with a noise of 0.05 N and 2 mN m, tared with the empty tray before each run.
-TORQUE = Noise(0.057, 0.057, 0.15, 0.03)
-FORCE = Noise(0.035, 0.035, 0.015, 0.015)
-MOMENT = Noise(0.0014, 0.0014, 0.0006, 0.0006)
+TORQUE = Noise(0.057, 0.057, 0.03)
+FORCE = Noise(0.035, 0.035, 0.015)
+MOMENT = Noise(0.0014, 0.0014, 0.0006)
 FRICTION = (0.06, 0.06)  # N m and N m s: by how much Coulomb and viscous friction of a joint change between two runs
 ALL_FRICTION = 0.5  # N m and N m s: what they are; it cancels, but where two runs have not the same velocity
 STILL = (0.01, 0.03, 0.1)  # rad/s around standstill over which Coulomb friction changes its sign
+SMOOTHED = (0.3, 0.016)  # share and s by which smoothing at 10 Hz makes torques of a deviation wrong

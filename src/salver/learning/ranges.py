@@ -1,4 +1,4 @@
-"""From an estimate of a load's inertial parameters to ranges of what scenarios speak of, and to an ellipsoid of them.
+"""From an estimate of a load's inertial parameters to ranges of what scenarios speak of.
 
 Mass, centre of mass c = h / m and inertia about it, I - m (|c|^2 1 - c c^T), are no linear functions of phi. What an
 estimate with a covariance says of each within so many standard deviations is worked out without linearising: of the
@@ -14,10 +14,8 @@ inertias bound each other.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import gamma
 
 import numpy as np
-from scipy.stats import chi2, norm
 
 from salver.geometry import Array
 from salver.models.contents import PAIRS
@@ -55,21 +53,19 @@ class Range:
 
 
 @dataclass(frozen=True, eq=False)
-class Ellipsoid:
-    """names: d parameters. centre, half (d,): in the unit of each. correlation (d, d). Centre + half A s, |s| <= 1 and
-    A A^T the correlation, holds the true values as often as the box of `WIDTH` standard deviations of each is sure to.
-    """
+class Estimate:
+    """phi (10,) of a load, in B. covariance (10, 10): of noise. systematic (10, K): by how much each systematic error,
+    as large as its bound, would move it. shift (3,): m by which the centre of mass may have moved during a run."""
 
-    names: tuple[str, ...]
-    centre: Array
-    half: Array
-    correlation: Array
+    phi: Array
+    covariance: Array
+    systematic: Array
+    shift: Array
 
     @property
-    def volume(self) -> float:
-        """In the product of all units."""
-        ball = np.pi ** (len(self.half) / 2) / gamma(len(self.half) / 2 + 1)
-        return float(ball * np.prod(self.half) * np.sqrt(np.linalg.det(self.correlation)))
+    def together(self) -> Array:
+        """(10, 10) covariance with that of systematic errors as large as their bounds."""
+        return np.asarray(self.covariance + self.systematic @ self.systematic.T)
 
 
 def fieller(m: float, h: float, covariance: Array, width: float = WIDTH) -> tuple[float, float]:
@@ -83,35 +79,32 @@ def fieller(m: float, h: float, covariance: Array, width: float = WIDTH) -> tupl
     return float((b - np.sqrt(inner)) / a), float((b + np.sqrt(inner)) / a)
 
 
-def interval(phi: Array, covariance: Array, k: int, width: float = WIDTH) -> tuple[float, float]:
-    """The mass (k = 0), or one coordinate of the centre of mass (1 to 3), within so many standard deviations."""
-    if k == 0:
-        radius = width * float(np.sqrt(covariance[0, 0]))
-        return float(phi[0]) - radius, float(phi[0]) + radius
-    return fieller(phi[0], phi[k], covariance[np.ix_([0, k], [0, k])], width)
+def mass_interval(estimate: Estimate, width: float = WIDTH) -> tuple[float, float]:
+    """The mass within so many standard deviations, and any systematic errors."""
+    radius = width * np.sqrt(estimate.covariance[0, 0]) + np.abs(estimate.systematic[0]).sum()
+    return float(estimate.phi[0] - radius), float(estimate.phi[0] + radius)
 
 
-def inertia_intervals(phi: Array, covariance: Array, width: float = WIDTH) -> tuple[Array, Array]:
-    """(6,) least and largest entries of the inertia about the centre of mass within so many standard deviations."""
-    value, by_phi, moment = _about_com(phi)
-    lightest = interval(phi, covariance, 0, width)[0]
+def intervals(estimate: Estimate, width: float = WIDTH) -> tuple[Array, Array]:
+    """(10,) least and largest values of `INERTIAL`, each within so many standard deviations, and any systematic
+    errors: extremes of these are added."""
+    phi, covariance, systematic = estimate.phi, estimate.covariance, estimate.systematic
+    lightest, heaviest = mass_interval(estimate, width)
     if lightest <= 0:
-        return np.full(6, -np.inf), np.full(6, np.inf)
-    linear = width * np.sqrt(_variances(by_phi, covariance))
-    less, more = _curved(width * np.sqrt(_variances(moment, covariance)), lightest)
-    return value - linear - less, value + linear + more
+        return np.append(lightest, np.full(9, -np.inf)), np.append(heaviest, np.full(9, np.inf))
+    inertia, by_phi, moment = _about_com(phi)
+    off = np.abs(moment @ systematic).sum(axis=1)  # of u
+    com = np.array([fieller(phi[0], phi[k], covariance[np.ix_([0, k], [0, k])], width) for k in (1, 2, 3)])
+    linear = width * np.sqrt(_variances(by_phi, covariance)) + np.abs(by_phi @ systematic).sum(axis=1)
+    less, more = _curved(width * np.sqrt(_variances(moment, covariance)) + off, lightest)
+    low = np.concatenate([[lightest], com[:, 0] - off / lightest, inertia - linear - less])
+    high = np.concatenate([[heaviest], com[:, 1] + off / lightest, inertia + linear + more])
+    return low, high
 
 
-def intervals(phi: Array, covariance: Array, width: float = WIDTH) -> tuple[Array, Array]:
-    """(10,) least and largest values of `INERTIAL`, each within so many standard deviations."""
-    each = np.array([interval(phi, covariance, k, width) for k in range(4)])
-    low, high = inertia_intervals(phi, covariance, width)
-    return np.append(each[:, 0], low), np.append(each[:, 1], high)
-
-
-def slid(phi: Array, covariance: Array, shift: Array) -> Array:
-    """(10,) by how much values of `INERTIAL` may be off in an estimate of a load that slid by up to shift (3,) m."""
-    com, heaviest = np.abs(phi[1:4] / phi[0]), interval(phi, covariance, 0)[1]
+def slid(estimate: Estimate) -> Array:
+    """(10,) by how much values of `INERTIAL` may be off in an estimate of a load that slid by up to its shift."""
+    com, heaviest, shift = np.abs(estimate.phi[1:4] / estimate.phi[0]), mass_interval(estimate)[1], estimate.shift
     each = np.outer(com, shift) + np.outer(shift, com) + np.outer(shift, shift)
     entries = [np.trace(each) - each[i, i] if i == j else each[i, j] for i, j in PAIRS]
     return np.concatenate([[0.0], shift, heaviest * np.array(entries)])
@@ -133,38 +126,6 @@ def consistent(low: Array, high: Array, most: Array) -> tuple[Array, Array]:
             bound = np.sqrt(max(upper[i] * upper[j], 0.0))
             low[k], high[k] = max(low[k], -bound), min(high[k], bound)
     return low, high
-
-
-def ellipsoid(phi: Array, covariance: Array, names: tuple[str, ...], off: Array | None = None) -> Ellipsoid | None:
-    """Of some of `INERTIAL`, around those of phi, which may be off by as much (10,) besides; None when the mass is not
-    known to be above 0.
-
-    What is not linear in phi makes it larger: a quadratic form over the mass, of which each axis is at most its norm.
-    """
-    keep = [INERTIAL.index(name) for name in names]
-    d = len(keep)
-    radius = float(np.sqrt(chi2.isf(min(0.5, d * 2 * norm.sf(WIDTH)), d)))
-    m, com = phi[0], phi[1:4] / phi[0]
-    lightest = interval(phi, covariance, 0, radius)[0]
-    if lightest <= 0:
-        return None
-    inertia, by_phi, moment = _about_com(phi)
-    jacobian = np.vstack([np.eye(10)[:1], moment / m, by_phi])[keep]
-    shape = jacobian @ covariance @ jacobian.T
-    # c - c_0 - u / m_0 = -u (m - m_0) / (m m_0), and what u u^T / m takes off the inertia
-    root = np.linalg.cholesky(covariance)
-    u, heavier = moment @ root, root[:1] / m
-    products = np.einsum("ia,jb->ijab", u, u)
-    bent = [np.zeros((10, 10)), *(-np.einsum("a,b->ab", x, heavier[0]) for x in u)]
-    bent += [np.einsum("iiab->ab", products) - products[i, i] if i == j else -products[i, j] for i, j in PAIRS]
-    each = np.linalg.solve(np.linalg.cholesky(shape), np.array(bent)[keep].reshape(d, -1)).reshape(d, 10, 10)
-    sizes = np.abs(np.linalg.eigvalsh(0.5 * (each + np.swapaxes(each, 1, 2)))).max(axis=1)
-    radius += radius**2 / lightest * float(np.linalg.norm(sizes))
-    if off is not None:
-        radius += float(off[keep] @ np.sqrt(np.diag(np.linalg.inv(shape))))
-    deviation = np.sqrt(np.diag(shape))
-    centre = np.concatenate([[m], com, inertia])[keep]
-    return Ellipsoid(names, centre, radius * deviation, shape / np.outer(deviation, deviation))
 
 
 def _about_com(phi: Array) -> tuple[Array, Array, Array]:

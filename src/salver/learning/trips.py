@@ -29,7 +29,8 @@ from salver.geometry import Array
 from salver.learning.excite import plan_excite
 from salver.learning.friction import UNNOTICED, Friction, friction
 from salver.learning.identify import Identified, Run, identify_runs
-from salver.learning.sensors import Done, SensedArm, Sensors
+from salver.learning.sensors import Defects, Done, SensedArm, Sensors
+from salver.learning.systematic import SensorBounds
 from salver.learning.tilts import LEVELLED, short_tilt
 from salver.models.arm import load_arm
 from salver.models.parameters import INERTIAL, inertial_vector
@@ -136,7 +137,7 @@ def trips(
         raise ScenarioError(f"{scenario.name}: learning needs an arm, and one object on its tray.")
     hidden, plan = _Hidden(scenario, true_load(scenario, seed), seed, sensor), None
     for number in range(1, count + 1):
-        made = first if first is not None and number == 1 else hidden.fastest()
+        made = first if first is not None and number == 1 else plan_fastest(hidden.known, options=EFFORT)
         better = made.ok and (plan is None or made.duration < plan.duration)
         if plan is None and not made.ok:
             raise ScenarioError(f"{scenario.name}: no safe motion for its ranges to begin with. {made.status.sentence}")
@@ -197,6 +198,7 @@ class _Hidden:
             Sensors(rate=RATE),
             wrist=self.sensor == "wrist",
             joints=self.sensor == "torques",
+            defects=Defects.usual(SensorBounds(), self.seed),
         )
         load, named = np.array(_in_frame(self.base, self.true)), self.named(plan)
         run = Run(
@@ -206,16 +208,8 @@ class _Hidden:
         )
         found = identify_runs(self.base, [*self.runs, run], self.known)
         self.runs.append(run)
-        self.learnt, self.known = found, _with_friction(found.learnt_scenario(correlated=False), self.known)
+        self.learnt, self.known = found, _with_friction(found.learnt_scenario(), self.known)
         return found
-
-    def fastest(self) -> Plan:
-        """The fastest plan for what is known: for the ranges or, where that is quicker, for the ellipsoid."""
-        plan = plan_fastest(self.known, options=EFFORT)
-        if self.learnt is None or self.learnt.ellipsoid is None:
-            return plan
-        narrow = plan_fastest(_with_friction(self.learnt.learnt_scenario(), self.known), options=EFFORT)
-        return narrow if narrow.ok and not (plan.ok and plan.duration <= narrow.duration) else plan
 
     def tell(self) -> Telling | None:
         """Make the motion that tells a wrist sensor most, and joint torques much; None when there is none."""
