@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy import signal
 
+import salver as sv
 from salver import scenario as scenarios
 from salver.auditing import audit
 from salver.auditing.defects import channels_of, repaired
+from salver.models.arm import load_arm
 from salver.motion_files.samples import TraySamples
+from salver.planning.fastest import plan_fastest
 
 CUBE = scenarios.load("panda-cube")
 RATE = 500.0
@@ -149,3 +152,16 @@ def test_a_small_shake_of_a_coarse_encoder_is_not_taken_for_jolts():
     channels = found(p, noise=0.0)
     assert channels.step == pytest.approx(5e-4, rel=0.01)
     assert judged(p, noise=0.0).outcome == "cannot_tell"
+
+
+@pytest.mark.parametrize(
+    ("name", "rest"), [("ur3-cup", 0.3), ("ur5-bottle", 0.3), ("ur5-bottle", 2.0), ("ur3-cup", 0.0)]
+)
+def test_a_motion_that_was_computed_was_not_filtered(name, rest):
+    """It is smooth, and where it rests nothing moves at all."""
+    plan = plan_fastest(scenarios.load(name))
+    t = np.arange(-rest, plan.duration + rest, 2e-3)
+    q = plan.joint.sample(np.clip(t, 0.0, plan.duration))[0]
+    names = load_arm(plan.scenario.arm, plan.scenario.tray).joint_names
+    found = sv.audit({"t": t, **{f"q_{joint}": x for joint, x in zip(names, q.T, strict=True)}}, plan.scenario)
+    assert "filtered" not in found.nominal.details.get("reasons", ())

@@ -25,7 +25,7 @@ FASTEST = 10.0  # m/s
 REACH = 0.5  # m: a joint that turns moves the tray as something so far away
 BAND = 0.25  # of the sampling rate: what is faster than this is taken for noise while the clock is looked at
 _FLAT = 0.4  # spectral flatness, above which residuals are noise: 0.56 of white noise, less of anything regular
-QUIET = 0.1  # of the motion along its longest axis: noise is looked at on an axis that has less
+INDEPENDENT = 16  # values of noise, with fewer of which it is not told from a motion
 HELD = 0.5  # share of samples that are repeated, above which they are held all along
 MANY = 3  # spikes or jumps, of which more are a habit of the recorder
 _FEW = 16  # samples, below which nothing is looked for
@@ -343,8 +343,9 @@ def _without_empty_band(channels: Channels) -> Channels:
 def _shown(channels: Channels) -> float:
     """Hz, above which a filter has taken away everything, noise too; infinite where the samples do not show one.
 
-    Noise of a sensor is white. Along the axis on which the samples move least it stands alone: where it is as strong
-    over an octave and then vanishes, a filter has done that. A motion has no such end: it fades steadily.
+    Noise of a sensor is white. Where a motion has faded and what is left is as strong over an octave and then vanishes,
+    that was noise, and a filter has ended it: a motion alone fades steadily. Noise is there at all times, also while
+    the arm rests.
     """
     t, n = channels.t, len(channels.t)
     rate, duration = 1 / float(np.median(np.diff(t))), float(t[-1] - t[0])
@@ -358,15 +359,28 @@ def _shown(channels: Channels) -> float:
         y = y[:, np.ptp(y, axis=0) > 0]
         if y.shape[1] < 2:
             continue
-        size, axes = np.linalg.eigh(np.cov(y.T))
-        if size[0] > QUIET**2 * size[-1]:
-            continue
-        own = y @ axes[:, :1]
-        curves = [fit(t, own, np.full(n, 2.0**edge)).spline(t)[:, 0] for edge in edges]
-        width = 2.0 ** edges[1:] - 2.0 ** edges[:-1]
-        power = np.array([_usual(b - a) for a, b in pairwise(curves)]) / width
-        found = min(found, _end(power, 2.0 ** edges[1:], resolution(channels.y[:, group]) ** 2, rate))
+        axes = np.linalg.eigh(np.cov(y.T))[1]
+        for axis in (axes.T[0], axes.T[-1]):
+            own = (y @ axis)[:, None]
+            curves = [fit(t, own, np.full(n, 2.0**edge)).spline(t)[:, 0] for edge in edges]
+            width = 2.0 ** edges[1:] - 2.0 ** edges[:-1]
+            power = np.array([_usual(b - a) for a, b in pairwise(curves)]) / width
+            end, faded = _end(power, 2.0 ** edges[1:], resolution(channels.y[:, group]) ** 2, rate)
+            if np.isinf(end) or not (faded or 2 * end * duration > INDEPENDENT):
+                continue
+            noise = float(power[2.0 ** edges[1:] <= end].min() * end)
+            if _lasting(t, own[:, 0], noise):
+                found = min(found, end)
     return found
+
+
+def _lasting(t: Array, own: Array, power: float) -> bool:
+    """Whether samples move by more than a tenth of noise of a power at all times. What was computed stands still where
+    the arm rests."""
+    for now, part in zip(np.array_split(t, 8), np.array_split(own, 8), strict=True):
+        if np.var(part - np.polyval(np.polyfit(now - now[0], part, 1), now - now[0])) < 0.01 * power:
+            return False
+    return True
 
 
 def _usual(band: Array) -> float:
@@ -374,16 +388,18 @@ def _usual(band: Array) -> float:
     return float(np.median([np.mean(part**2) for part in np.array_split(band, 8)]))
 
 
-def _end(power: Array, frequency: Array, step: float, rate: float) -> float:
-    """Hz at which noise ends, of a density of power (K,) up to frequency (K,); step: square of the resolution."""
-    least = step / (6 * rate) + 1e-30
+def _end(power: Array, frequency: Array, step: float, rate: float) -> tuple[float, bool]:
+    """Hz at which noise ends, and whether a motion has faded before it began, of a density of power (K,) up to
+    frequency (K,); step: square of the resolution."""
+    least = step / (6 * rate) + 1e-19  # of a nanometre at 10 Hz
     if power[-1] > 5 * least and power[-1] > 0.4 * power[-5]:  # white to the end
-        return np.inf
+        return np.inf, False
     for k in range(len(power) - 3):
         flat = min(power[k + 1], power[k + 2]) > power[k] / 8
         level = float(np.max(power[k : k + 3]))
         gone = np.flatnonzero(power[k + 3 :] < level / 30)
         steady = flat and level > 30 * least and level * frequency[k] > 0.25 * step
         if steady and len(gone) and np.all(power[k + 3 + gone[0] :] < level / 10):
-            return float(frequency[np.flatnonzero(power > level / 4)[-1]])
-    return np.inf
+            faded = k > 0 and bool(power[:k].max() > 30 * level)
+            return float(frequency[np.flatnonzero(power > level / 4)[-1]]), faded
+    return np.inf, False
