@@ -76,6 +76,15 @@ def test_the_jitter_of_samples_is_told_from_errors_that_grow_with_the_speed():
     assert judged(truth(taken), noise=1e-6).outcome != "does_not_hold"
 
 
+def test_a_clock_that_is_set_is_set_back():
+    stamps = T + 0.02 * (T > 0.9)
+    even = found(truth(T), stamps)
+    assert [defect.clause for defect in even.defects] == ["the clock was set by 20 ms at 0.922 s, and is set back"]
+    assert np.abs(even.t - T).max() < 1e-9
+    there = (T < 0.9) | (T > 0.92)  # and a true gap stays one
+    assert codes(found(truth(T[there]), T[there])) == []
+
+
 @pytest.mark.parametrize("each", [2, 5])
 def test_held_samples_are_taken_once(each):
     p = np.repeat(seen(truth(T[::each])).p, each, axis=0)[: len(T)]

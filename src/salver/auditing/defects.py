@@ -83,6 +83,7 @@ def repaired(channels: Channels) -> Channels:
         _in_metres,
         _without_repeats,
         _with_steps,
+        _with_clock_set_back,
         _with_even_clock,
         _without_breaks,
         _with_jitter,
@@ -152,16 +153,43 @@ def _without_repeats(channels: Channels) -> Channels:
 # The clock ----------------------------------------------------------------------------------------------------
 
 
-def off_cubic(t: Array, y: Array) -> Array:
-    """(N - 4, m) by which samples are off the cubic through the two neighbours on each side."""
+def off_cubic(t: Array, y: Array, normal: bool = False) -> Array:
+    """(N - 4, m) by which samples are off the cubic through the two neighbours on each side; `normal`: over what noise
+    makes of that, which is more where the neighbours are uneven."""
     places = [t[k : len(t) - 4 + k] - t[2:-2] for k in (0, 1, 3, 4)]
     values = [y[k : len(t) - 4 + k] for k in (0, 1, 3, 4)]
-    cubic = np.zeros_like(y[2:-2])
+    cubic, gain = np.zeros_like(y[2:-2]), np.ones((len(t) - 4, 1))
     for i, own in enumerate(places):
         others = [x for j, x in enumerate(places) if j != i]
         weight = np.prod([-x / (own - x) for x in others], axis=0)
         cubic += weight[:, None] * values[i]
-    return np.asarray(y[2:-2] - cubic)
+        gain += weight[:, None] ** 2
+    return np.asarray((y[2:-2] - cubic) / (np.sqrt(gain) if normal else 1.0))
+
+
+def _with_clock_set_back(channels: Channels) -> Channels:
+    """Gaps of the times over which the samples go on as if there were none."""
+    t, y, n = channels.t.copy(), channels.scaled, len(channels.t)
+    usual = float(np.median(np.diff(t)))
+    found = []
+    for k in np.flatnonzero(np.diff(t) > 1.5 * usual):
+        near, move = slice(max(k - 7, 0), k + 9), t[k + 1] - t[k] - usual
+        closed = t[near] - move * (np.arange(n)[near] > k)
+        left = [_off_polynomial(at, y[near]) for at in (t[near], closed)]
+        if left[1] < 0.7 * left[0] and left[0] > 2 * channels.step:
+            found.append((float(t[k + 1]), float(move)))
+            t[k + 1 :] -= move
+    if not found:
+        return channels
+    more = f" ({len(found)} times)" if len(found) > 1 else ""
+    clause = f"the clock was set by {1e3 * found[0][1]:.3g} ms at {found[0][0]:.3f} s{more}, and is set back"
+    return channels.having(Defect("clock", clause, doubtful=False), t=t)
+
+
+def _off_polynomial(t: Array, y: Array) -> float:
+    """Root mean square of what a parabola through all leaves of y (N, m): a cubic could bend inside a gap."""
+    design = np.vander((t - t[0]) / np.ptp(t), 3)
+    return float(np.sqrt(np.mean((y - design @ np.linalg.lstsq(design, y, rcond=None)[0]) ** 2)))
 
 
 def _with_even_clock(channels: Channels) -> Channels:
@@ -182,23 +210,18 @@ def _with_even_clock(channels: Channels) -> Channels:
     fast = speed >= 0.5 * np.quantile(speed, 0.95)
 
     def rough(at: Array) -> float:
-        return float(np.mean(np.linalg.norm(off_cubic(at, y), axis=1)[fast]))
+        return float(np.mean(np.linalg.norm(off_cubic(at, y, normal=True), axis=1)[fast]))
 
     least = min(rough(grid) for grid in grids)
-    if least > 1.4 * rough(t) or rough(t) < 2 * channels.step:
-        return channels  # where the samples do not say which times are right, even ones do no harm
+    if least > 0.97 * rough(t) or rough(t) < 2 * channels.step:
+        return channels
     best = min((grid for grid in grids if rough(grid) <= 1.5 * least), key=lambda grid: float(np.std(grid - t)))
     off = t - best
-    jump = int(np.argmax(np.abs(np.diff(off))))
     size = float(np.std(off - np.median(off)))
     if size < 1e-3 * usual:
         return channels
-    if np.ptp(off[: jump + 1]) + np.ptp(off[jump + 1 :]) < 0.2 * abs(np.diff(off)[jump]):
-        clause = f"the clock is set by {1e3 * np.diff(off)[jump]:.3g} ms at {t[jump + 1]:.3f} s"
-    else:
-        clause = f"time stamps jitter by {1e3 * size:.2g} ms (up to {1e3 * np.abs(off).max():.2g} ms)"
-    why = "the samples are even" if least < 0.7 * rough(t) else "the samples do not show whether they are uneven too"
-    defect = Defect("clock", f"{clause}, and {why}: they are judged at even times", doubtful=False)
+    clause = f"time stamps jitter by {1e3 * size:.2g} ms (up to {1e3 * np.abs(off).max():.2g} ms)"
+    defect = Defect("clock", f"{clause}, and the samples are even: they are judged at even times", doubtful=False)
     return channels.having(defect, t=best)
 
 

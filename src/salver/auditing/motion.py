@@ -26,6 +26,7 @@ BRIDGED_STEPS = 3.5
 FEWEST = 32  # samples, below which noise is not told from motion
 LEAST_DEGREES = 12.0  # angles beyond this, of which all are within the joints' ranges as degrees, are taken for such
 SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
+FIERCEST = 150.0  # m/s^2: the fastest delta robots
 SCATTERED = 3.0  # bandwidth over the highest frequency, beyond which a curve follows no motion
 MOSTLY = 0.25  # of the time, and of the power of accelerations
 _AS_FAST = 0.95
@@ -202,6 +203,13 @@ def _recorded(
         np.concatenate([part.louder for part in parts]),
     )
     suspect = [(defect.code, defect.clause) for defect in found.defects if defect.systematic]
+    most = int(np.argmax(np.linalg.norm(motion.a_S, axis=1)))
+    if (peak := float(np.linalg.norm(motion.a_S[most]))) > FIERCEST:
+        clause = (
+            f"at {motion.t[most]:.3f} s the samples go as at {peak:.2g} m/s^2, which no arm does: an error of theirs"
+        )
+        suspect.append(("fierce", clause))
+        doubts.append(suspect[-1])
     share = _scattered(motion, recording)
     if share > MOSTLY:
         clause = (
