@@ -126,3 +126,21 @@ def test_what_is_kept_is_told_of_each_thing_that_is_allowed(cup):
         kept = spill.kept()
         assert min(kept, key=kept.get) == least
         assert min(kept.values()) == spill.slack.min()
+
+
+@pytest.mark.parametrize(("share", "code"), [(1.05, "holds"), (0.93, "cannot_tell"), (0.96, "cannot_tell")])
+def test_a_cup_that_is_shaken_near_its_frequency_gives_no_verdict(cup, share, code):
+    """Linear waves of 10 to 14 mm of 29. Above resonance what is softer is further from it; below it runs away."""
+    omega = float(cup.payload.first.liquid.modes(cup.payload.first.liquid.fill).omega[0, 0])
+    t = np.arange(4000) / 800
+    size = 0.2 * abs(1 / share**2 - 1) * np.clip(np.minimum(t, t[-1] - t) / 1.5, 0, 1)  # of g
+    a = 9.81 * size * np.sin(share * omega * t)
+    speed = cumulative_trapezoid(a, t, initial=0.0)
+    zero, still = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
+    along_x = np.outer(a, [1.0, 0.0, 0.0])
+    samples = MotionSamples(t, zero, np.outer(speed, [1.0, 0.0, 0.0]), along_x, still, zero, zero)
+    said = audit_motion(TrayMotion(samples), cup).nominal
+    assert said.code == code, said.sentence
+    if code == "cannot_tell":
+        assert said.details["reasons"] == ["resonance"]
+        assert "swirl" in said.sentence

@@ -6,7 +6,7 @@ two it cannot be told, and the verdict says what would tell.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 from salver.auditing.doubts import CANNOT_TELL, Borne, Doubt, cannot_tell
 from salver.auditing.motion import HIGHEST, TrayMotion, tray_motion
 from salver.auditing.slip import NOTICED, Slip, slide
-from salver.auditing.waves import unseen
+from salver.auditing.waves import NARROW, RISE, RUNAWAY, softened, unseen
 from salver.contact_margins import MarginModel, Margins, SafeSpeeds, margin_model, safe_speeds
 from salver.display import Shown
 from salver.errors import Status
@@ -26,6 +26,7 @@ from salver.geometry import Array, Indices, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.scenario import Scenario
+from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.spills import Liquids, Spill
 from salver.tables import Table, Tabular
 from salver.trajectory import MotionSamples
@@ -167,12 +168,16 @@ class Audit(Shown, Tabular):
         return [("begun", "the motion begins moving, and how the liquid moves then is not known")]
 
     def _unsure(self, worst: bool) -> list[Doubt]:
-        """Liquids of which a recording does not tell whether they spill."""
-        if self._liquids is None or self.motion.recording is None:
+        """Liquids of which it cannot be told whether they spill."""
+        if self._liquids is None:
             return []
         doubts = []
         for name, parts in (self._liquids.worst if worst else self._liquids.nominal).items():
             known = Spill.of(name, parts)
+            if known.slack.min() >= 0:
+                doubts += _unmodelled(name, parts, known)
+            if self.motion.recording is None:
+                continue
             most, pushed = unseen(name, parts, self.motion)
             told, lost = known.slack.min(), known.slack.min() - most.slack.min()
             if not (told - lost >= 0 or told + lost < 0):
@@ -321,6 +326,30 @@ class Audit(Shown, Tabular):
             },
             "provenance": provenance(self.scenario),
         }
+
+
+def _unmodelled(name: str, parts: Sequence[Slosh], known: Spill) -> list[Doubt]:
+    """Near resonance, and in narrow glasses, waves go higher than linear ones."""
+    highest, slower = float(known.crest.max()), softened(name, parts)
+    if slower.slack.min() < 0 and slower.crest.max() > RUNAWAY * highest:
+        return [
+            (
+                "resonance",
+                f"the motion is near the frequency of the waves in {name}: high ones are slower, and may reach "
+                f"{1e3 * slower.crest.max():.2g} mm where linear ones reach {1e3 * highest:.2g}; how they swirl is not "
+                "known either",
+            )
+        ]
+    half = min(float(part.waves.cases.half.min()) for part in parts)
+    if half < NARROW and known.left.min() < RISE * highest:
+        return [
+            (
+                "narrow",
+                f"waves in {name}, {2e3 * half:.2g} mm wide, may be {100 * RISE:.0f} % higher than predicted: glasses "
+                f"below {2e3 * NARROW:.0f} mm are not known better, and {1e3 * known.left.min():.2g} mm are left",
+            )
+        ]
+    return []
 
 
 def _status(status: Status) -> dict[str, Any]:

@@ -22,9 +22,16 @@ from salver.geometry import Array
 from salver.models.liquid import GRAVITY
 from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.spills import Spill
-from salver.sensitivity.waves import Waves
+from salver.sensitivity.waves import Waves, along
 
 FOLLOWED = 2.0  # times the fastest mode: a surface does not follow what shakes it faster, but for what moves a mass
+# c of a free wave: 0.07 to 0.3 in cups 0.6 to 1.5 R deep, by nonlinear potential flow (tests/potential_flow.py).
+SOFTENING = 0.3
+SOFTEST = 0.1  # beyond which no second order says anything
+RUNAWAY = 1.25  # times as high as linear waves: more than one passing push makes of it
+NARROW = 0.025  # m of radius, or of half a side, below which waves were seen up to `RISE` higher than predicted
+RISE = 0.2
+_ROUNDS = 4
 _FREQUENCIES = 24
 
 
@@ -46,6 +53,30 @@ def unseen(name: str, parts: Sequence[Slosh], motion: TrayMotion) -> tuple[Spill
         stiff = which.mass[:, None] * which.omega[:, None] ** 2
         pushed = max(pushed, float((stiff * away / load).sum(axis=2).max()))
     return Spill.of(name, found), pushed
+
+
+def softened(name: str, parts: Sequence[Slosh]) -> Spill:
+    """What a liquid comes to whose waves are slower the higher they are: near resonance they run away.
+
+    A wave of amplitude a has the frequency f (1 - c (a / R)^2); each round takes the highest crest so far for a, and
+    passes the half of that on its way.
+    """
+    found = []
+    for part in parts:
+        highest = part
+        for _ in range(_ROUNDS):
+            which, waves = highest.waves.cases, part.waves
+            softer = SOFTENING * (highest.crest.max(axis=1) / which.half.min(axis=1)) ** 2
+            softer = np.minimum(softer, SOFTEST)
+            each = [replace(x, softer=float(k * s)) for k in (0.5, 1) for x, s in zip(which.each, softer, strict=True)]
+            tried = Slosh.of(along(each, waves.t, waves.w[0])).crest.max(axis=1).reshape(2, -1)
+            best = [each[k * len(softer) + i] for i, k in enumerate(np.argmax(tried, axis=0))]
+            other = Slosh.of(along(best, waves.t, waves.w[0]))
+            if other.crest.max() <= highest.crest.max():
+                break
+            highest = other
+        found.append(highest)
+    return Spill.of(name, found)
 
 
 def _away(waves: Waves, motion: TrayMotion) -> tuple[Array, Array]:

@@ -19,11 +19,13 @@ VERDICT_APART = 0.02  # of frequency, between the fills at which a verdict looks
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """The liquid of one body at one fill (m) and damping (of critical)."""
+    """The liquid of one body at one fill (m) and damping (of critical). softer: share of its frequencies by which high
+    waves are slower than small ones."""
 
     body: Body
     fill: float
     damping: float
+    softer: float = 0.0
 
     @property
     def liquid(self) -> Liquid:
@@ -79,7 +81,8 @@ class Cases:
             at_mode.append(np.array([[x[0], y[1]] for x, y in maps]))
             to_E.append(to_tray(O_E, body.R_EB))
         damping = np.array([case.damping for case in each])
-        omega, half = np.stack([m.omega for m in modes]), np.stack([m.half for m in modes])
+        omega = np.stack([m.omega * (1 - case.softer) for case, m in zip(each, modes, strict=True)])
+        half = np.stack([m.half for m in modes])
         return cls(
             each,
             np.stack(at_O),
