@@ -13,6 +13,7 @@ from salver.errors import FileFormatError, SalverError
 from salver.geometry import exp, quat_wxyz_from_matrix
 from salver.models.arm import load_arm
 from salver.motion_files.readers import read
+from salver.motion_files.samples import tray_samples
 
 
 @pytest.fixture(scope="module")
@@ -349,3 +350,13 @@ def test_times_in_a_wrong_unit_are_told(tmp_path):
     found = audit(slow, scenarios.load("panda-cube"))
     assert found.outcome == "cannot_tell"
     assert "samples come every 1 s, as if the times were in ms" in found.nominal.sentence
+
+
+def test_different_samples_at_one_time_are_spread_till_the_next():
+    """A clock of 30 ms over samples of 100 Hz."""
+    t = np.arange(30) / 100
+    p = np.stack([t**2, 0 * t, 0 * t], axis=1)
+    samples = tray_samples(np.floor(t / 0.03 + 1e-9) * 0.03, p, np.tile([1.0, 0, 0, 0], (30, 1)), "E", "by hand")
+    assert np.allclose(samples.t, t, atol=1e-12)
+    assert np.array_equal(samples.p, p)
+    assert "20 samples have the time of the one before and were spread" in samples.notes[0]

@@ -358,7 +358,7 @@ def _without_empty_band(channels: Channels) -> Channels:
     cut, n = _shown(channels), len(channels.t)
     if np.isinf(cut):
         return channels
-    every = max(1, min(int((n - 1) / (channels.t[-1] - channels.t[0]) / (2.5 * cut)), n // 32))
+    every = max(1, min(int((n - 1) / (channels.t[-1] - channels.t[0]) / (2 * cut)), n // 32))
     keep = np.unique(np.append(np.arange(0, n, every), n - 1))
     return replace(channels, t=channels.t[keep], y=channels.y[keep], shown=cut)
 
