@@ -154,9 +154,10 @@ def test_shares_of_limits_by_hand():
     assert JointLimits(-free, free, *[free] * 5).shares(curves)["position"].ravel().tolist() == [0.0, 0.0]
 
 
-LIMITED = """<robot name="lever"><link name="base"/><link name="rod"/><link name="tip"/>
+MASS = '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial>'
+LIMITED = f"""<robot name="lever"><link name="base"/><link name="rod">{MASS}</link><link name="tip">{MASS}</link>
   <joint name="swing" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="1 0 0"/>
-    <limit lower="-0.5" upper="2.5" effort="{effort}" velocity="{velocity}"/></joint>
+    <limit lower="-0.5" upper="2.5" effort="{{effort}}" velocity="{{velocity}}"/></joint>
   <joint name="slide" type="prismatic"><parent link="rod"/><child link="tip"/><axis xyz="0 0 1"/>
     <limit lower="0.1" upper="0.9" effort="70" velocity="0.4"/></joint>
 </robot>"""
