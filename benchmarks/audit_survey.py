@@ -154,7 +154,7 @@ def table_of_defects(cases: list[Damaged]) -> str:
         wrong = sum(c.wrong for c in some)
         return f"| {title} | {len(some)} | {count['holds']} | {count['does_not_hold']} | {open_} | {wrong} |"
 
-    for title, kinds in (("looked at", LISTED), ("held out", HELD_OUT)):
+    for title, kinds in (("looked at", LISTED), ("others", HELD_OUT)):
         names = [kind.__name__ for kind in kinds]
         lines += [
             row(name.replace("_", " "), some) for name in names if (some := [c for c in cases if c.defect == name])
