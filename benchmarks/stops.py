@@ -219,43 +219,41 @@ def early(place: Path, scenario: Scenario, n: int) -> dict[str, Any]:
     return {**found, "early": {"runs": n, "lost": lost}}
 
 
-HEAD = """# Can it be stopped at any time?
+HEAD = """# Load-safe stops
 
-Written by `python benchmarks/stops.py --docs`; the numbers are in `docs/data/stops.json`.
+- Of {runs} runs that were stopped in the physics engine at random instants, {lost} lost the load.
+- Of {others} of these runs that were repeated with a controlled stop, which brakes the joints without regard to the
+  load, {dropped} lost it.
+- The longest of all stops takes {longest:.2f} s.
 
-{loads} loads, each on its fastest robust motion, stopped in the physics engine at random instants: of {runs} runs
-{lost} lost the load by a [load-safe stop](howto/fastest.md#stop-at-any-time), and of {others} of them that were
-made again with the cool stop, which brakes the joints and knows nothing of the load, {dropped}. Parameters
-are the corners of the uncertain set, then drawn from it. Lost means slipped over 5 mm,
-tipped, lifted off or off the tray.
+Runs: {loads} loads, each on its fastest robust motion, with [load-safe stops](howto/fastest.md#stop-at-any-time).
+Parameters are the corners of the uncertain set, then drawn from it. Lost means slipped over 5 mm, tipped, lifted
+off or off the tray. Numbers: `docs/data/stops.json`, from `python benchmarks/stops.py -n {n} --cool {cool} --docs`;
+one run: `salver simulate runs/stops/cube --run 3 --folder stops`.
 
-| load | stopped runs | lost | kept, arm beyond a limit | largest slip, mm | lost by the cool stop |
+| load | stopped runs | lost | kept, arm beyond a limit | largest slip, mm | lost by the controlled stop |
 |---|---|---|---|---|---|
 """
 MIDDLE = """
-How long it takes, over instants all along the plan. A stop is stored every 20 ms where it is sooner at rest than going
-on to the next one, and that is not at rest within .1 s; so none is later than finishing. CPU times are of one core of a
-machine that was busy with other work.
+## How long a stop takes
 
-| load | plan, s | stops (CPU) | takes, s: median, longest | of finishing | of the cool stop: median, most |
+Over instants all along the plan. A stop is stored every 20 ms if it is sooner at rest than the next one, and if the
+plan itself does not stop within 0.1 s; so none is later than finishing the plan. CPU times are of one core of a
+busy machine.
+
+| load | plan, s | stops (CPU) | takes, s: median, longest | of finishing | of the controlled stop: median, most |
 |---|---|---|---|---|---|
 """
 EARLY = """
-Stops of the first fifth of a plan were made sooner after those runs: {runs} more, stopped there, at corners, lost
-{lost}.
+Stops of the first fifth of a plan became faster after those runs: {runs} more runs, stopped there at corners,
+lost {lost}.
 """
 LATE = """
-More than {aim:g} times the cool stop's time is taken at {late} of {instants}
-instants of each plan that were looked at, all in the first {share:.0f} % of it, while the tray leans into the first
-acceleration and what it carries is at the edge of its contact. The cool stop breaks contact in the worst case at
-{slides} of these. What hinders a sooner rest is for the most part that commands are held for a period: a jerk that
-begins at once is late by what it makes of the acceleration meanwhile, and the edge does not allow for that. Stops that
-the same search finds for an arm whose commands act at once take at most, of the cool stop's time,
+Of {instants} instants of each plan, {late} have a stop that takes more than {aim:g} times the controlled stop's time,
+all in the first {share:.0f} % of the plan. There the tray leans into the first acceleration and the load is at its
+contact constraint; the controlled stop violates it at {slides} of these. The main cause is the zero-order hold of
+commands: a jerk acts one period late. Without the hold the longest stops take, of the controlled stop's time,
 {once}.
-"""
-TAIL = """
-Again: `python benchmarks/stops.py -n {n} --cool {cool} --docs`. One run of it: `salver simulate runs/stops/cube --run 3
---folder stops`.
 """
 
 
@@ -283,10 +281,12 @@ def page(results: dict[str, Any]) -> str:
             once=", ".join(f"{r['at_once']['of_cool_most']:.2f} ({name})" for name, r in results.items()),
         )
     first = next(iter(results.values()))
-    head = HEAD.format(loads=len(results), runs=runs, lost=lost, others=others, dropped=dropped)
+    longest = max(r["longest"] for r in results.values())
+    numbers = {"n": first["runs"], "cool": first["cool"]["runs"], "longest": longest}
+    head = HEAD.format(loads=len(results), runs=runs, lost=lost, others=others, dropped=dropped, **numbers)
     if missing := [name for name in scenarios() if name not in results]:
         kept += f"\nNot run to the end: {', '.join(missing)}.\n"
-    return head + kept + MIDDLE + times + sooner + TAIL.format(n=first["runs"], cool=first["cool"]["runs"])
+    return head + kept + MIDDLE + times + sooner
 
 
 def main() -> None:
