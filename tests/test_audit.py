@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from recordings import JOINTS, joint_motion, line, tray_csv, write_csv
+from recordings import GOAL, JOINTS, START, joint_motion, line, tray_csv, write_csv
 from salver import scenario as scenarios
 from salver.auditing import audit, audit_motion
 from salver.auditing.motion import TrayMotion
 from salver.auditing.verdict import AT_ONCE
 from salver.cli import app
-from salver.trajectory import MotionSamples
+from salver.geometry import exp
+from salver.trajectory import MotionSamples, min_jerk_line
 
 PEAK = 10 / np.sqrt(3) * 0.5  # of the min-jerk acceleration over 0.5 m, times T^2
 
@@ -167,8 +168,32 @@ def test_json_has_every_figure(tmp_path):
     # 5.77 * 0.5 / 0.81 m/s^2; the cube has friction 0.5, and noise adds a little to the peak.
     assert found["interfaces"][0]["friction_needed"] == pytest.approx(PEAK / 0.81 / 9.81, rel=0.03)
     assert found["motion"]["recording"]["position_noise"] == pytest.approx(1e-5, rel=0.1)
+    assert set(found["motion"]["recording"]) == {
+        "rate", "highest", "position_noise", "orientation_noise", "resolution", "bandwidth", "acceleration_error",
+        "hidden_slip", "hidden_frequency",
+    }  # fmt: skip
+    assert set(found["interfaces"][0]) == {
+        "name", "friction", "friction_needed", "friction_needed_time", "friction_needed_worst_case", "tip_over_margin",
+        "tip_over_margin_worst_case", "cone_coefficient", "cone_coefficient_worst_case",
+    }  # fmt: skip
+    assert set(found["motion"]) == {
+        "source", "duration", "instants", "peak_acceleration", "peak_tilt", "recording", "notes"
+    }  # fmt: skip
+    assert found["motion"]["peak_acceleration"] == pytest.approx(PEAK / 0.81, rel=0.03)
     assert found["holds"] is True
     assert found["pace"]["nominal"]["factor"] == pytest.approx(np.sqrt(PEAK / 0.81 / 9.81 / 0.5), rel=0.03)
+
+
+def test_the_table_has_the_motion_as_it_was_understood_and_the_margins():
+    s = min_jerk_line(1.0, START, GOAL, exp([0.0, 0.0, 0.4]), exp([0.03, -0.05, -0.2])).sample(np.linspace(0, 1, 51))
+    found = audit_motion(TrayMotion(s), case(friction_range="10%"))
+    table, (nominal, worst) = found.to_xarray(), found.reserves
+    expected = {"p_SE": s.p_SB, "v_S": s.v_S, "a_S": s.a_S, "omega_E": s.omega_B, "alpha_E": s.alpha_B}
+    expected |= {"margin": nominal, "margin_worst_case": worst}
+    assert set(table) == set(expected)
+    for name, values in expected.items():
+        assert np.array_equal(table[name], values), name
+        assert np.ptp(values) > 0.01, name
 
 
 def test_a_joint_file_of_the_scenarios_arm(tmp_path):

@@ -161,6 +161,13 @@ def test_too_few_samples_a_second_are_said_and_what_would_tell(tmp_path):
     assert of(tmp_path, t, move(t, 5.0), highest=3.0).outcome == "holds"
 
 
+def test_too_few_samples_tell_no_noise_from_motion(tmp_path):
+    for count in (31, 32):
+        t = np.arange(count) / 250
+        reasons = of(tmp_path, t, 0 * t).nominal.details.get("reasons", [])
+        assert ("short" in reasons) == (count < 32)
+
+
 def test_noise_that_could_hide_a_slide_is_said_and_what_would_tell(tmp_path):
     t = np.arange(626) / 250
     assert of(tmp_path, t, move(t), 1e-5).outcome == "holds"

@@ -19,7 +19,7 @@ from salver.control.arm import ArmState, controller_for
 from salver.driver import execute
 from salver.driver.execution import Drive, Log, Watchdog, timing
 from salver.driver.robots import SimulatedRobot
-from salver.driver.sensing import Plausible
+from salver.driver.sensing import Plausible, Sensed
 from salver.driver.stops import cool_stops
 from salver.errors import MissingDependencyError, SalverError
 from salver.geometry import Array
@@ -86,7 +86,12 @@ def test_timing_by_hand() -> None:
     rows, spent = np.zeros((6, 7)), np.array([1.0, 1.0, 1.0, 1.0, 1.0, 5.0]) * 1e-4
     none = np.zeros(6, bool)
     clock = timing(Log(np.cumsum(elapsed), rows, rows, rows, rows, woken, spent, elapsed, none), 1e-3)
+    assert set(clock) == {
+        "periods", "period", "jitter_median", "jitter_p999", "jitter_max", "late", "missed", "longest_gap",
+        "step_median", "step_p999", "step_max",
+    }  # fmt: skip
     assert clock["periods"] == 6
+    assert clock["period"] == 1e-3
     assert clock["missed"] == 1
     assert clock["late"] == pytest.approx(0.2)  # one of five gaps is longer than a period and a half
     assert clock["longest_gap"] == pytest.approx(2e-3)
@@ -326,6 +331,26 @@ def test_franka_that_does_not_answer(directory: Path, plan: Plan, monkeypatch: p
     monkeypatch.setitem(sys.modules, "pylibfranka", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'salver\[robot\]'"):
         execute.run_on_franka(directory, "172.16.0.2")
+
+
+def test_a_franka_is_sent_what_it_does_not_add_by_itself(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own model of gravity differs from ours by what it says for its last state; a state that is not believed says
+    nothing, and the difference stays."""
+    from salver.driver.robots import FrankaRobot
+
+    monkeypatch.setitem(sys.modules, "pylibfranka", fake := Library(plan))
+    arm, q = _parts(plan)[0], plan.joint.q[0]  # type: ignore[union-attr]
+    robot = FrankaRobot("arm", arm, 0.15, np.full(3, 1e-4), realtime=False)
+    differs = [np.zeros(7)]
+    monkeypatch.setattr(robot._model, "gravity", lambda state: arm.gravity(q) + differs[0])
+    robot.look()
+    robot.start()
+    off, wanted = np.linspace(0.3, -0.2, 7), np.linspace(-0.1, 0.2, 7)
+    for said, wrong, known in ((off, "", off), (-off, "it froze", off), (-off, "", -off)):
+        differs[0] = said
+        for _ in range(3):  # within the limits of the torque rate
+            robot.write(arm.gravity(q) + wanted, Sensed(ArmState(q, 0 * q), 1e-3, wrong))
+        assert fake.commands[-1] == pytest.approx(wanted - known, abs=1e-9)
 
 
 def test_a_franka_that_cannot_be_told_to_stop_says_so(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,10 +8,10 @@ import pytest
 
 from salver import scenario as scenarios
 from salver.errors import ScenarioError
-from salver.geometry import exp, matrix_from_quat_wxyz
+from salver.geometry import exp, matrix_from_quat_wxyz, matrix_from_rpy
 from salver.models.arm import load_arm
 from salver.scenario import parse
-from salver.simulation.elements import FOOT_RADIUS
+from salver.simulation.elements import FOOT_RADIUS, hull_name
 from salver.simulation.loads import ROUND_POINTS, clip, true_world
 from salver.simulation.scene import build
 from salver.simulation.trace import Recorder, net_contact_wrench
@@ -111,6 +111,27 @@ def test_tilted_tray_keeps_the_arms_mass_matrix():
     mujoco.mj_fullM(scene.model, data, full)
     np.testing.assert_allclose(full[: arm.n, : arm.n], arm.mass_matrix(q), atol=1e-9)
     np.testing.assert_allclose(scene.tray_pose(data)[1], arm.tray_pose(q)[1] @ exp(np.array([0.3, -0.1, 0])), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("shape", "kind", "size"),
+    [
+        ({"type": "box", "size": [0.1, 0.2, 0.3]}, mujoco.mjtGeom.mjGEOM_BOX, [0.05, 0.1, 0.15]),
+        ({"type": "sphere", "radius": 0.1}, mujoco.mjtGeom.mjGEOM_SPHERE, [0.1]),
+        ({"type": "capsule", "radius": 0.1, "length": 0.5}, mujoco.mjtGeom.mjGEOM_CAPSULE, [0.1, 0.25]),
+        ({"type": "cylinder", "radius": 0.1, "length": 0.5}, mujoco.mjtGeom.mjGEOM_CYLINDER, [0.1, 0.25]),
+    ],
+)
+def test_an_obstacle_is_in_the_engine_as_large_as_it_is_and_where_it_is(shape, kind, size):
+    place = {"position": [0.6, -0.3, 0.4], "rpy_deg": [20.0, -30.0, 110.0]}
+    scene, _, data = arm_scene({"obstacles": [shape | place]})
+    geom = next(scene.model.geom(k) for k in range(scene.model.ngeom) if "obstacle" in scene.model.geom(k).name)
+    assert geom.type == kind
+    np.testing.assert_allclose(geom.size[: len(size)], size)
+    mujoco.mj_forward(scene.model, data)
+    np.testing.assert_allclose(data.geom(geom.id).xpos, place["position"], atol=1e-12)
+    rotation = matrix_from_rpy(np.deg2rad(place["rpy_deg"]))
+    np.testing.assert_allclose(data.geom(geom.id).xmat.reshape(3, 3), rotation, atol=1e-12)
 
 
 def test_object_inertia_in_the_engine():
@@ -246,8 +267,10 @@ def test_round_and_prismatic_objects_rest(shape):
     data["objects"][0].pop("inertia")
     scene, trace = settled(parse(data, "test"))
     np.testing.assert_allclose(trace.force_X[0, 0], [0, 0, 0.256 * G], atol=1e-5)
-    load = scene.loads[0]
+    load, hull = scene.loads[0], scene.model.geom(hull_name(0))
     assert len(load.outline_B) == (ROUND_POINTS if shape["type"] == "cylinder" else 3)
+    assert (hull.type == mujoco.mjtGeom.mjGEOM_CYLINDER) == (shape["type"] == "cylinder")
+    assert shape["type"] == "prism" or hull.size[:2] == pytest.approx([0.03, 0.05], abs=1e-3)  # above its feet
     np.testing.assert_allclose(trace.p_XB[0, 0], load.p_EB, atol=5e-5)
     np.testing.assert_allclose(trace.R_XB[0, 0], load.R_EB, atol=1e-3)
 
