@@ -1,5 +1,6 @@
 """Live motions: at every moment one is committed that ends at rest with the load in place, whatever happens."""
 
+import os
 import time
 import tracemalloc
 from dataclasses import replace
@@ -211,11 +212,42 @@ def test_a_goal_is_found_from_every_state_of_a_way_elsewhere(cube):
     assert max(longer) < 1.15, longer
 
 
+def test_while_the_loop_has_not_taken_what_was_planned_there_is_nothing_to_plan(cube):
+    """Or else whoever plans would ask without end, and the loop's interpreter with it."""
+    live = Live(cube, lead=LEAD)
+    live.command(0.0)
+    live.goto((0.45, 0.1, 0.45))
+    assert not live.idle
+    live.plan(60.0)
+    assert live.committed.at_rest
+    assert live.idle
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="this system has no real-time priorities")
+def test_the_process_that_plans_has_no_real_time_priority(cube):
+    """The loop's thread has, and so has the one that exchanges with it."""
+    live, worker = Live(cube), None
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except PermissionError:
+        pytest.skip("no real-time priority is allowed here")
+    try:
+        worker = Worker(live).start()
+        assert os.sched_getscheduler(worker._thread.native_id) == os.SCHED_FIFO
+        assert os.sched_getscheduler(worker._process._running.pid) == os.SCHED_OTHER
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        if worker is not None:
+            worker.close()
+
+
 @pytest.mark.slow
-def test_a_worker_plans_while_the_loop_runs(cube):
+@pytest.mark.parametrize("given", [{}, {"process": False}], ids=["by default a process", "a thread"])
+def test_a_worker_plans_while_the_loop_runs(cube, given):
     live = Live(cube)
     live.goto((0.5, -0.25, 0.45))
-    with Worker(live) as worker:
+    with Worker(live, **given) as worker:
+        assert (worker._process is not None) == (not given)
         begun = time.perf_counter()
         while live.committed.at_rest and time.perf_counter() < begun + 20:
             live.command(time.perf_counter())

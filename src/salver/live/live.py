@@ -477,9 +477,9 @@ class Live:
 
     @property
     def idle(self) -> bool:
-        """Whether there is nothing to plan."""
+        """Whether there is nothing to plan, or not before the loop has taken what was planned last."""
         seen = self._running.outlook.sighting is self._sighting
-        return seen and self._offer is None and self._due() is None
+        return seen and (self._offer is not None or self._due() is None)
 
     @property
     def state(self) -> State:

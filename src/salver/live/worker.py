@@ -1,7 +1,8 @@
-"""Who plans for a live motion whenever there is something to plan: a thread, or a process of its own."""
+"""Who plans for a live motion whenever there is something to plan: a process of its own, or a thread."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -29,10 +30,15 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 class Worker:
     """Plans while it is entered: `with Worker(live): ...`, or `start` and `close`."""
 
-    def __init__(self, live: Live, budget: float = 2.0, *, process: bool = False, stops: bool = False) -> None:
+    def __init__(self, live: Live, budget: float = 2.0, *, process: bool = True, stops: bool = False) -> None:
         """budget: s that one step of planning may take, about. process: plan in a process of its own, so that the
-        loop's has its interpreter to itself; it takes a second to start. stops: when nothing else is to be planned,
-        plan stops that are then ready in the loop's process."""
+        loop's has its interpreter to itself; it takes some seconds to start. Otherwise a thread plans, which makes a
+        loop beside it late. stops: when nothing else is to be planned, plan stops that are then ready in the loop's
+        process.
+
+        A small thread here exchanges with the process. Start it from a thread that has the loop's real-time priority:
+        it inherits that, and the process does not. Without, the loop waits for it on a machine that is busy.
+        """
         self._live, self._budget, self._stops = live, budget, stops
         self._closing = threading.Event()
         self._process = _Process(live) if process else None
@@ -94,6 +100,9 @@ class _Process:
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C is for the loop
             )
+            if hasattr(os, "sched_setscheduler"):  # and a real-time priority too, which it would inherit
+                with contextlib.suppress(OSError):
+                    os.sched_setscheduler(self._running.pid, os.SCHED_OTHER, os.sched_param(0))
         self._told(self._about, PATIENCE)
 
     def answer(self, job: Job) -> Answer:
