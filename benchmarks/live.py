@@ -29,7 +29,7 @@ from blocks import replace as written
 
 import salver as sv
 from live_arrivals import HIGHEST, LOWEST, arrival, arrived
-from live_page import HEAD, TABLE, faster, longer, row
+from live_page import HEAD, TABLE, faster, longer, loop, obstacles, row
 from live_runs import EVERY, drive, executed, halted, in_turn, rows_of
 from live_streams import SECONDS, SPARED, STREAMS, clipped, stream
 from salver.campaigns.summary import DROPPED, FAR
@@ -38,13 +38,11 @@ from salver.files import read_json, write_atomic
 from salver.live import Live
 from salver.live.steer import TICK
 from salver.planning.fastest import TransportProblem, joint_plan
-from salver.playground import World
 from salver.trajectory import JointMotion
 
 SCENARIOS = ("panda-cube", "panda-tall-bottle")
 LIQUIDS = ("panda-coffee", "panda-four-glasses", "ur10-beaker")
 LOST = (*DROPPED, "spills")
-BALLS, EVADING = 10, 0.5  # s from a look at a ball to what is done about it
 LOWEST_UR10, HIGHEST_UR10 = np.array([0.45, -0.30, 0.50]), np.array([0.75, 0.30, 0.80])  # m, of goals of a UR10
 TIMED = 10  # long streams of each kind of which it is kept what every step took
 SILENCE = 1.4  # s after a stream
@@ -171,26 +169,6 @@ def commands(scenario: sv.Scenario) -> tuple[float, float]:
     return float(np.median(spent)), float(np.quantile(spent, 0.999))
 
 
-def balls(scenario: sv.Scenario, count: int) -> tuple[int, int]:
-    """Of so many balls that are thrown at the load: how many were evaded, and of how many of the others it was told."""
-    evaded = told = 0
-    for seed in range(count):
-        world = World(scenario, lead=EVADING)
-        world.ball.thrown_by(np.random.default_rng(seed))
-        world.say({"throw": True})
-        said = False
-        for k in range(1300):
-            world.advance()
-            if k % 20 == 0:
-                world.live.plan(10.0)
-            if k % 5 == 0:
-                world.measure()
-            said |= bool(world.live.state.passing)
-        missed = world.ball.passed > 0
-        evaded, told = evaded + missed, told + (said and not missed)
-    return evaded, told
-
-
 def keep(path: Path, runs: dict[str, list[dict[str, Any]]]) -> None:
     """Runs by kind, one a line: so it can be read what came anew."""
     line = json.JSONEncoder(default=lambda number: number.item()).encode
@@ -240,17 +218,13 @@ def main() -> None:
         written(LIQUIDS_PAGE, "live", "\n".join([TABLE, *rows, "", said]))
     if not asked.docs or wet:
         return
-    thrown = []
-    for name in SCENARIOS:
-        evaded, told = balls(sv.load_scenario(name), BALLS)
-        thrown.append(f"{name}, {evaded} of {BALLS} evaded, {told} of the others announced")
-        print(thrown[-1], flush=True)
     median, most = commands(sv.load_scenario(SCENARIOS[0]))
     print(f"command: {median:.1f} us, {most:.1f} us at 99.9 %")
     long = {what: kept for what, kept in read_json(LONG).items() if kept} if LONG.is_file() else {}
     worst = max(x["worst"] for kept in (*runs.values(), *long.values()) for x in kept)
     words = {"table": TABLE, "changes": ";\n".join(changes), "longer": longer(long, TIMED), "spared": 100 * SPARED}
-    numbers = {"median": median, "most": most, "worst": worst, "balls": ";\n".join(thrown), "evading": EVADING}
+    beside = {"obstacles": obstacles(), "loop": loop()}
+    numbers = {"median": median, "most": most, "worst": worst, **beside}
     PAGE.write_text(
         HEAD.format(n=asked.n, rows="\n".join(rows), faster=faster(runs), **words, **numbers), encoding="utf-8"
     )

@@ -5,22 +5,26 @@ period begins, and commands. Beside nobody it shows what the machine does; besid
 exchange with it adds; with what exists when it begins frozen (`gc.freeze`), what Python's collection of garbage is of
 that; beside a planner in a thread, what it costs to share an interpreter.
 
-    python benchmarks/live_loop.py [SECONDS]
+    python benchmarks/live_loop.py [SECONDS] [--docs]
 """
 
 from __future__ import annotations
 
+import argparse
 import gc
+import json
 import os
-import sys
 import time
 from contextlib import contextmanager, nullcontext
+from pathlib import Path
 
 import numpy as np
 
 import salver as sv
+from salver.files import write_atomic
 from salver.live import Live, Worker
 
+DATA = Path(__file__).parent.parent / "docs" / "data" / "live-loop.json"
 PERIOD, SETTLED = 1e-3, 1.0  # s; until the planner's leads are learnt
 KINDS = ("nobody", "a process", "a process, frozen", "a thread")
 
@@ -79,8 +83,17 @@ def lateness(scenario: sv.Scenario, kind: str, seconds: float) -> dict[str, floa
     }
 
 
-if __name__ == "__main__":
-    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 15.0
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seconds", type=float, nargs="?", default=15.0)
+    parser.add_argument("--docs", action="store_true", help="keep what was found in docs/data")
+    asked, found = parser.parse_args(), {}
     for kind in KINDS:
-        found = lateness(sv.load_scenario("panda-cube"), kind, seconds)
-        print(kind, {name: round(value, 3) for name, value in found.items()}, flush=True)
+        found[kind] = lateness(sv.load_scenario("panda-cube"), kind, asked.seconds)
+        print(kind, {name: round(value, 3) for name, value in found[kind].items()}, flush=True)
+    if asked.docs:
+        write_atomic(DATA, json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

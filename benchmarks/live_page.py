@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from salver.files import read_json
 from salver.statistics import clopper_pearson
+
+DATA = Path(__file__).parent.parent / "docs" / "data"
 
 COLUMNS = (
     "load, what, steps, committed, ms a step: median / 99.9 %, error and lag, runs, row broken, lost, by the filter"
@@ -32,8 +36,13 @@ error, rms, and how late the tray is are those of the stream in the middle (and 
 Goals that change at a random time of the way to another, beside a search as thorough as offline from the same state
 (`--kinds arrivals`): {changes}.
 
-Balls that are thrown from the side at what stands on the tray, seen 1.2 s before they are there and every 0.1 s from
-then on, with {evading:.1f} s from each look to what is done: {balls}.
+## Things that come
+
+{obstacles}
+
+## A loop of 1 kHz
+
+{loop}
 
 `command` takes {median:.1f} us at the median and {most:.0f} us at 99.9 %.
 
@@ -96,3 +105,57 @@ def faster(runs: dict[str, list[dict[str, Any]]]) -> str:
         f"Of the {len(pairs)} shorter streams that the filter was given as well, it loses {int(gone.sum())}.\n"
         f"The tray's speed, rms: {np.median(ours / filtered):.2f} of the filter's at the median."
     )
+
+
+def obstacles() -> str:
+    """What became of balls and posts, in words and tables, from what `live_obstacles.py --docs` kept."""
+    import live_obstacles
+
+    runs = {kind: read_json(DATA / f"live-obstacles-{kind}.json") for kind in ("real", "virtual")}
+    flat = {
+        kind: [x for found in each.values() for many in found.values() for x in many] for kind, each in runs.items()
+    }
+    hits = {kind: [x for x in each if x["would"] and x["hit"] is not None] for kind, each in flat.items()}
+    missed = {kind: sum(x["would"] for x in each) - len(hits[kind]) for kind, each in flat.items()}
+    silent = sum(x["announced"] is None or x["announced"] > x["hit"] for each in hits.values() for x in each)
+    delay = 1e3 * max(x["announced"] for x in flat["real"] if x["announced"] is not None)
+    count, load = {kind: len(each) for kind, each in flat.items()}, max(x["load"] for x in flat["real"])
+    hit = sum(map(len, hits.values()))
+    return f"""Everything is as it is by default. Of {hit} hits {silent} came unannounced. In real
+time what came was announced {delay:.0f} ms after it was seen first at the latest. Few were evaded: {missed["real"]} of
+{count["real"]} in real time, on two cores with a load of {load:.0f}; {missed["virtual"]} of {count["virtual"]} where
+planning takes its processor time.
+
+`python benchmarks/live_obstacles.py {count["real"] // 4}`, and `{count["virtual"] // 4} --virtual`: a ball, or a post
+half a metre tall, comes at the load. It is seen 0.3 to 1.5 s before it would be there, and 30 times a second from then
+on, with noise. The arm rests or is on its way. A way out is known where the same search, without haste, finds one that
+begins 20 ms after the first sight. In truth it begins 0.2 s after that or later, and then takes about 0.7 s.
+
+In real time:
+
+{live_obstacles.table(runs["real"])}
+
+In processor time:
+
+{live_obstacles.table(runs["virtual"])}"""
+
+
+def loop() -> str:
+    """How late a loop is beside a planner, in words and a table, from what `live_loop.py --docs` kept."""
+    runs = read_json(DATA / "live-loop.json")
+    rows = [
+        f"| {kind} | {x['periods']} | {x['p99']:.2f} | {x['p999']:.2f} | {x['over 1 ms']} | {x['over 5 ms']} |"
+        for kind, x in runs.items()
+    ]
+    load = max(x["load"] for x in runs.values())
+    over = {kind: x["over 1 ms"] for kind, x in runs.items()}
+    periods = runs["nobody"]["periods"]
+    return f"""Of {periods} periods {over["nobody"]} were over 1 ms late beside nobody, {over["a process"]} beside a
+planner in a process, {over["a thread"]} beside one in a thread.
+
+`python benchmarks/live_loop.py 20 --docs`: a loop with real-time priority, started before the worker, and a hand that
+sends twists, on two cores with a load of {load:.0f}. Frozen: `gc.freeze()` was called before.
+
+| beside | periods | late by, ms: 99 % | 99.9 % | over 1 ms | over 5 ms |
+|---|---|---|---|---|---|
+""" + "\n".join(rows)

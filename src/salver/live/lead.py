@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 # s from the beginning of planning to the hand-over, before it is known how long planning takes.
-FIRST = {"tick": 0.05, "motion": 0.25, "way out": 0.4}
+FIRST = {"tick": 0.05, "motion": 0.25, "way out": 0.2}
 LEADS = 5  # plans from whose times the lead is taken
 SPARE = 1.3  # of the longest of them
 LEAST_LEAD, MOST_LEAD, MOST_LEAD_WET = 0.02, 1.0, 3.0  # s; with open liquids
@@ -27,4 +27,5 @@ class Lead:
         """s."""
         if self._given is not None:
             return self._given
-        return min(max(LEAST_LEAD, SPARE * max(self._spent[kind], default=FIRST[kind] / SPARE)), self._most)
+        least = FIRST[kind] if kind == "way out" else LEAST_LEAD  # ways out take longer on the way than from rest
+        return min(max(least, SPARE * max(self._spent[kind], default=FIRST[kind] / SPARE)), self._most)

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.live.lead import Lead
+from salver.live.lead import LEAST_LEAD, Lead
 from salver.live.lookout import Lookout, Sighting
 from salver.live.motion import Committed, resting
 from salver.live.obstacles import Moving, predicted
@@ -482,6 +482,13 @@ class Live:
         return seen and (self._offer is not None or self._due() is None)
 
     @property
+    def comes_in(self) -> float:
+        """s until something is there that what is committed does not keep clear of; infinite when nothing is known to
+        come."""
+        near = self._running.outlook.near
+        return max(near[0].t - self._now, 0.0) if near and self._running.outlook.sentence(self._now) else np.inf
+
+    @property
     def state(self) -> State:
         """What is going on."""
         committed, now = self.committed, self._now
@@ -577,13 +584,18 @@ class Live:
             return
         running, began, kind = self._running, time.perf_counter(), _kind(wish)
         base, begins = running.committed, self._hand_over(running.committed, kind)
+        sighting, threats = self._sighting, running.outlook.near
+        if (
+            isinstance(wish, Evade) and threats
+        ):  # what is handed over later than half way to when it is there comes late
+            soon = self._now + max(self.comes_in / 3, LEAST_LEAD)
+            begins = min(begins, self._hand_over(base, kind, soon))
         if isinstance(wish, Follow) and self._now > wish.until + CALMING:
             self._done = wish  # what is committed ends at rest
             return
         if isinstance(wish, Halt) and begins >= base.ends:
             self._done = wish
             return
-        sighting, threats = self._sighting, running.outlook.near
         names = tuple(one.obstacle for one in threats)
         answered = answer(Job(wish, base, begins, budget, sighting.obstacles, names, self._now))
         found, status = answered.found, answered.status
@@ -592,14 +604,15 @@ class Live:
             found, status = again.committed, Status("refused", again.sentence, False)
         if found is not None and (denied := self._denied(found)):
             found, status = None, Status("refused", denied, False)
-        self._lead.took(kind, time.perf_counter() - began)
+        if found is not None or kind != "way out":  # a search in vain says nothing of how long others take
+            self._lead.took(kind, time.perf_counter() - began)
         if answered.done and not isinstance(wish, Evade):
             self._done = wish
         late = found is not None and found.begins < self._now and base.ends <= found.begins
         if late and found is not None:
             # It came late, but the arm was at rest and is: the same motion, from a little later on; unless waves, which
             # go on, are then such that it would not do.
-            again = verified(self._problem, found.motion, self._hand_over(base, kind), base)
+            again = verified(self._problem, found.motion, self._hand_over(base, "tick"), base)
             found, status = again.committed, Status("refused", again.sentence, False)
         offered = None
         if found is not None:

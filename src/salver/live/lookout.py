@@ -78,7 +78,9 @@ class Path:
 
     def __init__(self, motion: JointMotion, since: float, t: Array, off: Array) -> None:
         self.motion, self.since, self.t, self.off = motion, since, t, off
-        self._grid: tuple[Array, Array, Array] | None = None  # made when it is first needed
+        # Made when they are first needed.
+        self._grid: tuple[Array, Array, Array] | None = None
+        self._fine: Array | None = None
 
     @property
     def ends(self) -> float:
@@ -86,6 +88,16 @@ class Path:
 
     def off_at(self, t: Array) -> Array:
         return np.interp(t, self.t, self.off)
+
+    def just_before(self, t: float) -> tuple[float, Array]:
+        """A live time, s, by less than `FINEST` before another one, and the posture then."""
+        if self._fine is None:
+            own = np.append(np.arange(0.0, self.motion.duration, FINEST), self.motion.duration)
+            self._fine = self.motion.sample(own)[0]
+        k = int((t - self.since) / FINEST + 1e-9)
+        if k < len(self._fine) - 1:
+            return self.since + k * FINEST, self._fine[max(k, 0)]
+        return t, self._fine[-1]
 
     def grid_of(self, movable: Movable) -> tuple[Array, Array, Array]:
         """Live times (K,), where the middles of the parts are then, (K, M, 3), and m/s that they move with at most from
@@ -174,13 +186,11 @@ class Lookout:
                 k, at = int(later[0]), float(t[later[0]])
             if at >= until:
                 return None
-            here = np.array([at])
-            q = path.motion.sample(np.clip(here - path.since, 0.0, path.motion.duration))[0][0]
-            p = obstacle.at(here)[0][0]
+            at, q = path.just_before(at)
             self.looks += 1
-            free = (
-                movable.distance(q, part, obstacle, p) - SAFETY - float((obstacle.around(here) + path.off_at(here))[0])
-            )
+            kept = SAFETY + obstacle.uncertainty + obstacle.growth * max(at - obstacle.t0, 0.0)
+            kept += float(np.interp(at, path.t, path.off))
+            free = movable.distance(q, part, obstacle, obstacle.place(at)) - kept
             if free <= 0.5 * FINEST * both[min(k, len(both) - 1)]:
                 return at
             # As far as both go in the time that is skipped it cannot be met.

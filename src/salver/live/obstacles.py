@@ -179,6 +179,13 @@ class Predicted:
         slope[(t < times[0]) | (t > times[-1])] = 0.0
         return where, slope
 
+    def place(self, t: float) -> Array:
+        """(3,) where it is at one live time."""
+        if self.samples is not None:
+            return self.at(np.array([t]))[0][0]
+        u, (p, v, a) = t - self.t0, self.powers
+        return np.asarray(p + u * v + u * u * a)
+
     def around(self, t: Array) -> Array:
         """(N,) m by which it may be elsewhere at live times."""
         return self.uncertainty + self.growth * np.maximum(t - self.t0, 0.0)

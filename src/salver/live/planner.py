@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from salver.errors import Status
+from salver.geometry import Array
 from salver.live.motion import SHORTEST, Committed, between, resting
 from salver.live.obstacles import Movable, Passing, Predicted, nearest
 from salver.live.replan import Replanner, Sought
@@ -23,8 +24,9 @@ from salver.planning.postures import PoseTarget
 from salver.trajectory import JointMotion
 
 ASIDE, ASIDE_STEP = (0.15, 0.25, 0.4), 0.02  # m to which the load is put aside; s between looks at what passes it
+TURNED = (0.25, 0.5, 0.8, 1.2, 1.8)  # rad about the first joint
 BESIDE = 0.03  # m that are free there
-TRIED = 2
+TRIED = 3
 THERE = 1e-5  # rad or m by which joints may miss a goal that they are at
 SOON = 0.1  # s: whoever is at rest by then need not look for a shorter way to it, which takes as long
 
@@ -127,7 +129,7 @@ class Planner:
             if found is not None:
                 return Answer(found, status)
         stop = None
-        if (budget := ends - time.perf_counter()) > 0 and base.ends > begins:
+        if (budget := ends - time.perf_counter()) > 0 and base.ends - begins > SOON:
             stop, _ = self._replanner.to(Anywhere(), base, begins, budget, around=False)
         motions = {"goes on": left} | ({} if stop is None else {"stops": stop.motion})
         comes = {how: self._nearest(job, motion) for how, motion in motions.items()}
@@ -138,31 +140,44 @@ class Planner:
         return Answer(stop if best == "stops" else None, status, best != "stops", touched)
 
     def _ways_out(self, job: Job) -> Iterator[End]:
-        """Postures beside the way of what passes, in which the arm may rest, the nearest first; then any rest."""
+        """Postures beside the way of what passes, in which the arm may rest, the nearest first; then, on the way, any
+        rest."""
         yield from self._asides(job)[:TRIED]
-        yield Anywhere()
+        if job.base.ends > job.begins:
+            yield Anywhere()
 
     def _asides(self, job: Job) -> list[End]:
-        """Postures beside the way of what threatens, in which the arm may rest; the nearest first."""
+        """Postures beside the way of what threatens, in which the arm may rest; the nearest first: the load put aside,
+        or the whole arm turned about its first joint, if that leaves the tray level. Of each way the nearest that is
+        clear."""
         problem, first = self.problem, self.problem.items[0]
         assert self._movable is not None
         q, limits = job.base.state(job.begins)[0], problem.limits
         p_SB = problem.arm.object_pose(q, first.p_EB, first.R_EB)[0]
         threats = [one for one in job.obstacles if one.name in job.threats]
         until = np.arange(job.begins, max((x.until for x in threats), default=0.0), ASIDE_STEP)
-        found: list[tuple[float, End]] = []
         ways = [np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])]
         for obstacle in threats:
             v = obstacle.at(until)[1].mean(axis=0) if len(until) else np.zeros(3)
             across = np.cross(v, [0.0, 0.0, 1.0])
             ways += [sign * x / np.linalg.norm(x) for x in (across, v * [1, 1, 0]) if x.any() for sign in (1.0, -1.0)]
-        for way in ways:
-            for far in ASIDE:
-                target = PoseTarget(p_SB + far * way, first.R_EB, first.p_EB, first.R_EB, yaw_free=True)
-                posture = AtPose(target).nearest(problem.arm, limits, q)
-                if posture is None:
-                    continue
-                if nearest(self._movable, threats, posture[None], until)[0] > BESIDE:
+
+        def put(way: Array, far: float) -> Array | None:
+            target = PoseTarget(p_SB + far * way, first.R_EB, first.p_EB, first.R_EB, yaw_free=True)
+            return AtPose(target).nearest(problem.arm, limits, q)
+
+        def turned(sign: float, angle: float) -> Array | None:
+            posture = q + sign * angle * np.eye(problem.n)[0]
+            tilt = problem.arm.tray_pose(posture)[1][2, 2] - problem.arm.tray_pose(q)[1][2, 2]
+            inside = limits.q_min[0] <= posture[0] <= limits.q_max[0]
+            return posture if inside and abs(tilt) < THERE else None
+
+        found: list[tuple[float, End]] = []
+        each = [(put(way, far) for far in ASIDE) for way in ways]
+        each += [(turned(sign, angle) for angle in TURNED) for sign in (1.0, -1.0)]
+        for postures in each:
+            for posture in postures:
+                if posture is not None and nearest(self._movable, threats, posture[None], until)[0] > BESIDE:
                     found.append((float(np.abs(posture - q).max()), AtPosture(posture)))
                     break
         return [end for _, end in sorted(found, key=lambda pair: pair[0])]

@@ -1,0 +1,269 @@
+"""Balls and posts that come at an arm, with everything as it is by default.
+
+A loop of 1 kHz commands, the default `Worker` plans in its process, and a camera reports at 30 Hz what comes, from a
+random time before it would be there on. Half of the time the arm rests, half of it is on its way. What was commanded is
+then held against the true way of what came, without any uncertainty.
+
+    python benchmarks/live_obstacles.py [N] [--virtual] [--docs]      # N of each kind with each load
+
+In real time, what the machine has to do besides counts. --virtual: planning takes the processor time that it takes, of
+a loop's time that waits for it, as with a core of its own; with the very same decisions, in one process. --docs: keep
+the runs in docs/data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+import salver as sv
+from live_arrivals import HIGHEST, LOWEST
+from live_loop import PERIOD, prompt
+from salver.files import write_atomic
+from salver.geometry import GRAVITY_S
+from salver.live import Live, Moving, Worker
+from salver.live.obstacles import Movable, predicted
+from salver.live.planner import Answer, Job, Planner
+from salver.live.wishes import Evade
+
+CAMERA = 1 / 30  # s between reports
+SIGHT = 0.3, 1.5  # s before it would be there, from which on it is seen
+ROOM = 0.1  # m that it is away at least when it is seen first
+AFTER = 0.7  # s, until it has passed
+SOON = 0.02  # s after it is seen first, at which a way out might begin, were planning no work
+KINDS, SCENARIOS = ("ball", "post"), ("panda-cube", "panda-tall-bottle")
+DATA = Path(__file__).parent.parent / "docs" / "data"
+
+Camera = Callable[[float], None]  # reports at a time of the loop's clock
+
+
+class Real:
+    """A robot's loop in a thread of its own, with the default worker."""
+
+    def __init__(self, live: Live) -> None:
+        self.live, self.rows, self._ends = live, [], False
+        self._thread, self._worker = threading.Thread(target=self._run, daemon=True), Worker(live)
+        self.clock = time.perf_counter
+
+    def __enter__(self) -> Real:
+        self._thread.start()
+        with prompt():
+            self._worker.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._worker.close()
+        self._ends = True
+        self._thread.join()
+
+    def _run(self) -> None:
+        with prompt():
+            while not self._ends:
+                now = time.perf_counter()
+                self.rows.append((now, self.live.command(now)[0].copy()))
+                time.sleep(max(0.0, now + PERIOD - time.perf_counter()))
+
+    def run(self, seconds: float, camera: Camera | None = None) -> None:
+        begun, k = time.perf_counter(), 0
+        with prompt():
+            while (now := time.perf_counter()) < begun + seconds:
+                if camera is not None:
+                    camera(now)
+                k += 1
+                time.sleep(max(0.0, min(begun + k * CAMERA, begun + seconds) - time.perf_counter()))
+
+
+class Virtual:
+    """The same in a time of its own, in which planning takes its processor time."""
+
+    def __init__(self, live: Live) -> None:
+        self.live, self.rows, self._planner = live, [], Planner(live.problem)
+        self._t, self._camera, self._seen = 0.0, None, -np.inf
+
+    def __enter__(self) -> Virtual:
+        self._real, time.perf_counter = time.perf_counter, time.process_time  # by which planners keep to their budget
+        self._period()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        time.perf_counter = self._real
+
+    def clock(self) -> float:
+        return self._t
+
+    def _period(self) -> None:
+        self._t += PERIOD
+        self.rows.append((self._t, self.live.command(self._t)[0].copy()))
+        if self._camera is not None and self._t - self._seen >= CAMERA:
+            self._seen = self._t
+            self._camera(self._t)
+
+    def _answer(self, job: Job) -> Answer:
+        begun = time.process_time()
+        answer = self._planner.answer(job)
+        for _ in range(round((time.process_time() - begun) / PERIOD)):
+            self._period()
+        return answer
+
+    def run(self, seconds: float, camera: Camera | None = None) -> None:
+        self._camera, self._seen, ends = camera, -np.inf, self._t + seconds
+        while self._t < ends:
+            self._period()
+            if not self.live.idle:
+                self.live.plan(Worker.budget_of(self.live, 2.0), self._answer)
+
+
+def coming(kind: str, at: np.ndarray, seconds: float, rng: np.random.Generator) -> Moving:
+    """What would be at a place in so many seconds, as it is seen now."""
+    bearing = rng.uniform(-np.pi, np.pi)
+    way = np.array([np.cos(bearing), np.sin(bearing), 0.0])
+    if kind == "ball":
+        begin = at + rng.uniform(1.0, 2.5) * seconds * way + [0.0, 0.0, rng.uniform(-0.1, 0.5)]
+        v = (at - begin) / seconds - 0.5 * seconds * GRAVITY_S
+        return Moving("ball", "sphere", begin, v, GRAVITY_S, radius=0.05)
+    v = -rng.uniform(0.3, 1.2) * way
+    return Moving("post", "box", at - seconds * v, v, size=(0.08, 0.08, 0.5))
+
+
+def away(movable: Movable, q: np.ndarray, seen: Moving) -> float:
+    """m from an arm in a posture."""
+    here = predicted(seen, 0.0)
+    return float(movable.distances(q[None], here, here.at(np.zeros(1))[0]).min())
+
+
+def later(first: Moving, dt: float, rng: np.random.Generator, when: float) -> Moving:
+    """As a camera sees it dt later, with 2 mm and 2 cm/s of noise."""
+    p, v, a = (np.asarray(x, dtype=float) for x in (first.position, first.velocity, first.acceleration))
+    p, v = p + dt * v + 0.5 * dt**2 * a + rng.normal(0, 2e-3, 3), v + dt * a + rng.normal(0, 0.02, 3)
+    return Moving(first.name, first.type, p, v, a, first.radius, first.length, first.size, seen=when)
+
+
+def one(
+    robot: Real | Virtual, planner: Planner, movable: Movable, kind: str, rng: np.random.Generator
+) -> dict[str, Any]:
+    """What became of one."""
+    live = robot.live
+    live.obstacles([])
+    live.goto(q=live.problem.start.q)
+    robot.run(0.1)
+    while not live.settled:
+        robot.run(0.1)
+    sight, moves = float(rng.uniform(*SIGHT)), bool(rng.random() < 0.5)
+    while moves and live.committed.ends - live.now < 0.2:
+        live.goto(rng.uniform(LOWEST, HIGHEST))
+        for _ in range(200):
+            robot.run(0.01)
+            if live.settled or live.now > live.committed.begins + 0.1:
+                break
+    base, body = live.committed, live.problem.items[0]
+    q = base.state(live.now + sight)[0]
+    target = live.problem.arm.object_pose(q, body.p_EB, body.R_EB)[0] + rng.normal(0, 0.03, 3)
+    first = coming(kind, target, sight, rng)
+    while away(movable, base.state(live.now)[0], first) < ROOM:
+        first = coming(kind, target, sight, rng)
+    begun, live_begun, rows = robot.clock(), live.now, len(robot.rows)
+    truth, base = predicted(first, live_begun), live.committed
+    reports: list[tuple[float, float, bool, Any]] = []
+
+    def camera(now: float) -> None:
+        seen, asked = later(first, now - begun, rng, now), time.thread_time()
+        live.obstacles([seen])
+        said = bool(live.state.passing)
+        reports.append((robot.clock() - begun, time.thread_time() - asked, said, (live._sighting, live._running)))
+
+    robot.run(sight + AFTER, camera)
+    t, q = (np.array(x) for x in zip(*robot.rows[rows::2], strict=True))
+    t = t - begun
+    free = movable.distances(q, truth, truth.at(live_begun + t)[0]).min(axis=1)
+    hit = float(t[int(np.argmax(free <= 0.0))]) if free.min() <= 0.0 else None
+    # What it would have come to, had nothing been done.
+    still = base.motion.sample(np.clip(live_begun + t - base.begins, 0.0, base.motion.duration))[0]
+    would = float(movable.distances(still, truth, truth.at(live_begun + t)[0]).min()) <= 0.0
+    announced = next((at for at, _, said, _ in reports if said), None)
+    sighting, running = next((x for *_, said, x in reports if said), reports[0][3])
+    possible = None
+    if would and announced is not None and running.committed is base:  # whether a search without haste finds a way out
+        begins = live._hand_over(base, "way out", live_begun + SOON)
+        names = tuple(one.obstacle for one in running.outlook.near) or (kind,)
+        answer = planner.answer(Job(Evade(), base, begins, 120.0, sighting.obstacles, names, live_begun))
+        possible = answer.found is not None and not answer.touched
+    return {
+        "sight": round(sight, 3),
+        "moves": moves,
+        "would": would,
+        "hit": None if hit is None else round(hit, 3),
+        "announced": None if announced is None else round(announced, 4),
+        "look": round(1e3 * max(took for _, took, *_ in reports), 2),
+        "possible": possible,
+        "lead": round(live._lead.of("way out"), 3),
+        "load": round(os.getloadavg()[0], 1),
+    }
+
+
+def throws(name: str, count: int, virtual: bool) -> dict[str, list[dict[str, Any]]]:
+    """So many of each kind with a load."""
+    scenario = sv.load_scenario(name)
+    live, found = Live(scenario), {kind: [] for kind in KINDS}
+    planner, movable = Planner(Live(scenario).problem), Movable(Live(scenario).problem.keep_out.parts)
+    with Virtual(live) if virtual else Real(live) as robot:
+        for k in range(count):
+            for kind in KINDS:
+                rng = np.random.default_rng([17, len(name), len(kind), k])
+                found[kind].append(one(robot, planner, movable, kind, rng))
+                robot.rows.clear() if virtual else None
+                print(name, kind, k, found[kind][-1], flush=True)
+    return found
+
+
+def summary(name: str, kind: str, runs: list[dict[str, Any]]) -> str:
+    """A row of a table."""
+    threat = [x for x in runs if x["would"]]
+    hits = [x for x in threat if x["hit"] is not None]
+    silent = sum(x["announced"] is None or x["announced"] > x["hit"] for x in hits)
+    ways = [x for x in threat if x["possible"]]
+    delays = [1e3 * x["announced"] for x in threat if x["announced"] is not None]
+    delay = f"{np.median(delays):.0f} / {max(delays):.0f}" if delays else ""
+    evaded = sum(x["hit"] is None for x in ways)
+    return (
+        f"| {name} | {kind} | {len(threat)} | {len(threat) - len(hits)} | {len(hits) - silent} | {silent} | "
+        f"{evaded} of {len(ways)} | {delay} | {max(x['look'] for x in runs):.1f} | "
+        f"{sum(x['hit'] is not None for x in runs if not x['would'])} |"
+    )
+
+
+HEAD = (
+    "| load | what | would hit | missed | hit, announced | hit in silence | missed, where a way out is known | "
+    "announced after, ms: median / largest | look, ms of CPU at most | hit that would not |\n"
+    "|---|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def table(runs: dict[str, dict[str, list[dict[str, Any]]]]) -> str:
+    return "\n".join([HEAD, *(summary(name, kind, x) for name, found in runs.items() for kind, x in found.items())])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("n", type=int, nargs="?", default=6)
+    parser.add_argument("--virtual", action="store_true")
+    parser.add_argument("--docs", action="store_true")
+    asked = parser.parse_args()
+    runs = {name: throws(name, asked.n, asked.virtual) for name in SCENARIOS}
+    print(table(runs))
+    if asked.docs:
+        path = DATA / f"live-obstacles-{'virtual' if asked.virtual else 'real'}.json"
+        write_atomic(path, json.dumps(runs, indent=1, default=lambda x: x.item()) + "\n")
+
+
+if __name__ == "__main__":
+    main()
