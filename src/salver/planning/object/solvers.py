@@ -77,7 +77,7 @@ def solve_convex(problem: Problem) -> Solution:
         return Solution(z, _cost(model), None, violation, 0, method, infeasible(problem, model, None, False))
     z, rounds = relaxed.d, relaxed.rounds
     if relaxed.violation <= TOLERANCE:  # only the programme of least cost was too hard
-        status = Status("iteration_limit", "The plan is safe, but that none costs less could not be shown.", True)
+        status = Status("iteration_limit", "The plan is safe; whether it is optimal could not be shown.", True)
         return Solution(z, _cost(model, z), None, relaxed.violation, rounds, method, status)
     return Solution(z, _cost(model, z), None, relaxed.violation, rounds, method, infeasible(problem, model, z, True))
 
