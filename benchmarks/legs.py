@@ -20,7 +20,7 @@ from salver.errors import SalverError
 from salver.planning.fastest import FastestOptions, transport_problem
 from salver.planning.fastest.legs import in_turn, plan_legs
 from salver.planning.fastest.watch import Watch
-from salver.planning.round import Round
+from salver.planning.round import MultiLegPlan
 from salver.scenario import Scenario, parse
 from salver.simulation.round import RoundExperiment
 
@@ -85,7 +85,7 @@ def task(seed: int, number: int, through: bool = False) -> dict[str, Any]:
     }
 
 
-def held(plan: Round, corners: int) -> int:
+def held(plan: MultiLegPlan, corners: int) -> int:
     """Runs at corners of the set in which everything holds on all legs."""
     case, experiment = plan.scenario, RoundExperiment(plan)
     drawn = sampling.draw(case.uncertain, corners, 0, "corners", case.bodies)

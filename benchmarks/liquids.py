@@ -42,7 +42,7 @@ from salver.planning.plan import Plan
 from salver.sampling import draw
 from salver.scenario import Scenario, load, parse
 from salver.sensitivity import sloshing
-from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.wave_cases import SloshingCase
 from salver.sensitivity.waves import along
 from salver.simulation.physics import Experiment, simulate_tray
 from salver.simulation.record import SimulationRecord
@@ -86,7 +86,7 @@ def flow_rows() -> Iterator[str]:
     ):
         for fill in (0.035, 0.05, 0.065):
             for duration in (1.6, 1.4, 1.25, 1.1, 1.0):
-                case, t = Case(scenario.payload.first, fill, 0.005), np.linspace(0, duration, 201)
+                case, t = SloshingCase(scenario.payload.first, fill, 0.005), np.linspace(0, duration, 201)
                 w = np.tile(at_rest(), (len(t), 1))
                 w[:, :2] = np.outer([push(duration, x) for x in t], [np.cos(angle), np.sin(angle)])
                 waves, times = along((case,), t, w), np.arange(0, duration + 0.5, 0.0015)

@@ -44,7 +44,7 @@ from salver.campaigns.summary import read_table
 from salver.errors import SalverError
 from salver.files import read_json, write_atomic, write_json
 from salver.motion_files import JointSamples, read, write
-from salver.motion_files import Motion as MotionFile
+from salver.motion_files import MotionSeries as MotionFile
 from salver.planning.fastest.problem import transport_problem
 from salver.planning.fastest.retiming import reachable_law
 from salver.planning.follow.limits import peaks

@@ -34,7 +34,7 @@ from salver.driver.stops import CoolStop
 from salver.files import read_json, write_atomic, write_json
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.planning.fastest import FastestOptions, plan_fastest
-from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.constraints import ContactConstraint
 from salver.planning.plan import Plan, load_plan
 from salver.planning.stop_library import StopLibrary
 from salver.planning.stops import plan_stops, stop_problem, with_stops
@@ -124,7 +124,7 @@ def slides(plan: Plan, instants: np.ndarray) -> int:
         stop = _cool_stop(plan, loaded, float(now))
         z = np.array([np.stack([*stop.reference(x * stop.braking), np.zeros(problem.n)]) for x in s]).swapaxes(0, 1)
         motion = problem.at(s, z, stop.braking, imposed=False)
-        rows = [block for contact in problem.contacts for block in Contact(contact).blocks(motion)]
+        rows = [block for contact in problem.contacts for block in ContactConstraint(contact).blocks(motion)]
         count += max(float(block.values.max()) for block in rows) > 0.0
     return count
 

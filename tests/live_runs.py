@@ -10,7 +10,7 @@ import numpy as np
 
 from salver.live.steer import TICK
 from salver.planning.fastest import evaluate
-from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.constraints import ContactConstraint
 from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.tracking import JointLoop
 from salver.trajectory import JointMotion
@@ -128,7 +128,7 @@ def _rows(problem, motion, t, jerk):
     )
     constraints = [constraint.near(motion.q[::5]) for constraint in problem.constraints]
     if problem.payload.liquids and not problem.liquids:
-        constraints = [constraint for constraint in constraints if not isinstance(constraint, Contact)]
+        constraints = [constraint for constraint in constraints if not isinstance(constraint, ContactConstraint)]
     return {block.name: float(block.values.max()) for block in evaluate(constraints, at, margins=False)}
 
 

@@ -17,7 +17,7 @@ from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import TraySamples
 from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.spills import Spill
-from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.wave_cases import SloshingCase
 from salver.sensitivity.waves import along
 from salver.trajectory import MotionSamples
 
@@ -56,7 +56,7 @@ def test_a_shake_that_noise_hides_raises_no_wave_by_more_than_is_allowed_for(cup
     """Shakes of every frequency, as large as would just be found, begun anywhere: against the filters themselves."""
     t, p, quat = line(1.2, noise=1e-4)
     motion = tray_motion(TraySamples(t, p, quat, "E", "line", ()), None, np.zeros(3), np.eye(3))
-    case, t = Case(cup.payload.first, 0.05, 0.0), motion.samples.t
+    case, t = SloshingCase(cup.payload.first, 0.05, 0.0), motion.samples.t
     w = np.tile(at_rest(), (len(t), 1))
     part = Slosh.of(along((case,), t, w))
     most, _ = unseen("cup", (part,), motion)
@@ -94,7 +94,7 @@ def test_what_is_missed_of_a_jolt_is_as_fast_as_the_jolt(cup):
     motion = tray_motion(TraySamples(t, p, quat, "E", "line", ()), None, np.zeros(3), np.eye(3))
     assert motion.missed.max() > 0.5
     t = motion.samples.t
-    part = Slosh.of(along((Case(cup.payload.first, 0.05, 0.0),), t, np.tile(at_rest(), (len(t), 1))))
+    part = Slosh.of(along((SloshingCase(cup.payload.first, 0.05, 0.0),), t, np.tile(at_rest(), (len(t), 1))))
     most, _ = unseen("cup", (part,), motion)
     assert 0.0 < (most.crest - part.crest).max() < 1e-4  # m
 
@@ -122,7 +122,7 @@ def test_what_is_kept_is_told_of_each_thing_that_is_allowed(cup):
         (0.075, shaken, "what they may reach"),
         (0.05, falling, "the weight that may be taken from them"),
     ):
-        spill = Spill.of("cup", (Slosh.of(along((Case(body, fill, 0.01),), t, w)),))
+        spill = Spill.of("cup", (Slosh.of(along((SloshingCase(body, fill, 0.01),), t, w)),))
         kept = spill.kept()
         assert min(kept, key=kept.get) == least
         assert min(kept.values()) == spill.slack.min()

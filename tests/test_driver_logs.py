@@ -14,7 +14,7 @@ from driver_rig import CASE, Rig
 from pylibfranka_stand_in import Library
 from salver import scenario
 from salver.driver import execute, logs
-from salver.driver.execution import Log, Watchdog
+from salver.driver.execution import ExecutionLog, Watchdog
 from salver.driver.logs import arrays_of, check_place, keep
 from salver.driver.preflight import Check
 from salver.errors import SalverError
@@ -89,4 +89,4 @@ def test_errors_of_the_tray_are_those_of_a_turned_frame(tmp_path: Path) -> None:
 
 def _log_of(t: Array, q: Array, dq: Array) -> Any:
     none = np.zeros(len(t))
-    return Log(t, q, dq, 0 * q, q, none, none, none, none.astype(bool))
+    return ExecutionLog(t, q, dq, 0 * q, q, none, none, none, none.astype(bool))

@@ -16,7 +16,7 @@ from salver.planning.fastest import exchange
 from salver.planning.fastest.constraints import UNSEEN, Block, Constraint
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
-from salver.planning.fastest.evaluation import Evaluation, Indices
+from salver.planning.fastest.evaluation import Indices, MotionEvaluation
 from salver.planning.fastest.exchange import BINDING, SHORTEST, _between, _touched, optimise
 from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.problem import TransportProblem
@@ -34,7 +34,7 @@ class Given(Constraint):
 
     each: tuple[Block, ...]
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         yield from self.each
 
 
@@ -112,7 +112,7 @@ class Slower(Constraint):
 
     most: Callable[[Array], Array]
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         q, dq = motion.at_nodes[:2]
         h = 1e-6
 
@@ -133,8 +133,8 @@ def a_joint(constraint: Constraint) -> TransportProblem:
     )
     made.start, made.goal = AtPosture(np.zeros(1)), AtPosture(np.ones(1))
 
-    def at(s: Array, z: Array, duration: float, nodes: Indices, imposed: bool = True) -> Evaluation:
-        return Evaluation(None, 0, None, s, duration, z, nodes, imposed, False)
+    def at(s: Array, z: Array, duration: float, nodes: Indices, imposed: bool = True) -> MotionEvaluation:
+        return MotionEvaluation(None, 0, None, s, duration, z, nodes, imposed, False)
 
     made.at = at
     return made

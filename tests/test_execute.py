@@ -17,7 +17,7 @@ from pylibfranka_stand_in import Library
 from salver import scenario
 from salver.control.arm import ArmState, controller_for
 from salver.driver import execute
-from salver.driver.execution import Drive, Log, Watchdog, timing
+from salver.driver.execution import Drive, ExecutionLog, Watchdog, timing
 from salver.driver.robots import SimulatedRobot
 from salver.driver.sensing import Plausible, Sensed
 from salver.driver.stops import cool_stops
@@ -85,7 +85,7 @@ def test_timing_by_hand() -> None:
     elapsed = np.array([0.0, 1.0, 1.0, 2.0, 1.0, 1.0]) * 1e-3
     rows, spent = np.zeros((6, 7)), np.array([1.0, 1.0, 1.0, 1.0, 1.0, 5.0]) * 1e-4
     none = np.zeros(6, bool)
-    clock = timing(Log(np.cumsum(elapsed), rows, rows, rows, rows, woken, spent, elapsed, none), 1e-3)
+    clock = timing(ExecutionLog(np.cumsum(elapsed), rows, rows, rows, rows, woken, spent, elapsed, none), 1e-3)
     assert set(clock) == {
         "periods", "period", "jitter_median", "jitter_p999", "jitter_max", "late", "missed", "longest_gap",
         "step_median", "step_p999", "step_max",

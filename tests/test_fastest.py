@@ -12,7 +12,7 @@ from salver.contact_margins import margins
 from salver.errors import ScenarioError
 from salver.geometry import Array
 from salver.planning.fastest import FastestMotion, FastestOptions, fastest, nearby, object_motion, plan_fastest
-from salver.planning.fastest.constraints import FINEST, Contact, evaluate, worst_of
+from salver.planning.fastest.constraints import FINEST, ContactConstraint, evaluate, worst_of
 from salver.planning.fastest.curves import FreeCurve, Grid, united
 from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.exchange import programme_of
@@ -20,8 +20,8 @@ from salver.planning.fastest.objectives import Distance, LeastMargin, Point
 from salver.planning.fastest.planned import joint_plan, slow_enough
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.fastest.sqp import Options, minimise
-from salver.planning.fastest.tradeoff import SCALES, Asked, scaled, tradeoff
+from salver.planning.fastest.sqp import SqpOptions, minimise
+from salver.planning.fastest.tradeoff import SCALES, TradeoffTask, scaled, tradeoff
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.planning.postures import REACHED, PoseTarget, posture_at
@@ -75,7 +75,7 @@ def test_contact_keeps_the_margin_that_the_scenario_asks_for(margin):
     assert found.status.ok, found.status
     s = np.linspace(0, 1, 601)
     z = np.stack(found.sample(s * found.duration))
-    contacts = [Contact(rows) for rows in found.problem.contacts]
+    contacts = [ContactConstraint(rows) for rows in found.problem.contacts]
     left = -worst_of(evaluate(contacts, found.problem.at(s, z, found.duration), margins=False))[0]
     assert margin - 1e-4 < left < margin + 5e-3
 
@@ -215,7 +215,9 @@ def test_the_margin_at_a_longer_duration_is_kept_between_the_nodes_and_beats_slo
         assert careful.duration == duration
 
         def least(z: Array, duration: float = duration) -> float:
-            rows = evaluate([Contact(rows) for rows in problem.contacts], problem.at(s, z, duration), margins=False)
+            rows = evaluate(
+                [ContactConstraint(rows) for rows in problem.contacts], problem.at(s, z, duration), margins=False
+            )
             return -worst_of(rows)[0]
 
         slowed = np.stack(quickest.sample(s * quickest.duration)) / factor ** np.arange(4.0)[:, None, None]
@@ -254,7 +256,7 @@ def test_a_motion_that_keeps_every_condition_is_found_again(share):
     programme = programme_of(problem, FreeCurve, longer, nodes, there)
     assert programme.at(Point(wanted, longer.duration)).violation < 2e-5  # of the arm's own clearance, at the start
     begin = programme.begin(longer.coefficients, longer.duration)
-    found = minimise(programme, begin, Options())
+    found = minimise(programme, begin, SqpOptions())
     assert found.status.ok
     assert quickest.binding  # something hinders a shorter time
     assert 0 < quickest.wall_time + found.wall_time < time.perf_counter() - begun
@@ -295,8 +297,8 @@ def test_at_the_scenarios_own_ranges_the_curve_is_what_fastest_finds_with_the_du
         points = {point.scale: point.duration for point in tradeoff(asked, (0.5, 1.0), options)}
         assert points[1.0] == plan_fastest(asked.with_changes(motion__duration=None), options=options).duration
         assert points[0.5] < points[1.0]
-        assert tray in Asked.of(asked).sentence
-    known = Asked.of(cube(0.2, objects__0__uncertainty={}, motion__duration=None, motion__orientation="fixed"))
+        assert tray in TradeoffTask.of(asked).sentence
+    known = TradeoffTask.of(cube(0.2, objects__0__uncertainty={}, motion__duration=None, motion__orientation="fixed"))
     assert known.sentence == (
         "The tray stays level, as with salver plan --fastest. Nothing is uncertain in the scenario: friction, by 10 %, "
         "is taken to be."

@@ -17,14 +17,14 @@ from salver.models.tray_motion import Speed, corners
 from salver.models.worst_case import Drift, WorstCase
 from salver.planning.fastest import object_motion
 from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.constraints import Contact, Tilt
+from salver.planning.fastest.constraints import ContactConstraint, TiltConstraint
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.objectives import Duration, Point
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.programme import Programme, Subproblem
 from salver.planning.fastest.spline import RestSpline, b_splines, min_jerk_blend
-from salver.planning.fastest.sqp import Options, minimise
+from salver.planning.fastest.sqp import SqpOptions, minimise
 from salver.planning.object.evaluation import evaluate
 from salver.scenario import Scenario, load
 from salver.sensitivity.arm.terms import motion_terms
@@ -141,7 +141,10 @@ def test_contact_rows_know_that_a_held_command_is_late_by_the_jerk():
     spline = RestSpline(5, 6)
     grid = Grid.of(spline, spline.nodes(3))
     coefficients = line(problem, spline) + 0.02 * np.random.default_rng(4).normal(size=(spline.size, problem.n))
-    z, contact = grid.motion(coefficients, 0.9), next(c for c in problem.constraints if isinstance(c, Contact))
+    z, contact = (
+        grid.motion(coefficients, 0.9),
+        next(c for c in problem.constraints if isinstance(c, ContactConstraint)),
+    )
 
     def rows(jerk):
         moved = z.copy()
@@ -198,7 +201,7 @@ def test_a_step_that_leads_far_astray_is_not_taken_and_nothing_is_said_of_it(mon
     """Waves of a motion that is 1e60 times as wide are higher than numbers are, and so are their forces, of which one
     less the other is none."""
     problem = transport_problem(load("panda-coffee"), robust=False)
-    wet = [each for each in problem.constraints if isinstance(each, Contact | Brim)]
+    wet = [each for each in problem.constraints if isinstance(each, ContactConstraint | Brim)]
     spline = RestSpline(5, 6)
     programme = Programme(FreeCurve(problem, Grid.of(spline, spline.nodes(12))), wet, Duration())
     path = programme.at(Point(line(problem, spline), 1.2))
@@ -208,7 +211,7 @@ def test_a_step_that_leads_far_astray_is_not_taken_and_nothing_is_said_of_it(mon
     monkeypatch.setattr(Programme, "moved", lambda *args, of=Programme.moved: moved.append(of(*args)) or moved[-1])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = minimise(programme, path, Options(iterations=2))
+        found = minimise(programme, path, SqpOptions(iterations=2))
     assert moved
     assert all(each.violation == np.inf for each in moved)
     assert found.iterate is path
@@ -219,7 +222,7 @@ def test_rows_of_waves_know_all_that_was_felt_before(factor, where):
     """The whole motion in between changes, and its duration. What is interpolated between the nodes has an error of
     fourth order: on twice as many nodes a sixteenth."""
     problem = replace(transport_problem(load("panda-coffee"), robust=False), speeds=(Speed(factor),))
-    wet = [each for each in problem.constraints if isinstance(each, Contact | Brim)]
+    wet = [each for each in problem.constraints if isinstance(each, ContactConstraint | Brim)]
     spline, rng = RestSpline(5, 6), np.random.default_rng(4)
     inner = np.r_[0, np.ones(spline.size - 2), 0][:, None]  # at both ends the tray rests level where it was told
     bent, direction = inner * rng.normal(size=(2, spline.size, problem.n))
@@ -252,7 +255,7 @@ def test_contact_of_an_arm_that_follows_exactly_is_what_the_check_of_a_plan_look
     (rows,) = problem.contacts
     assert len(problem.speeds) == 4
     exactly, allowing = (
-        [next(iter(Contact(rows, speed=speed, exactly=x).blocks(motion))) for speed in problem.speeds]
+        [next(iter(ContactConstraint(rows, speed=speed, exactly=x).blocks(motion))) for speed in problem.speeds]
         for x in (True, False)
     )
     reference = SampledReference(object_motion(problem, s * duration, *z[:3]))
@@ -290,7 +293,7 @@ def test_contact_at_any_factor_and_rate_is_no_nearer_to_its_edge_than_at_the_cor
     (rows,), motion, rng = problem.contacts, tilting(problem, seed=seed), np.random.default_rng(seed)
 
     def values(speed):
-        return next(iter(Contact(rows, speed=speed, exactly=True).blocks(motion))).values
+        return next(iter(ContactConstraint(rows, speed=speed, exactly=True).blocks(motion))).values
 
     full, full_back, still, still_back = (values(speed) for speed in corners("any", 0.25))
     for factor, rate in rng.uniform([0.02, -0.25], [1.0, 0.25], (6, 2)):
@@ -308,7 +311,7 @@ def test_commands_are_held_for_a_period_also_where_nothing_is_uncertain():
         z = FreeCurve(problem, Grid.of(spline, s)).motion(line(problem, spline), duration)
         motion = problem.at(s, z, duration, imposed=False)
         exactly, allowing = (
-            next(iter(Contact(problem.contacts[0], exactly=x).blocks(motion))).values for x in (True, False)
+            next(iter(ContactConstraint(problem.contacts[0], exactly=x).blocks(motion))).values for x in (True, False)
         )
         costs.append(np.abs(allowing - exactly).max())
     assert costs[0] > 1e-4
@@ -491,5 +494,5 @@ def test_tilt_counts_in_shares_of_what_is_allowed():
     s = np.linspace(0, 1, 5)
     motion = problem.at(s, np.stack([np.tile(problem.start_posture, (5, 1)), *[np.zeros((5, 7))] * 3]), 1.0)
     for largest in np.deg2rad([8.0, 45.0]):
-        (block,) = Tilt(largest).blocks(motion)
+        (block,) = TiltConstraint(largest).blocks(motion)
         assert np.allclose(block.values, -1.0, atol=1e-6)

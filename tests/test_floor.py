@@ -19,7 +19,7 @@ from salver.planning.follow.clearance import sweep
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
 from salver.reports.replay import _floor
-from salver.reports.run import Run
+from salver.reports.run import ReportedRun
 from salver.scenario import Scenario
 from salver.simulation.loads import true_world
 from salver.simulation.meshes import arm_meshes
@@ -191,7 +191,7 @@ def test_the_page_draws_the_ground_where_the_floor_is(tmp_path: Any) -> None:
 
     case = scenario.load("panda-cube").with_changes(surroundings__floor=-0.11)
     make_plan(case).save(tmp_path)
-    run: Run = read_run(tmp_path)
+    run: ReportedRun = read_run(tmp_path)
     assert _floor(run, arm_of(case)) == -0.11
 
 

@@ -17,7 +17,7 @@ from salver.planning.fastest.found import object_motion
 from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.optimum import DEGREE, straight_start
 from salver.planning.fastest.safest import optima, quickest_within
-from salver.planning.fastest.sensitive import Sensitivity, plan_least_sensitive
+from salver.planning.fastest.sensitive import SensitivityCost, plan_least_sensitive
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.watch import Watch
 from salver.planning.make import make_plan
@@ -45,7 +45,10 @@ def test_the_cost_of_a_joint_motion_is_that_of_what_the_object_does_and_its_slop
     turned = rng.standard_normal(begun.shape)
     turned[[0, -1]] = 0.0
     q = begun + 0.05 * turned
-    objective, curve = Sensitivity(problem, spline, 1.2, 1.0), FreeCurve(problem, Grid.of(spline, np.linspace(0, 1, 2)))
+    objective, curve = (
+        SensitivityCost(problem, spline, 1.2, 1.0),
+        FreeCurve(problem, Grid.of(spline, np.linspace(0, 1, 2))),
+    )
 
     def cost(coefficients):
         return objective.value(curve, Point(coefficients, 1.2))
@@ -92,7 +95,7 @@ def test_of_the_optima_that_were_found_the_least_sensitive_is_taken():
     taken = plan_least_sensitive(case, options=FEW).solver
     watch = Watch(None)
     quickest, duration = quickest_within(case, "least sensitive", True, FEW, watch)
-    objective = Sensitivity(quickest.problem, quickest.spline, duration, taken["line"])
+    objective = SensitivityCost(quickest.problem, quickest.spline, duration, taken["line"])
     curve = FreeCurve(quickest.problem, Grid.of(quickest.spline, np.linspace(0, 1, 2)))
     found = [m for m in optima(objective, quickest, duration, FEW, watch) if m.status.ok]
     costs = [objective.value(curve, Point(m.coefficients, duration)) for m in found]

@@ -25,7 +25,7 @@ from salver.planning.fastest import transport_problem
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.exchange import SHORTEST
 from salver.planning.fastest.legs import _end_of, _merit, _status, chains
-from salver.planning.fastest.passing import Passing
+from salver.planning.fastest.passing import PassPose
 from salver.planning.fastest.programme import Programme
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
 from salver.planning.fastest.together import LegsCurve, LegsProgramme
@@ -381,7 +381,7 @@ def test_rows_of_all_legs_change_as_their_derivatives_say_with_the_shares_of_the
         return block.values[node, column] * (np.exp(longer) if block.scales else 1.0)
 
     for number, block in enumerate(here.blocks):
-        if block.kinked or isinstance(block.of, Passing):  # of which those far from the pose are not exact
+        if block.kinked or isinstance(block.of, PassPose):  # of which those far from the pose are not exact
             continue
         node, column = (rng.integers(0, size, 6) for size in block.values.shape)
         claimed = programme.derivatives(here, block, node, column)[:, :-1] @ step
@@ -437,7 +437,7 @@ def test_rows_of_a_pose_to_pass_need_no_unknown_for_the_time_of_passing():
     path += 0.1 * np.sin(np.pi * s)[:, None] ** 2 * np.linspace(-1, 1, problem.n)
     at = spline.fit(s, path)
     p_SE, R_SE = problem.arm.tray_pose((spline.matrices(np.array([0.437]))[0] @ at)[0])
-    constraint = Passing(problem.arm, PoseTarget(p_SE + 3e-4, R_SE), "pose 1 to pass")
+    constraint = PassPose(problem.arm, PoseTarget(p_SE + 3e-4, R_SE), "pose 1 to pass")
     programme = Programme(FreeCurve(problem, grid), (constraint,), SHORTEST)
     here = programme.begin(at, 0.8)
     rng, h = np.random.default_rng(2), 1e-5

@@ -16,7 +16,7 @@ from salver.planning.fastest import FastestOptions, legs
 from salver.planning.fastest.constraints import Block, Constraint
 from salver.planning.fastest.curves import Grid
 from salver.planning.fastest.ends import AtPosture
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.exchange import SHORTEST
 from salver.planning.fastest.legs import HALF, ROUGHS, _merit, chains, in_turn
 from salver.planning.fastest.objectives import Point
@@ -132,8 +132,8 @@ def legs_in_a_plane() -> tuple[LegsCurve, Array]:
     return curve, at
 
 
-def seen(s: Array, z: Array, duration: float, nodes: Any, imposed: bool = True) -> Evaluation:
-    return Evaluation(None, 0, None, s, duration, z, nodes, imposed, False)
+def seen(s: Array, z: Array, duration: float, nodes: Any, imposed: bool = True) -> MotionEvaluation:
+    return MotionEvaluation(None, 0, None, s, duration, z, nodes, imposed, False)
 
 
 def test_legs_follow_one_another_in_time_each_for_its_share() -> None:
@@ -179,7 +179,7 @@ def test_rows_of_a_leg_are_at_the_points_of_that_leg() -> None:
     curve, at = legs_in_a_plane()
 
     class Here(Constraint):
-        def blocks(self, motion: Evaluation) -> Iterator[Block]:
+        def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
             yield Block("here", motion.at_nodes[0], lambda i, f: np.zeros((len(i), 8)), motion.nodes, (0.0, 0.0))
 
     found = LegsProgramme(curve, (), SHORTEST, ((Here(),), (Here(), Here()))).at(Point(at, 2.0))

@@ -14,7 +14,7 @@ from salver.models.liquid import GRAVITY
 from salver.planning.fastest.constraints import TorqueLimit
 from salver.planning.fastest.problem import transport_problem
 from salver.sensitivity.arm.liquids import Sloshing
-from salver.sensitivity.wave_cases import Case, Cases
+from salver.sensitivity.wave_cases import Cases, SloshingCase
 from salver.sensitivity.waves import along
 from shaken import BOX
 
@@ -108,7 +108,7 @@ def tray_at(problem, q):
 def test_an_arm_gives_way_to_its_waves_as_with_pendulums_on_its_tray(problem):
     """Joints, speeds and commanded torques along a small motion, of a load that is known but for its waves."""
     (body,) = problem.items
-    case, swing = Case(body, body.liquid.fill, 0.01), 0.01 * AWAY
+    case, swing = SloshingCase(body, body.liquid.fill, 0.01), 0.01 * AWAY
     motion = planned(problem, swing)
     _, given = Sloshing.of(((case,),), motion.s * DURATION, motion.terms.w, motion.response).each["cup"]
     e, rate, torque = followed(problem, case, swing)
@@ -153,7 +153,7 @@ def test_what_a_wave_lifts_is_the_energy_of_its_surface(problem, shape):
     liquid rises so far."""
     made = sv.load_scenario("panda-coffee").with_changes(**(BOX if shape == "box" else {}))
     body = made.payload.first
-    case = Case(body, 0.05, 0.01)
+    case = SloshingCase(body, 0.05, 0.01)
     lifts, gain, half = (x[0] for x in (Cases.of((case,)).rising, Cases.of((case,)).gain, case.modes.half[None]))
     for n in range(2):
         for axis in range(2):

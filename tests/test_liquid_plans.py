@@ -24,7 +24,7 @@ from salver.planning.object.problem import Problem
 from salver.scenario import parse
 from salver.sensitivity.arm.liquids import Sloshing, of_cases
 from salver.sensitivity.slosh_rows import Sloshed
-from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.wave_cases import SloshingCase
 from salver.simulation.physics import simulate, simulate_tray
 from salver.trajectory import MotionSamples, SampledReference, min_jerk_line
 from shaken import BOX
@@ -302,7 +302,7 @@ def test_a_case_knows_what_its_fill_weighs(coffee):
     load, body = problem.tracking.load, problem.items[0]
     dw, mass, fill = rng.normal(size=(5, 12, len(load.terms))), Parameter("cup", "mass"), Parameter("cup", "fill")
     for share in (-1.0, 0.3, 1.0):
-        case = Case(body, 0.05 + share * 0.015, 0.01)
+        case = SloshingCase(body, 0.05 + share * 0.015, 0.01)
         sure, unsure = of_cases([case], load, dw)
         others = [p for p in load.uncertain.parameters if p != fill]
         assert unsure.shape == (1, 5, 12, len(others))

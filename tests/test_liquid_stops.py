@@ -11,7 +11,7 @@ import salver as sv
 from live_runs import ROUNDS
 from salver.planning.fastest import plan_fastest
 from salver.planning.fastest.ends import Anywhere, AtPosture
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.stops import along, past_of, plan_stops, stop_problem, stopped, with_stops
 from salver.sensitivity.arm.liquids import Sloshing
@@ -32,7 +32,7 @@ def swinging(problem: TransportProblem) -> JointMotion:
     return JointMotion(t, problem.start_posture + q, dq, ddq)
 
 
-def seen(problem: TransportProblem, motion: JointMotion, t: np.ndarray, since: float = 0.0) -> Evaluation:
+def seen(problem: TransportProblem, motion: JointMotion, t: np.ndarray, since: float = 0.0) -> MotionEvaluation:
     """A motion at instants t, as one that begins at `since`."""
     q, dq, ddq = motion.sample(t)
     takes = END - since

@@ -9,9 +9,9 @@ import pytest
 
 from salver.geometry import Array
 from salver.models.worst_contents import SURE
-from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.constraints import ContactConstraint
 from salver.planning.fastest.curves import FreeCurve, Grid
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.optimum import straight_start
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.spline import RestSpline
@@ -28,7 +28,7 @@ BOX = {
 }
 
 
-def moved(problem: TransportProblem, faster: float = 1.0, swing: float = 0.1) -> Evaluation:
+def moved(problem: TransportProblem, faster: float = 1.0, swing: float = 0.1) -> MotionEvaluation:
     """A straight motion with a swing of the wrist in it, rad."""
     spline = RestSpline(5, 8)
     start = straight_start(problem, spline)
@@ -99,7 +99,7 @@ def test_looked_at_coarsely_what_is_near_its_edge_is_as_it_is(
     here, told = moved(glasses, faster, swing), []
     for margin in (0.0, 0.05):
         for rows in glasses.contacts[:2]:
-            contact = Contact(rows, margin)
+            contact = ContactConstraint(rows, margin)
             exact, coarse = (next(iter(contact.blocks(replace(here, coarsely=x)))).values for x in (False, True))
             assert np.all(coarse >= exact - 1e-12)
             near = exact > SURE - margin

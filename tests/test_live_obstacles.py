@@ -11,7 +11,7 @@ import pytest
 from live_runs import drive, in_turn, rows_of
 from salver.live import Live, Moving
 from salver.live.lookout import Lookout, Sighting
-from salver.live.obstacles import Movable, Passing, nearest, predicted
+from salver.live.obstacles import Movable, MovingClearance, nearest, predicted
 from salver.live.verify import few
 from salver.models.arm_geometry import arm_geometry
 from salver.planning.fastest import evaluate
@@ -59,7 +59,7 @@ def test_derivatives_by_posture_and_duration_match_differences(problem):
     rng, q = np.random.default_rng(3), problem.start.q
     at = problem.arm.tray_pose(q)[0] + np.array([0.05, 0.04, 0.1])
     ball = predicted(Moving("ball", "sphere", at, (0.4, -0.3, 0.1), radius=0.03), 2.0)
-    passing = Passing(Movable(problem.keep_out.parts), (ball,), 2.0)
+    passing = MovingClearance(Movable(problem.keep_out.parts), (ball,), 2.0)
     s, duration = np.linspace(0, 1, 4), 0.2
     z = np.zeros((4, 4, 7))
     z[0] = q + 0.02 * rng.standard_normal((4, 7))

@@ -16,7 +16,7 @@ from salver.live.verify import instants, verified
 from salver.live.wishes import Goal, Halt
 from salver.live.worker import _Process
 from salver.planning.fastest import AtPosture, fastest
-from salver.planning.fastest.constraints import Clearance, Contact, evaluate
+from salver.planning.fastest.constraints import Clearance, ContactConstraint, evaluate
 from salver.planning.fastest.exchange import optimise
 from salver.planning.fastest.obstacles import NEAR, KeepOut
 from salver.planning.fastest.sqp import minimise
@@ -104,7 +104,7 @@ def test_contact_keeps_a_margin_also_where_the_scenario_asks_for_none(cube, movi
     s, nodes = instants(motion)
     z = np.stack([*motion.sample(s * motion.duration), motion.jerk(s * motion.duration)])
     blocks = evaluate(problem.constraints, problem.at(s, z, motion.duration, nodes, imposed=False))
-    contacts = [block for block in blocks if isinstance(block.of, Contact)]
+    contacts = [block for block in blocks if isinstance(block.of, ContactConstraint)]
     more = 1e-3 - contacts[0].margins[1]  # the rows hold a margin already
     assert more > 5e-4
     found = verified(problem, motion, 3.0, None)

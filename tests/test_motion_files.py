@@ -14,7 +14,17 @@ import salver as sv
 from salver.cli import app
 from salver.errors import FileFormatError, SalverError
 from salver.given import at_pace
-from salver.motion_files import ENDINGS, JointSamples, Motion, TraySamples, form_of, of_columns, read, read_path, write
+from salver.motion_files import (
+    ENDINGS,
+    JointSamples,
+    MotionSeries,
+    TraySamples,
+    form_of,
+    of_columns,
+    read,
+    read_path,
+    write,
+)
 from salver.motion_files.samples import tray_samples
 
 JOINTS = tuple(f"panda_joint{k}" for k in range(1, 8))
@@ -52,7 +62,7 @@ def test_joints_come_back_to_the_last_digit(tmp_path_factory, data, form):
     steps = data.draw(arrays(np.int64, count - 1, elements=st.integers(20_000, 2_000_000_000)))
     ns = np.concatenate([[0], np.cumsum(steps)])
     path = named(form, tmp_path_factory.mktemp("joints"))
-    write(Motion(ns, JOINTS[:n], q, dq, ddq), path, form)
+    write(MotionSeries(ns, JOINTS[:n], q, dq, ddq), path, form)
     again = read(path, lambda: JOINTS[:n])
     assert again.names == JOINTS[:n]
     assert np.allclose(again.t, ns * 1e-9, rtol=0, atol=1e-12 + 1e-15 * ns[-1])
@@ -70,7 +80,7 @@ def test_poses_come_back_to_the_last_digit(tmp_path, form, frame):
     samples = tray_samples(np.arange(20) * 0.01, rng.normal(size=(20, 3)), quat / np.linalg.norm(quat, axis=1)[:, None],
                            frame, "made")  # fmt: skip
     path = named(form, tmp_path)
-    files = write(Motion.of(samples), path, form)
+    files = write(MotionSeries.of(samples), path, form)
     if form == "yaml" and frame == "B":  # a message does not say whose path it is, its name does
         (files[0]).rename(tmp_path / "motion_object_path.yaml")
         path = tmp_path / "motion_object_path.yaml"
@@ -84,14 +94,14 @@ def test_poses_come_back_to_the_last_digit(tmp_path, form, frame):
 @pytest.mark.parametrize("form", ["moveit", "message"])
 def test_a_tray_is_no_joint_trajectory(tmp_path, form):
     with pytest.raises(SalverError, match="without joints"):
-        write(Motion.of(swing()), named(form, tmp_path), form)
+        write(MotionSeries.of(swing()), named(form, tmp_path), form)
 
 
 def test_moveit_reads_what_is_written_as_robot_trajectory(tmp_path):
     """The members of moveit_msgs/RobotTrajectory, by their names and in their order."""
     from ruamel.yaml import YAML
 
-    (path,) = write(Motion.of(joint_swing()), tmp_path / "a.yaml", "moveit")
+    (path,) = write(MotionSeries.of(joint_swing()), tmp_path / "a.yaml", "moveit")
     message = YAML(typ="safe").load(path)
     assert list(message) == ["joint_trajectory", "multi_dof_joint_trajectory"]
     assert list(message["joint_trajectory"]) == ["header", "joint_names", "points"]
@@ -118,14 +128,14 @@ def test_the_ending_says_the_format_and_else_that_of_the_source(name, like, form
 
 def test_no_other_ending_is_written(tmp_path):
     with pytest.raises(SalverError, match=r"must end in \.csv, \.json, \.yaml"):
-        write(Motion.of(swing()), tmp_path / "a.xlsx")
+        write(MotionSeries.of(swing()), tmp_path / "a.xlsx")
 
 
 @pytest.mark.slow
 def test_columns_of_a_mapping_and_of_a_frame_are_those_of_a_file(tmp_path):
     import pandas
 
-    (path,) = write(Motion.of(swing()), tmp_path / "a.csv")
+    (path,) = write(MotionSeries.of(swing()), tmp_path / "a.csv")
     frame = pandas.read_csv(path)
     for columns in (frame, frame.set_index("t"), {name: frame[name].to_numpy() for name in frame}):
         again = of_columns(columns)
@@ -136,7 +146,7 @@ def test_columns_of_a_mapping_and_of_a_frame_are_those_of_a_file(tmp_path):
 
 
 def test_salvers_json_that_is_damaged_is_one_sentence(tmp_path):
-    (path,) = write(Motion.of(joint_swing()), tmp_path / "a.json")
+    (path,) = write(MotionSeries.of(joint_swing()), tmp_path / "a.json")
     whole = json.loads(path.read_text())
     for damage in ({"t": 3}, {"q": [[1, 2], [3]]}, {"joint_names": ["one"]}, {"t": None}, {"q": "x"}, {"dq": {"a": 1}}):
         path.write_text(json.dumps({**whole, **damage}))
@@ -146,8 +156,8 @@ def test_salvers_json_that_is_damaged_is_one_sentence(tmp_path):
 
 def test_a_file_of_tray_and_joints_is_the_trays_for_an_audit_and_the_joints_for_a_path(tmp_path):
     joints, tray = joint_swing(), swing(rate=59 / 2)
-    (path,) = write(Motion(Motion.of(joints).ns, JOINTS, joints.q, p_SE=tray.p, quat_SE_wxyz=tray.quat_wxyz),
-                    tmp_path / "both.csv")  # fmt: skip
+    both = MotionSeries(MotionSeries.of(joints).ns, JOINTS, joints.q, p_SE=tray.p, quat_SE_wxyz=tray.quat_wxyz)
+    (path,) = write(both, tmp_path / "both.csv")
     assert isinstance(read(path, lambda: JOINTS), TraySamples)
     assert np.array_equal(read_path(path, JOINTS), joints.q)
 
@@ -186,7 +196,7 @@ def test_a_joint_beyond_its_speed_limit_is_no_yes():
 @pytest.mark.parametrize("form", FORMS)
 def test_what_could_be_faster_is_written_in_the_format_it_came_in(tmp_path, form):
     path = named(form, tmp_path)
-    motion = Motion.of(swing(2.0, 250.0) if form in ("csv", "json") else joint_swing(60))
+    motion = MotionSeries.of(swing(2.0, 250.0) if form in ("csv", "json") else joint_swing(60))
     write(motion, path, form)
     run = CliRunner()
     told = run.invoke(app, ["audit", str(path), "-s", "panda-cube", "--highest", "20"])
@@ -211,7 +221,7 @@ def test_simulate_takes_a_file_and_the_engine_agrees_with_the_audit(tmp_path):
     peak = 10 * 0.3 / np.sqrt(3)  # of a motion of 1 s
     for share, outcome in ((0.5, "holds"), (1.5, "slides")):
         samples = swing(float(np.sqrt(peak / (share * 0.5 * 9.81))), 500.0)
-        write(Motion.of(samples), path)
+        write(MotionSeries.of(samples), path)
         done = CliRunner().invoke(app, ["simulate", str(path), "-s", "panda-cube", "--json"])
         assert done.exit_code == 0, done.output
         assert json.loads(done.stdout)["outcome"] == outcome
@@ -228,7 +238,7 @@ def test_a_command_to_the_joints_moves_the_tray_as_forward_kinematics_says(tmp_p
 
     scenario = sv.load_scenario("panda-cube")
     samples = joint_swing(60) if accelerations else replace(joint_swing(60), ddq=None)
-    (path,) = write(Motion.of(samples), tmp_path / "motion.yaml")
+    (path,) = write(MotionSeries.of(samples), tmp_path / "motion.yaml")
     record = sv.simulate(path, scenario)
     arm = load_arm(scenario.arm, scenario.tray)
     for k in (0, 20, 41, 59):
@@ -241,7 +251,7 @@ def test_a_command_to_the_joints_moves_the_tray_as_forward_kinematics_says(tmp_p
 def test_a_file_that_begins_at_speed_is_not_run(tmp_path):
     samples = swing(1.0, 500.0)
     half = tray_samples(samples.t[250:] - samples.t[250], samples.p[250:], samples.quat_wxyz[250:], "E", "half")
-    (path,) = write(Motion.of(half), tmp_path / "half.csv")
+    (path,) = write(MotionSeries.of(half), tmp_path / "half.csv")
     with pytest.raises(SalverError, match=r"begins at 0\.56 m/s; a run in the engine begins at rest"):
         sv.simulate(path, "panda-cube")
 
@@ -250,7 +260,7 @@ def test_a_file_that_begins_at_speed_is_not_run(tmp_path):
 @pytest.mark.parametrize("form", ["moveit"])
 def test_retime_reads_a_motion_file_and_writes_one(tmp_path, form):
     path = named(form, tmp_path)
-    write(Motion.of(joint_swing(30)), path, form)
+    write(MotionSeries.of(joint_swing(30)), path, form)
     target = tmp_path / "retimed.yaml"
     args = ["retime", str(path), "-s", "panda-cube", "-o", str(tmp_path / "run"), "--write", str(target), "--json"]
     done = CliRunner().invoke(app, args)
@@ -273,7 +283,7 @@ def plan_in_every_form(tmp_path_factory):
         typed("export", folder / "run", "--format", form, "-o", files[form], "--rate", 70)
     typed("export", files["csv"], "--format", "moveit", "-o", folder / "again.yaml")  # and MoveIt's message as JSON
     files["message"] = folder / "message.json"
-    write(Motion.of(read(folder / "again.yaml")), files["message"], "message")
+    write(MotionSeries.of(read(folder / "again.yaml")), files["message"], "message")
     return plan, folder, files
 
 
@@ -352,7 +362,7 @@ def test_a_log_of_a_run_becomes_a_table_of_the_arms_joints(tmp_path):
 @pytest.mark.slow
 def test_what_a_run_did_is_a_recording_without_velocities(tmp_path):
     """The tray of the record moves as the file says, to the last digit; nobody takes it for a command."""
-    (path,) = write(Motion.of(swing()), tmp_path / "a.csv")
+    (path,) = write(MotionSeries.of(swing()), tmp_path / "a.csv")
     typed("simulate", path, "-s", "panda-cube", "--write", tmp_path / "ran.csv")
     ran = read(tmp_path / "ran.csv")
     assert ran.frame == "E"
@@ -377,7 +387,7 @@ def test_what_a_run_did_is_a_recording_without_velocities(tmp_path):
 )
 def test_wrong_use_of_motion_files_is_one_sentence(tmp_path, monkeypatch, words, sentence):
     monkeypatch.chdir(tmp_path)
-    write(Motion.of(swing(rate=20.0)), tmp_path / "a.csv")
+    write(MotionSeries.of(swing(rate=20.0)), tmp_path / "a.csv")
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 2
     assert sentence in " ".join(done.output.split())

@@ -22,7 +22,7 @@ from salver.planning import make, postures, qp
 from salver.planning.fastest import blocked, bound
 from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.problem import _level_enough
-from salver.planning.fastest.tradeoff import Asked
+from salver.planning.fastest.tradeoff import TradeoffTask
 from salver.planning.follow import redundancy
 from salver.planning.follow.limits import _room
 from salver.planning.follow.motion import _unreachable
@@ -101,11 +101,11 @@ def test_friction_carries_the_centre_of_a_load_wherever_it_is_on_the_tray(monkey
 
 def test_what_a_curve_of_durations_is_of_is_told_in_whole_sentences() -> None:
     certain = CUBE.with_changes(objects__0__uncertainty={}, motion__duration=None, motion__orientation="fixed")
-    assert Asked.of(certain).sentence == (
+    assert TradeoffTask.of(certain).sentence == (
         "The tray stays level, as with salver plan --fastest. Nothing is uncertain in the scenario: friction, by 10 %, "
         "is taken to be."
     )
-    assert Asked.of(CUBE).sentence == (
+    assert TradeoffTask.of(CUBE).sentence == (
         "The duration of 2.5 s is left open, so the tray may tilt, as with salver plan --fastest."
     )
 

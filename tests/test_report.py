@@ -18,7 +18,7 @@ from salver.models.parameters import Parameter
 from salver.planning.make import make_plan
 from salver.reports.page import write_report
 from salver.reports.parameters import half_range
-from salver.reports.run import Run, read_run
+from salver.reports.run import ReportedRun, read_run
 from salver.reports.words import asked, verdict
 
 pytestmark = pytest.mark.slow
@@ -111,7 +111,7 @@ def test_other_directories_get_a_sentence(tmp_path: Path, cube_plans: Path) -> N
 
 
 def test_run_gives_motions_in_order(cube_run: Path) -> None:
-    run: Run = read_run(cube_run)
+    run: ReportedRun = read_run(cube_run)
     assert [m.label for m in run.motions] == ["Robust", "Baseline"]
     assert run.motion("baseline") is run.motions[1]
     assert run.motion("other") is None

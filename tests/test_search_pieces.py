@@ -20,10 +20,10 @@ from salver.planning.fastest.around import CUTS, STEP, FreeSpace, _cut_short
 from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY, UNSEEN, Block, Clearance
 from salver.planning.fastest.curves import launch_basis
 from salver.planning.fastest.ends import Anywhere
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.objectives import Duration, LeastMargin, Point
 from salver.planning.fastest.obstacles import AT_NODES, EXACT, REACH, KeepOut
-from salver.planning.fastest.passing import ALLOWED, SCALE, Closest, Passing, _blend
+from salver.planning.fastest.passing import ALLOWED, SCALE, Closest, PassPose, _blend
 from salver.planning.fastest.retiming import PATH_TOLERANCE, SplinePath
 from salver.planning.postures import INSIDE, PoseTarget
 from salver.planning.stops import STATES_EVERY, along
@@ -35,7 +35,7 @@ POSTURE = np.array([0.0, -0.6, 0.1, -2.2, 0.0, 1.6, 0.8])
 def test_between_nodes_values_are_joined_by_straight_lines() -> None:
     s, rng = np.linspace(0.0, 1.0, 21) ** 1.3, np.random.default_rng(0)
     nodes = np.array([0, 3, 4, 9, 15, 20])
-    motion = Evaluation(None, 0, None, s, 0.8, np.zeros((4, 21, 1)), nodes, True, False)
+    motion = MotionEvaluation(None, 0, None, s, 0.8, np.zeros((4, 21, 1)), nodes, True, False)
     values = rng.normal(size=(6, 2))
     expected = np.column_stack([np.interp(s, s[nodes], column) for column in values.T])
     assert motion.between_nodes(values) == pytest.approx(expected)
@@ -128,14 +128,14 @@ def test_where_a_motion_is_nearest_to_a_pose_is_found_in_whichever_piece_it_is(p
     assert found.node == int(passes / 0.2)
     assert np.abs(found.error).max() < 1e-6
     z = np.stack([q, dq, 0 * q, 0 * q])
-    motion = Evaluation(None, 0, None, t, 1.0, z, np.arange(6), True, False)
-    (rows,) = Passing(arm, PoseTarget(*arm.tray_pose(there)), "a pose").blocks(motion)
+    motion = MotionEvaluation(None, 0, None, t, 1.0, z, np.arange(6), True, False)
+    (rows,) = PassPose(arm, PoseTarget(*arm.tray_pose(there)), "a pose").blocks(motion)
     assert rows.values == pytest.approx(np.full((1, 12), -ALLOWED / SCALE), abs=1e-4)  # as far within as can be
 
 
 def test_what_is_known_at_nodes_is_linear_between_them() -> None:
     s, nodes, rng = np.array([0.0, 0.1, 0.25, 0.3, 0.6, 0.8, 1.0]), np.array([0, 2, 4, 6]), np.random.default_rng(2)
-    motion = Evaluation(None, 0, None, s, 2.0, np.zeros((4, 7, 1)), nodes, True, False)
+    motion = MotionEvaluation(None, 0, None, s, 2.0, np.zeros((4, 7, 1)), nodes, True, False)
     assert motion.steps == pytest.approx([0.5, 0.7, 0.8])  # s, of two
     values = rng.normal(size=(4, 3))
     expected = np.stack([np.interp(s, s[nodes], column) for column in values.T], axis=1)

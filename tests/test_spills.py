@@ -12,7 +12,7 @@ from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.problem import transport_problem, with_missed_cases
 from salver.sensitivity.sloshing import LIGHTEST, Slosh
 from salver.sensitivity.spills import Liquids, Spill, slacks
-from salver.sensitivity.wave_cases import VERDICT_APART, Case, cases
+from salver.sensitivity.wave_cases import VERDICT_APART, SloshingCase, cases
 from salver.sensitivity.waves import along
 from shaken import shaken
 
@@ -32,7 +32,7 @@ def test_a_surface_that_leans_by_nearly_half_the_radius_is_as_much_as_is_known(c
 
 def test_worst_case_bounds_waves_at_every_corner(coffee):
     """What is uncertain, as small as first order needs: no corner is higher, and some corner nearly is."""
-    case, t = Case(coffee.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
+    case, t = SloshingCase(coffee.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
     dw = 1e-3 * np.random.default_rng(3).normal(size=(12, 3)) * np.cos(np.outer(t, [2, 5, 9]))[:, None, :]
     waves = along((case,), t, shaken(t))
     here = Slosh.given_way(waves, waves, np.zeros(0), dw[None])
@@ -77,7 +77,7 @@ def test_every_fill_in_the_range_is_covered_by_the_cases(coffee):
     least = Spill.of(body.name, whole.worst[body.name]).slack.min()
     for fill in np.linspace(0.035, 0.065, 31):
         for damping in np.linspace(*body.liquid.damping, 3):
-            waves = along((Case(body, float(fill), float(damping)),), t, w)
+            waves = along((SloshingCase(body, float(fill), float(damping)),), t, w)
             assert 1 - waves.crest.max() / waves.cases.room[0] > least - 0.03
 
 
@@ -104,7 +104,7 @@ def test_on_a_tray_that_leans_the_surface_stands_higher_and_that_is_no_wave_that
     body, lean, t = coffee.payload.first, np.deg2rad(10.0), np.linspace(0, 0.5, 101)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0], w[:, 2] = 9.81 * np.sin(lean), 9.81 * np.cos(lean)
-    found = Slosh.of(along((Case(body, 0.05, 0.02),), t, w))
+    found = Slosh.of(along((SloshingCase(body, 0.05, 0.02),), t, w))
     stands, over = body.liquid.half[0] * np.tan(lean), found.left(0.0)[0]
     assert over < 0.1 * stands
     assert found.left()[0] - over == pytest.approx(stands, rel=1e-3)
@@ -118,7 +118,7 @@ def test_the_last_slack_is_that_of_what_comes_afterwards(coffee, wanted):
     moving = t < 0.8 + 1e-9
     w = np.tile(at_rest(), (len(t), 1))
     w[moving] += 0.8 * (shaken(t[moving]) - at_rest())
-    pair = (Case(body, 0.035, 0.01), Case(body, 0.07, 0.01))
+    pair = (SloshingCase(body, 0.035, 0.01), SloshingCase(body, 0.07, 0.01))
     during, all_along = Slosh.of(along(pair, t[moving], w[moving])), Slosh.of(along(pair, t, w))
     slack, room = slacks(during), np.array([0.044, 0.009])[:, None]  # to 1 mm below the brim
     shares = np.array([all_along.crest / room, all_along.free_height / 0.012, all_along.lightness / LIGHTEST])

@@ -13,10 +13,10 @@ from salver.geometry import Array
 from salver.planning.fastest import sqp
 from salver.planning.fastest.constraints import UNSEEN, Block, Constraint
 from salver.planning.fastest.curves import ORDERS, Grid
-from salver.planning.fastest.evaluation import Evaluation, Indices
-from salver.planning.fastest.objectives import Distance, Duration, Model, Objective, Point, Scalar
+from salver.planning.fastest.evaluation import Indices, MotionEvaluation
+from salver.planning.fastest.objectives import Distance, Duration, Objective, Point, QuadraticModel, Scalar
 from salver.planning.fastest.programme import Iterate, Linearised, Programme, Subproblem
-from salver.planning.fastest.sqp import FUTILE, Attempt, Options, minimise
+from salver.planning.fastest.sqp import FUTILE, Attempt, SqpOptions, minimise
 from salver.planning.fastest.trust import Trust
 
 Value = Callable[[Array, float], Array]
@@ -42,8 +42,8 @@ class Plane:
     def width(self) -> int:
         return self.n
 
-    def at(self, s: Array, z: Array, duration: float, nodes: Indices) -> Evaluation:
-        return Evaluation(None, 0, None, s, duration, z, nodes, True, False)
+    def at(self, s: Array, z: Array, duration: float, nodes: Indices) -> MotionEvaluation:
+        return MotionEvaluation(None, 0, None, s, duration, z, nodes, True, False)
 
     def motion(self, coefficients: Array, duration: float) -> Array:
         return self.grid.motion(coefficients, duration)
@@ -75,7 +75,7 @@ class Rows(Constraint):
     name: str = "rows"
     more: dict[str, Any] = field(default_factory=dict)
 
-    def blocks(self, motion: Evaluation) -> Iterable[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterable[Block]:
         q, duration, h = motion.z[0, 0], motion.duration, 1e-6
         sides = [[self.value(q + s * h * e, duration) for s in (-1, 1)] for e in np.eye(len(q))]
         slope = np.stack([(up - down) / (2 * h) for down, up in sides], axis=1)
@@ -97,8 +97,8 @@ class Along(Objective):
     def value(self, curve: Any, at: Point) -> float:
         return -float(np.dot(self.c, at.coefficients[0]))
 
-    def model(self, curve: Any, at: Point) -> Model:
-        return Model(-np.array(self.c))
+    def model(self, curve: Any, at: Point) -> QuadraticModel:
+        return QuadraticModel(-np.array(self.c))
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ class Roomy(Objective):
     def value(self, curve: Any, at: Point) -> float:
         return -at.margin
 
-    def model(self, curve: Any, at: Point) -> Model:
-        return Model(np.zeros(at.coefficients.size), -1.0)
+    def model(self, curve: Any, at: Point) -> QuadraticModel:
+        return QuadraticModel(np.zeros(at.coefficients.size), -1.0)
 
     def scale(self, at: Point, value: float) -> float:
         return 0.1
@@ -154,7 +154,7 @@ def test_the_nearest_point_of_a_disc_is_found_and_every_programme_counted(start,
     monkeypatch.setattr(Subproblem, "solve", solving)
     monkeypatch.setattr(sqp, "_attempt", lambda *given: tried.append(attempt(*given)) or tried[-1])
     task = programme(to(3.0, 4.0), disc(0, 0, 1.0))
-    found = minimise(task, task.begin(np.array([start]), 1.0), Options())
+    found = minimise(task, task.begin(np.array([start]), 1.0), SqpOptions())
     assert found.status.ok
     assert found.iterate.coefficients[0] == pytest.approx([0.6, 0.8], abs=0.01)  # the cost to 1e-4 of 8
     assert found.programmes == len(asked)
@@ -165,7 +165,7 @@ def test_the_nearest_point_of_a_disc_is_found_and_every_programme_counted(start,
 def test_where_no_place_is_allowed_that_is_seen_soon():
     """Two discs of radius 1 with middles 4 apart: 1 is missed at best."""
     task = programme(to(0.0, 3.0), disc(0, 0, 1.0), disc(4.0, 0, 1.0))
-    found = minimise(task, task.begin(np.array([[2.0, 0.5]]), 1.0), Options(iterations=200))
+    found = minimise(task, task.begin(np.array([[2.0, 0.5]]), 1.0), SqpOptions(iterations=200))
     assert found.status.code == "infeasible"
     assert 1.0 - 1e-9 < found.status.details["violation"] < 1.05
     assert found.iterations < FUTILE + 4
@@ -176,7 +176,7 @@ def test_a_time_that_only_rows_of_its_square_limit_is_found_at_once():
     rows = Rows(lambda q, t: np.array([(1 + q @ q) / t**2 - 1]), more={"scales": True})
     for duration in (0.5, 3.0):
         task = programme(Duration(), rows)
-        found = minimise(task, task.begin(np.array([[0.5, -0.3]]), duration), Options())
+        found = minimise(task, task.begin(np.array([[0.5, -0.3]]), duration), SqpOptions())
         assert found.status.ok
         assert found.iterate.duration == pytest.approx(1.0, abs=1e-3)
         assert found.iterations < 15
@@ -191,7 +191,7 @@ def test_the_largest_margin_is_that_of_the_middle():
     assert begin.point.margin == pytest.approx(0.2)
     assert begin.blocks[0].values.max() == pytest.approx(0.0, abs=1e-12)
     assert begin.blocks[1].values.max() == pytest.approx(-0.05)
-    found = minimise(task, begin, Options())
+    found = minimise(task, begin, SqpOptions())
     assert found.status.ok
     assert found.iterate.point.margin == pytest.approx(1.0, abs=1e-3)
     assert found.iterate.coefficients[0, 0] == pytest.approx(0.5, abs=1e-3)
@@ -210,7 +210,7 @@ def test_what_an_iteration_promises_and_brings_is_counted_in_the_merit(start, mo
     monkeypatch.setattr(sqp, "_attempt", noted)
     bent = Rows(lambda q, _: np.array([q[1] - np.sin(3 * q[0]), q[0] ** 2 + q[1] ** 2 - 2.0]))
     task = programme(Along((1.0, 2.0)), bent)
-    found = minimise(task, task.begin(np.array([start]), 1.0), Options())
+    found = minimise(task, task.begin(np.array([start]), 1.0), SqpOptions())
     assert found.status.ok
     accepted = [path for path, _, _ in seen[1:]] + [found.iterate]
     for (path, tried, price), after in zip(seen, accepted, strict=True):
@@ -231,7 +231,7 @@ def test_a_correction_is_tried_where_a_step_brings_less_than_it_promised_and_onl
         task = programme(Along((1.0, 20.0)), rows)
         path = task.begin(np.array([[0.0, 0.0]]), 1.0)
         masks = [np.ones((1, 1), dtype=bool)]
-        tried = sqp._attempt(task, path, masks, Trust(penalty=100.0), [], Options())
+        tried = sqp._attempt(task, path, masks, Trust(penalty=100.0), [], SqpOptions())
         assert tried is not None
         assert tried.programmes == programmes
 
@@ -259,11 +259,11 @@ def test_the_share_of_an_arc_that_is_taken_is_the_best_of_it():
 def test_a_search_is_beaten_where_what_it_can_still_hope_for_is_not_enough():
     task = programme(to(1.0, 0.0), disc(0, 0, 5.0))
     path = replace(task.begin(np.zeros((1, 2)), 1.0), cost=1.0)
-    assert [Options(beat=beat).beaten(path, 0.1) for beat in (0.85, 0.95)] == [True, False]
-    assert not Options(beat=0.85).beaten(replace(path, cost=0.2), 0.1)
-    assert not Options(beat=0.5).beaten(path, 0.2)  # a long step: no telling
+    assert [SqpOptions(beat=beat).beaten(path, 0.1) for beat in (0.85, 0.95)] == [True, False]
+    assert not SqpOptions(beat=0.85).beaten(replace(path, cost=0.2), 0.1)
+    assert not SqpOptions(beat=0.5).beaten(path, 0.2)  # a long step: no telling
     # What it takes to keep its rows makes it longer; from afar that is said to be too much, so half of it counts.
-    assert [Options(beat=beat).beaten(path, -0.1) for beat in (1.04, 1.06)] == [True, False]
+    assert [SqpOptions(beat=beat).beaten(path, -0.1) for beat in (1.04, 1.06)] == [True, False]
 
 
 @pytest.mark.parametrize(("hoped", "steps"), [(0.005, 1), (0.007, 3)])
@@ -279,7 +279,7 @@ def test_near_an_end_a_step_that_led_nowhere_is_not_tried_again(hoped, steps, mo
     monkeypatch.setattr(sqp, "_attempt", in_vain)
     task = programme(to(1.0, 0.0), disc(0, 0, 5.0))
     path = replace(task.begin(np.zeros((1, 2)), 1.0), cost=1.0)
-    assert minimise(task, path, Options(gain=1e-3)).status.code == "optimal"
+    assert minimise(task, path, SqpOptions(gain=1e-3)).status.code == "optimal"
     assert len(tried) == steps
 
 
@@ -405,7 +405,7 @@ def test_the_step_of_a_programme_by_hand():
 
 def test_a_step_that_leads_nowhere_is_shortened():
     task = programme(to(1.5, 0.0), disc(0, 0, 9.0), walled=True)
-    found = minimise(task, task.begin(np.zeros((1, 2)), 1.0), Options())
+    found = minimise(task, task.begin(np.zeros((1, 2)), 1.0), SqpOptions())
     assert 0.8 < found.iterate.coefficients[0, 0] <= 1.0
 
 

@@ -23,7 +23,7 @@ from salver.planning.fastest.starts import ends
 from salver.planning.follow.limits import verdict
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
-from salver.planning.round import Round
+from salver.planning.round import MultiLegPlan
 from salver.reports import tables, words
 from salver.reports.meshes import link_meshes
 from salver.reports.replay import replay_scene
@@ -313,7 +313,7 @@ def test_a_round_says_first_what_any_of_its_legs_says() -> None:
     assert len(unmodelled) == 1
     assert liquid.unchecked[:1] == unmodelled
     assert arm.unchecked == ("jerk of all joints (nobody gave a limit)",)
-    both = Round(case, (liquid, arm), Status("optimal", "", True)).unchecked
+    both = MultiLegPlan(case, (liquid, arm), Status("optimal", "", True)).unchecked
     assert both[0].startswith("what happens at the stops")
     assert set(both[1:]) == {*liquid.unchecked, *arm.unchecked}
 

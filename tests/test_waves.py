@@ -13,7 +13,7 @@ from potential_flow import box, cylinder, rectangle, simulate
 from salver.models.tray_motion import at_rest
 from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.underway import Underway
-from salver.sensitivity.wave_cases import Case, Cases
+from salver.sensitivity.wave_cases import Cases, SloshingCase
 from salver.sensitivity.wave_changes import changed
 from salver.sensitivity.wave_gradients import Unknowns, wrench_by
 from salver.sensitivity.waves import Waves, along
@@ -22,7 +22,7 @@ from shaken import BOX, BOX_IN, shaken
 
 def test_a_surface_at_rest_is_level_however_the_tray_is_pushed(coffee):
     """Constant specific force, long enough for waves to die: eta = -R f / f_z, and the liquid's weight hangs aside."""
-    case = Case(coffee.payload.first, 0.05, 0.1)
+    case = SloshingCase(coffee.payload.first, 0.05, 0.1)
     t = np.linspace(0, 12, 4001)
     w = np.tile(at_rest(), (len(t), 1))
     w[:, 0] = 2 * np.minimum(t / 2, 1) ** 2 * (3 - 2 * np.minimum(t / 2, 1))
@@ -36,7 +36,7 @@ def test_a_surface_at_rest_is_level_however_the_tray_is_pushed(coffee):
 @pytest.mark.parametrize("yaw", [0.0, 25.0])
 def test_filter_agrees_with_the_equations_integrated(coffee, yaw):
     """In axes that do not turn, where the equations of the modes hold, to 1e-6 of the largest displacement."""
-    case = Case(coffee.payload.first, 0.05, 0.01)
+    case = SloshingCase(coffee.payload.first, 0.05, 0.01)
     which, T = Cases.of((case,)), 0.9
 
     def rates(t, state):
@@ -75,7 +75,7 @@ def test_derivatives_agree_with_differences(coffee, changes, underway, monkeypat
     the walls of a box that turns take along is iterated to the end here."""
     monkeypatch.setattr(waves_module, "SETTLED", 1e-9)
     scenario = coffee.with_changes(**changes) if changes else coffee
-    both = [Case(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
+    both = [SloshingCase(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
     rng, t, step = np.random.default_rng(1), np.linspace(0, 0.9, 201), 1e-6
     w, node, weight = shaken(t), np.array([15, 66, 110, 165, 199]), rng.normal(size=(5, 6))
     move = np.sin(np.pi * t / 0.9)[:, None] ** 2 * np.stack([np.cos(k * t) for k in rng.uniform(2, 12, 12)], 1)
@@ -97,7 +97,7 @@ def test_derivatives_agree_with_differences(coffee, changes, underway, monkeypat
 def test_second_derivatives_of_waves_agree_with_differences(coffee, changes):
     """On a tray that is pushed along the ground waves are linear in the push; what is read of them is not."""
     scenario = coffee.with_changes(**changes) if changes else coffee
-    both = [Case(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
+    both = [SloshingCase(scenario.payload.first, fill, 0.01) for fill in (0.05, 0.06)]
     rng, t, step = np.random.default_rng(2), np.linspace(0, 0.9, 101), 0.02
     w, node = np.tile(at_rest(), (len(t), 1)), np.array([15, 33, 55, 82, 99])
     w[:, :2] = shaken(t)[:, :2]
@@ -131,7 +131,7 @@ def pushed(duration: float, t: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("fill", "duration"), [(0.05, 1.4), (0.05, 1.1), (0.065, 0.95)])
 def test_waves_in_a_box_are_those_of_nonlinear_potential_flow(coffee, fill, duration):
     """Peak during the motion within 6 %; after it never higher than said. No pendulum, no small waves there."""
-    case = Case(coffee.with_changes(**BOX).payload.first, fill, 0.005)
+    case = SloshingCase(coffee.with_changes(**BOX).payload.first, fill, 0.005)
     assert case.modes.half[0] == pytest.approx(0.045)
     times = np.arange(0, duration + 0.4, 0.0015)
     seen = simulate(
@@ -148,7 +148,11 @@ def test_waves_in_a_box_are_those_of_nonlinear_potential_flow(coffee, fill, dura
 @pytest.mark.parametrize(("degrees", "within"), [(0, 0.02), (35, 0.03), (60, 0.03)])
 def test_waves_across_a_box_are_those_of_nonlinear_potential_flow(coffee, degrees, within):
     """Pushed at an angle to its sides, both of which have waves of their own: they add up in a corner."""
-    case, duration, angle = Case(coffee.with_changes(**BOX).payload.first, 0.05, 0.005), 1.25, np.deg2rad(degrees)
+    case, duration, angle = (
+        SloshingCase(coffee.with_changes(**BOX).payload.first, 0.05, 0.005),
+        1.25,
+        np.deg2rad(degrees),
+    )
     times = np.arange(0, duration + 0.2, 0.004)
     flow = box((0.09, 0.06), angle)
     seen = simulate(flow, 0.05, lambda t: (float(pushed(duration, np.array(t))), 9.81), times, case.damping)
@@ -161,7 +165,7 @@ def test_waves_across_a_box_are_those_of_nonlinear_potential_flow(coffee, degree
 
 
 def test_waves_in_a_cup_are_those_of_nonlinear_potential_flow(coffee):
-    case, duration = Case(coffee.payload.first, 0.05, 0.005), 1.4
+    case, duration = SloshingCase(coffee.payload.first, 0.05, 0.005), 1.4
     times = np.arange(0, duration + 0.2, 0.003)
     seen = simulate(cylinder(0.04), 0.05, lambda t: (float(pushed(duration, np.array(t))), 9.81), times, case.damping)
     t = np.linspace(0, duration, 201)
@@ -176,7 +180,7 @@ def test_changes_are_first_order_differences(coffee, shape, monkeypatch):
     what is interpolated between nodes of a wave times a change."""
     monkeypatch.setattr(waves_module, "SETTLED", 1e-9)
     made = coffee.with_changes(**BOX) if shape else coffee
-    case, t = Case(made.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
+    case, t = SloshingCase(made.payload.first, 0.05, 0.01), np.linspace(0, 0.9, 101)
     here, step = along((case,), t, shaken(t)), 1e-5
     dw = np.random.default_rng(2).normal(size=12) * np.cos(3 * t)[:, None]
     dw = np.stack([dw, dw * np.sin(np.pi * t / 0.9)[:, None]], axis=2)
@@ -201,7 +205,7 @@ def test_walls_of_a_box_that_turns_take_waves_along_as_a_flow_without_friction_i
     inside = {**BOX_IN, "size": list(size)}
     shape = {"type": "box", "size": [size[0] + 0.01, size[1] + 0.01, 0.085]}
     made = coffee.with_changes(objects__0__shape=shape, objects__0__liquid=inside)
-    case = Case(made.payload.first, 0.05, 0.01)
+    case = SloshingCase(made.payload.first, 0.05, 0.01)
     (a, b), n, T = size, 120, 0.9
     inner = [diags([1.0, -2.0, 1.0], [-1, 0, 1], shape=(n - 1, n - 1)) / (side / n) ** 2 for side in size]
     laplace = kron(inner[0], identity(n - 1)) + kron(identity(n - 1), inner[1])

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 import salver as sv
-from salver.planning.fastest import Block, Constraint, Evaluation, fastest, padded, transport_problem
+from salver.planning.fastest import Block, Constraint, MotionEvaluation, fastest, padded, transport_problem
 
 
 @dataclass(frozen=True)
 class TraySpeed(Constraint):
     limit: float  # m/s
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         terms, square = motion.terms, self.limit**2
         v = terms.twist[:, :3]  # of the tray, in its own frame
 

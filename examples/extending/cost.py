@@ -3,7 +3,7 @@
 import numpy as np
 
 import salver as sv
-from salver.planning.fastest import Model, Objective, Point, fastest, nearby, transport_problem
+from salver.planning.fastest import Objective, Point, QuadraticModel, fastest, nearby, transport_problem
 
 
 class Calm(Objective):
@@ -13,14 +13,14 @@ class Calm(Objective):
         ddq = curve.motion(at.coefficients, at.duration)[2]
         return 0.5 * float(curve.grid.weights @ np.sum(ddq**2, axis=1))
 
-    def model(self, curve, at: Point) -> Model:
+    def model(self, curve, at: Point) -> QuadraticModel:
         ddq = curve.motion(at.coefficients, at.duration)[2]
         count, n = ddq.shape
         parts, point = np.zeros((count * n, 4, n)), np.repeat(np.arange(count), n)
         parts[np.arange(count * n), 2, np.tile(np.arange(n), count)] = 1.0  # rows: each joint's acceleration
         rows = curve.columns(at.coefficients, at.duration, parts, point)
         weighted = rows * np.repeat(curve.grid.weights, n)[:, None]
-        return Model(weighted.T @ ddq.ravel(), 0.0, weighted.T @ rows)
+        return QuadraticModel(weighted.T @ ddq.ravel(), 0.0, weighted.T @ rows)
 
 
 if __name__ == "__main__":

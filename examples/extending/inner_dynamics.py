@@ -8,7 +8,7 @@ import numpy as np
 import salver as sv
 from salver.models.contact_rows import ContactRows
 from salver.models.worst_case import WorstCase
-from salver.planning.fastest import Block, Constraint, Evaluation, fastest, padded, transport_problem
+from salver.planning.fastest import Block, Constraint, MotionEvaluation, fastest, padded, transport_problem
 from salver.sensitivity.filter import LinearFilter
 
 
@@ -19,7 +19,7 @@ class SpringMass(Constraint):
     frequency: float  # rad/s
     damping: float = 0.1  # of critical
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         w, drift = motion.response.felt() if motion.response else (motion.terms.w, None)
         felt, t = w.copy(), motion.s[motion.nodes] * motion.duration
         spring = LinearFilter.on_nodes(t, self.frequency**2, 2 * self.damping * self.frequency, 3)

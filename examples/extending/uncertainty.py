@@ -9,7 +9,7 @@ import salver as sv
 from salver.models.contact_rows import ContactRows
 from salver.models.parameters import Parameter
 from salver.models.worst_case import Drift, WorstCase
-from salver.planning.fastest import Block, Constraint, Evaluation, fastest, padded, transport_problem
+from salver.planning.fastest import Block, Constraint, MotionEvaluation, fastest, padded, transport_problem
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +17,7 @@ class Draught(Constraint):
     rows: ContactRows  # of the object that stands on the tray
     acceleration: float  # m/s^2, of the object if it were free: like a tray that accelerates the other way
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         terms, count = motion.terms, len(motion.nodes)
         w, known = motion.response.felt() if motion.response else (terms.w, Drift((), np.zeros((count, 12, 0))))
         names, felt = tuple((Parameter("", "draught", axis),) for axis in "xy"), np.zeros((count, 12, 2))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from salver.live import Live
     from salver.planning.fastest import FastestOptions
     from salver.planning.plan import Plan
-    from salver.planning.round import Round
+    from salver.planning.round import MultiLegPlan
     from salver.reports.inline import Page
     from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
@@ -90,7 +90,7 @@ def plan(scenario: Scenario | str | Path, method: str | None = None, *, arm: boo
     return make_plan(_scenario(scenario), method, arm)
 
 
-def plan_legs(scenario: Scenario | str | Path, *, safest: bool = False, **options: Any) -> Round:
+def plan_legs(scenario: Scenario | str | Path, *, safest: bool = False, **options: Any) -> MultiLegPlan:
     """The fastest plan of a task of several legs (docs/howto/legs.md): its `legs` are plans, each with its own load.
 
     safest: the safest one in its duration instead. options: as `fastest`. Raises ScenarioError, UnreachableError.
@@ -225,7 +225,7 @@ def simulate(
 
 
 def simulate_legs(
-    plan: Round, *, parameters: Mapping[str, float] | None = None, seed: int = 0, stop_at: float | None = None
+    plan: MultiLegPlan, *, parameters: Mapping[str, float] | None = None, seed: int = 0, stop_at: float | None = None
 ) -> RoundRecord:
     """Run a plan of several legs in the physics engine; what stays on the tray begins each leg where it was left.
 

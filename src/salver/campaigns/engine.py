@@ -27,7 +27,7 @@ from salver.display import Shown
 from salver.errors import FileFormatError, SalverError
 from salver.files import provenance, read_json, sealed, write_json
 from salver.planning.plan import Plan
-from salver.planning.round import Round, load
+from salver.planning.round import MultiLegPlan, load
 from salver.run_directory import known_stems
 from salver.tables import pandas_module
 
@@ -148,7 +148,7 @@ def _chosen(directory: Path, stems: Sequence[str], stops: bool) -> list[str]:
     return chosen
 
 
-def _has_stops(plan: Plan | Round) -> bool:
+def _has_stops(plan: Plan | MultiLegPlan) -> bool:
     """Whether a plan, or every leg of one, can be stopped."""
     return all(each.stops is not None for each in ([plan] if isinstance(plan, Plan) else plan.legs))
 

@@ -18,7 +18,7 @@ from salver.sensitivity import tubes
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
-    from salver.planning.round import Round
+    from salver.planning.round import MultiLegPlan
     from salver.simulation.physics import Experiment
     from salver.simulation.round import RoundExperiment, RoundRecord
 
@@ -45,7 +45,7 @@ class Context:
         return samples(self.directory, self.definition)
 
     @cached_property
-    def _plans(self) -> dict[str, Plan | Round]:
+    def _plans(self) -> dict[str, Plan | MultiLegPlan]:
         from salver.planning.round import load
 
         return {stem: load(self.directory, stem) for stem in self.definition.plans}

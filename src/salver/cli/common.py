@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from salver.planning.plan import Plan
-    from salver.planning.round import Round
+    from salver.planning.round import MultiLegPlan
 
 ACHIEVED = 0
 NOT_ACHIEVED = 1
@@ -167,7 +167,7 @@ def headed(name: str, text: object) -> Text:
     return Text.assemble((printable(name), "bold"), f": {printable(str(text))}")
 
 
-def save_plans(directory: Path, plans: Mapping[str, Plan | Round], force: bool = False) -> None:
+def save_plans(directory: Path, plans: Mapping[str, Plan | MultiLegPlan], force: bool = False) -> None:
     """Write plans by stem into a run directory, and say what became of another plan that stood there.
 
     Plans of the scenario as it was before it was edited make way (force: of any other scenario). Else a directory of

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from salver.planning.fastest import FastestOptions
     from salver.planning.plan import Plan
-    from salver.planning.round import Round
+    from salver.planning.round import MultiLegPlan
     from salver.scenario import Scenario
 
 
@@ -170,7 +170,7 @@ def _pair(
     force: bool,
     options: FastestOptions | None,
     time_limit: float | None,
-) -> dict[str, Plan | Round]:
+) -> dict[str, Plan | MultiLegPlan]:
     """By stem: the plan, and what it is compared with."""
     from salver.planning.make import plan_pair
     from salver.planning.plan_files import check_place
@@ -187,7 +187,7 @@ def _pair(
 
 def _legs(
     scenario: Scenario, method: str, directory: Path, options: FastestOptions | None, time_limit: float | None
-) -> dict[str, Plan | Round]:
+) -> dict[str, Plan | MultiLegPlan]:
     """By stem, the one there is: the plan of a task of several legs."""
     from salver.planning.fastest.legs import plan_legs
     from salver.planning.fastest.safest import plan_safest_legs
@@ -201,7 +201,7 @@ def _legs(
     return {"plan": found}
 
 
-def _tell(directory: Path, plans: dict[str, Plan | Round]) -> None:
+def _tell(directory: Path, plans: dict[str, Plan | MultiLegPlan]) -> None:
     """What was planned, for a person, and what may come next."""
     from salver.planning.plan import Plan
 
@@ -220,7 +220,7 @@ def _tell(directory: Path, plans: dict[str, Plan | Round]) -> None:
     say(f"Written to {directory}; next: {', or '.join(commands)}")
 
 
-def _show_legs(plan: Round) -> None:
+def _show_legs(plan: MultiLegPlan) -> None:
     """A plan of several legs for a person, on standard output."""
     from rich.table import Table
 

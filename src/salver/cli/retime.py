@@ -149,7 +149,7 @@ def _at_pace(
 ) -> None:
     """Write the motion at another pace, and say what becomes of the load."""
     from salver.given import at_pace
-    from salver.motion_files import JointSamples, Motion, form_of, write
+    from salver.motion_files import JointSamples, MotionSeries, form_of, write
 
     try:
         factor = None if pace == "least" else float(pace)
@@ -158,7 +158,9 @@ def _at_pace(
     found = at_pace(samples, scenario, factor, **options)
     files, refused = [], None
     try:
-        files = write(replace(Motion.of(found.samples), verdict=found.verdict), target, samples.form, unsafe=unsafe)
+        files = write(
+            replace(MotionSeries.of(found.samples), verdict=found.verdict), target, samples.form, unsafe=unsafe
+        )
     except UnsafeError as error:
         refused = error
     duration = float(found.samples.t[-1])

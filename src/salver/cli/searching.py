@@ -18,9 +18,9 @@ from salver.cli.progress import step
 if TYPE_CHECKING:
     from salver.planning.fastest.watch import Watch
     from salver.planning.plan import Plan
-    from salver.planning.round import Round
+    from salver.planning.round import MultiLegPlan
 
-Planned = TypeVar("Planned", bound="Plan | Round")
+Planned = TypeVar("Planned", bound="Plan | MultiLegPlan")
 
 ONCE = 0.3  # s within which a second signal is the same: some shells send it to a process and to its group
 
@@ -61,13 +61,13 @@ def searching(time_limit: float | None = None) -> Iterator[Watch]:
 def stopping(plan: Planned, keep: Callable[[], object]) -> Planned:
     """The same plan with its stops, of each leg where there are several; as it is where it is not safe. Interrupted,
     the plan without them is kept, by `keep`."""
-    from salver.planning.round import Round
+    from salver.planning.round import MultiLegPlan
     from salver.planning.stops import with_stops
 
     if not plan.ok:
         return plan
     try:
-        if isinstance(plan, Round):
+        if isinstance(plan, MultiLegPlan):
             return replace(plan, legs=tuple(with_stops(leg) for leg in plan.legs))
         return replace(plan, stops=with_stops(plan, lambda done, total: step(done, total, "stops")).stops)
     except KeyboardInterrupt:

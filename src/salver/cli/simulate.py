@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from salver.planning.plan import Plan
-    from salver.planning.round import Round
+    from salver.planning.round import MultiLegPlan
     from salver.scenario import Scenario
     from salver.simulation.record import SimulationRecord
 
@@ -122,7 +122,7 @@ class _Asked:
     write: Path | None
     speed: float = 1.0
 
-    def stop(self, plan: Plan | Round) -> float | None:
+    def stop(self, plan: Plan | MultiLegPlan) -> float | None:
         """When a run of that plan is asked to stop, s; None for never."""
         from salver.campaigns import stop_of_run
 

@@ -35,14 +35,14 @@ def tradeoff(
     """
     from salver import scenario as scenarios
     from salver.files import provenance
-    from salver.planning.fastest.tradeoff import Asked
+    from salver.planning.fastest.tradeoff import TradeoffTask
     from salver.planning.fastest.tradeoff import tradeoff as curve
     from salver.reports.figures import check_format
 
     wanted = _scales(scales)
     check_format(file_format)
     chosen = scenarios.load(scenario)
-    asked, points = Asked.of(chosen), []
+    asked, points = TradeoffTask.of(chosen), []
     if not json:
         say(asked.sentence)
     for point in curve(chosen, wanted):

@@ -12,7 +12,7 @@ import numpy as np
 
 from salver.control.arm import ArmController, ArmState, controller_for
 from salver.driver import mocap, seen
-from salver.driver.execution import Drive, Log, Watchdog, named
+from salver.driver.execution import Drive, ExecutionLog, Watchdog, named
 from salver.driver.logs import FOLDER, arrays_of, check_place, keep, summary_of
 from salver.driver.preflight import Check, check_approach, check_franka, check_plan, check_posture, demand
 from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
@@ -223,7 +223,7 @@ def _run(
     watchdog: Watchdog,
     start: float,
     signals: Signals | None,
-) -> Log:
+) -> ExecutionLog:
     joint = _motion(plan)
     controller = controller_for(plan.scenario, joint, plan.reference, arm=arm, space=plan.space)
     stop_from = stops_of(plan, controller, arm, carried)

@@ -79,7 +79,7 @@ class Watchdog:
 
 
 @dataclass(frozen=True)
-class Log:
+class ExecutionLog:
     """What the loop saw, K periods. t (K,): s, 0 when the motion starts. q, dq, tau (K, n). q_wanted (K, n).
 
     woken (K,): s on the clock when the state came. spent (K,): s until the torque was sent. elapsed (K,): s that the
@@ -136,7 +136,7 @@ class Drive:
         # Time never advances by less than half a period, so this is enough.
         self.book = _Book(2 * int((self.end - self.start + STOP_ROOM) / self.period), self.arm.n)
 
-    def run(self) -> Log:
+    def run(self) -> ExecutionLog:
         """Never raises: whatever goes wrong in here, the arm is stopped as well as it then can be, the robot leaves
         torque control, and the log says why. What the watchdog sees, a state that cannot be believed, a failure of the
         controller, Ctrl-C and the other signals that ask a process to end lead to a stop by torque; a robot that does
@@ -152,7 +152,7 @@ class Drive:
                 if collecting:
                     gc.enable()
 
-    def _run(self) -> Log:
+    def _run(self) -> ExecutionLog:
         try:
             gate = self.begin()
             while not self.one_period(gate):
@@ -341,12 +341,12 @@ class _Book:
         c["spent"][k] = time.perf_counter() - woken
         self._count = k + 1
 
-    def closed(self, stopped: str, saturation: dict[str, float], keeps_load: bool | None) -> Log:
+    def closed(self, stopped: str, saturation: dict[str, float], keeps_load: bool | None) -> ExecutionLog:
         columns = {name: values[: self._count] for name, values in self._columns.items()}
-        return Log(**columns, stopped=stopped, saturation=saturation, keeps_load=keeps_load)
+        return ExecutionLog(**columns, stopped=stopped, saturation=saturation, keeps_load=keeps_load)
 
 
-def timing(log: Log, period: float) -> dict[str, Any]:
+def timing(log: ExecutionLog, period: float) -> dict[str, Any]:
     """How well the loop kept its period. Times in s.
 
     jitter: how far the time between two states was from the period. late: the share beyond half a period.

@@ -19,7 +19,7 @@ import numpy as np
 
 from salver.control.arm import ArmController, ArmState, controller_for
 from salver.driver.execute import JUDGED, RECORDED, Execution
-from salver.driver.execution import AT_REST, LONGEST_WAIT, Drive, Log, Watchdog, named
+from salver.driver.execution import AT_REST, LONGEST_WAIT, Drive, ExecutionLog, Watchdog, named
 from salver.driver.franka_limits import FR3
 from salver.driver.gate import TorqueGate
 from salver.driver.logs import arrays_of, check_place, keep, summary_of
@@ -312,7 +312,7 @@ def _run(
 
 def _kept(
     drive: LiveDrive,
-    log_: Log,
+    log_: ExecutionLog,
     resting: Plan,
     robot: Robot,
     directory: Path,

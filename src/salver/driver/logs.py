@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.driver.execution import Log, Watchdog, named, timing
+from salver.driver.execution import ExecutionLog, Watchdog, named, timing
 from salver.driver.preflight import Check
 from salver.errors import SalverError
 from salver.files import provenance, save_result
@@ -41,7 +41,7 @@ def check_place(directory: Path) -> Check:
     return Check("log", free > ROOM, f"{folder} has {free / 1e6:.0f} MB left for the log; {ROOM / 1e6:.0f} are needed.")
 
 
-def summary_of(plan: Plan, source: str, log_: Log, checks: list[Check], watchdog: Watchdog) -> dict[str, Any]:
+def summary_of(plan: Plan, source: str, log_: ExecutionLog, checks: list[Check], watchdog: Watchdog) -> dict[str, Any]:
     """The run in figures."""
     error = np.abs(log_.q - log_.q_wanted)
     return {
@@ -60,7 +60,7 @@ def summary_of(plan: Plan, source: str, log_: Log, checks: list[Check], watchdog
     }
 
 
-def arrays_of(plan: Plan, arm: ArmModel, first: Body, log_: Log) -> dict[str, np.ndarray]:
+def arrays_of(plan: Plan, arm: ArmModel, first: Body, log_: ExecutionLog) -> dict[str, np.ndarray]:
     """What the joints tell of a run: where the tray was, and how far off its reference."""
     every = max(1, round(1 / (RECORD_RATE * plan.scenario.physics.command_period)))
     kept = np.arange(0, len(log_.t), every)

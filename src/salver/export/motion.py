@@ -11,7 +11,7 @@ import numpy as np
 from salver.errors import SalverError
 from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
-from salver.motion_files import JointSamples, Motion, TraySamples, read
+from salver.motion_files import JointSamples, MotionSeries, TraySamples, read
 from salver.motion_files.samples import reordered
 from salver.planning.plan import COMMAND_LEAD, Plan, plan_of
 from salver.planning.plan_files import read_plan
@@ -20,7 +20,7 @@ from salver.scenario import Scenario
 MOST_SAMPLES = 1e6
 
 
-def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = None) -> Motion:
+def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = None) -> MotionSeries:
     """The motion `stem` of a run directory, at its own instants or at `rate` samples per second.
 
     Raises FileFormatError for a directory without such a plan, SalverError for a rate that is not positive.
@@ -46,7 +46,7 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
     R_SE = samples.R_SB @ first.R_EB.T
     p_SE = samples.p_SB - np.einsum("tij,j->ti", R_SE, first.p_EB)
     names, (q, dq, ddq), tau = _joints(plan, t, lead)
-    return Motion(
+    return MotionSeries(
         ns=ns,
         joint_names=names,
         q=q,
@@ -72,7 +72,7 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
 
 def motion_of_file(
     path: Path, scenario: Scenario | None = None, topic: str | None = None
-) -> tuple[Motion, tuple[str, ...]]:
+) -> tuple[MotionSeries, tuple[str, ...]]:
     """What a motion file tells of joints (with velocities and accelerations) and, in the same table, of the tray; and
     what was mended on reading. scenario: whose arm names the joints. Raises FileFormatError."""
     names: tuple[str, ...] = ()
@@ -81,11 +81,11 @@ def motion_of_file(
 
         names = load_arm(scenario.arm, scenario.tray).joint_names
     found = read(path, lambda: names, topic, as_path=True)
-    motion, notes = Motion.of(found), found.notes
+    motion, notes = MotionSeries.of(found), found.notes
     if not isinstance(found, JointSamples):
         return motion, notes
     if names:
-        motion = Motion.of(reordered(found, names))
+        motion = MotionSeries.of(reordered(found, names))
         motion = replace(motion, joint_names=names)  # of joints that were only numbered
     if found.form in ("csv", "json"):
         tray = read(path, lambda: found.names)

@@ -10,7 +10,7 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.motion_files import Motion
+from salver.motion_files import MotionSeries
 from salver.motion_files.verdict import warns
 
 # The order in which `servoj` takes them; URDFs put a prefix before these.
@@ -51,7 +51,7 @@ salver_motion()
 """
 
 
-def program(motion: Motion, rate: float) -> str:
+def program(motion: MotionSeries, rate: float) -> str:
     """The program's text; every number with all its digits.
 
     Raises SalverError for a motion without the six joints of such an arm, base to wrist.

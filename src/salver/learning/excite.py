@@ -27,15 +27,15 @@ from salver.planning.fastest import (
     AtPosture,
     FastestMotion,
     FastestOptions,
-    Model,
     Objective,
     Point,
+    QuadraticModel,
     TransportProblem,
     joint_plan,
     nearby,
     transport_problem,
 )
-from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.constraints import ContactConstraint
 from salver.planning.fastest.curves import Curve
 from salver.planning.fastest.planned import solver_record
 from salver.planning.fastest.spline import RestSpline
@@ -87,7 +87,7 @@ class Information(Objective):
         matrix = self._seen(curve, at)[0]
         return float(0.5 * (np.linalg.slogdet(matrix[SOUGHT:, SOUGHT:])[1] - np.linalg.slogdet(matrix)[1]))
 
-    def model(self, curve: Curve, at: Point) -> Model:
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
         matrix, centred, terms = self._seen(curve, at)
         gain = np.linalg.inv(matrix)
         gain[SOUGHT:, SOUGHT:] -= np.linalg.inv(matrix[SOUGHT:, SOUGHT:])
@@ -97,7 +97,7 @@ class Information(Objective):
         parts = np.zeros((count, 4, n))
         parts[:, :3] = np.einsum("tw,twz->tz", by_w, terms.w_z).reshape(count, 3, n)
         slope = curve.columns(at.coefficients, at.duration, parts, np.arange(count)).sum(axis=0)
-        return Model(slope)
+        return QuadraticModel(slope)
 
     def scale(self, at: Point, value: float) -> float:
         return 1.0  # of a logarithm
@@ -144,7 +144,7 @@ def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions 
         found = nearby(_wiggle(problem, spline, duration, options.seed + seed), objective, duration, options)
         plan = _planned(there, found)
         if plan.status.ok and not plan.verification.ok:  # as `plan_problem` does: quick turns leave what rows allow for
-            exactly = tuple(Contact(rows, there.contact.margin, exactly=True) for rows in problem.contacts)
+            exactly = tuple(ContactConstraint(rows, there.contact.margin, exactly=True) for rows in problem.contacts)
             harder = replace(found, problem=replace(problem, extra=(*problem.extra, *exactly)))
             plan = _planned(there, nearby(harder, objective, duration, options))
         if plan.ok:

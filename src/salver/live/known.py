@@ -10,7 +10,7 @@ import numpy as np
 
 from salver.geometry import Array, Mask
 from salver.live.motion import Committed
-from salver.planning.fastest import Evaluation
+from salver.planning.fastest import MotionEvaluation
 from salver.planning.fastest.obstacles import KeepOut
 from salver.sensitivity.arm.finer import Finer, Smooth
 from salver.sensitivity.arm.liquids import Sloshing
@@ -32,7 +32,7 @@ class Known:
     keep_out: KeepOut | None = None
     sloshing: Sloshing | None = None
 
-    def along(self, motion: Evaluation, own: Array) -> Evaluation:
+    def along(self, motion: MotionEvaluation, own: Array) -> MotionEvaluation:
         """The same motion at other nodes, at own times (N,), with all this known; it rests after its end."""
         last = self.t[-1]
         onto = Smooth.onto(self.t, self.ends, np.minimum(own, last))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from salver.geometry import Array, Indices
-from salver.planning.fastest import Evaluation, TransportProblem
+from salver.planning.fastest import MotionEvaluation, TransportProblem
 from salver.sensitivity.arm.finer import SETTLES
 from salver.sensitivity.arm.past import Past
 from salver.trajectory import JointMotion
@@ -25,7 +25,7 @@ AT_ONCE = 0.5  # s of that in which waves and arm are soon known together
 
 
 @dataclass(frozen=True, eq=False)
-class Margins:
+class ConstraintMargins:
     """How near a verified motion came to its edges. t: (N,) live time, s. row: (N,) the largest row there, as a share
     of what it limits, 0 at the edge; what: (N,) which row, an index into names."""
 
@@ -59,7 +59,7 @@ class Committed:
     motion: JointMotion
     nodes: Array
     deviation: Array | None
-    margins: Margins
+    margins: ConstraintMargins
     waves: Past | None = None
     off: Array = field(default_factory=lambda: np.zeros(1))
     seal: bytes = b""
@@ -131,13 +131,13 @@ class Committed:
                 sagging = held.response.state_at(np.multiply(step, held.shares), step)
                 rest = replace(rest, tracking=rest.tracking.begun(sagging))
 
-    def settling(self, problem: TransportProblem) -> Evaluation:
+    def settling(self, problem: TransportProblem) -> MotionEvaluation:
         """The arm at rest after it, until what a wrong load made it stray has settled."""
         assert problem.tracking is not None
         seconds = float(SETTLES / np.sqrt(problem.tracking.kp))
         return self._held(_astray(problem, None if self.deviation is None else self.deviation[-1]), seconds)
 
-    def _held(self, problem: TransportProblem, seconds: float) -> Evaluation:
+    def _held(self, problem: TransportProblem, seconds: float) -> MotionEvaluation:
         """The arm at rest after it, for so long, s; the problem is that of going on from its end."""
         z = np.zeros((4, _nodes(seconds), problem.n))
         z[0] = self.motion.q[-1]

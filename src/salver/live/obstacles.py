@@ -20,7 +20,7 @@ from salver.errors import Status
 from salver.geometry import Array, Indices
 from salver.live import wishes
 from salver.models.arm_geometry import ArmGeometry
-from salver.planning.fastest import Block, Constraint, Evaluation, padded
+from salver.planning.fastest import Block, Constraint, MotionEvaluation, padded
 from salver.planning.fastest.constraints import PER_METRE, strayed
 from salver.planning.fastest.obstacles import SAFETY
 
@@ -303,14 +303,14 @@ class Movable:
 
 
 @dataclass(frozen=True, eq=False)
-class Passing(Constraint):
+class MovingClearance(Constraint):
     """Rows of a motion whose time 0 is live time `begins`, s: clear of what is predicted to pass."""
 
     movable: Movable
     obstacles: tuple[Predicted, ...]
     begins: float
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         q, dq = motion.at_nodes[:2]
         t = motion.s[motion.nodes] * motion.duration
         stray = np.zeros(len(t))

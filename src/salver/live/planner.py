@@ -14,7 +14,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import Array
 from salver.live.motion import SHORTEST, Committed, between, resting
-from salver.live.obstacles import Movable, Passing, Predicted, nearest
+from salver.live.obstacles import Movable, MovingClearance, Predicted, nearest
 from salver.live.replan import Replanner, Sought
 from salver.live.steer import Steering
 from salver.live.verify import verified
@@ -110,7 +110,7 @@ class Planner:
         obstacles = tuple(one for one in job.obstacles if one.until > job.begins)
         if not obstacles or self._movable is None:
             return problem
-        passing = Passing(self._movable, obstacles, job.begins)
+        passing = MovingClearance(self._movable, obstacles, job.begins)
         return replace(problem, extra=(*problem.extra, passing))
 
     def _evading(self, job: Job, problem: TransportProblem, replanner: Replanner) -> Answer:

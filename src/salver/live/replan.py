@@ -26,9 +26,9 @@ from salver.planning.fastest import (
     Block,
     Constraint,
     End,
-    Evaluation,
     FastestMotion,
     FastestOptions,
+    MotionEvaluation,
     TransportProblem,
     fastest,
 )
@@ -38,7 +38,7 @@ from salver.planning.fastest.curves import FreeCurve, Grid, launch_basis
 from salver.planning.fastest.exchange import HOPELESS_AT_NODES, ITERATIONS, REPAIR, Checked, optimise, programme_of
 from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.fastest.sqp import Options, Solution, minimise
+from salver.planning.fastest.sqp import SqpOptions, SqpSolution, minimise
 from salver.planning.fastest.starts import braking_time
 from salver.planning.fastest.watch import Watch
 from salver.planning.postures import candidate_postures
@@ -75,7 +75,7 @@ class Firm(Constraint):
         """As `near`; of all distances, `whole`, only those that are known to come near, unless none are."""
         return Firm(Clearance(near), self.times) if near is not None and watches(self.judged, whole) else self.near(q)
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         for block in self.judged.blocks(motion):
             nodes, check = block.margins[0], kept(block, self.judged)
             times = DISTANCES if block.kinked else self.times
@@ -92,7 +92,9 @@ class Sought(TransportProblem):
     def constraints(self) -> tuple[Firm, ...]:
         return tuple(Firm(constraint, self.times) for constraint in super().constraints)
 
-    def at(self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True) -> Evaluation:
+    def at(
+        self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True
+    ) -> MotionEvaluation:
         return replace(super().at(s, z, duration, nodes, imposed), moving=True)
 
     @classmethod
@@ -141,7 +143,7 @@ class Replanner:
 
     def _shortest(
         self, at: TransportProblem, guess: SplineMotion, before: Committed, begins: float, watch: Watch
-    ) -> tuple[Checked | FastestMotion | Solution, Finding]:
+    ) -> tuple[Checked | FastestMotion | SqpSolution, Finding]:
         """The shortest motion from a guess, and the verdict on it.
 
         What is broken between the nodes is mostly little, and kept by a motion that takes as much longer; only where
@@ -151,7 +153,7 @@ class Replanner:
         if not at.liquids and not at.extra:
             programme = programme_of(at, FreeCurve, guess, guess.spline.nodes(NODES_PER_SPAN))
             begun = programme.begin(guess.coefficients, guess.duration)
-            solution = minimise(programme, begun, Options(ITERATIONS, watch, gain=GAIN))
+            solution = minimise(programme, begun, SqpOptions(ITERATIONS, watch, gain=GAIN))
             best = solution.iterate
             motion = SplineMotion(guess.spline, best.coefficients, best.duration)
             finding = self._stretched(at, motion, before, begins)

@@ -21,7 +21,7 @@ from salver.live.motion import SAME, Committed
 from salver.live.replan import Sought
 from salver.live.verify import Finding, verified
 from salver.planning import qp
-from salver.planning.fastest import Block, Evaluation, TransportProblem, evaluate
+from salver.planning.fastest import Block, MotionEvaluation, TransportProblem, evaluate
 from salver.planning.fastest.curves import Grid, united
 from salver.planning.fastest.spline import RestSpline
 from salver.sensitivity.arm.terms import motion_terms
@@ -74,7 +74,7 @@ class Residuals:
 class Wanted(Protocol):
     """What is followed as nearly as safety allows."""
 
-    def residuals(self, motion: Evaluation, t: Array, weight: Array) -> Residuals:
+    def residuals(self, motion: MotionEvaluation, t: Array, weight: Array) -> Residuals:
         """How far a motion is from it; t: (N,) live times of the nodes, weight: (N,) s, what each stands for."""
         ...
 
@@ -93,7 +93,7 @@ class TwistWanted:
         """(N, 6) at live times."""
         return np.asarray(self.twist + np.clip(t - self.t0, 0.0, self.ahead)[:, None] * self.slope)
 
-    def residuals(self, motion: Evaluation, t: Array, weight: Array) -> Residuals:
+    def residuals(self, motion: MotionEvaluation, t: Array, weight: Array) -> Residuals:
         within = np.flatnonzero(t <= t[0] + self.window)
         each = np.array([SPEED, SPEED, LIFTING * SPEED, TURNING, TURNING, TURNING])
         return _speed(motion, within, self.at(t[within]), np.outer(weight[within], each).ravel())
@@ -112,7 +112,7 @@ class ChunkWanted:
     R_SE: Array | None
     q: Array | None
 
-    def residuals(self, motion: Evaluation, t: Array, weight: Array) -> Residuals:
+    def residuals(self, motion: MotionEvaluation, t: Array, weight: Array) -> Residuals:
         if self.q is not None:
             wanted = np.stack([np.interp(t, self.t, column) for column in self.q.T], axis=1)
             return _joints(motion, wanted, np.repeat(JOINTS * weight, motion.n))
@@ -126,7 +126,7 @@ class ChunkWanted:
         return _pose(motion, p, turned, weight)
 
 
-def _speed(motion: Evaluation, nodes: Indices, wanted_S: Array, weight: Array) -> Residuals:
+def _speed(motion: MotionEvaluation, nodes: Indices, wanted_S: Array, weight: Array) -> Residuals:
     """Twist of the tray against one in S (N, 6)."""
     terms, n = motion.terms, motion.n
     R = terms.R_SE[nodes]
@@ -142,7 +142,7 @@ def _speed(motion: Evaluation, nodes: Indices, wanted_S: Array, weight: Array) -
     return Residuals((twist_S - wanted_S).ravel(), parts.reshape(-1, 4, n), point, weight)
 
 
-def _pose(motion: Evaluation, p_SE: Array, R_SE: Array, weight: Array) -> Residuals:
+def _pose(motion: MotionEvaluation, p_SE: Array, R_SE: Array, weight: Array) -> Residuals:
     """Pose of the tray against (p_SE, R_SE)."""
     terms, n, count = motion.terms, motion.n, len(motion.nodes)
     value = np.concatenate([terms.p_SE - p_SE, log(np.swapaxes(R_SE, 1, 2) @ terms.R_SE)], axis=1)
@@ -153,7 +153,7 @@ def _pose(motion: Evaluation, p_SE: Array, R_SE: Array, weight: Array) -> Residu
     return Residuals(value.ravel(), parts.reshape(-1, 4, n), np.repeat(motion.nodes, 6), weight)
 
 
-def _joints(motion: Evaluation, q: Array, weight: Array) -> Residuals:
+def _joints(motion: MotionEvaluation, q: Array, weight: Array) -> Residuals:
     count, n = q.shape
     parts = np.zeros((count, n, 4, n))
     parts[:, range(n), 0, range(n)] = 1.0
@@ -161,7 +161,7 @@ def _joints(motion: Evaluation, q: Array, weight: Array) -> Residuals:
     return Residuals(value, parts.reshape(-1, 4, n), np.repeat(motion.nodes, n), weight)
 
 
-def _level(motion: Evaluation, weight: Array) -> Residuals:
+def _level(motion: MotionEvaluation, weight: Array) -> Residuals:
     """The tray upright."""
     terms, count, n = motion.terms, len(motion.nodes), motion.n
     up = terms.R_SE[:, 2, :]
@@ -384,7 +384,7 @@ class Steering:
             matrix, bound = np.vstack([matrix, rows]), np.append(bound, rows @ bend.ravel() - values)
         yield bend, kept
 
-    def _unknowns(self, motion: Evaluation) -> Unknowns:
+    def _unknowns(self, motion: MotionEvaluation) -> Unknowns:
         """What the bend makes of what the tray feels at the nodes."""
         slope = motion.terms.w_z
         parts = np.zeros((slope.shape[0] * slope.shape[1], 4, motion.n))

@@ -16,20 +16,20 @@ import numpy as np
 
 from salver.geometry import Array, Indices, Mask
 from salver.live.known import Known
-from salver.live.motion import Committed, Margins
+from salver.live.motion import Committed, ConstraintMargins
 from salver.live.seal import seal_of
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS
-from salver.planning.fastest import Block, Constraint, Evaluation, TransportProblem, evaluate
+from salver.planning.fastest import Block, Constraint, MotionEvaluation, TransportProblem, evaluate
 from salver.planning.fastest.after import stays
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.constraints import (
     PER_METRE,
     Clearance,
-    Contact,
+    ContactConstraint,
     JointLimit,
-    Level,
-    Tilt,
+    LevelConstraint,
+    TiltConstraint,
     TorqueLimit,
     TorqueRateLimit,
     strayed,
@@ -56,7 +56,7 @@ STEADY = 1e-3
 UNHURRIED = 1e-2
 # Of the room of a liquid: waves are known every 5 ms, and from one motion to the next to a thousandth.
 UNSPILT = 3e-3
-KEPT: dict[type[Constraint], float] = {Contact: STEADY, TorqueRateLimit: UNHURRIED, Brim: UNSPILT}
+KEPT: dict[type[Constraint], float] = {ContactConstraint: STEADY, TorqueRateLimit: UNHURRIED, Brim: UNSPILT}
 BESIDE = -0.05  # of their limit: rates of joints that are nearer than this are looked at between their instants
 PERIOD = 1e-3  # s: the shortest, of a loop that is told torques
 SETTLING = 2e-2  # of the normal force at rest, by which contact comes nearer to its edge after a motion's end at most
@@ -132,7 +132,9 @@ def verified(
     waves = None if known.sloshing is None else known.sloshing.past(known.t)
     committed = Committed(begins, motion, begins + instants, deviation, margins, waves, off)
     if response is not None and not problem.liquids and _at_the_edge(blocks):
-        contacts = [coarse(constraint) for constraint in problem.constraints if isinstance(constraint, Contact)]
+        contacts = [
+            coarse(constraint) for constraint in problem.constraints if isinstance(constraint, ContactConstraint)
+        ]
         settling = evaluate(contacts, committed.settling(problem), margins=False)
         worst = max(settling, key=lambda block: float(block.values.max()))
         excess = float(worst.values.max()) + STEADY
@@ -156,7 +158,7 @@ def _at_rest(block: Block, response: Finer) -> Block:
 
 def _at_the_edge(blocks: Sequence[Block]) -> bool:
     """Whether contact comes so near to its edge at the end that it might break while the arm settles."""
-    return any(isinstance(b.of, Contact) and b.values[-1].max() > -SETTLING for b in blocks)
+    return any(isinstance(b.of, ContactConstraint) and b.values[-1].max() > -SETTLING for b in blocks)
 
 
 def _kept(blocks: Sequence[Block]) -> bool:
@@ -165,7 +167,7 @@ def _kept(blocks: Sequence[Block]) -> bool:
 
 
 def _as_planned(
-    problem: TransportProblem, evaluation: Evaluation, t: Array, knots: Mask
+    problem: TransportProblem, evaluation: MotionEvaluation, t: Array, knots: Mask
 ) -> tuple[Sloshing, tuple[Block, ...]]:
     """Liquids on a tray that follows a motion exactly, at some of its nodes t (N,), and what becomes of their surfaces;
     what an arm makes of them that gives way comes beside it."""
@@ -175,7 +177,7 @@ def _as_planned(
     return planned, evaluate([brim for brim in problem.constraints if isinstance(brim, Brim)], at)
 
 
-def _refused(blocks: Sequence[Block], margins: Margins, t: Array) -> Finding:
+def _refused(blocks: Sequence[Block], margins: ConstraintMargins, t: Array) -> Finding:
     """The verdict on a motion of which some rows are beyond their edge; t: (P,) of the margins, from its beginning."""
     worst = int(np.argmax(margins.row))
     excess, name = float(margins.row[worst]), margins.names[int(margins.what[worst])]
@@ -195,11 +197,13 @@ def _apart_by_reference(constraints: Sequence[Constraint]) -> tuple[list[Constra
             alone.append(first)
             strayed.append(second)
         else:
-            (alone if isinstance(constraint, TorqueRateLimit | Level | Tilt) else strayed).append(constraint)
+            (alone if isinstance(constraint, TorqueRateLimit | LevelConstraint | TiltConstraint) else strayed).append(
+                constraint
+            )
     return alone, strayed
 
 
-def seen(problem: TransportProblem, motion: JointMotion) -> tuple[Evaluation, Callable[..., Known], Mask]:
+def seen(problem: TransportProblem, motion: JointMotion) -> tuple[MotionEvaluation, Callable[..., Known], Mask]:
     """A motion at the instants at which it is looked at; (N,) which nodes are knots. What it returns second works out
     what a wrong load does to the arm, and is what is known at some of the instants, from where dynamics and this are
     continued to all nodes; it takes liquids as planned, if they are known there."""
@@ -251,7 +255,7 @@ def _counts(motion: JointMotion) -> Indices:
 
 def coarse(constraint: Constraint) -> Constraint:
     """The same, with bounds on rows that are far from their edge."""
-    return replace(constraint, coarsely=True) if isinstance(constraint, Contact) else constraint
+    return replace(constraint, coarsely=True) if isinstance(constraint, ContactConstraint) else constraint
 
 
 def watches(constraint: Constraint, keep_out: KeepOut | None) -> bool:
@@ -370,7 +374,7 @@ def _jolt(motion: JointMotion, begins: float, before: Committed | None) -> str:
     return ""
 
 
-def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> Margins:
+def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> ConstraintMargins:
     """The largest row at each of the points t, and its name."""
     names: list[str] = []
     largest, what = np.full(len(t), -np.inf), np.zeros(len(t), dtype=np.intp)
@@ -379,7 +383,7 @@ def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> Ma
             continue
         value = block.values.max(axis=1)
         value[np.isnan(value)] = np.inf
-        if isinstance(block.of, Level) and np.all(value <= 0.0):
+        if isinstance(block.of, LevelConstraint) and np.all(value <= 0.0):
             continue  # a tray that has to stay level is always as near to that as this, and nothing is limited by it
         at = block.points[: len(value)]
         above = np.flatnonzero(value > largest[at])
@@ -389,8 +393,8 @@ def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> Ma
             largest[at[above]], what[at[above]] = value[above], len(names) + row
             names += label
     if not np.isfinite(largest).any():
-        return Margins(t, np.full(len(t), -1.0), what, ("nothing",))
-    return Margins(t, largest, what, tuple(names))
+        return ConstraintMargins(t, np.full(len(t), -1.0), what, ("nothing",))
+    return ConstraintMargins(t, largest, what, tuple(names))
 
 
 def _labels(block: Block, problem: TransportProblem) -> Sequence[str]:

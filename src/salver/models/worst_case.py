@@ -34,7 +34,7 @@ from salver.geometry import Array, Indices
 from salver.models.contents import Filling
 from salver.models.parameters import Parameter, support
 from salver.models.tray_motion import frame_map
-from salver.models.worst_contents import SURE, Case, bounded, fill
+from salver.models.worst_contents import SURE, ContentsCase, bounded, fill
 
 Some = Indices | slice
 ALL = slice(None)
@@ -341,7 +341,7 @@ def values_near(
     return values
 
 
-def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Callable[[slice], Iterator[Case]]:
+def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Callable[[slice], Iterator[ContentsCase]]:
     """The cases of which the worst counts, in a piece of time: either side of a swing, strayed or not."""
     n_p, n_k = len(rows.acting), 0 if drift is None else len(drift.terms)
     felt = ALL if drift is not None else np.any(w != 0, axis=0)  # a tray that does not turn feels three of the twelve
@@ -358,7 +358,7 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Ca
         moved, place = np.swapaxes(drift.dw, 1, 2)[:, order], {k: i for i, k in enumerate(order)}
         there = replace(roles, filled=[(place[k], f, q) for k, f, q in roles.filled])
 
-    def cases(part: slice) -> Iterator[Case]:
+    def cases(part: slice) -> Iterator[ContentsCase]:
         count = len(w[part])
         if drift is not None:
             change = (moved[part].reshape(-1, moved.shape[2]) @ nominal).reshape(count, n_k, n)
@@ -374,15 +374,15 @@ def _cases(rows: UncertainRows, w: Array, drift: Drift | None, some: Some) -> Ca
                 level -= np.einsum("np,tnp->tn", filling.nominal, of)
             radius = support(terms[:, :n_p], rows.spread, axis=1)
             if drift is None or fillings:
-                yield Case(level + radius, own)
+                yield ContentsCase(level + radius, own)
             if drift is None:
                 continue
             terms[:, roles.column] += change[:, : len(roles.own)]
             straying = support(terms[:, :n_p], rows.spread, axis=1) + extra
             if not fillings:
-                yield Case(level + np.maximum(radius, straying), own)
+                yield ContentsCase(level + np.maximum(radius, straying), own)
                 continue
             strayed, less = _strayed(fillings, there, change, own)
-            yield Case(level + straying - less, strayed)
+            yield ContentsCase(level + straying - less, strayed)
 
     return cases

@@ -16,7 +16,7 @@ _SETTLED = 1e-6  # of the weight: a bound that is within this of a value is the 
 
 
 @dataclass(frozen=True)
-class Case:
+class ContentsCase:
     """Values (T, n) of rows but for their fillings, and those fillings' coefficients (T, n, 9), in one case."""
 
     value: Array
@@ -66,7 +66,7 @@ class Open:
         return np.minimum(self.highest, self.known + sum(rest))
 
 
-def bounded(fillings: tuple[Filling, ...], cases: list[Case], start: int) -> tuple[Array, list[Open]]:
+def bounded(fillings: tuple[Filling, ...], cases: list[ContentsCase], start: int) -> tuple[Array, list[Open]]:
     """(T, n) a bound on the worst of the cases with the worst fillings, but for what is open: the largest row of an
     instant, and rows near or beyond their edge. Instants are counted from `start`."""
     limits = [[f.limits(of) for f, of in zip(fillings, case.coefficients, strict=True)] for case in cases]

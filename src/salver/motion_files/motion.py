@@ -14,7 +14,7 @@ from salver.motion_files.samples import JointSamples, Samples
 
 
 @dataclass(frozen=True, repr=False)
-class Motion(Outlined):
+class MotionSeries(Outlined):
     """A motion at T instants; time in whole nanoseconds, so that t is exact in every format.
 
     ns (T,): int64, nanoseconds from the start. joint_names: n names, empty without joints; q, dq, ddq, tau (T, n).
@@ -52,7 +52,7 @@ class Motion(Outlined):
         return {name: value for name, value in values.items() if value is not None and value.shape[1]}
 
     @classmethod
-    def of(cls, samples: Samples) -> Motion:
+    def of(cls, samples: Samples) -> MotionSeries:
         """What was read, to be written again."""
         ns: Any = np.round(samples.t * 1e9).astype(np.int64)
         if isinstance(samples, JointSamples):

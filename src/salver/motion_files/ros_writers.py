@@ -17,7 +17,7 @@ import numpy as np
 from salver.errors import SalverError
 from salver.files import to_json, write_atomic, writing
 from salver.geometry import Array
-from salver.motion_files.motion import Motion
+from salver.motion_files.motion import MotionSeries
 from salver.motion_files.verdict import warns
 
 TOPICS = {
@@ -30,7 +30,7 @@ _BILLION = 1_000_000_000
 BAG_VERSION: Any = 8  # of the bag's metadata: the older of the two that are written
 
 
-def messages(motion: Motion) -> dict[str, dict[str, Any]]:
+def messages(motion: MotionSeries) -> dict[str, dict[str, Any]]:
     """Topic to message, as plain mappings in the order of the message definitions."""
     out: dict[str, dict[str, Any]] = {}
     none = np.zeros((len(motion.ns), 0))
@@ -55,7 +55,7 @@ def messages(motion: Motion) -> dict[str, dict[str, Any]]:
     return out
 
 
-def _path(motion: Motion, positions: Array, quat_wxyz: Array) -> dict[str, Any]:
+def _path(motion: MotionSeries, positions: Array, quat_wxyz: Array) -> dict[str, Any]:
     poses = [
         {
             "header": _header(int(ns)),
@@ -80,7 +80,7 @@ def _time(ns: int) -> dict[str, int]:
     return {"sec": ns // _BILLION, "nanosec": ns % _BILLION}
 
 
-def write_bag(motion: Motion, path: Path) -> list[Path]:
+def write_bag(motion: MotionSeries, path: Path) -> list[Path]:
     """A rosbag2 directory with one mcap file, one message a topic. Raises SalverError when `path` exists."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -131,7 +131,7 @@ def _typed(store: Any, kind: str, value: dict[str, Any]) -> Any:
     return store.types[kind](**members)
 
 
-def write_yaml(motion: Motion, path: Path) -> list[Path]:
+def write_yaml(motion: MotionSeries, path: Path) -> list[Path]:
     """One file a message, as `ros2 topic pub` reads them: PATH for the joint trajectory (for the tray's path when
     there is no arm), PATH with _tray_path and _object_path before its ending for the others."""
     made = []
@@ -144,14 +144,14 @@ def write_yaml(motion: Motion, path: Path) -> list[Path]:
     return made
 
 
-def write_robot_trajectory(motion: Motion, path: Path) -> list[Path]:
+def write_robot_trajectory(motion: MotionSeries, path: Path) -> list[Path]:
     """A moveit_msgs/RobotTrajectory. Raises SalverError for a motion without joints."""
     message = {"joint_trajectory": _joints(motion, path), "multi_dof_joint_trajectory": _NO_OTHER_JOINTS}
     text = _headed(motion, "moveit_msgs/msg/RobotTrajectory") + "\n".join(_block(message, "")) + "\n"
     return [write_atomic(path, text, keep=True)]
 
 
-def _headed(motion: Motion, kind: str) -> str:
+def _headed(motion: MotionSeries, kind: str) -> str:
     """The comments above a message: its type and the verdict on its motion, first where that warns."""
     lines = [f"# {text}\n" for text in (kind, motion.verdict) if text]
     return "".join(reversed(lines) if warns(motion.verdict) else lines)
@@ -160,14 +160,14 @@ def _headed(motion: Motion, kind: str) -> str:
 _NO_OTHER_JOINTS = {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}, "joint_names": [], "points": []}
 
 
-def write_message(motion: Motion, path: Path) -> list[Path]:
+def write_message(motion: MotionSeries, path: Path) -> list[Path]:
     """A trajectory_msgs/JointTrajectory as JSON, with its verdict when that warns. Raises SalverError for a motion of
     the tray."""
     verdict = {"verdict": motion.verdict} if warns(motion.verdict) else {}
     return [write_atomic(path, to_json({**verdict, **_joints(motion, path)}), keep=True)]
 
 
-def _joints(motion: Motion, path: Path) -> dict[str, Any]:
+def _joints(motion: MotionSeries, path: Path) -> dict[str, Any]:
     found = messages(motion).get("joint_trajectory")
     if found is None:
         raise SalverError(f"{path} cannot be a joint trajectory: the motion is one of the tray, without joints.")

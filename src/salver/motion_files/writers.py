@@ -11,7 +11,7 @@ from typing import Any
 from salver.errors import SalverError
 from salver.files import output_file, to_json, write_atomic
 from salver.geometry import Array
-from salver.motion_files.motion import Motion
+from salver.motion_files.motion import MotionSeries
 from salver.motion_files.readers import FORMAT, column_names
 from salver.motion_files.verdict import place_for, warns
 
@@ -26,7 +26,7 @@ ENDINGS = {
 }
 
 
-def write(motion: Motion, path: str | Path, form: str | None = None, *, unsafe: bool = False) -> list[Path]:
+def write(motion: MotionSeries, path: str | Path, form: str | None = None, *, unsafe: bool = False) -> list[Path]:
     """Write a motion; returns the files. Another file that stands at `path` is kept, numbered.
 
     form: one of `ENDINGS`; by default what the ending says (.json: salver's own; none: a bag). unsafe: write also a
@@ -58,7 +58,7 @@ def form_of(path: str | Path, like: str | None = None) -> str:
     return like if like in matching else matching[0]
 
 
-def columns(motion: Motion) -> dict[str, Array]:
+def columns(motion: MotionSeries) -> dict[str, Array]:
     """Name to values (T,): t, then each component, as p_SE_x, quat_SE_w, q_panda_joint1. Units as in the docs (SI)."""
     out: dict[str, Array] = {"t": motion.t}
     for name, values in motion.known.items():
@@ -66,7 +66,7 @@ def columns(motion: Motion) -> dict[str, Array]:
     return out
 
 
-def write_csv(motion: Motion, path: Path) -> list[Path]:
+def write_csv(motion: MotionSeries, path: Path) -> list[Path]:
     """One row an instant, one column a component; headings as in `columns`, below the verdict where it warns."""
     table = columns(motion)
     text = io.StringIO()
@@ -78,7 +78,7 @@ def write_csv(motion: Motion, path: Path) -> list[Path]:
     return [write_atomic(path, text.getvalue(), keep=True)]
 
 
-def write_json(motion: Motion, path: Path) -> list[Path]:
+def write_json(motion: MotionSeries, path: Path) -> list[Path]:
     """Arrays by name, and where they come from."""
     document: dict[str, Any] = {
         **({"verdict": motion.verdict} if motion.verdict else {}),

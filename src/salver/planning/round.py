@@ -25,7 +25,7 @@ SAME_POSTURE = 1e-9  # rad, m: by which a leg may begin elsewhere than the one b
 
 
 @dataclass(frozen=True, repr=False)
-class Round(Shown):
+class MultiLegPlan(Shown):
     """Legs (docs/howto/legs.md), in order: the arm rests between them, in the posture in which one ends and the next
     begins, while objects are taken off the tray or put on it.
 
@@ -128,7 +128,7 @@ class Round(Shown):
         return save_files(self.scenario, self.arrays(), self.summary(), Path(directory), stem)
 
 
-def load_round(directory: str | Path) -> Round:
+def load_round(directory: str | Path) -> MultiLegPlan:
     """Read a plan of several legs back. Raises FileFormatError or ScenarioError with a sentence; executes nothing."""
     path = Path(directory) / "plan"
     files = read_files(directory)
@@ -136,12 +136,12 @@ def load_round(directory: str | Path) -> Round:
         raise FileFormatError(f"{path}.npz is a plan of one leg.")
     try:
         legs = [plan_of(leg_files(files, k + 1), path) for k in range(len(files.scenario.legs))]
-        return Round(files.scenario, tuple(legs), status_from(files.record["status"]), files.record["solver"])
+        return MultiLegPlan(files.scenario, tuple(legs), status_from(files.record["status"]), files.record["solver"])
     except (KeyError, TypeError, ValueError, IndexError):
         raise FileFormatError(f"{path}.npz and .json are not those of a plan; plan again.") from None
 
 
-def load(directory: str | Path, stem: str = "plan") -> Plan | Round:
+def load(directory: str | Path, stem: str = "plan") -> Plan | MultiLegPlan:
     """A plan of a run directory, whether of one leg or of several. Raises FileFormatError or ScenarioError."""
     return load_round(directory) if stem == "plan" and has_legs(directory) else load_plan(directory, stem)
 

@@ -18,7 +18,7 @@ _ARRAYS = ("t", "duration", "s", "q", "dq", "ddq", "stray")
 
 
 @dataclass(frozen=True)
-class Course:
+class StopCourse:
     """What is done when a stop is asked for: the plan until `leaves`, s, then stop number `stop` of the library; None:
     nothing but the plan (and rest, where that is over). rests: s, when the arm is at rest."""
 
@@ -46,16 +46,16 @@ class StopLibrary(Shown):
     stray: Array
     end: float
 
-    def course(self, now: float) -> Course:
+    def course(self, now: float) -> StopCourse:
         """The one that is at rest first of those that are left at `now`, s of the plan's time."""
         if now <= 0:
-            return Course(now, None, now)  # at rest where the plan would begin
+            return StopCourse(now, None, now)  # at rest where the plan would begin
         ahead = np.flatnonzero(self.t >= now - SAME)
         if len(ahead):
             k = int(ahead[np.argmin(self.t[ahead] + self.duration[ahead])])
             if (rests := float(self.t[k] + self.duration[k])) < self.end:
-                return Course(float(self.t[k]), k, rests)
-        return Course(max(now, self.end), None, max(now, self.end))
+                return StopCourse(float(self.t[k]), k, rests)
+        return StopCourse(max(now, self.end), None, max(now, self.end))
 
     @cached_property
     def _instants(self) -> Array:

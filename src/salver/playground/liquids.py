@@ -17,7 +17,7 @@ STEEPEST = 0.1  # cosine of a container's tilt
 LOOKED = 0.1  # s of samples, after which they are looked at whether anybody asks or not
 
 
-class Liquids:
+class LiquidSurfaces:
     """What was seen of them lately. Part of a surface follows what its container feels, as a mean over some time: so it
     is known half of that later (11 ms for a cup of 80 mm)."""
 

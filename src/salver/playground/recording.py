@@ -30,7 +30,7 @@ AT_REST = 1e-2  # rad/s, rad/s^2
 LONGEST = 120.0  # s of one recording
 
 
-class Recording:
+class SessionRecording:
     """Samples of one session; begun and ended at rest."""
 
     def __init__(self, scenario: Scenario, parameters: Mapping[str, float], scene: Scene, since: float) -> None:

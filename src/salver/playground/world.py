@@ -20,8 +20,8 @@ from salver.live import Live, LiveCourse
 from salver.live.wishes import numbers
 from salver.models.arm import load_arm
 from salver.playground.ball import Ball
-from salver.playground.liquids import Liquids
-from salver.playground.recording import LONGEST, Recording
+from salver.playground.liquids import LiquidSurfaces
+from salver.playground.recording import LONGEST, SessionRecording
 from salver.playground.surroundings import RADIUS, furnish
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
@@ -63,7 +63,7 @@ class World:
         self._steps = round(self.period / scenario.physics.timestep)
         self._data = mujoco.MjData(self.scene.model)
         self.ball = Ball(self.scene.model, self.arm, scenario.payload)
-        self.liquids = Liquids(self.scene, self.period)
+        self.liquids = LiquidSurfaces(self.scene, self.period)
         self._lock = threading.RLock()
         self._course = LiveCourse(self.live)
         self._controller = controller_for(scenario, self, None, arm=self.arm, space="joint")
@@ -77,7 +77,7 @@ class World:
         self.t = 0.0
         self.note = ""
         self._parameters, self._keep_in = dict(parameters or {}), keep_in
-        self._recording: Recording | None = None
+        self._recording: SessionRecording | None = None
         self._ending = self._was_free = False
         self._torque = np.zeros(self.arm.n)
         self._placed()
@@ -218,14 +218,14 @@ class World:
             return Status("refused", "A recording begins at rest; press stop first.", False)
         if wanted:
             self._was_free = self._ending = False
-            self._recording = Recording(self.scenario, self._parameters, self.scene, self.t)
+            self._recording = SessionRecording(self.scenario, self._parameters, self.scene, self.t)
             return Status("accepted", "", True)
         self._ending = True
         stopped = bool(self.live.stopped)
         status = self.say({"stop": True})
         return status if stopped or not self.protected else self.live.resume()  # it only has to come to rest
 
-    def _watch(self, recording: Recording) -> None:
+    def _watch(self, recording: SessionRecording) -> None:
         """A recording that is to end, does so at rest; one that is too long is to end."""
         if recording.seconds > LONGEST - ENOUGH and not self._ending:
             self._record(False)
@@ -234,7 +234,7 @@ class World:
             self.note = "The recording is being written."
             threading.Thread(target=self._kept, args=(recording, self._was_free), name="recording").start()
 
-    def _kept(self, recording: Recording, unprotected: bool) -> None:
+    def _kept(self, recording: SessionRecording, unprotected: bool) -> None:
         assert self._keep_in is not None
         try:
             path = recording.save(self._keep_in, unprotected)

@@ -21,7 +21,7 @@ from salver.reports.cells import number, table
 from salver.reports.charts import Spec, thin, time_chart
 from salver.reports.page import filled, replay
 from salver.reports.parameters import half_range, pretty
-from salver.reports.run import Motion, Run
+from salver.reports.run import ReportedMotion, ReportedRun
 from salver.reports.sections import Sections, tile_list
 from salver.reports.speed_bar import speed_bar
 from salver.reports.style import BLUE, VERMILION
@@ -175,7 +175,7 @@ def _known(audit: Audit) -> Markup:
     return table(["", ""], rows) + details.format("all figures", to_json(audit.summary()))
 
 
-def _run(audit: Audit) -> tuple[Run, ArmModel | None]:
+def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
     """What the replay draws: the load at rest on the tray along the motion, and the arm where its joints are known."""
     scenario = audit.scenario
     first = scenario.payload.first
@@ -193,13 +193,13 @@ def _run(audit: Audit) -> tuple[Run, ArmModel | None]:
         q = reordered(joints, arm.joint_names).q
         arrays["q"] = np.column_stack([np.interp(arrays["t"], joints.t, column) for column in q.T])
     summary: Mapping[str, Any] = {"ok": audit.ok, "method": "given", "thinned": len(keep) < len(samples.t)}
-    return Run(Path(audit.source), scenario, [_Given("plan", arrays, dict(summary))]), arm
+    return ReportedRun(Path(audit.source), scenario, [_Given("plan", arrays, dict(summary))]), arm
 
 
 _NAMES = ("t", "p_SB", "v_S", "a_S", "R_SB", "omega_B", "alpha_B")
 
 
-class _Given(Motion):
+class _Given(ReportedMotion):
     """A motion that nobody planned here."""
 
     @property

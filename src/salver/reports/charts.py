@@ -17,7 +17,7 @@ from salver.wording import listed
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
     from salver.models.arm_limits import JointLimits
-    from salver.reports.run import Motion, Record, Run
+    from salver.reports.run import Record, ReportedMotion, ReportedRun
 
 Spec = dict[str, Any]
 TIP_WORTH_SHOWING = 1e-3  # rad; less is the softness of the contact
@@ -38,7 +38,7 @@ def _digits(values: Array) -> list[float | None]:
     return [float(f"{v:.5g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=float)]
 
 
-def series(motion: Motion, name: str, t: Array, y: Array, **style: Any) -> Spec:
+def series(motion: ReportedMotion, name: str, t: Array, y: Array, **style: Any) -> Spec:
     """A curve in the colour and dash of the motion it belongs to."""
     x, values = thin(t, y)
     return {"name": name, "colour": ROLE_COLOURS[motion.stem], "dash": DASH[motion.stem], "x": x, "y": values, **style}
@@ -48,7 +48,7 @@ def time_chart(title: str, y: str, curves: list[Spec], note: str = "", unit: str
     return {"title": title, "note": note, "x": "time, s", "y": y, "series": curves, "unit": unit, "time": True, **more}
 
 
-def margin_charts(run: Run) -> list[Spec]:
+def margin_charts(run: ReportedRun) -> list[Spec]:
     """Three ways to ask how close to sliding, tipping or lifting a motion comes, and the paper's own condition."""
     curves = run.contact
     one = curves[run.plan.stem].coefficient is not None
@@ -113,7 +113,7 @@ def _tip_range(curves: list[Spec]) -> list[float] | None:
     return [-high, 1.06 * high] if values and min(values) < -high else None
 
 
-def _friction_lines(run: Run) -> list[Spec]:
+def _friction_lines(run: ReportedRun) -> list[Spec]:
     """The friction there is, and the least that is assumed."""
     mu = run.bodies[0].friction
     lines: list[Spec] = [{"y": mu, "label": f"available: {mu:g}"}]
@@ -124,7 +124,7 @@ def _friction_lines(run: Run) -> list[Spec]:
     return lines
 
 
-def cone_charts(run: Run) -> list[Spec]:
+def cone_charts(run: ReportedRun) -> list[Spec]:
     """All cone coefficients of each motion with their tubes, on one scale."""
     low = min(float(m.cone_floor.min()) for m in run.motions)
     high = max(float((m.arrays["cone_coefficients"] + m.arrays["cone_radius"]).max()) for m in run.motions)
@@ -151,7 +151,7 @@ def cone_charts(run: Run) -> list[Spec]:
     return charts
 
 
-def sensitivity_charts(run: Run) -> list[Spec]:
+def sensitivity_charts(run: ReportedRun) -> list[Spec]:
     """How far wrong parameters take the object off its reference, and how much they change the contact forces."""
     wanted = [
         (
@@ -190,7 +190,7 @@ def sensitivity_charts(run: Run) -> list[Spec]:
     return charts
 
 
-def _by_parameter(plan: Motion, parameters: list[Parameter]) -> Spec:
+def _by_parameter(plan: ReportedMotion, parameters: list[Parameter]) -> Spec:
     """The parameters that move a cone coefficient; those that hardly do are named below the title."""
     half = plan.arrays["parameter_half_range"]
     effect = np.abs(plan.arrays["input_sensitivity"] * half).max(axis=1)
@@ -207,12 +207,12 @@ def _by_parameter(plan: Motion, parameters: list[Parameter]) -> Spec:
     return time_chart(f"{plan.label}: which parameter matters", "largest |Θ δ|, N", curves, note, "N", zero=True)
 
 
-def _state_radius(run: Run, m: Motion) -> Array:
+def _state_radius(run: ReportedRun, m: ReportedMotion) -> Array:
     uncertain = run.scenario.payload.uncertain.restricted([run.parameter(n) for n in m.arrays["parameter_names"]])
     return tubes.radius(m.arrays["state_sensitivity"], uncertain)
 
 
-def reference_charts(run: Run) -> list[Spec]:
+def reference_charts(run: ReportedRun) -> list[Spec]:
     """Where the object is taken, per axis, relative to the start."""
     charts = []
     for axis, name in enumerate("xyz"):
@@ -224,7 +224,7 @@ def reference_charts(run: Run) -> list[Spec]:
     return charts
 
 
-def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
+def joint_charts(run: ReportedRun, limits: JointLimits) -> list[Spec]:
     """Joint velocity and torque as a share of their limits, one curve a joint."""
     charts = []
     for m in run.motions:
@@ -241,7 +241,7 @@ def joint_charts(run: Run, limits: JointLimits) -> list[Spec]:
     return charts
 
 
-def clearance_charts(run: Run, arm: ArmModel) -> list[Spec]:
+def clearance_charts(run: ReportedRun, arm: ArmModel) -> list[Spec]:
     """How near arm, tray and load come to one another and to what stands around, over time."""
     from salver.models.arm_geometry import arm_geometry
 
@@ -266,7 +266,7 @@ def clearance_charts(run: Run, arm: ArmModel) -> list[Spec]:
     return charts
 
 
-def liquid_charts(run: Run) -> list[Spec]:
+def liquid_charts(run: ReportedRun) -> list[Spec]:
     """How high each liquid stands over its level at rest, and its brim: along the plans, with the range over fills and
     dampings, and as the physics engine saw it."""
     payload, charts = run.scenario.payload, []
@@ -304,7 +304,7 @@ def liquid_charts(run: Run) -> list[Spec]:
     return charts
 
 
-def run_charts(records: list[tuple[Motion, Record]]) -> list[Spec]:
+def run_charts(records: list[tuple[ReportedMotion, Record]]) -> list[Spec]:
     """What the physics engine or an arm says: tracking errors as in Fig. 8, slip, tip angle; of the tray alone when
     the object was not seen."""
     wanted = [

@@ -12,7 +12,7 @@ import numpy as np
 from salver.errors import SalverError
 from salver.files import write_atomic
 from salver.reports import perturbed
-from salver.reports.run import Motion, Run, read_run
+from salver.reports.run import ReportedMotion, ReportedRun, read_run
 from salver.reports.style import BLACK, BLUE, COLUMN, CYCLE, GREY, PAGE, ROLE_COLOURS, ROLE_DASHES, paper_style
 from salver.reports.tables import numbers_table, table_one, write_table
 from salver.simulation.drawing import draw_obstacles, within
@@ -91,11 +91,11 @@ def _new(width: float, height: float, rows: int = 1, columns: int = 1, **more: A
     return figure, figure.subplots(rows, columns, squeeze=False, **more)
 
 
-def _style(m: Motion) -> dict[str, Any]:
+def _style(m: ReportedMotion) -> dict[str, Any]:
     return {"color": ROLE_COLOURS[m.stem], "linestyle": ROLE_DASHES[m.stem]}
 
 
-def trajectories(motions: Iterable[Motion], obstacles: Sequence[Obstacle] = ()) -> Figure:
+def trajectories(motions: Iterable[ReportedMotion], obstacles: Sequence[Obstacle] = ()) -> Figure:
     """Fig. 3: position over time, and in space, where obstacles stand."""
     from matplotlib.figure import Figure
 
@@ -119,7 +119,7 @@ def trajectories(motions: Iterable[Motion], obstacles: Sequence[Obstacle] = ()) 
     return figure
 
 
-def _in_space(ax: Any, motions: list[Motion], obstacles: Sequence[Obstacle]) -> None:
+def _in_space(ax: Any, motions: list[ReportedMotion], obstacles: Sequence[Obstacle]) -> None:
     """Paths of the object to one scale in all three directions, with start, goal and, dotted, the paths from above."""
     points = np.vstack([m.arrays["p_SB"] for m in motions])
     around = within(obstacles, points.min(axis=0) - NEARBY, points.max(axis=0) + NEARBY)
@@ -161,7 +161,7 @@ def _widen(ax: Axes, least: float) -> None:
         ax.set_ylim(middle - 0.5 * least, middle + 0.5 * least)
 
 
-def coefficients(motions: Iterable[Motion]) -> Figure:
+def coefficients(motions: Iterable[ReportedMotion]) -> Figure:
     """Fig. 4: all cone coefficients of the nominal object."""
     motions = list(motions)
     figure, axes = _new(COLUMN, 1.55 * len(motions) + 0.3, rows=len(motions), sharex=True, sharey=True)
@@ -175,7 +175,7 @@ def coefficients(motions: Iterable[Motion]) -> Figure:
     return figure
 
 
-def perturbed_figure(m: Motion, runs: perturbed.Perturbed) -> Figure:
+def perturbed_figure(m: ReportedMotion, runs: perturbed.Perturbed) -> Figure:
     """Figs 5 and 6: cone coefficients of perturbed bodies, within the least and largest edge of all tubes."""
     figure, axes = _new(COLUMN, 2.0)
     ax = axes[0, 0]
@@ -196,7 +196,7 @@ def perturbed_figure(m: Motion, runs: perturbed.Perturbed) -> Figure:
     return figure
 
 
-def _spread_coefficients(m: Motion) -> list[int]:
+def _spread_coefficients(m: ReportedMotion) -> list[int]:
     """Up to four coefficients that tell most: lowest, highest, and two between, by their value where one is lowest."""
     values = m.arrays["cone_coefficients"]
     instant = int(np.argmin(values.min(axis=1)))
@@ -205,7 +205,7 @@ def _spread_coefficients(m: Motion) -> list[int]:
     return sorted(int(order[round(k)]) for k in np.linspace(0, len(order) - 1, min(4, len(order))))
 
 
-def _physics_records(run: Run) -> tuple[dict[str, SimulationRecord], dict[str, SimulationRecord]]:
+def _physics_records(run: ReportedRun) -> tuple[dict[str, SimulationRecord], dict[str, SimulationRecord]]:
     """Physics runs of every motion, nominal and with the paper's extra mass."""
     from salver.planning.plan import load_plan
 
@@ -219,7 +219,7 @@ def _physics_records(run: Run) -> tuple[dict[str, SimulationRecord], dict[str, S
 SNAPSHOTS = 4
 
 
-def snapshots(run: Run, records: Mapping[str, SimulationRecord]) -> tuple[Figure, str]:
+def snapshots(run: ReportedRun, records: Mapping[str, SimulationRecord]) -> tuple[Figure, str]:
     """Fig. 7: pictures along each simulated motion, one row a motion; and a note when they are plain drawings."""
     from salver.simulation.render import snapshots as photograph
 
@@ -242,7 +242,7 @@ def snapshots(run: Run, records: Mapping[str, SimulationRecord]) -> tuple[Figure
 
 
 def tracking(
-    motions: Iterable[Motion], nominal: Mapping[str, SimulationRecord], heavier: Mapping[str, SimulationRecord]
+    motions: Iterable[ReportedMotion], nominal: Mapping[str, SimulationRecord], heavier: Mapping[str, SimulationRecord]
 ) -> Figure:
     """Fig. 8: norms of the object's position and orientation error, as planned and with more mass."""
     figure, axes = _new(COLUMN, 2.7, rows=2, columns=2, sharex=True, sharey="row")

@@ -22,7 +22,7 @@ from salver.reports.cells import NOTHING, joined
 from salver.reports.charts import thin
 from salver.reports.replay import replay_scene
 from salver.reports.round import overview
-from salver.reports.run import Motion, Run, read_campaign, read_leg, read_run
+from salver.reports.run import ReportedMotion, ReportedRun, read_campaign, read_leg, read_run
 from salver.reports.sections import Sections
 from salver.reports.style import ROLE_COLOURS
 from salver.reports.words import Verdict, asked, outcome_in_words, true_parameters, verdict
@@ -70,7 +70,7 @@ def _write_legs(directory: Path, target: Path, say: Callable[[str], None], *, ke
     return write_atomic(target, whole, keep=keep)
 
 
-def page(run: Run, others: Markup = NOTHING) -> str:
+def page(run: ReportedRun, others: Markup = NOTHING) -> str:
     """The whole page as text. others: links to pages that belong to it."""
     arm = _arm(run)
     made = sections.build(run, arm)
@@ -158,7 +158,7 @@ def asset(name: str, package: str = "salver.reports") -> str:
     return resources.files(package).joinpath("assets", name).read_text(encoding="utf-8")
 
 
-def _arm(run: Run) -> ArmModel | None:
+def _arm(run: ReportedRun) -> ArmModel | None:
     if run.scenario.arm is None or any("q" not in m.arrays for m in run.motions):
         return None
     from salver.models.arm import load_arm
@@ -166,7 +166,7 @@ def _arm(run: Run) -> ArmModel | None:
     return load_arm(run.scenario.arm, run.scenario.tray)
 
 
-def replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
+def replay(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
     """The 3-D scene, a caption for each motion, and friction in use over time (1 at its largest) for the scrubber."""
     scene = replay_scene(run, arm)
     used = []
@@ -182,7 +182,7 @@ def replay(run: Run, arm: ArmModel | None) -> dict[str, Any]:
     return scene
 
 
-def _caption(run: Run, motion: Motion) -> str:
+def _caption(run: ReportedRun, motion: ReportedMotion) -> str:
     """What the replay of a motion shows."""
     if motion.seen is None:
         return "as planned"

@@ -14,7 +14,7 @@ from salver.simulation.closed_loop import Coverage, Rollout, coverage, rollout
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
-    from salver.reports.run import Run
+    from salver.reports.run import ReportedRun
     from salver.simulation.record import SimulationRecord
 
 MOST_GIGABYTES = 2.0
@@ -29,7 +29,7 @@ class Perturbed:
     coverage: Coverage
 
 
-def perturbed_rollouts(run: Run, stem: str, n: int, seed: int) -> Perturbed:
+def perturbed_rollouts(run: ReportedRun, stem: str, n: int, seed: int) -> Perturbed:
     """n bodies drawn from the uncertain set (the same for every motion) under eqs (18), (19) along one motion."""
     from salver.planning.plan import load_plan
 

@@ -15,7 +15,7 @@ from salver.reports.words import length
 from salver.statistics import clopper_pearson
 
 if TYPE_CHECKING:
-    from salver.reports.run import Motion, Run
+    from salver.reports.run import ReportedMotion, ReportedRun
 
 # What the runs are told apart by: the first two that there are. Column, title, axis, units from coarse to fine.
 HISTOGRAMS = (
@@ -27,7 +27,7 @@ BINS = 24
 START = 0.02  # share of the duration that counts as its very start
 
 
-def section(run: Run, campaign: dict[str, Any]) -> tuple[str, list[Spec], Markup]:
+def section(run: ReportedRun, campaign: dict[str, Any]) -> tuple[str, list[Spec], Markup]:
     """Introduction, charts, and HTML below them."""
     plans = campaign["plans"]
     total = max(int(own["runs"]) for own in plans.values())
@@ -47,7 +47,7 @@ def section(run: Run, campaign: dict[str, Any]) -> tuple[str, list[Spec], Markup
     return intro, specs, extra
 
 
-def _outcomes(run: Run, plans: dict[str, Any]) -> Markup:
+def _outcomes(run: ReportedRun, plans: dict[str, Any]) -> Markup:
     rows = []
     for m in run.motions:
         for i, (word, rate) in enumerate(plans.get(m.stem, {}).get("outcomes", {}).items()):
@@ -64,7 +64,7 @@ def _outcomes(run: Run, plans: dict[str, Any]) -> Markup:
     return table(["", "outcome", "runs", "rate", "95 % interval (Clopper–Pearson)"], rows, numeric=(2, 3))
 
 
-def _remarks(run: Run, m: Motion, own: dict[str, Any]) -> Markup:
+def _remarks(run: ReportedRun, m: ReportedMotion, own: dict[str, Any]) -> Markup:
     """Worst run, how to repeat it, and how the tubes did, in sentences."""
     worst, label = own["worst_run"], m.label
     slip = f", slip {length(worst['peak_slip'])}" if worst.get("peak_slip") is not None else ""
@@ -90,7 +90,7 @@ def _remarks(run: Run, m: Motion, own: dict[str, Any]) -> Markup:
     return text
 
 
-def _at_start(run: Run, m: Motion) -> str:
+def _at_start(run: ReportedRun, m: ReportedMotion) -> str:
     """Why tubes are left in the engine at the very start, if they are and only there."""
     if "tube_excess_time" not in run.runs:
         return ""
@@ -100,7 +100,7 @@ def _at_start(run: Run, m: Motion) -> str:
     return ", all at the very start"
 
 
-def _paired(run: Run, campaign: dict[str, Any]) -> Markup:
+def _paired(run: ReportedRun, campaign: dict[str, Any]) -> Markup:
     text = Markup("")
     label = {m.stem: m.label.lower() for m in run.motions}
     for pair in campaign.get("paired", []):
@@ -113,7 +113,9 @@ def _paired(run: Run, campaign: dict[str, Any]) -> Markup:
     return text
 
 
-def _histogram(run: Run, column: str, title: str, label: str, units: tuple[tuple[str, float], ...]) -> Spec | None:
+def _histogram(
+    run: ReportedRun, column: str, title: str, label: str, units: tuple[tuple[str, float], ...]
+) -> Spec | None:
     if column not in run.runs:
         return None
     values = run.runs[column].astype(float)

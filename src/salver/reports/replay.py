@@ -22,7 +22,7 @@ from salver.simulation.loads import true_world
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
-    from salver.reports.run import Motion, Run
+    from salver.reports.run import ReportedMotion, ReportedRun
     from salver.scenario import Scenario
 
 FRAME_RATE = 60.0  # Hz; the viewer interpolates between frames
@@ -61,7 +61,7 @@ def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> d
     }
 
 
-def replay_scene(run: Run, arm: ArmModel | None) -> dict[str, Any]:
+def replay_scene(run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
     """Everything that the viewer draws, ready for JSON; arrays are float32 in base64, time first."""
     variants = [_variant(motion, run, arm) for motion in run.motions]
     return {
@@ -80,7 +80,7 @@ def _obstacles(scenario: Scenario) -> list[LinkMesh]:
     return obstacle_meshes(scenario.obstacles, (red, green, blue))
 
 
-def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
+def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> dict[str, Any]:
     body, record = run.bodies[0], motion.seen
     source = record.arrays if record else motion.arrays
     t = source["t"]
@@ -122,7 +122,7 @@ def _variant(motion: Motion, run: Run, arm: ArmModel | None) -> dict[str, Any]:
     }
 
 
-def surfaces(motion: Motion, run: Run) -> list[DrawnSurface | None]:
+def surfaces(motion: ReportedMotion, run: ReportedRun) -> list[DrawnSurface | None]:
     """The liquid of each object as the engine saw it, as planned where nothing was run; a real arm sees none.
     Of a given motion whose samples were thinned waves are not known, which are quicker than what is left of them."""
     out: list[DrawnSurface | None] = [None] * len(run.bodies)
@@ -158,7 +158,7 @@ def liquid(surface: DrawnSurface, keep: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _true_friction(motion: Motion, body: Body, lone: bool) -> float:
+def _true_friction(motion: ReportedMotion, body: Body, lone: bool) -> float:
     """Of the run that is shown, which may differ from what the plan assumed."""
     changed = (motion.seen.summary.get("parameters") or {}) if motion.seen else {}
     return float(changed.get(Parameter(body.name, "friction", lone=lone).name, body.friction))
@@ -173,7 +173,7 @@ def _at(wanted: Array, t: Array, values: Array) -> Array:
 _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
-def contact_forces_B(motion: Motion, body: Body) -> Array:
+def contact_forces_B(motion: ReportedMotion, body: Body) -> Array:
     """(T, n_c, 3) planned force of each contact on the object, in B: Lambda through the cone edges, eqs (4), (5)."""
     edges = body.contacts.edges
     coefficients = motion.arrays["cone_coefficients"][:, : edges * body.contacts.count]
@@ -224,7 +224,7 @@ def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
     return {"points": np.round(points + offset, 6).tolist(), "triangles": triangles.tolist(), "colour": rgb(colour)}
 
 
-def _bounds(run: Run, arm: ArmModel | None) -> list[list[float]]:
+def _bounds(run: ReportedRun, arm: ArmModel | None) -> list[list[float]]:
     """Corners of a box around the whole motion, m, for the camera."""
     paths = [m.arrays["p_SB"] for m in run.motions]
     points = np.vstack(paths)
@@ -243,12 +243,12 @@ def _bounds(run: Run, arm: ArmModel | None) -> list[list[float]]:
     return [low.tolist(), high.tolist()]
 
 
-def _floor(run: Run, arm: ArmModel | None) -> float:
+def _floor(run: ReportedRun, arm: ArmModel | None) -> float:
     """Height of the ground, m: the scenario's floor, or, where there is none, a little below all that is drawn."""
     return _bounds(run, arm)[0][2] - 0.3 if run.scenario.floor is None else run.scenario.floor
 
 
-def _azimuth(run: Run, arm: ArmModel | None) -> float:
+def _azimuth(run: ReportedRun, arm: ArmModel | None) -> float:
     """Where the camera stands, rad: the motion runs across the picture, the arm behind it, seen a little obliquely."""
     path = run.plan.arrays["p_SB"]
     along = path[-1, :2] - path[0, :2]

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from salver.planning.plan_files import PlanFiles
 from salver.reports.cells import outcome_cell, percent, table
-from salver.reports.run import Run
+from salver.reports.run import ReportedRun
 from salver.reports.sections import Sections, tile_list
 from salver.reports.words import Verdict
 from salver.scenario import Scenario
@@ -19,7 +19,7 @@ from salver.wording import listed
 
 
 def overview(
-    files: PlanFiles, runs: Sequence[Run], places: Sequence[Path], campaign: dict[str, Any] | None
+    files: PlanFiles, runs: Sequence[ReportedRun], places: Sequence[Path], campaign: dict[str, Any] | None
 ) -> tuple[Verdict, Sections, str, Markup]:
     """What the page of the task says: verdict, sections, what was asked, tiles. places: the pages of the legs."""
     scenario, record = files.scenario, files.record
@@ -72,7 +72,7 @@ def overview(
     return _verdict(record, runs, held), made, _asked(scenario, record), tiles
 
 
-def _verdict(record: dict[str, Any], runs: Sequence[Run], held: dict[str, Any]) -> Verdict:
+def _verdict(record: dict[str, Any], runs: Sequence[ReportedRun], held: dict[str, Any]) -> Verdict:
     """Campaign before simulation before plan, as for one leg."""
     if not record["ok"]:
         return Verdict("bad", "No safe plan of all legs was found", record["status"]["sentence"])

@@ -42,7 +42,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Motion:
+class ReportedMotion:
     """A plan or what it is compared with, and what is known of it.
 
     stem: "plan", "baseline" or "nominal". arrays: those of plan.npz (docs: file formats). summary: plan.json.
@@ -88,7 +88,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Run:
+class ReportedRun:
     """A run directory: the scenario, one or two motions, what later commands added.
 
     notes: what is there but belongs to other plans, and so is not part of this, as sentences.
@@ -96,7 +96,7 @@ class Run:
 
     directory: Path
     scenario: scenarios.Scenario
-    motions: list[Motion]
+    motions: list[ReportedMotion]
     campaign: dict[str, Any] | None = None
     runs: dict[str, np.ndarray] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -106,11 +106,11 @@ class Run:
         return self.scenario.payload.bodies
 
     @property
-    def plan(self) -> Motion:
+    def plan(self) -> ReportedMotion:
         return self.motions[0]
 
     @property
-    def compared(self) -> Motion | None:
+    def compared(self) -> ReportedMotion | None:
         """What the plan is compared with."""
         return self.motions[1] if len(self.motions) > 1 else None
 
@@ -119,7 +119,7 @@ class Run:
         """Stem to how near the motion comes to sliding, tipping or lifting."""
         return {m.stem: contact_curves(self.scenario, m.arrays) for m in self.motions}
 
-    def waves(self, motion: Motion) -> Liquids | None:
+    def waves(self, motion: ReportedMotion) -> Liquids | None:
         """The liquids along a motion as it was planned, at its times; None without any."""
         from salver.contact_margins import tray_motion
         from salver.sensitivity.spills import Liquids
@@ -141,20 +141,20 @@ class Run:
         """What is carried, for a sentence: "the cube", "the 3 objects"."""
         return f"the {self.bodies[0].name}" if len(self.bodies) == 1 else f"the {len(self.bodies)} objects"
 
-    def motion(self, stem: str) -> Motion | None:
+    def motion(self, stem: str) -> ReportedMotion | None:
         return next((m for m in self.motions if m.stem == stem), None)
 
 
-def read_leg(directory: str | Path, number: int) -> Run:
+def read_leg(directory: str | Path, number: int) -> ReportedRun:
     """Read one leg, 1 for the first, of a run directory of several, as a run of its own."""
     directory, notes = Path(directory), list[str]()
     stem = f"leg{number}"
     files = read_plan(directory, stem, _NEEDED)
-    motion = _with_records(directory, Motion("plan", files.arrays, files.record), notes, stem)
-    return Run(directory, files.scenario, [motion], notes=notes)
+    motion = _with_records(directory, ReportedMotion("plan", files.arrays, files.record), notes, stem)
+    return ReportedRun(directory, files.scenario, [motion], notes=notes)
 
 
-def read_run(directory: str | Path) -> Run:
+def read_run(directory: str | Path) -> ReportedRun:
     """Read a run directory. Raises FileFormatError when it is none, or a file in it is damaged."""
     directory = Path(directory)
     scenario_of(directory)
@@ -162,12 +162,14 @@ def read_run(directory: str | Path) -> Run:
         raise FileFormatError(f"{directory} holds no plan.npz; make one with `salver plan`.")
     files = {stem: read_plan(directory, stem, _NEEDED) for stem in STEMS if (directory / f"{stem}.npz").is_file()}
     notes: list[str] = []
-    motions = [_with_records(directory, Motion(stem, plan.arrays, plan.record), notes) for stem, plan in files.items()]
+    motions = [
+        _with_records(directory, ReportedMotion(stem, plan.arrays, plan.record), notes) for stem, plan in files.items()
+    ]
     campaign, runs = read_campaign(directory, notes)
-    return Run(directory, files["plan"].scenario, motions, campaign, runs, notes)
+    return ReportedRun(directory, files["plan"].scenario, motions, campaign, runs, notes)
 
 
-def _with_records(directory: Path, motion: Motion, notes: list[str], stem: str = "") -> Motion:
+def _with_records(directory: Path, motion: ReportedMotion, notes: list[str], stem: str = "") -> ReportedMotion:
     """The motion with its runs in the engine and on an arm; those of another plan are noted and left out.
 
     stem: under which they are, if not the motion's own.

@@ -19,7 +19,7 @@ from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
-from salver.reports.run import Motion, Record, Run
+from salver.reports.run import Record, ReportedMotion, ReportedRun
 
 NAVIGATION = {
     "replay": "Replay",
@@ -72,7 +72,7 @@ class Sections:
         ).format(spec["title"], spec.get("note", ""), name)
 
 
-def build(run: Run, arm: ArmModel | None) -> Sections:
+def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
     """All sections for what the run directory has."""
     page = Sections()
     page.add(
@@ -118,7 +118,7 @@ def build(run: Run, arm: ArmModel | None) -> Sections:
     return page
 
 
-def tiles(run: Run) -> Markup:
+def tiles(run: ReportedRun) -> Markup:
     """Key numbers below the verdict."""
     plan = run.plan
     base = run.compared
@@ -184,7 +184,7 @@ RUNS = {
 }
 
 
-def _friction_tile(run: Run) -> tuple[str, str, str]:
+def _friction_tile(run: ReportedRun) -> tuple[str, str, str]:
     curves = [run.contact[m.stem] for m in run.motions]
     if curves[0].coefficient is None:
         used = [number(100 * float(c.friction.max()), 0, " %", "more than any") for c in curves]
@@ -210,7 +210,7 @@ def _friction_tile(run: Run) -> tuple[str, str, str]:
     )
 
 
-def _run_section(page: Sections, run: Run, kind: str) -> None:
+def _run_section(page: Sections, run: ReportedRun, kind: str) -> None:
     """The runs of one kind, in the physics engine or on an arm; left out when there are none."""
     records = [(m, record) for m in run.motions if (record := getattr(m, kind)) is not None]
     if not records:
@@ -241,7 +241,7 @@ def _source(record: Record) -> str:
 _PEAKS = (("slip", 1e3), ("lift", 1e3), ("tip_angle", 180 / np.pi), ("e_p", 1e3), ("e_o", 1e3))
 
 
-def _clocks(records: list[tuple[Motion, Record]]) -> Markup:
+def _clocks(records: list[tuple[ReportedMotion, Record]]) -> Markup:
     """How well the control loop kept its period, and why it stopped if it did."""
     rows, stops = [], NOTHING
     for m, record in records:
@@ -264,7 +264,7 @@ def _clocks(records: list[tuple[Motion, Record]]) -> Markup:
     return stops
 
 
-def _usage_table(run: Run, arm: ArmModel) -> Markup:
+def _usage_table(run: ReportedRun, arm: ArmModel) -> Markup:
     usage = {m.stem: arm_usage(m, arm) for m in run.motions}
     kinds = list(next(iter(usage.values())))
     rows = []
@@ -295,7 +295,7 @@ def _limits_in_words(arm: ArmModel) -> str:
     return text + (f" Nobody gave limits for {listed(nobody)}: not checked." if nobody else "")
 
 
-def _provenance(run: Run) -> Markup:
+def _provenance(run: ReportedRun) -> Markup:
     left, right = table(["asked", ""], scenario_rows(run)), table(["computed", ""], solver_rows(run))
     details = NOTHING
     for name in ("scenario.toml", *(f"{m.stem}.json" for m in run.motions)):

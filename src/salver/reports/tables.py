@@ -19,21 +19,21 @@ from salver.reports.parameters import half_range, pretty
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
     from salver.reports.perturbed import Perturbed
-    from salver.reports.run import Motion, Run
+    from salver.reports.run import ReportedMotion, ReportedRun
     from salver.scenario import Obstacle
 
 Rows = list[tuple[str, str]]
 
 
 @dataclass(frozen=True)
-class Table:
+class HtmlTable:
     """Text cells under column headings."""
 
     head: Sequence[str]
     rows: list[list[str]]
 
 
-def scenario_rows(run: Run) -> Rows:
+def scenario_rows(run: ReportedRun) -> Rows:
     """What was asked, as the paper's Table I and beyond."""
     s, uncertain = run.scenario, run.scenario.payload.uncertain
     rows: Rows = [("scenario", s.name), ("source", s.source or "–")]
@@ -87,7 +87,7 @@ def _obstacle(obstacle: Obstacle) -> str:
     return f"obstacle, {obstacle.type}, {size}, at {_vector(obstacle.position, 'm')}"
 
 
-def solver_rows(run: Run) -> Rows:
+def solver_rows(run: ReportedRun) -> Rows:
     """How each motion was found and what made it; all of plan.json is on the page besides."""
     rows: list[tuple[str, Any]] = []
     for m in run.motions:
@@ -135,7 +135,7 @@ def _vector(values: Any, unit: str) -> str:
     return f"({', '.join(f'{x:g}' for x in values)}) {unit}"
 
 
-def arm_usage(m: Motion, arm: ArmModel) -> dict[str, np.ndarray]:
+def arm_usage(m: ReportedMotion, arm: ArmModel) -> dict[str, np.ndarray]:
     """Largest share (n,) of each of the arm's limits over the motion, NaN for a joint that has none.
 
     Jerk by differences of the acceleration. Kinds that no joint has are left out.
@@ -152,17 +152,17 @@ def arm_usage(m: Motion, arm: ArmModel) -> dict[str, np.ndarray]:
     }
 
 
-def table_one(run: Run) -> Table:
+def table_one(run: ReportedRun) -> HtmlTable:
     """The paper's Table I for this scenario."""
-    return Table(("quantity", "value"), [list(row) for row in scenario_rows(run)])
+    return HtmlTable(("quantity", "value"), [list(row) for row in scenario_rows(run)])
 
 
-def numbers_table(run: Run, rollouts: Mapping[str, Perturbed]) -> Table:
+def numbers_table(run: ReportedRun, rollouts: Mapping[str, Perturbed]) -> HtmlTable:
     """The numbers behind the figures, one column a motion, in SI units with their unit in the first column."""
     curves = run.contact
     rows: list[list[str]] = []
 
-    def add(label: str, value: Callable[[Motion], float | int | str | None]) -> None:
+    def add(label: str, value: Callable[[ReportedMotion], float | int | str | None]) -> None:
         values = [value(m) for m in run.motions]
         if any(v is not None for v in values):
             rows.append([label, *("" if v is None else f"{v:.6g}" if isinstance(v, float) else str(v) for v in values)])
@@ -192,10 +192,10 @@ def numbers_table(run: Run, rollouts: Mapping[str, Perturbed]) -> Table:
     add("largest rotation deviation, perturbed [rad]", lambda m: _deviation(rollouts[m.stem], slice(3, 6)))
     add("solver", lambda m: (m.summary.get("solver") or {}).get("name"))
     add("solver time [s]", lambda m: (m.summary.get("solver") or {}).get("seconds"))
-    return Table(("quantity", *(m.label.lower() for m in run.motions)), rows)
+    return HtmlTable(("quantity", *(m.label.lower() for m in run.motions)), rows)
 
 
-def _rise(m: Motion) -> np.ndarray:
+def _rise(m: ReportedMotion) -> np.ndarray:
     """Height (T,) above the straight line from start to goal, at the same progress along it."""
     p = m.arrays["p_SB"]
     line = p[-1] - p[0]
@@ -207,7 +207,7 @@ def _deviation(runs: Perturbed, rows: slice) -> float:
     return float(np.linalg.norm(runs.rollout.deviation[:, :, rows], axis=2).max())
 
 
-def write_table(stem: Path, table: Table) -> list[Path]:
+def write_table(stem: Path, table: HtmlTable) -> list[Path]:
     """The table as STEM.csv and STEM.md."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

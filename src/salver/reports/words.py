@@ -14,7 +14,7 @@ from salver.reports.parameters import half_range, pretty, quantity
 from salver.wording import listed
 
 if TYPE_CHECKING:
-    from salver.reports.run import Run
+    from salver.reports.run import ReportedRun
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Verdict:
     detail: str
 
 
-def verdict(run: Run) -> Verdict:
+def verdict(run: ReportedRun) -> Verdict:
     """Campaign before simulation before plan: the strongest evidence there is decides."""
     plan, load = run.plan, run.load[0].upper() + run.load[1:]
     several = len(run.bodies) > 1
@@ -65,13 +65,13 @@ def verdict(run: Run) -> Verdict:
     )
 
 
-def _promise(run: Run) -> str:
+def _promise(run: ReportedRun) -> str:
     """What the plan says of itself, in figures, and of its stops."""
     stops = run.plan.summary.get("stops", {}).get("sentence", "")
     return f"{_margins(run)}. {stops.rstrip('.')}" if stops else _margins(run)
 
 
-def _margins(run: Run) -> str:
+def _margins(run: ReportedRun) -> str:
     curves, plan = run.contact[run.plan.stem], run.plan
     if curves.coefficient is not None:
         text = f"Needs a friction coefficient of {float(curves.coefficient.max()):.3f}, there is {curves.available:g}"
@@ -83,7 +83,7 @@ def _margins(run: Run) -> str:
     return f"{text}; in the worst case {left:.1f} % of the weight are left before anything moves"
 
 
-def campaign_outcomes(run: Run, stem: str) -> dict[str, int]:
+def campaign_outcomes(run: ReportedRun, stem: str) -> dict[str, int]:
     """Outcome to number of runs of one motion; empty without a campaign."""
     if run.campaign is None or stem not in run.campaign["plans"]:
         return {}
@@ -91,7 +91,7 @@ def campaign_outcomes(run: Run, stem: str) -> dict[str, int]:
     return {word: int(rate["count"]) for word, rate in outcomes.items() if rate["count"] or word == "holds"}
 
 
-def asked(run: Run) -> str:
+def asked(run: ReportedRun) -> str:
     """The task in a sentence or two."""
     s, plan = run.scenario, run.plan
     start, goal = (np.array(p.position) for p in (s.motion.start, s.motion.goal))
@@ -114,7 +114,7 @@ def asked(run: Run) -> str:
     return f"{text}. {_unknown(run)} {does}".rstrip()
 
 
-def _thing(run: Run, i: int) -> str:
+def _thing(run: ReportedRun, i: int) -> str:
     item = run.scenario.objects[i]
     shape = item.shape
     size = {
@@ -124,7 +124,7 @@ def _thing(run: Run, i: int) -> str:
     return f"the {item.name} ({size}, {1e3 * item.mass:.4g} g, friction {item.friction:g})"
 
 
-def _unknown(run: Run) -> str:
+def _unknown(run: ReportedRun) -> str:
     uncertain = run.scenario.payload.uncertain
     if not uncertain.size:
         return "Everything about it is taken as known."
@@ -140,7 +140,7 @@ def outcome_in_words(outcome: str) -> str:
     return {"limit": "joint limits broken", "lost": "left the tray"}.get(outcome, outcome)
 
 
-def true_parameters(run: Run, summary: Mapping[str, Any]) -> str:
+def true_parameters(run: ReportedRun, summary: Mapping[str, Any]) -> str:
     """What was not nominal in a run: "friction 0.09", or nothing."""
     changed = ((run.parameter(name), value) for name, value in (summary.get("parameters") or {}).items())
     return ", ".join(f"{pretty(p)} {quantity(p, value)}" for p, value in changed)

@@ -4,7 +4,7 @@ A scenario is a TOML file, or the name of a ready-made one. It is checked in ful
 computed; each mistake is one sentence with the key, the value and what would be accepted.
 """
 
-from salver.scenario.cell import Arm, ArmLimits, Obstacle, Physics, Robot, Surroundings, Tray
+from salver.scenario.cell import Arm, ArmLimits, Obstacle, Physics, RobotBehaviour, Surroundings, Tray
 from salver.scenario.files import SCENARIO_DIR, load, names
 from salver.scenario.legs import Leg
 from salver.scenario.liquid import LiquidIn
@@ -20,11 +20,36 @@ from salver.scenario.objects import (
     Uncertainty,
     UncertaintySet,
 )
-from salver.scenario.task import Contact, Control, Motion, Objective, Planning, Pose
+from salver.scenario.task import Contact, Control, Motion, Planning, Pose, SensitivityWeighting
 
 __all__ = [
-    "SCENARIO_DIR", "Arm", "ArmLimits", "Box", "CarriedObject", "Composite", "Contact", "Control", "Cylinder",
-    "Leg", "LiquidIn", "Mesh",
-    "Motion", "Objective", "Obstacle", "Part", "Physics", "Planning", "Pose", "Prism", "Robot", "Scenario",
-    "Surroundings", "Tray", "Uncertainty", "UncertaintySet", "load", "names", "parse",
+    "SCENARIO_DIR",
+    "Arm",
+    "ArmLimits",
+    "Box",
+    "CarriedObject",
+    "Composite",
+    "Contact",
+    "Control",
+    "Cylinder",
+    "Leg",
+    "LiquidIn",
+    "Mesh",
+    "Motion",
+    "Obstacle",
+    "Part",
+    "Physics",
+    "Planning",
+    "Pose",
+    "Prism",
+    "RobotBehaviour",
+    "Scenario",
+    "SensitivityWeighting",
+    "Surroundings",
+    "Tray",
+    "Uncertainty",
+    "UncertaintySet",
+    "load",
+    "names",
+    "parse",
 ]  # fmt: skip

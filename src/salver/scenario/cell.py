@@ -154,7 +154,7 @@ Friction = Annotated[
 ]
 
 
-class Robot(Model):
+class RobotBehaviour(Model):
     """How the simulated robot follows what it is told.
 
     control: "torque": by salver's own controller; "position": by the robot's own, into which nobody sees: each joint
@@ -195,7 +195,7 @@ class Physics(Model):
     velocity_noise: Annotated[Number, Field(ge=0, le=10)] = 0.0
     delay_steps: Annotated[Whole, Field(ge=0, le=20)] = 0
     joint_friction: Friction = 0.0
-    robot: Robot = Robot()
+    robot: RobotBehaviour = RobotBehaviour()
     feedback: Literal["joints", "object"] = "joints"
 
     def steps(self, duration: float) -> float:

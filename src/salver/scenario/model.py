@@ -22,7 +22,7 @@ from salver.scenario.cell import Arm, Obstacle, Physics, Surroundings, Tray
 from salver.scenario.fields import Model, Text, Whole
 from salver.scenario.legs import Leg, fixed_to_tray, loads
 from salver.scenario.objects import CarriedObject, UncertaintySet
-from salver.scenario.task import Contact, Control, Motion, Objective, Planning, Pose
+from salver.scenario.task import Contact, Control, Motion, Planning, Pose, SensitivityWeighting
 from salver.validation import sentences
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Scenario(Shown, Model):
     uncertainty: UncertaintySet = UncertaintySet()
     contact: Contact = Contact()
     control: Control = Control()
-    objective: Objective = Objective()
+    objective: SensitivityWeighting = SensitivityWeighting()
     plan: Planning = Planning()
     tray: Tray = Tray()
     arm: Arm | None = None

@@ -115,7 +115,7 @@ class Planning(Model):
     method: Literal["robust", "fastest", "safest", "least-sensitive"] | None = None
 
 
-class Objective(Model):
+class SensitivityWeighting(Model):
     """How the rows of the state sensitivity are weighted in the cost, eq (13)."""
 
     weighting: Literal["scaled", "paper", "pose"] = "scaled"

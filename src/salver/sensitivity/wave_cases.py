@@ -18,7 +18,7 @@ VERDICT_APART = 0.02  # of frequency, between the fills at which a verdict looks
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class SloshingCase:
     """The liquid of one body at one fill (m) and damping (of critical). softer: share of its frequencies by which high
     waves are slower than small ones."""
 
@@ -52,7 +52,7 @@ class Cases:
     largest free wave for which the model is valid, m.
     """
 
-    each: tuple[Case, ...]
+    each: tuple[SloshingCase, ...]
     at_O: Array
     at_mode: Array
     to_E: Array
@@ -70,7 +70,7 @@ class Cases:
 
     @classmethod
     @lru_cache(maxsize=64)
-    def of(cls, each: tuple[Case, ...]) -> Cases:
+    def of(cls, each: tuple[SloshingCase, ...]) -> Cases:
         modes = [case.modes for case in each]
         at_O, at_mode, to_E = [], [], []
         for case, own in zip(each, modes, strict=True):
@@ -131,7 +131,7 @@ class Cases:
         return np.sign(eta)
 
 
-def cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[Case, ...]:
+def cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[SloshingCase, ...]:
     """Fills and dampings of a body's liquid that stand for all of an uncertain set; none without a liquid."""
     liquid = body.liquid
     if liquid is None:
@@ -141,4 +141,4 @@ def cases(body: Body, uncertain: UncertainSet, apart: float = APART) -> tuple[Ca
     found = liquid.cases(liquid.fill - fill, liquid.fill + fill, apart)
     if Parameter(body.name, "damping") not in half:
         found = [(h, liquid.nominal_damping) for h in dict.fromkeys(h for h, _ in found)]
-    return tuple(Case(body, *each) for each in found)
+    return tuple(SloshingCase(body, *each) for each in found)

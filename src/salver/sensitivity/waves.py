@@ -19,14 +19,14 @@ from salver.models.liquid import GRAVITY, LEAST_WEIGHT, LEFT_OVER, TILTING
 from salver.models.tray_motion import N_MOTION
 from salver.sensitivity.filter import LinearFilter
 from salver.sensitivity.underway import Underway
-from salver.sensitivity.wave_cases import Case, Cases
+from salver.sensitivity.wave_cases import Cases, SloshingCase
 
 TURNS, SETTLED = 24, 1e-3  # rounds at most in which waves along both sides of a box drive one another, and when to end
 TURNING = np.zeros(N_MOTION)
 TURNING[[6, 8]] = 1.0  # omega_x^2 + omega_y^2: the same in every frame whose z is the tray's
 
 
-def along(several: Sequence[Case], t: Array, w: Array, start: Underway | None = None) -> Waves:
+def along(several: Sequence[SloshingCase], t: Array, w: Array, start: Underway | None = None) -> Waves:
     """The waves of cases, all round or all boxes, along a motion: what the tray feels, w (T, 12), at t (T,). start: how
     they begin, at rest unless given."""
     which = Cases.of(tuple(several))

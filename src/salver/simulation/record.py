@@ -14,7 +14,7 @@ from salver.display import Shown
 from salver.errors import FileFormatError
 from salver.files import read_result
 from salver.geometry import Array
-from salver.motion_files.motion import Motion
+from salver.motion_files.motion import MotionSeries
 from salver.run_directory import check_digest, save_record
 from salver.tables import Table, Tabular, dimensioned
 
@@ -91,7 +91,7 @@ class SimulationRecord(Shown, Tabular):
         about = {"outcome": self.outcome, **{f"true {name}": value for name, value in self.parameters.items()}}
         return Table(dimensioned(arrays, _DIMENSIONS), {"object": self.object_names}, about)
 
-    def motion(self, joint_names: tuple[str, ...] = ()) -> Motion:
+    def motion(self, joint_names: tuple[str, ...] = ()) -> MotionSeries:
         """Where the joints, the tray and the first object really were, to be written with `salver.motion_files.write`.
 
         joint_names: of the n joints; numbered, if empty. It begins with the run, before the motion. Without velocities:
@@ -100,7 +100,7 @@ class SimulationRecord(Shown, Tabular):
         ns: Any = np.round((self.t - self.t[0]) * 1e9).astype(np.int64)
         names = joint_names or tuple(f"q{k + 1}" for k in range(self.q.shape[1]))
         p_SB, quat_SB_wxyz = self.p_SB[:, 0], self.quat_SB_wxyz[:, 0]
-        return Motion(ns, names, self.q, None, None, None, self.p_SE, self.quat_SE_wxyz, p_SB, quat_SB_wxyz)
+        return MotionSeries(ns, names, self.q, None, None, None, self.p_SE, self.quat_SE_wxyz, p_SB, quat_SB_wxyz)
 
     def save(self, directory: str | Path, stem: str = "plan", kind: str = "") -> Path:
         """Write DIRECTORY/simulation/STEM.npz and .json, atomically; returns the path of the first.

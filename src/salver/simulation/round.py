@@ -15,7 +15,7 @@ from typing import Any
 
 from salver.errors import ScenarioError
 from salver.models.parameters import Parameter, all_parameters
-from salver.planning.round import Round
+from salver.planning.round import MultiLegPlan
 from salver.scenario import Scenario
 from salver.simulation.outcome import WORST_FIRST
 from salver.simulation.physics import Experiment
@@ -55,7 +55,7 @@ class RoundRecord:
 class RoundExperiment:
     """A plan of several legs, to be run any number of times (`salver.simulation.physics.Experiment`)."""
 
-    plan: Round
+    plan: MultiLegPlan
     options: Options = field(default_factory=Options)
 
     @cached_property
@@ -110,7 +110,7 @@ class RoundExperiment:
 
 
 def simulate_round(
-    plan: Round, *, parameters: Mapping[str, float] | None = None, seed: int = 0, stop_at: float | None = None
+    plan: MultiLegPlan, *, parameters: Mapping[str, float] | None = None, seed: int = 0, stop_at: float | None = None
 ) -> RoundRecord:
     """Run a plan of several legs in the physics engine, leg by leg; see `salver.simulation.physics.simulate`.
 

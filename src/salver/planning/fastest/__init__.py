@@ -5,9 +5,9 @@ Constraints, objectives and ends of one's own: docs/extending.md.
 
 from salver.planning.fastest.constraints import Block, Constraint, evaluate, padded, worst_of
 from salver.planning.fastest.ends import Anywhere, AtPose, AtPosture, End
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.found import EFFORTS, FastestMotion, FastestOptions, object_motion
-from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Model, Objective, Point
+from salver.planning.fastest.objectives import Distance, Duration, LeastMargin, Objective, Point, QuadraticModel
 from salver.planning.fastest.optimum import nearby
 from salver.planning.fastest.planned import joint_plan, plan_fastest
 from salver.planning.fastest.problem import TransportProblem, transport_problem
@@ -23,13 +23,13 @@ __all__ = [
     "Distance",
     "Duration",
     "End",
-    "Evaluation",
     "FastestMotion",
     "FastestOptions",
     "LeastMargin",
-    "Model",
+    "MotionEvaluation",
     "Objective",
     "Point",
+    "QuadraticModel",
     "TransportProblem",
     "evaluate",
     "fastest",

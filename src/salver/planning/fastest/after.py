@@ -9,8 +9,8 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.constraints import Contact, evaluate
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.constraints import ContactConstraint, evaluate
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.problem import TransportProblem
 
 WATCHED = 40  # instants of a wave
@@ -21,7 +21,7 @@ def stays(problem: TransportProblem, t: Array, z: Array) -> bool:
     """Whether what is carried stays, and what is in it, to the edge of their rows: along a motion z (4, P, n) at t (P,)
     s, from 0 on, and at rest at its end for a wave of the slowest liquid. With one instant: at rest there, with the
     waves that there are."""
-    carried = [constraint for constraint in problem.constraints if isinstance(constraint, Contact | Brim)]
+    carried = [constraint for constraint in problem.constraints if isinstance(constraint, ContactConstraint | Brim)]
     blocks = evaluate(carried, _rested(problem, t, z), margins=False)
     return all(block.values.max() <= 0 for block in blocks if len(block.points) > 1)  # but for what is left for good
 
@@ -40,13 +40,13 @@ def calmer(problem: TransportProblem, t: Array, z: Array) -> TransportProblem:
     return replace(problem, calm=CALMER * left * without / (without - most))
 
 
-def _contact(problem: TransportProblem, motion: Evaluation) -> Array:
+def _contact(problem: TransportProblem, motion: MotionEvaluation) -> Array:
     """(N,) largest row of all contacts at the nodes, with the margin that is asked for."""
-    rows = [Contact(rows, problem.scenario.contact.margin) for rows in problem.contacts]
+    rows = [ContactConstraint(rows, problem.scenario.contact.margin) for rows in problem.contacts]
     return np.max([block.values.max(axis=1) for block in evaluate(rows, motion)], axis=0)
 
 
-def _rested(problem: TransportProblem, t: Array, z: Array) -> Evaluation:
+def _rested(problem: TransportProblem, t: Array, z: Array) -> MotionEvaluation:
     """A motion and the wave after it."""
     rest = np.zeros((4, WATCHED, problem.n))
     rest[0] = z[0, -1]

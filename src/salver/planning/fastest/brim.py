@@ -12,7 +12,7 @@ from salver.geometry import Array, Indices
 from salver.models.bodies import Body
 from salver.models.tray_motion import FULL_SPEED, Speed
 from salver.planning.fastest.constraints import FINEST, ROWS_OF_SEVERAL, Block, Constraint, Gradient
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.sensitivity.slosh_rows import of_parts
 from salver.sensitivity.sloshing import LIGHTEST, Slosh
 from salver.sensitivity.wave_gradients import Unknowns
@@ -34,7 +34,7 @@ class Brim(Constraint):
     calm: float = 1.0
     speed: Speed = FULL_SPEED
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         parts = motion.at_factor(self.speed.factor).sloshing[self.body.name]
         last, words = motion.nodes[-1:], self.speed.words
         which = [part.waves.cases for part in parts]

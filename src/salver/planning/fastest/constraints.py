@@ -21,7 +21,7 @@ from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import FULL_SPEED, Speed
 from salver.models.worst_case import ALL, Drift, Some, WorstCase, values_near
 from salver.models.worst_contents import SURE
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.obstacles import AT_NODES, REACH, KeepOut
 from salver.sensitivity.slosh_rows import Sloshed, most_added
 from salver.sensitivity.sloshing import Slosh
@@ -132,7 +132,7 @@ class Constraint(ABC):
     """A condition on a motion."""
 
     @abstractmethod
-    def blocks(self, motion: Evaluation) -> Iterable[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterable[Block]:
         """Its rows along a motion."""
 
     def near(self, q: Array) -> Constraint:
@@ -140,7 +140,7 @@ class Constraint(ABC):
         return self
 
 
-def evaluate(constraints: Sequence[Constraint], motion: Evaluation, margins: bool = True) -> tuple[Block, ...]:
+def evaluate(constraints: Sequence[Constraint], motion: MotionEvaluation, margins: bool = True) -> tuple[Block, ...]:
     """All rows of a motion, margins included unless they are not wanted. A row that is no number is not kept."""
     blocks = []
     for constraint in constraints:
@@ -213,7 +213,7 @@ class JointLimit(Constraint):
             for kind, middle, half, finite in given
         ]
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         n, points = motion.n, np.arange(len(motion.s))
         for kind, middle, half, finite, theirs in self._ranges:
             if not len(finite):
@@ -243,7 +243,7 @@ class TorqueLimit(Constraint):
 
     limits: JointLimits
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         finite = np.flatnonzero(np.isfinite(self.limits.torque))
         if not len(finite):
             return
@@ -265,7 +265,7 @@ class TorqueRateLimit(Constraint):
 
     limits: JointLimits
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         finite = np.flatnonzero(np.isfinite(self.limits.torque_rate))
         if not len(finite):
             return
@@ -290,7 +290,7 @@ class TorqueRateLimit(Constraint):
 
 
 @dataclass(frozen=True, eq=False)
-class Contact(Constraint):
+class ContactConstraint(Constraint):
     """Facets of the contact wrench cones of one network of touching objects, at the worst parameters.
 
     margin: that the scenario asks for, as a share of the normal force at rest. speed: at which. exactly: of an arm that
@@ -304,7 +304,7 @@ class Contact(Constraint):
     exactly: bool = False
     coarsely: bool = False
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         speed = self.speed
         tracking = None if self.exactly or not speed.factor else motion.tracking
         w, drift = motion.felt(speed.factor, speed.rate, self.exactly)
@@ -366,10 +366,10 @@ def _of_the_weight(excess: float) -> str:
 
 
 @dataclass(frozen=True)
-class Level(Constraint):
+class LevelConstraint(Constraint):
     """Tray level within `LEVEL_TOLERANCE`."""
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         up = motion.terms.R_SE[:, 2, :]  # the vertical, in E
 
         def gradient(i: Indices, f: Indices) -> Array:
@@ -382,12 +382,12 @@ class Level(Constraint):
 
 
 @dataclass(frozen=True)
-class Tilt(Constraint):
+class TiltConstraint(Constraint):
     """Tray tilted from level by no more than `largest`, rad."""
 
     largest: float
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         scale = 1.0 / max(1 - np.cos(self.largest), 1e-6)
         values = scale * (np.cos(self.largest) - motion.terms.R_SE[:, 2, 2:])
 
@@ -404,7 +404,7 @@ def _deg(angle: float) -> str:
     return f"{np.rad2deg(angle):.3g} deg"
 
 
-def _vertical_q(motion: Evaluation) -> Array:
+def _vertical_q(motion: MotionEvaluation) -> Array:
     """(N, 3, n) derivative by q of the vertical in E."""
     up = motion.terms.R_SE[:, 2, :]
     return np.asarray(hat(up) @ motion.terms.jacobian[:, 3:])
@@ -424,7 +424,7 @@ class Clearance(Constraint):
     def near(self, q: Array) -> Constraint:
         return Clearance(self.keep_out.near(q))
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         if not len(self.keep_out.required):
             return
         q, stray = motion.at_nodes[0], np.zeros(1)

@@ -17,13 +17,13 @@ from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import Deviation, JointLoop, Reaction
 from salver.sensitivity.slosh_rows import given_way
 from salver.sensitivity.sloshing import Slosh
-from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.wave_cases import SloshingCase
 
 EASING = 0.25  # of a motion that begins moving: over this share of it margins grow from nothing
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class MotionEvaluation:
     """A motion at points s (P,) in [0, 1] of its duration (s): z (4, P, n) is q and its three time derivatives there.
 
     model: Pinocchio's, with all objects bolted on at nominal parameters; frame_id: of the tray in it. tracking: what
@@ -45,7 +45,7 @@ class Evaluation:
     nodes: Indices
     imposed: bool
     moving: bool
-    liquids: tuple[tuple[Case, ...], ...] = ()
+    liquids: tuple[tuple[SloshingCase, ...], ...] = ()
     past: Past | None = None
     coarsely: bool = False
 
@@ -90,18 +90,18 @@ class Evaluation:
             w[:, :6] += rate * self.terms.twist
         return w, drift
 
-    def at_factor(self, factor: float) -> Evaluation:
+    def at_factor(self, factor: float) -> MotionEvaluation:
         """This motion at a speed factor above 0."""
         if factor == 1.0:
             return self
-        known: dict[float, Evaluation] = self._at_factors
+        known: dict[float, MotionEvaluation] = self._at_factors
         if factor not in known:
             powers = factor ** np.arange(4.0)[:, None, None]
             known[factor] = replace(self, z=self.z * powers, duration=self.duration / factor)
         return known[factor]
 
     @cached_property
-    def _at_factors(self) -> dict[float, Evaluation]:
+    def _at_factors(self) -> dict[float, MotionEvaluation]:
         return {}
 
     @cached_property
@@ -109,40 +109,40 @@ class Evaluation:
         """What a wrong load does to the arm where it stands still in the postures of the nodes."""
         return None if self.tracking is None else self.tracking.sag(self.terms)
 
-    def straying_as(self, other: Evaluation) -> Evaluation:
+    def straying_as(self, other: MotionEvaluation) -> MotionEvaluation:
         """This motion, with an arm that strays from it as from a motion like it, at the same instants."""
         like = other.response
         if like is None:
             return self
         return self.straying(like.along(self.terms)).sagging(other.sag)
 
-    def giving_way_as(self, other: Evaluation) -> Evaluation:
+    def giving_way_as(self, other: MotionEvaluation) -> MotionEvaluation:
         """This motion, with an arm that gives way to its load and to its waves as along a motion like it, at the same
         shares of its time."""
         self.straying_as(other)
         return self.swinging(other._waves.along(self.shares * self.duration, self.terms.w))
 
-    def swinging(self, waves: Sloshing) -> Evaluation:
+    def swinging(self, waves: Sloshing) -> MotionEvaluation:
         """This motion, with the waves of all cases known."""
         self.__dict__["_waves"] = waves
         return self
 
-    def straying(self, response: Any) -> Evaluation:
+    def straying(self, response: Any) -> MotionEvaluation:
         """This motion, with what the arm does to it known."""
         self.__dict__["response"] = response  # where the cached property would keep it
         return self
 
-    def sagging(self, sag: Drift | None) -> Evaluation:
+    def sagging(self, sag: Drift | None) -> MotionEvaluation:
         """This motion, with what a wrong load does to the arm that stands still known."""
         self.__dict__["sag"] = sag
         return self
 
-    def sloshing_as(self, sloshing: dict[str, tuple[Slosh, ...]]) -> Evaluation:
+    def sloshing_as(self, sloshing: dict[str, tuple[Slosh, ...]]) -> MotionEvaluation:
         """This motion, with what its liquids do known."""
         self.__dict__["sloshing"] = sloshing
         return self
 
-    def feeling(self, terms: MotionTerms) -> Evaluation:
+    def feeling(self, terms: MotionTerms) -> MotionEvaluation:
         """This motion, with its terms known."""
         self.__dict__["terms"] = terms
         return self

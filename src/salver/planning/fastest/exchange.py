@@ -14,12 +14,12 @@ from salver.errors import Status
 from salver.geometry import Array, Indices
 from salver.planning.fastest.constraints import Constraint, evaluate, violated
 from salver.planning.fastest.curves import Curve, Grid, united
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.objectives import Duration, Objective, Point, Scalar
 from salver.planning.fastest.problem import TransportProblem, with_missed_cases
 from salver.planning.fastest.programme import Iterate, Programme
 from salver.planning.fastest.spline import SplineMotion
-from salver.planning.fastest.sqp import Options, Solution, minimise
+from salver.planning.fastest.sqp import SqpOptions, SqpSolution, minimise
 from salver.planning.fastest.starts import TOUCHES
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
@@ -129,9 +129,9 @@ def optimise(
 
     programme = programme_of(problem, curve_of, start, nodes, objective)
     begun = programme.begin(start.coefficients, start.duration)
-    first = Options(iterations, watch, gain=gain, beat=beat)
+    first = SqpOptions(iterations, watch, gain=gain, beat=beat)
     if problem.liquids:  # more cases of them will join
-        first = Options(iterations, watch, gain=LOOSE_GAIN, violation=LOOSE, poor=LOOSELY_POOR)
+        first = SqpOptions(iterations, watch, gain=LOOSE_GAIN, violation=LOOSE, poor=LOOSELY_POOR)
     solution = minimise(programme, begun, first, Trust(damping))
     done = solution.iterations
     for exchange in range(EXCHANGES + 1):
@@ -172,15 +172,15 @@ def optimise(
 
 def _repair(
     problem: TransportProblem, exchange: int, iterations: int, gain: float, watch: Watch
-) -> tuple[Options, float]:
+) -> tuple[SqpOptions, float]:
     """How a programme is solved once more, with the nodes that it lacked, and the damping of its first step."""
     damping = REPAIR * 4.0**exchange
-    kept = Options(REPAIR_ITERATIONS, watch, gain=gain, violation=LEFT, least_damping=damping, mending=True)
+    kept = SqpOptions(REPAIR_ITERATIONS, watch, gain=gain, violation=LEFT, least_damping=damping, mending=True)
     if not problem.liquids:
         return kept, damping
     damping *= SLUGGISH
     if exchange == 0:  # what was loose is now sought in earnest
-        return Options(iterations, watch, gain=EARNEST * gain), damping
+        return SqpOptions(iterations, watch, gain=EARNEST * gain), damping
     return replace(kept, violation=MENDED, least_damping=damping), damping
 
 
@@ -193,7 +193,7 @@ def rough(
     damping: float = 1.0,
     iterations: int = ROUGH_ITERATIONS,
     beat: float = np.inf,
-) -> Solution:
+) -> SqpSolution:
     """A first optimum with few pieces: a start for one with more. Between its nodes only what touches is looked at: a
     thin obstacle would fit between two of them.
 
@@ -205,7 +205,7 @@ def rough(
         begun = programme.begin(at.coefficients, at.duration)
         first = begun if exchange else hastened(programme, begun)
         trust = Trust(damping if first is begun else min(damping, HASTENED))
-        solution = minimise(programme, first, Options(iterations, watch, gain=ROUGH_GAIN, beat=beat), trust)
+        solution = minimise(programme, first, SqpOptions(iterations, watch, gain=ROUGH_GAIN, beat=beat), trust)
         done += solution.iterations
         touched = _touched(curve_of(problem, Grid.of(start.spline, nodes, LOOKS)), solution.iterate)
         beaten = solution.iterate.duration > beat
@@ -242,7 +242,7 @@ def reached(sought: str, duration: float) -> Status:
     return Status("optimal", f"The {sought} safe motion found takes {duration:.4f} s.", True)
 
 
-def _status(solution: Solution, worst: dict[str, float], sought: str, fine: Curve, point: Point) -> Status:
+def _status(solution: SqpSolution, worst: dict[str, float], sought: str, fine: Curve, point: Point) -> Status:
     excess = max(worst.values())
     if excess <= 0.0:
         return reached(sought, point.duration)
@@ -252,7 +252,7 @@ def _status(solution: Solution, worst: dict[str, float], sought: str, fine: Curv
     return Status("infeasible", f"No safe motion was found: the best attempt violates {found}.", False, worst)
 
 
-def _seen(fine: Curve, point: Point) -> Evaluation:
+def _seen(fine: Curve, point: Point) -> MotionEvaluation:
     """The motion at a point, on the fine grid."""
     z = fine.motion(point.coefficients, point.duration)
     motion = fine.problem.at(fine.grid.s, z, point.duration, fine.grid.nodes, imposed=False)
@@ -274,7 +274,7 @@ def _slowed(
 
 
 def _between(
-    fine: Curve, objective: Objective, point: Point, motion: Evaluation
+    fine: Curve, objective: Objective, point: Point, motion: MotionEvaluation
 ) -> tuple[dict[str, float], tuple[str, ...], float, Indices]:
     """Largest row of each block on the fine grid, the blocks that hinder a shorter time, by how much slower,
     relatively, the motion would keep them all, and the points where some row is broken at its peak."""

@@ -28,7 +28,7 @@ from salver.planning.fastest.together import together
 from salver.planning.fastest.watch import WHY, Watch
 from salver.planning.plan import Plan
 from salver.planning.plan_files import begun_at
-from salver.planning.round import Round
+from salver.planning.round import MultiLegPlan
 from salver.scenario import Scenario
 
 BEAM = 6  # chains of postures that are kept from leg to leg,
@@ -36,7 +36,7 @@ BRANCHES = 3  # and goal postures that are tried from the end of each
 ROUGHS, HALF = 0.2, 0.6  # share of the work that rough optima are, about, and that and legs along the best of them
 
 
-def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> Round:
+def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> MultiLegPlan:
     """The fastest plan of a task of several legs that is safe over the whole uncertain set.
 
     Raises ScenarioError without an arm, legs, or with a duration, UnreachableError when a stop is out of reach.
@@ -66,7 +66,7 @@ def plan_legs(scenario: Scenario, *, options: FastestOptions | None = None, watc
     exact = scenario.with_changes(contact__condition="exact")
     seconds = sum(float(leg.solver["seconds"]) for leg in legs)
     record = {"name": legs[0].solver["name"], "seconds": seconds, "robust": True}
-    return Round(exact, tuple(legs), _status(legs, watch), record)
+    return MultiLegPlan(exact, tuple(legs), _status(legs, watch), record)
 
 
 def _begins(

@@ -16,7 +16,7 @@ import numpy as np
 
 from salver.geometry import Array
 from salver.planning.fastest.brim import Brim
-from salver.planning.fastest.constraints import Block, Contact
+from salver.planning.fastest.constraints import Block, ContactConstraint
 from salver.planning.fastest.curves import Curve
 
 
@@ -38,7 +38,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Model:
+class QuadraticModel:
     """Slope by the coefficients (size m,) and by the scalar, and curvature (size m, size m) by the coefficients."""
 
     slope: Array
@@ -58,7 +58,7 @@ class Objective(ABC):
         """What is made small."""
 
     @abstractmethod
-    def model(self, curve: Curve, at: Point) -> Model:
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
         """Its quadratic model there."""
 
     def expected(self, curve: Curve, at: Point, value: float, step: Array) -> float:
@@ -94,8 +94,8 @@ class Duration(Objective):
     def expected(self, curve: Curve, at: Point, value: float, step: Array) -> float:
         return at.duration * float(np.sqrt(1 + step[-1]))
 
-    def model(self, curve: Curve, at: Point) -> Model:
-        return Model(np.zeros(at.coefficients.size), 0.5 * at.duration)
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
+        return QuadraticModel(np.zeros(at.coefficients.size), 0.5 * at.duration)
 
 
 @dataclass(frozen=True)
@@ -111,11 +111,11 @@ class LeastMargin(Objective):
     def scale(self, at: Point, value: float) -> float:
         return 0.1  # of the weight
 
-    def model(self, curve: Curve, at: Point) -> Model:
-        return Model(np.zeros(at.coefficients.size), -1.0)
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
+        return QuadraticModel(np.zeros(at.coefficients.size), -1.0)
 
     def counts(self, block: Block) -> bool:
-        return isinstance(block.of, Contact | Brim)
+        return isinstance(block.of, ContactConstraint | Brim)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ class Distance(Objective):
         away = self._away(curve, at)
         return 0.5 * float(self.weights @ np.square(away).sum(axis=2) @ curve.grid.weights)
 
-    def model(self, curve: Curve, at: Point) -> Model:
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
         away, (_, count, n) = self._away(curve, at), self.wanted.shape
         size = at.coefficients.size
         slope, curvature = np.zeros(size), np.zeros((size, size))
@@ -146,7 +146,7 @@ class Distance(Objective):
                 weighted = weight * rows * curve.grid.weights[:, None]
                 slope += weighted.T @ away[order, :, joint]
                 curvature += weighted.T @ rows
-        return Model(slope, 0.0, curvature)
+        return QuadraticModel(slope, 0.0, curvature)
 
     def _away(self, curve: Curve, at: Point) -> Array:
         return np.asarray(curve.motion(at.coefficients, at.duration) - self.wanted)

@@ -14,7 +14,7 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.models.arm import ArmModel
 from salver.planning.fastest.constraints import Block, Constraint
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.passing import LEVER
 from salver.planning.postures import PoseTarget
 
@@ -82,14 +82,14 @@ def _blend(u: float, step: float) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Passing(Constraint):
+class PassPose(Constraint):
     """The motion passes a pose, to within `salver.planning.plan.NEAR_ENOUGH`. name: of the rows."""
 
     arm: ArmModel
     target: PoseTarget
     name: str
 
-    def blocks(self, motion: Evaluation) -> Iterator[Block]:
+    def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         n, nodes = motion.n, motion.nodes
         t = motion.s[nodes] * motion.duration
         at = Closest.of(self.arm, self.target, t, *motion.at_nodes[:2])

@@ -12,7 +12,7 @@ from salver.errors import Status, UnreachableError
 from salver.geometry import Array
 from salver.planning.fastest.after import calmer
 from salver.planning.fastest.bound import least_by_friction, least_duration
-from salver.planning.fastest.constraints import LEVEL_TOLERANCE, Contact
+from salver.planning.fastest.constraints import LEVEL_TOLERANCE, ContactConstraint
 from salver.planning.fastest.exchange import SHORTEST, reached
 from salver.planning.fastest.found import FastestMotion, FastestOptions, object_motion
 from salver.planning.fastest.problem import TransportProblem, transport_problem, with_missed_cases
@@ -122,7 +122,7 @@ def _sterner(found: FastestMotion, plan: Plan) -> TransportProblem:
     if plan.verification.time > found.duration:
         return calmer(problem, *_looked_at(found))
     # Rows allow for an arm that misses the motion, and in quick turns even the motion itself lies outside of that.
-    exactly = tuple(Contact(rows, plan.scenario.contact.margin, exactly=True) for rows in problem.contacts)
+    exactly = tuple(ContactConstraint(rows, plan.scenario.contact.margin, exactly=True) for rows in problem.contacts)
     return replace(problem, extra=(*problem.extra, *exactly))
 
 

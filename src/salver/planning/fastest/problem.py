@@ -24,17 +24,17 @@ from salver.planning.fastest.constraints import (
     LEVEL_TOLERANCE,
     Clearance,
     Constraint,
-    Contact,
+    ContactConstraint,
     JointLimit,
-    Level,
-    Tilt,
+    LevelConstraint,
+    TiltConstraint,
     TorqueLimit,
     TorqueRateLimit,
 )
 from salver.planning.fastest.ends import AtPose, AtPosture, End
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.obstacles import KeepOut
-from salver.planning.fastest.passing import Passing
+from salver.planning.fastest.passing import PassPose
 from salver.planning.postures import PoseTarget
 from salver.planning.postures import start_posture as corrected_posture
 from salver.scenario import Motion, Scenario
@@ -42,7 +42,7 @@ from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.past import Past
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 from salver.sensitivity.spills import slacks
-from salver.sensitivity.wave_cases import VERDICT_APART, Case, cases
+from salver.sensitivity.wave_cases import VERDICT_APART, SloshingCase, cases
 
 SURELY_DRY = 1e-4  # of the room, that is left at every fill and damping that a verdict looks at
 
@@ -79,8 +79,8 @@ class TransportProblem:
     keep_out: KeepOut | None
     speeds: tuple[Speed, ...] = (FULL_SPEED,)
     extra: tuple[Constraint, ...] = ()
-    liquids: tuple[tuple[Case, ...], ...] = ()
-    every_case: tuple[tuple[Case, ...], ...] = ()
+    liquids: tuple[tuple[SloshingCase, ...], ...] = ()
+    every_case: tuple[tuple[SloshingCase, ...], ...] = ()
     past: Past | None = None
     through: tuple[AtPose, ...] = ()
     spare: float = 0.0
@@ -128,28 +128,32 @@ class TransportProblem:
         limits = self.limits
         found: list[Constraint] = [JointLimit(limits), TorqueLimit(limits), TorqueRateLimit(limits)]
         margin = self.scenario.contact.margin
-        found += [Contact(rows, margin, speed) for rows in self.contacts for speed in self.speeds]
+        found += [ContactConstraint(rows, margin, speed) for rows in self.contacts for speed in self.speeds]
         if np.isfinite(self.max_tilt):
-            found.append(Level() if self.level else Tilt(self.max_tilt))
+            found.append(LevelConstraint() if self.level else TiltConstraint(self.max_tilt))
         if self.moving and self.past is None:
             self.check_dry("a motion that begins moving")
         moving = [speed for speed in self.speeds if speed.factor]
         found += [Brim(each[0].body, self.spare, self.calm, speed) for each in self.liquids for speed in moving]
-        found += [Passing(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
+        found += [PassPose(self.arm, end.target, f"pose {k} to pass") for k, end in enumerate(self.through, 1)]
         if self.keep_out is not None:
             found.append(Clearance(self.keep_out))
         return (*found, *self.extra)
 
-    def at(self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True) -> Evaluation:
-        """A motion z (4, P, n) of this arm and load at points s (P,) in [0, 1] of its duration; see `Evaluation`."""
+    def at(
+        self, s: Array, z: Array, duration: float, nodes: Indices | None = None, imposed: bool = True
+    ) -> MotionEvaluation:
+        """A motion z (4, P, n) of this arm and load at points s (P,) in [0, 1] of its duration."""
         nodes = np.arange(len(s)) if nodes is None else nodes
         frame_id = self.arm.tray_id
-        return Evaluation(
+        return MotionEvaluation(
             self.model, frame_id, self.tracking, s, duration, z, nodes, imposed, self.moving, self.liquids, self.past
         )
 
 
-def with_missed_cases(problem: TransportProblem, motion: Evaluation, margin: float = 0.0) -> TransportProblem | None:
+def with_missed_cases(
+    problem: TransportProblem, motion: MotionEvaluation, margin: float = 0.0
+) -> TransportProblem | None:
     """The problem with those fills and dampings added at which a liquid comes nearer than a margin, a share of its
     room, to what it may reach, with what the arm makes of it; None for none."""
     if not problem.liquids:
@@ -164,7 +168,7 @@ def with_missed_cases(problem: TransportProblem, motion: Evaluation, margin: flo
     return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
 
 
-def _others(known: tuple[Case, ...], more: tuple[Case, ...]) -> tuple[Case, ...]:
+def _others(known: tuple[SloshingCase, ...], more: tuple[SloshingCase, ...]) -> tuple[SloshingCase, ...]:
     """Cases of a liquid that are not known yet."""
     here = {(case.fill, case.damping) for case in known}
     return tuple(case for case in more if (case.fill, case.damping) not in here)

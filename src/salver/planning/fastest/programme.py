@@ -20,7 +20,7 @@ from salver.geometry import Array, Indices, Mask
 from salver.planning import qp
 from salver.planning.fastest.constraints import Block, Constraint, evaluate, worst_of
 from salver.planning.fastest.curves import Curve
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.objectives import Objective, Point, Scalar
 from salver.planning.fastest.trust import SHALLOWEST, Trust
 from salver.sensitivity.wave_gradients import Unknowns
@@ -43,7 +43,7 @@ class Iterate:
 
     point: Point
     curve: Curve
-    motion: Evaluation
+    motion: MotionEvaluation
     blocks: tuple[Block, ...]
     cost: float
     _unknowns: dict[float, Unknowns] = field(default_factory=dict, repr=False)
@@ -125,7 +125,7 @@ class Programme:
     objective: Objective
     given: bool = field(default=False, kw_only=True)
 
-    def at(self, point: Point, like: Evaluation | None = None) -> Iterate:
+    def at(self, point: Point, like: MotionEvaluation | None = None) -> Iterate:
         """All rows at a point. like: a motion of which the arm's giving way is taken."""
         grid = self.curve.grid
         z = self.curve.motion(point.coefficients, point.duration)

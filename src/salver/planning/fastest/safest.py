@@ -12,7 +12,7 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array
-from salver.planning.fastest.constraints import Contact
+from salver.planning.fastest.constraints import ContactConstraint
 from salver.planning.fastest.ends import AtPosture
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.legs import plan_legs
@@ -25,7 +25,7 @@ from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.starts import Ends, between, straight, tray_line
 from salver.planning.fastest.watch import Watch
-from salver.planning.round import Round
+from salver.planning.round import MultiLegPlan
 from salver.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -119,7 +119,9 @@ def optima(
     ]
 
 
-def plan_safest_legs(scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None) -> Round:
+def plan_safest_legs(
+    scenario: Scenario, *, options: FastestOptions | None = None, watch: Watch | None = None
+) -> MultiLegPlan:
     """The plan of a task of several legs that keeps the loads furthest from slipping, tipping and lifting while all
     motions together take the scenario's duration; the stops' postures are those of the fastest plan.
 
@@ -154,11 +156,11 @@ def plan_safest_legs(scenario: Scenario, *, options: FastestOptions | None = Non
     status = worst or Status(watch.ended or "optimal", sentence, True)
     spent = float(quickest.solver["seconds"]) + seconds
     record = {"name": quickest.solver["name"], "seconds": spent, "robust": True, "shortest": quickest.duration}
-    return Round(scenario.with_changes(contact__condition="exact"), legs, status, record)
+    return MultiLegPlan(scenario.with_changes(contact__condition="exact"), legs, status, record)
 
 
 def _in_shares(
-    quickest: Round, duration: float, options: FastestOptions, watch: Watch
+    quickest: MultiLegPlan, duration: float, options: FastestOptions, watch: Watch
 ) -> tuple[list[FastestMotion], float]:
     """The safest motion of each leg, all of them in a duration (s), which is shared again as their margins turn out;
     of all sharings that with the largest least margin. And the seconds that the searches took."""
@@ -221,7 +223,7 @@ def _as_found(leg: Plan, options: FastestOptions) -> FastestMotion:
 def _margin_at_rest(found: FastestMotion) -> float:
     """The margin of the contacts where a motion begins and ends, at rest."""
     s, least = np.linspace(0.0, 1.0, 9), np.inf
-    contacts = [constraint for constraint in found.problem.constraints if isinstance(constraint, Contact)]
+    contacts = [constraint for constraint in found.problem.constraints if isinstance(constraint, ContactConstraint)]
     for q in found.coefficients[[0, -1]]:
         z = np.zeros((4, len(s), len(q)))
         z[0] = q

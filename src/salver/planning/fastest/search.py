@@ -25,7 +25,7 @@ from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.programme import Iterate
 from salver.planning.fastest.sides import past
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.fastest.sqp import Solution
+from salver.planning.fastest.sqp import SqpSolution
 from salver.planning.fastest.starts import (
     FEW_LOOKS,
     LOOKS,
@@ -96,7 +96,7 @@ def fastest(
 
 
 Begin = tuple[TransportProblem, Start]
-Rough = tuple[TransportProblem, Solution]
+Rough = tuple[TransportProblem, SqpSolution]
 
 
 @dataclass(eq=False)
@@ -286,13 +286,13 @@ class _Search:
 
     def _rough_from(
         self, problem: TransportProblem, start: SplineMotion, damping: float, beat: float = np.inf
-    ) -> Solution:
+    ) -> SqpSolution:
         iterations = round(self.options.iterations * ROUGH_ITERATIONS)
         found = rough(problem, FreeCurve, start, self.options.nodes_per_span, self.watch, damping, iterations, beat)
         self.iterations += found.iterations
         return found
 
-    def _turned(self, problem: TransportProblem, found: Solution) -> Iterator[Solution]:
+    def _turned(self, problem: TransportProblem, found: SqpSolution) -> Iterator[SqpSolution]:
         """The same motion ending a quarter turn of the last joint away, optimised again: a local optimum does not
         turn."""
         few = self._few

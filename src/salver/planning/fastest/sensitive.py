@@ -13,7 +13,7 @@ from salver.errors import ScenarioError, Status
 from salver.geometry import Array
 from salver.planning.fastest.curves import Curve, FreeCurve, Grid
 from salver.planning.fastest.found import FastestMotion, FastestOptions
-from salver.planning.fastest.objectives import Model, Objective, Point
+from salver.planning.fastest.objectives import Objective, Point, QuadraticModel
 from salver.planning.fastest.optimum import nearby
 from salver.planning.fastest.planned import joint_plan, solver_record
 from salver.planning.fastest.problem import TransportProblem
@@ -44,7 +44,7 @@ INSTANTS = 61  # between which the cost is integrated, at least
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity(Objective):
+class SensitivityCost(Objective):
     """The cost of the first object's closed loop, eq (13), in units of `unit`, of a duration in s that is given.
 
     The unit must be the size of the cost: tolerances and the price of a broken row are shares of 1.
@@ -55,17 +55,17 @@ class Sensitivity(Objective):
     duration: float
     unit: float
     sought = "least sensitive"
-    _last: dict[str, tuple[Array, Model]] = field(default_factory=dict, repr=False)
+    _last: dict[str, tuple[Array, QuadraticModel]] = field(default_factory=dict, repr=False)
 
     def value(self, curve: Curve, at: Point) -> float:
         return float(np.sum(np.square(self._residual(at.coefficients, derivatives=False)[0])))
 
-    def model(self, curve: Curve, at: Point) -> Model:
+    def model(self, curve: Curve, at: Point) -> QuadraticModel:
         """By Gauss and Newton."""
         known = self._last.get("model")
         if known is None or known[0] is not at.coefficients:
             residual, jacobian = self._residual(at.coefficients, derivatives=True)
-            known = at.coefficients, Model(2 * residual @ jacobian, 0.0, 2 * jacobian.T @ jacobian)
+            known = at.coefficients, QuadraticModel(2 * residual @ jacobian, 0.0, 2 * jacobian.T @ jacobian)
             self._last["model"] = known
         return known[1]
 
@@ -147,7 +147,7 @@ def plan_least_sensitive(
             f"{scenario.name}: nothing that is uncertain acts on the closed loop of {problem.payload.first.name}; its "
             "mass, centre of mass or inertia must be, or ask for the safest plan."
         )
-    objective = Sensitivity(problem, quickest.spline, duration, line)
+    objective = SensitivityCost(problem, quickest.spline, duration, line)
     found = optima(objective, quickest, duration, options, watch)
 
     def cost(motion: FastestMotion) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from salver.contact_margins.time_scaling import SLOWEST
 from salver.models.tray_motion import Speed
-from salver.planning.fastest.constraints import Contact, evaluate, worst_of
+from salver.planning.fastest.constraints import ContactConstraint, evaluate, worst_of
 
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
@@ -50,7 +50,9 @@ def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
     between = [Speed(factor, rate) for factor in FACTORS for rate in sorted(rates)]
 
     def fails(speed: Speed) -> bool:
-        contacts = [Contact(rows, plan.scenario.contact.margin, speed, coarsely=True) for rows in problem.contacts]
+        contacts = [
+            ContactConstraint(rows, plan.scenario.contact.margin, speed, coarsely=True) for rows in problem.contacts
+        ]
         return worst_of(evaluate(contacts, motion, margins=False))[0] > 0
 
     return tuple(speed for speed in between if speed not in problem.speeds and fails(speed))

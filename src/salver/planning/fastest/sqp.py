@@ -33,7 +33,7 @@ STRIDING = 0.15  # share of itself that a step at its longest promises: no telli
 
 
 @dataclass(frozen=True)
-class Options:
+class SqpOptions:
     """iterations: when to stop; watch: may stop sooner. gain: relative improvement that counts as none.
     violation: largest violation of a margin-tightened row that counts as converged. penalty: first price of a unit of
     violation, in the unit of the objective. least_damping: of the proximal term. mending: to end with the first step
@@ -59,7 +59,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Solution:
+class SqpSolution:
     """Last accepted iterate, how it ended, iterations and quadratic programmes used, wall time in s."""
 
     iterate: Iterate
@@ -74,7 +74,7 @@ class Attempt:
     """What an iteration came to. trial: where it leads, None if nowhere. predicted: improvement of the merit that was
     hoped for, gained: that it brought, hoped: of the objective alone. slack: violation that was to be left. share: of
     the step that was taken. unseen: rows that were left out and came near. prices: (N, m) of the rows of each block, if
-    they are asked for. programmes: that were solved. beaten: whether the search ends here (see `Options`)."""
+    they are asked for. programmes: that were solved. beaten: whether the search ends here (see `SqpOptions`)."""
 
     trial: Iterate | None
     predicted: float
@@ -92,7 +92,7 @@ class Attempt:
         return self.gained / max(self.predicted, 1e-12)
 
 
-def minimise(programme: Programme, start: Iterate, options: Options, trust: Trust | None = None) -> Solution:
+def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: Trust | None = None) -> SqpSolution:
     """Local optimum from a start, which may violate conditions. trust: how far the first steps may go."""
     begun = time.perf_counter()
     trust = replace(trust or Trust(), penalty=options.penalty, least_damping=options.least_damping)
@@ -148,12 +148,17 @@ def minimise(programme: Programme, start: Iterate, options: Options, trust: Trus
             code = options.watch.ended
             break
     sought = programme.objective.sought
-    return Solution(path, _status(code, path, options, sought), done, programmes, time.perf_counter() - begun)
+    return SqpSolution(path, _status(code, path, options, sought), done, programmes, time.perf_counter() - begun)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a trial that went far astray is not taken
 def _attempt(
-    programme: Programme, path: Iterate, masks: Sequence[Mask], trust: Trust, prices: Sequence[Array], options: Options
+    programme: Programme,
+    path: Iterate,
+    masks: Sequence[Mask],
+    trust: Trust,
+    prices: Sequence[Array],
+    options: SqpOptions,
 ) -> Attempt | None:
     """One iteration: the step of the quadratic programme, corrected where the rows bend, if it brings less than a
     share of what was hoped for; None without a step."""
@@ -223,7 +228,7 @@ def _change(before: Iterate, after: Iterate) -> Array:
     return np.array([np.abs(b.values - a.values)[a.values > -min(1.0, a.reach)].max(initial=0.0) for a, b in pairs])
 
 
-def _status(code: str, path: Iterate, options: Options, sought: str) -> Status:
+def _status(code: str, path: Iterate, options: SqpOptions, sought: str) -> Status:
     value, name = path.worst
     if value <= options.violation:
         return Status(code, f"At the nodes the {sought} motion takes {path.duration:.4f} s.", True)

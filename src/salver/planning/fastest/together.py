@@ -16,13 +16,13 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.planning.fastest.constraints import Block, Constraint, evaluate
 from salver.planning.fastest.curves import ORDERS, Grid
-from salver.planning.fastest.evaluation import Evaluation
+from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.exchange import ROUGH_GAIN, ROUGH_ITERATIONS, SHORTEST
 from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.programme import Iterate, Programme
 from salver.planning.fastest.spline import DERIVATIVES, RestSpline, SplineMotion, min_jerk_blend
-from salver.planning.fastest.sqp import Options, minimise
+from salver.planning.fastest.sqp import SqpOptions, minimise
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
 
@@ -153,7 +153,7 @@ class LegsProgramme(Programme):
 
     each: tuple[tuple[Constraint, ...], ...]
 
-    def at(self, point: Point, like: Evaluation | None = None) -> Iterate:
+    def at(self, point: Point, like: MotionEvaluation | None = None) -> Iterate:
         curve = self.curve
         assert isinstance(curve, LegsCurve)
         z, points = curve.motion(point.coefficients, point.duration), len(curve.s)
@@ -202,7 +202,7 @@ def together(
     ]
     programme = LegsProgramme(curve, (), SHORTEST, tuple(each))
     start = programme.begin(coefficients, float(times.sum()))
-    found = minimise(programme, start, Options(iterations, watch, gain=ROUGH_GAIN), Trust()).iterate
+    found = minimise(programme, start, SqpOptions(iterations, watch, gain=ROUGH_GAIN), Trust()).iterate
     durations = curve.durations(found.coefficients, found.duration)
     motions = [SplineMotion(spline, found.coefficients[curve.rows(k)], float(t)) for k, t in enumerate(durations)]
     return motions, found.violation

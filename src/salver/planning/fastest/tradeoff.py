@@ -64,7 +64,7 @@ def _times(value: Any, factor: float) -> Any:
 
 
 @dataclass(frozen=True)
-class Asked:
+class TradeoffTask:
     """What a curve is of. scenario: with its duration left open, and something uncertain. own: the scale that is the
     given scenario's own set. tray: what it may do. assumed: what was taken to be uncertain, as the scenario names
     nothing; "" if it does. left_open: s, the duration that was; None if none was given."""
@@ -76,7 +76,7 @@ class Asked:
     left_open: float | None
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Asked:
+    def of(cls, scenario: Scenario) -> TradeoffTask:
         """Of a scenario what `salver plan --fastest` asks, with something uncertain."""
         left_open, asked = scenario.motion.duration, scenario.with_changes(motion__duration=None)
         tray = "may tilt" if asked.motion.may_turn else "stays level"
@@ -111,7 +111,7 @@ def tradeoff(
 
     Raises ScenarioError when the scenario has no arm.
     """
-    asked = Asked.of(scenario)
+    asked = TradeoffTask.of(scenario)
     before: FastestMotion | None = None
     for scale in sorted(scales):
         try:

@@ -22,7 +22,7 @@ LEAST = 1e-3  # m: how exactly the least distance is found
 
 
 @dataclass(frozen=True)
-class Near:
+class NearestPair:
     """Two parts, an instant (s) and their distance there (m): 0 or less when they overlap."""
 
     first: str
@@ -37,9 +37,9 @@ class Sweep:
     obstacle: the same of those that stand around and of what passes them; None where nothing was compared.
     """
 
-    touch: Near | None
-    nearest: Near | None
-    obstacle: Near | None
+    touch: NearestPair | None
+    nearest: NearestPair | None
+    obstacle: NearestPair | None
 
 
 def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
@@ -82,11 +82,11 @@ def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
         begin, end = np.concatenate([begin, t]), np.concatenate([t, end])
         first, last = np.vstack([first, distance]), np.vstack([distance, last])
 
-    def near(pair: int, time: float, distance: float) -> Near:
+    def near(pair: int, time: float, distance: float) -> NearestPair:
         i, j = parts.pairs[pair]
-        return Near(parts.names[i], parts.names[j], float(time), float(distance))
+        return NearestPair(parts.names[i], parts.names[j], float(time), float(distance))
 
-    def nearest(among: Indices) -> Near | None:
+    def nearest(among: Indices) -> NearestPair | None:
         if not len(among):
             return None
         pair = int(among[np.argmin(least[among])])

@@ -53,7 +53,7 @@ class TrayPath:
 
 
 @dataclass(frozen=True)
-class JointPath:
+class FollowedPath:
     """Joints at N instants: q, dq, ddq (N, n), and the tray's body Jacobian (N, 6, n)."""
 
     q: Array
@@ -94,7 +94,7 @@ def _extended(jacobian: Array, rows: Array) -> Array:
 
 def solve_path(
     arm: ArmModel, path: TrayPath, q: Array, rows: Array, profile: tuple[Array, ...], tolerance: float = REACHED
-) -> JointPath | None:
+) -> FollowedPath | None:
     """Root of the extended system at every instant, by Newton's method from a guess (N, n), and its derivatives.
 
     tolerance: m and rad. None where there is no root near the guess.
@@ -121,7 +121,7 @@ def solve_path(
     dq = _solved(matrix, np.hstack([path.twist, ds]))
     drift = np.array([arm.drift(a, b) for a, b in zip(q, dq, strict=True)])
     ddq = _solved(matrix, np.hstack([path.twist_rate - drift, dds]))
-    return JointPath(q, dq, ddq, jacobian)
+    return FollowedPath(q, dq, ddq, jacobian)
 
 
 def _solved(matrix: Array, right: Array) -> Array:
@@ -141,7 +141,7 @@ class Choice:
     rows: Array
     start: Array
     coefficients: Array
-    path: JointPath
+    path: FollowedPath
     cost: float
 
     def profile(self, t: Array) -> tuple[Array, ...]:
@@ -178,7 +178,7 @@ class Usage:
 
     arm: ArmModel
     parts: ArmGeometry
-    joints: JointPath
+    joints: FollowedPath
 
     @cached_property
     def _torque(self) -> Array:

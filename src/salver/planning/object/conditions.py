@@ -35,9 +35,9 @@ from salver.sensitivity.dual import Dual, joined
 from salver.sensitivity.slosh_rows import Sloshed
 from salver.sensitivity.spills import Liquids, Spill
 from salver.sensitivity.tray import BodyMotion, TraySensitivity
-from salver.sensitivity.wave_cases import Case, cases
+from salver.sensitivity.wave_cases import SloshingCase, cases
 
-Known = dict[str, tuple[Case, ...]]  # cases of each liquid, by its body
+Known = dict[str, tuple[SloshingCase, ...]]  # cases of each liquid, by its body
 UNITS = {"paper": "N", "exact": "of the weight"}
 TILT = "tilt limit"
 LIQUID = "liquid in "  # and whose it is

@@ -41,7 +41,7 @@ class Evaluation(Outlined):
     cone_coefficients: Array
     slack: Array
     slack_owner: tuple[str, ...]
-    closed_loop: ClosedLoop
+    closed_loop: ObjectLoop
     distribution: Array
     uncertain: UncertainSet
 
@@ -87,7 +87,7 @@ class Evaluation(Outlined):
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop:
+class ObjectLoop:
     """The object's loop along a reference, at a grid's instants; motion: the reference there."""
 
     loop: TrayLoop
@@ -107,7 +107,7 @@ def evaluate(scenario: Scenario, reference: Reference, instants: int, rest: floa
     grid = loop.grid(np.linspace(0, reference.duration + rest, instants))
     samples = reference.sample(grid.t)
     motion = BodyMotion.of(samples)
-    closed_loop = ClosedLoop(loop, grid, motion, reference)
+    closed_loop = ObjectLoop(loop, grid, motion, reference)
     wrench_B = joined(*motion.wrench(loop.body.phi[:, None]))[:, 0]
     first = payload.first
     distribution: Array = np.linalg.pinv(first.contacts.grasp_map).astype(float)

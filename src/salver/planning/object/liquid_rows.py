@@ -18,7 +18,7 @@ from salver.models.contact_rows import ContactRows
 from salver.models.tray_motion import N_MOTION
 from salver.sensitivity.slosh_rows import Sloshed
 from salver.sensitivity.sloshing import LIGHTEST, Slosh
-from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.wave_cases import SloshingCase
 from salver.sensitivity.wave_gradients import Unknowns
 from salver.sensitivity.waves import along
 
@@ -30,7 +30,7 @@ class Wet:
     """Cases of every liquid, by body, along what the tray feels, w (T, 12) at t (T,), with its derivative
     (T, 12, n_z)."""
 
-    cases: dict[str, tuple[Case, ...]]
+    cases: dict[str, tuple[SloshingCase, ...]]
     t: Array
     w: Array
     w_jacobian: Array

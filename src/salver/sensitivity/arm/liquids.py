@@ -14,7 +14,7 @@ from salver.sensitivity.arm.past import Begun, History, Parted, Past, all_cases
 from salver.sensitivity.arm.tracking import Deviation, Reaction
 from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.underway import Underway
-from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.wave_cases import SloshingCase
 from salver.sensitivity.waves import Waves, along
 
 # In which waves, and the arm that gives way to them, are known to half a hundredth; and to half a thousandth, where
@@ -184,7 +184,7 @@ class Given:
         return Begun(planned, self.waves.rested(t), self.waves.rested(t, *self.changing), still)
 
 
-def of_cases(several: Sequence[Case], load: LoadChange, dw: Array) -> tuple[Array, Array]:
+def of_cases(several: Sequence[SloshingCase], load: LoadChange, dw: Array) -> tuple[Array, Array]:
     """What changes dw (T, 12, n_c), per half-range of each term of a load, are at the fills of K cases: (K, T, 12) what
     is sure there, and (K, T, 12, n) what else may be.
 

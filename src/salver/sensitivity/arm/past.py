@@ -10,9 +10,9 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.sensitivity.filter import swinging_at
 from salver.sensitivity.underway import Underway
-from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.wave_cases import SloshingCase
 
-Parted = tuple[tuple[Case, ...], ...]
+Parted = tuple[tuple[SloshingCase, ...], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +86,9 @@ class History:
         return np.array([self.index[_name(case)] for case in all_cases(group)])
 
 
-def _name(case: Case) -> tuple[str, float, float]:
+def _name(case: SloshingCase) -> tuple[str, float, float]:
     return case.body.name, case.fill, case.damping
 
 
-def all_cases(group: Parted) -> tuple[Case, ...]:
+def all_cases(group: Parted) -> tuple[SloshingCase, ...]:
     return tuple(case for liquid in group for case in liquid)
