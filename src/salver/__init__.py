@@ -51,9 +51,17 @@ __all__ = [
 
 
 def load_scenario(name_or_path: str | Path, **changes: Any) -> Scenario:
-    """A ready-made scenario by name or a TOML file by path, with keys changed: `motion__duration=1.5`.
+    """Read a scenario, with keys changed.
 
-    Raises ScenarioError with one sentence for each mistake.
+    Args:
+        name_or_path: name of a ready-made scenario, or path of a TOML file.
+        changes: keys by their path, `__` between the parts: `motion__duration=1.5`, `objects__0__friction=0.4`.
+
+    Returns:
+        The checked Scenario.
+
+    Raises:
+        ScenarioError: one sentence for each mistake.
     """
     from salver.scenario import load
 
@@ -78,12 +86,20 @@ def _scenario(given: Scenario | str | Path) -> Scenario:
 def plan(scenario: Scenario | str | Path, method: str | None = None, *, arm: bool = True) -> Plan:
     """Plan a motion that keeps the objects on the tray.
 
-    method: "robust" (the paper's optimisation, eqs 13-17), "baseline" (straight min-jerk line), "fastest" (the
-    shortest safe duration; also what "robust" means for a scenario without one), "safest" (the largest worst-case
-    margin in the scenario's duration) or "least-sensitive" (eq 13 in that duration, within the arm's limits); by
-    default the scenario's `plan.method`, else "safest" where it has a duration and "fastest" where it has none. arm:
-    follow it with the scenario's arm, when it has one. Infeasible problems give a plan whose `ok` is False and whose
-    `status` says which constraint fails, when and by how much. Raises ScenarioError for mistakes in the scenario.
+    Args:
+        scenario: a Scenario, the name of a ready-made one, or the path of a TOML file.
+        method: "fastest" (the shortest safe duration), "safest" (the largest worst-case margin in the scenario's
+            duration), "least-sensitive" (eq 13 in that duration, within the arm's limits), "robust" (the paper's
+            optimisation, eqs 13-17) or "baseline" (the straight min-jerk line). Default: the scenario's `plan.method`,
+            else "safest" with a duration and "fastest" without.
+        arm: follow the motion with the scenario's arm, if it has one.
+
+    Returns:
+        The Plan. If no safe motion was found, `ok` is False and `status` names the constraint, the time and the amount.
+
+    Raises:
+        ScenarioError: a mistake in the scenario.
+        UnreachableError: no motion was found; the sentence says why.
     """
     from salver.planning.make import make_plan
 
@@ -91,9 +107,19 @@ def plan(scenario: Scenario | str | Path, method: str | None = None, *, arm: boo
 
 
 def plan_legs(scenario: Scenario | str | Path, *, safest: bool = False, **options: Any) -> MultiLegPlan:
-    """The fastest plan of a task of several legs (docs/howto/legs.md): its `legs` are plans, each with its own load.
+    """Plan a task of several legs (docs/howto/legs.md), as fast as is safe.
 
-    safest: the safest one in its duration instead. options: as `fastest`. Raises ScenarioError, UnreachableError.
+    Args:
+        scenario: a Scenario with `legs`, the name of a ready-made one, or the path of a TOML file.
+        safest: plan the safest motion in the scenario's duration instead.
+        options: fields of `salver.planning.fastest.FastestOptions`.
+
+    Returns:
+        A MultiLegPlan whose `legs` are plans, each with its own load.
+
+    Raises:
+        ScenarioError: a mistake in the scenario or an unknown option.
+        UnreachableError: no motion was found; the sentence says why.
     """
     from salver.planning.fastest.legs import plan_legs as run
     from salver.planning.fastest.safest import plan_safest_legs
@@ -102,10 +128,19 @@ def plan_legs(scenario: Scenario | str | Path, *, safest: bool = False, **option
 
 
 def fastest(scenario: Scenario | str | Path, *, robust: bool = True, **options: Any) -> Plan:
-    """The fastest plan of a scenario with an arm: the shortest duration at which everything is kept.
+    """Plan the fastest motion of a scenario with an arm: the shortest duration at which every constraint holds.
 
-    robust: for the whole uncertain set, or for nominal parameters only. options: those of
-    `salver.planning.fastest.FastestOptions`, as `time_limit=10, starts=4`. Raises ScenarioError, UnreachableError.
+    Args:
+        scenario: a Scenario, the name of a ready-made one, or the path of a TOML file.
+        robust: plan for the whole uncertain set; False: for the nominal parameters.
+        options: fields of `salver.planning.fastest.FastestOptions`, such as `time_limit=10, starts=4`.
+
+    Returns:
+        The Plan.
+
+    Raises:
+        ScenarioError: a mistake in the scenario or an unknown option.
+        UnreachableError: no motion was found; the sentence says why.
     """
     from salver.planning.fastest import plan_fastest
 
@@ -131,11 +166,21 @@ def _options(name: str, options: Mapping[str, Any]) -> FastestOptions:
 def retime(
     path: Plan | str | Path | Array, scenario: Scenario | str | Path | None = None, *, robust: bool = True
 ) -> Plan:
-    """The fastest safe timing of a path that is given; see `salver.planning.fastest.retiming`.
+    """Plan the fastest safe timing of a given path (`salver.planning.fastest.retiming`).
 
-    path: postures (K, n) in rad, a file of them or of a motion (CSV, JSON, YAML, ROS bag), or a plan or its run
-    directory, whose scenario is then the default.
-    Raises ScenarioError, FileFormatError, UnreachableError.
+    Args:
+        path: postures (K, n) in rad; a file of postures or of a motion (CSV, JSON, YAML, ROS bag); or a plan or its
+            run directory.
+        scenario: what is carried; default: that of the plan.
+        robust: plan for the whole uncertain set; False: for the nominal parameters.
+
+    Returns:
+        The Plan.
+
+    Raises:
+        ScenarioError: a mistake in the scenario, or no scenario.
+        FileFormatError: the file cannot be read.
+        UnreachableError: no safe timing was found; the sentence says why.
     """
     from salver.errors import ScenarioError
     from salver.planning.fastest.retiming import plan_retimed
@@ -167,12 +212,22 @@ def audit(
     noise: float | None = None,
     gap: float | None = None,
 ) -> Audit:
-    """Will it slip? The verdict on a motion that exists already, of the tray or of the arm's joints.
+    """Judge an existing motion, of the tray or of the arm's joints: does the load stay?
 
-    motion: a CSV, JSON or YAML file or a ROS bag (docs/howto/audit.md); or columns by the same names, in a mapping of
-    arrays or a pandas DataFrame. topic: of a bag. highest: Hz, above which
-    nothing shakes the tray. noise: standard deviation of the samples, m or rad; found in them if None. gap: s without
-    samples that is bridged. Raises SalverError with one sentence for each mistake.
+    Args:
+        motion: a CSV, JSON or YAML file or a ROS bag (docs/howto/audit.md); or columns by the same names, in a mapping
+            of arrays or a pandas DataFrame.
+        scenario: what is carried.
+        topic: of a bag with several.
+        highest: Hz; nothing shakes the tray faster.
+        noise: standard deviation of the samples, m or rad; estimated if None.
+        gap: s without samples that is bridged.
+
+    Returns:
+        The Audit, with the verdict for the nominal load and for the worst case of the ranges.
+
+    Raises:
+        SalverError: one sentence for each mistake.
     """
     from salver.auditing import audit as run
     from salver.errors import ScenarioError
@@ -184,7 +239,16 @@ def audit(
 
 
 def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
-    """Read a plan of a run directory ("plan" or "baseline"). Raises FileFormatError or ScenarioError."""
+    """Read a plan of a run directory.
+
+    Args:
+        directory: what `salver plan` or `Plan.save` wrote.
+        stem: name of the plan: "plan", "baseline", "nominal" or "leg1".
+
+    Raises:
+        FileFormatError: no such plan, or a file that was changed.
+        ScenarioError: a mistake in its scenario.
+    """
     from salver.planning.plan import load_plan as load
 
     return load(directory, stem)
@@ -198,11 +262,20 @@ def simulate(
     seed: int = 0,
     stop_at: float | None = None,
 ) -> SimulationRecord:
-    """Run a plan in the physics engine; see `salver.simulation.physics.simulate`.
+    """Run a plan in the physics engine (`salver.simulation.physics.simulate`).
 
-    With a scenario: a motion file, or its columns, as `audit` takes it; the tray is then moved exactly, without an arm.
-    parameters: true values by name where they are not nominal, for example {"mass": 0.3}. stop_at: s, when a stop is
-    asked for, of a plan with stops. Raises ScenarioError.
+    Args:
+        plan: a Plan; or, with a scenario, a motion as `audit` takes it, along which the tray moves exactly.
+        scenario: what is carried along a motion that is no Plan.
+        parameters: true values by name, in SI units, such as {"mass": 0.3, "com_z": 0.005}; the others are nominal.
+        seed: of the sensor noise.
+        stop_at: s, when a stop is requested; the plan must have stops.
+
+    Returns:
+        The SimulationRecord; `outcome` is "holds", "slides", "tips", "lifts", "lost", "spills" or "limit".
+
+    Raises:
+        ScenarioError: an unknown parameter, or a value that cannot be.
     """
     from salver.errors import ScenarioError
     from salver.planning.plan import Plan
@@ -227,10 +300,19 @@ def simulate(
 def simulate_legs(
     plan: MultiLegPlan, *, parameters: Mapping[str, float] | None = None, seed: int = 0, stop_at: float | None = None
 ) -> RoundRecord:
-    """Run a plan of several legs in the physics engine; what stays on the tray begins each leg where it was left.
+    """Run a plan of several legs in the physics engine; objects begin each leg where the leg before left them.
 
-    parameters: true values by name where they are not nominal, for example {"glass1.mass": 0.3}. stop_at: s of all
-    motions together at which a stop is asked for, which ends the run; of legs that have stops. Raises ScenarioError.
+    Args:
+        plan: what `plan_legs` returned.
+        parameters: true values by name, in SI units, such as {"glass1.mass": 0.3}; the others are nominal.
+        seed: of the sensor noise.
+        stop_at: s, in the time of all motions together, when a stop is requested that ends the run.
+
+    Returns:
+        The RoundRecord; its `legs` are the records of the legs that were run.
+
+    Raises:
+        ScenarioError: an unknown parameter, or a value that cannot be.
     """
     from salver.simulation.round import simulate_round
 
@@ -248,13 +330,26 @@ def campaign(
     jobs: int | None = None,
     stops: bool = False,
 ) -> Campaign:
-    """n perturbed runs of each plan of a run directory, on the same samples; goes on where an earlier one stopped.
+    """Run each plan of a run directory n times with perturbed parameters, all plans on the same samples.
 
-    A plan that was just made: `sv.campaign(plan.save("runs/cube"))`. method: how the uncertain set is sampled
-    ("uniform", "corners", "lhs", "sobol"). stems: plans to run (default: plan and what it is compared with). engine:
-    "physics" or "closed-loop". jobs: processes (default: all cores); in a script, call it below
-    `if __name__ == "__main__":`, as Python asks of whatever starts processes. stops: stop each run at a random instant
-    by the plan's own stops, of plans made with `salver plan --stops`. Raises SalverError.
+    An interrupted campaign resumes. In a script, call it below `if __name__ == "__main__":`, because it starts
+    processes.
+
+    Args:
+        directory: a run directory, such as `plan.save("runs/cube")` returns.
+        n: runs of each plan.
+        seed: of the samples.
+        method: how the uncertain set is sampled: "uniform", "corners" (extremes first), "lhs" or "sobol".
+        stems: names of the plans to run; default: the plan and what it is compared with.
+        engine: "physics" or "closed-loop".
+        jobs: processes; default: one for each core.
+        stops: stop each run at a random instant by the plan's own stops (`salver plan --stops`).
+
+    Returns:
+        The Campaign.
+
+    Raises:
+        SalverError: one sentence for each mistake.
     """
     if not isinstance(directory, str | Path) or not Path(directory).exists():
         raise _no_plan("campaign", directory)
@@ -264,9 +359,17 @@ def campaign(
 
 
 def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None = None) -> Margins:
-    """Every margin along a plan, or along a motion of the first object's frame B for what a scenario carries.
+    """Compute every contact margin along a motion (`salver.contact_margins`).
 
-    See `salver.contact_margins`. Raises ScenarioError.
+    Args:
+        motion: a Plan, or MotionSamples of the first object's frame B.
+        scenario: what is carried along MotionSamples.
+
+    Returns:
+        The Margins, nominal and in the worst case of the uncertain set.
+
+    Raises:
+        ScenarioError: a motion without a scenario, or a mistake in it.
     """
     from salver.errors import ScenarioError
     from salver.planning.plan import Plan
@@ -289,10 +392,18 @@ def margins(motion: Plan | MotionSamples, scenario: Scenario | str | Path | None
 def report(
     of: Plan | Audit | str | Path, run: SimulationRecord | None = None, *, path: str | Path | None = None
 ) -> Page:
-    """The page with its 3-D replay; shown in a notebook, written to a file.
+    """Make the page with its 3-D replay; a notebook shows it.
 
-    of: a run directory (written to DIR/report.html unless `path` says where), or a plan, with a run of it, or an audit
-    (written when there is a `path`). Raises SalverError.
+    Args:
+        of: a run directory, a Plan or an Audit.
+        run: a run of the Plan.
+        path: where the page is written; default: DIR/report.html for a run directory, nowhere for a Plan or an Audit.
+
+    Returns:
+        The Page.
+
+    Raises:
+        SalverError: one sentence for each mistake.
     """
     from salver.auditing import Audit
     from salver.errors import ScenarioError
