@@ -11,7 +11,6 @@ import pytest
 from scipy.signal import StateSpace, lsim
 from typer.testing import CliRunner
 
-import salver.learning.tune as tuning
 from salver.cli import app
 from salver.driver.preflight import check_plan
 from salver.errors import FileFormatError, SalverError, ScenarioError
@@ -19,7 +18,16 @@ from salver.export.motion import read_motion
 from salver.geometry import Array
 from salver.learning.executed import executed, read_joints
 from salver.learning.track import Judge, track
-from salver.learning.tune import COMMAND_LEAD, GAIN, beyond_limits, corrected, engine_robot, step, tune, with_margin
+from salver.learning.tune import (
+    COMMAND_LEAD,
+    TuningOptions,
+    beyond_limits,
+    corrected,
+    engine_robot,
+    step,
+    tune,
+    with_margin,
+)
 from salver.models.arm import load_arm
 from salver.motion_files import JointSamples
 from salver.motion_files.samples import joint_samples
@@ -182,11 +190,10 @@ def test_a_joint_that_its_friction_holds_back_is_not_controlled(plan: Plan) -> N
 
 
 @pytest.mark.slow
-def test_what_costs_too_much_is_refused(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_costs_too_much_is_refused(plan: Plan) -> None:
     """Friction of 0.2 N m asks for more than, say, 3 % of margin."""
-    monkeypatch.setattr(tuning, "DEAREST", 0.03)
-    monkeypatch.setattr(tuning, "HELPS", 0.0)
-    rounds = list(tune(with_robot(plan, physics__joint_friction=0.2), engine_robot))
+    options = TuningOptions(dearest=0.03, helps=0.0)
+    rounds = list(tune(with_robot(plan, physics__joint_friction=0.2), engine_robot, options))
     assert [r.next for r in rounds] == ["command", "refused"]
     assert rounds[-1].then is None
     assert "is more than the 3 % that are bought" in rounds[-1].sentence
@@ -227,7 +234,7 @@ def test_a_corrected_command_begins_where_the_arm_was_told_to_rest(plan: Plan, j
     assert plan.joint is not None
     begun = command.sample(np.linspace(0.0, 0.5 * COMMAND_LEAD, 20))[0]
     assert np.abs(begun - plan.joint.q[0]).max() < 2e-4
-    assert command.q[-1] - plan.joint.q[-1] == pytest.approx(np.full(7, GAIN * 3e-3), abs=3e-4)
+    assert command.q[-1] - plan.joint.q[-1] == pytest.approx(np.full(7, TuningOptions().gain * 3e-3), abs=3e-4)
 
 
 def test_logs_that_are_not_of_the_plan_are_refused(plan: Plan) -> None:

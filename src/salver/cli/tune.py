@@ -14,7 +14,7 @@ from salver.cli.track import record, unseen, verdict
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
-    from salver.learning.tune import Round
+    from salver.learning.tune import TuningRun
 
 
 def tune(
@@ -57,7 +57,7 @@ def tune(
         made = []
         for done in rounds(plan, lambda told: engine_robot(told, seed)):
             made.append(done)
-            say(f"Round {done.number}: {done.plan.duration:.3f} s. {verdict(done.tracking)} {done.sentence}")
+            say(f"TuningRun {done.number}: {done.plan.duration:.3f} s. {verdict(done.tracking)} {done.sentence}")
     else:
         if plan.scenario.arm is None:
             raise ScenarioError(f"{plan.scenario.name} has no arm; a robot is tuned by the joints it moves.")
@@ -77,7 +77,7 @@ def tune(
         raise typer.Exit(NO_SAFE_PLAN)
 
 
-def _record(done: Round) -> dict[str, Any]:
+def _record(done: TuningRun) -> dict[str, Any]:
     return {
         "round": done.number,
         "duration": done.plan.duration,
@@ -88,7 +88,7 @@ def _record(done: Round) -> dict[str, Any]:
     }
 
 
-def _show(made: list[Round], first: float) -> None:
+def _show(made: list[TuningRun], first: float) -> None:
     from rich.table import Table
 
     console = result_console()

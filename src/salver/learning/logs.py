@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from salver.errors import FileFormatError, reason
+from salver.errors import FileFormatError
 from salver.files import load_npz
 from salver.geometry import Array
-from salver.motion_files.readers import BAGS
+from salver.motion_files.readers import BAGS, read_table
 from salver.motion_files.samples import reordered
 
-LONGEST_GAP = 0.03  # s between two samples; more is a gap in the clock
+GAP = 0.03  # s between two samples, at most
 LONGEST = 600.0  # s of a log
-MOST_ROWS = 2_000_000
-OFTEN_THERE = 0.05  # of the samples at the largest value: saturated
-CLIPPED = 4  # samples at the largest value one after the other, which noise does not make
-FOUR = 4  # times as often, or as long, as at any other value
+MOVES = 0.02  # rad that some joint must move, for a motion
 FORCE = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 
@@ -76,17 +72,11 @@ def _of_bag(path: Path, names: tuple[str, ...], topic: str | None) -> Log:
 
 
 def _read_csv(path: Path, n: int) -> dict[str, Array]:
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = csv.reader(file)
-            head = [name.strip().lower() for name in next(rows, [])]
-            lines = [row for _, row in zip(range(MOST_ROWS), rows, strict=False) if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FileFormatError(f"{path} cannot be read ({reason(error)}); a log is a .npz or a .csv file.") from None
-    groups = {"t": ["t"], "q": [f"q{k + 1}" for k in range(n)], "tau": [f"tau{k + 1}" for k in range(n)]}
-    groups["wrench_F"] = list(FORCE)
+    header, values = read_table(path)
+    head = [name.lower() for name in header]
+    groups = {name: [f"{name}{k + 1}" for k in range(n)] for name in ("q", "tau")}
     found = {}
-    for name, columns in groups.items():
+    for name, columns in ({"t": ["t"], "wrench_F": list(FORCE)} | groups).items():
         have = [c for c in columns if c in head]
         if not have and name in ("tau", "wrench_F"):
             continue
@@ -95,12 +85,35 @@ def _read_csv(path: Path, n: int) -> dict[str, Array]:
             raise FileFormatError(
                 f'{path} has no column "{missing}"; a log has t, q1 to q{n}, and tau1 to tau{n} or fx to tz.'
             )
-        try:
-            values = np.array([[float(row[head.index(c)]) for c in columns] for row in lines])
-        except (ValueError, IndexError):
-            raise FileFormatError(f"{path} has a row that is not all numbers in {', '.join(columns)}.") from None
-        found[name] = values[:, 0] if name == "t" else values
-    return found
+        found[name] = values[:, [head.index(c) for c in columns]]
+    return found | {"t": found["t"][:, 0]}
+
+
+def check_times(t: Array, q: Array, source: str, planned: Array | None = None) -> None:
+    """Raise FileFormatError for times t (K,) and positions q (K, n) that are no log of a motion planned as (L, n)."""
+    step = np.diff(t)
+    if not np.isfinite(t).all() or step.min() <= 0:
+        k = int(np.argmin(step > 0))
+        raise FileFormatError(
+            f"{source}: its times do not grow from sample to sample: {t[k]:.9g} s is followed by {t[k + 1]:.9g} s "
+            f"({np.count_nonzero(~(step > 0))} of {len(step)} steps)."
+        )
+    if np.ptp(t) > LONGEST:
+        raise FileFormatError(
+            f"{source} is {np.ptp(t):.4g} s long; at most {LONGEST:g} are accepted, and times are in s: cut it."
+        )
+    if step.max() > GAP:
+        k = int(np.argmax(step))
+        raise FileFormatError(
+            f"{source} has no samples for {step[k]:.3g} s after t = {t[k]:.3f} s; at most {GAP:g} s may lie between "
+            "two."
+        )
+    if planned is None:
+        return
+    if np.ptp(q, axis=0).max() < MOVES:
+        raise FileFormatError(f"{source} has no motion in it: no joint moves by {MOVES:g} rad.")
+    if np.abs(q).max() > 12 and np.abs(np.ptp(np.deg2rad(q), axis=0) - np.ptp(planned, axis=0)).max() < 0.2:
+        raise FileFormatError(f"{source}: its joint positions are in degrees; they must be in rad.")
 
 
 def _check(log: Log, n: int) -> None:
@@ -111,67 +124,37 @@ def _check(log: Log, n: int) -> None:
         )
     if np.ndim(log.t) != 1 or len(log.t) < 50:
         raise FileFormatError(f"{log.source} has {np.size(log.t)} samples; at least 50 are needed.")
+    check_times(log.t, log.q, log.source)
     for name, (values, width) in parts.items():
-        if values is not None and np.shape(values) != (len(log.t), width):
+        if values is None:
+            continue
+        if np.shape(values) != (len(log.t), width):
             raise FileFormatError(
                 f"{log.source}: {name} has the shape {np.shape(values)}; of this arm it is ({len(log.t)}, {width})."
             )
-        if values is not None and not np.isfinite(values).all():
+        if not np.isfinite(values).all():
             bad = np.asarray(~np.isfinite(values).all(axis=1))
             raise FileFormatError(
                 f"{log.source}: {name} has values that are no numbers in {bad.sum()} of {bad.size} samples, first at "
-                f"t = {log.t[int(np.argmax(bad))]:.6g} s; leave a gap of at most {LONGEST_GAP:g} s instead."
+                f"t = {log.t[int(np.argmax(bad))]:.6g} s; leave a gap of at most {GAP:g} s instead."
             )
-    steps = np.diff(log.t)
-    if not np.isfinite(log.t).all():
-        raise FileFormatError(f"{log.source}: its times do not grow from sample to sample: some are no numbers.")
-    if steps.min() <= 0:
-        k = int(np.argmin(steps > 0))
-        raise FileFormatError(
-            f"{log.source}: its times do not grow from sample to sample: {log.t[k]:.9g} s is followed by "
-            f"{log.t[k + 1]:.9g} s ({np.count_nonzero(steps <= 0)} of {len(steps)} steps)."
-        )
-    if log.t[-1] - log.t[0] > LONGEST:
-        raise FileFormatError(
-            f"{log.source} is {log.t[-1] - log.t[0]:.4g} s long; at most {LONGEST:g} are accepted, and times are in s."
-        )
-    if steps.max() > LONGEST_GAP:
-        k = int(np.argmax(steps))
-        raise FileFormatError(
-            f"{log.source} has no samples for {steps[k]:.3g} s after t = {log.t[k]:.3f} s; at most {LONGEST_GAP:g} s "
-            "may lie between two."
-        )
-    for name, values in (("tau", log.tau), ("wrench_F", log.wrench_F)):
-        if values is not None:
-            stuck = np.all(np.diff(values, axis=0) == 0, axis=0)
-            if stuck.any():
+        for k, column in enumerate(values.T if name != "q" else ()):
+            share = _saturated(column)
+            if share:
                 raise FileFormatError(
-                    f"{log.source}: column {int(np.argmax(stuck)) + 1} of {name} never changes: it was not recorded, "
-                    "or it is saturated."
-                )
-            k, size, share = _stays(values)
-            if share > 0:
-                raise FileFormatError(
-                    f"{log.source}: column {k + 1} of {name} stays at {size:.4g} for {100 * share:.0f} % of the time: "
-                    "it is saturated."
+                    f"{log.source}: column {k + 1} of {name} stays at {np.abs(column).max():.4g} for {100 * share:.0f} "
+                    "% of the time: it is saturated, or was not recorded."
                 )
 
 
-def _stays(values: Array) -> tuple[int, float, float]:
-    """Which column of values (K, m) stays at its largest absolute value, that value, and for which share of the time;
-    0 when none does.
-
-    It does when it is there in one of twenty samples, or for more than `CLIPPED` without a break, and four times as
-    often or as long as at any other value: sensors of coarse steps stay a while everywhere.
-    """
-    found = 0, 0.0, 0.0
-    for k, column in enumerate(values.T):
-        size = float(np.abs(column).max())
-        there = np.abs(np.abs(column) - size) < 1e-9 * max(size, 1e-9)
-        begins = np.flatnonzero(np.diff(column, prepend=np.nan))
-        runs, at_top = np.diff(begins, append=len(column)), there[begins]
-        often = np.unique(column[~there], return_counts=True)[1].max(initial=1)
-        long = runs[at_top].max() > max(CLIPPED, FOUR * runs[~at_top].max(initial=1))
-        if there.mean() > found[2] and (long or there.sum() > max(OFTEN_THERE * len(column), FOUR * often)):
-            found = k, size, float(there.mean())
-    return found
+def _saturated(column: Array) -> float:
+    """For which share of the time values (K,) are at the largest, when that is no chance: in one sample of twenty, or
+    for more than four in a row, and four times as often or as long as at any other (sensors of coarse steps stay a
+    while everywhere). Else 0."""
+    size = float(np.abs(column).max())
+    there = np.abs(np.abs(column) - size) < 1e-9 * max(size, 1e-9)
+    begins = np.flatnonzero(np.diff(column, prepend=np.nan))
+    runs, at_top = np.diff(begins, append=len(column)), there[begins]
+    often = np.unique(column[~there], return_counts=True)[1].max(initial=1)
+    long = runs[at_top].max() > 4 * max(1, runs[~at_top].max(initial=1))
+    return float(there.mean()) if long or there.sum() > max(0.05 * len(column), 4 * often) else 0.0

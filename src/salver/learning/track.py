@@ -8,17 +8,16 @@ planning (`contact.margin`), pays for it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from salver.errors import ScenarioError
 from salver.geometry import Array
+from salver.learning.deviations import STANDSTILL, of_lags, under_torque
 from salver.learning.executed import Executed, executed
-from salver.learning.expected import expected
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.models.contact_rows import ContactRows, contact_rows
 from salver.models.worst_case import Drift, WorstCase
@@ -28,10 +27,6 @@ from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 from salver.trajectory import JointMotion
-
-REDRAWN = 8  # times that the noise is drawn anew, to see what it does to the excess
-SURELY = 2.0  # of those standard deviations, by which the excess is said larger than is likeliest
-WIDER = 1.4  # times the frequency up to which a deviation is followed, above which what is missing is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +101,8 @@ class JointError:
 class Tracking:
     """row: largest robust row along what was executed, and of the plan itself (`planned`), of the weight; at `time`.
 
-    noise: standard deviation of the row by the noise of the log. uncertainty: of the row: two standard deviations of
-    one that is followed farther up in frequency, and what smoothing may have taken away. over_time (K,): the row at t
+    noise: standard deviation of the row by the noise of the log.
+    over_time (K,): the row at t
     (K,).
     joints: what each does; the first causes most.
     """
@@ -121,14 +116,18 @@ class Tracking:
     time: float
     interface: str
     noise: float
-    uncertainty: float
     joints: tuple[JointError, ...]
 
     @property
     def excess(self) -> float:
-        """What is missing on what was executed, of the weight; 0 when nothing is. Rather too much than too little: what
-        the noise that was found in this log may hide, with two standard deviations, is among it."""
-        return max(0.0, self.row + SURELY * self.noise)
+        """What is missing on what was executed, of the weight; 0 when nothing is. Rather too much than too little: two
+        standard deviations of what noise may hide are among it."""
+        return max(0.0, self.row + 2 * self.noise)
+
+    @property
+    def uncertainty(self) -> float:
+        """Of the row: as much again, since smoothing takes away what it does not follow."""
+        return 4 * self.noise
 
     @property
     def ok(self) -> bool:
@@ -161,39 +160,32 @@ def track(plan: Plan, samples: JointSamples, judge: Judge | None = None, seed: i
     if plan.joint is None:
         raise ScenarioError(f"{plan.scenario.name}: this plan has no arm that moves; what is compared are its joints.")
     judge = judge or Judge.of(plan.scenario)
-    done = executed(plan.joint, samples, partial(expected, judge.scenario, judge.model, judge.arm.tray_id))
+    torque = judge.scenario.physics.robot.control == "torque"
+    fitted = under_torque(judge.scenario, judge.model, judge.arm.tray_id) if torque else of_lags
+    done = executed(plan.joint, samples, fitted)
     t = done.t
     terms = judge.terms(done.q, done.dq, done.ddq)
     drift = judge.drift(t, terms)
     over, of = judge.rows(terms.w, drift)
     k, wanted = int(np.argmax(over)), judge.terms(*plan.joint.sample(t))
     planned = judge.rows(wanted.w, judge.drift(t, wanted))[0].max()
-    row, hidden = _without_noise(judge, done, drift, 1.0, np.random.default_rng(seed))
-    # What smoothing took away is not among what it left, and is looked for above: there noise does more.
-    wider, noise = _without_noise(judge, done, drift, WIDER, np.random.default_rng(seed))
-    uncertainty = 2 * noise + abs(wider - row)
-    names = [face.name for rows in judge.contacts for face in _interfaces(rows)]
+    row, noise = _without_noise(judge, done, drift, np.random.default_rng(seed))
+    names = [face.name for rows in judge.contacts for face in rows.network.interfaces]
     joints = tuple(sorted(_joints(judge, plan.joint, done, drift), key=lambda joint: -joint.row))
-    return Tracking(plan, done, t, over, row, float(planned), float(t[k]), names[of[k]], hidden, uncertainty, joints)
+    return Tracking(plan, done, t, over, row, float(planned), float(t[k]), names[of[k]], noise, joints)
 
 
 def _without_noise(
-    judge: Judge, done: Executed, drift: Drift | None, wider: float, rng: np.random.Generator
+    judge: Judge, done: Executed, drift: Drift | None, rng: np.random.Generator, draws: int = 8
 ) -> tuple[float, float]:
-    """Largest row along what was done, followed up to `wider` times the frequency that was found, and its deviation."""
+    """Largest row along what was done without what the noise made of it, and its deviation, of noise that is drawn
+    anew: what noise and smoothing add to a row now, they have added to it before."""
 
     def largest(seen: Executed) -> float:
         return float(judge.rows(judge.terms(seen.q, seen.dq, seen.ddq).w, drift)[0].max())
 
-    smooth = done if wider == 1 else done.again(done.noisy, wider)
-    noisy = (smooth.off + smooth.noise * rng.standard_normal(smooth.off.shape) for _ in range(REDRAWN))
-    drawn = [largest(smooth.again(off, wider)) for off in noisy]
-    # What noise and smoothing made of the row on top of what they had made of it before, they did before too.
-    return 2 * largest(smooth) - float(np.mean(drawn)), float(np.std(drawn))
-
-
-def _interfaces(rows: ContactRows) -> Sequence[Any]:
-    return rows.network.interfaces
+    drawn = [largest(done.again(done.off + done.noise * rng.standard_normal(done.off.shape))) for _ in range(draws)]
+    return 2 * largest(done) - float(np.mean(drawn)), float(np.std(drawn))
 
 
 def _joints(judge: Judge, plan: JointMotion, done: Executed, drift: Drift | None) -> list[JointError]:
@@ -205,7 +197,7 @@ def _joints(judge: Judge, plan: JointMotion, done: Executed, drift: Drift | None
             x[:, j] = real[:, j]
         row = float(judge.rows(judge.terms(*alone).w, drift)[0].max())
         speed = dq[:, j]
-        scale = np.column_stack([speed, ddq[:, j], np.tanh(speed / 0.02)])
+        scale = np.column_stack([speed, ddq[:, j], np.tanh(speed / STANDSTILL)])
         lag, _, friction = np.linalg.lstsq(scale, done.off[:, j], rcond=1e-9)[0]
         peak = float(np.abs(done.off[:, j]).max())
         noise = float(done.noise[j] * np.sqrt(done.each))

@@ -91,7 +91,7 @@ def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool)
     if ending == ".npz":
         return _of_arrays(path)
     if ending in (".csv", ".txt", ".tsv"):
-        return of_table(*_table(path), str(path), joint_names, as_path)
+        return of_table(*read_table(path), str(path), joint_names, as_path)
     raise FileFormatError(
         f'{path} ends in "{path.suffix}"; accepted are .csv, .txt, .tsv, .yaml, .yml, .json, .bag, .mcap, .db3 and '
         "directories of ROS 2 bags."
@@ -257,7 +257,7 @@ def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None
     """(K, n) joint positions, rad, in the order of `joint_names`: of any motion file, or of a table without times, one
     posture a row; its columns go by the joints' names where it has a heading. Raises FileFormatError."""
     if path.suffix.lower() in (".csv", ".txt", ".tsv") and _exists(path):
-        header, values = _table(path, headless=True)
+        header, values = read_table(path, headless=True)
         if not any(name.lower() in _TIME for name in header):
             count = values.shape[1]
             wrong = next((word for word in header if not _is_number(word)), None)
@@ -288,7 +288,7 @@ def read_path(path: Path, joint_names: tuple[str, ...], topic: str | None = None
     return reordered(samples, joint_names).q
 
 
-def _table(path: Path, headless: bool = False) -> tuple[list[str], Array]:
+def read_table(path: Path, headless: bool = False) -> tuple[list[str], Array]:
     """Header and numbers (N, columns). headless: without a header is accepted; it is empty then."""
     try:
         with open(path, encoding="utf-8-sig") as file:
