@@ -180,6 +180,10 @@ def anchors(page):
     return {re.sub(r"[-\s]+", "-", heading.strip().lower()) for heading in plain}
 
 
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
+
+
 def test_links_between_pages_lead_somewhere():
     for page in PAGES:
         text = FENCE.sub("", page.read_text(encoding="utf-8"))
