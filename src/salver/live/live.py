@@ -73,7 +73,7 @@ STRAYED = 0.05  # rad by which the arm may be elsewhere than it was told to be
 
 
 class Live:
-    """The live motion of a scenario's arm and load; see the module."""
+    """A motion that changes while the arm moves, and never drops its load (docs/howto/live.md)."""
 
     def __init__(
         self,
@@ -84,12 +84,17 @@ class Live:
         lead: float | None = None,
         permit: Callable[[JointMotion], str] | None = None,
     ) -> None:
-        """q: (n,) where the arm is, at rest; the scenario's start posture unless given. robust: for the whole uncertain
-        set, not only for nominal parameters. lead: s from the beginning of planning to the hand-over; learned from how
-        long planning takes unless given. permit: says of a motion that was verified why it is not to be done all the
-        same, by what only whoever drives the arm knows; nothing when it may be.
+        """Start at rest.
 
-        Raises ScenarioError when the load is not safe there at rest, or the scenario has no arm.
+        Args:
+            scenario: a Scenario with an arm, the name of a ready-made one, or the path of a TOML file.
+            q: (n,) rad, the arm's posture; default: the scenario's start posture.
+            robust: verify for the whole uncertain set; False: for the nominal parameters.
+            lead: s from the beginning of planning to the hand-over; learnt from planning times if None.
+            permit: called with a verified motion; returns why it must not be executed, or an empty text.
+
+        Raises:
+            ScenarioError: the load is not safe at rest there, or the scenario has no arm.
         """
         scenario = scenario if isinstance(scenario, Scenario) else load(scenario)
         problem, rest = standing(transport_problem(live_scenario(scenario), robust=robust), q)
@@ -136,12 +141,13 @@ class Live:
     # --- the robot's loop
 
     def command(self, t: float) -> tuple[Array, Array, Array, Array]:
-        """q, dq, ddq (n,) in rad, and the torque (n,) in N m that they take with the nominal load, at time t, s, of any
-        clock that goes forward.
+        """Return the command at time t, s, of any clock that advances. Never waits and never raises.
 
-        Never waits and never raises. The arrays are the same ones each time and are filled anew by the next call. Times
-        that go back, stand still, jump by more than `LONGEST_GAP` or are no numbers do not move the arm: the motion
-        goes on from where it was when the clock does.
+        Times that go back, stand still, jump by more than `LONGEST_GAP` or are not finite do not move the arm: the
+        motion continues from where it was when the clock does.
+
+        Returns:
+            q, dq, ddq (n,) in rad, and the torque (n,) in N m with the nominal load; the next call overwrites them.
         """
         reader = self._reader
         try:
@@ -216,11 +222,16 @@ class Live:
         queued: bool = False,
         source: Source = OPERATOR,
     ) -> Status:
-        """To come to rest with the first object's frame B at p_SB (3,), m, any heading, or at a pose (p_SB, R_SB); or
-        in a posture q (n,), rad. queued: when the goals before are reached; otherwise at once, in place of them.
-        source: who requests it, "operator" or "policy".
+        """Request a goal at rest.
 
-        The status says whether it is tried; `state` what became of it.
+        Args:
+            pose: position p_SB (3,), m, of the first object's frame B, with any heading; or (p_SB, R_SB).
+            q: (n,) rad, a posture instead of a pose.
+            queued: after the goals before; False: instead of them.
+            source: "operator" or "policy".
+
+        Returns:
+            A Status that says whether the goal is tried, or why not; `state` says what became of it.
         """
         if (pose is None) == (q is None):
             return self._refuse("a goal is a pose or a posture q, one of them", "The goal")
@@ -243,11 +254,10 @@ class Live:
         return ACCEPTED
 
     def stop(self, reason: str = "", *, source: Source = OPERATOR) -> Status:
-        """To come to rest as soon as the load allows: by a stop that is ready (`prepare`) in the next period, else by
-        one that is planned now. What was committed ends at rest in any case.
+        """Come to rest as soon as the load allows, and refuse every other request until `resume`.
 
-        It latches: until `resume`, every other request is refused, whoever makes it. A stop is never refused; one from
-        a source that is not known counts as the operator's.
+        A stop that is ready (`prepare`) begins in the next period; else one is planned. The committed motion ends at
+        rest in any case. A stop is never refused; an unknown source counts as the operator.
         """
         source = source if source in PRIORITY else OPERATOR
         stopped, halt = self._stopped, Halt(source)
@@ -261,10 +271,10 @@ class Live:
         return ACCEPTED
 
     def resume(self, *, source: Source = OPERATOR) -> Status:
-        """Lift the stop that is latched: from now on requests are granted again. Nothing moves because of it.
+        """Lift the latched stop, without moving: requests are accepted again.
 
-        Refused to a policy where the operator or the monitor stopped the arm; while the arm is not where it was
-        commanded to be; and with an open liquid of which nobody knows how it moves.
+        Refused to a policy if the operator or the monitor stopped the arm, while the arm is not where it was commanded
+        to be, and with an open liquid in an unknown state.
         """
         stopped = self._stopped
         if stopped is None:
@@ -282,8 +292,10 @@ class Live:
         return ACCEPTED
 
     def twist(self, v: npt.ArrayLike, omega: npt.ArrayLike = (0.0, 0.0, 0.0), *, source: Source = OPERATOR) -> Status:
-        """To move the tray at v_S (3,), m/s, and omega_S (3,), rad/s, both in S, as nearly as safety allows; to be said
-        again and again: after 0.1 s of silence it is to come to rest. source: as of `goto`."""
+        """Move the tray at v_S (3,), m/s, and omega_S (3,), rad/s, as closely as safety allows.
+
+        Repeat it: after 0.1 s of silence the tray comes to rest. source: as of `goto`.
+        """
         if unable := self._unable(source):
             return self._refuse(unable, "The twist")
         wish = twist_wish(list(self._heard), v, omega, self._now)
@@ -301,10 +313,16 @@ class Live:
         joints: npt.ArrayLike | None = None,
         source: Source = OPERATOR,
     ) -> Status:
-        """To be at poses, or in postures (C, n), at times (C,), s from now, as nearly as safety allows, and to hold the
-        last one; where it could not be reached in time, it is a goal then. poses: of the first object's frame B,
-        p_SB (C, 3) with the tray level, or (p_SB, R_SB (C, 3, 3)); between them straight, and turning evenly. source:
-        as of `goto`."""
+        """Follow a chunk of poses or postures as closely as safety allows, and hold the last one.
+
+        If the last one could not be reached in time, it becomes a goal.
+
+        Args:
+            times: (C,) s from now.
+            poses: of the first object's frame B: p_SB (C, 3) with the tray level, or (p_SB, R_SB (C, 3, 3)).
+            joints: (C, n) rad, postures instead of poses.
+            source: as of `goto`.
+        """
         if unable := self._unable(source):
             return self._refuse(unable, "The chunk")
         wish = chunk_wish(self._problem, times, poses, joints, self._now)
@@ -335,10 +353,10 @@ class Live:
         return ACCEPTED
 
     def obstacles(self, seen: Sequence[Moving]) -> Status:
-        """What moves around the arm, all of it, as it is seen now; to be reported again whenever something is seen to
-        move otherwise, as often as you like. What is not, counts as gone when its prediction ends.
+        """Report all moving obstacles as they are seen now.
 
-        Whether what is committed keeps clear of it is looked at before this returns, and `state.passing` says so.
+        Report them again whenever the prediction changes; an obstacle that is not reported counts as gone when its
+        prediction ends. The committed motion is checked against them before this returns: `state.passing`.
         """
         if not isinstance(seen, Sequence) or not all(isinstance(one, Moving) for one in seen):
             return self._refuse("it must be a list of Moving", "What was seen")
@@ -367,9 +385,11 @@ class Live:
             running.outlook = self._lookout.outlook(running.looked, sighting, self._now)
 
     def measured(self, q: npt.ArrayLike) -> Status:
-        """Where the arm is, (n,) rad, as its loop sees it: when that is too far from where it was commanded to be, it
-        is stopped, until it is there again and `resume` is called. With an open liquid `restart` must come before
-        that: how it moves is not known any more."""
+        """Report the measured posture q (n,), rad.
+
+        An arm too far from its command is stopped, until it is there again and `resume` is called; with an open
+        liquid, whose state is then unknown, `restart` must come first.
+        """
         seen = numbers(q, (self._problem.n,), "the measured posture")
         if isinstance(seen, Status):
             return self._refuse(seen.sentence, "A measurement")
@@ -386,12 +406,11 @@ class Live:
         return refused(f"{astray}; the arm is stopped.")
 
     def restart(self, q: npt.ArrayLike, *, calm: bool = False) -> Status:
-        """Go on from rest at q (n,), rad, where the arm was put by something else; what was requested is forgotten. A
-        stop that is latched stays so until `resume`.
+        """Start again from rest at q (n,), rad, where something else put the arm; pending requests are dropped.
 
-        From the robot's loop, between two commands: what they say jumps to q. Refused while what is committed moves,
-        and where the load is not safe at rest. calm: that open liquids stand still; nobody else knows, and unless it is
-        said, a load with one is refused.
+        Call it from the robot's loop between two commands, which jump to q. A latched stop stays latched. Refused while
+        the committed motion moves, and where the load is not safe at rest. calm: open liquids are at rest; required
+        with an open liquid.
         """
         posture = numbers(q, (self._problem.n,), "the posture")
         if isinstance(posture, Status):
@@ -421,9 +440,13 @@ class Live:
     # --- whoever plans
 
     def plan(self, budget: float = 2.0, answer: Callable[[Job], Answer] | None = None) -> State:
-        """One step of planning towards what is wished, which may take up to about `budget`, s. From any thread, one at
-        a time; never raises. answer: does the work, elsewhere; in this thread unless given. What it proposes is
-        verified here, unless that was done by this process or one that it started (`salver.live.seal`)."""
+        """Plan one step towards the request. Never raises; any thread may call it, one at a time.
+
+        Args:
+            budget: s that the step may take, roughly.
+            answer: plans elsewhere; default: in this thread. Its proposal is verified here, unless it carries a valid
+                seal (`salver.live.seal`).
+        """
         if self._planning.acquire(blocking=False):
             try:
                 self._look(self._running)
@@ -436,8 +459,11 @@ class Live:
         return self.state
 
     def prepare(self, budget: float = 2.0, answer: Callable[[Job], Answer] | None = None) -> bool:
-        """Plan one more stop from an instant ahead, which `stop` then takes without planning; for when nothing else is
-        to be planned. False when there is none left to plan. From where `plan` is called; never raises."""
+        """Plan one more stop ahead, which `stop` takes without planning. Never raises; call it where `plan` is called.
+
+        Returns:
+            False when no stop is left to plan.
+        """
         if not self._planning.acquire(blocking=False):
             return False
         try:
@@ -466,31 +492,30 @@ class Live:
 
     @property
     def settled(self) -> bool:
-        """Whether the arm rests and nothing is left of what was wished."""
+        """Whether the arm rests and no request is left."""
         idle = self._asked is self._done and not self._queue and self._offer is None and self._halt is None
         return idle and self._now >= self.committed.ends
 
     @property
     def stray(self) -> Array:
-        """(n,) rad, the most by which each joint may be off what is commanded under the uncertain set."""
+        """(n,) rad, bound on each joint's deviation from the command under the uncertain set."""
         return self._running.allowed
 
     @property
     def idle(self) -> bool:
-        """Whether there is nothing to plan, or not before the loop has taken what was planned last."""
+        """Whether there is nothing to plan until the loop has taken the last plan."""
         seen = self._running.outlook.sighting is self._sighting
         return seen and (self._offer is not None or self._due() is None)
 
     @property
     def comes_in(self) -> float:
-        """s until something is there that what is committed does not keep clear of; infinite when nothing is known to
-        come."""
+        """s until an obstacle meets the committed motion; infinite if none does."""
         near = self._running.outlook.near
         return max(near[0].t - self._now, 0.0) if near and self._running.outlook.sentence(self._now) else np.inf
 
     @property
     def state(self) -> State:
-        """What is going on."""
+        """The State: resting, following or stopping, in words and figures."""
         committed, now = self.committed, self._now
         rests_in = max(0.0, committed.ends - now)
         margin, limit = committed.margins.from_(now)
@@ -512,12 +537,12 @@ class Live:
 
     @property
     def refused(self) -> str:
-        """The last request that was not granted, and why; nothing when it was."""
+        """The last refused request, and why; empty when it was accepted."""
         return self._refused
 
     @property
     def stopped(self) -> str:
-        """By whom and why the arm is stopped, while a stop is latched; nothing when none is."""
+        """By whom and why the arm is stopped; empty without a latched stop."""
         return "" if self._stopped is None else str(self._stopped)
 
     @property
@@ -527,7 +552,7 @@ class Live:
 
     @property
     def committed(self) -> Committed:
-        """What is committed."""
+        """The committed motion."""
         return self._running.committed
 
     @property
@@ -537,12 +562,12 @@ class Live:
 
     @property
     def problem(self) -> TransportProblem:
-        """By which motions are judged."""
+        """The constraints by which motions are judged."""
         return self._problem
 
     @property
     def robust(self) -> bool:
-        """Whether it is for the whole uncertain set."""
+        """Whether motions are verified for the whole uncertain set."""
         return self._robust
 
     @property
