@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from salver.auditing import audit
-from salver.auditing.motion import TrayMotion
+from salver.auditing.motion import AuditedMotion
 from salver.auditing.verdict import Audit
 from salver.geometry import invert, quat_wxyz_from_matrix
 from salver.scenario import Scenario, load
@@ -102,7 +102,7 @@ def exact_pace(scenario: Scenario, reference: PolynomialReference) -> float | No
     """Factor of the duration at which the motion itself, without file or smoothing, just holds."""
     first = scenario.payload.first
     s = reference.sample(np.linspace(0, reference.duration, 2001)).of_frame(*invert(first.p_EB, first.R_EB))
-    return Audit(scenario, "exact", TrayMotion(s)).pace.factor
+    return Audit(scenario, "exact", AuditedMotion(s)).pace.factor
 
 
 def slower(reference: PolynomialReference, factor: float) -> PolynomialReference:

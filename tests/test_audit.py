@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from recordings import GOAL, JOINTS, START, joint_motion, line, tray_csv, write_csv
 from salver import scenario as scenarios
 from salver.auditing import audit, audit_motion
-from salver.auditing.motion import TrayMotion
+from salver.auditing.motion import AuditedMotion
 from salver.auditing.verdict import AT_ONCE
 from salver.cli import app
 from salver.geometry import exp
@@ -34,7 +34,7 @@ def case(friction=0.3, height=0.04, friction_range=None):
 
 
 def of_line(duration):
-    return TrayMotion(line(duration))
+    return AuditedMotion(line(duration))
 
 
 def test_the_friction_that_a_level_move_needs_is_its_peak_acceleration_over_gravity():
@@ -64,7 +64,7 @@ def test_of_very_many_instants_those_that_decide_are_looked_at():
     zero, still = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
     sideways, upwards = (size * np.exp(-(((t - at) / 0.02) ** 2)) for at, size in ((0.1, 3.2), (0.25, 8.0)))
     motion = MotionSamples(t, zero, zero, np.stack([sideways, 0 * t, upwards], axis=1), still, zero, zero)
-    result = audit_motion(TrayMotion(motion), case(friction=0.3, friction_range="10%"))
+    result = audit_motion(AuditedMotion(motion), case(friction=0.3, friction_range="10%"))
     few, (nominal, worst) = result.margins, result.reserves
     assert len(few.t) < AT_ONCE < len(nominal)
     for least, every in ((few.exact, nominal), (few.exact_worst, worst)):
@@ -107,8 +107,8 @@ def test_what_passes_the_edge_by_less_than_its_acceleration_is_known_cannot_be_t
     """Half a m/s^2 beyond friction times gravity at two peaks: known to 0.2 m/s^2 it slides, to 1 not."""
     duration = np.sqrt(PEAK / (0.3 * 9.81 + 0.5))
     for error, code in ((0.0, "slides"), (0.2, "slides"), (1.0, "cannot_tell")):
-        assert audit_motion(TrayMotion(line(duration), acceleration_error=error), case(0.3)).nominal.code == code
-        missed = TrayMotion(line(duration), acceleration_error=0.0, missed=np.full(len(line(duration).t), error))
+        assert audit_motion(AuditedMotion(line(duration), acceleration_error=error), case(0.3)).nominal.code == code
+        missed = AuditedMotion(line(duration), acceleration_error=0.0, missed=np.full(len(line(duration).t), error))
         assert audit_motion(missed, case(0.3)).nominal.code == code
 
 

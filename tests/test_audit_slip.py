@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from salver import scenario as scenarios
-from salver.auditing.motion import Recording
-from salver.auditing.noise import Level
+from salver.auditing.motion import AuditedMotion, RecordingQuality
+from salver.auditing.noise import NoiseLevel
+from salver.auditing.options import DEFAULT
 from salver.auditing.recorded import Sensor
-from salver.auditing.slip import HIDDEN, SEEN, hidden, per_cycle
+from salver.auditing.slip import hidden, per_cycle
 from salver.simulation.physics import simulate_tray
 from salver.trajectory import MotionSamples
 
@@ -64,19 +65,21 @@ def test_the_engine_slides_no_further_than_the_bound(tmp_path):
 def test_a_hidden_shake_slides_only_where_the_reserve_is_small():
     """0.1 mm of noise at 500 Hz, and a reserve of 0.5 m/s^2 at t = 2 s alone: a cycle of 50 Hz has an amplitude of
     7 sigma sqrt(2 f / rate), and in 0.04 s there are two of them."""
-    noise, rate, highest, still = 1e-4, 500.0, 50.0, (0.0, 0.0)
-    recording = Recording(
-        Sensor(Level.even(noise), Level.even(0.0)), rate, highest, np.full(1, 5.0), still, still, (), ()
+    noise, rate, t = 1e-4, 500.0, np.arange(2001) / 500.0
+    zero, level = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
+    quality = RecordingQuality(
+        Sensor(NoiseLevel(noise), NoiseLevel(0.0)), rate, np.full(len(t), 5.0), (0.0, 0.0), (0.0, 0.0)
     )
-    t = np.arange(2001) / rate
+    motion = AuditedMotion(MotionSamples(t, zero, zero, zero, level, zero, zero), recording=quality)
     found = []
     for long in (0.04, 0.2, 1.0, 9.0):
-        found.append(hidden(t, np.where(np.abs(t - 2) < long / 2, 0.5, 50.0), 5.0, recording)[0])
+        found.append(hidden(motion, np.where(np.abs(t - 2) < long / 2, 0.5, 50.0), 5.0)[0])
         assert found[-1].time == pytest.approx(2, abs=0.5 * long + 0.02)
-    one = float(per_cycle(np.array(SEEN * noise * np.sqrt(2 * highest / rate)), np.array(highest), np.array(0.5)))
+    amplitude = DEFAULT.hideable * noise * np.sqrt(2 * DEFAULT.highest / rate)
+    one = float(per_cycle(amplitude, DEFAULT.highest, np.array(0.5)))
     assert one < found[0].distance < 2.5 * one
     assert np.all(np.diff([slip.distance for slip in found]) > 0)
-    worst, harmless = hidden(t, np.full(len(t), 0.5), 5.0, recording)
-    assert 1.0 <= harmless < highest
-    assert hidden(t, np.full(len(t), 0.5), 5.0, replace(recording, highest=harmless))[0].distance <= HIDDEN
-    assert worst.distance > HIDDEN
+    worst, harmless = hidden(motion, np.full(len(t), 0.5), 5.0)
+    assert 1.0 <= harmless < DEFAULT.highest
+    slower = replace(motion, options=replace(DEFAULT, highest=harmless))
+    assert hidden(slower, np.full(len(t), 0.5), 5.0)[0].distance <= DEFAULT.hidden < worst.distance

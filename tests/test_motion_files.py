@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 from typer.testing import CliRunner
 
 import salver as sv
+from salver.auditing import AuditOptions
 from salver.cli import app
 from salver.errors import FileFormatError, SalverError
 from salver.given import at_pace
@@ -175,10 +176,10 @@ def test_the_least_pace_is_that_of_the_friction():
     scenario = sv.load_scenario("panda-cube")
     samples = swing(2.0, 500.0)
     expected = np.sqrt(10 * 0.3 / (np.sqrt(3) * 0.5 * 9.81)) / 2.0
-    found = at_pace(samples, scenario, highest=20.0)
+    found = at_pace(samples, scenario, options=AuditOptions(highest=20.0))
     assert found.ok
     assert expected * 0.995 < found.factor < expected * 1.12  # cones of 16 sides, steps of 2 %
-    assert not at_pace(samples, scenario, 0.97 * expected, highest=20.0).ok
+    assert not at_pace(samples, scenario, 0.97 * expected, options=AuditOptions(highest=20.0)).ok
     assert found.unchecked == "any limit of an arm"
 
 

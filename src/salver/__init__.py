@@ -229,13 +229,14 @@ def audit(
     Raises:
         SalverError: one sentence for each mistake.
     """
+    from salver.auditing import AuditOptions
     from salver.auditing import audit as run
     from salver.errors import ScenarioError
     from salver.planning.plan import Plan
 
     if isinstance(motion, Plan):
         raise ScenarioError("audit is for motions that salver did not plan; a Plan knows its own: sv.margins(plan).")
-    return run(motion, _scenario(scenario), topic, highest, noise, gap)
+    return run(motion, _scenario(scenario), topic, AuditOptions(highest, noise, gap))
 
 
 def load_plan(directory: str | Path, stem: str = "plan") -> Plan:

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from salver.auditing import Audit, audit_samples
+from salver.auditing import Audit, AuditOptions, audit_samples
+from salver.auditing.options import DEFAULT
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.models.arm import load_arm
@@ -84,18 +84,20 @@ class Paced:
         return one_line(f"{UNSAFE}: {self.audit.worst.sentence}{fast}")
 
 
-def at_pace(samples: Samples, scenario: Scenario, factor: float | None = None, **options: Any) -> Paced:
+def at_pace(
+    samples: Samples, scenario: Scenario, factor: float | None = None, options: AuditOptions = DEFAULT
+) -> Paced:
     """The motion in `factor` times its time; if None, in the least time (to 2 %) in which it is found to hold, or at
     the pace nearest to that where it is found at none.
 
-    options: as of `audit_samples`. Raises SalverError for a factor beyond `FASTEST` to `SLOWEST`, and for a path that
+    Raises SalverError for a factor beyond `FASTEST` to `SLOWEST`, and for a path that
     holds at no pace.
     """
     if factor is not None:
         if not FASTEST <= factor <= SLOWEST:
             raise SalverError(f"A pace of {factor:g} was asked for; it must be {FASTEST:g} to {SLOWEST:g}.")
         return _paced(samples, scenario, factor, options)
-    pace = audit_samples(samples, scenario, **options).speeds_worst.pace
+    pace = audit_samples(samples, scenario, options).speeds_worst.pace
     if not pace.ok:
         raise SalverError(f"{samples.source}: {pace.sentence}")
     factor = max(FASTEST, np.ceil(1000 * pace.details["factor"]) / 1000, _slowest_joint(samples, scenario)[0])
@@ -108,12 +110,12 @@ def at_pace(samples: Samples, scenario: Scenario, factor: float | None = None, *
     return found if found.ok else first
 
 
-def _paced(samples: Samples, scenario: Scenario, factor: float, options: dict[str, Any]) -> Paced:
+def _paced(samples: Samples, scenario: Scenario, factor: float, options: AuditOptions) -> Paced:
     changed = samples.paced(factor)
     share, joint = _slowest_joint(changed, scenario)
     too_fast = f"{joint} moves at {100 * share:.0f} % of the speed that plans allow it" if share > 1 else None
     speeds = "acceleration, torque and collisions" if joint else "any limit of an arm"
-    return Paced(factor, changed, audit_samples(changed, scenario, **options), too_fast, speeds)
+    return Paced(factor, changed, audit_samples(changed, scenario, options), too_fast, speeds)
 
 
 def _slowest_joint(samples: Samples, scenario: Scenario) -> tuple[float, str]:
@@ -132,14 +134,17 @@ def _slowest_joint(samples: Samples, scenario: Scenario) -> tuple[float, str]:
 
 
 def simulate_given(
-    samples: Samples, scenario: Scenario, parameters: Mapping[str, float] | None = None, **options: Any
+    samples: Samples,
+    scenario: Scenario,
+    parameters: Mapping[str, float] | None = None,
+    options: AuditOptions = DEFAULT,
 ) -> SimulationRecord:
-    """Move the tray exactly along a motion, as an audit understands it (`options` are those of `audit_samples`), in the
-    physics engine; the arm is left out. parameters: true values by name, where not nominal.
+    """Move the tray exactly along a motion, as an audit understands it, in the physics engine; the arm is left out.
+    parameters: true values by name, where not nominal.
 
     Raises SalverError for a motion that begins at speed: the engine begins at rest.
     """
-    motion = audit_samples(samples, scenario, **options).motion.samples
+    motion = audit_samples(samples, scenario, options).motion.samples
     # Commands have both sides of every waypoint among their instants; a curve through these needs one.
     kept = np.diff(motion.t, prepend=-np.inf) > _APART
     motion = MotionSamples(*(getattr(motion, field.name)[kept] for field in fields(motion)))

@@ -3,6 +3,7 @@
 `audit(path, scenario)` reads a file, finds the accelerations in it, and says what everything on the tray does.
 """
 
+from salver.auditing.options import AuditOptions
 from salver.auditing.verdict import Audit, audit, audit_motion, audit_samples, read_for
 
-__all__ = ["Audit", "audit", "audit_motion", "audit_samples", "read_for"]
+__all__ = ["Audit", "AuditOptions", "audit", "audit_motion", "audit_samples", "read_for"]

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from salver.auditing.motion import HIGHEST, Recording, TrayMotion
-from salver.auditing.slip import HIDDEN, NOTICED, Slip, hidden, left_over, slide
+from salver.auditing.motion import AuditedMotion, Doubt
+from salver.auditing.options import DEFAULT
+from salver.auditing.slip import Slip, hidden, left_over, slide
 from salver.errors import Status
 from salver.geometry import Array, Mask
 
 CANNOT_TELL = "cannot_tell"
-CLEAR = 2.2  # samples a period, below which a shake may have been seen at its zeros only, for a tenth of a second
-
-Doubt = tuple[str, str]  # a code, and a clause that says what would tell
 
 
 @dataclass(frozen=True)
@@ -23,7 +20,7 @@ class Borne:
     """A motion, and what the load would bear beyond it: reserve (T,) m/s^2 in any direction, and rest, the same at rest
     on a level tray; nominal, or in the worst case of the uncertain parameters."""
 
-    motion: TrayMotion
+    motion: AuditedMotion
     reserve: Array
     rest: float
 
@@ -34,8 +31,7 @@ class Borne:
 
     def hidden(self) -> tuple[Slip, float]:
         """How far noise and resolution could hide a slide, and up to which frequency (Hz) they hide none."""
-        assert self.motion.recording is not None
-        return hidden(self.motion.samples.t, self.reserve, self.rest, self.motion.recording)
+        return hidden(self.motion, self.reserve, self.rest)
 
     @property
     def unsure(self) -> Mask:
@@ -52,19 +48,48 @@ class Borne:
         )
         return "edge", f"at {self.motion.samples.t[k]:.3f} s the motion may or may not be too much: {known}"
 
+    def errors(self) -> list[Doubt]:
+        """What may explain that a recording shows too much, that is errors of its samples: what was found in them, and
+        that nothing too much lasts as long as a shake of the highest frequency would make it."""
+        if self.motion.recording is None:
+            return []
+        t, highest = self.motion.samples.t, max(self.motion.options.highest, DEFAULT.highest)
+        over = np.flatnonzero(np.diff(np.pad((self.reserve + self.error < 0).astype(int), 1)))
+        lasting = False
+        for first, last in over.reshape(-1, 2):
+            most = -float(self.reserve[first:last].min())
+            least = np.arccos(max(self.rest, 0.0) / (max(self.rest, 0.0) + most)) / (np.pi * highest)
+            step = (t[min(last, len(t) - 1)] - t[max(first - 1, 0)]) / (last - first + 1)
+            lasting |= bool((last - first) * step > 0.5 * least)
+        if lasting or not len(over):
+            return list(self.motion.suspect)
+        clause = f"at {t[over[0]]:.3f} s the motion is too much for a shorter time than any shake up to {highest:g} Hz"
+        return [*self.motion.suspect, ("brief", f"{clause}: an error of the samples")]
+
     def unseen(self) -> list[Doubt]:
         """What a recording does not show, where it could slide a load."""
-        recording, t = self.motion.recording, self.motion.samples.t
+        recording, options, t = self.motion.recording, self.motion.options, self.motion.samples.t
         if recording is None:
             return []
         # Where it comes from rest to such a speed within the recording, or from such a speed to rest, it can have done
         # so before or after: that is said (`left_out`), and no doubt.
-        doubts = self._ends([_jerked(v, self.rest) > HIDDEN for v in recording.slowest])
-        by_noise, harmless = self.hidden()
-        if by_noise.distance > HIDDEN:
-            doubts.append(("noise", _noise_clause(by_noise, harmless, recording)))
+        doubts = self._ends(recording.slowest)
+        slip, harmless = self.hidden()
+        if slip.distance > options.hidden:  # it grows with noise^2 / rate
+            better = options.hidden / slip.distance
+            noise = 1e3 * recording.sensor.displacement
+            known = f"nothing on the arm is faster than {np.floor(10 * harmless) / 10:g} Hz (--highest)"
+            doubts.append(
+                (
+                    "noise",
+                    f"noise of {noise:.2g} mm could hide a shake of {_shake(slip)}, which would slide the load by up "
+                    f"to {1e3 * slip.distance:.2g} mm; noise below {noise * better**0.5:.2g} mm, "
+                    f"{recording.rate / better:.2g} samples a second"
+                    f"{f', or the knowledge that {known}' if harmless else ''} would tell",
+                )
+            )
         short = self.reserve - self.motion.missed
-        if slide(t, short) > NOTICED and slide(t, self.reserve) <= NOTICED:
+        if slide(t, short) > options.noticed and slide(t, self.reserve) <= options.noticed:
             k = int(np.argmin(short))
             doubts.append(
                 (
@@ -74,8 +99,8 @@ class Borne:
                     "would tell",
                 )
             )
-        fast = left_over(t, self.reserve, self.rest, recording.unseen)
-        if fast.distance > NOTICED:
+        fast = left_over(self.motion, self.reserve, self.rest)
+        if fast.distance > options.noticed:
             doubts.append(
                 (
                     "unresolved",
@@ -83,41 +108,32 @@ class Borne:
                     f"its acceleration: {6 * fast.frequency:.0f} a second would",
                 )
             )
-        mirrored = left_over(t, self.reserve, self.rest, recording.mirrored, recording.rate)
-        if mirrored.distance > NOTICED:
-            doubts.append(
-                (
-                    "mirrored",
-                    f"what looks like {recording.rate - mirrored.frequency:.2g} Hz may be {_shake(mirrored)}: at "
-                    f"{recording.rate:.3g} samples a second the two look alike, at {2.5 * recording.highest:.0f} they "
-                    "would not",
-                )
-            )
         return doubts
 
     def left_out(self) -> str:
         """What a verdict that everything holds leaves out or takes for granted; it stands before it."""
-        seen = self.motion.recording
+        seen, highest = self.motion.recording, self.motion.options.highest
         if seen is None:
             return ""
         first = [f"Not judged: {clause}. " for _, clause in self._ends()]
-        if seen.highest < HIGHEST:
-            first.append(f"Taken for granted: nothing shakes the tray faster than {seen.highest:g} Hz. ")
-        if seen.rate < CLEAR * seen.highest:
+        if highest < DEFAULT.highest:
+            first.append(f"Taken for granted: nothing shakes the tray faster than {highest:g} Hz. ")
+        if seen.rate < 2.2 * highest:
             first.append(
                 f"Taken for granted: nothing shakes the tray in step with the samples, at {0.5 * seen.rate:.3g} Hz; "
-                f"{CLEAR * seen.highest:.0f} a second would show it. "
+                f"{2.2 * highest:.0f} a second would show it. "
             )
         return "".join(first)
 
-    def _ends(self, which: Sequence[bool] = (True, True)) -> list[Doubt]:
-        """Of a recording that begins or ends at speed, that it does not show how the tray comes to it."""
+    def _ends(self, slowest: tuple[float, float] = (np.inf, np.inf)) -> list[Doubt]:
+        """Of a recording that begins or ends so fast that a load slides whose tray is brought to that speed at once,
+        that it does not show how the tray comes to it. slowest: m/s, it must be as fast there too."""
         assert self.motion.recording is not None
         words = ("begins", "came before"), ("ends", "comes after")
         fast = [
             (f"{word} at {v:.2g} m/s", missing)
-            for (word, missing), v, asked in zip(words, self.motion.recording.ends, which, strict=True)
-            if asked and _jerked(v, self.rest) > HIDDEN
+            for (word, missing), v, least in zip(words, self.motion.recording.ends, slowest, strict=True)
+            if min(v, least) ** 2 / (2 * self.rest) > self.motion.options.hidden
         ]
         if not fast:
             return []
@@ -136,20 +152,3 @@ def cannot_tell(doubts: list[Doubt], worst: bool) -> Status:
 
 def _shake(slip: Slip) -> str:
     return f"{1e3 * slip.amplitude:.2g} mm at {slip.frequency:.2g} Hz around {slip.time:.3f} s"
-
-
-def _jerked(speed: float, rest: float) -> float:
-    """How far a load slides whose tray comes to a speed (m/s) at once, m. rest: reserve at rest, m/s^2."""
-    return speed**2 / (2 * rest)
-
-
-def _noise_clause(slip: Slip, harmless: float, seen: Recording) -> str:
-    """What noise could hide, and what would show it: the slide grows with noise^2 / rate."""
-    better = HIDDEN / slip.distance
-    noise = 1e3 * seen.sensor.displacement
-    known = f", or the knowledge that nothing on the arm is faster than {np.floor(10 * harmless) / 10:g} Hz (--highest)"
-    return (
-        f"noise of {noise:.2g} mm could hide a shake of {_shake(slip)}, which would slide the load by up to "
-        f"{1e3 * slip.distance:.2g} mm; noise below {noise * better**0.5:.2g} mm, {seen.rate / better:.2g} samples a "
-        f"second{known if harmless else ''} would tell"
-    )

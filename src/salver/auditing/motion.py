@@ -9,8 +9,9 @@ import numpy as np
 
 from salver.auditing.commanded import commanded_motion, open_questions
 from salver.auditing.defects import Channels, channels_of, repaired
-from salver.auditing.noise import Cells, Level
-from salver.auditing.recorded import LEVER, Sensor, sensor_of, stretches
+from salver.auditing.noise import NoiseLevel, Oscillations, filtered_at
+from salver.auditing.options import DEFAULT, AuditOptions
+from salver.auditing.recorded import LEVER, Sensor, read_motion, sensor_of
 from salver.display import Outlined
 from salver.errors import FileFormatError, SalverError
 from salver.geometry import Array, hat, quat_wxyz_from_matrix
@@ -20,38 +21,28 @@ from salver.trajectory import MotionSamples
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
 
-HIGHEST = 50.0  # Hz, unless stated: above it no arm shakes its tray so that a load would notice
-BRIDGED = 0.02  # s, or so many steps: without samples, and still a curve
-BRIDGED_STEPS = 3.5
-FEWEST = 32  # samples, below which noise is not told from motion
 LEAST_DEGREES = 12.0  # angles beyond this, of which all are within the joints' ranges as degrees, are taken for such
 SUSPECT_STEP = 0.5  # s between samples: rather a clock in ms
-FIERCEST = 150.0  # m/s^2: the fastest delta robots
-SCATTERED = 3.0  # bandwidth over the highest frequency, beyond which a curve follows no motion
-MOSTLY = 0.25  # of the time, and of the power of accelerations
-_AS_FAST = 0.95
+
+Doubt = tuple[str, str]  # a code, and a clause that says what would tell
 
 
 @dataclass(frozen=True)
-class Recording:
-    """How a recorded motion was seen. sensor: its noise. rate: Hz. highest: Hz, up to which anything unseen is reckoned
-    with. bandwidth: (T,) of the curve, Hz. ends: m/s at which it begins and ends.
-    slowest: m/s, of the slowest instant from which it comes to such a speed within the recording, and of that to
-    which it comes from one. unseen, mirrored: see `salver.auditing.recorded.Stretch`; in s."""
+class RecordingQuality:
+    """How a recorded motion was seen. sensor: its noise. rate: Hz. bandwidth: (T,) of the curve, Hz. ends: m/s at which
+    it begins and ends. slowest: m/s, of the slowest instant from which it comes to such a speed within the recording,
+    and of that to which it comes from one. unseen: see `salver.auditing.recorded.Reading`; in s."""
 
     sensor: Sensor
     rate: float
-    highest: float
     bandwidth: Array
     ends: tuple[float, float]
     slowest: tuple[float, float]
-    unseen: tuple[Cells, ...]
-    mirrored: tuple[Cells, ...]
-    louder: Array | float = 1.0
+    unseen: tuple[Oscillations, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)
-class TrayMotion(Outlined):
+class AuditedMotion(Outlined):
     """The tray's motion E in S as it will be audited.
 
     acceleration_error: (T,) m/s^2, or one number: by which the acceleration may be wrong through noise. missed: the
@@ -63,38 +54,24 @@ class TrayMotion(Outlined):
     samples: MotionSamples
     acceleration_error: Array | float = 0.0
     missed: Array | float = 0.0
-    recording: Recording | None = None
-    doubts: tuple[tuple[str, str], ...] = ()
-    suspect: tuple[tuple[str, str], ...] = ()
+    recording: RecordingQuality | None = None
+    doubts: tuple[Doubt, ...] = ()
+    suspect: tuple[Doubt, ...] = ()
     notes: tuple[str, ...] = ()
+    options: AuditOptions = DEFAULT
 
 
 def tray_motion(
-    samples: Samples,
-    arm: ArmModel | None,
-    p_BE: Array,
-    R_BE: Array,
-    highest: float = HIGHEST,
-    noise: float | None = None,
-    longest_gap: float | None = None,
-) -> TrayMotion:
+    samples: Samples, arm: ArmModel | None, p_BE: Array, R_BE: Array, options: AuditOptions = DEFAULT
+) -> AuditedMotion:
     """Motion of the tray E. p_BE, R_BE: pose of E in the object frame B, for files that tell B's motion.
 
-    highest: Hz, above which nothing shakes the tray. noise: standard deviation of the samples, m or rad; found in them
-    if None. longest_gap: s without samples that is bridged (default: `BRIDGED`). Raises FileFormatError or SalverError
-    with a sentence.
+    Raises FileFormatError or SalverError with a sentence.
     """
-    for name, value, least, most in (
-        ("highest", highest, 1e-3, 1e4),
-        ("noise", noise, 0.0, 1.0),
-        ("gap", longest_gap, 0.0, 3600.0),
-    ):
-        if value is not None and not least <= value <= most:
-            raise SalverError(f"--{name} {value:g} was asked for; it must be from {least:g} to {most:g}.")
     if isinstance(samples, TraySamples):
-        found = repaired(channels_of(samples))
+        found = repaired(channels_of(samples), options)
         samples = replace(samples, t=found.t, p=found.y[:, :3], quat_wxyz=found.y[:, 3:])
-        motion = _recorded(samples, highest, noise, None, longest_gap, found)
+        motion = _recorded(samples, None, found, options)
         return replace(motion, samples=motion.samples.of_frame(p_BE, R_BE)) if samples.frame == "B" else motion
     if arm is None:
         raise SalverError(
@@ -107,17 +84,17 @@ def tray_motion(
     if samples.commanded:
         kind = "quintics" if samples.ddq is not None else "cubics"
         note = f"{len(samples.t)} waypoints with velocities, joined by {kind} as ros2_control's controller joins them."
-        return TrayMotion(
+        return AuditedMotion(
             forward(arm, *commanded_motion(samples)),
             doubts=tuple(open_questions(samples)),
             notes=(*samples.notes, note),
+            options=options,
         )
-    found = repaired(channels_of(samples))
-    samples = replace(samples, t=found.t, q=found.y)
-    poses = [arm.tray_pose(q) for q in samples.q]
+    found = repaired(channels_of(samples), options)
+    poses = [arm.tray_pose(q) for q in found.y]
     quat = continuous(quat_wxyz_from_matrix(np.array([R for _, R in poses])))
-    seen = TraySamples(samples.t, np.array([p for p, _ in poses]), quat, "E", samples.source, samples.notes)
-    return _recorded(seen, highest, noise, _of_joints(arm, found, noise), longest_gap, found)
+    seen = TraySamples(found.t, np.array([p for p, _ in poses]), quat, "E", samples.source, samples.notes)
+    return _recorded(seen, _gains(arm, found), found, options)
 
 
 def _in_radians(samples: JointSamples, arm: ArmModel) -> None:
@@ -140,104 +117,66 @@ def continuous(quat_wxyz: Array) -> Array:
     return quat_wxyz * np.concatenate([[1.0], np.cumprod(np.where(turned, -1.0, 1.0))])[:, None]
 
 
-def _of_joints(arm: ArmModel, found: Channels, noise: float | None) -> Sensor:
-    """What a joint sensor's resolution, and its stated noise, are at the tray: through the Jacobian, at its largest."""
-    step, some = found.step / found.metres[0], found.y[:: max(1, len(found.y) // 50)]
-    gains = np.array([np.linalg.norm(arm.body_jacobian(q).reshape(2, -1), axis=1) for q in some]).max(axis=0)
-    gains /= np.sqrt(3)  # of one component
-    size = 0.0 if noise is None else noise
-    return Sensor(
-        Level.even(size * gains[0], step * gains[0]), Level.even(0.5 * size * gains[1], 0.5 * step * gains[1])
-    )
+def _gains(arm: ArmModel, found: Channels) -> tuple[float, float]:
+    """m and rad (half the angle) by which one component of the tray's pose moves for each rad of all joints alike: by
+    the Jacobian, at its largest."""
+    some = found.y[:: max(1, len(found.y) // 50)]
+    place, turn = np.array([np.linalg.norm(arm.body_jacobian(q).reshape(2, -1), axis=1) for q in some]).max(axis=0)
+    return float(place / 3**0.5), float(0.5 * turn / 3**0.5)
 
 
 def _recorded(
-    samples: TraySamples,
-    highest: float,
-    noise: float | None,
-    joints: Sensor | None,
-    longest_gap: float | None,
-    found: Channels,
-) -> TrayMotion:
-    t, p, quat = samples.t, samples.p, samples.quat_wxyz
-    notes, doubts = list(samples.notes), []
-    step = float(np.median(np.diff(t)))
-    sensor = sensor_of(t, p, quat)
-    if joints is not None:
-        sensor = Sensor(*(replace(a, step=b.step) for a, b in zip(_levels(sensor), _levels(joints), strict=True)))
-        if noise is not None:
-            sensor = joints
-    elif noise is not None:
-        sensor = replace(sensor, position=Level.even(noise, sensor.position.step))
-    for defect in found.defects:
-        if defect.doubtful:
-            doubts.append((defect.code, defect.clause))
-        else:
-            notes.append(f"{defect.clause[:1].upper()}{defect.clause[1:]}.")
-    if found.shown < highest:
+    samples: TraySamples, gains: tuple[float, float] | None, found: Channels, options: AuditOptions
+) -> AuditedMotion:
+    """gains: of joints, whose resolution and noise (if it is stated) are known."""
+    t, p, quat, notes, noise = samples.t, samples.p, samples.quat_wxyz, list(samples.notes), options.noise
+    doubts = [(defect.code, defect.clause) for defect in found.defects if defect.doubtful]
+    suspect = [(defect.code, defect.clause) for defect in found.defects if defect.systematic]
+    notes += [f"{each.clause[:1].upper()}{each.clause[1:]}." for each in found.defects if not each.doubtful]
+    shown = filtered_at(found.t, found.y[:, :3] if found.pose else found.y, options.drop)
+    if shown < options.highest:
         doubts.append(
             (
                 "filtered",
-                f"the samples were filtered at {found.shown:.2g} Hz before they were saved: nothing faster is shown; "
-                "samples before the filter would tell, or the knowledge that nothing is faster (--highest)",
+                f"the samples were filtered at {shown:.2g} Hz before they were saved: nothing faster is shown; samples "
+                "before the filter would tell, or the knowledge that nothing is faster (--highest)",
             )
         )
-        highest = found.shown
-    doubts += _clock(t, step, highest) + _gaps(t, step, longest_gap, notes)
-    parts = stretches(t, p, quat, sensor, highest, found.jitter)
-    motion = _joined([part.motion for part in parts])
-    error = np.concatenate([part.acceleration_error for part in parts])
-    for begin, end in _holes(t, step, longest_gap):
+        options = replace(options, highest=shown)
+        # As many samples as what was let through has to say, so that its noise is white again.
+        every = max(1, min(int((len(t) - 1) / (t[-1] - t[0]) / (2 * shown)), len(t) // options.fewest))
+        keep = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
+        t, p, quat = t[keep], p[keep], quat[keep]
+    step, sensor = float(np.median(np.diff(t))), sensor_of(t, p, quat)
+    if gains is not None:
+        steps = [found.step / found.metres[0] * gain for gain in gains]
+        sizes = [sensor.position.size, sensor.orientation.size] if noise is None else [noise * gain for gain in gains]
+        sensor = Sensor(*(NoiseLevel(size, each) for size, each in zip(sizes, steps, strict=True)))
+    elif noise is not None:
+        sensor = replace(sensor, position=NoiseLevel(noise, sensor.position.step))
+    gaps = _gaps(t, step, options.longest_gap)
+    doubts += _sampling(t, step, options) + _unbridged(gaps, step)
+    k = int(np.argmax(np.diff(t)))
+    if not gaps and np.diff(t)[k] > 2.5 * step:
+        notes.append(
+            f"No samples for {np.diff(t)[k]:.3g} s after t = {t[k]:.3f} s; the motion there is a smooth guess."
+        )
+    reading = read_motion(t, p, quat, sensor, options)
+    motion, error = reading.motion, reading.acceleration_error
+    for begin, end in gaps:
         error[(motion.t > begin) & (motion.t < end)] = np.inf  # what happens there is a guess
-    missed = np.concatenate([part.missed for part in parts])
     speed = np.linalg.norm(motion.v_S, axis=1) + LEVER * np.linalg.norm(motion.omega_B, axis=1)
-    recording = Recording(
-        sensor,
-        1 / step,
-        highest,
-        np.concatenate([part.bandwidth for part in parts]),
-        (float(speed[0]), float(speed[-1])),
-        _slowest(speed),
-        tuple(cells for part in parts for cells in part.unseen if len(cells.first)),
-        tuple(cells for part in parts for cells in part.mirrored if len(cells.first)),
-        np.concatenate([part.louder for part in parts]),
-    )
-    suspect = [(defect.code, defect.clause) for defect in found.defects if defect.systematic]
+    ends = float(speed[0]), float(speed[-1])
+    quality = RecordingQuality(sensor, 1 / step, reading.bandwidth, ends, _slowest(speed), reading.unseen)
     most = int(np.argmax(np.linalg.norm(motion.a_S, axis=1)))
-    if (peak := float(np.linalg.norm(motion.a_S[most]))) > FIERCEST:
-        clause = (
-            f"at {motion.t[most]:.3f} s the samples go as at {peak:.2g} m/s^2, which no arm does: an error of theirs"
-        )
-        suspect.append(("fierce", clause))
-        doubts.append(suspect[-1])
-    share = _scattered(motion, recording)
-    if share > MOSTLY:
-        clause = (
-            f"{100 * share:.0f} % of the accelerations are faster than {highest:g} Hz: neither noise nor an arm, "
-            "so something is wrong with the samples or their times"
-        )
-        suspect.append(("scatter", clause))
-        doubts.append(suspect[-1])
-    return TrayMotion(motion, error, missed, recording, tuple(doubts), tuple(suspect), tuple(notes))
+    if (peak := float(np.linalg.norm(motion.a_S[most]))) > options.fiercest:
+        fierce = "fierce", f"at {motion.t[most]:.3f} s the samples go as at {peak:.2g} m/s^2, which no arm does"
+        doubts.append(fierce)
+        suspect.append(fierce)
+    return AuditedMotion(motion, error, reading.missed, quality, tuple(doubts), tuple(suspect), tuple(notes), options)
 
 
-def _scattered(motion: MotionSamples, recording: Recording) -> float:
-    """Share of the accelerations' power above the highest frequency; 0 where the curve is not that fast for long."""
-    fast = recording.bandwidth > SCATTERED * recording.highest
-    if np.where(fast, np.gradient(motion.t), 0.0).sum() < MOSTLY * np.ptp(motion.t):
-        return 0.0
-    t = np.arange(motion.t[0], motion.t[-1], 1 / recording.rate)
-    a = np.column_stack([np.interp(t, motion.t, axis) for axis in motion.a_S.T])
-    power = np.sum(np.abs(np.fft.rfft(a * np.hanning(len(t))[:, None], axis=0)) ** 2, axis=1)
-    high = np.fft.rfftfreq(len(t), 1 / recording.rate) > 0.5 * SCATTERED * recording.highest
-    return float(power[high].sum() / max(power.sum(), 1e-300))
-
-
-def _levels(sensor: Sensor) -> tuple[Level, Level]:
-    return sensor.position, sensor.orientation
-
-
-def _clock(t: Array, step: float, highest: float) -> list[tuple[str, str]]:
+def _sampling(t: Array, step: float, options: AuditOptions) -> list[Doubt]:
     found = []
     if step >= SUSPECT_STEP:
         found.append(
@@ -246,56 +185,46 @@ def _clock(t: Array, step: float, highest: float) -> list[tuple[str, str]]:
                 f"samples come every {step:g} s, as if the times were in ms: name the column t_ms if they are",
             )
         )
-    if len(t) < FEWEST:
-        found.append(("short", f"{len(t)} samples are too few to tell noise from motion; {FEWEST} are needed"))
-    if 1 / step <= 1.05 * highest:
+    if len(t) < options.fewest:
+        found.append(("short", f"{len(t)} samples are too few to tell noise from motion; {options.fewest} are needed"))
+    if 1 / step < 1.98 * options.highest:  # Nyquist, and clocks that are a little slow
         found.append(
             (
                 "sampling",
-                f"{1 / step:.3g} samples a second do not show a shake of up to {highest:g} Hz: {2.5 * highest:.0f} a "
-                f"second would, or the knowledge that nothing is faster than {0.4 / step:.2g} Hz (--highest)",
+                f"{1 / step:.3g} samples a second do not show a shake of up to {options.highest:g} Hz: "
+                f"{2.5 * options.highest:.0f} a second would, or the knowledge that nothing is faster than "
+                f"{0.4 / step:.2g} Hz (--highest)",
             )
         )
     return found
 
 
-def _holes(t: Array, step: float, longest_gap: float | None) -> list[tuple[float, float]]:
+def _gaps(t: Array, step: float, longest: float | None) -> list[tuple[float, float]]:
     """Beginnings and ends of times without samples, longer than is bridged."""
-    allowed = longest_gap if longest_gap is not None else max(BRIDGED, BRIDGED_STEPS * step)
+    allowed = longest if longest is not None else max(0.02, 3.5 * step)
     k = np.flatnonzero(np.diff(t) > allowed * (1 + 1e-9))
     return [(float(t[i]), float(t[i + 1])) for i in k]
 
 
-def _gaps(t: Array, step: float, longest_gap: float | None, notes: list[str]) -> list[tuple[str, str]]:
-    holes = _holes(t, step, longest_gap)
-    if holes:
-        begin, end = max(holes, key=lambda hole: hole[1] - hole[0])
-        more = f" ({len(holes)} such gaps)" if len(holes) > 1 else ""
-        return [
-            (
-                "gap",
-                f"there are no samples for {end - begin:.3g} s after t = {begin:.3f} s{more}, when they otherwise come "
-                f"every {step:.3g} s: bridge it with --gap {1.01 * (end - begin):.2g} if it may be guessed",
-            )
-        ]
-    k = int(np.argmax(np.diff(t)))
-    if np.diff(t)[k] > 2.5 * step:
-        notes.append(
-            f"No samples for {np.diff(t)[k]:.3g} s after t = {t[k]:.3f} s; the motion there is a smooth guess."
+def _unbridged(gaps: list[tuple[float, float]], step: float) -> list[Doubt]:
+    if not gaps:
+        return []
+    begin, end = max(gaps, key=lambda gap: gap[1] - gap[0])
+    more = f" ({len(gaps)} such gaps)" if len(gaps) > 1 else ""
+    return [
+        (
+            "gap",
+            f"there are no samples for {end - begin:.3g} s after t = {begin:.3f} s{more}, when they otherwise come "
+            f"every {step:.3g} s: bridge it with --gap {1.01 * (end - begin):.2g} if it may be guessed",
         )
-    return []
+    ]
 
 
 def _slowest(speed: Array) -> tuple[float, float]:
     """The slowest instant before the last as fast as the first one, and after the first as fast as the last one."""
-    before = int(np.flatnonzero(speed >= _AS_FAST * speed[0])[-1])
-    after = int(np.flatnonzero(speed >= _AS_FAST * speed[-1])[0])
+    before = int(np.flatnonzero(speed >= 0.95 * speed[0])[-1])
+    after = int(np.flatnonzero(speed >= 0.95 * speed[-1])[0])
     return float(speed[: before + 1].min()), float(speed[after:].min())
-
-
-def _joined(parts: list[MotionSamples]) -> MotionSamples:
-    names = ("t", "p_SB", "v_S", "a_S", "R_SB", "omega_B", "alpha_B")
-    return MotionSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 def forward(arm: ArmModel, t: Array, q: Array, dq: Array, ddq: Array) -> MotionSamples:

@@ -8,21 +8,14 @@ block of Newmark (Effects of earthquakes on dams and embankments, Geotechnique 1
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from salver.auditing.motion import Recording
-from salver.auditing.noise import Cells
+from salver.auditing.motion import AuditedMotion
 from salver.auditing.recorded import LEVER
 from salver.geometry import Array
-
-NOTICED = 5e-4  # m: below it the engine does not count a slip either (salver.simulation.outcome.Thresholds)
-HIDDEN = 2e-3  # m: what noise may hide at the worst, by a shake just too small to be found, when it harms most
-SEEN = 7.0  # standard deviations, over a window, of a shake that is always found
-_GRID = 0.01  # s
-_MOST = 20_000
-_FREQUENCIES = 16
 
 
 @dataclass(frozen=True)
@@ -35,11 +28,10 @@ class Slip:
     time: float
 
 
-def per_cycle(amplitude: Array, frequency: Array, reserve: Array) -> Array:
+def per_cycle(amplitude: Array | float, frequency: Array | float, reserve: Array) -> Array:
     """Bound of the slide in one cycle to the one side, m; reserve: that to this side, m/s^2."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.clip(reserve / (amplitude * (2 * np.pi * frequency) ** 2), 0, 1)
-    return np.asarray(np.where(amplitude > 0, 2 * np.pi * amplitude * (1 - share) ** 2, 0.0))
+    share = np.clip(reserve / np.maximum(amplitude * (2 * np.pi * frequency) ** 2, 1e-300), 0, 1)
+    return np.asarray(2 * np.pi * amplitude * (1 - share) ** 2)
 
 
 def slide(t: Array, reserve: Array) -> float:
@@ -56,73 +48,80 @@ def slide(t: Array, reserve: Array) -> float:
     return moved
 
 
-def _drift(amplitude: Array, frequency: Array, reserve: Array, rest: float) -> tuple[Array, Array]:
+def _drift(amplitude: Array | float, frequency: Array | float, reserve: Array, rest: float) -> Array:
     """(to the one side, more to the one side than back) in one cycle, m. What is missing of the reserve at rest on the
     one side is to spare on the other."""
     there = per_cycle(amplitude, frequency, reserve)
     back = per_cycle(amplitude, frequency, 2 * rest - reserve)
-    return there, np.maximum(there - back, 0.0)
+    return np.stack([there, np.maximum(there - back, 0.0)])
 
 
-def hidden(t: Array, reserve: Array, rest: float, recording: Recording) -> tuple[Slip, float]:
-    """By a shake that noise or the sensor's resolution hides, of any frequency up to `recording.highest` and as long as
-    it stays hidden: over a longer window less of it is. And the frequency up to which that is less than `HIDDEN`, Hz.
+def hidden_shakes(motion: AuditedMotion, frequencies: Array) -> Iterator[tuple[float, float, float]]:
+    """Frequency (Hz), cycles, and amplitude over the noise, of shakes that noise just hides: over a longer window less
+    of it is hidden. frequencies: Hz, up to the highest that is reckoned with."""
+    assert motion.recording is not None
+    for frequency in frequencies:
+        cycles = 1.0
+        while True:
+            share = motion.options.hideable * np.sqrt(2 * frequency / (motion.recording.rate * cycles))
+            yield float(frequency), cycles, float(share)
+            if cycles / frequency > np.ptp(motion.samples.t):
+                break
+            cycles *= 2
 
-    reserve: (T,) m/s^2 at times t. rest: the same at rest on a level tray.
+
+def up_to(highest: float, count: int) -> Array:
+    """(count,) Hz, evenly spaced in the logarithm."""
+    return np.geomspace(min(1.0, highest), highest, count)
+
+
+def hidden(motion: AuditedMotion, reserve: Array, rest: float) -> tuple[Slip, float]:
+    """By a shake that noise or the sensor's resolution hides, of any frequency up to the highest and as long as it
+    stays hidden. And the frequency up to which that is less than is let be, Hz.
+
+    reserve: (T,) m/s^2 at the motion's instants. rest: the same at rest on a level tray.
     """
-    grid = max(_GRID, (t[-1] - t[0]) / _MOST)
+    assert motion.recording is not None
+    t, sensor, highest = motion.samples.t, motion.recording.sensor, motion.options.highest
+    grid = max(0.01, np.ptp(t) / 20_000)
     edges = np.arange(t[0], t[-1] + grid, grid)
     least = np.full(max(1, len(edges) - 1), np.inf)
     np.minimum.at(least, np.clip(((t - t[0]) / grid).astype(int), 0, len(least) - 1), reserve)
     empty = np.flatnonzero(np.isinf(least))
     least[empty] = np.interp(edges[empty], t, reserve)
-    louder = np.interp(edges[:-1] + 0.5 * grid, t, np.broadcast_to(recording.louder, t.shape))[: len(least)]
-    noise = recording.sensor.displacement * louder
-    blur = np.hypot(recording.sensor.position.blur, 2 * LEVER * recording.sensor.orientation.blur)
-    worst, harmless = Slip(0.0, recording.highest, 0.0, float(t[0])), 0.0
-    for frequency in np.geomspace(min(1.0, recording.highest), recording.highest, _FREQUENCIES):
-        cycles = 1.0
-        while True:
-            amplitude = np.maximum(SEEN * noise * np.sqrt(2 * frequency / (recording.rate * cycles)), blur)
-            window = max(1, min(len(least), round(cycles / frequency / grid)))
-            there, more = _drift(amplitude, np.array(frequency), least, rest)
-            passed = np.cumsum(np.pad(np.stack([there, more]), ((0, 0), (1, 0))), axis=1)
-            sides = (passed[:, window:] - passed[:, :-window]) * cycles / window
-            # It settles within two cycles to what drifts away.
-            over = np.minimum(sides[0], sides[1] + sides[0] * min(1.0, 2 / cycles))
-            k = int(np.argmax(over))
-            if over[k] > worst.distance:
-                middle = float(edges[k] + 0.5 * window * grid)
-                worst = Slip(float(over[k]), float(frequency), float(amplitude[k + window // 2]), middle)
-            if cycles / frequency > t[-1] - t[0]:
-                break
-            cycles *= 2
-        if worst.distance <= HIDDEN:
-            harmless = float(frequency)
-    return worst, harmless
+    blur = np.hypot(sensor.position.blur, 2 * LEVER * sensor.orientation.blur)
+    worst, harmful = Slip(0.0, highest, 0.0, float(t[0])), np.inf
+    frequencies = up_to(highest, 16)
+    for frequency, cycles, share in hidden_shakes(motion, frequencies):
+        amplitude = max(share * sensor.displacement, float(blur))
+        window = max(1, min(len(least), round(cycles / frequency / grid)))
+        passed = np.cumsum(np.pad(_drift(amplitude, frequency, least, rest), ((0, 0), (1, 0))), axis=1)
+        there, more = (passed[:, window:] - passed[:, :-window]) * cycles / window
+        over = np.minimum(
+            there, more + there * min(1.0, 2 / cycles)
+        )  # it settles within two cycles to what drifts away
+        k = int(np.argmax(over))
+        if over[k] > motion.options.hidden:
+            harmful = min(harmful, frequency)
+        if over[k] > worst.distance:
+            worst = Slip(float(over[k]), frequency, amplitude, float(edges[k] + 0.5 * window * grid))
+    return worst, float(max(frequencies[frequencies < harmful], default=0.0))
 
 
-def left_over(t: Array, reserve: Array, rest: float, kinds: tuple[Cells, ...], mirror: float | None = None) -> Slip:
-    """By what stands out of the noise and is not in the motion: each window by its strongest frequency.
-
-    mirror: the sampling rate, where the true frequency may be the rate less what it seems.
-    """
+def left_over(motion: AuditedMotion, reserve: Array, rest: float) -> Slip:
+    """By what stands out of the noise and is not in the motion: each window by its strongest frequency."""
+    assert motion.recording is not None
+    t = motion.samples.t
     worst = Slip(0.0, 0.0, 0.0, float(t[0]))
-    for cells in kinds:
-        frequency = cells.frequency if mirror is None else np.maximum(cells.frequency, mirror - cells.frequency)
-        first = np.clip(np.searchsorted(t, cells.first) - 1, 0, len(t) - 1)
-        last = np.clip(np.searchsorted(t, cells.last) + 1, first + 1, len(t))
+    for found in motion.recording.unseen:
+        first = np.clip(np.searchsorted(t, found.first) - 1, 0, len(t) - 1)
+        last = np.clip(np.searchsorted(t, found.last) + 1, first + 1, len(t))
         least = np.array([reserve[a:b].min() for a, b in zip(first, last, strict=True)])
-        cycles = np.maximum(frequency * (cells.last - cells.first), 1.0)
-        there, more = _drift(cells.amplitude, frequency, least, rest)
-        slides = cells.share * np.minimum(cycles * there, cycles * more + 2 * there)
-        total = float(slides.sum())
-        if total > worst.distance:
+        cycles = np.maximum(found.frequency * (found.last - found.first), 1.0)
+        there, more = _drift(found.amplitude, found.frequency, least, rest)
+        slides = found.share * np.minimum(cycles * there, cycles * more + 2 * there)
+        if (total := float(slides.sum())) > worst.distance:
             k = int(np.argmax(slides))
-            worst = Slip(
-                total,
-                float(frequency[k]),
-                float(cells.amplitude[k]),
-                float(0.5 * (cells.first[k] + cells.last[k])),
-            )
+            middle = 0.5 * float(found.first[k] + found.last[k])
+            worst = Slip(total, float(found.frequency[k]), float(found.amplitude[k]), middle)
     return worst

@@ -6,7 +6,7 @@ two it cannot be told, and the verdict says what would tell.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from salver.auditing.doubts import CANNOT_TELL, Borne, Doubt, cannot_tell
-from salver.auditing.motion import HIGHEST, TrayMotion, tray_motion
-from salver.auditing.slip import NOTICED, Slip, slide
-from salver.auditing.waves import NARROW, RISE, RUNAWAY, softened, unseen
+from salver.auditing.doubts import CANNOT_TELL, Borne, cannot_tell
+from salver.auditing.motion import AuditedMotion, Doubt, tray_motion
+from salver.auditing.options import DEFAULT, AuditOptions
+from salver.auditing.slip import Slip, slide
+from salver.auditing.sloshing import unmodelled, unseen
 from salver.contact_margins import MarginModel, Margins, SafeSpeeds, margin_model, safe_speeds
 from salver.display import Shown
 from salver.errors import Status
@@ -26,7 +27,6 @@ from salver.geometry import Array, Indices, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
 from salver.scenario import Scenario
-from salver.sensitivity.sloshing import Slosh
 from salver.sensitivity.spills import Liquids, Spill
 from salver.tables import Table, Tabular
 from salver.trajectory import MotionSamples
@@ -50,7 +50,7 @@ class Audit(Shown, Tabular):
 
     scenario: Scenario
     source: str
-    motion: TrayMotion
+    motion: AuditedMotion
     given: Samples | None = None
 
     @cached_property
@@ -150,12 +150,16 @@ class Audit(Shown, Tabular):
             if not len(at):
                 return cannot_tell([borne.edge()], worst)
             status = self._margins_at(at).verdict(worst)
-            if np.isinf(borne.error[borne.unsure]).any() or slide(self.motion.samples.t, borne.reserve) > NOTICED:
+            if (
+                np.isinf(borne.error[borne.unsure]).any()
+                or slide(self.motion.samples.t, borne.reserve) > self.motion.options.noticed
+            ):
                 doubts = [borne.edge()]
         if status.code in SPILLS and self.motion.recording is not None and (unsure := self._unsure(worst)):
             return cannot_tell(unsure, worst)
         if not status.ok:
-            return cannot_tell(list(self.motion.suspect), worst) if self.motion.suspect else status
+            errors = borne.errors()
+            return cannot_tell(errors, worst) if errors else status
         doubts += [*self.motion.doubts, *borne.unseen(), *self._begun(), *self._unsure(worst)]
         if doubts:
             return cannot_tell(doubts, worst)
@@ -175,7 +179,7 @@ class Audit(Shown, Tabular):
         for name, parts in (self._liquids.worst if worst else self._liquids.nominal).items():
             known = Spill.of(name, parts)
             if known.slack.min() >= 0:
-                doubts += _unmodelled(name, parts, known)
+                doubts += unmodelled(name, parts, known, self.motion.options)
             if self.motion.recording is None:
                 continue
             most, pushed = unseen(name, parts, self.motion)
@@ -187,7 +191,7 @@ class Audit(Shown, Tabular):
                 kept = f"keep {share:.2g} % of {of}" if share >= 0 else f"exceed {of} by {-share:.2g} %"
                 doubts.append(
                     (
-                        "waves",
+                        "sloshing",
                         f"waves in {name} may be {higher:.2g} mm higher or lower than what is recorded says, and as "
                         f"recorded they {kept}: a finer recording, or the planned motion with its velocities (salver "
                         "export --format moveit), would tell",
@@ -196,7 +200,7 @@ class Audit(Shown, Tabular):
             elif told >= 0 and pushed > self._borne[worst].reserve.min():
                 doubts.append(
                     (
-                        "waves",
+                        "sloshing",
                         f"waves in {name} may push it by {pushed:.2g} m/s^2 more than what is recorded says, and "
                         f"{self._borne[worst].reserve.min():.2g} are left",
                     )
@@ -243,9 +247,9 @@ class Audit(Shown, Tabular):
         slip, _ = self.hidden(worst=True)
         return {
             "rate": seen.rate,
-            "highest": seen.highest,
-            "position_noise": float(seen.sensor.position.sizes.max()),
-            "orientation_noise": 2 * float(seen.sensor.orientation.sizes.max()),
+            "highest": self.motion.options.highest,
+            "position_noise": seen.sensor.position.size,
+            "orientation_noise": 2 * seen.sensor.orientation.size,
             "resolution": seen.sensor.position.step,
             "bandwidth": [float(seen.bandwidth.min()), float(seen.bandwidth.max())],
             "acceleration_error": float(np.median(self.motion.acceleration_error)),
@@ -328,30 +332,6 @@ class Audit(Shown, Tabular):
         }
 
 
-def _unmodelled(name: str, parts: Sequence[Slosh], known: Spill) -> list[Doubt]:
-    """Near resonance, and in narrow glasses, waves go higher than linear ones."""
-    highest, slower = float(known.crest.max()), softened(name, parts)
-    if slower.slack.min() < 0 and slower.crest.max() > RUNAWAY * highest:
-        return [
-            (
-                "resonance",
-                f"the motion is near the frequency of the waves in {name}: high ones are slower, and may reach "
-                f"{1e3 * slower.crest.max():.2g} mm where linear ones reach {1e3 * highest:.2g}; how they swirl is not "
-                "known either",
-            )
-        ]
-    half = min(float(part.waves.cases.half.min()) for part in parts)
-    if half < NARROW and known.left.min() < RISE * highest:
-        return [
-            (
-                "narrow",
-                f"waves in {name}, {2e3 * half:.2g} mm wide, may be {100 * RISE:.0f} % higher than predicted: glasses "
-                f"below {2e3 * NARROW:.0f} mm are not known better, and {1e3 * known.left.min():.2g} mm are left",
-            )
-        ]
-    return []
-
-
 def _status(status: Status) -> dict[str, Any]:
     return {"code": status.code, "ok": status.ok, "sentence": status.sentence, **status.details}
 
@@ -360,17 +340,13 @@ def audit(
     path: str | Path | Mapping[str, Any],
     scenario: Scenario,
     topic: str | None = None,
-    highest: float = HIGHEST,
-    noise: float | None = None,
-    longest_gap: float | None = None,
+    options: AuditOptions = DEFAULT,
 ) -> Audit:
     """Audit a trajectory file (formats: `salver.motion_files`), or columns of one, for the objects of a scenario.
 
-    topic: of a bag. highest: Hz, above which nothing shakes the tray. noise: standard deviation of the samples, m or
-    rad; found in them if None. longest_gap: s without samples that is bridged. Raises SalverError, one sentence for
-    each mistake.
+    topic: of a bag. Raises SalverError, one sentence for each mistake.
     """
-    return audit_samples(read_for(scenario, path, topic), scenario, highest, noise, longest_gap)
+    return audit_samples(read_for(scenario, path, topic), scenario, options)
 
 
 def read_for(
@@ -390,17 +366,11 @@ def read_for(
     return of_columns(path, names)
 
 
-def audit_samples(
-    samples: Samples,
-    scenario: Scenario,
-    highest: float = HIGHEST,
-    noise: float | None = None,
-    longest_gap: float | None = None,
-) -> Audit:
+def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = DEFAULT) -> Audit:
     """`audit` of what was read."""
     first = scenario.payload.first
     joints = _arm(scenario) if isinstance(samples, JointSamples) else None
-    motion = tray_motion(samples, joints, *invert(first.p_EB, first.R_EB), highest, noise, longest_gap)
+    motion = tray_motion(samples, joints, *invert(first.p_EB, first.R_EB), options)
     return Audit(scenario, samples.source, motion, samples)
 
 
@@ -412,6 +382,6 @@ def _arm(scenario: Scenario) -> ArmModel | None:
     return load_arm(scenario.arm, scenario.tray)
 
 
-def audit_motion(motion: TrayMotion, scenario: Scenario, source: str = "motion") -> Audit:
+def audit_motion(motion: AuditedMotion, scenario: Scenario, source: str = "motion") -> Audit:
     """Audit a motion of the tray that is known with its accelerations."""
     return Audit(scenario, source, motion)

@@ -56,9 +56,10 @@ def audit(
     Example: `salver audit motion.csv --scenario panda-cube`
     """
     from salver import scenario as model
+    from salver.auditing import AuditOptions
     from salver.auditing import audit as run
 
-    result = run(trajectory, model.load(scenario), topic, highest, noise, gap)
+    result = run(trajectory, model.load(scenario), topic, AuditOptions(highest, noise, gap))
     if json:
         print_json(result.summary())
     else:
@@ -109,14 +110,15 @@ def _show(result: Audit, given: str, options: str) -> None:
 
 def _seen(result: Audit) -> str:
     """How the motion is known."""
-    recording = result.motion.recording
+    motion = result.motion
+    recording = motion.recording
     if recording is None:
         return "known exactly"
     noise = 1e3 * recording.sensor.displacement
     slip, _ = result.hidden(worst=True)
     return (
-        f"{recording.rate:.4g} samples a second with noise of {noise:.2g} mm; a shake of up to {recording.highest:g} "
-        f"Hz that this hides would slide the load by at most {1e3 * slip.distance:.2g} mm"
+        f"{recording.rate:.4g} samples a second with noise of {noise:.2g} mm; a shake of up to "
+        f"{motion.options.highest:g} Hz that this hides would slide the load by at most {1e3 * slip.distance:.2g} mm"
     )
 
 

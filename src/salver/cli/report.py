@@ -36,10 +36,10 @@ def report(
     """
     if scenario is not None:
         from salver import scenario as scenarios
-        from salver.auditing import audit
+        from salver.auditing import AuditOptions, audit
         from salver.reports.audit_page import write_audit_page
 
-        found = audit(directory, scenarios.load(scenario), topic, highest, noise, gap)
+        found = audit(directory, scenarios.load(scenario), topic, AuditOptions(highest, noise, gap))
         path = write_audit_page(found, output or directory.with_suffix(".html"))
     else:
         from salver.reports.page import write_report

@@ -15,6 +15,7 @@ from salver.cli.searching import stopping
 from salver.errors import ScenarioError, UnsafeError
 
 if TYPE_CHECKING:
+    from salver.auditing import AuditOptions
     from salver.motion_files import Samples
     from salver.planning.plan import Plan
     from salver.scenario import Scenario
@@ -81,9 +82,8 @@ def retime(
     if pace is not None:
         if out is not None or stops:
             raise typer.BadParameter("--pace makes no run directory: leave -o and --stops out; --write names its file.")
-        from salver.auditing import read_for
+        from salver.auditing import AuditOptions, read_for
 
-        options = {"highest": highest, "noise": noise, "longest_gap": gap}
         _at_pace(
             read_for(chosen, path, topic, joints_first=True),
             chosen,
@@ -91,7 +91,7 @@ def retime(
             write or _beside(path),
             json,
             unsafe,
-            options,
+            AuditOptions(highest, noise, gap),
         )
         return
     directory = out if out is not None else Path("runs") / f"{chosen.name}-retimed"
@@ -145,7 +145,7 @@ def _at_pace(
     target: Path,
     json: bool,
     unsafe: bool,
-    options: dict[str, float | None],
+    options: AuditOptions,
 ) -> None:
     """Write the motion at another pace, and say what becomes of the load."""
     from salver.given import at_pace
@@ -155,7 +155,7 @@ def _at_pace(
         factor = None if pace == "least" else float(pace)
     except ValueError:
         raise ScenarioError(f'--pace "{pace}" must be a number, as 0.9, or the word least.') from None
-    found = at_pace(samples, scenario, factor, **options)
+    found = at_pace(samples, scenario, factor, options)
     files, refused = [], None
     try:
         files = write(

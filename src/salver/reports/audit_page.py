@@ -167,7 +167,9 @@ def _known(audit: Audit) -> Markup:
         rows.append(["samples", "a command: known exactly"])
     else:
         rows.append(["samples", f"{seen.rate:.4g} a second, noise of {1e3 * seen.sensor.displacement:.2g} mm"])
-        rows.append(["reckoned with", f"shakes of up to {seen.highest:g} Hz that the samples do not show"])
+        rows.append(
+            ["reckoned with", f"shakes of up to {audit.motion.options.highest:g} Hz that the samples do not show"]
+        )
     rows += [[f"what {name} costs", f"{100 * cost:.1f} % of the weight"] for name, cost in audit.costs.items()]
     rows.append(["speeds, worst case", audit.speeds_worst.sentence])
     rows.append(["pace, worst case", audit.speeds_worst.pace.sentence])

@@ -10,8 +10,8 @@ import recordings
 import salver as sv
 from recordings import HEADER, write_csv
 from salver.auditing import audit, audit_motion
-from salver.auditing.motion import TrayMotion, tray_motion
-from salver.auditing.waves import _gain, unseen
+from salver.auditing.motion import AuditedMotion, tray_motion
+from salver.auditing.sloshing import _gain, unseen
 from salver.geometry import quat_wxyz_from_matrix
 from salver.models.tray_motion import at_rest
 from salver.motion_files.samples import TraySamples
@@ -49,7 +49,7 @@ def test_a_recorded_line_is_dry_or_spills_or_is_seen_too_badly(cup, tmp_path, du
     found = audit(write_csv(tmp_path / "line.csv", HEADER, *line(duration, noise)), cup)
     assert found.outcome == outcome, (found.nominal.sentence, found.worst.sentence)
     if noise == 2e-3:
-        assert "waves" in found.worst.details["reasons"] or "noise" in found.worst.details["reasons"]
+        assert "sloshing" in found.worst.details["reasons"] or "noise" in found.worst.details["reasons"]
 
 
 def test_a_shake_that_noise_hides_raises_no_wave_by_more_than_is_allowed_for(cup):
@@ -75,7 +75,7 @@ def test_how_a_liquid_moves_where_the_motion_begins_moving_is_not_known(cup, fir
     """What moves at its end alone says all that came before."""
     s = recordings.line(3.0, 100.0)
     cut = MotionSamples(*(getattr(s, field.name)[first:last] for field in fields(s)))
-    found = audit_motion(TrayMotion(cut), cup)
+    found = audit_motion(AuditedMotion(cut), cup)
     begun = first > 0
     for status in (found.nominal, found.worst):
         assert status.details.get("reasons", []) == ["begun"] * begun
@@ -139,7 +139,7 @@ def test_a_cup_that_is_shaken_near_its_frequency_gives_no_verdict(cup, share, co
     zero, still = np.zeros((len(t), 3)), np.tile(np.eye(3), (len(t), 1, 1))
     along_x = np.outer(a, [1.0, 0.0, 0.0])
     samples = MotionSamples(t, zero, np.outer(speed, [1.0, 0.0, 0.0]), along_x, still, zero, zero)
-    said = audit_motion(TrayMotion(samples), cup).nominal
+    said = audit_motion(AuditedMotion(samples), cup).nominal
     assert said.code == code, said.sentence
     if code == "cannot_tell":
         assert said.details["reasons"] == ["resonance"]

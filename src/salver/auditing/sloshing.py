@@ -1,4 +1,4 @@
-"""How much higher waves may be than a recorded motion says.
+"""How much higher sloshing may be than a recorded motion says.
 
 What noise hides is a shake a(t) of amplitude A, N cycles and r times a mode's frequency f_n. Its mass, which hardly
 fades, moves by -a + 2 pi f_n times the integral of sin(2 pi f_n (t - s)) a(s), where the shake begins from rest: by
@@ -15,9 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from salver.auditing.motion import Recording, TrayMotion
+from salver.auditing.motion import AuditedMotion, Doubt
+from salver.auditing.options import AuditOptions
 from salver.auditing.recorded import FASTER, LEVER
-from salver.auditing.slip import SEEN
+from salver.auditing.slip import hidden_shakes, up_to
 from salver.geometry import Array
 from salver.models.liquid import GRAVITY
 from salver.sensitivity.sloshing import Slosh
@@ -25,17 +26,10 @@ from salver.sensitivity.spills import Spill
 from salver.sensitivity.waves import Waves, along
 
 FOLLOWED = 2.0  # times the fastest mode: a surface does not follow what shakes it faster, but for what moves a mass
-# c of a free wave: 0.07 to 0.3 in cups 0.6 to 1.5 R deep, by nonlinear potential flow (tests/potential_flow.py).
-SOFTENING = 0.3
-SOFTEST = 0.1  # beyond which no second order says anything
-RUNAWAY = 1.25  # times as high as linear waves: more than one passing push makes of it
-NARROW = 0.025  # m of radius, or of half a side, below which waves were seen up to `RISE` higher than predicted
-RISE = 0.2
-_ROUNDS = 4
-_FREQUENCIES = 24
+_SOFTEST = 0.1  # beyond which no second order says anything
 
 
-def unseen(name: str, parts: Sequence[Slosh], motion: TrayMotion) -> tuple[Spill, float]:
+def unseen(name: str, parts: Sequence[Slosh], motion: AuditedMotion) -> tuple[Spill, float]:
     """What a liquid may come to in a recorded motion, from what it comes to in the motion as it is read, parts; and the
     acceleration, m/s^2, by which its container may be pushed more than is known."""
     found, pushed = [], 0.0
@@ -55,19 +49,43 @@ def unseen(name: str, parts: Sequence[Slosh], motion: TrayMotion) -> tuple[Spill
     return Spill.of(name, found), pushed
 
 
-def softened(name: str, parts: Sequence[Slosh]) -> Spill:
+def unmodelled(name: str, parts: Sequence[Slosh], known: Spill, options: AuditOptions) -> list[Doubt]:
+    """Near resonance, and in narrow glasses, sloshing goes higher than linear."""
+    highest, slower = float(known.crest.max()), softened(name, parts, options.softening)
+    if slower.slack.min() < 0 and slower.crest.max() > options.runaway * highest:
+        return [
+            (
+                "resonance",
+                f"the motion is near the sloshing frequency of {name}: high waves are slower, and may reach "
+                f"{1e3 * slower.crest.max():.2g} mm where linear ones reach {1e3 * highest:.2g}; how they swirl is not "
+                "known either",
+            )
+        ]
+    half = min(float(part.waves.cases.half.min()) for part in parts)
+    if half < options.narrow and known.left.min() < options.rise * highest:
+        return [
+            (
+                "narrow",
+                f"waves in {name}, {2e3 * half:.2g} mm wide, may be {100 * options.rise:.0f} % higher than predicted: "
+                f"glasses below {2e3 * options.narrow:.0f} mm are not known better, and {1e3 * known.left.min():.2g} "
+                "mm are left",
+            )
+        ]
+    return []
+
+
+def softened(name: str, parts: Sequence[Slosh], softening: float) -> Spill:
     """What a liquid comes to whose waves are slower the higher they are: near resonance they run away.
 
-    A wave of amplitude a has the frequency f (1 - c (a / R)^2); each round takes the highest crest so far for a, and
-    passes the half of that on its way.
+    A wave of amplitude a has the frequency f (1 - c (a / R)^2), c: softening; each round takes the highest crest so far
+    for a, and passes the half of that on its way.
     """
     found = []
     for part in parts:
         highest = part
-        for _ in range(_ROUNDS):
+        for _ in range(4):
             which, waves = highest.waves.cases, part.waves
-            softer = SOFTENING * (highest.crest.max(axis=1) / which.half.min(axis=1)) ** 2
-            softer = np.minimum(softer, SOFTEST)
+            softer = np.minimum(softening * (highest.crest.max(axis=1) / which.half.min(axis=1)) ** 2, _SOFTEST)
             each = [replace(x, softer=float(k * s)) for k in (0.5, 1) for x, s in zip(which.each, softer, strict=True)]
             tried = Slosh.of(along(each, waves.t, waves.w[0])).crest.max(axis=1).reshape(2, -1)
             best = [each[k * len(softer) + i] for i, k in enumerate(np.argmax(tried, axis=0))]
@@ -79,9 +97,9 @@ def softened(name: str, parts: Sequence[Slosh]) -> Spill:
     return Spill.of(name, found)
 
 
-def _away(waves: Waves, motion: TrayMotion) -> tuple[Array, Array]:
+def _away(waves: Waves, motion: AuditedMotion) -> tuple[Array, Array]:
     """(K, T, n_modes, 2) m by which each mass may be elsewhere, and (K, T, 1) slope by which the force may be."""
-    which, recording = waves.cases, motion.recording
+    which, recording, highest = waves.cases, motion.recording, motion.options.highest
     assert recording is not None
     up = waves.upward.min(axis=1)[:, None, None]
     omega = which.omega * np.sqrt(up / GRAVITY)
@@ -91,41 +109,25 @@ def _away(waves: Waves, motion: TrayMotion) -> tuple[Array, Array]:
     modes, read = omega / (2 * np.pi), np.broadcast_to(recording.bandwidth / FASTER, waves.t.shape)
     shaken, slope = np.zeros_like(omega), 0.0
     fastest = FOLLOWED * float(modes.max())
-    for frequency, amplitude, cycles in _shakes(recording, waves.t, modes):
+    sensor = recording.sensor
+    for frequency, cycles, share in hidden_shakes(motion, np.union1d(up_to(highest, 24), modes[modes < highest])):
+        metres = 2 * (LEVER + GRAVITY / (2 * np.pi * frequency) ** 2)  # and the tilt of gravity
+        blur = float(np.hypot(sensor.position.blur, metres * sensor.orientation.blur))
+        amplitude = max(share * float(np.hypot(sensor.position.whole, metres * sensor.orientation.whole)), blur)
         shaken = np.maximum(shaken, amplitude * _gain(frequency, modes, cycles))
         if frequency <= fastest:
             slope = max(slope, amplitude * (2 * np.pi * frequency) ** 2)
-    for cells in (*recording.unseen, *recording.mirrored):
-        cycles = np.maximum(cells.frequency * (cells.last - cells.first), 1.0)
-        each = cells.amplitude * _gain(cells.frequency, modes[..., None], cycles)
-        shaken = shaken + (cells.share * each).sum(axis=-1)
-        slow = cells.frequency <= fastest
-        slope += float((cells.amplitude * (2 * np.pi * cells.frequency) ** 2)[slow].max(initial=0.0))
+    for found in recording.unseen:
+        several = np.maximum(found.frequency * (found.last - found.first), 1.0)
+        each = found.amplitude * _gain(found.frequency, modes[..., None], several)
+        shaken = shaken + (found.share * each).sum(axis=-1)
+        slow = found.frequency <= fastest
+        slope += float((found.amplitude * (2 * np.pi * found.frequency) ** 2)[slow].max(initial=0.0))
     short = missed / (2 * np.pi * read) ** 2
     shaken = shaken + (short * _gain(read, modes[..., None], read * np.ptp(waves.t))).max(axis=-1)
     lifted = 1 + which.omega**2 / GRAVITY * np.abs(waves.r).max(axis=1)  # what is wrong upwards stiffens it
     away = np.broadcast_to((lifted * shaken)[:, None], waves.r.shape)
     return away, (error + slope + np.where(read <= fastest, missed, 0.0))[:, None] / up
-
-
-def _shakes(recording: Recording, t: Array, modes: Array) -> list[tuple[float, float, float]]:
-    """Frequency (Hz), amplitude (m, tilt of gravity in it) and cycles of what noise hides, modes (...) among them."""
-    sensor, duration = recording.sensor, float(t[-1] - t[0])
-    louder = float(np.max(recording.louder))
-    found = []
-    even = np.geomspace(min(1.0, recording.highest), recording.highest, _FREQUENCIES)
-    for frequency in np.unique(np.concatenate([even, modes[modes < recording.highest]])):
-        metres = 2 * (LEVER + GRAVITY / (2 * np.pi * frequency) ** 2)
-        noise = louder * np.hypot(sensor.position.whole, metres * sensor.orientation.whole)
-        blur = np.hypot(sensor.position.blur, metres * sensor.orientation.blur)
-        cycles = 1.0
-        while True:
-            amplitude = max(SEEN * noise * np.sqrt(2 * frequency / (recording.rate * cycles)), blur)
-            found.append((float(frequency), float(amplitude), cycles))
-            if cycles / frequency > duration:
-                break
-            cycles *= 2
-    return found
 
 
 def _gain(frequency: Array | float, mode: Array, cycles: Array | float) -> Array:
