@@ -186,7 +186,7 @@ def test_json_has_every_figure(tmp_path):
 
 def test_the_table_has_the_motion_as_it_was_understood_and_the_margins():
     s = min_jerk_line(1.0, START, GOAL, exp([0.0, 0.0, 0.4]), exp([0.03, -0.05, -0.2])).sample(np.linspace(0, 1, 51))
-    found = audit_motion(TrayMotion(s), case(friction_range="10%"))
+    found = audit_motion(AuditedMotion(s), case(friction_range="10%"))
     table, (nominal, worst) = found.to_xarray(), found.reserves
     expected = {"p_SE": s.p_SB, "v_S": s.v_S, "a_S": s.a_S, "omega_E": s.omega_B, "alpha_E": s.alpha_B}
     expected |= {"margin": nominal, "margin_worst_case": worst}
