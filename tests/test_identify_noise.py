@@ -10,7 +10,7 @@ import pytest
 from salver.geometry import Array
 from salver.learning.excite import plan_excite
 from salver.learning.identify import Run, identify_runs
-from salver.learning.noise import COLOUR, SHARES, TORQUE, Noise, Times
+from salver.learning.noise import BlockNoise, NoiseLevel, SensorNoise
 from salver.learning.ranges import NAMES
 from salver.learning.sensors import SensedArm, Sensors
 from salver.models.parameters import inertial_vector, phi_of
@@ -18,6 +18,7 @@ from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
 from salver.scenario import Scenario, load
 
+COLOUR = SensorNoise().colour
 FAST = Sensors(rate=1000.0)
 WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": 0.2}
 
@@ -25,33 +26,29 @@ WIDE = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": 0.2}
 @pytest.mark.parametrize("length", [0.005, 0.045, 0.2])
 def test_means_over_blocks_vary_as_those_of_fine_samples(length: float) -> None:
     """Against sums over 100 samples a block; and however long blocks are, their covariances with one of them sum up to
-    the integral of k: 2 and (2 pi)^.5 of its time."""
-    t = length * np.arange(60)
+    the integral of exp(-|d|): 2 of its time."""
+    t = length * np.arange(80)
     inner = length * (np.arange(100) + 0.5) / 100
     apart = (t[:4, None] + inner).ravel()
     apart = np.abs(apart[:, None] - apart)
-    fine = np.exp(-apart / COLOUR), np.exp(-0.5 * (apart / COLOUR) ** 2)
-    times = Times.of(t, 5)
-    for smooth, (k, integral) in enumerate(zip(fine, (2.0, np.sqrt(2 * np.pi)), strict=True)):
-        made = times.covariance(Noise(0.0, 1.0, 0.0, smooth))
-        assert made[:4, :4] == pytest.approx(k.reshape(4, 100, 4, 100).mean(axis=(1, 3)), abs=2e-4)
-        assert made[30].sum() * length == pytest.approx(integral * COLOUR, rel=0.01)
+    made = BlockNoise.of(t, 5).covariance(NoiseLevel(0.0, 1.0, 0.0))
+    fine = np.exp(-apart / COLOUR).reshape(4, 100, 4, 100).mean(axis=(1, 3))
+    assert made[:4, :4] == pytest.approx(fine, abs=2e-4)
+    assert made[40].sum() * length == pytest.approx(2 * COLOUR, rel=0.01)
 
 
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0])
-@pytest.mark.parametrize("smooth", [False, True])
-def test_noise_is_found_as_large_as_it_is(size: float, smooth: bool) -> None:
+def test_noise_is_found_as_large_as_it_is(size: float) -> None:
     """Drawn from its covariance, with a load in it: white noise within a step of what is tried, coloured not below."""
     t, rng = np.arange(0.0, 1.0, 0.005), np.random.default_rng(8)
-    true = Noise(size * 0.05, size * 0.03, 0.01, smooth)
+    true = NoiseLevel(size * 0.05, size * 0.03, 0.01)
     effects = np.column_stack([np.sin(3 * t), t**2])
-    times, step = Times.of(t, 5), SHARES[1] / SHARES[0]
+    times, step = BlockNoise.of(t, 5), 160 ** (1 / 12)
     root = np.linalg.cholesky(times.covariance(true))
     drawn_ = [root @ rng.standard_normal(200) + effects @ rng.standard_normal(2) for _ in range(20)]
-    found = [times.found(Noise(0.05, 0.03, 0.01), values, 3 * effects, 1) for values in drawn_]
+    found = [times.found(NoiseLevel(0.05, 0.03, 0.01), values, 3 * effects, 1) for values in drawn_]
     assert 1 / step < np.median([n.white for n in found]) / true.white < step
     assert 0.9 < np.median([n.coloured for n in found]) / true.coloured < step
-    assert not smooth or np.mean([n.smooth for n in found]) > 0.7
 
 
 @pytest.mark.parametrize("samples", [11, 42])
@@ -59,12 +56,12 @@ def test_what_a_slow_effect_is_found_to_be_is_off_by_as_much_as_is_told(samples:
     """One of 1 Hz in sensors' errors, which are made otherwise than they are taken to be, in 112 blocks of 11 ms and of
     42 ms, as of motions of 1.2 and of 4.7 s: in 280 of each two deviations hold it in 95 %."""
     t = 1e-3 * samples * np.arange(112)
-    times, effect = Times.of(t, samples), np.sin(2 * np.pi * t)
+    times, effect = BlockNoise.of(t, samples), np.sin(2 * np.pi * t)
     off = []
     for seed in range(40):
         errors = FAST.torque_errors(112 * samples, 7, np.random.default_rng([21, seed]))
         for values in errors.reshape(112, samples, 7).mean(axis=1).T:
-            noise = times.found(TORQUE, values, 0.3 * effect[:, None], 1)
+            noise = times.found(SensorNoise().torque, values, 0.3 * effect[:, None], 1)
             weight = np.linalg.solve(times.covariance(noise), effect)
             off.append(weight @ values / np.sqrt(weight @ effect))
     assert np.mean(np.abs(off) < 2) >= 0.95

@@ -10,24 +10,25 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.linalg import solve_triangular
 
 from salver.geometry import Array
-from salver.learning.channels import Channel, Load, Reading
+from salver.learning.channels import Reading
+from salver.learning.noise import RUNS
 from salver.learning.ranges import WIDTH, Estimate
-from salver.learning.systematic import SensorBounds, SystematicError
+from salver.learning.systematic import Felt, SensorBounds, SystematicError, torque_errors, wrist_errors
 from salver.models.rigid_body import inertia_entries, parallel_axis
 
-ROUNDS = 3  # of linearisation: about the prior, then about what was found
 SEEN = 4.0  # standard deviations beyond its bound at which a systematic error is taken to be there
-
 Key = tuple[str, int]  # an error's name, and the number of its run or -1
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class LoadSolution:
     """noisiest, residual: the channel that is most noisier than was told, by how many times. denied: which systematic
     error is surely beyond its bound. shares: kg of the mass's half-range by noise and by each kind of error."""
 
@@ -41,25 +42,20 @@ class Solution:
 
 def solve(
     runs: Sequence[Sequence[Reading]], weights: Sequence[float], prior: tuple[Array, Array], bounds: SensorBounds
-) -> Solution:
+) -> LoadSolution:
     """From what sensors felt in each run, which weighs so much."""
     phi, spread = prior
     delays = dict[str, float]()
-    for _ in range(ROUNDS):
-        at = Load(prior[0], phi, _slid(phi), delays)
-        errors, channels, information, pull = _normal(runs, weights, at, spread, bounds)
-        covariance = np.asarray(
-            np.linalg.inv(information + np.diag(np.concatenate([1 / spread**2, np.ones(len(errors))]))), dtype=float
-        )
+    for _ in range(3):  # linearised about the prior, then about what was found
+        errors, channels, information, pull = _normal(runs, weights, prior, phi, delays, bounds)
+        known = np.diag(np.concatenate([1 / spread**2, np.ones(len(errors))]))
+        covariance = np.asarray(np.linalg.inv(information + known), dtype=float)
         found = covariance @ pull
         phi, seen = prior[0] + found[:10], found[10:]
         if phi[0] <= 0:  # nothing to linearise about
             break
-        delays = {
-            e.of: float(np.clip(x, -5, 5)) * bounds.delay
-            for e, x in zip(errors, seen, strict=True)
-            if e.kind == "delay"
-        }
+        late = [(e.of, float(np.clip(x, -5, 5))) for e, x in zip(errors, seen, strict=True) if e.kind == "delay"]
+        delays = {sensor: x * bounds.delay for sensor, x in late}
     variance = np.diag(covariance)[10:]
     systematic = covariance[:10, 10:]
     noise = covariance[:10, :10] - systematic @ systematic.T
@@ -68,43 +64,79 @@ def solve(
         if error.kind == "slip":
             axis = "xy".index(error.of)
             shift[axis] = max(shift[axis], 0.5 * error.bound * min(1.0, abs(value) + WIDTH * np.sqrt(v)))
-    worst = max(channels, key=lambda channel: channel.residual)
+    residual, noisiest = max(channels)
     shares = defaultdict[str, float](float, {"noise": WIDTH * float(np.sqrt(noise[0, 0]))})
     for error, part in zip(errors, systematic[0], strict=True):
         shares[error.kind] += abs(float(part))
-    return Solution(
+    return LoadSolution(
         Estimate(phi, noise, systematic, shift),
-        worst.name,
-        worst.residual,
+        noisiest,
+        residual,
         _denied(errors, seen, variance),
         dict(shares),
-        {channel.name for channel in channels},
+        {name for _, name in channels},
     )
 
 
 def _normal(
-    runs: Sequence[Sequence[Reading]], weights: Sequence[float], at: Load, spread: Array, bounds: SensorBounds
-) -> tuple[list[SystematicError], list[Channel], Array, Array]:
-    """Systematic errors, channels, and the normal equations of phi and these."""
-    index, errors, parts, used = dict[Key, int](), list[SystematicError](), [], list[Channel]()
+    runs: Sequence[Sequence[Reading]],
+    weights: Sequence[float],
+    prior: tuple[Array, Array],
+    phi: Array,
+    delays: dict[str, float],
+    bounds: SensorBounds,
+) -> tuple[list[SystematicError], list[tuple[float, str]], Array, Array]:
+    """Systematic errors; by how much each channel is noisier than told, and its name; the normal equations of phi and
+    of these, linearised about a load and delays of sensors (s)."""
+    index, errors, parts, noisier = dict[Key, int](), list[SystematicError](), [], list[tuple[float, str]]()
+    slid = _slid(phi)
     for number, (readings, weight) in enumerate(zip(runs, weights, strict=True)):
         for reading in readings:
-            own, channels = reading.channels(bounds, at, spread)
-            for error in own:
-                key = error.name, number if error.run else -1
+            motion, links = reading.motion, reading.links
+            delay = delays.get("wrist" if links is None else "joint torques", 0.0)
+            reading = replace(reading, rows=_later(motion.t, reading.rows, delay))
+            felt = Felt(motion.t, motion.q, reading.rows @ phi, np.stack([reading.rows @ x for x in slid]))
+            own = list(wrist_errors(bounds, felt) if links is None else torque_errors(bounds, felt, links))
+            late = next(error.effect for error in own if error.kind == "delay")  # which the rows have already
+            reading = replace(reading, values=reading.values + late * delay / bounds.delay)
+            keys = [(error.name, number if error.run else -1) for error in own]
+            for key, error in zip(keys, own, strict=True):
                 if key not in index:
                     index[key] = len(errors)
                     errors.append(error)
-            columns = [*range(10), *(10 + index[e.name, number if e.run else -1] for e in own)]
-            rows = np.vstack([channel.rows for channel in channels])
-            values = np.concatenate([channel.values for channel in channels])
-            parts.append((columns, weight * rows.T @ rows, weight * rows.T @ values))
-            used += channels
+            columns = [*range(10), *(10 + index[key] for key in keys)]
+            effects = np.stack([error.effect for error in own], axis=2)
+            for j, name in enumerate(reading.names):
+                rows, values, times = _whitened(reading, j, effects[:, j], prior)
+                parts.append((columns, weight * rows.T @ rows, weight * rows.T @ values))
+                noisier.append((times, name))
     information, pull = np.zeros((10 + len(errors), 10 + len(errors))), np.zeros(10 + len(errors))
     for columns, square, values in parts:
         information[np.ix_(columns, columns)] += square
         pull[columns] += values
-    return errors, used, information, pull
+    return errors, noisier, information, pull
+
+
+def _later(t: Array, rows: Array, delay: float) -> Array:
+    """Rows (N, ...) at times that are earlier by a delay."""
+    return np.asarray(make_interp_spline(t, rows, k=1)(np.clip(t - delay, t[0], t[-1])) if delay else rows)
+
+
+def _whitened(reading: Reading, j: int, effects: Array, prior: tuple[Array, Array]) -> tuple[Array, Array, float]:
+    """Rows (N, 10 + K) per unit of phi and of systematic errors per bound, and values (N,), over the noise of a channel
+    that was found, or more where more is left than it explains; by how much it is noisier than told."""
+    noise, rows, nuisance, told = reading.motion.noise, reading.rows[:, j], reading.nuisance[j], reading.told[j]
+    left = reading.values[:, j] - rows @ prior[0]
+    here = effects[:, np.any(effects, axis=0)]
+    # Errors up to ten times their bounds are not taken for noise.
+    level = noise.found(told, left, np.hstack([3 * prior[1] * rows, nuisance, 10 * here]), RUNS)
+    root = np.linalg.cholesky(RUNS * noise.covariance(level) + nuisance @ nuisance.T)
+    both = solve_triangular(root, np.column_stack([left, rows, effects]), lower=True, check_finite=False)
+    values, white = both[:, 0], both[:, 1:]
+    solution, _, rank, _ = np.linalg.lstsq(white, values, rcond=1e-8)
+    rest = values - white @ solution
+    size = max(1.0, float(np.sqrt(np.sum(rest**2) / max(1, len(values) - rank))))
+    return white / size, values / size, size * level.share(told, noise.samples)
 
 
 def _denied(errors: Sequence[SystematicError], seen: Array, variance: Array) -> str | None:

@@ -14,10 +14,9 @@ import numpy as np
 
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, hat
-from salver.learning import noise
-from salver.learning.channels import RUNS
 from salver.learning.identify import identify
 from salver.learning.narrowing import prior
+from salver.learning.noise import RUNS, SensorNoise
 from salver.learning.ranges import NAMES
 from salver.learning.sensors import SensedArm, Sensors, nominal_load
 from salver.learning.systematic import SensorBounds
@@ -76,8 +75,9 @@ class Information(Objective):
         place = frame_map(body.p_EB, body.R_EB)
         maps = np.array([to_tray(body.p_EB, body.R_EB) @ wrench_map(unit) @ place for unit in np.eye(10)])
         maps[:, 3:] += np.einsum("ij,kjw->kiw", hat(arm.p_FE), maps[:, :3])
-        kinds = [noise.FORCE] * 3 + [noise.MOMENT] * 3
-        density = np.array([RUNS * (n.white**2 * 1e-3 + 2 * noise.COLOUR * n.coloured**2) for n in kinds])
+        sensors = SensorNoise()
+        kinds = [sensors.force] * 3 + [sensors.moment] * 3
+        density = np.array([RUNS * (n.white**2 * 1e-3 + 2 * sensors.colour * n.coloured**2) for n in kinds])
         bounds = SensorBounds()
         bias = np.hypot([bounds.force_bias] * 3 + [bounds.moment_bias] * 3, [np.sqrt(RUNS) * n.drift for n in kinds])
         spread = prior(problem.scenario)[1]

@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -28,10 +27,10 @@ import numpy as np
 
 from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array, hat
-from salver.learning.channels import Reading, State, differences
+from salver.learning.channels import Reading, SensedMotion, differences
 from salver.learning.estimate import solve
 from salver.learning.executed import lateness
-from salver.learning.logs import Log
+from salver.learning.logs import Log, check_times
 from salver.learning.narrowing import half_ranges, narrowed, not_shown, prior
 from salver.learning.ranges import NAMES, Range
 from salver.learning.systematic import SensorBounds
@@ -54,7 +53,6 @@ REST = 0.5  # s before and after the motion, of which a log is used too
 BLOCK = 0.005  # s over which samples are averaged,
 BLOCKS = 112  # and not more of them
 FINE = 0.015  # s over which what a load adds may be taken at the mean of positions, velocities and accelerations
-MOVES = 0.02  # rad that some joint must move, for a motion
 WHOLE = 0.8  # of the motion that both logs must hold
 SAME = 0.02  # rad by which the empty run may differ from the loaded one
 OTHER_UNIT = 20.0  # times what the heaviest load needs, that a wrist cannot feel,
@@ -208,7 +206,7 @@ def _felt(scenario: Scenario, runs: Sequence[Run], known: tuple[Array, Array]) -
 
     assert scenario.arm is not None
     arm = load_arm(scenario.arm, scenario.tray)
-    seen, readings = dict[int, tuple[Log, State]](), []
+    seen, readings = dict[int, tuple[Log, SensedMotion]](), []
     for run in runs:
         plan = replace(run.plan, scenario=scenario)
         if id(run.empty) not in seen:
@@ -237,19 +235,15 @@ def _each_its_own(runs: Sequence[Run]) -> None:
 def _timed(plan: Plan, log: Log) -> Log:
     """The log on the plan's clock: by what all its joints together are late, its times are less."""
     assert plan.joint is not None
-    if np.ptp(log.q, axis=0).max() < MOVES:
-        raise FileFormatError(f"{log.source} has no motion in it: no joint moves by {MOVES:g} rad.")
-    if (
-        np.abs(log.q).max() > 12
-        and np.abs(np.ptp(np.deg2rad(log.q), axis=0) - np.ptp(plan.joint.q, axis=0)).max() < 0.2
-    ):
-        raise FileFormatError(f"{log.source}: its joint positions are in degrees; they must be in rad.")
+    check_times(log.t, log.q, log.source, plan.joint.q)
     if np.abs(log.q - plan.joint.sample(log.t)[0]).max() <= SAME:
         return log
     return replace(log, t=log.t - lateness(log.t, log.q, plan.joint))
 
 
-def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
+def _state(plan: Plan, arm: ArmModel, log: Log) -> SensedMotion:
+    from scipy.signal import butter, sosfiltfilt
+
     from salver.sensitivity.arm.terms import motion_terms
 
     assert plan.joint is not None
@@ -260,7 +254,9 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
         raise FileFormatError(
             f"{log.source}: a joint is {np.abs(off).max():.3g} rad from the plan; this is the log of another motion."
         )
-    strayed = _smooth(off, step)
+    slow = np.asarray(sosfiltfilt(butter(2, min(0.9, 2 * BANDWIDTH * step), output="sos"), off, axis=0))
+    rate = np.gradient(slow, step, axis=0)
+    strayed = slow, rate, np.gradient(rate, step, axis=0)
     q, dq, ddq = (a + b for a, b in zip(wanted[:3], strayed, strict=True))
     near = max(1, round(ENDS / step))
     left_out = [ENDS if np.abs(strayed[1][end]).max() > RESTS else EDGE for end in (slice(near), slice(-near, None))]
@@ -295,7 +291,7 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> State:
         tau, to_tau = mean(log.tau) - torque, whole(np.einsum("tij,tik->tjk", terms.jacobian, at_E))
     tray = _tray_wrench(plan, arm, whole(terms.w))
     wrench = None if log.wrench_F is None else mean(log.wrench_F) - tray
-    return State(mean(log.t), every, mean(q), mean(dq), tau, wrench, torque, tray, to_tau, at_F, links)
+    return SensedMotion(mean(log.t), every, mean(q), mean(dq), tau, wrench, torque, tray, to_tau, at_F, links)
 
 
 def _each_link(arm: ArmModel, q: Array, dq: Array, ddq: Array, torque: Array) -> Iterator[Array]:
@@ -310,7 +306,7 @@ def _each_link(arm: ArmModel, q: Array, dq: Array, ddq: Array, torque: Array) ->
         yield motion_terms(model, arm.tray_id, q, dq, ddq).torque - torque
 
 
-def _in_units(log: Log, state: State, heaviest: float, phi_0: Array) -> None:
+def _in_units(log: Log, state: SensedMotion, heaviest: float, phi_0: Array) -> None:
     """Raise FileFormatError when a wrist feels far more than the heaviest load and tray, kg, can make it feel."""
     if state.wrench is None:
         return
@@ -326,7 +322,7 @@ def _in_units(log: Log, state: State, heaviest: float, phi_0: Array) -> None:
             )
 
 
-def _of_this_arm(arm: ArmModel, without: State, empty: Log) -> None:
+def _of_this_arm(arm: ArmModel, without: SensedMotion, empty: Log) -> None:
     """Raise FileFormatError when torques of the empty run are not what this arm needs, roughly, to move its tray."""
     if without.tau is None:
         return
@@ -350,23 +346,6 @@ def _tray_wrench(plan: Plan, arm: ArmModel, w: Array) -> Array:
     at_E = w @ wrench_map(phi).T
     at_E[:, 3:] += np.cross(arm.p_FE, at_E[:, :3])
     return np.asarray(at_E)
-
-
-def _smooth(off: Array, step: float) -> tuple[Array, Array, Array]:
-    """A measured deviation (K, n) from the plan and its derivatives, forth and back through a low pass."""
-    from scipy.signal import sosfiltfilt
-
-    value = np.asarray(sosfiltfilt(_low_pass(min(0.9, 2 * BANDWIDTH * step)), off, axis=0))
-    rate = np.gradient(value, step, axis=0)
-    return value, rate, np.gradient(rate, step, axis=0)
-
-
-@lru_cache(maxsize=8)
-def _low_pass(share: float) -> Array:
-    """Second-order sections, of a share of half the sampling rate."""
-    from scipy.signal import butter
-
-    return np.asarray(butter(2, share, output="sos"))
 
 
 def _same_motion(plan: Plan, log: Log, empty: Log) -> None:
