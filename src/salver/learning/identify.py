@@ -45,22 +45,40 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
     from salver.scenario import Scenario
 
-BANDWIDTH = 10.0  # Hz, of what is believed of a measured deviation from the plan
-ENDS = 0.08  # s at each end, where smoothing has only one side: left out when the deviation still moves there,
-RESTS = 0.01  # rad/s, faster than this; else only
-EDGE = 0.02  # s
-REST = 0.5  # s before and after the motion, of which a log is used too
-BLOCK = 0.005  # s over which samples are averaged,
-BLOCKS = 112  # and not more of them
-FINE = 0.015  # s over which what a load adds may be taken at the mean of positions, velocities and accelerations
-WHOLE = 0.8  # of the motion that both logs must hold
-SAME = 0.02  # rad by which the empty run may differ from the loaded one
-OTHER_UNIT = 20.0  # times what the heaviest load needs, that a wrist cannot feel,
-ARM = 0.05  # m from which a force makes a moment
-FOREIGN = 0.3  # of the largest torque of a joint: by how much a model of the arm may err,
-FRICTION_SHARE = 0.1  # and of its limit, by friction
-STRANGE = 6.0  # times the noise that was told, in the residual: not one rigid load on this arm
-IMPOSSIBLE = 6.5  # standard deviations of ten parameters from anything that a mass inside the shape can have
+
+@dataclass(frozen=True)
+class IdentifyOptions:
+    """What is taken for logs of one rigid load on this arm.
+
+    Attributes:
+        bandwidth: Hz, of what is believed of a measured deviation from the plan; doubled, noise shakes the arm's model.
+        ends: s left out at each end of a log, where smoothing has only one side.
+        rest: s before and after the motion of which a log is used too; doubled, drift counts for more.
+        block, blocks: s over which samples are averaged, and how many blocks at most; doubled, eight times the time.
+        fine: s over which what a load adds may be taken at the mean of positions, velocities and accelerations.
+        same: rad by which the empty run may differ from the loaded one.
+        astray: rad that a joint may be off the plan.
+        units: times what the heaviest load needs, beyond which a wrist is read in another unit.
+        foreign: share of a joint's largest torque by which the arm's model may err, with a tenth of its limit.
+        strange: times the noise that was told, in the residual, beyond which it is not one rigid load.
+        impossible: standard deviations from anything that a mass inside the shape can have.
+    """
+
+    bandwidth: float = 10.0
+    ends: float = 0.08
+    rest: float = 0.5
+    block: float = 0.005
+    blocks: int = 112
+    fine: float = 0.015
+    same: float = 0.02
+    astray: float = 0.2
+    units: float = 20.0
+    foreign: float = 0.3
+    strange: float = 6.0
+    impossible: float = 6.5
+
+
+OPTIONS = IdentifyOptions()
 
 
 @dataclass(frozen=True)
@@ -148,7 +166,7 @@ def identify_runs(
     with_this = Counter(id(run.empty) for run in runs)
     weights = [2 / (1 + with_this[id(run.empty)]) for run in runs]
     found = solve(readings, weights, prior(scenario), bounds)
-    if found.residual > STRANGE:
+    if found.residual > OPTIONS.strange:
         raise FileFormatError(
             f"{sources}: {found.noisiest} differ from those of one rigid load by {found.residual:.0f} times the noise: "
             "something slid or was put on late, the sensor was tared with the load, the log's clock jitters, or the "
@@ -161,11 +179,11 @@ def identify_runs(
         realisable(body, inertial_vector(body.inertial))[0]
     )  # a scenario may say more than its shape can have
     possible, off = nearest(body, estimate.phi, estimate.together, within_shape=inside)
-    if off > IMPOSSIBLE and estimate.phi[0] > 0:  # a mass below 0 is told as such
+    if off > OPTIONS.impossible and estimate.phi[0] > 0:  # a mass below 0 is told as such
         raise SalverError(
             f"{sources}: what was felt is {off:.1f} standard deviations from any distribution of mass inside "
-            f"{body.name}; at most {IMPOSSIBLE:g} is accepted: its shape or its place, the empty tray or the sensor's "
-            "axes are others."
+            f"{body.name}; at most {OPTIONS.impossible:g} is accepted: its shape or its place, the "
+            "empty tray or the sensor's axes are others."
         )
     ranges = narrowed(scenario, estimate, scenario if within is None else within, inside)
     told = not_shown(ranges, found.sensors)
@@ -236,7 +254,7 @@ def _timed(plan: Plan, log: Log) -> Log:
     """The log on the plan's clock: by what all its joints together are late, its times are less."""
     assert plan.joint is not None
     check_times(log.t, log.q, log.source, plan.joint.q)
-    if np.abs(log.q - plan.joint.sample(log.t)[0]).max() <= SAME:
+    if np.abs(log.q - plan.joint.sample(log.t)[0]).max() <= OPTIONS.same:
         return log
     return replace(log, t=log.t - lateness(log.t, log.q, plan.joint))
 
@@ -250,20 +268,23 @@ def _state(plan: Plan, arm: ArmModel, log: Log) -> SensedMotion:
     body, step = plan.scenario.payload.first, float(np.median(np.diff(log.t)))
     wanted = plan.joint.sample(log.t)
     off = log.q - wanted[0]
-    if np.abs(off).max() > 0.2:
+    if np.abs(off).max() > OPTIONS.astray:
         raise FileFormatError(
             f"{log.source}: a joint is {np.abs(off).max():.3g} rad from the plan; this is the log of another motion."
         )
-    slow = np.asarray(sosfiltfilt(butter(2, min(0.9, 2 * BANDWIDTH * step), output="sos"), off, axis=0))
+    slow = np.asarray(sosfiltfilt(butter(2, min(0.9, 2 * OPTIONS.bandwidth * step), output="sos"), off, axis=0))
     rate = np.gradient(slow, step, axis=0)
     strayed = slow, rate, np.gradient(rate, step, axis=0)
     q, dq, ddq = (a + b for a, b in zip(wanted[:3], strayed, strict=True))
-    near = max(1, round(ENDS / step))
-    left_out = [ENDS if np.abs(strayed[1][end]).max() > RESTS else EDGE for end in (slice(near), slice(-near, None))]
-    inside = (log.t > max(log.t[0] + left_out[0], -REST)) & (log.t < min(log.t[-1] - left_out[1], plan.duration + REST))
-    length = max(BLOCK, np.count_nonzero(inside) * step / BLOCKS)
+    near = max(1, round(OPTIONS.ends / step))
+    still = [np.abs(strayed[1][end]).max() < 0.01 for end in (slice(near), slice(-near, None))]  # rad/s
+    first, last = (OPTIONS.ends / (4 if each else 1) for each in still)
+    inside = (log.t > max(log.t[0] + first, -OPTIONS.rest)) & (
+        log.t < min(log.t[-1] - last, plan.duration + OPTIONS.rest)
+    )
+    length = max(OPTIONS.block, np.count_nonzero(inside) * step / OPTIONS.blocks)
     every = max(1, round(length / step))
-    parts = min(every, int(np.ceil(length / FINE)))
+    parts = min(every, int(np.ceil(length / OPTIONS.fine)))
     every = parts * round(every / parts)
     index = np.flatnonzero(inside)
     blocks = index[: len(index) // every * every].reshape(-1, every)
@@ -311,11 +332,11 @@ def _in_units(log: Log, state: SensedMotion, heaviest: float, phi_0: Array) -> N
     if state.wrench is None:
         return
     most = np.linalg.norm((state.to_wrench @ (phi_0 * heaviest / phi_0[0])).reshape(-1, 2, 3), axis=2)
-    most[:, 1] += ARM * most[:, 0]
+    most[:, 1] += 0.05 * most[:, 0]
     felt = np.linalg.norm(state.wrench.reshape(-1, 2, 3), axis=2)
     times = np.median(felt, axis=0) / np.median(most, axis=0)
     for name, unit, x in zip(("forces", "moments"), ("N", "N m"), times, strict=True):
-        if x > OTHER_UNIT:
+        if x > OPTIONS.units:
             raise FileFormatError(
                 f"{log.source}: wrist {name} are {x:.0f} times what the tray and the heaviest load of the ranges need; "
                 f"they must be in {unit}."
@@ -327,7 +348,7 @@ def _of_this_arm(arm: ArmModel, without: SensedMotion, empty: Log) -> None:
     if without.tau is None:
         return
     off = np.median(np.abs(without.tau), axis=0)
-    allowed = FOREIGN * np.abs(without.model).max(axis=0) + FRICTION_SHARE * arm.limits.torque
+    allowed = OPTIONS.foreign * np.abs(without.model).max(axis=0) + 0.1 * arm.limits.torque
     j = int(np.argmax(off / allowed))
     if off[j] > allowed[j]:
         raise FileFormatError(
@@ -350,13 +371,13 @@ def _tray_wrench(plan: Plan, arm: ArmModel, w: Array) -> Array:
 
 def _same_motion(plan: Plan, log: Log, empty: Log) -> None:
     first, last = max(0.0, log.t[0], empty.t[0]), min(plan.duration, log.t[-1], empty.t[-1])
-    if last - first < WHOLE * plan.duration:
+    if last - first < 0.8 * plan.duration:
         raise FileFormatError(f"{empty.source} and {log.source} must both hold the whole motion.")
     shared = (log.t >= first) & (log.t <= last)
     other = np.stack([np.interp(log.t[shared], empty.t, column) for column in empty.q.T], axis=1)
     apart = float(np.abs(other - log.q[shared]).max())
-    if apart > SAME:
+    if apart > OPTIONS.same:
         raise FileFormatError(
             f"{empty.source} is of another motion than {log.source}: they are up to {apart:.3g} rad apart; at most "
-            f"{SAME:g} is accepted."
+            f"{OPTIONS.same:g} is accepted."
         )
