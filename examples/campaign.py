@@ -27,6 +27,7 @@ def main() -> None:
         scenario = sv.load_scenario(
             "panda-cube",
             motion__duration=duration,
+            motion__speed_rate=0.0,  # at every constant speed: for one that changes 1.3 s are too short
             contact__condition="exact",
             objects__0__friction=0.2,
             objects__0__uncertainty={"mass": "10%", "friction": "25%"},

@@ -132,7 +132,7 @@ def test_rows_of_a_liquid_are_its_crest_what_is_left_and_what_settles_in_units_o
 
     settling = {"objects__0__liquid__settled_wave": 0.006, "objects__0__liquid__settled_within": 0.5}
     motion, found = rows(coffee.with_changes(**settling))
-    always = {"steepness", "steepness left", "lightness", "waves", "waves left"}
+    always = {"steepness", "steepness left", "effective gravity", "waves", "waves left"}
     assert set(found) == always | {"settled waves"}
     parts = motion.sloshing["cup"]
     room = np.concatenate([part.waves.cases.room for part in parts])
@@ -150,7 +150,7 @@ def test_rows_of_a_liquid_are_its_crest_what_is_left_and_what_settles_in_units_o
     assert np.all(found["steepness left"][0] >= freely / steepest - 1 - 1e-12)  # rounding
     # A fifth of the weight must press: on the tray's axis, for here nothing of it is far from that.
     pressing = motion.terms.w[:, 2] / 9.81
-    assert found["lightness"] == pytest.approx(np.tile((1 - pressing) / 0.8 - 1, (len(room), 1)).T, abs=0.05)
+    assert found["effective gravity"] == pytest.approx(np.tile((1 - pressing) / 0.8 - 1, (len(room), 1)).T, abs=0.05)
     lid = coffee.with_changes(objects__0__liquid__sealed=True)
     assert not {"waves", "waves left"} & set(rows(lid)[1])
 
