@@ -150,3 +150,12 @@ def test_the_bar_of_a_page_is_green_where_it_holds() -> None:
 
 def test_the_page_of_a_plan_shows_the_bar(run: Path) -> None:
     assert load_plan(run).speeds.verdict in sv.report(run).html.split('class="speeds"')[1]
+
+
+def test_what_a_planner_looked_at_at_other_speeds_is_not_said_to_be_unchecked(plan: Plan) -> None:
+    """It allows for an arm that strays at every speed that was asked for; not for sloshing while the speed changes."""
+    every = plan_fastest(scenario.load("panda-tall-bottle"))
+    assert every.speeds.sentence == "Holds at every speed from 0 to 100 %."
+    nominal = plan_fastest(scenario.load("panda-tall-bottle"), robust=False)
+    assert nominal.speeds.unchecked == plan.speeds.unchecked == "how far the arm strays from the motion"
+    assert plan_fastest(scenario.load("panda-coffee")).speeds.unchecked.endswith("sloshing while the speed changes")

@@ -280,7 +280,15 @@ class Plan(Shown, Tabular):
         first = self.scenario.payload.first
         tray = self._checked.samples.of_frame(*invert(first.p_EB, first.R_EB))
         found = safe_speeds(margin_model(self.scenario), tray, worst=True)
-        return found if self.joint is None else replace(found, unchecked="how far the arm strays from the motion")
+        return found if self.joint is None else replace(found, unchecked=self._unchecked_at_other_speeds)
+
+    @property
+    def _unchecked_at_other_speeds(self) -> str:
+        """What neither this plan nor the planner that made it (`planning.fastest.speeds`) has looked at there."""
+        planned = self.method in ("fastest", "safest", "least-sensitive") and self.solver.get("robust", False)
+        if self.scenario.payload.liquids:
+            return "how far the arm strays from the motion; sloshing while the speed changes"
+        return "" if planned and self.scenario.motion.speeds == "any" else "how far the arm strays from the motion"
 
     def at_speed(self, factor: float) -> Plan:
         """The same motion run at a constant share of its speed, without torques, stops and a tuned command.
