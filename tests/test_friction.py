@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import SalverError, ScenarioError
 from salver.geometry import Array
-from salver.learning.friction import SHAKES, friction, needed
+from salver.learning.friction import USUAL, friction, needed
 from salver.learning.tilts import tilt_test
 from salver.models.arm import load_arm
 from salver.models.tray_motion import at_rest
@@ -72,6 +72,7 @@ def test_a_tray_planned_to_tilt_proves_what_was_asked(plan: Plan) -> None:
     assert found.high is None
     assert found.low is not None
     assert SHOWN <= found.low < SHOWN + 0.01
+    assert "1569 Pa (0.256 kg on 16 cm^2)" in found.sentences[-1]
     steepest = np.arccos(plan.reference.sample(plan.t).R_SB[:, 2, 2].min())
     assert found.low < np.tan(steepest)
     shakier = friction(plan, level=2.0).low
@@ -100,7 +101,7 @@ def test_ranges_hold_what_the_engine_had(plan: Plan, true: float) -> None:
     assert found.low is not None
     assert found.high is not None
     assert found.low <= true <= found.high
-    assert found.high - found.low < 2 * np.deg2rad(0.5) * (1 + true) + 3 * SHAKES + 0.03
+    assert found.high - found.low < 2 * np.deg2rad(0.5) * (1 + true) + 3 * USUAL.shakes + 0.03
 
 
 def test_what_would_tip_is_refused_with_what_can_be_asked_for(tmp_path: Path) -> None:

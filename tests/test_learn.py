@@ -11,9 +11,8 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import ScenarioError
 from salver.learning import trips as made
-from salver.learning.friction import UNNOTICED
+from salver.learning.friction import USUAL
 from salver.learning.ranges import NAMES
-from salver.learning.tilts import FARTHEST
 from salver.learning.trips import _Hidden, trips, true_load
 from salver.planning.fastest import plan_fastest
 from salver.planning.plan import Plan
@@ -55,9 +54,9 @@ def test_tilts_raise_the_least_friction_and_stop_when_the_load_moves() -> None:
         trip = next(trips(scenario, 2, seed, first=first))
         moved = [tilt.moved for tilt in trip.tilts]
         assert {tilt.outcome for tilt in trip.tilts[:-1]} <= {"holds", "slides"}
-        assert max(moved) <= FARTHEST
-        assert (moved[-1] > UNNOTICED) == slides
-        assert all(x <= UNNOTICED for x in moved[:-1])
+        assert max(moved) <= USUAL.farthest
+        assert (moved[-1] > USUAL.unnoticed) == slides
+        assert all(x <= USUAL.unnoticed for x in moved[:-1])
         least = trip.known.payload.least_friction(trip.known.payload.first)
         assert 0.2 < least <= true[10]
         assert not slides or least > true[10] - 0.02

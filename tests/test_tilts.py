@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from salver.cli import app
 from salver.errors import ScenarioError
 from salver.geometry import Array, log
-from salver.learning.friction import GRAVITY, UNNOTICED, friction, proves, ways
-from salver.learning.tilts import FARTHEST, LEVELLED, _motion, room, short_tilt, tilt_test
+from salver.learning.friction import GRAVITY, USUAL, FrictionOptions, friction, proves, ways
+from salver.learning.tilts import _motion, room, short_tilt, tilt_test
 from salver.models.arm import load_arm
 from salver.models.tray_motion import N_MOTION
 from salver.motion_files.samples import joint_samples
@@ -75,7 +75,7 @@ def test_with_the_friction_that_is_proven_a_block_slides_just_farther_than_could
 ) -> None:
     """A millimetre that nobody notices, beyond what was seen."""
     t, steepest, bend = np.linspace(-0.4, 0.4, 4001), np.arctan(0.25), 4.0
-    low = proves(t, felt(steepest - 0.5 * bend * t**2), scenario.with_changes(**POINT), 0.0, moved)
+    low = proves(t, felt(steepest - 0.5 * bend * t**2), scenario.with_changes(**POINT), 0.0, moved + USUAL.unnoticed)
     assert slid(low, steepest, bend) == pytest.approx(moved + 1e-3, rel=5e-3)
 
 
@@ -109,10 +109,10 @@ def test_way_lies_within_what_is_told_wherever_the_load_is_and_the_base_leans(sc
 @pytest.mark.slow
 def test_short_tilt_is_as_steep_as_the_least_friction_allows(scenario: Scenario, plan: Plan) -> None:
     assert plan.ok
-    w_steeper = short_tilt(scenario, 2 * FARTHEST)
+    w_steeper = short_tilt(scenario, options=FrictionOptions(farthest=2 * USUAL.farthest))
     tilts = [np.arccos(p.reference.sample(p.t).R_SB[:, 2, 2].min()) for p in (plan, w_steeper)]
     assert np.arctan(0.2) < tilts[0] < tilts[1]
-    proven, from_more = friction(plan, level=LEVELLED).low, friction(plan, moved=0.004, level=LEVELLED).low
+    proven, from_more = friction(plan).low, friction(plan, moved=0.004).low
     assert proven is not None
     assert from_more is not None
     assert from_more < proven < np.tan(tilts[0])
@@ -140,11 +140,11 @@ def test_in_the_engine_no_load_moves_farther_than_is_said_and_what_is_proven_is_
         assert record.outcome in ("holds", "slides")
         moved.append(float(record.slip.max()))
         log = joint_samples(record.t, names, record.q, None, None, "log")
-        low = friction(plan, log, moved=moved[-1], level=LEVELLED).low
+        low = friction(plan, log, moved=moved[-1]).low
         assert low is not None
         assert 0.85 * min(true, 0.22) < low <= true
-    assert max(moved) <= FARTHEST
-    assert moved[0] > UNNOTICED
+    assert max(moved) <= USUAL.farthest
+    assert moved[0] > USUAL.unnoticed
     assert moved[-1] < 1e-4
 
 
@@ -159,7 +159,7 @@ def test_what_tells_nothing_is_refused(scenario: Scenario, plan: Plan) -> None:
         friction(plan, held=0.3)
     for farthest in (0.0, 5.0, float("nan")):
         with pytest.raises(ScenarioError, match=r"by 0\.001 m to 0\.1 m"):
-            short_tilt(scenario, farthest)
+            short_tilt(scenario, options=FrictionOptions(farthest=farthest))
 
 
 @pytest.mark.slow

@@ -70,8 +70,7 @@ def calibrate(
 
 def _plan(source: str, shows: float | None, short: bool, level: float | None, out: Path | None, json: bool) -> None:
     from salver import scenario as scenarios
-    from salver.learning.friction import LEVEL
-    from salver.learning.tilts import LEVELLED, short_tilt, tilt_test
+    from salver.learning.tilts import short_tilt, tilt_test
 
     if (shows is None) != short or out is None:
         raise ScenarioError("To plan the test, give --shows FRICTION or --short, and --out DIRECTORY.")
@@ -79,9 +78,9 @@ def _plan(source: str, shows: float | None, short: bool, level: float | None, ou
         raise ScenarioError(f"--out = {out} holds a plan already; give a directory that does not.")
     known = scenarios.load(source)
     if shows is None:
-        plan = short_tilt(known, level=LEVELLED if level is None else level)
+        plan = short_tilt(known, level=level)
     else:
-        plan = tilt_test(known, shows, LEVEL if level is None else level)
+        plan = tilt_test(known, shows, level)
     plan.save(out)
     if json:
         print_json({"duration": plan.duration, "sentence": plan.status.sentence, "directory": str(out)})
@@ -104,8 +103,7 @@ def _read(
     from salver import scenario as scenarios
     from salver.files import write_atomic
     from salver.learning.executed import read_joints
-    from salver.learning.friction import LEVEL, SHORT, friction
-    from salver.learning.tilts import LEVELLED
+    from salver.learning.friction import friction
     from salver.models.arm import load_arm
     from salver.planning.plan import load_plan
 
@@ -116,9 +114,7 @@ def _read(
         raise ScenarioError(f"{plan.scenario.name} has no arm; friction is shown by an arm that carries the load.")
     arm = None if log is None or plan.scenario.arm is None else load_arm(plan.scenario.arm, plan.scenario.tray)
     samples = None if log is None or arm is None else read_joints(log, arm)
-    if level is None:
-        level = LEVELLED if plan.method == SHORT else LEVEL
-    found = friction(plan, samples, **seen, level=level)
+    found = friction(plan, samples, held=seen["held"], slid=seen["slid"], moved=seen["moved"], level=level)
     if out is not None:
         learnt = found.learnt_scenario(None if scenario is None else scenarios.load(scenario))
         write_atomic(out, tomli_w.dumps(learnt.model_dump(mode="json", exclude_none=True)))

@@ -34,13 +34,40 @@ from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 
 GRAVITY = float(np.linalg.norm(GRAVITY_S))
-LEVEL = 0.5  # deg by which a robot's base may lean
-UNSEEN = 0.2  # deg by which a tray may be off what was planned, when there is no log
-SHAKES = 0.02  # of gravity: what may shake a tray beyond what the joints tell, and start a slip
-UNNOTICED = 1e-3  # m that a load may have moved beyond what was seen, against a mark on the tray
-STEP = 0.02  # s
-DIRECTIONS = 72
 METHOD, SHORT = "tilt", "short tilt"
+
+
+@dataclass(frozen=True)
+class FrictionOptions:
+    """What may be wrong in a test of friction, and how it is made. All of it is on the safe side of what is proven.
+
+    Attributes:
+        level: deg by which a robot's base may lean; doubled, a slow tilt proves 0.01 less.
+        levelled: deg, the same of a base that was levelled for short tilts; doubled, each proves 0.004 less.
+        unseen: deg by which a tray may be off what was planned, when there is no log.
+        shakes: share of gravity that may shake a tray beyond what the joints tell, and start a slip.
+        unnoticed: m that a load may have moved beyond what was seen, against a mark on the tray; doubled, a short tilt
+            proves 0.003 less.
+        farthest: m that a short tilt may move a load; doubled, it proves more and the load needs more room.
+        speed: deg/s at which a tray is tilted slowly; doubled, the test is shorter and shakes more.
+        hold: s that a slow tilt stays at its angle.
+        bends: rad/s^2 tried, of a short tilt where it is steepest: the more, the shorter, and the nearer to tipping.
+        spare: share of the weight by which a test stays from tipping, and of friction that it asks for beyond.
+    """
+
+    level: float = 0.5
+    levelled: float = 0.1
+    unseen: float = 0.2
+    shakes: float = 0.02
+    unnoticed: float = 1e-3
+    farthest: float = 0.02
+    speed: float = 4.0
+    hold: float = 1.0
+    bends: tuple[float, ...] = (4.0, 8.0)
+    spare: float = 0.02
+
+
+USUAL = FrictionOptions()
 
 
 @dataclass(frozen=True)
@@ -61,11 +88,17 @@ class Friction:
         where = f"the base of {self.plan.scenario.payload.first.name} on the tray, as a mean weighted by pressure"
         under = "for every centre of mass and place within the ranges"
         found = (("least", self.low, self.low_time), ("most", self.high, self.high_time))
-        return tuple(
+        values = tuple(
             f"Friction is at {which} {value:.3f} ({where}; {under}): needed at t = {time:.2f} s."
             for which, value, time in found
             if value is not None
         )
+        area, mass = _area(self.plan.scenario.payload.first), self.plan.scenario.payload.first.inertial.mass
+        pressure = (
+            f"The mean pressure was {mass * GRAVITY / area:.0f} Pa ({mass:.3g} kg on {1e4 * area:.3g} cm^2): "
+            "soft or sticky surfaces have another friction under another; test again with more weight on the load."
+        )
+        return (*values, pressure) if values and area else values
 
     def learnt_scenario(self, scenario: Scenario | None = None) -> Scenario:
         """A scenario of this load (the plan's own, unless given) with what is left of its range of friction.
@@ -102,8 +135,8 @@ def needed(w: Array, com_E: Array, reach: Array, off: float) -> tuple[Array, Arr
     """
     force = _forces(w, com_E, reach)
     along, normal = np.linalg.norm(force[..., :2], axis=2), force[..., 2]
-    angle = np.linspace(0.0, 2 * np.pi, DIRECTIONS, endpoint=False)
-    round_ = np.broadcast_to(np.column_stack([np.cos(angle), np.sin(angle)]), (len(w), DIRECTIONS, 2))
+    angle = np.linspace(0.0, 2 * np.pi, 72, endpoint=False)
+    round_ = np.broadcast_to(np.column_stack([np.cos(angle), np.sin(angle)]), (len(w), len(angle), 2))
     middle = force[..., :2].mean(axis=1)
     own = middle / np.maximum(np.linalg.norm(middle, axis=1), 1e-12)[:, None]
     pushed = np.einsum("tuk,tck->tuc", np.concatenate([round_, own[:, None]], axis=1), force[..., :2]) - off
@@ -155,14 +188,16 @@ def friction(
     held: float | None = None,
     slid: float | None = None,
     moved: float | None = None,
-    level: float = LEVEL,
+    level: float | None = None,
+    options: FrictionOptions = USUAL,
 ) -> Friction:
     """What a run of a plan shows of the load's friction.
 
-    samples: what the joints did, from rest to rest; None: what was planned, within `UNSEEN`. held: s after the motion
-    began until which the load surely did not slide; unless given, to the end when `slid` is not given either. slid: by
-    when it surely had begun to. moved: m by which it was seen to have moved on a short tilt (0 unless given), to
-    `UNNOTICED`. level: deg by which the robot's base may lean.
+    samples: what the joints did, from rest to rest; None: what was planned, within `options.unseen`. held: s after the
+    motion began until which the load surely did not slide; unless given, to the end when `slid` is not given either.
+    slid: by when it surely had begun to. moved: m by which it was seen to have moved on a short tilt (0 unless given),
+    to `options.unnoticed`. level: deg by which the robot's base may lean; unless given `options.levelled` on a short
+    tilt, `options.level` on others.
 
     Raises ScenarioError for what this cannot be asked of, FileFormatError for a log that is not of the plan.
     """
@@ -172,10 +207,11 @@ def friction(
         raise ScenarioError(f"{scenario.name}: this plan has no arm that moves; friction is shown by the arm's motion.")
     short = plan.method == SHORT
     _can_be_seen(plan, held, slid, moved)
+    level = level if level is not None else options.levelled if short else options.level
     arm = load_arm(plan.scenario.arm, scenario.tray)  # type: ignore[arg-type]
     if samples is None:
-        t = np.linspace(0.0, plan.duration, 1 + int(np.ceil(plan.duration / STEP)))
-        motion, lean = plan.joint.sample(t)[:3], level + UNSEEN
+        t = np.linspace(0.0, plan.duration, 1 + int(np.ceil(plan.duration / 0.02)))
+        motion, lean = plan.joint.sample(t)[:3], level + options.unseen
     else:
         done = executed(plan.joint, samples)
         t, motion, lean = done.t, (done.q, done.dq, done.ddq), level
@@ -184,9 +220,9 @@ def friction(
     least, most = needed(terms.w, body.p_EB, _reach(scenario, body), GRAVITY * lean)
     if short:
         at = int(np.argmax(least))
-        known = proves(t, terms.w, scenario, lean, moved or 0.0)
+        known = proves(t, terms.w, scenario, lean, (moved or 0.0) + options.unnoticed)
         return Friction(plan, known or None, float(t[at]), None, 0.0)
-    high = most + SHAKES * (1 + most)
+    high = most + options.shakes * (1 + most)
     until = plan.duration if held is None else held
     before = (t >= 0) & (t <= until) & (held is not None or slid is None)
     low_at = int(np.argmax(np.where(before, least, 0.0)))
@@ -221,12 +257,14 @@ def _can_be_seen(plan: Plan, held: float | None, slid: float | None, moved: floa
         raise ScenarioError("A short tilt is over before anybody can tell when a load slid: give by how much it moved.")
 
 
-def proves(t: Array, w: Array, scenario: Scenario, lean: float, moved: float = 0.0) -> float:
-    """The friction that a short tilt shows: with less, a load slides farther than it was seen to have moved (m)."""
+def proves(
+    t: Array, w: Array, scenario: Scenario, lean: float, moved: float = 0.0, unnoticed: float = USUAL.unnoticed
+) -> float:
+    """The friction that a short tilt shows: with less, a load slides farther than `moved` (m)."""
     slides, low, high = ways(t, w, scenario, lean), 0.0, 2.0
     for _ in range(24):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if slides(middle)[0] > moved + UNNOTICED else (low, middle)
+        low, high = (middle, high) if slides(middle)[0] > moved else (low, middle)
     return low
 
 
@@ -245,6 +283,12 @@ def lone_load(scenario: Scenario) -> Body:
             "load on the tray; calibrate each alone."
         )
     return scenario.payload.first
+
+
+def _area(body: Body) -> float:
+    """m^2 of the base."""
+    x, y = body.base_polygon_B[:, :2].T
+    return float(0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)))
 
 
 def _half(scenario: Scenario, parameter: Parameter) -> float:

@@ -16,44 +16,23 @@ import numpy as np
 from salver.contact_margins.motion import tray_motion
 from salver.errors import ScenarioError, Status
 from salver.geometry import Array, exp
-from salver.learning.friction import (
-    LEVEL,
-    METHOD,
-    SHORT,
-    UNSEEN,
-    leaning,
-    lone_load,
-    proves,
-    ways,
-)
+from salver.learning.friction import METHOD, SHORT, USUAL, FrictionOptions, leaning, lone_load, proves, ways
 from salver.models.contact_rows import contact_rows
 from salver.planning.make import with_arm
 from salver.planning.plan import Plan
 from salver.scenario import Scenario
 from salver.trajectory import MotionSamples, SampledReference
 
-SPEED = 4.0  # deg/s at which a tray is tilted slowly, at most
-REST = 1.0  # s that it stays then
-TURNED = (
-    2.0,
-    4.0,
-    8.0,
-)  # rad/s^2, of a short tilt where it is steepest: the more, the shorter, and the nearer to tipping
 STEP = 0.02  # s
 STEEPER = 1e-3  # rad than need be
 MOST = 1.5  # friction that can be asked for: a tilt of some 60 deg
-SPARE = 0.02  # of the weight: how far from tipping a test stays, and of friction that it asks for beyond
-FARTHEST = 0.02  # m that a short tilt may move a load
-NEAREST = 1e-3  # m, and not less
-LEVELLED = 0.1  # deg, of a base that was levelled for short tilts
-
-HEADINGS = 3  # of the steepest, that a short tilt may take
+NEAREST = 1e-3  # m that a short tilt must be able to move a load
 
 Profile = Callable[[float], tuple[Array, Array, Array, Array]]  # of rad: t, angle, rate, acceleration, (T,) each
 _Tilt = tuple[float, float, Profile]  # heading and angle, rad
 
 
-def tilt_test(scenario: Scenario, shown: float, level: float = LEVEL) -> Plan:
+def tilt_test(scenario: Scenario, shown: float, level: float | None = None, options: FrictionOptions = USUAL) -> Plan:
     """A slow tilt of the tray where the motion starts, and back: that the load does not slide proves `shown`.
 
     It is safe from tipping for the whole set; of friction it asks for `shown` and what may be wrong about the angle.
@@ -62,11 +41,15 @@ def tilt_test(scenario: Scenario, shown: float, level: float = LEVEL) -> Plan:
     body = lone_load(scenario)
     if not 0 < shown <= MOST:
         raise ScenarioError(f"A friction of {shown:g} was asked for; it must be above 0 and at most {MOST:g}.")
-    lean = leaning(scenario, level + UNSEEN)
+    lean = leaning(scenario, (options.level if level is None else level) + options.unseen)
+
+    def slowly(angle: float) -> tuple[Array, Array, Array, Array]:
+        return _slowly(angle, options)
+
     a = np.arctan(shown)  # (sin - lean) / (cos + lean) of the angle is `shown`
     angle = float(a + np.arcsin(min(1.0, lean * (1 + shown) * np.cos(a))) + STEEPER)
-    steepest = _headings(scenario, _slowly)
-    headings: list[_Tilt] = [(heading, angle, _slowly) for heading, most in steepest if most >= angle]
+    steepest = _headings(scenario, slowly, options)
+    headings: list[_Tilt] = [(heading, angle, slowly) for heading, most in steepest if most >= angle]
     if not headings:
         most = steepest[0][1]
         gentler = most - STEEPER
@@ -76,16 +59,20 @@ def tilt_test(scenario: Scenario, shown: float, level: float = LEVEL) -> Plan:
             f"tilt by {np.rad2deg(angle):.1f} deg; at most {np.floor(1000 * can) / 1000:g} can be asked for."
         )
     told = f"that the load does not slide proves a friction of {shown:g}."
-    return _first_that_can(scenario, METHOD, headings, lean, told)
+    return _first_that_can(scenario, METHOD, headings, lean, told, options)
 
 
-def short_tilt(scenario: Scenario, farthest: float = FARTHEST, level: float = LEVELLED) -> Plan:
-    """A short tilt, as steep as a load of the least friction in the ranges moves by no more than `farthest` (m).
+def short_tilt(
+    scenario: Scenario, farthest: float | None = None, level: float | None = None, options: FrictionOptions = USUAL
+) -> Plan:
+    """A short tilt, as steep as a load of the least friction in the ranges moves by no more than
+    `options.farthest`.
 
     It is safe from tipping for the whole set, and the whole base stays on the tray. Raises ScenarioError when it would
     tip or has no room, or the arm cannot.
     """
     body, payload = lone_load(scenario), scenario.payload
+    farthest = options.farthest
     if not NEAREST <= farthest <= 0.1:
         raise ScenarioError(f"A load may be moved by {NEAREST:g} m to 0.1 m by a short tilt, not by {farthest:g} m.")
     farthest = min(farthest, room(scenario))
@@ -94,24 +81,27 @@ def short_tilt(scenario: Scenario, farthest: float = FARTHEST, level: float = LE
             f"{body.name} may stand {1e3 * farthest:.1f} mm from the edge of the tray; a short tilt needs "
             f"{1e3 * NEAREST:g} mm."
         )
-    lean, least = leaning(scenario, level + UNSEEN), payload.least_friction(body)
+    lean, least = (
+        leaning(scenario, (options.levelled if level is None else level) + options.unseen),
+        payload.least_friction(body),
+    )
     found: list[tuple[float, _Tilt]] = []
-    for bend in TURNED:
+    for bend in options.bends:
         profile, low, high = _shortly(bend), 0.0, min(1.0, float(np.arctan(least)) + 0.5)
         for _ in range(16):
             middle = 0.5 * (low + high)
             t, *turn = profile(middle)
             slides = ways(t, _felt(scenario, 0.0, t, *turn), scenario, lean)
             low, high = (middle, high) if slides(least)[1] <= farthest else (low, middle)
-        for heading, most in _headings(scenario, profile)[:HEADINGS]:
+        for heading, most in [each for each in _headings(scenario, profile, options)[:3] if each[1] > 0]:
             t, *turn = profile(min(low, most))
-            proven = proves(t, _felt(scenario, heading, t, *turn), scenario, lean) if most > 0 else 0.0
-            found += [(proven, (heading, min(low, most), profile))] if most > 0 else []
+            proven = proves(t, _felt(scenario, heading, t, *turn), scenario, lean, options.unnoticed)
+            found.append((proven, (heading, min(low, most), profile)))
     if not found:
         raise ScenarioError(f"{body.name} could tip at rest within its ranges; no tilt shows its friction.")
     told = f"a load with a friction of {least:.3f} or more moves by {1e3 * farthest:g} mm at most."
     best = [tilt for _, tilt in sorted(found, key=lambda item: -item[0])]
-    return _first_that_can(scenario, SHORT, best, lean, told)
+    return _first_that_can(scenario, SHORT, best, lean, told, options)
 
 
 def room(scenario: Scenario) -> float:
@@ -124,11 +114,13 @@ def room(scenario: Scenario) -> float:
     return float((0.5 * np.array(scenario.tray.size) - base).min())
 
 
-def _first_that_can(scenario: Scenario, method: str, tilts: list[_Tilt], lean: float, told: str) -> Plan:
+def _first_that_can(
+    scenario: Scenario, method: str, tilts: list[_Tilt], lean: float, told: str, options: FrictionOptions
+) -> Plan:
     """The first of several tilts that the arm can make."""
     made: list[Plan] = []
     for heading, angle, profile in tilts:
-        tested = _tested(scenario, (np.tan(angle) + 2 * lean) * (1 + SPARE) + SPARE)
+        tested = _tested(scenario, (np.tan(angle) + 2 * lean) * (1 + options.spare) + options.spare)
         t, *turn = profile(angle)
         samples = _motion(tested, heading, t, *turn)
         words = f"Tilts by {np.rad2deg(angle):.1f} deg in {0.5 * t[-1]:.1f} s and back; {told}"
@@ -158,7 +150,7 @@ def _tested(scenario: Scenario, coefficient: float) -> Scenario:
     )
 
 
-def _headings(scenario: Scenario, profile: Profile) -> list[tuple[float, float]]:
+def _headings(scenario: Scenario, profile: Profile, options: FrictionOptions) -> list[tuple[float, float]]:
     """Headings (rad) in which a tray can fall, and by which angle (rad) at most, so that no load of the set tips; the
     steepest first."""
     rows = [
@@ -172,7 +164,7 @@ def _headings(scenario: Scenario, profile: Profile) -> list[tuple[float, float]]
         while last - first > 1:
             middle = (first + last) // 2
             w = _felt(scenario, heading, *profile(float(angles[middle])))
-            tips = max(float(each.worst(w).max()) for each in rows) > -SPARE
+            tips = max(float(each.worst(w).max()) for each in rows) > -options.spare
             first, last = (first, middle) if tips else (middle, last)
         found.append((float(heading), float(angles[first])))
     return sorted(found, key=lambda item: -item[1])
@@ -193,12 +185,12 @@ def _motion(scenario: Scenario, heading: float, t: Array, angle: Array, rate: Ar
     return MotionSamples(t, still + np.array(start.position), still, still, R_SB, *turns)
 
 
-def _slowly(angle: float) -> tuple[Array, Array, Array, Array]:
-    one_way = max(STEP, 1.875 * np.rad2deg(angle) / SPEED)
-    t = np.arange(0.0, 2 * one_way + REST + STEP, STEP)
-    t *= (2 * one_way + REST) / t[-1]
+def _slowly(angle: float, options: FrictionOptions) -> tuple[Array, Array, Array, Array]:
+    one_way = max(STEP, 1.875 * np.rad2deg(angle) / options.speed)
+    t = np.arange(0.0, 2 * one_way + options.hold + STEP, STEP)
+    t *= (2 * one_way + options.hold) / t[-1]
     up = np.clip(t / one_way, 0, 1)
-    down = np.clip((t - one_way - REST) / one_way, 0, 1)
+    down = np.clip((t - one_way - options.hold) / one_way, 0, 1)
     share, rate, bend = (_min_jerk(up, k) / one_way**k - _min_jerk(down, k) / one_way**k for k in range(3))
     return t, angle * share, angle * rate, angle * bend
 

@@ -27,11 +27,11 @@ import numpy as np
 from salver.errors import SalverError, ScenarioError, UnreachableError
 from salver.geometry import Array
 from salver.learning.excite import plan_excite
-from salver.learning.friction import UNNOTICED, Friction, friction
+from salver.learning.friction import USUAL, Friction, friction
 from salver.learning.identify import Identified, Run, identify_runs
 from salver.learning.sensors import Defects, Done, SensedArm, Sensors
 from salver.learning.systematic import SensorBounds
-from salver.learning.tilts import LEVELLED, short_tilt
+from salver.learning.tilts import short_tilt
 from salver.models.arm import load_arm
 from salver.models.parameters import INERTIAL, inertial_vector
 from salver.motion_files.samples import joint_samples
@@ -125,7 +125,7 @@ def trips(
     first: Plan | None = None,
     *,
     tilts: bool = True,
-    level: float = LEVELLED,
+    level: float = USUAL.levelled,
 ) -> Iterator[Trip]:
     """So many trips with one hidden true load, drawn with the seed; ends early when the load is lost. first: the plan
     to begin with, of this scenario; unless given it is made. tilts: whether friction is looked for after the first
@@ -240,7 +240,7 @@ class _Hidden:
             found = friction(plan, done, moved=moved, level=level)
             self.known = _with_friction(self.known, found.learnt_scenario(self.known))
             yield Tilt(plan, moved, record.outcome, found)
-            if moved > UNNOTICED:
+            if moved > USUAL.unnoticed:
                 return
 
 

@@ -34,14 +34,13 @@ class TuningOptions:
     """How hard a robot is tried before it is refused.
 
     Attributes:
-        gain: share of what was missed that is added to the command; at twice the default corrections overshoot and
-            diverge.
+        gain: share of what was missed that is added to the command; at twice the default corrections overshoot.
         fastest: Hz up to which is corrected; doubled, what differs from run to run is amplified.
         tail: s over which a correction ends after the motion.
         corrections: of one plan at most; doubled, twice the runs.
         helps: share of the excess that a correction leaves, at most, to be followed by another.
         replans: plans with another margin, at most.
-        dearest: of the weight, the largest margin: it costs a fifth of the speed; doubled, half of it.
+        dearest: of the weight, the largest margin: it costs a fifth of the speed.
     """
 
     gain: float = 0.9
