@@ -30,7 +30,7 @@ from salver.learning.excite import plan_excite
 from salver.learning.identify import Run, identify, identify_runs
 from salver.learning.sensors import Defects, SensedArm, Sensors
 from salver.learning.systematic import SensorBounds
-from salver.learning.trips import EFFORT, Sensor, trips, true_load
+from salver.learning.trips import LEARNING, Sensor, trips, true_load
 from salver.models.parameters import INERTIAL, inertial_vector
 from salver.models.physical import random_inertia
 from salver.planning.fastest import plan_fastest
@@ -180,10 +180,10 @@ def carried(friction: str, sensor: str, loads: int, count: int, folder: Path) ->
         if friction == "known":  # so that the true one lies between 0.2 and 0.6
             scenario = bottle(friction, float(np.random.default_rng([13, seed]).uniform(0.2 / 0.9, 0.6 / 1.1)))
         elif first is None:
-            first = plan_fastest(fixed, options=EFFORT)
+            first = plan_fastest(fixed, options=LEARNING.effort)
         done = list(trips(scenario, count, seed, sensor, first))  # type: ignore[arg-type]
         tilts = [tilt for trip in done for tilt in trip.tilts]
-        telling = [trip.telling.outcome for trip in done if trip.telling is not None]
+        excitation = [trip.excitation.outcome for trip in done if trip.excitation is not None]
         known, true = done[-1].known.payload, true_load(scenario, seed)
         off = np.abs(true[:4] - [known.first.inertial.mass, *known.first.com_G])
         lines.append(
@@ -192,8 +192,8 @@ def carried(friction: str, sensor: str, loads: int, count: int, folder: Path) ->
                 "held": sum(trip.outcome == "holds" for trip in done),
                 "softer": [in_soft_contacts(trip.plan, true, seed) for trip in done],
                 "moved": [tilt.moved for tilt in tilts],
-                "lost": sum(tilt.found is None for tilt in tilts) + sum(x != "holds" for x in telling),
-                "telling": telling,
+                "lost": sum(tilt.found is None for tilt in tilts) + sum(x != "holds" for x in excitation),
+                "excitation": excitation,
                 "least": known.least_friction(known.first),
                 "true": float(true[10]),
                 "inside": bool((off <= known.uncertain.half_range[:4] + 1e-12).all()),

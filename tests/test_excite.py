@@ -1,4 +1,4 @@
-"""The most telling safe motion: the objective's slope, what it promises against what logs give, and that it is safe."""
+"""Excitation trajectories: the objective's slope, what it promises against what logs give, and that it is safe."""
 
 from __future__ import annotations
 

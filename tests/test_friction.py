@@ -72,7 +72,7 @@ def test_a_tray_planned_to_tilt_proves_what_was_asked(plan: Plan) -> None:
     assert found.high is None
     assert found.low is not None
     assert SHOWN <= found.low < SHOWN + 0.01
-    assert "1569 Pa (0.256 kg on 16 cm^2)" in found.sentences[-1]
+    assert "1570 Pa (0.256 kg on 16 cm^2)" in found.sentences[-1]
     steepest = np.arccos(plan.reference.sample(plan.t).R_SB[:, 2, 2].min())
     assert found.low < np.tan(steepest)
     shakier = friction(plan, level=2.0).low

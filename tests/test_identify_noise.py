@@ -73,7 +73,7 @@ def bottle() -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def telling() -> Plan:
+def excitation() -> Plan:
     return plan_excite(bottle(), 4.0)
 
 
@@ -86,22 +86,24 @@ def drawn(plan: Plan, seed: int) -> Array:
 
 
 @pytest.mark.slow
-def test_over_long_blocks_of_a_quick_motion_the_load_comes_out_without_errors(telling: Plan) -> None:
+def test_over_long_blocks_of_a_quick_motion_the_load_comes_out_without_errors(excitation: Plan) -> None:
     """Blocks of 43 ms. What it needs at their mean states, and not on the mean, is some 4e-5 kg m^2 else about one pair
     of axes: six times what noise hides."""
     quiet = replace(FAST, times=0.0, links=0.0, friction_change=0.0)
-    arm, values = SensedArm(telling, 0, quiet, joints=False), drawn(telling, 0)
-    found = identify_runs(telling.scenario, [Run(telling, arm.log(values), arm.log(None))])
+    arm, values = SensedArm(excitation, 0, quiet, joints=False), drawn(excitation, 0)
+    found = identify_runs(excitation.scenario, [Run(excitation, arm.log(values), arm.log(None))])
     assert np.abs(found.phi - phi_of(values))[4:] == pytest.approx(np.zeros(6), abs=1e-5)
 
 
 @pytest.mark.slow
-def test_of_a_quick_trip_and_a_telling_motion_together_joint_torques_say_nothing_false(telling: Plan) -> None:
+def test_of_a_quick_trip_and_an_excitation_trajectory_joint_torques_say_nothing_false(
+    excitation: Plan,
+) -> None:
     """A claim of 95 %, as 160 ranges of mass and centre of mass can show it (deviation: 1.7 %); those to plan with
     should miss hardly ever."""
-    plans, inside = [plan_fastest(bottle()), telling], []
+    plans, inside = [plan_fastest(bottle()), excitation], []
     for seed in range(40):
-        values, runs = drawn(telling, seed), []
+        values, runs = drawn(excitation, seed), []
         for k, plan in enumerate(plans):
             arm = SensedArm(plan, 40 * k + seed, FAST, wrist=False)
             runs.append(Run(plan, arm.log(values), arm.log(None)))

@@ -26,9 +26,9 @@ def test_second_trip_is_quicker_nothing_is_lost_and_the_truth_stays_within_the_r
     true, made = true_load(scenario, seed), list(trips(scenario, 3, seed))
     assert [trip.outcome for trip in made] == ["holds"] * 3
     assert made[1].plan.duration < 0.95 * made[0].plan.duration
-    assert made[0].telling is not None
-    assert made[0].telling.outcome == "holds"
-    assert made[1].telling is None
+    assert made[0].excitation is not None
+    assert made[0].excitation.outcome == "holds"
+    assert made[1].excitation is None
     assert made[1].tilts == ()
     widths = [scenario.payload.uncertain.half_range[:4]]
     for trip in made:
@@ -77,7 +77,7 @@ def test_a_plan_that_is_slower_is_not_taken(cube: Scenario, monkeypatch: pytest.
     """The one before was safe for wider ranges; one that is quicker is taken."""
     case = cube.with_changes(objects__0__uncertainty={"mass": "10%"})
     plan = plan_fastest(case.with_changes(contact__margin=0.02))
-    monkeypatch.setattr(_Hidden, "tell", lambda hidden: None)
+    monkeypatch.setattr(_Hidden, "excite", lambda hidden: None)
     monkeypatch.setattr(_Hidden, "climb", lambda hidden, level: pytest.fail("a tilt that was not to be"))
     for others, kept in ((plan.at_speed(0.9), True), (plan_fastest(case), False)):
         monkeypatch.setattr(made, "plan_fastest", lambda known, options, others=others: others)
@@ -127,13 +127,13 @@ def test_command_refuses_to_write_over_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_joint_torques_locate_a_load_by_the_motion_that_tells_most() -> None:
+def test_joint_torques_locate_a_load_by_an_excitation_trajectory() -> None:
     """Carried gently they weigh it; that motion takes a tenth off the second trip. Nothing is lost, the truth stays in
     the ranges."""
     wide = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": 0.2}
     scenario, seed = load("panda-tall-bottle").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4), 1
     careful, second = trips(scenario, 2, seed, "torques", tilts=False)
-    assert [careful.outcome, careful.telling.outcome, second.outcome] == ["holds"] * 3
+    assert [careful.outcome, careful.excitation.outcome, second.outcome] == ["holds"] * 3
     assert second.plan.duration < 0.9 * careful.plan.duration
     known, true = second.known.payload, true_load(scenario, seed)
     off = np.abs(true[:4] - [known.first.inertial.mass, *known.first.com_G])

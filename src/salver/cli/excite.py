@@ -17,7 +17,7 @@ def excite(
     duration: Annotated[float, typer.Option(help="Of the motion, s.")] = 2.0,
     json: Json = False,
 ) -> None:
-    """Plan a safe motion that tells most of what the load is, for salver identify.
+    """Plan an excitation trajectory: a safe motion that shows most of what the load is, for salver identify.
 
     From where the scenario's motion starts and back to it, in the given time, safe for the ranges that the scenario has
     now: of such motions one that lets a wrist sensor tell mass and centre of mass best (D-optimal; a local optimum).

@@ -40,9 +40,9 @@ def learn(
     """Carry a load whose ranges are wide carefully, learn what it is, and carry it ever faster.
 
     Each trip is the fastest safe motion for what is known; the load, which is hidden, is carried in the physics engine;
-    what the arm's sensors felt narrows the ranges for the next. Between the first and the second the arm makes
-    the safe motion that tells most of the load, and the tray tilts, a little steeper each time, for a lower bound of
-    friction. See `salver excite`, `salver identify` and `salver calibrate` for real arms.
+    what the arm's sensors felt narrows the ranges for the next. Between the first and the second the arm makes an
+    excitation trajectory, and the tray tilts, a little steeper each time, for a lower bound of friction. See `salver
+    excite`, `salver identify` and `salver calibrate` for real arms.
 
     Example: `salver learn panda-tall-bottle --trips 6 -o learnt.toml`
 
@@ -60,8 +60,8 @@ def learn(
     for trip in carried(scenarios.load(scenario), trips, seed, sensor, tilts=tilts, level=level):
         made.append(trip)
         say(f"Trip {trip.number} of {trips}: {trip.plan.duration:.3f} s, {trip.outcome}. {trip.told}".rstrip())
-        if trip.telling is not None:
-            say(f"A motion of {trip.telling.plan.duration:g} s that tells most of the load: {trip.telling.outcome}.")
+        if trip.excitation is not None:
+            say(f"An excitation trajectory of {trip.excitation.plan.duration:g} s: {trip.excitation.outcome}.")
         if trip.tilts:
             say(_tilted(trip))
         if out is not None and trip.learnt is not None:
@@ -104,7 +104,7 @@ def _record(trip: Trip) -> dict[str, Any]:
         "plan_of_the_trip_before": trip.kept,
         "learnt": {name: [r.low, r.high] for name, r in ranges.items()},
         "friction": list(_friction(trip)),
-        "telling": None if trip.telling is None else trip.telling.outcome,
+        "excitation": None if trip.excitation is None else trip.excitation.outcome,
         "tilts": [{"moved": tilt.moved, "outcome": tilt.outcome} for tilt in trip.tilts],
         "told": trip.told,
     }

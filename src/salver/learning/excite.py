@@ -1,4 +1,4 @@
-"""Which safe motion shows most of what a load is: mass and centre of mass, to a sensor in the wrist.
+"""Excitation trajectories: safe motions that show most of mass and centre of mass to a sensor in the wrist.
 
 A motion from a posture back to it, in a given time, under all constraints of a fastest plan for the *present* ranges;
 made large is the information of `salver.learning.identify` about mass and centre of mass (D-optimal: Fedorov 1972;
@@ -45,11 +45,6 @@ from salver.sensitivity.arm.terms import MotionTerms, motion_terms
 
 METHOD = "excite"
 SHORTEST, LONGEST = 0.3, 30.0  # s
-DEGREE = 5  # of the joints' splines
-RATE = 1000.0  # samples a second of the sensor, for what is told
-STARTS = 3  # small random motions from which is begun, one after the other until one leads to a safe motion
-SMALL = 0.02  # rad, of these
-SWINGS = 6  # half waves of these, at most
 SOUGHT = 4  # of phi: mass, and the centre of mass times it
 
 
@@ -66,7 +61,7 @@ class Information(Objective):
     density: Array
     bias: Array
     known: Array
-    sought = "most telling"
+    sought = "most informative"
 
     @classmethod
     def of(cls, problem: TransportProblem) -> Information:
@@ -115,12 +110,12 @@ class Information(Objective):
 
 
 def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions | None = None) -> Plan:
-    """A safe motion of so many s, from where the scenario's begins and back, that tells most of the load.
+    """An excitation trajectory of so many s, from where the scenario's motion begins and back.
 
     Raises ScenarioError for what this cannot be asked of, UnreachableError when no such motion is found.
     """
     if scenario.arm is None or len(scenario.objects) > 1 or scenario.payload.liquids:
-        raise ScenarioError(f"{scenario.name}: what a motion tells is known of an arm with one rigid load on its tray.")
+        raise ScenarioError(f"{scenario.name}: an excitation trajectory needs an arm with one rigid load on its tray.")
     if not SHORTEST <= duration <= LONGEST:
         raise ScenarioError(f"A duration of {duration:g} s was asked for; it must be {SHORTEST:g} to {LONGEST:g}.")
     start = scenario.motion.start.model_dump()
@@ -138,9 +133,9 @@ def plan_excite(scenario: Scenario, duration: float, *, options: FastestOptions 
         raise UnreachableError(f"{scenario.name}: no posture within the joint limits reaches the start pose.")
     posture = AtPosture(pairs[0].start)
     problem = replace(problem, start=posture, goal=posture)
-    spline, objective = RestSpline(DEGREE, options.spans), Information.of(problem)
+    spline, objective = RestSpline(5, options.spans), Information.of(problem)
     failed: list[Status] = []
-    for seed in range(STARTS):
+    for seed in range(3):  # initial guesses, until one leads to a safe motion
         found = nearby(_wiggle(problem, spline, duration, options.seed + seed), objective, duration, options)
         plan = _planned(there, found)
         if plan.status.ok and not plan.verification.ok:  # as `plan_problem` does: quick turns leave what rows allow for
@@ -160,7 +155,7 @@ def _planned(scenario: Scenario, found: FastestMotion) -> Plan:
     plan = joint_plan(scenario, found.problem, found.joint_motion(), found.status, record, method=METHOD)
     if not plan.status.ok:
         return plan
-    arm = SensedArm(plan, 0, Sensors(rate=RATE), joints=False)
+    arm = SensedArm(plan, 0, Sensors(rate=1000.0), joints=False)
     ranges = identify(plan, [arm.log(nominal_load(plan))], arm.log(None)).ranges
     mass, *com = (1e3 * ranges[name].half for name in NAMES)
     sentence = (
@@ -171,11 +166,11 @@ def _planned(scenario: Scenario, found: FastestMotion) -> Plan:
 
 
 def _wiggle(problem: TransportProblem, spline: RestSpline, duration: float, seed: int) -> FastestMotion:
-    """A small random motion to begin from."""
+    """A random motion of some 0.02 rad and six half waves to begin from."""
     rng, s = np.random.default_rng(seed), np.linspace(0.0, 1.0, 201)
     assert problem.start_posture is not None
-    waves = np.sin(np.pi * s[:, None] * np.arange(1, SWINGS + 1)) @ rng.standard_normal((SWINGS, problem.n))
+    waves = np.sin(np.pi * s[:, None] * np.arange(1, 7)) @ rng.standard_normal((6, problem.n))
     bump = (4 * s * (1 - s))[:, None] ** 2
-    q = problem.start_posture + SMALL * bump * waves / np.sqrt(SWINGS)
+    q = problem.start_posture + 0.02 * bump * waves / np.sqrt(6)
     status = Status("begun", "", False)
     return FastestMotion(problem, spline, spline.fit(s, q), duration, status, {}, (), 0.0, 0)

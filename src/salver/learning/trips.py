@@ -5,11 +5,10 @@ the load is meant to stay on every trip. A plan that is slower than the one befo
 wider ranges.
 
 A first trip is short and gentle, and so hides the height of the centre of mass. So between it and the second the arm
-makes the motion that tells a wrist sensor most of the load, safe as any trip (`salver.learning.excite`); of joint
-torques, too, it shows where the centre of mass is, which carrying hides from them. And no carry tells more of friction
-than its plan was told. So the tray tilts, shortly and each time a little steeper (`salver.learning.tilts`), until the
-load moves by more than a mark on the tray hides, or could tip: by two centimetres at most, whatever its friction is.
-Then it is put back.
+makes an excitation trajectory, safe as any trip (`salver.learning.excite`); joint torques, too, locate the centre of
+mass by it. And no carry shows more friction than its plan assumes. So the tray tilts, shortly and each time a little
+steeper (`salver.learning.tilts`), until the load moves by more than a mark on the tray hides, or could tip: by two
+centimetres at most, whatever its friction is. Then it is put back.
 
 Here the load is carried in the physics engine, which alone knows the true one, and judged there. What the arm's
 sensors say (`salver.learning.sensors`) is made along what the engine's arm does with the load strapped to the tray, and
@@ -35,20 +34,38 @@ from salver.learning.tilts import short_tilt
 from salver.models.arm import load_arm
 from salver.models.parameters import INERTIAL, inertial_vector
 from salver.motion_files.samples import joint_samples
-from salver.planning.fastest import EFFORTS, plan_fastest
+from salver.planning.fastest import EFFORTS, FastestOptions, plan_fastest
 from salver.planning.plan import Plan
 from salver.sampling import draw
 from salver.scenario import Scenario
 from salver.simulation.physics import Experiment, simulate
 from salver.simulation.record import SimulationRecord
 
-RATE = 1000.0  # samples of the sensors a second
-EFFORT = EFFORTS["thorough"]  # of each plan: a second of search is nothing beside a trip
-TELLING = 4.0  # s, of the motion that tells most
-TILTS = 12  # at most
-WORTH = 0.003  # of friction: a tilt that promises less is not made
-STIFF = 2e-4  # s, of the engine's steps at most: with longer ones a tall load rocks on its soft contacts
 Sensor = Literal["wrist", "torques"]
+
+
+@dataclass(frozen=True)
+class LearningOptions:
+    """How a load is learnt while it is carried.
+
+    Attributes:
+        rate: samples of the simulated sensors a second.
+        effort: of each plan: a second of search is nothing beside a trip.
+        excitation: s, of the excitation trajectory; doubled, ranges get narrower and a trip is lost.
+        tilts: short tilts at most.
+        worth: of friction; a tilt that promises less is not made.
+        timestep: s, of the engine's steps at most: with longer ones a tall load rocks on its soft contacts.
+    """
+
+    rate: float = 1000.0
+    effort: FastestOptions = EFFORTS["thorough"]
+    excitation: float = 4.0
+    tilts: int = 12
+    worth: float = 0.003
+    timestep: float = 2e-4
+
+
+LEARNING = LearningOptions()
 
 
 @dataclass(frozen=True)
@@ -64,8 +81,8 @@ class Tilt:
 
 
 @dataclass(frozen=True)
-class Telling:
-    """The motion that tells most of the load, from where a trip begins and back. outcome: of the engine."""
+class Excitation:
+    """An excitation trajectory, from where a trip begins and back. outcome: of the engine."""
 
     plan: Plan
     outcome: str
@@ -75,8 +92,8 @@ class Telling:
 class Trip:
     """plan: what was carried out; its scenario has the ranges it was planned for. outcome: of the engine, "holds" or
     what became of the load. kept: whether the plan is that of the trip before. learnt: from the logs so far; None if
-    they contradict the ranges or the load was lost, as told says. known: with all ranges after it. telling, tilts: made
-    then, before the next; telling is None where there was none to make.
+    they contradict the ranges or the load was lost, as told says. known: with all ranges after it. excitation, tilts:
+    made then, before the next; excitation is None where there was none to make.
     """
 
     number: int
@@ -85,14 +102,14 @@ class Trip:
     kept: bool
     learnt: Identified | None
     known: Scenario
-    telling: Telling | None = None
+    excitation: Excitation | None = None
     tilts: tuple[Tilt, ...] = ()
     told: str = ""
 
     @property
     def lost(self) -> bool:
         """Whether the load was lost, on the trip or on what was made then."""
-        then = self.telling is not None and self.telling.outcome != "holds"
+        then = self.excitation is not None and self.excitation.outcome != "holds"
         return self.outcome != "holds" or then or any(tilt.found is None for tilt in self.tilts)
 
     @property
@@ -137,7 +154,7 @@ def trips(
         raise ScenarioError(f"{scenario.name}: learning needs an arm, and one object on its tray.")
     hidden, plan = _Hidden(scenario, true_load(scenario, seed), seed, sensor), None
     for number in range(1, count + 1):
-        made = first if first is not None and number == 1 else plan_fastest(hidden.known, options=EFFORT)
+        made = first if first is not None and number == 1 else plan_fastest(hidden.known, options=LEARNING.effort)
         better = made.ok and (plan is None or made.duration < plan.duration)
         if plan is None and not made.ok:
             raise ScenarioError(f"{scenario.name}: no safe motion for its ranges to begin with. {made.status.sentence}")
@@ -147,18 +164,18 @@ def trips(
             told = "The load did not stay: nothing is learnt from this trip."
             yield Trip(number, plan, outcome, not better, None, hidden.known, told=told)
             return
-        told, learnt, telling, made_tilts = "", None, None, list[Tilt]()
+        told, learnt, excitation, made_tilts = "", None, None, list[Tilt]()
         try:
             learnt = hidden.identify(plan, f"trip {number}")
             if number == 1 and count > 1:
-                telling = hidden.tell()
-                if tilts and (telling is None or telling.outcome == "holds"):
+                excitation = hidden.excite()
+                if tilts and (excitation is None or excitation.outcome == "holds"):
                     made_tilts += hidden.climb(level)
         except SalverError as error:
             told = str(error)
         if learnt is not None:
             learnt = hidden.learnt  # with what was told then
-        trip = Trip(number, plan, outcome, not better, learnt, hidden.known, telling, tuple(made_tilts), told)
+        trip = Trip(number, plan, outcome, not better, learnt, hidden.known, excitation, tuple(made_tilts), told)
         yield trip
         if trip.lost:
             return
@@ -186,7 +203,7 @@ class _Hidden:
     def carried(self, plan: Plan) -> SimulationRecord:
         """What becomes of it on the tray."""
         physics = plan.scenario.physics
-        step = min(physics.timestep, physics.command_period / np.ceil(physics.command_period / STIFF))
+        step = min(physics.timestep, physics.command_period / np.ceil(physics.command_period / LEARNING.timestep))
         stiff = replace(plan, scenario=plan.scenario.with_changes(physics__timestep=float(step)))
         return simulate(stiff, parameters=self.named(plan), seed=self.seed)
 
@@ -195,7 +212,7 @@ class _Hidden:
         arm = SensedArm(
             replace(plan, scenario=self.base),
             1000 * self.seed + len(self.runs) + 1,
-            Sensors(rate=RATE),
+            Sensors(rate=LEARNING.rate),
             wrist=self.sensor == "wrist",
             joints=self.sensor == "torques",
             defects=Defects.usual(SensorBounds(), self.seed),
@@ -211,23 +228,23 @@ class _Hidden:
         self.learnt, self.known = found, _with_friction(found.learnt_scenario(), self.known)
         return found
 
-    def tell(self) -> Telling | None:
-        """Make the motion that tells a wrist sensor most, and joint torques much; None when there is none."""
+    def excite(self) -> Excitation | None:
+        """Make an excitation trajectory; None when there is none."""
         try:
-            plan = plan_excite(self.known, TELLING)
+            plan = plan_excite(self.known, LEARNING.excitation)
         except UnreachableError:
             return None
         outcome = self.carried(plan).outcome
         if outcome == "holds":
-            self.identify(plan, "telling motion")
-        return Telling(plan, outcome)
+            self.identify(plan, "excitation trajectory")
+        return Excitation(plan, outcome)
 
     def climb(self, level: float) -> Iterator[Tilt]:
         """Tilt, each time as steep as what is known allows, until the load moves, or could tip."""
-        for number in range(1, TILTS + 1):
+        for number in range(1, LEARNING.tilts + 1):
             plan = short_tilt(self.known, level=level)
             promised, before = friction(plan, level=level).low, self.known.payload
-            if (promised or 0.0) < before.least_friction(before.first) + WORTH:
+            if (promised or 0.0) < before.least_friction(before.first) + LEARNING.worth:
                 return
             record = self.carried(plan)
             moved = float(record.slip.max())
@@ -260,10 +277,10 @@ def _empty(plan: Plan, named: dict[str, float]) -> tuple[Plan, dict[str, float]]
 
 
 def _done(plan: Plan, named: dict[str, float], seed: int) -> Done:
-    """What the engine's arm does, `RATE` times a second."""
+    """What the engine's arm does, `LEARNING.rate` times a second."""
     trace = Experiment(plan).strapped(named, seed)
     ddq = np.gradient(trace.dq, trace.t, axis=0)
-    every = max(1, round(1 / (RATE * (trace.t[1] - trace.t[0]))))
+    every = max(1, round(1 / (LEARNING.rate * (trace.t[1] - trace.t[0]))))
     kept = slice(None, None, every)
     return trace.t[kept], trace.q[kept], trace.dq[kept], ddq[kept]
 
