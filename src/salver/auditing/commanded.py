@@ -44,13 +44,11 @@ def open_questions(samples: JointSamples) -> list[tuple[str, str]]:
     moved = float(np.sum(np.abs(np.diff(samples.q, axis=0))))
     told = float(np.sum(0.5 * np.abs(samples.dq[1:] + samples.dq[:-1]) * step[:, None]))
     if told > 1e-3 and not told / _ALIKE < moved < told * _ALIKE:  # a stop at every waypoint tells nothing
-        found.append(
-            (
-                "clock",
-                f"the velocities would move the joints by {told:.3g} rad in all, the positions by {moved:.3g} rad: the "
-                "times are not in s, or the velocities not in rad/s",
-            )
+        clause = (
+            f"the velocities would move the joints by {told:.3g} rad in all, the positions by {moved:.3g} rad: the "
+            "times are not in s, or the velocities not in rad/s"
         )
+        found.append(("clock", clause))
     for end, k in (("starts", 0), ("ends", -1)):
         speed = float(np.abs(samples.dq[k]).max())
         if speed > _AT_SPEED:

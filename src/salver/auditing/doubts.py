@@ -76,38 +76,29 @@ class Borne:
         doubts = self._ends(recording.slowest)
         slip, harmless = self.hidden()
         if slip.distance > options.hidden:  # it grows with noise^2 / rate
-            better = options.hidden / slip.distance
-            noise = 1e3 * recording.sensor.displacement
-            known = f"nothing on the arm is faster than {np.floor(10 * harmless) / 10:g} Hz (--highest)"
-            doubts.append(
-                (
-                    "noise",
-                    f"noise of {noise:.2g} mm could hide a shake of {_shake(slip)}, which would slide the load by up "
-                    f"to {1e3 * slip.distance:.2g} mm; noise below {noise * better**0.5:.2g} mm, "
-                    f"{recording.rate / better:.2g} samples a second"
-                    f"{f', or the knowledge that {known}' if harmless else ''} would tell",
-                )
+            better, noise = options.hidden / slip.distance, 1e3 * recording.sensor.displacement
+            known = f", or the knowledge that nothing on the arm is faster than {np.floor(10 * harmless) / 10:g} Hz"
+            clause = (
+                f"noise of {noise:.2g} mm could hide a shake of {_shake(slip)}, which would slide the load by up to "
+                f"{1e3 * slip.distance:.2g} mm; noise below {noise * better**0.5:.2g} mm, "
+                f"{recording.rate / better:.2g} samples a second{f'{known} (--highest)' if harmless else ''} would tell"
             )
+            doubts.append(("noise", clause))
         short = self.reserve - self.motion.missed
         if slide(t, short) > options.noticed and slide(t, self.reserve) <= options.noticed:
             k = int(np.argmin(short))
-            doubts.append(
-                (
-                    "unresolved",
-                    f"at {t[k]:.3f} s the motion is so fast that {recording.rate:.3g} samples a second show its "
-                    f"acceleration only to {np.broadcast_to(self.motion.missed, t.shape)[k]:.2g} m/s^2: twice as many "
-                    "would tell",
-                )
+            clause = (
+                f"at {t[k]:.3f} s the motion is so fast that {recording.rate:.3g} samples a second show its "
+                f"acceleration only to {np.broadcast_to(self.motion.missed, t.shape)[k]:.2g} m/s^2: twice as many would tell"
             )
+            doubts.append(("unresolved", clause))
         fast = left_over(self.motion, self.reserve, self.rest)
         if fast.distance > options.noticed:
-            doubts.append(
-                (
-                    "unresolved",
-                    f"the recording holds {_shake(fast)}, too fast for {recording.rate:.3g} samples a second to show "
-                    f"its acceleration: {6 * fast.frequency:.0f} a second would",
-                )
+            clause = (
+                f"the recording holds {_shake(fast)}, too fast for {recording.rate:.3g} samples a second to show its "
+                f"acceleration: {6 * fast.frequency:.0f} a second would"
             )
+            doubts.append(("unresolved", clause))
         return doubts
 
     def left_out(self) -> str:

@@ -135,13 +135,11 @@ def _recorded(
     notes += [f"{each.clause[:1].upper()}{each.clause[1:]}." for each in found.defects if not each.doubtful]
     shown = filtered_at(found.t, found.y[:, :3] if found.pose else found.y, options.drop)
     if shown < options.highest:
-        doubts.append(
-            (
-                "filtered",
-                f"the samples were filtered at {shown:.2g} Hz before they were saved: nothing faster is shown; samples "
-                "before the filter would tell, or the knowledge that nothing is faster (--highest)",
-            )
+        clause = (
+            f"the samples were filtered at {shown:.2g} Hz before they were saved: nothing faster is shown; samples "
+            "before the filter would tell, or the knowledge that nothing is faster (--highest)"
         )
+        doubts.append(("filtered", clause))
         options = replace(options, highest=shown)
         # As many samples as what was let through has to say, so that its noise is white again.
         every = max(1, min(int((len(t) - 1) / (t[-1] - t[0]) / (2 * shown)), len(t) // options.fewest))
@@ -179,23 +177,17 @@ def _recorded(
 def _sampling(t: Array, step: float, options: AuditOptions) -> list[Doubt]:
     found = []
     if step >= SUSPECT_STEP:
-        found.append(
-            (
-                "clock",
-                f"samples come every {step:g} s, as if the times were in ms: name the column t_ms if they are",
-            )
-        )
+        clause = f"samples come every {step:g} s, as if the times were in ms: name the column t_ms if they are"
+        found.append(("clock", clause))
     if len(t) < options.fewest:
         found.append(("short", f"{len(t)} samples are too few to tell noise from motion; {options.fewest} are needed"))
     if 1 / step < 1.98 * options.highest:  # Nyquist, and clocks that are a little slow
-        found.append(
-            (
-                "sampling",
-                f"{1 / step:.3g} samples a second do not show a shake of up to {options.highest:g} Hz: "
-                f"{2.5 * options.highest:.0f} a second would, or the knowledge that nothing is faster than "
-                f"{0.4 / step:.2g} Hz (--highest)",
-            )
+        clause = (
+            f"{1 / step:.3g} samples a second do not show a shake of up to {options.highest:g} Hz: "
+            f"{2.5 * options.highest:.0f} a second would, or the knowledge that nothing is faster than "
+            f"{0.4 / step:.2g} Hz (--highest)"
         )
+        found.append(("sampling", clause))
     return found
 
 
@@ -211,13 +203,11 @@ def _unbridged(gaps: list[tuple[float, float]], step: float) -> list[Doubt]:
         return []
     begin, end = max(gaps, key=lambda gap: gap[1] - gap[0])
     more = f" ({len(gaps)} such gaps)" if len(gaps) > 1 else ""
-    return [
-        (
-            "gap",
-            f"there are no samples for {end - begin:.3g} s after t = {begin:.3f} s{more}, when they otherwise come "
-            f"every {step:.3g} s: bridge it with --gap {1.01 * (end - begin):.2g} if it may be guessed",
-        )
-    ]
+    clause = (
+        f"there are no samples for {end - begin:.3g} s after t = {begin:.3f} s{more}, when they otherwise come every "
+        f"{step:.3g} s: bridge it with --gap {1.01 * (end - begin):.2g} if it may be guessed"
+    )
+    return [("gap", clause)]
 
 
 def _slowest(speed: Array) -> tuple[float, float]:

@@ -159,8 +159,11 @@ def filtered_at(t: Array, y: Array, drop: float) -> float:
     y = y[:, np.ptp(y, axis=0) > 0]
     if y.shape[1] < 2:
         return np.inf
-    found = Spectrum.of(t, y @ np.linalg.eigh(np.cov(y.T))[1][:, :1])
+    own = y @ np.linalg.eigh(np.cov(y.T))[1][:, :1]
+    found = Spectrum.of(t, own)
     power = found.power[:, :, 0]
+    # Noise never stands still; what was computed does, where the arm rests.
+    calmest = min(float(np.ptp(part)) for part in np.array_split(own, np.clip(len(t) // 8, 1, 32)))
     usual, rounding = np.median(power, axis=1), resolution(y) ** 2 / 3 + 1e-20
     for k in range(len(usual) - 3):
         three, times = usual[k : k + 3], power[k : k + 3].mean(axis=0)
@@ -168,7 +171,7 @@ def filtered_at(t: Array, y: Array, drop: float) -> float:
         gone = np.flatnonzero(usual[k + 3 :] < level / drop) + k + 3
         if not len(gone) or not np.all(usual[gone[0] :] < level / drop) or three.max() < rounding:
             continue
-        even = three.max() < 8 * three.min() and np.median(times) < 5 * times.min()
+        even = three.max() < 8 * three.min() and np.median(times) < 5 * times.min() and calmest > 1e-3 * level**0.5
         if even and usual[gone[0]] < 30 * power[gone[0]].min():
             return float(found.edges[np.flatnonzero(usual[:-1] > level / 4)[-1]])
     return np.inf

@@ -53,24 +53,19 @@ def unmodelled(name: str, parts: Sequence[Slosh], known: Spill, options: AuditOp
     """Near resonance, and in narrow glasses, sloshing goes higher than linear."""
     highest, slower = float(known.crest.max()), softened(name, parts, options.softening)
     if slower.slack.min() < 0 and slower.crest.max() > options.runaway * highest:
-        return [
-            (
-                "resonance",
-                f"the motion is near the sloshing frequency of {name}: high waves are slower, and may reach "
-                f"{1e3 * slower.crest.max():.2g} mm where linear ones reach {1e3 * highest:.2g}; how they swirl is not "
-                "known either",
-            )
-        ]
+        clause = (
+            f"the motion is near the sloshing frequency of {name}: high waves are slower, and may reach "
+            f"{1e3 * slower.crest.max():.2g} mm where linear ones reach {1e3 * highest:.2g}; how they swirl is not "
+            "known either"
+        )
+        return [("resonance", clause)]
     half = min(float(part.waves.cases.half.min()) for part in parts)
     if half < options.narrow and known.left.min() < options.rise * highest:
-        return [
-            (
-                "narrow",
-                f"waves in {name}, {2e3 * half:.2g} mm wide, may be {100 * options.rise:.0f} % higher than predicted: "
-                f"glasses below {2e3 * options.narrow:.0f} mm are not known better, and {1e3 * known.left.min():.2g} "
-                "mm are left",
-            )
-        ]
+        clause = (
+            f"waves in {name}, {2e3 * half:.2g} mm wide, may be {100 * options.rise:.0f} % higher than predicted: "
+            f"glasses below {2e3 * options.narrow:.0f} mm are not known better, and {1e3 * known.left.min():.2g} mm are left"
+        )
+        return [("narrow", clause)]
     return []
 
 

@@ -93,29 +93,22 @@ class Audit(Shown, Tabular):
         """(T,) exact margins at all instants, nominal and in the worst case; some at a time."""
         parts = []
         every = np.arange(len(self._w))
-        for k in self._starts:  # whose rows are let go before the next are made: a long recording has gigabytes of them
+        for k in every[::AT_ONCE]:  # whose rows are let go before the next are made: long recordings have gigabytes
             some = self._margins_at(every[k : k + AT_ONCE])
             parts.append((some.exact, some.exact_worst))
         return np.concatenate([exact for exact, _ in parts]), np.concatenate([worst for _, worst in parts])
 
-    @property
-    def _starts(self) -> range:
-        return range(0, len(self._w), AT_ONCE)
-
     @cached_property
     def _decisive(self) -> Indices:
-        """Of more than `AT_ONCE` instants those with the least margins in each stretch, the steepest, and the first
-        that fail: the extremes of the whole are among them."""
-        if len(self._w) <= AT_ONCE:
-            return np.arange(len(self._w))
-        s = self.motion.samples
+        """Of more than `AT_ONCE` instants those with the least margins, the steepest, the first that fail, and others
+        all along."""
+        n, s = len(self._w), self.motion.samples
+        if n <= AT_ONCE:
+            return np.arange(n)
         measures = [*self.reserves, -np.linalg.norm(s.a_S, axis=1), s.R_SB[:, 2, 2]]
-        each = max(1, AT_ONCE // (2 * len(self._starts) * len(measures)))
-        chosen = [np.array([0, len(self._w) - 1])]
-        for measure in measures:
-            chosen += [k + np.argsort(measure[k : k + AT_ONCE])[:each] for k in self._starts]
+        chosen = [np.argsort(measure)[: AT_ONCE // 8] for measure in measures]
         chosen += [np.flatnonzero(margin < 0)[:1] for margin in self.reserves]
-        return np.unique(np.concatenate(chosen)).astype(np.intp)
+        return np.unique(np.concatenate([*chosen, np.linspace(0, n - 1, AT_ONCE // 4)]).astype(np.intp))
 
     @cached_property
     def nominal(self) -> Status:
@@ -189,22 +182,18 @@ class Audit(Shown, Tabular):
                 of = min(most.kept(), key=most.kept().__getitem__)
                 share = 100 * known.kept()[of]
                 kept = f"keep {share:.2g} % of {of}" if share >= 0 else f"exceed {of} by {-share:.2g} %"
-                doubts.append(
-                    (
-                        "sloshing",
-                        f"waves in {name} may be {higher:.2g} mm higher or lower than what is recorded says, and as "
-                        f"recorded they {kept}: a finer recording, or the planned motion with its velocities (salver "
-                        "export --format moveit), would tell",
-                    )
+                clause = (
+                    f"waves in {name} may be {higher:.2g} mm higher or lower than what is recorded says, and as "
+                    f"recorded they {kept}: a finer recording, or the planned motion with its velocities (salver "
+                    "export --format moveit), would tell"
                 )
+                doubts.append(("sloshing", clause))
             elif told >= 0 and pushed > self._borne[worst].reserve.min():
-                doubts.append(
-                    (
-                        "sloshing",
-                        f"waves in {name} may push it by {pushed:.2g} m/s^2 more than what is recorded says, and "
-                        f"{self._borne[worst].reserve.min():.2g} are left",
-                    )
+                clause = (
+                    f"waves in {name} may push it by {pushed:.2g} m/s^2 more than what is recorded says, and "
+                    f"{self._borne[worst].reserve.min():.2g} are left"
                 )
+                doubts.append(("sloshing", clause))
         return doubts
 
     def hidden(self, worst: bool = False) -> tuple[Slip, float]:
