@@ -51,7 +51,7 @@ def codes(channels):
 def test_nothing_is_found_in_a_clean_recording(noise):
     clean = found(truth(T), noise=noise)
     assert codes(clean) == []
-    assert filtered_at(clean.t, clean.y[:, :3], DEFAULT.drop) == np.inf
+    assert filtered_at(clean.t, clean.y[:, :3], DEFAULT.drop, DEFAULT.fewest) == np.inf
     assert np.array_equal(clean.t, T)
 
 
@@ -123,7 +123,7 @@ def test_a_filter_is_told_from_where_the_noise_ends(cut, causal):
     sos = signal.butter(4, cut, fs=RATE, output="sos")
     raw = seen(truth(T, shake=3 * 4.905 / (2 * np.pi * 18) ** 2)).p
     p = signal.sosfilt(sos, raw - raw[0], axis=0) + raw[0] if causal else signal.sosfiltfilt(sos, raw, axis=0)
-    assert cut / 2 < filtered_at(T, p, DEFAULT.drop) < 2 * cut
+    assert cut / 2 < filtered_at(T, p, DEFAULT.drop, DEFAULT.fewest) < 2 * cut
     verdict = judged(p, noise=0.0)
     assert verdict.outcome == "cannot_tell" or (verdict.outcome == "does_not_hold" and cut > 10)
     if verdict.outcome == "cannot_tell":

@@ -182,8 +182,12 @@ def test_a_filter_is_where_the_noise_of_an_axis_ends():
     y = np.outer(0.5 * u**3 * (10 - 15 * u + 6 * u**2), [1.0, 0.5, 0.2])
     noise = 1e-5 * np.random.default_rng(1).standard_normal(y.shape)
     smooth = signal.sosfiltfilt(signal.butter(2, 12.0, fs=500, output="sos"), noise, axis=0)
-    assert 4 < filtered_at(t, y + smooth, DEFAULT.drop) < 20
-    assert filtered_at(t, y + noise, DEFAULT.drop) == filtered_at(t, y, DEFAULT.drop) == np.inf
+    assert 4 < filtered_at(t, y + smooth, DEFAULT.drop, DEFAULT.fewest) < 20
+    assert (
+        filtered_at(t, y + noise, DEFAULT.drop, DEFAULT.fewest)
+        == filtered_at(t, y, DEFAULT.drop, DEFAULT.fewest)
+        == np.inf
+    )
 
 
 def test_resolution_is_the_step_of_rounded_values_and_of_nothing_else():

@@ -149,9 +149,10 @@ def resolution(y: Array) -> float:
     return min(steps, default=0.0)
 
 
-def filtered_at(t: Array, y: Array, drop: float) -> float:
+def filtered_at(t: Array, y: Array, drop: float, fewest: int) -> float:
     """Hz, above which a filter has taken away the noise of samples y (N, d), and what shook them; infinite where they
-    do not show one. drop: factor of power over which it ends.
+    do not show one. drop: factor of power over which it ends. fewest: samples, below which noise is not told from motion:
+    what the filter let through must be worth half as many.
 
     Along the axis that moves least: noise is as strong over an octave and a half, at all times, and then ends, at all
     times. What moves is stronger at some times than at others, or only in a narrow band.
@@ -173,7 +174,8 @@ def filtered_at(t: Array, y: Array, drop: float) -> float:
             continue
         even = three.max() < 8 * three.min() and np.median(times) < 5 * times.min() and calmest > 1e-3 * level**0.5
         if even and usual[gone[0]] < 30 * power[gone[0]].min():
-            return float(found.edges[np.flatnonzero(usual[:-1] > level / 4)[-1]])
+            end = float(found.edges[np.flatnonzero(usual[:-1] > level / 4)[-1]])
+            return end if 4 * end * (t[-1] - t[0]) >= fewest else np.inf
     return np.inf
 
 
