@@ -151,8 +151,8 @@ def resolution(y: Array) -> float:
 
 def filtered_at(t: Array, y: Array, drop: float, fewest: int) -> float:
     """Hz, above which a filter has taken away the noise of samples y (N, d), and what shook them; infinite where they
-    do not show one. drop: factor of power over which it ends. fewest: samples, below which noise is not told from motion:
-    what the filter let through must be worth half as many.
+    do not show one. drop: factor of power over which it ends. fewest: samples, below which noise is not told from
+    motion: what the filter let through must be worth half as many.
 
     Along the axis that moves least: noise is as strong over an octave and a half, at all times, and then ends, at all
     times. What moves is stronger at some times than at others, or only in a narrow band.
