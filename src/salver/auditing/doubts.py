@@ -89,8 +89,8 @@ class Borne:
             k = int(np.argmin(short))
             clause = (
                 f"at {t[k]:.3f} s the motion is so fast that {recording.rate:.3g} samples a second show its "
-                f"acceleration only to {np.broadcast_to(self.motion.missed, t.shape)[k]:.2g} m/s^2: twice as many would "
-                "tell"
+                f"acceleration only to {np.broadcast_to(self.motion.missed, t.shape)[k]:.2g} m/s^2: twice as many "
+                "would tell"
             )
             doubts.append(("unresolved", clause))
         fast = left_over(self.motion, self.reserve, self.rest)

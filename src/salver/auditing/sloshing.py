@@ -63,8 +63,8 @@ def unmodelled(name: str, parts: Sequence[Slosh], known: Spill, options: AuditOp
     if half < options.narrow and known.left.min() < options.rise * highest:
         clause = (
             f"waves in {name}, {2e3 * half:.2g} mm wide, may be {100 * options.rise:.0f} % higher than predicted: "
-            f"glasses below {2e3 * options.narrow:.0f} mm are not known better, and {1e3 * known.left.min():.2g} mm are "
-            "left"
+            f"glasses below {2e3 * options.narrow:.0f} mm are not known better, and {1e3 * known.left.min():.2g} mm "
+            "are left"
         )
         return [("narrow", clause)]
     return []
