@@ -7,13 +7,16 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import curve_fit, least_squares
+from scipy.spatial.transform import Rotation
 
 from salver.auditing import Audit, audit_samples
+from salver.auditing.motion import continuous
 from salver.geometry import Array
 from salver.models.liquid import FLUIDS, damping_of
 from salver.models.tray_motion import motion_vector
 from salver.motion_files import JointSamples, TraySamples
-from salver.scenario import Scenario, load
+from salver.scenario import Scenario, load, parse
 from salver.sensitivity.wave_cases import Case
 from salver.sensitivity.waves import Waves, along
 
@@ -119,3 +122,130 @@ def lag(seen_t: Array, seen: Array, t: Array, crest: Array) -> float:
     there = np.interp(np.arange(t[0], t[-1], step), t, crest)
     shift = int(np.argmax(np.correlate(here, there, "full"))) - (len(there) - 1)
     return shift * step + float(seen_t[0] - t[0])
+
+
+# Forces ---------------------------------------------------------------------------------------------------------------
+
+FORCE_RATE = 250.0  # samples a second: every other one, which is enough for 6 Hz
+
+
+@dataclass(frozen=True)
+class Pushed:
+    """The wrench beneath the vessel in one motion. t (T,) s; wrench (T, 6) N, N m, measured, along the vessel's axes
+    and as the vessel gets it; water (T, 6): what its waves need beyond a solid's, predicted. a_S (T, 3): measured."""
+
+    t: Array
+    wrench: Array
+    water: Array
+    a_S: Array
+    end: float
+
+
+def pushed() -> Pushed:
+    """The motion of `force.npz`: half a metre sideways in 0.8 s, by the joints that were measured."""
+    with np.load(FOLDER / "force.npz") as kept:
+        q, wrench = kept["joints"][::2] / FINE, kept["wrench"][::2].astype(float)
+    t = np.arange(len(q)) / FORCE_RATE
+    audit = audit_samples(JointSamples(t, tuple(f"q{k}_joint" for k in range(1, 7)), q, None, None, "force"), vessel())
+    s, waves = audit.motion.samples, waves_of(audit)
+    moving = np.linalg.norm(s.v_S, axis=1) > 1e-2
+    # The sensor tells what the vessel does to it, along axes that are turned by half a turn about the upright one.
+    seen = wrench[: len(t)] * np.array([1.0, 1.0, -1.0, 1.0, 1.0, -1.0])
+    water = _at(t, s.t, waves.wrench[0])
+    return Pushed(t[: len(seen)], seen, water[: len(seen)], _at(t, s.t, s.a_S)[: len(seen)], float(s.t[moving][-1]))
+
+
+def _at(t: Array, known_t: Array, known: Array) -> Array:
+    return np.column_stack([np.interp(t, known_t, axis) for axis in known.T])
+
+
+def swing(t: Array, y: Array, frequency: float) -> float:
+    """Amplitude of y at a frequency, Hz, beside a straight line."""
+    phase = 2 * np.pi * frequency * t
+    design = np.column_stack([np.cos(phase), np.sin(phase), np.ones_like(t), t])
+    return float(np.hypot(*np.linalg.lstsq(design, y, rcond=None)[0][:2]))
+
+
+def decay(t: Array, y: Array, near: float) -> tuple[float, float]:
+    """Frequency (Hz) and damping (of critical) of a free oscillation near a frequency."""
+
+    def model(t: Array, a: float, b: float, c: float, f: float, damping: float) -> Array:
+        phase = 2 * np.pi * f * t
+        return np.exp(-damping * phase) * (a * np.cos(phase) + b * np.sin(phase)) + c
+
+    size = float(np.std(y))
+    found = curve_fit(model, t - t[0], y, [size, size, 0.0, near, 0.005], maxfev=9999)[0]
+    return float(found[3]), float(found[4])
+
+
+# An object that slips -------------------------------------------------------------------------------------------------
+
+CLOCK = 2.0  # s for each second of the logs' clock: see docs/reality.md
+SLOWED = 15.45  # about so many of the film's seconds for one of the logs' clock
+EDGE, MASS = 0.06, 0.236  # m, kg of the cube; the first from its tag's height over the tray's, the second as published
+_QUIET = 30  # samples at the beginning, at rest
+
+
+@lru_cache(maxsize=1)
+def _slip() -> dict[str, Array]:
+    with np.load(FOLDER / "slip.npz") as kept:
+        return {key: kept[key].astype(float) for key in kept.files}
+
+
+def slip_runs() -> list[str]:
+    """All twelve: place on the tray and speed."""
+    return sorted({key.split("/")[0] for key in _slip()})
+
+
+def slip_log(run: str, log: str) -> Array:
+    """The rows of a log as they are kept: a time, and what was measured."""
+    return _slip()[f"{run}/{log}"]
+
+
+def cube(friction: float, range_: float = 0.0) -> Scenario:
+    """The object on the tray, with so much friction, and known to within a range."""
+    one = {
+        "name": "cube",
+        "shape": {"type": "box", "size": [EDGE, EDGE, EDGE]},
+        "mass": MASS,
+        "friction": friction,
+        "uncertainty": {"friction": range_},
+    }
+    ends = {"start": {"position": [0.0, 0.0, 0.5]}, "goal": {"position": [0.0, 0.4, 0.5]}, "duration": 1.0}
+    tray = {"size": [0.4, 0.4], "height": 0.05, "mass": 1.0}
+    return parse({"name": "iiwa-cube", "motion": ends, "objects": [one], "tray": tray}, "iiwa-cube")
+
+
+def tray_samples(run: str) -> TraySamples:
+    """The tray's motion, level where it begins, in true seconds."""
+    pose = slip_log(run, "ee_pose")
+    turned = Rotation.from_euler("xyz", np.unwrap(pose[:, 4:7], axis=0))
+    quat_wxyz = continuous((turned * turned[0].inv()).as_quat()[:, [3, 0, 1, 2]])
+    place = pose[:, 1:4] - pose[0, 1:4] + np.array([0.0, 0.0, 0.5])
+    return TraySamples(CLOCK * (pose[:, 0] - pose[0, 0]), place, quat_wxyz, "E", run)
+
+
+def slipped(run: str) -> tuple[Array, Array]:
+    """(N,) s on the clock of `tray_samples`, and (N, 2) m by which the cube's tag has moved along the tray, as the
+    film from above shows it. The film's clock, scale and direction are those by which the tray's own tag moves as the
+    arm does."""
+    pose, on_cube, on_tray = (slip_log(run, log) for log in ("ee_pose", "tag1", "tag2"))
+    film, moved = on_cube[:, 0], pose[:, 1:3] - pose[0, 1:3]
+    tray = _at(film, on_tray[:, 0], on_tray[:, 1:3])
+    apart = on_cube[:, 1:3] - tray
+    tray, apart = (x - x[:_QUIET].mean(axis=0) for x in (tray, apart))
+    middle = film[np.argmax(-tray[:, 1] > 0.5 * np.ptp(tray[:, 1]))]
+    passed = pose[np.argmax(moved[:, 1] > 0.5 * np.ptp(moved[:, 1])), 0]
+
+    def along_arm(x: Array, scale: float, angle: float) -> Array:
+        c, s = np.cos(angle), np.sin(angle)
+        return scale * np.column_stack([c * x[:, 0] - s * x[:, 1], -s * x[:, 0] - c * x[:, 1]])
+
+    def missed(unknown: Array) -> Array:
+        slower, late, scale, angle = unknown
+        t = passed + late + (film - middle) / (SLOWED * slower)
+        return (_at(t, pose[:, 0], moved) - along_arm(tray, scale, angle)).ravel()
+
+    slower, late, scale, angle = least_squares(missed, [1.0, 0.0, 0.95, 0.0], x_scale=[0.1, 0.01, 0.1, 0.1]).x
+    t = passed + late + (film - middle) / (SLOWED * slower) - pose[0, 0]
+    return CLOCK * t, along_arm(apart, scale, angle)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from measured import FILL, predicted, vessel
+from measured import FILL, decay, predicted, pushed, slipped, swing, tray_samples, vessel
 
 
 @pytest.mark.parametrize(
@@ -41,3 +41,28 @@ def test_a_free_surface_swings_at_its_first_frequency():
     f = np.fft.rfftfreq(32 * len(left), 1 / 60)
     first = vessel().payload.first.liquid.modes(FILL).omega[0, 0] / (2 * np.pi)
     assert f[np.argmax(power)] == pytest.approx(first, rel=0.01)
+
+
+def test_waves_push_the_wrist_along_and_upward_as_predicted():
+    p = pushed()
+    late = (p.t > p.end + 0.5) & (p.t < p.t[-1] - 0.5)
+    early = late & (p.t < p.end + 2.0)
+    for axis, order in ((1, 1), (2, 2)):
+        amplitudes = []
+        for force in (p.wrench, p.water):
+            f, damping = decay(p.t[late], force[late, 1], 3.0)
+            amplitudes.append(swing(p.t[early], force[early, axis], order * f))
+        seen, told = amplitudes
+        assert told == pytest.approx(seen, rel=0.05), order
+    low, high = vessel().payload.first.liquid.damping
+    assert low < decay(p.t[late], p.wrench[late, 1], 3.0)[1] < high
+    assert damping == pytest.approx(0.0044, rel=0.05)
+
+
+def test_a_film_in_slow_motion_shows_the_slip_along_the_tray():
+    t, slip = slipped("center30")
+    assert np.linalg.norm(slip, axis=1).max() == pytest.approx(0.022, abs=1e-3)
+    tray = tray_samples("center30")
+    begins, ends = tray.t[np.abs(np.gradient(tray.p[:, 1])) > 1e-4][[0, -1]]
+    away = t[np.linalg.norm(slip, axis=1) > 2e-3]
+    assert begins < away[0] < ends
