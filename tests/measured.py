@@ -17,7 +17,7 @@ from salver.models.liquid import FLUIDS, damping_of
 from salver.models.tray_motion import motion_vector
 from salver.motion_files import JointSamples, TraySamples
 from salver.scenario import Scenario, load, parse
-from salver.sensitivity.wave_cases import Case
+from salver.sensitivity.wave_cases import SloshingCase
 from salver.sensitivity.waves import Waves, along
 
 FOLDER = Path(__file__).parents[1] / "docs" / "data" / "real"
@@ -102,7 +102,7 @@ def waves_of(audit: Audit, fill: float = FILL, damping: float = FORMULA) -> Wave
     """Those of the vessel along an audited motion."""
     s = audit.motion.samples
     w = motion_vector(s.R_SB, s.a_S, s.omega_B, s.alpha_B)
-    return along((Case(audit.scenario.payload.first, fill, damping),), s.t, w)
+    return along((SloshingCase(audit.scenario.payload.first, fill, damping),), s.t, w)
 
 
 def predicted(name: str, way: str | None = None, damping: float = FORMULA) -> Predicted:
