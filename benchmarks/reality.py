@@ -20,7 +20,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.signal import butter, filtfilt, savgol_filter
 
-from salver.auditing import audit_samples
+from salver.auditing import AuditOptions, audit_samples
 from salver.geometry import Array
 from salver.given import simulate_given
 from salver.models.liquid import LEANING, STEEPEST
@@ -71,7 +71,7 @@ SWINGS, GENTLE = (
 WATER = 998.0 * np.pi * RADIUS**2 * FILL  # kg
 LATER, FIRST, SMOOTH = 0.5, 1.5, 15.0  # s after the motion, s of it in which amplitudes are read; Hz of the filter
 FITTED, FRICTIONS = "center30", np.array([0.13, 0.15, 0.17, 0.19, 0.21])
-GAP = 0.3  # s without news that are bridged
+GAPS = AuditOptions(longest_gap=0.3)  # s without samples that are bridged
 
 
 def path_of(name: str) -> str:
@@ -385,7 +385,7 @@ def _off(t: Array, seen: Array, engine_t: Array, engine: Array) -> float:
 
 def engine(name: str, friction: float) -> tuple[Array, Array]:
     """(T,) s and (T, 2) m of slip of the cube in the physics engine."""
-    record = simulate_given(tray_samples(name), cube(friction), longest_gap=GAP)
+    record = simulate_given(tray_samples(name), cube(friction), options=GAPS)
     return record.t, record.slip_E[:, 0, :2]
 
 
@@ -403,7 +403,7 @@ def slips() -> tuple[str, dict[str, str], list[Run]]:
     low, high = min(proven.values()), max(proven.values())
     runs = []
     for name, (t, seen) in every.items():
-        audit = audit_samples(tray_samples(name), cube(0.5 * (low + high), 0.5 * (high - low)), longest_gap=GAP)
+        audit = audit_samples(tray_samples(name), cube(0.5 * (low + high), 0.5 * (high - low)), GAPS)
         s = audit.motion.samples
         sets_off = s.t[np.argmax(np.linalg.norm(s.p_SB[:, :2] - s.p_SB[0, :2], axis=1) > 2e-3)]
         peak = float(np.linalg.norm(s.a_S[s.t > sets_off - 0.2, :2], axis=1).max())
