@@ -81,16 +81,23 @@ class Predicted:
 def samples(name: str, way: str) -> JointSamples | TraySamples:
     """The commanded motion, with rest after it: of the joints, of the tray, or of a tray tilted to the other side
     ("mirrored")."""
-    rest = int(AFTER * RATE)
     if way == "joints":
         q = np.unwrap(_sloshing()[f"{name}/joints"] / FINE, axis=0)  # the sixth joint goes on past half a turn
         q[:, 2] -= BENT
-        q = np.concatenate([q, np.repeat(q[-1:], rest, axis=0)])
-        return JointSamples(np.arange(len(q)) / RATE, tuple(f"q{k}_joint" for k in range(1, 7)), q, None, None, name)
-    tray = _sloshing()[f"{name}/tray"] / FINE
-    tray = np.concatenate([tray, np.repeat(tray[-1:], rest, axis=0)])
+        return joint_samples(_rested(q), RATE, name)
+    tray = _rested(_sloshing()[f"{name}/tray"] / FINE)
     quat_wxyz = tray[:, [6, 3, 4, 5]] * np.array([1.0, *(3 * [-1.0 if way == "mirrored" else 1.0])])
     return TraySamples(np.arange(len(tray)) / RATE, tray[:, :3], quat_wxyz, "E", name)
+
+
+def _rested(samples: Array) -> Array:
+    """Samples of a motion, with `AFTER` s of rest after them."""
+    return np.concatenate([samples, np.repeat(samples[-1:], int(AFTER * RATE), axis=0)])
+
+
+def joint_samples(q: Array, rate: float, name: str) -> JointSamples:
+    """Joints of the Comau SmartSix, (N, 6) rad, `rate` times a second."""
+    return JointSamples(np.arange(len(q)) / rate, tuple(f"q{k}_joint" for k in range(1, 7)), q, None, None, name)
 
 
 def executed(name: str) -> str:
@@ -99,10 +106,10 @@ def executed(name: str) -> str:
 
 
 def waves_of(audit: Audit, fill: float = FILL, damping: float = FORMULA) -> Waves:
-    """Those of the vessel along an audited motion."""
+    """Those of each vessel along an audited motion."""
     s = audit.motion.samples
     w = motion_vector(s.R_SB, s.a_S, s.omega_B, s.alpha_B)
-    return along((SloshingCase(audit.scenario.payload.first, fill, damping),), s.t, w)
+    return along(tuple(SloshingCase(body, fill, damping) for body in audit.scenario.payload.bodies), s.t, w)
 
 
 def predicted(name: str, way: str | None = None, damping: float = FORMULA) -> Predicted:
@@ -122,6 +129,63 @@ def lag(seen_t: Array, seen: Array, t: Array, crest: Array) -> float:
     there = np.interp(np.arange(t[0], t[-1], step), t, crest)
     shift = int(np.argmax(np.correlate(here, there, "full"))) - (len(there) - 1)
     return shift * step + float(seen_t[0] - t[0])
+
+
+# Four loose cups ------------------------------------------------------------------------------------------------------
+
+CUP_RADIUS, CUP_FILL = 0.035, 0.049
+ASIDE = 0.6  # rad by which the published first joint stands beside that of their planner
+IN_VIDEO = (0, 2, 1, 3)  # the cup that each video shows, as its waves tell: the second and third are mistaken
+
+
+@dataclass(frozen=True)
+class Cup:
+    """One of the four cups: t (T,) s, and the crest predicted (T,) m; seen_t (M,) s on the same clock, and the surface
+    as seen (M,) m; the highest that its planner predicted, m."""
+
+    t: Array
+    crest: Array
+    seen_t: Array
+    seen: Array
+    simulated: float
+
+    @property
+    def during(self) -> Array:
+        """(M,) which frames were taken within the motion."""
+        return np.asarray((self.seen_t > 0.9) & (self.seen_t < 3.0))
+
+    @property
+    def at_frames(self) -> Array:
+        return np.interp(self.seen_t, self.t, self.crest)
+
+
+def four_cups() -> Scenario:
+    """Their task, on their arm."""
+    return load(FOLDER / "four-cups.toml")
+
+
+@lru_cache(maxsize=1)
+def _four_cups() -> dict[str, Array]:
+    with np.load(FOLDER / "four-cups.npz") as kept:
+        return dict(kept)
+
+
+def joints_of_cups() -> Array:
+    """(N, 6) rad of their motion, `RATE` times a second."""
+    return np.asarray(_four_cups()["joints"] / FINE - [ASIDE, 0, 0, 0, 0, 0])
+
+
+def cups() -> list[Cup]:
+    """The four cups along the motion that was executed."""
+    audit = audit_samples(joint_samples(_rested(joints_of_cups()), RATE, "four-cups"), four_cups())
+    waves = waves_of(audit, CUP_FILL, damping_of((CUP_RADIUS,), CUP_FILL, FLUIDS["water"].viscosity))
+    found = []
+    for cup, crest in enumerate(waves.crest):
+        video = IN_VIDEO.index(cup)
+        seen_t, seen = (_four_cups()[f"{what}/{video + 1}"].astype(float) for what in ("times", "seen"))
+        late = lag(seen_t, seen, waves.t, crest)
+        found.append(Cup(waves.t, crest, seen_t - late, 1e-5 * seen, float(_four_cups()["simulated"][cup])))
+    return found
 
 
 # Forces ---------------------------------------------------------------------------------------------------------------
@@ -146,7 +210,7 @@ def pushed() -> Pushed:
     with np.load(FOLDER / "force.npz") as kept:
         q, wrench = kept["joints"][::2] / FINE, kept["wrench"][::2].astype(float)
     t = np.arange(len(q)) / FORCE_RATE
-    audit = audit_samples(JointSamples(t, tuple(f"q{k}_joint" for k in range(1, 7)), q, None, None, "force"), vessel())
+    audit = audit_samples(joint_samples(q, FORCE_RATE, "force"), vessel())
     s, waves = audit.motion.samples, waves_of(audit)
     moving = np.linalg.norm(s.v_S, axis=1) > 1e-2
     # The sensor tells what the vessel does to it, along axes that are turned by half a turn about the upright one.

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from measured import FILL, decay, predicted, pushed, slipped, swing, tray_samples, vessel
+import salver as sv
+from measured import FILL, cups, decay, four_cups, predicted, pushed, slipped, swing, tray_samples, vessel
 
 
 @pytest.mark.parametrize(
@@ -66,3 +67,16 @@ def test_a_film_in_slow_motion_shows_the_slip_along_the_tray():
     begins, ends = tray.t[np.abs(np.gradient(tray.p[:, 1])) > 1e-4][[0, -1]]
     away = t[np.linalg.norm(slip, axis=1) > 2e-3]
     assert begins < away[0] < ends
+
+
+def test_each_of_four_loose_cups_was_seen_to_slosh_in_time_as_predicted():
+    for cup, ratio in zip(cups(), (1.12, 1.60, 1.31, 1.40), strict=True):
+        told, seen = cup.at_frames[cup.during], cup.seen[cup.during]
+        assert cup.crest.max() / seen.max() == pytest.approx(ratio, abs=0.02)
+        assert np.corrcoef(told, seen)[0, 1] > 0.92
+
+
+def test_a_published_task_of_four_cups_is_done_faster_than_published_where_the_tray_may_lean():
+    plan = sv.plan(four_cups())
+    assert plan.ok
+    assert plan.duration < 1.4  # 1.83 s, level

@@ -2,9 +2,9 @@
 
     python tools/pack_real.py FOLDER
 
-FOLDER holds slosh/measured, slosh/joint, slosh/tray, slosh/comau, slosh/force and slip, copied from the repositories
-that docs/data/real/SOURCES.txt names. Commanded motions are kept at 100 of their 500 samples a second: peaks of
-predicted waves change by less than 0.02 %.
+FOLDER holds slosh/measured, slosh/joint, slosh/tray, slosh/comau, slosh/force, slosh/four-cups and slip, copied from
+the repositories that docs/data/real/SOURCES.txt names. Commanded motions are kept at 100 of their 500 samples a second:
+peaks of predicted waves change by less than 0.02 %.
 """
 
 from __future__ import annotations
@@ -22,6 +22,10 @@ from scipy.io import loadmat
 KEPT = Path(__file__).parents[1] / "docs" / "data" / "real"
 FINE = 1e8  # integers for each rad or m
 EVERY = 5  # of the commanded samples
+CUPS_CSV, CUPS_MAT = (
+    f"{folder}/TO_arc_0.015eta_lim_4containers_180_deg{ending}"
+    for folder, ending in (("CSV", ".csv"), ("etas", "_etas.mat"))
+)
 FORCE_BAG = "force/bagfiles/290425/y_noRot.bag"
 URDF_TAIL = """
   <link name="tool0"/>
@@ -47,6 +51,21 @@ def sloshing(folder: Path) -> dict[str, NDArray[np.int32] | NDArray[np.int16]]:
         found[f"{name}/joints"] = fine(joints)
         found[f"{name}/tray"] = fine(np.loadtxt(folder / "tray" / f"{name}.csv", delimiter=";")[::EVERY, 1:])
         found[f"{name}/seen"] = np.round(100 * loadmat(path)["slosh_heights"].ravel()).astype(np.int16)
+    return found
+
+
+def four_cups(folder: Path) -> dict[str, NDArray[np.int32] | NDArray[np.int16] | NDArray[np.float64]]:
+    """The joints of the motion, what its planner predicts of each cup, m, and what each video shows, in hundredths of
+    mm."""
+    predicted = loadmat(folder / CUPS_MAT)
+    found: dict[str, NDArray[np.int32] | NDArray[np.int16] | NDArray[np.float64]] = {
+        "joints": fine(np.loadtxt(folder / CUPS_CSV, delimiter=";")[::EVERY]),
+        "simulated": np.array([predicted[f"eta_{k}"].max() for k in range(1, 5)]),
+    }
+    for k in range(1, 5):
+        video = loadmat(folder / "exp_etas" / f"container_{k}" / "full_slosh" / f"1A_15_c{k}.mat")
+        found[f"times/{k}"] = video["slosh_times"].ravel()
+        found[f"seen/{k}"] = np.round(100 * (video["world_points"][:, 1] - video["h0_point"].item())).astype(np.int16)
     return found
 
 
@@ -97,6 +116,7 @@ def main() -> None:
     KEPT.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(KEPT / "sloshing.npz", **sloshing(folder / "slosh"))
     np.savez_compressed(KEPT / "force.npz", **force(folder / "slosh" / FORCE_BAG))
+    np.savez_compressed(KEPT / "four-cups.npz", **four_cups(folder / "slosh" / "four-cups"))
     np.savez_compressed(KEPT / "slip.npz", **slip(folder / "slip"))
     (KEPT / "comau_smartsix.urdf").write_text(arm(folder / "slosh" / "comau" / "comau_smartsix5.urdf"))
     shutil.copyfile(folder / "slosh" / "LICENSE", KEPT / "LICENSE-sloshing")
