@@ -102,7 +102,7 @@ def test_what_becomes_of_the_arm_in_a_stop_is_said_as_it_is(safe: Rig) -> None:
     ask = Fault("read", 250, 1, "", signals=(signal.SIGINT,))
     failed = one(safe, ask, Fault("stopping", 280, 10**6, "", error=lambda: ArithmeticError("table"))).result.summary
     assert "The stop failed at t = 0.230 s (ArithmeticError: table)." in failed["stopped"]
-    blind = one(safe, ask, Fault("read", 270, 1, "", spoilt("q", NAN))).result.summary
+    blind = one(safe, ask, Fault("read", 270, 11, "", spoilt("q", NAN))).result.summary
     pushed = one(safe, ask, Fault("stopping", 255, 40, "", lambda torque: torque + 20.0 * np.eye(7)[0])).result.summary
     assert [x["load_kept_in_stop"] for x in (failed, blind, pushed)] == [False, False, False]
     cannot = one(safe, ask, Fault("planned", 0, 10**6, "", error=lambda: MemoryError())).result.summary

@@ -150,7 +150,7 @@ def test_watchdog_brakes_to_rest_within_the_torque_rate(plan: Plan) -> None:
     # Pushed: every reading is plausible, until the joint strikes its stop, where speeds change at once.
     struck = int(np.argmax(log_.q[:, 1] > arm.limits.q_max[1]))
     assert not log_.bridged[: struck - 1].any()
-    assert log_.bridged.sum() <= Plausible().confirmations  # thrown back: believed again after as many readings
+    assert log_.bridged.sum() <= Plausible().confirmations  # thrown back: believed again then
     # The last stop's own law: a quintic step within 0.8 of the acceleration, 0.25 s of rest after it; nothing on top.
     began = float(log_.stopped.split("t = ")[-1].split(" s")[0])
     dq = log_.dq[np.argmin(np.abs(log_.t - began))]

@@ -213,7 +213,7 @@ def _tell(result: Execution) -> None:
         tell(f"Largest e_p {1e3 * summary['e_p_peak']:.3f} mm, e_o {1e3 * summary['e_o_peak']:.3f} mrad.")
     tell(f"Stopped: {summary['stopped']}" if summary["stopped"] else f"Ran to its end; outcome: {summary['outcome']}.")
     if summary["bridged"]:
-        tell(f"States that could not be believed and were bridged by the model: {summary['bridged']}.")
+        tell(f"Readings that could not be true; the model stood in for them: {summary['bridged']}.")
     if summary["load_kept_in_stop"] is False:
         tell("The way to rest was not one that surely keeps the load: it may have moved or fallen.")
     elif summary["load_kept_in_stop"]:

@@ -42,14 +42,12 @@ MOST_INTERRUPTIONS = 100  # that are taken as one wish to stop
 class Watchdog:
     """When to stop. joint_error: rad off the reference. velocity_share: of the maker's limit.
 
-    late_periods: control periods in a row that were missed. bridged_periods: periods in a row for which the model may
-    stand in for a state that cannot be believed.
+    late_periods: control periods in a row that were missed.
     """
 
     joint_error: float = 0.05
     velocity_share: float = 1.0
     late_periods: int = 20
-    bridged_periods: int = 10
 
     def complaint(self, arm: ArmModel, state: ArmState, q_wanted: Array, missed: int, t: float) -> str:
         """One sentence when something is wrong, else an empty one."""
@@ -189,7 +187,7 @@ class Drive:
             self.state = sensed.state
             wish = "" if self.stop is not None else self.signals.wish(self.t)
             demanded = self.demand(sensed.state, wish or self.complaint(sensed))
-            self.seen &= self.stop is None or not sensed.wrong
+            self.seen &= self.stop is None or self.senses.sees
             # After a write of which nobody knows whether it was done, the same torque again: no rate is overstepped.
             self.torque = gate(self.torque if self.unsure else demanded)
             self.stopping += self.stop is not None
@@ -226,12 +224,8 @@ class Drive:
         if self.stop is not None:
             # An arm that cannot follow a planned stop is braked as it is; the last stop goes on, come what may.
             return self.watchdog.astray(self.arm, sensed.state, self.q_wanted, self.t) if self.stops else ""
-        blind, allowed = self.senses.blind, self.watchdog.bridged_periods
-        if blind > allowed:
-            return (
-                f"The arm's state could not be believed for {blind} periods up to t = {self.t:.3f} s, {allowed} are "
-                f"bridged: {sensed.wrong}."
-            )
+        if sensed.wrong:
+            return f"What the arm reports at t = {self.t:.3f} s cannot be true: {sensed.wrong}."
         missed = round(sensed.elapsed / self.period) - 1
         return self.watchdog.complaint(self.arm, sensed.state, self.q_wanted, missed, self.t)
 
@@ -287,7 +281,7 @@ class Drive:
         else:
             # Waited for in periods: a robot's clock that runs ahead does not end a stop while the arm still turns.
             due, waited = self.s >= self.stop.duration, self.stopping * self.period - self.stop.duration
-            if self.senses.blind > self.watchdog.bridged_periods:
+            if not self.senses.sees:
                 # Who does not see does not hold: what the model is wrong by adds up until torque control ends.
                 return min(self.s, self.stopping * self.period) >= self.stop.duration - HOLD_AFTER_STOP
         return due and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.torque, AT_REST))

@@ -1,15 +1,15 @@
-"""Which readings of an arm are plausible. The arm's model stands in for a joint whose reading is not.
+"""Which readings of an arm can be true. A reading that cannot be true stops the arm (`salver.driver.execution`).
 
-A reading is a position and a speed. The reading of a joint is plausible if it
+A reading is a position and a speed. The reading of a joint is plausible if
 
-- is possible: finite, near the joint's range, not faster than any joint turns;
-- is new: an identical reading tells nothing, and is stale once the model says that the joint moves;
-- follows from the model under the torque that acted, or from the reading before it: the position changes by the mean of
-  both speeds, whatever the model says, so that an arm that is pushed, held or struck is believed;
-- and does so over the last `window` as well, where small steps would add up.
+- it is possible: finite, near the joint's range, not faster than any joint turns;
+- its speed follows from the speed before it, or from the model under the torque that acted;
+- its position follows from its speeds: from one reading to the next it changes by a value between both speeds times the
+  time. What it changes beyond that is summed, fades over `window`, and may not exceed `drift`;
+- it is new: a reading that is repeated bit by bit is stale once the model says that the joint moves.
 
-A joint that was not plausible is believed again if it follows from the model, or after `confirmations` readings in a
-row that follow from one another near it.
+So an arm that is pushed or held is believed. While the arm stops, the model stands in for a joint whose reading was not
+plausible, until a reading agrees with the model, or `confirmations` in a row follow from one another.
 """
 
 from __future__ import annotations
@@ -35,28 +35,25 @@ if TYPE_CHECKING:
 class Plausible:
     """How far a plausible reading may be from what is expected. rad stands for m at prismatic joints.
 
-    outside: rad beyond the maker's range. speed_share: of the maker's speed limit. gap: s between two readings.
-    speed_change, acceleration: a speed may differ from the model's by this share of the speed limit, and by this
-    acceleration (rad/s^2) times the time between two readings.
-    window, drift: s, rad; positions may leave the integral of their speeds by `drift` within a `window`.
-    moving: rad/s by the model from which on an identical reading is stale.
-    confirmations, away: readings in a row, and rad from the model at most, after which a joint is believed again.
-    settling: s within which the torque that an arm is left with has ended.
-    speed_unknown: rad/s, the speed limit of a joint whose maker states none.
+    outside: rad beyond the maker's range. speed_share: of the maker's speed limit. speed_change: share of that limit by
+    which a speed may change in one period.
+    drift, window: rad, s; how far positions may leave the integral of their speeds, and how soon that fades.
+    confirmations: readings in a row after which a joint is believed again; enough for `drift` to show a false speed.
+    moving: rad/s by the model from which on an identical reading is stale; more for a coarse sensor.
+    gap: s between two readings. settling: s within which the torque that an arm is left with has ended.
+    bridged: periods in a row for which the model stands in so well that a stop still surely keeps the load.
     """
 
     outside: float = 0.2
     speed_share: float = 20.0
-    gap: float = 1.0
-    speed_change: float = 0.1
-    acceleration: float = 100.0
-    window: float = 0.05
+    speed_change: float = 0.15
     drift: float = 0.005
-    moving: float = 0.01
+    window: float = 0.05
     confirmations: int = 20
-    away: float = 0.3
+    moving: float = 0.01
+    gap: float = 1.0
     settling: float = 0.002
-    speed_unknown: float = 10.0
+    bridged: int = 10
 
 
 @dataclass(slots=True)
@@ -84,30 +81,47 @@ class Senses:
     ) -> None:
         """state: of the arm before the first sample. Raises SalverError when it is not possible."""
         self._arm, self._period, self._plausible = arm, period, plausible
-        self._loaded, limits = with_load(arm, bodies), arm.limits
-        self._speed = np.where(np.isfinite(limits.velocity), limits.velocity, plausible.speed_unknown)
+        self._loaded = with_load(arm, bodies)
         self.blind, self._first = 0, True
         q, dq, wrong = self._numbers(state)
         if wrong := wrong or self._impossible(q, dq)[1]:
             raise SalverError(f"The arm's state cannot be believed: {wrong}.")
         self._believed = self._read = ArmState(q, dq)
         self._drift = np.zeros(arm.n)  # rad by which positions left the integral of their speeds, fading
-        self._consistent = np.full(arm.n, plausible.confirmations)  # readings in a row that follow from one another
-        self._sure = np.ones(arm.n, dtype=bool)  # whether the last reading was believed
+        self._followed = np.full(arm.n, plausible.confirmations)  # plausible readings in a row
+
+    @property
+    def sees(self) -> bool:
+        """Whether the arm is where it is believed to be: the model stood in for a few periods at most."""
+        return self.blind <= self._plausible.bridged
 
     def take(self, answer: Any, torque: Array) -> Sensed:
         """A robot's (state, elapsed), as it came. torque: (n,) N m that acted since the last one."""
         state, elapsed, late = self._clock(answer)
+        self._first = False
         q, dq, odd = self._numbers(state)
         possible, impossible = self._impossible(q, dq)
-        q, dq = np.where(possible, q, np.nan), np.where(possible, dq, np.nan)
-        if not late and (late := self._hasty(q, dq, elapsed)):
-            elapsed = self._period
-        self._first = False
+        q, dq = np.where(possible, q, self._believed.q), np.where(possible, dq, self._believed.dq)
+        steady, drift = self._follows(q, dq, elapsed)
+        if elapsed > 1.5 * self._period and not (steady & self._bounded(drift)).all():
+            steady_in_one, drift_in_one = self._follows(q, dq, self._period)
+            if (steady_in_one & self._bounded(drift_in_one)).all():
+                late = f"its clock says that {elapsed:g} s passed, and its joints went as far as in {self._period:g} s"
+                elapsed, steady, drift = self._period, steady_in_one, drift_in_one
         model = self._ahead(torque, elapsed)
-        good, strange = self._judged(q, dq, model, max(elapsed, self._period))
+        change = self._plausible.speed_change * self._arm.limits.velocity
+        agrees = (np.abs(q - model.q) <= self._plausible.drift) & (np.abs(dq - model.dq) <= change)
+        identical = (q == self._read.q) & (dq == self._read.dq)
+        stale = identical & (np.abs(model.dq - dq) > self._plausible.moving)
+        plausible = possible & (steady | agrees) & self._bounded(drift) & ~stale
+        strange = "" if plausible.all() else self._why(q, dq, int(np.argmin(plausible)), identical, drift)
+        self._followed = np.where(plausible, self._followed + 1, 0)
+        sure = plausible & (agrees | (self._followed >= self._plausible.confirmations))
+        # An identical reading tells nothing: the model goes on from the one before it, and shows whether it is stale.
+        good = sure & ~identical
         self._believed = ArmState(np.where(good, q, model.q), np.where(good, dq, model.dq))
-        wrong = late or odd or impossible or strange
+        self._read, self._drift = ArmState(q, dq), drift
+        wrong = late or odd or impossible or strange or ("" if sure.all() else "it is not believed again yet")
         self.blind = self.blind + 1 if wrong else 0
         return Sensed(self._believed, elapsed, wrong)
 
@@ -127,16 +141,6 @@ class Senses:
             return state, self._period, f"its clock says that {elapsed:g} s passed"
         return state, elapsed, ""
 
-    def _hasty(self, q: Array, dq: Array, elapsed: float) -> str:
-        """One sentence of a clock that runs ahead: the joints went as far as in one period, and it says more passed."""
-        way = 0.5 * (dq + self._believed.dq)
-        telling = np.abs(way) * (elapsed - self._period) > self._plausible.drift
-        gone = q - self._believed.q
-        refuted = 4 * np.abs(gone - way * self._period) < np.abs(gone - way * elapsed)
-        if not (telling.any() and refuted[telling].all()):
-            return ""
-        return f"its clock says that {elapsed:g} s passed, and its joints went as far as in {self._period:g} s"
-
     def _numbers(self, state: Any) -> tuple[Array, Array, str]:
         try:
             q, dq = np.array(state.q, dtype=float), np.array(state.dq, dtype=float)
@@ -155,12 +159,11 @@ class Senses:
         """Whether each joint's reading (n,) is possible; one sentence of one that is finite and is not."""
         arm, plausible = self._arm, self._plausible
         outside = np.maximum(arm.limits.q_min - q, q - arm.limits.q_max)
-        inside, slow = outside <= plausible.outside, np.abs(dq) <= plausible.speed_share * self._speed
+        inside = outside <= plausible.outside
+        slow = np.abs(dq) <= plausible.speed_share * arm.limits.velocity
         for j in np.flatnonzero(~inside & np.isfinite(q)).tolist():
-            return (
-                inside & slow,
-                f"{arm.joint_names[j]} is said to be at {q[j]:.4g} {arm.unit(j)}, far outside its range",
-            )
+            place = f"{arm.joint_names[j]} is said to be at {q[j]:.4g} {arm.unit(j)}, far outside its range"
+            return inside & slow, place
         for j in np.flatnonzero(~slow & np.isfinite(dq)).tolist():
             return (
                 inside & slow,
@@ -168,9 +171,24 @@ class Senses:
             )
         return inside & slow, ""
 
+    def _follows(self, q: Array, dq: Array, elapsed: float) -> tuple[Mask, Array]:
+        """Whether the speed (n,) of each joint follows from the one before it, a time before; and rad by which its
+        positions then left the integral of their speeds, which begins anew where the speed does."""
+        plausible, before, time = self._plausible, self._read, max(elapsed, self._period)
+        most = plausible.speed_change * self._arm.limits.velocity * time / self._period
+        went = q - before.q
+        slowest, fastest = np.minimum(dq, before.dq) * time, np.maximum(dq, before.dq) * time
+        drift = math.exp(-time / plausible.window) * self._drift + went - np.clip(went, slowest, fastest)
+        steady = np.abs(dq - before.dq) <= most
+        return steady, np.where(steady, drift, 0.0)
+
+    def _bounded(self, drift: Array) -> Mask:
+        return np.asarray(np.abs(drift) <= self._plausible.drift)
+
     def _ahead(self, torque: Array, elapsed: float) -> ArmState:
         """Where the model takes the arm from what was believed."""
-        q, dq, most = self._believed.q, self._believed.dq, self._plausible.speed_share * self._speed
+        q, dq = self._believed.q, self._believed.dq
+        most = self._plausible.speed_share * self._arm.limits.velocity
         for _ in range(max(1, round(elapsed / self._period))):
             dq = np.clip(dq + self._period * self._acceleration(q, dq, torque), -most, most)
             q = q + self._period * dq
@@ -179,37 +197,11 @@ class Senses:
     def _acceleration(self, q: Array, dq: Array, torque: Array) -> Array:
         return np.asarray(pin.aba(self._loaded.pin_model, self._loaded.data, q, dq, torque))
 
-    def _judged(self, q: Array, dq: Array, model: ArmState, time: float) -> tuple[Mask, str]:
-        """Whether the reading (n,) of each joint is plausible, and one sentence of the first that is not. NaN stands
-        for what is not possible."""
-        plausible, before = self._plausible, self._read
-        self._read = ArmState(q, dq)
-        step = plausible.speed_change * self._speed + plausible.acceleration * time
-
-        by_model = (np.abs(dq - model.dq) <= step) & (np.abs(q - model.q) <= step * time)
-        # Speeds that change within a period leave the position off their mean by up to half the change times the time;
-        # a false speed beside a true position by just half. A quarter tells them apart, for changes at mid-period.
-        miss = q - before.q - 0.5 * time * (dq + before.dq)
-        by_itself = np.abs(miss) <= 0.25 * time * (step + np.abs(dq - before.dq))
-        self._consistent = np.where(by_itself, self._consistent + 1, 0)
-        self._drift = np.where(np.isfinite(miss), math.exp(-time / plausible.window) * self._drift + miss, 0.0)
-        drifts = np.abs(self._drift) > plausible.drift
-        confirmed = (self._consistent >= plausible.confirmations) & (np.abs(q - model.q) <= plausible.away)
-        follows = (by_model | (by_itself & self._sure) | confirmed) & ~drifts
-
-        # An identical reading tells nothing. The model goes on from the state before it, and shows whether it is stale.
-        identical = (q == before.q) & (dq == before.dq)
-        stale = identical & (np.abs(model.dq - dq) > plausible.moving)
-        good = np.asarray(follows & ~identical)
-        self._sure = good | (identical & ~stale)
-        bad = ~self._sure
-        return good, self._why(q, dq, model, int(np.argmax(bad)), identical) if bad.any() else ""
-
-    def _why(self, q: Array, dq: Array, model: ArmState, j: int, identical: Mask) -> str:
+    def _why(self, q: Array, dq: Array, j: int, identical: Mask, drift: Array) -> str:
         name, unit = self._arm.joint_names[j], self._arm.unit(j)
         if identical[j]:
             return f"{'it' if identical.all() else name} reports the same state again though it moves"
-        return (
-            f"{name} is said to be at {q[j]:.5g} {unit} and to move at {dq[j]:.3g} {unit}/s, where "
-            f"{model.q[j]:.5g} {unit} and {model.dq[j]:.3g} {unit}/s are expected"
-        )
+        if not self._bounded(drift)[j]:
+            off = f"{abs(drift[j]):.3g} {unit} off what its speeds make of it"
+            return f"{name} is said to be at {q[j]:.5g} {unit}, {off}"
+        return f"{name} is said to move at {dq[j]:.3g} {unit}/s, after {self._read.dq[j]:.3g} {unit}/s"
