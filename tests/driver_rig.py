@@ -26,7 +26,8 @@ from pylibfranka_stand_in import Library
 from salver import scenario
 from salver.control.arm import ArmController, ArmState
 from salver.driver import execute, logs, stops
-from salver.driver.robots import SimulatedRobot
+from salver.driver.franka import FrankaRobot
+from salver.driver.simulated import STOP_ROOM, SimulatedRobot
 from salver.files import load_npz, read_json
 from salver.geometry import Array
 from salver.models.arm import load_arm
@@ -101,7 +102,7 @@ class Arm(SimulatedRobot):
                     os.kill(os.getpid(), number)
         periods = 0 if self._first else 1
         self._first = False
-        return bench.changed("read", (self.true(), periods * self._period))
+        return bench.changed("read", (self.true(), periods * self.period))
 
     def write(self, torque: Array, sensed: Any = None, *, last: bool = False) -> None:
         self._fail("write")
@@ -158,7 +159,7 @@ class Rig:
         self.carried = self.plan.scenario.payload.bodies
         self.checks = execute.check_plan(self.plan, self.arm, self.carried)
         execute.demand(self.checks)
-        self.franka = execute.check_franka(self.plan, self.arm)
+        self.franka = FrankaRobot.check(self.plan, self.arm)
 
     def throw(self, faults: list[Fault], franka: bool = False) -> Outcome:
         """One run with faults, through the very functions of `salver execute`."""
@@ -176,7 +177,7 @@ class Rig:
                 library = Library(self.plan, inner=robot(self.plan, self.arm, 10.0))
                 stack.enter_context(patch.dict(sys.modules, {"pylibfranka": library}))
             try:
-                result = execute.run_on_franka(self.folder, "arm") if franka else execute.dry_run(self.folder)
+                result = execute.run_plan(self.folder, "franka", "arm") if franka else execute.run_plan(self.folder)
             except BaseException as error:
                 result = error
         return Outcome(self, faults, robots[-1], result, library)
@@ -200,8 +201,8 @@ class Rig:
             return call
 
         yield patch.object(execute, "check_plan", lambda *args: list(self.checks))
-        yield patch.object(execute, "check_franka", lambda *args: list(self.franka))
-        yield patch.object(execute, "SimulatedRobot", robot)
+        yield patch.object(FrankaRobot, "check", lambda *args: list(self.franka))
+        yield patch.object(SimulatedRobot, "connect", lambda address, plan, arm, realtime: robot(plan, arm, STOP_ROOM))
         yield patch.object(execute.Drive, "run", armed_run)
         yield patch.object(ArmController, "step", faulty("controller", step))
         yield patch.object(stops.PlannedStop, "__init__", faulty("planned", plan))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from salver.control.arm import ArmState
-from salver.driver.robots import SimulatedRobot
+from salver.driver.simulated import SimulatedRobot
 from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.planning.plan import Plan

@@ -15,6 +15,7 @@ from pylibfranka_stand_in import Library
 from salver import scenario
 from salver.driver import execute, logs
 from salver.driver.execution import ExecutionLog, Watchdog
+from salver.driver.franka import FrankaRobot
 from salver.driver.logs import arrays_of, check_place, keep
 from salver.driver.preflight import Check
 from salver.errors import SalverError
@@ -28,11 +29,11 @@ def test_checks_are_demanded_before_the_arm_is_connected(rig: Rig, monkeypatch: 
     """Of the plan, and of what a Franka asks for: neither may be found out with the arm already in hand."""
     library = Library(rig.plan)
     monkeypatch.setitem(sys.modules, "pylibfranka", library)
-    for name in ("check_plan", "check_franka"):
+    for where, name in ((execute, "check_plan"), (FrankaRobot, "check")):
         with monkeypatch.context() as patched:
-            patched.setattr(execute, name, lambda *args: [Check("x", False, "It is not fit.")])
+            patched.setattr(where, name, lambda *args: [Check("x", False, "It is not fit.")])
             with pytest.raises(SalverError, match=r"Not moved\. It is not fit\."):
-                execute.run_on_franka(rig.folder, "arm")
+                execute.run_plan(rig.folder, "franka", "arm")
     assert library.calls == []
 
 
@@ -40,7 +41,9 @@ def test_a_way_to_the_start_that_is_not_fit_is_not_gone(rig: Rig, monkeypatch: p
     monkeypatch.setitem(sys.modules, "pylibfranka", Library(rig.plan))
     monkeypatch.setattr(execute, "check_approach", lambda *args: [Check("x", False, "A wall is in between.")])
     with pytest.raises(SalverError, match=r"Not moved\. A wall is in between\."):
-        execute.run_on_franka(rig.folder, "arm", move_to_start=True, confirm=lambda _: pytest.fail("it was asked for"))
+        execute.run_plan(
+            rig.folder, "franka", "arm", move_to_start=True, confirm=lambda _: pytest.fail("it was asked for")
+        )
 
 
 def test_where_no_log_can_be_written_nothing_moves(rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,15 +52,15 @@ def test_where_no_log_can_be_written_nothing_moves(rig: Rig, tmp_path: Path, mon
     assert check_place(rig.folder).ok
     monkeypatch.setattr(logs, "ROOM", 1e30)
     with pytest.raises(SalverError, match=r"Not moved\. .* MB left for the log"):
-        execute.dry_run(rig.folder, realtime=False)
+        execute.run_plan(rig.folder, realtime=False)
 
 
 @pytest.mark.slow
 def test_a_second_run_keeps_the_first_ones_log(rig: Rig, tmp_path: Path) -> None:
     make_plan(CASE).save(tmp_path)
-    first = execute.dry_run(tmp_path, realtime=False)
+    first = execute.run_plan(tmp_path, realtime=False)
     kept = load_npz(first.path)
-    second = execute.dry_run(tmp_path, watchdog=Watchdog(joint_error=1e-5), realtime=False)
+    second = execute.run_plan(tmp_path, watchdog=Watchdog(joint_error=1e-5), realtime=False)
     assert second.path == tmp_path / "execution" / "plan.npz"
     assert second.summary["stopped"]
     again = load_npz(tmp_path / "execution" / "plan-1.npz")

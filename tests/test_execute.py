@@ -18,8 +18,8 @@ from salver import scenario
 from salver.control.arm import ArmState, controller_for
 from salver.driver import execute
 from salver.driver.execution import Drive, ExecutionLog, Watchdog, timing
-from salver.driver.robots import SimulatedRobot
 from salver.driver.sensing import Plausible, Sensed
+from salver.driver.simulated import SimulatedRobot
 from salver.driver.stops import cool_stops
 from salver.errors import MissingDependencyError, SalverError
 from salver.geometry import Array
@@ -54,7 +54,7 @@ def _parts(plan: Plan) -> tuple[Any, Any, Any]:
 @pytest.mark.slow
 def test_dry_run_without_waiting_is_the_simulation(directory: Path, plan: Plan) -> None:
     """The driver's loop and `salver simulate` step the same controller on the same arm: the same motion."""
-    result = execute.dry_run(directory, realtime=False)
+    result = execute.run_plan(directory, realtime=False)
     assert result.achieved
     assert result.summary["outcome"] == "holds"
     assert result.summary["timing"]["missed"] == 0
@@ -243,7 +243,12 @@ def test_franka_adapter_runs_the_plan(directory: Path, plan: Plan, monkeypatch: 
     fake = Library(plan)
     monkeypatch.setitem(sys.modules, "pylibfranka", fake)
     asked: list[int] = []
-    result = execute.run_on_franka(directory, "172.16.0.2", confirm=lambda checks: asked.append(len(checks)) or True)  # type: ignore[func-returns-value]
+    result = execute.run_plan(
+        directory,
+        "franka",
+        "172.16.0.2",
+        confirm=lambda checks: asked.append(len(checks)) or True,  # type: ignore[func-returns-value]
+    )
     assert result.achieved
     assert result.summary["source"] == "franka at 172.16.0.2"
     assert asked == [len(result.checks)]
@@ -267,7 +272,7 @@ def test_nothing_moves_that_was_not_confirmed(
     fake = Library(plan, at)
     monkeypatch.setitem(sys.modules, "pylibfranka", fake)
     with pytest.raises(SalverError, match="it was not confirmed"):
-        execute.run_on_franka(directory, "arm", move_to_start=away, confirm=lambda checks: False)
+        execute.run_plan(directory, "franka", "arm", move_to_start=away, confirm=lambda checks: False)
     assert "connected" in {call[0] for call in fake.calls}
     assert "controlled" not in {call[0] for call in fake.calls}
 
@@ -280,10 +285,10 @@ def test_franka_moves_to_the_start_first_when_told(
     fake = Library(plan, posture)
     monkeypatch.setitem(sys.modules, "pylibfranka", fake)
     with pytest.raises(SalverError, match="--move-to-start"):
-        execute.run_on_franka(directory, "arm")
+        execute.run_plan(directory, "franka", "arm")
     with pytest.raises(SalverError, match="it was not confirmed"):
-        execute.run_on_franka(directory, "arm", move_to_start=True, confirm=lambda checks: False)
-    result = execute.run_on_franka(directory, "arm", move_to_start=True)
+        execute.run_plan(directory, "franka", "arm", move_to_start=True, confirm=lambda checks: False)
+    result = execute.run_plan(directory, "franka", "arm", move_to_start=True)
     assert result.achieved
     (put,) = (call[1] for call in fake.calls if call[0] == "put")
     assert put == pytest.approx(plan.joint.q[0], abs=1e-12)  # type: ignore[union-attr]
@@ -306,7 +311,7 @@ def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(
 
     fake.JointPositions = Pressed
     with pytest.raises(SalverError, match=r"Interrupted at t = 0\.2\d\d s\. The arm was stopped on its way"):
-        execute.run_on_franka(directory, "arm", move_to_start=True)
+        execute.run_plan(directory, "franka", "arm", move_to_start=True)
     assert len(positions) == 201
     assert fake.calls[-1] == ("stopped",)
 
@@ -315,7 +320,7 @@ def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(
 def test_an_arm_that_does_not_say_where_it_is_is_not_moved(
     plan: Plan, monkeypatch: pytest.MonkeyPatch, q_d: list[float]
 ) -> None:
-    from salver.driver.robots import FrankaRobot
+    from salver.driver.franka import FrankaRobot
 
     monkeypatch.setitem(sys.modules, "pylibfranka", Library(plan))
     robot = FrankaRobot("arm", _parts(plan)[0], 0.15, np.full(3, 1e-4), realtime=False)
@@ -327,16 +332,16 @@ def test_an_arm_that_does_not_say_where_it_is_is_not_moved(
 def test_franka_that_does_not_answer(directory: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pylibfranka", Library(plan))
     with pytest.raises(SalverError, match=r"The arm at nowhere says: Connection timed out\."):
-        execute.run_on_franka(directory, "nowhere")
+        execute.run_plan(directory, "franka", "nowhere")
     monkeypatch.setitem(sys.modules, "pylibfranka", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'salver\[robot\]'"):
-        execute.run_on_franka(directory, "172.16.0.2")
+        execute.run_plan(directory, "franka", "172.16.0.2")
 
 
 def test_a_franka_is_sent_what_it_does_not_add_by_itself(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its own model of gravity differs from ours by what it says for its last state; a state that is not believed says
     nothing, and the difference stays."""
-    from salver.driver.robots import FrankaRobot
+    from salver.driver.franka import FrankaRobot
 
     monkeypatch.setitem(sys.modules, "pylibfranka", fake := Library(plan))
     arm, q = _parts(plan)[0], plan.joint.q[0]  # type: ignore[union-attr]
@@ -355,7 +360,7 @@ def test_a_franka_is_sent_what_it_does_not_add_by_itself(plan: Plan, monkeypatch
 
 def test_a_franka_that_cannot_be_told_to_stop_says_so(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop tries again, and writes into the log that the arm was not told."""
-    from salver.driver.robots import FrankaRobot
+    from salver.driver.franka import FrankaRobot
 
     monkeypatch.setitem(sys.modules, "pylibfranka", Library(plan))
     robot = FrankaRobot("arm", _parts(plan)[0], 0.15, np.full(3, 1e-4), realtime=False)
@@ -389,7 +394,7 @@ def test_pylibfranka_has_the_names_that_are_used() -> None:
     assert hasattr(real.ControllerMode, "JointImpedance")
     assert real.JointPositions([0.1] * 7).motion_finished is False
     assert {"q", "q_d", "dq"} <= set(dir(real.RobotState))
-    from salver.driver.robots import FrankaRobot
+    from salver.driver.franka import FrankaRobot
 
     case = scenario.load("panda-cube")
     with pytest.raises(SalverError, match=r"The arm at 127\.0\.0\.1 says: "):
@@ -410,12 +415,12 @@ def test_commands_that_cannot_be(directory: Path, tmp_path: Path) -> None:
         assert result.exit_code == 2, result.output
         return result.output + (result.stderr or "")
 
-    assert 'no robot "ur"' in said("--robot", "ur")
+    assert 'no robot "spot"; known are simulated, franka' in said("--robot", "spot")
     assert 'has no motion "../plan"; it has plan' in said("--stem", "../plan", "--dry-run")
     assert "Give the arm's --address" in said()
     assert "--watchdog is 3 rad" in said("--watchdog", "3", "--dry-run")
     assert "six numbers" in said("--mocap", "x.csv", "--mocap-world", "1 2")
-    execute.dry_run(directory, realtime=False)
+    execute.run_plan(directory, realtime=False)
     assert "cannot be read as a text file" in said("--mocap", str(tmp_path / "none.csv"))
     bare = tmp_path / "no-arm"
     make_plan(scenario.load("panda-cube").with_changes(arm=None), "baseline").save(bare, "plan")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from salver import scenario
-from salver.driver.franka_limits import FR3, velocity_range
+from salver.driver.franka import FR3, velocity_range
 from salver.models.arm import load_arm
 from salver.models.arm_limits import LIMITS, POSITION, JointLimits
 from salver.models.known_arms import KNOWN_ARMS

@@ -308,7 +308,7 @@ def test_of_several_objects_one_track_tells_nothing_of_the_others(plan: Plan, tm
 
 @pytest.mark.slow
 def test_without_the_tray_nothing_is_said_of_the_load(directory: Path, plan: Plan, tmp_path: Path) -> None:
-    execute.dry_run(directory, realtime=False)
+    execute.run_plan(directory, realtime=False)
     _capture(plan, tmp_path / "vicon.csv")
     result = execute.merge_mocap(directory, "plan", tmp_path / "vicon.csv", offset=STARTS_AT, world=WORLD)
     assert result.summary["outcome"] == "done"
@@ -322,7 +322,7 @@ def test_without_the_tray_nothing_is_said_of_the_load(directory: Path, plan: Pla
 
 @pytest.mark.slow
 def test_motion_capture_merges_into_the_log(directory: Path, plan: Plan, tmp_path: Path) -> None:
-    execute.dry_run(directory, realtime=False)
+    execute.run_plan(directory, realtime=False)
     _capture(plan, tmp_path / "vicon.csv", slides=0.012)
     result = execute.merge_mocap(
         directory, "plan", tmp_path / "vicon.csv", tray_name="tray", offset=STARTS_AT, world=WORLD

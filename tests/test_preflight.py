@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from driver_rig import Rig
 from salver import scenario
 from salver.control.arm import ArmState
-from salver.driver.franka_limits import FR3
-from salver.driver.preflight import check_approach, check_franka, check_plan, check_posture, demand, looked_at
+from salver.driver.franka import FR3, check_franka
+from salver.driver.preflight import check_approach, check_plan, check_posture, demand, looked_at
 from salver.errors import SalverError, Status
 from salver.geometry import Array
 from salver.models.arm import ArmModel, load_arm

@@ -91,12 +91,12 @@ def test_merging_vertices_by_hand() -> None:
 
 def test_a_log_of_the_arm_is_shown_like_a_simulation(cube_plans: Path, tmp_path: Path) -> None:
     """With the object seen now and then by motion capture: where it was not, the tray carries it."""
-    from salver.driver.execute import dry_run
+    from salver.driver.execute import run_plan
     from salver.files import read_result
     from salver.run_directory import save_record
 
     shutil.copytree(cube_plans, tmp_path / "run")
-    dry_run(tmp_path / "run", realtime=False)
+    run_plan(tmp_path / "run", realtime=False)
     arrays, summary = read_result(tmp_path / "run" / "execution" / "plan")
     gap = (arrays["t"] > 1.0) & (arrays["t"] < 1.5)
     for name in ("p_SB", "quat_SB_wxyz", "e_p", "e_o"):

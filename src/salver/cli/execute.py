@@ -22,7 +22,7 @@ def execute(
     directory: Annotated[
         Path, typer.Argument(help="A run directory, as `salver plan` makes it; with --live, a scenario or its run.")
     ],
-    robot: Annotated[str, typer.Option(help="Which arm: franka.")] = "franka",
+    robot: Annotated[str, typer.Option(help="Which arm: franka or simulated.")] = "franka",
     address: Annotated[str | None, typer.Option(help="Network address of the arm's control interface.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="The simulated arm, in real time.")] = False,
     stem: Annotated[
@@ -58,9 +58,10 @@ def execute(
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the arm moves.")] = False,
     json: Json = False,
 ) -> None:
-    """Run a plan on a real arm by torque, with checks before, a watchdog during, and a log after.
+    """Run a plan on an arm, with checks before, a watchdog during, and a log after.
 
-    First `--dry-run`: the same loop on the simulated arm, which tells how well this machine keeps 1 kHz. The log goes
+    First `--dry-run` (or `--robot simulated`): the same loop on the simulated arm, which tells how well this machine
+    keeps 1 kHz. The log goes
     to DIR/execution; `salver report DIR` shows it. Stop with Ctrl-C: by the plan's own stops the load stays
     (`salver plan --stops`); a plan without them brakes smoothly, and what it carries may fall.
 
@@ -72,12 +73,12 @@ def execute(
 
     Example: `salver execute runs/panda-cube --dry-run`
     """
-    from salver.driver.execute import ROBOTS, merge_mocap, run_on_franka
-    from salver.driver.execute import dry_run as run_dry
+    from salver.driver.execute import merge_mocap, run_plan
     from salver.driver.execution import Watchdog
+    from salver.driver.robots import robot_class
 
-    if robot not in ROBOTS:
-        raise SalverError(f'There is no robot "{robot}"; known are {", ".join(ROBOTS)}.')
+    robot_class(robot)
+    dry_run = dry_run or robot == "simulated"
     if not 0 < watchdog < 1:
         raise SalverError(f"--watchdog is {watchdog:g} rad; it must be above 0 and below 1.")
     if live is not None:
@@ -86,20 +87,17 @@ def execute(
         result = _told(directory, live, out, address, dry_run, Watchdog(watchdog), realtime, yes, json)
     elif mocap is not None:
         result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
-    elif dry_run:
-        result = run_dry(
-            directory, stem, Watchdog(watchdog), realtime, full_speed_only=full_speed_only, confirm=_warned
-        )
     else:
-        result = run_on_franka(
+        result = run_plan(
             directory,
-            _given(address),
+            "simulated" if dry_run else robot,
+            "" if dry_run else _given(address),
             stem,
             Watchdog(watchdog),
             move_to_start=move_to_start,
             realtime=realtime,
             full_speed_only=full_speed_only,
-            confirm=_assent(yes, json),
+            confirm=_warned if dry_run else _assent(yes, json),
         )
     if json:
         print_json({"log": result.path, **result.summary})

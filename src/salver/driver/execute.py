@@ -14,9 +14,10 @@ from salver.control.arm import ArmController, ArmState, controller_for
 from salver.driver import mocap, seen
 from salver.driver.execution import Drive, ExecutionLog, Watchdog, named
 from salver.driver.logs import FOLDER, arrays_of, check_place, keep, summary_of
-from salver.driver.preflight import Check, check_approach, check_franka, check_plan, check_posture, demand
-from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
+from salver.driver.preflight import Check, check_approach, check_plan, check_posture, demand
+from salver.driver.robots import Robot, robot_class
 from salver.driver.signals import Signals, noted_signals
+from salver.driver.simulated import SimulatedRobot
 from salver.driver.stops import StopFrom, stops_of
 from salver.errors import FileFormatError, SalverError, UnreachableError
 from salver.files import read_result
@@ -27,7 +28,6 @@ from salver.planning.plan import Plan, load_plan
 from salver.run_directory import file_stem, known_stems
 from salver.trajectory import JointMotion
 
-ROBOTS = ("franka",)
 APPROACH_SHARE = 0.1  # of the velocity limits on the way to the start posture
 # Of a simulated run, what is logged: figures and arrays.
 JUDGED = ("outcome", "objects", "e_p_peak", "e_o_peak")
@@ -35,7 +35,6 @@ RECORDED = (
     "t", "q", "dq", "tau", "p_SE", "quat_SE_wxyz", "p_SB", "quat_SB_wxyz", "slip_E", "slip", "lift", "tip_angle",
     "contact_points_B", "contact_forces_B", "cone_coefficients", "e_p", "e_o", "tray_e_p", "tray_e_o",
 )  # fmt: skip
-STOP_ROOM = 3.0  # s that a stop may take in a dry run beyond the motion
 
 
 @dataclass(frozen=True)
@@ -55,51 +54,10 @@ class Execution:
         return not self.summary["stopped"] and self.summary["outcome"] in ("holds", "done") and not in_vain
 
 
-def dry_run(
+def run_plan(
     directory: str | Path,
-    stem: str = "plan",
-    watchdog: Watchdog | None = None,
-    realtime: bool = True,
-    *,
-    full_speed_only: bool = False,
-    confirm: Callable[[list[Check]], bool] = lambda checks: True,
-    signals: Signals | None = None,
-) -> Execution:
-    """The plan on the simulated arm, in real time, through the very loop that drives a real one.
-
-    full_speed_only: run also a plan that does not keep its load at every speed. confirm: asked with the checks after
-    all of them passed, before anything moves. signals: through which the caller may ask for a stop (`Signals.note`),
-    from another thread.
-    Raises SalverError when a check before the run fails, UnreachableError when the plan has no joint motion.
-    """
-    plan, arm, carried = _prepared(directory, stem)
-    checks = check_plan(plan, arm, carried, full_speed_only)
-    demand(checks)
-    checks.append(check_place(Path(directory)))
-    watchdog = watchdog or Watchdog()
-    robot = SimulatedRobot(plan, arm, STOP_ROOM, realtime)
-    checks += check_posture(_motion(plan), arm, robot.look())
-    demand(checks)
-    if not confirm(checks):
-        raise SalverError("Not moved: it was not confirmed.")
-    began = time.perf_counter()
-    with noted_signals():  # nothing may come between the run and its log
-        log_ = _run(plan, arm, carried, robot, watchdog, robot.start_time, signals)
-        summary = {**summary_of(plan, robot.source, log_, checks, watchdog), "realtime": realtime}
-        try:
-            record = robot.record({"with_arm": True}, began)
-        except BaseException as error:  # too short a run, an engine that diverged: the log comes first
-            summary["load"] = f"What became of the load was not measured ({named(error)})."
-            arrays = arrays_of(plan, arm, carried[0], log_)
-        else:
-            arrays = {name: np.asarray(getattr(record, name)) for name in RECORDED}
-            summary |= {key: record.summary[key] for key in JUDGED if key in record.summary}
-        return _kept(directory, stem, arrays, summary, checks)
-
-
-def run_on_franka(
-    directory: str | Path,
-    address: str,
+    robot: str = "simulated",
+    address: str = "",
     stem: str = "plan",
     watchdog: Watchdog | None = None,
     *,
@@ -109,40 +67,63 @@ def run_on_franka(
     confirm: Callable[[list[Check]], bool] = lambda checks: True,
     signals: Signals | None = None,
 ) -> Execution:
-    """The plan on a Franka arm. confirm: asked with the checks after all of them passed, before anything moves.
+    """A plan on an arm.
 
+    robot: a name of `salver.driver.robots.ROBOTS`; "simulated" runs the very loop that drives a real one, in real time.
+    confirm: asked with the checks after all of them passed, before anything moves.
     signals: through which the caller may ask for a stop (`Signals.note`), from another thread.
     move_to_start: go to the start posture first, at a tenth of the speed limits, with nothing on the tray.
     full_speed_only: run also a plan that does not keep its load at every speed.
-    Raises SalverError when a check fails or the arm refuses, MissingDependencyError without pylibfranka.
+    Raises SalverError when a check fails or the arm refuses, UnreachableError when the plan has no joint motion,
+    MissingDependencyError without the robot's library.
     """
+    kind = robot_class(robot)
     plan, arm, carried = _prepared(directory, stem)
     checks = check_plan(plan, arm, carried, full_speed_only)
     demand(checks)
     checks.append(check_place(Path(directory)))
-    checks += check_franka(plan, arm)
+    checks += kind.check(plan, arm)
     demand(checks)  # before the arm is even connected
-    tray = plan.scenario.tray
-    robot = FrankaRobot(address, arm, tray.mass, np.array(tray.inertia), realtime)
+    driven: Robot = kind.connect(address, plan, arm, realtime)
     watchdog = watchdog or Watchdog()
-    posture = check_posture(_motion(plan), arm, robot.look())
+    posture = check_posture(_motion(plan), arm, driven.look())
     if move_to_start:
         demand([check for check in posture if check.name == "state"])
         start = _motion(plan).q[0]
-        checks += check_approach(approach(robot.look().q, start, arm), plan, arm)
+        checks += check_approach(approach(driven.look().q, start, arm), plan, arm)
         demand(checks)
         if not confirm([*checks, *posture]):
             raise SalverError("Not moved: it was not confirmed.")
-        robot.move(lambda q: approach(q, start, arm))
-        posture = check_posture(_motion(plan), arm, robot.look())
+        driven.move(lambda q: approach(q, start, arm))
+        posture = check_posture(_motion(plan), arm, driven.look())
     checks += posture
     demand(checks)
     if not confirm(checks):
         raise SalverError("Not moved: it was not confirmed.")
+    began = time.perf_counter()
     with noted_signals():  # nothing may come between the run and its log
-        log_ = _run(plan, arm, carried, robot, watchdog, -plan.scenario.physics.settle_before, signals)
-        summary = summary_of(plan, robot.source, log_, checks, watchdog)
-        return _kept(directory, stem, arrays_of(plan, arm, carried[0], log_), summary, checks)
+        log_ = _run(plan, arm, carried, driven, watchdog, -plan.scenario.physics.settle_before, signals)
+        summary = summary_of(plan, driven.source, log_, checks, watchdog)
+        arrays = arrays_of(plan, arm, carried[0], log_)
+        if isinstance(driven, SimulatedRobot):
+            arrays, summary = seen_in_the_engine(driven, began, arrays, {**summary, "realtime": realtime})
+        return _kept(directory, stem, arrays, summary, checks)
+
+
+def seen_in_the_engine(
+    robot: SimulatedRobot,
+    began: float,
+    arrays: dict[str, np.ndarray],
+    summary: dict[str, Any],
+    plan: Plan | None = None,
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The log of a simulated run, with what became of the load. plan: as of `SimulatedRobot.record`."""
+    try:
+        record = robot.record({"with_arm": True}, began, plan)
+    except BaseException as error:  # too short a run, an engine that diverged: the log comes first
+        return arrays, {**summary, "load": f"What became of the load was not measured ({named(error)})."}
+    known = {key: record.summary[key] for key in JUDGED if key in record.summary}
+    return {name: np.asarray(getattr(record, name)) for name in RECORDED}, {**summary, **known}
 
 
 def merge_mocap(
@@ -229,7 +210,10 @@ def _run(
     stop_from = stops_of(plan, controller, arm, carried)
     _warm_up(controller, stop_from, joint)
     end = plan.duration + plan.scenario.physics.settle_after
-    drive = Drive(robot, controller, joint, arm, carried, start, end, watchdog, stop_from, signals or Signals())
+    speed_rate = plan.scenario.motion.speed_rate if plan.speeds.every else None
+    drive = Drive(
+        robot, controller, joint, arm, carried, start, end, watchdog, stop_from, signals or Signals(), speed_rate
+    )
     return drive.run()
 
 

@@ -1,23 +1,25 @@
 """Driving an arm along a plan: the control loop, its watchdog, and what is logged.
 
-Sample by sample: `sensing` says what is believed, the watchdog whether to go on, the controller or a stop what torque
-is wanted, and `gate` what of it may leave.
+Sample by sample: `sensing` says what is believed, the watchdog whether to go on, the controller or a stop what is
+commanded, and `gate` what of it may leave. A robot that takes positions or velocities is commanded the reference; one
+that takes torques what the controller makes of it.
 """
 
 from __future__ import annotations
 
 import gc
 import time
+from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from salver.control.arm import ArmController, ArmState, Course, JointTable
-from salver.driver.gate import TorqueGate
+from salver.driver.gate import Gate
 from salver.driver.sensing import Sensed, Senses
 from salver.driver.signals import Signals, noted_signals
-from salver.driver.stops import HOLD_AFTER_STOP, Stop, StopFrom, cool_stops
+from salver.driver.stops import HOLD_AFTER_STOP, SENSED, PathStop, Stop, StopFrom, cool_stops
 from salver.errors import SalverError
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
@@ -34,7 +36,8 @@ AT_REST = 0.02  # rad/s; torque control is not left at more, unless it takes lon
 LONGEST_WAIT = 1.0  # s after a stop should have been over
 ELSEWHERE = 0.02  # rad from where the model had taken the arm
 MOST_RENEWALS = 3  # of a stop, because the arm was elsewhere
-ATTEMPTS = 3  # to leave torque control
+ATTEMPTS = 3  # to leave control
+VELOCITY_GAIN = 5.0  # 1/s; how fast an arm that takes velocities is drawn back to its reference
 MOST_INTERRUPTIONS = 100  # that are taken as one wish to stop
 
 
@@ -105,6 +108,7 @@ class Drive:
     """The loop from t = start to t = end, s; the arm is at rest before 0 and after the motion.
 
     stop_from: the stop to fall back on when something is wrong (`salver.driver.stops`).
+    speed_rate: 1/s by which the speed factor may change so that the load stays; None when it stays at full speed only.
     signals: what may ask for a stop from outside, also from another thread (`Signals.note`).
     """
 
@@ -118,19 +122,22 @@ class Drive:
     watchdog: Watchdog
     stop_from: StopFrom
     signals: Signals = field(default_factory=Signals)
+    speed_rate: float | None = None
 
     def __post_init__(self) -> None:
-        self.loaded, self.period = with_load(self.arm, self.bodies), self.controller.period
+        self.loaded, self.period = with_load(self.arm, self.bodies), self.robot.period
+        self.by_torque = self.robot.takes == "torque"
         self.t = self.start  # s of the motion
         joint = self.joint
-        self.wanted: Course = JointTable(joint, self.period) if isinstance(joint, JointMotion) else joint
+        self.wanted: Course = JointTable(joint, self.controller.period) if isinstance(joint, JointMotion) else joint
         # Tried in this order, each when the one before it fails.
         self.stops = [self.stop_from, cool_stops(self.arm, self.bodies)]
         self.stop: Stop | None = None
-        self.gate: TorqueGate | None = None
+        self.gate: Gate | None = None
         self.stopped, self.since, self.interruptions, self.unsure = "", 0.0, 0, False
         self.stopping = 0  # periods of the stop
         self.renewals, self.seen = 0, True  # all along the stop
+        self.factor = 1.0  # of full speed
         # Time never advances by less than half a period, so this is enough.
         self.book = _Book(2 * int((self.end - self.start + STOP_ROOM) / self.period), self.arm.n)
 
@@ -163,41 +170,53 @@ class Drive:
         cut |= {"gate_closed": self.gate.closed, "gate_cut": self.gate.cut} if self.gate is not None else {}
         return self.book.closed(self.stopped, cut, None if self.stop is None else self.stop.keeps_load and self.seen)
 
-    def begin(self) -> TorqueGate:
+    def begin(self) -> Gate:
         state = self.robot.look()
-        self.senses = Senses(self.arm, self.bodies, self.period, state)
-        holding = self.loaded.gravity(np.array(state.q, dtype=float))
-        limits = self.arm.limits
+        self.senses = Senses(self.arm, self.bodies, self.period, state, by_torque=self.by_torque)
+        q, limits = np.array(state.q, dtype=float), self.arm.limits
         self.state = state
-        self.gate = gate = TorqueGate(limits.torque, limits.torque_rate, self.period, holding)
-        self.torque = holding
+        if self.by_torque:
+            first, least, most, rate = self.loaded.gravity(q), -limits.torque, limits.torque, limits.torque_rate
+        elif self.robot.takes == "position":
+            first, least, most, rate = q, limits.q_min, limits.q_max, limits.velocity
+        else:
+            first, least, most, rate = 0.0 * q, -limits.velocity, limits.velocity, limits.acceleration
+        self.gate, self.sent = Gate(least, most, rate, self.period, first), first
+        # References as they were commanded, the first of them a period and a lag ago: where an arm that follows by
+        # itself should be.
+        count = 2 + round(self.robot.lag / self.period)
+        self.late = deque([(self.reference()[0], 0.0 * q)] * count, count)
         self.robot.start()
-        return gate
+        return self.gate
 
-    def one_period(self, gate: TorqueGate) -> bool:
+    def one_period(self, gate: Gate) -> bool:
         """Whether it was the last one."""
         try:
             answer = self.robot.read()
             woken = time.perf_counter()
             blind = self.senses.blind
-            sensed = self.senses.take(answer, self.torque)
-            self.t += sensed.elapsed
+            sensed = self.senses.take(answer, self.sent if self.by_torque else self.late[0][1])
+            slowed = self.scaled(sensed.elapsed)
+            self.t += sensed.elapsed * (self.factor if self.stop is None else 1.0)
+            if not self.by_torque:
+                self.late.append(self.reference()[:2])
             if blind and not sensed.wrong:
                 self.seen_again(sensed.state)
             self.state = sensed.state
             wish = "" if self.stop is not None else self.signals.wish(self.t)
-            demanded = self.demand(sensed.state, wish or self.complaint(sensed))
-            self.seen &= self.stop is None or self.senses.sees
-            # After a write of which nobody knows whether it was done, the same torque again: no rate is overstepped.
-            self.torque = gate(self.torque if self.unsure else demanded)
+            demanded = self.demand(sensed.state, wish or self.complaint(sensed) or slowed)
+            if self.stop is not None:
+                self.seen &= self.senses.sees and (self.by_torque or self.near(self.stop, sensed.state))
+            # After a write of which nobody knows whether it was done, the same command again: no rate is overstepped.
+            self.sent = gate(self.sent if self.unsure else demanded)
             self.stopping += self.stop is not None
             last = self.over(sensed)
             self.unsure = True
-            self.robot.write(self.torque, sensed, last=last)
+            self.robot.write(self.sent, sensed, last=last)
             self.unsure = False
             try:
-                self.book.add(self.t, sensed, self.torque, self.q_wanted, woken)
-            except BaseException as error:  # the torque has left; a row less is no reason to leave the arm alone
+                self.book.add(self.t, sensed, self.sent, self.q_wanted, woken)
+            except BaseException as error:  # the command has left; a row less is no reason to leave the arm alone
                 self.signals.note(
                     "Interrupted" if isinstance(error, KeyboardInterrupt) else f"The log failed ({named(error)})"
                 )
@@ -212,12 +231,32 @@ class Drive:
             self.t += self.period
             return False
 
+    def scaled(self, elapsed: float) -> str:
+        """The speed factor follows the robot's, as fast as the load allows. Why to stop when it allows no change."""
+        target = self.robot.speed
+        if self.stop is not None or target == self.factor:
+            return ""
+        if self.speed_rate is None:
+            return f"The robot's speed is at {100 * target:.0f} %, and this motion keeps its load at full speed only."
+        most = self.speed_rate * elapsed if self.t > 0 else 1.0
+        self.factor += min(max(target - self.factor, -most), most)
+        return ""
+
+    def reference(self) -> tuple[Array, Array, Array]:
+        """(q, dq, ddq) of the motion or of the stop, as it is commanded now."""
+        if self.stop is not None:
+            return self.stop.reference(self.s)
+        q, dq, ddq = self.wanted.at(*self.wanted.instant(self.t))
+        return (q, dq, ddq) if self.factor == 1.0 else (q, self.factor * dq, self.factor**2 * ddq)
+
     @property
     def q_wanted(self) -> Array:
-        """Where the arm should be now, by the motion or by the stop."""
-        if self.stop is not None:
-            return self.stop.reference(self.s)[0]
-        return self.wanted.at(*self.wanted.instant(self.t))[0]
+        """Where the arm should be now: what was commanded a lag ago."""
+        return self.reference()[0] if self.by_torque else self.late[0][0]
+
+    def near(self, stop: Stop, state: ArmState) -> bool:
+        """Whether an arm that follows commands by itself follows this stop so closely that the load surely stays."""
+        return bool((np.abs(state.q - self.late[0][0]) <= stop.allowed + SENSED).all())
 
     def complaint(self, sensed: Sensed) -> str:
         """Why to stop, or to stop otherwise; empty for going on."""
@@ -235,9 +274,9 @@ class Drive:
             self.brake(state, wish)
         while True:
             try:
-                step = self.controller.step(state, self.t) if self.stop is None else self.stop.step(state, self.s)
-                if np.shape(step) != self.torque.shape or not np.all(np.isfinite(step)):
-                    raise ArithmeticError("a torque that is no number for each joint")
+                step = self.wanted_command(state)
+                if np.shape(step) != self.sent.shape or not np.all(np.isfinite(step)):
+                    raise ArithmeticError("a command that is no number for each joint")
                 return step
             except KeyboardInterrupt:
                 raise
@@ -247,6 +286,12 @@ class Drive:
                 who = "The controller" if self.stop is None else "The stop"
                 self.brake(state, f"{who} failed at t = {self.t:.3f} s ({named(error)}).")
 
+    def wanted_command(self, state: ArmState) -> Array:
+        if self.by_torque:
+            return self.controller.step(state, self.t) if self.stop is None else self.stop.step(state, self.s)
+        q, dq, _ = self.reference()
+        return q if self.robot.takes == "position" else dq + VELOCITY_GAIN * (self.q_wanted - state.q)
+
     @property
     def s(self) -> float:
         """Time since the stop began, s."""
@@ -254,6 +299,11 @@ class Drive:
 
     def brake(self, state: ArmState, why: str) -> None:
         self.stopped = " ".join([*filter(None, [self.stopped]), why])
+        if not self.by_torque:  # an arm that follows by itself goes on from what it was commanded
+            state = ArmState(*self.reference()[:2])
+        if self.stop is None and self.factor < 1.0 and (rate := self.speed_rate):
+            factor, gains = self.factor, (self.controller.gains.kp[0], self.controller.gains.kd[0])
+            self.stops[0] = lambda state, t: PathStop(self.loaded, gains, state, self.wanted, t, factor, rate)
         self.since, self.stopping = self.t, 0
         while self.stops:
             try:
@@ -268,7 +318,7 @@ class Drive:
     def seen_again(self, state: ArmState) -> None:
         """A stop that began on what the model said begins anew where the arm really is, when that is elsewhere."""
         elsewhere = np.abs(state.q - self.state.q).max() > ELSEWHERE
-        if self.stop is not None and elsewhere and self.renewals < MOST_RENEWALS:
+        if self.by_torque and self.stop is not None and elsewhere and self.renewals < MOST_RENEWALS:
             self.renewals += 1
             stop, s = self.stop, self.s
             self.stops.insert(0, lambda state, t: stop.renewed(state, s))
@@ -284,7 +334,7 @@ class Drive:
             if not self.senses.sees:
                 # Who does not see does not hold: what the model is wrong by adds up until torque control ends.
                 return min(self.s, self.stopping * self.period) >= self.stop.duration - HOLD_AFTER_STOP
-        return due and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.torque, AT_REST))
+        return due and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.sent, AT_REST))
 
     def leave(self) -> None:
         """Out of torque control, in more than one attempt if need be."""

@@ -1,4 +1,4 @@
-"""The last thing a torque passes on its way to an arm."""
+"""The last thing a command passes on its way to an arm."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ import numpy as np
 from salver.geometry import Array
 
 
-class TorqueGate:
-    """Lets out numbers only, within the limits of torque and of its rate, whatever comes in.
+class Gate:
+    """Lets out numbers only, within the limits of a command and of its rate, whatever comes in.
 
-    Where no number comes in, the joint keeps the torque it had. closed: how often that was so. cut: how often
+    Where no number comes in, the joint keeps the command it had. closed: how often that was so. cut: how often
     limits were asked to be overstepped.
     """
 
-    def __init__(self, limit: Array, rate: Array, period: float, start: Array) -> None:
-        """limit, rate: (n,) N m, N m/s; infinite where there is none. start: (n,) N m, the torque that acts now."""
-        self._limit, self._step = limit, rate * period
-        self._sent = np.clip(np.where(np.isfinite(start), start, 0.0), -limit, limit)
+    def __init__(self, least: Array, most: Array, rate: Array, period: float, start: Array) -> None:
+        """least, most: (n,) of the command, N m, rad or rad/s. rate: (n,) of its change per second. Infinite where
+        there is none. start: (n,), the command that acts now."""
+        self._least, self._most, self._step = least, most, rate * period
+        self._sent = np.clip(np.where(np.isfinite(start), start, 0.0), least, most)
         self.closed = self.cut = 0
 
-    def __call__(self, torque: Any) -> Array:
-        """The torque (n,) that may be sent in this period."""
+    def __call__(self, command: Any) -> Array:
+        """The command (n,) that may be sent in this period."""
         try:
-            wanted = np.array(torque, dtype=float)
+            wanted = np.array(command, dtype=float)
         except (TypeError, ValueError):
             wanted = np.full_like(self._sent, np.nan)
         if wanted.shape != self._sent.shape:
@@ -34,8 +35,8 @@ class TorqueGate:
         if not good.all():
             self.closed += 1
             wanted = np.where(good, wanted, self._sent)
-        least = np.maximum(self._sent - self._step, -self._limit)
-        most = np.minimum(self._sent + self._step, self._limit)
+        least = np.maximum(self._sent - self._step, self._least)
+        most = np.minimum(self._sent + self._step, self._most)
         sent = np.minimum(np.maximum(wanted, least), most)
         self.cut += bool((sent != wanted).any())
         self._sent = sent

@@ -18,15 +18,16 @@ from typing import Any
 import numpy as np
 
 from salver.control.arm import ArmController, ArmState, controller_for
-from salver.driver.execute import JUDGED, RECORDED, Execution
+from salver.driver.execute import Execution, seen_in_the_engine
 from salver.driver.execution import AT_REST, LONGEST_WAIT, Drive, ExecutionLog, Watchdog, named
-from salver.driver.franka_limits import FR3
-from salver.driver.gate import TorqueGate
+from salver.driver.franka import FR3, FrankaRobot, check_franka, within_fr3
+from salver.driver.gate import Gate
 from salver.driver.logs import arrays_of, check_place, keep, summary_of
-from salver.driver.preflight import Check, check_franka, check_plan, check_posture, demand, within_fr3
-from salver.driver.robots import FrankaRobot, Robot, SimulatedRobot
+from salver.driver.preflight import Check, check_plan, check_posture, demand
+from salver.driver.robots import Robot
 from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals, noted_signals
+from salver.driver.simulated import SimulatedRobot
 from salver.driver.stops import Along, Stop
 from salver.errors import SalverError, Status
 from salver.files import provenance
@@ -115,7 +116,7 @@ class LiveDrive(Drive):
         self.as_planned = True
         self.count, self.periods, self.rested, self.patience = 0, 0, 0.0, TOO_LONG
 
-    def one_period(self, gate: TorqueGate) -> bool:
+    def one_period(self, gate: Gate) -> bool:
         if self.stop is None:
             self.prompter.period(self.t)  # there is time before the next sample comes
         self.periods += 1
@@ -170,7 +171,7 @@ class LiveDrive(Drive):
             return self.patience < 0
         self.rested += self.period
         waited = self.rested - self.rest_after
-        return waited >= 0 and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.torque, AT_REST))
+        return waited >= 0 and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.sent, AT_REST))
 
 
 def dry_run_live(
@@ -339,13 +340,7 @@ def _kept(
     }
     arrays = arrays_of(plan, arm, drive.bodies[0], log_)
     if isinstance(robot, SimulatedRobot):
-        try:
-            record = robot.record({"with_arm": True}, began, plan)
-        except BaseException as error:  # an engine that diverged: the log comes first
-            summary["load"] = f"What became of the load was not measured ({named(error)})."
-        else:
-            arrays = {name: np.asarray(getattr(record, name)) for name in RECORDED}
-            summary |= {key: record.summary[key] for key in JUDGED if key in record.summary}
+        arrays, summary = seen_in_the_engine(robot, began, arrays, summary, plan)
     plan_files.make_way(plan.scenario, directory, force=True)
     plan.save(directory)
     return Execution(arrays, summary, checks, keep(directory, "plan", arrays, summary))

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from salver.contact_margins import margins
-from salver.driver.franka_limits import FR3, velocity_range
-from salver.driver.robots import PERIOD
 from salver.errors import SalverError
 from salver.geometry import log
 from salver.models.arm_geometry import arm_geometry
@@ -27,7 +25,6 @@ if TYPE_CHECKING:
 
     from salver.control.arm import ArmState
     from salver.models.arm import ArmModel
-    from salver.models.arm_limits import JointLimits
     from salver.models.bodies import Body
     from salver.planning.plan import Plan
 
@@ -264,48 +261,6 @@ def _rest(joint: JointMotion) -> Check:
         bool(still <= STILL),
         f"The motion starts and ends with a joint rate of {still:.1g} rad/s or rad/s^2; it must be at rest there.",
     )
-
-
-def check_franka(plan: Plan, arm: ArmModel) -> list[Check]:
-    """What the Franka Research 3 asks for beyond the Panda, and what its interface cannot do."""
-    assert plan.joint is not None
-    physics = plan.scenario.physics
-    right_arm = plan.scenario.arm is not None and plan.scenario.arm.model == "panda"
-    checks = [
-        Check("arm", right_arm, f"The plan is for the arm {arm.name}; --robot franka drives a panda."),
-        Check(
-            "period",
-            physics.command_period == PERIOD,
-            f"physics.command_period is {physics.command_period:g} s; the arm wants a torque every {PERIOD:g} s.",
-        ),
-    ]
-    return checks + (_within(FR3, arm, looked_at(plan.joint)) if right_arm else [])
-
-
-def within_fr3(arm: ArmModel, motion: JointMotion) -> str:
-    """What of a motion the Franka Research 3 would not do, in a sentence; nothing when it would."""
-    return next((check.sentence for check in _within(FR3, arm, looked_at(motion)) if not check.ok), "")
-
-
-def _within(limits: JointLimits, arm: ArmModel, motion: JointMotion) -> list[Check]:
-    q, dq, ddq, jerk = motion.q, motion.dq, motion.ddq, motion.jerk(motion.t)
-    low, high = velocity_range(q)
-    shares = {
-        key: np.abs(share) for key, share in limits.shares({"position": q, "acceleration": ddq, "jerk": jerk}).items()
-    }
-    shares["velocity"] = np.where(dq > 0, dq / np.maximum(high, 1e-9), dq / np.minimum(low, -1e-9))
-    made = []
-    for kind, share in shares.items():
-        k, j = np.unravel_index(int(np.argmax(share)), share.shape)
-        made.append(
-            Check(
-                f"FR3 {kind}",
-                bool(share[k, j] <= 1.0),
-                f"{arm.joint_names[j]} uses {100 * share[k, j]:.0f} % of the Franka Research 3's {kind} limit "
-                f"at t = {motion.t[k]:.2f} s.",
-            )
-        )
-    return made
 
 
 def check_posture(joint: JointMotion, arm: ArmModel, state: ArmState) -> list[Check]:

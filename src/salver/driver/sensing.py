@@ -46,10 +46,10 @@ class Plausible:
 
     outside: float = 0.2
     speed_share: float = 20.0
-    speed_change: float = 0.15
+    speed_change: float = 0.5
     drift: float = 0.005
     window: float = 0.05
-    confirmations: int = 20
+    confirmations: int = 8
     moving: float = 0.01
     gap: float = 1.0
     settling: float = 0.002
@@ -78,9 +78,12 @@ class Senses:
         period: float,
         state: ArmState,
         plausible: Plausible = Plausible(),
+        *,
+        by_torque: bool = True,
     ) -> None:
-        """state: of the arm before the first sample. Raises SalverError when it is not possible."""
-        self._arm, self._period, self._plausible = arm, period, plausible
+        """state: of the arm before the first sample. by_torque: whether the arm moves by torques that are sent, or by
+        itself, with speeds that are commanded. Raises SalverError when the state is not possible."""
+        self._arm, self._period, self._plausible, self._by_torque = arm, period, plausible, by_torque
         self._loaded = with_load(arm, bodies)
         self.blind, self._first = 0, True
         q, dq, wrong = self._numbers(state)
@@ -95,20 +98,20 @@ class Senses:
         """Whether the arm is where it is believed to be: the model stood in for a few periods at most."""
         return self.blind <= self._plausible.bridged
 
-    def take(self, answer: Any, torque: Array) -> Sensed:
-        """A robot's (state, elapsed), as it came. torque: (n,) N m that acted since the last one."""
+    def take(self, answer: Any, acting: Array) -> Sensed:
+        """A robot's (state, elapsed), as it came. acting: (n,) since the last one, N m, or rad/s."""
         state, elapsed, late = self._clock(answer)
         self._first = False
         q, dq, odd = self._numbers(state)
         possible, impossible = self._impossible(q, dq)
-        q, dq = np.where(possible, q, self._believed.q), np.where(possible, dq, self._believed.dq)
+        q, dq = np.where(possible, q, np.nan), np.where(possible, dq, np.nan)
         steady, drift = self._follows(q, dq, elapsed)
         if elapsed > 1.5 * self._period and not (steady & self._bounded(drift)).all():
             steady_in_one, drift_in_one = self._follows(q, dq, self._period)
             if (steady_in_one & self._bounded(drift_in_one)).all():
                 late = f"its clock says that {elapsed:g} s passed, and its joints went as far as in {self._period:g} s"
                 elapsed, steady, drift = self._period, steady_in_one, drift_in_one
-        model = self._ahead(torque, elapsed)
+        model = self._ahead(acting, elapsed)
         change = self._plausible.speed_change * self._arm.limits.velocity
         agrees = (np.abs(q - model.q) <= self._plausible.drift) & (np.abs(dq - model.dq) <= change)
         identical = (q == self._read.q) & (dq == self._read.dq)
@@ -127,6 +130,8 @@ class Senses:
 
     def rests(self, state: ArmState, torque: Array, speed: float) -> bool:
         """Whether no joint turns faster, rad/s, nor does within `settling` under this torque (n,)."""
+        if not self._by_torque:
+            return bool((np.abs(state.dq) <= speed).all())
         change = self._plausible.settling * self._acceleration(state.q, state.dq, torque)
         return bool((np.abs(state.dq) + np.abs(change) <= speed).all())
 
@@ -173,24 +178,26 @@ class Senses:
 
     def _follows(self, q: Array, dq: Array, elapsed: float) -> tuple[Mask, Array]:
         """Whether the speed (n,) of each joint follows from the one before it, a time before; and rad by which its
-        positions then left the integral of their speeds, which begins anew where the speed does."""
+        positions then left the integral of their speeds."""
         plausible, before, time = self._plausible, self._read, max(elapsed, self._period)
         most = plausible.speed_change * self._arm.limits.velocity * time / self._period
         went = q - before.q
         slowest, fastest = np.minimum(dq, before.dq) * time, np.maximum(dq, before.dq) * time
         drift = math.exp(-time / plausible.window) * self._drift + went - np.clip(went, slowest, fastest)
-        steady = np.abs(dq - before.dq) <= most
-        return steady, np.where(steady, drift, 0.0)
+        # What is not possible, NaN, tells nothing of the reading after it.
+        return ~(np.abs(dq - before.dq) > most), np.where(np.isfinite(drift), drift, 0.0)
 
     def _bounded(self, drift: Array) -> Mask:
         return np.asarray(np.abs(drift) <= self._plausible.drift)
 
-    def _ahead(self, torque: Array, elapsed: float) -> ArmState:
+    def _ahead(self, acting: Array, elapsed: float) -> ArmState:
         """Where the model takes the arm from what was believed."""
+        if not self._by_torque:
+            return ArmState(self._believed.q + elapsed * acting, acting)
         q, dq = self._believed.q, self._believed.dq
         most = self._plausible.speed_share * self._arm.limits.velocity
         for _ in range(max(1, round(elapsed / self._period))):
-            dq = np.clip(dq + self._period * self._acceleration(q, dq, torque), -most, most)
+            dq = np.clip(dq + self._period * self._acceleration(q, dq, acting), -most, most)
             q = q + self._period * dq
         return ArmState(q, dq)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import pinocchio as pin
 
-from salver.control.arm import ArmController, ArmState, JointTable, wanted_acceleration
+from salver.control.arm import ArmController, ArmState, Course, JointTable, wanted_acceleration
 from salver.geometry import Array
 from salver.models.arm import ArmModel, with_load
 
@@ -34,8 +34,13 @@ class Stop(Protocol):
         ...
 
     @property
+    def allowed(self) -> Array | float:
+        """(n,) rad off the reference within which the load surely stays; negative when it never does."""
+        ...
+
+    @property
     def duration(self) -> float:
-        """s from its beginning until the arm rests and torque control may end."""
+        """s from its beginning until the arm rests and control may end."""
         ...
 
     def reference(self, s: float) -> tuple[Array, Array, Array]:
@@ -87,7 +92,7 @@ class CoolStop:
     the joint's own stop, would shake the other joints.
     """
 
-    keeps_load = False
+    keeps_load, allowed = False, -1.0
 
     def __init__(self, loaded: ArmModel, state: ArmState) -> None:
         """loaded: the arm with what it carries (`salver.models.arm.with_load`)."""
@@ -243,6 +248,40 @@ class PlannedStop(Along):
 
     def _left(self, s: float) -> bool:
         return self._k is not None and self._begun + s >= self._leaves - 1e-9
+
+
+class PathStop(Along):
+    """To rest along the path of a motion that is run at a part of its speed: the speed factor goes to 0."""
+
+    def __init__(
+        self, loaded: ArmModel, gains: tuple[float, float], state: ArmState, path: Course, t: float, factor: float,
+        rate: float,
+    ) -> None:  # fmt: skip
+        """From time t of the path, s. rate: 1/s of the factor, at which the load stays."""
+        self._path, self._t, self._factor, self._rate = path, t, factor, rate
+        super().__init__(loaded, gains, state)
+
+    @property
+    def allowed(self) -> Array:
+        return np.zeros(self._loaded.n)
+
+    @property
+    def rests(self) -> float:
+        return self._factor / self._rate
+
+    def course(self, s: float) -> tuple[Array, Array, Array]:
+        factor = max(self._factor - self._rate * s, 0.0)
+        now = self._t + 0.5 * (self._factor + factor) * min(s, self.rests)
+        q, dq, ddq = self._path.at(*self._path.instant(now))
+        return q, factor * dq, factor**2 * ddq - (self._rate * dq if factor else 0.0)
+
+    def following(self, state: ArmState, s: float) -> Array | None:
+        return None
+
+    def renewed(self, state: ArmState, s: float) -> Stop:
+        now = self._t + (self._factor - 0.5 * self._rate * s) * s
+        factor = max(self._factor - self._rate * s, 0.0)
+        return PathStop(self._loaded, self._gains, state, self._path, now, factor, self._rate)
 
 
 def _torque(
