@@ -80,3 +80,7 @@ def test_a_published_task_of_four_cups_is_done_faster_than_published_where_the_t
     plan = sv.plan(four_cups())
     assert plan.ok
     assert plan.duration < 1.4  # 1.83 s, level
+
+
+def test_a_tray_that_turns_keeps_its_limit_on_tilt_between_the_points_that_were_looked_at():
+    assert sv.plan(four_cups().with_changes(motion__max_tilt_deg=1.0)).ok  # by 2.4e-5 rad it did not

@@ -397,7 +397,8 @@ class TiltConstraint(Constraint):
         def in_words(excess: float) -> str:
             return _deg(np.arccos(np.clip(np.cos(self.largest) - excess / scale, -1.0, 1.0)) - self.largest)
 
-        yield Block("tilt", values, gradient, motion.nodes, scales=False, in_words=in_words)
+        margins = (1e-2, 6e-3)  # between two points the tilt of a tray that turns rises by .3 % of its limit
+        yield Block("tilt", values, gradient, motion.nodes, margins, scales=False, in_words=in_words)
 
 
 def _deg(angle: float) -> str:
