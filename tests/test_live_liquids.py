@@ -10,16 +10,14 @@ import pytest
 import salver as sv
 from live_runs import APART, LEAD, ROUNDS, check, drive, executed, in_turn, place, rows_of
 from salver.errors import ScenarioError, Status
-from salver.live import Live, verify
+from salver.live import Live
 from salver.live.motion import between
-from salver.live.replan import Sought
 from salver.live.steer import HORIZON, TICK, Steering, TwistWanted
-from salver.live.verify import seen, verified
+from salver.live.verify import Judged, verified
 from salver.planning.fastest import evaluate, joint_plan
 from salver.planning.fastest.brim import Brim
-from salver.sensitivity.arm.liquids import Given, Sloshing
+from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.past import Past
-from salver.trajectory import JointMotion
 from transport import cup_and_jar
 
 FULL = {"fill": 0.065, "damping": 0.00168, "mass": 0.275, "friction": 0.36}
@@ -262,7 +260,7 @@ def test_on_a_tray_that_leans_a_calm_surface_stays_where_it_is(changed):
 
 def test_how_far_the_arm_may_stray_includes_that_it_gives_way_to_waves(changed):
     live, (before, base, *_), _ = changed
-    found = seen(before.left(base.begins, live.problem), base.motion)[0].joint_radius(0).max(axis=0)
+    found = Judged.of(before.left(base.begins, live.problem), base.motion).along.joint_radius(0).max(axis=0)
     alone = replace(base, waves=None).stray(live.problem)
     assert np.all(base.stray(live.problem) >= 0.999 * found)
     assert np.all(found >= alone)
@@ -276,55 +274,6 @@ def test_a_long_stir_does_not_count_for_ever(changed):
     end, later = (base.left(base.ends + more, live.problem).past.begun(cases).waves.peak for more in (0.0, 65.0))
     damping = np.array([case.damping * case.modes.omega[0, 0] for liquid in cases for case in liquid])
     np.testing.assert_allclose((later / end) ** 3, np.exp(-damping * 60.0), rtol=1e-2)
-
-
-def test_a_tick_knows_the_waves_of_the_verdict_on_what_it_bends(changed, monkeypatch):
-    """As it would work them out anew at its own, fewer nodes; and with what the arm makes of them."""
-    live, (base, *_), _ = changed
-    finding, noted = verified(live.problem, base.motion, base.begins, None), []
-    assert finding.committed is not None
-    assert finding.known is not None
-    monkeypatch.setattr(Steering, "_unknowns", lambda self, motion: noted.append(motion))
-    begins = TICK * round((base.begins + 0.2) / TICK)
-    wanted = TwistWanted(np.zeros(6), np.zeros(6), begins)
-    for known in (False, True):
-        steering = Steering.of(live.problem, Sought.of(live.problem))
-        if known:
-            steering.recent.add(finding.committed, finding.known)
-        next(steering._bends(wanted, finding.committed, begins))
-    anew, known = noted
-    assert finding.known.reaches(begins - base.begins + HORIZON)
-    (planned, anew_moved), (same, known_moved) = anew.sloshing["cup"], known.sloshing["cup"]
-    for of in ("crest", "free_height", "lightness", "wrench"):
-        assert off(getattr(same, of), getattr(planned, of)) < 1e-5
-        assert off(getattr(known_moved, of), getattr(anew_moved, of)) < 5e-3
-    assert off(known_moved.change.wrench, anew_moved.change.wrench) < 0.02
-    assert off(planned.crest, anew_moved.crest) > 0.02  # what the arm makes of them can be seen
-    for radius in (lambda motion: motion.joint_radius(0), lambda motion: motion.torque_radius()):
-        assert off(radius(known), radius(anew)) < 0.01
-
-
-def test_in_haste_a_motion_that_spills_as_planned_is_refused_without_what_the_arm_makes_of_it(changed, monkeypatch):
-    """One that does not is judged as ever."""
-    live, (base, *_), _ = changed
-    m, noted, along = base.motion, [], Given.along
-    monkeypatch.setattr(Given, "along", lambda *of: noted.append(of[3]) or along(*of))  # what the arm answers
-    monkeypatch.setattr(verify, "stays", lambda *of: True)  # the wave after it is looked at by itself
-    quick = JointMotion(0.9 * m.t, m.q, m.dq / 0.9, m.ddq / 0.81)
-    problem = replace(live.problem)
-    vars(problem)["constraints"] = tuple(x for x in live.problem.constraints if isinstance(x, Brim))
-    for motion, kept in ((m, True), (quick, False)):
-        noted.clear()
-        hasty = verified(problem, motion, base.begins, None, hastily=True)
-        given_way = [response for response in noted if response is not None]
-        thorough = verified(problem, motion, base.begins, None)
-        assert (hasty.committed is not None) == (thorough.committed is not None) == kept
-        assert len(given_way) == kept
-        if kept:
-            np.testing.assert_allclose(hasty.committed.margins.row, thorough.committed.margins.row, rtol=0, atol=1e-12)
-        else:
-            assert "cup" in hasty.what
-            assert 0.0 < hasty.excess <= thorough.excess
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from live_runs import drive, in_turn, rows_of
 from salver.live import Live, Moving
 from salver.live.lookout import Lookout, Sighting
 from salver.live.obstacles import Movable, MovingClearance, nearest, predicted
-from salver.live.verify import few
+from salver.live.verify import subsample
 from salver.models.arm_geometry import arm_geometry
 from salver.planning.fastest import evaluate
 from salver.planning.fastest.obstacles import NEAR, SAFETY
@@ -86,12 +86,12 @@ def test_between_the_postures_that_are_looked_at_no_pair_moves_unseen(problem):
     parts, turn = problem.keep_out.parts, np.array([1, -1, 1, -1, 1, -1, 1.0])
     for span in (1e-3, 0.1, 0.4, 2.0):
         q = problem.start.q + np.linspace(0, span, 65)[:, None] * turn
-        looked = few(parts, q)
+        looked = subsample(parts, q)
         steps = np.abs(np.diff(looked, axis=0)) @ parts.levers(q).T
         assert steps.max() < NEAR or len(looked) == len(q)
-        assert np.array_equal(few(parts, q[::-1]), looked[::-1])
+        assert np.array_equal(subsample(parts, q[::-1]), looked[::-1])
         assert np.array_equal(looked[[0, -1]], q[[0, -1]])
-    assert len(few(parts, problem.start.q + np.zeros((65, 1)))) == 9
+    assert len(subsample(parts, problem.start.q + np.zeros((65, 1)))) == 9
 
 
 @pytest.mark.slow

@@ -163,8 +163,9 @@ def worse(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
     if growth and np.mean(growth) > MEAN:
         found.append(f"durations grew by {100 * np.mean(growth):.2f} % at the mean")
     same = sum(after.get(key) == was for key, was in before.items())
-    print(f"{same} of {len(before)} are the same to the last digit", end="; ")
-    print(f"durations: {100 * np.mean(growth):+.3f} % at the mean, {100 * np.max(growth):+.3f} % at most")
+    print(f"{same} of {len(before)} are the same to the last digit")
+    if growth:
+        print(f"durations: {100 * np.mean(growth):+.3f} % at the mean, {100 * np.max(growth):+.3f} % at most")
     return found
 
 

@@ -345,6 +345,33 @@ def ways(t: Array, states: Array) -> Array:
     return np.asarray(np.abs(np.diff(control, axis=0)).sum(axis=0))
 
 
+def hulls(t: Array, states: Array) -> list[Array]:
+    """Bernstein coefficients, (6, T - 1, n) to (3, T - 1, n), of the joints' positions between instants t (T,) of one
+    quintic each, with states (3, T, n) q, dq, ddq there, and of their first three derivatives: each goes no further
+    than the largest and least of its coefficients (Farin, "Curves and Surfaces", section 5.2)."""
+    h = np.diff(t)[:, None]
+    found = [_quintic_bernstein(states[:, :-1], states[:, 1:], h[:, 0])]
+    for degree in (5, 4, 3):
+        found.append((found[-1][1:] - found[-1][:-1]) * (degree / h))
+    return found
+
+
+def extremes(cubics: Array) -> Array:
+    """(2, ...) least and largest value of cubics with Bernstein coefficients (4, ...): at an end, or where their
+    derivative, a quadratic with the coefficients a, b, c, is zero."""
+    a, b, c = np.diff(cubics, axis=0)
+    bend, turn = a - 2.0 * b + c, np.sqrt(np.maximum(b * b - a * c, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Either root of bend u^2 + 2 (b - a) u + a, without cancellation.
+        most = a - b + np.where(a > b, turn, -turn)
+        roots = np.nan_to_num(np.stack([most / bend, a / most]), nan=0.0)
+    u = np.clip(roots, 0.0, 1.0)
+    v = 1.0 - u
+    p, q, r, s = cubics
+    inside = v * v * (v * p + 3.0 * u * q) + u * u * (3.0 * v * r + u * s)
+    return np.array([np.minimum(np.minimum(p, s), inside.min(0)), np.maximum(np.maximum(p, s), inside.max(0))])
+
+
 @lru_cache(maxsize=64)
 def _bernstein(count: int) -> Array:
     """(4 count, 6) Bernstein's quintics and their first three derivatives at so many equal steps from 0 on."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from salver.geometry import Array, Indices
+from salver.geometry import Array
+from salver.live.margins import ConstraintMargins
 from salver.planning.fastest import MotionEvaluation, TransportProblem
-from salver.sensitivity.arm.finer import SETTLES
 from salver.sensitivity.arm.past import Past
 from salver.trajectory import JointMotion
 
@@ -22,26 +22,6 @@ SAME = 1e-9  # s; instants nearer than this are one
 SETTLED = 1.0  # s at rest after which what the load makes the arm sag by changes no more
 CALMED = 5.0  # s at rest after which waves are so low that the arm hardly gives way to them;
 AT_ONCE = 0.5  # s of that in which waves and arm are soon known together
-
-
-@dataclass(frozen=True, eq=False)
-class ConstraintMargins:
-    """How near a verified motion came to its edges. t: (N,) live time, s. row: (N,) the largest row there, as a share
-    of what it limits, 0 at the edge; what: (N,) which row, an index into names."""
-
-    t: Array
-    row: Array
-    what: Indices
-    names: tuple[str, ...]
-
-    def from_(self, t: float) -> tuple[float, str]:
-        """Distance from the edge that the motion comes nearest to from t on, and whose it is.
-
-        What limits a motion is seldom what is near now: a joint that will be at its fastest a while ahead, perhaps.
-        """
-        first = min(int(np.searchsorted(self.t, t)), len(self.t) - 1)
-        k = first + int(np.argmax(self.row[first:]))
-        return -float(self.row[k]), self.names[int(self.what[k])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +114,8 @@ class Committed:
     def settling(self, problem: TransportProblem) -> MotionEvaluation:
         """The arm at rest after it, until what a wrong load made it stray has settled."""
         assert problem.tracking is not None
-        seconds = float(SETTLES / np.sqrt(problem.tracking.kp))
-        return self._held(_astray(problem, None if self.deviation is None else self.deviation[-1]), seconds)
+        astray = _astray(problem, None if self.deviation is None else self.deviation[-1])
+        return self._held(astray, problem.tracking.settling)
 
     def _held(self, problem: TransportProblem, seconds: float) -> MotionEvaluation:
         """The arm at rest after it, for so long, s; the problem is that of going on from its end."""

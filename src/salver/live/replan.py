@@ -17,7 +17,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import GRAVITY_S, Array, Indices
 from salver.live.motion import Committed
-from salver.live.verify import Finding, coarse, kept, verified, watches
+from salver.live.verify import STANDARD, Finding, verified
 from salver.models.arm_limits import JointLimits
 from salver.planning.fastest import (
     Anywhere,
@@ -33,10 +33,9 @@ from salver.planning.fastest import (
     fastest,
 )
 from salver.planning.fastest.bound import least_time
-from salver.planning.fastest.constraints import Clearance
+from salver.planning.fastest.constraints import ContactConstraint
 from salver.planning.fastest.curves import FreeCurve, Grid, launch_basis
 from salver.planning.fastest.exchange import HOPELESS_AT_NODES, ITERATIONS, REPAIR, Checked, optimise, programme_of
-from salver.planning.fastest.obstacles import KeepOut
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import SqpOptions, SqpSolution, minimise
 from salver.planning.fastest.starts import braking_time
@@ -51,7 +50,7 @@ DISTANCES = 2.0
 STRETCHES, STRETCHED = 4, 0.02
 # and by so many times what would do from rest, and a little: one that begins moving does not become slower as a whole,
 # and to look again takes longer than that
-AMPLY, A_LITTLE = 2.0, 2e-4
+AMPLY, A_LITTLE = 2.0, 6e-4
 GAIN = 1e-2  # relative shortening below which an iteration counts as idle
 LEAST_DURATION = 0.1  # s of a first guess,
 LIKELY = 1.1  # times what every joint, and friction, take at least; and
@@ -69,15 +68,13 @@ class Firm(Constraint):
     times: float = 2.0
 
     def near(self, q: Array) -> Constraint:
-        return Firm(coarse(self.judged).near(q), self.times)
-
-    def among(self, whole: KeepOut | None, near: KeepOut | None, q: Array) -> Constraint:
-        """As `near`; of all distances, `whole`, only those that are known to come near, unless none are."""
-        return Firm(Clearance(near), self.times) if near is not None and watches(self.judged, whole) else self.near(q)
+        judged = self.judged
+        coarse = replace(judged, coarsely=True) if isinstance(judged, ContactConstraint) else judged
+        return Firm(coarse.near(q), self.times)
 
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         for block in self.judged.blocks(motion):
-            nodes, check = block.margins[0], kept(block, self.judged)
+            nodes, check = block.margins[0], STANDARD.margin(block, self.judged)
             times = DISTANCES if block.kinked else self.times
             yield block.having(values=block.values + check, margins=(times * nodes, 0.5 * nodes))
 
@@ -185,7 +182,8 @@ class Replanner:
         q, dq, ddq, _ = FreeCurve(at, Grid.of(found.spline, breaks)).motion(found.coefficients, found.duration)
         for rate in (dq, ddq):
             rate[-1] = 0.0  # but for the last digits, it is
-        return verified(self.problem, JointMotion(breaks * found.duration, q, dq, ddq), begins, before)
+        motion = JointMotion(breaks * found.duration, q, dq, ddq)
+        return verified(self.problem, motion, begins, before, thoroughly=True)
 
 
 def going_on(at: TransportProblem, before: Committed, begins: float) -> SplineMotion:

@@ -16,7 +16,6 @@ import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array, Indices, Mask, exp, hat, log
-from salver.live.known import Recent
 from salver.live.motion import SAME, Committed
 from salver.live.replan import Sought
 from salver.live.verify import Finding, verified
@@ -232,7 +231,6 @@ class Steering:
     curvature: Array  # (size n, size n) of the cost that does not change
     nearness: Array  # (size n, size n) square of a bend's size
     caution: Caution
-    recent: Recent
 
     @classmethod
     def of(cls, problem: TransportProblem, sought: Sought) -> Steering:
@@ -246,7 +244,7 @@ class Steering:
             (grid.basis[0].T * grid.weights) @ grid.basis[0] + BENT_RATE * (basis[2].T * grid.weights) @ basis[2]
         )
         each = np.eye(problem.n)
-        return cls(problem, sought, spline, grid, smooth, np.kron(gram, each), np.kron(size, each), Caution(), Recent())
+        return cls(problem, sought, spline, grid, smooth, np.kron(gram, each), np.kron(size, each), Caution())
 
     def tick(self, wanted: Wanted, base: Committed, begins: float) -> tuple[Committed | None, Status]:
         """What is committed bent towards what is wanted, from live time `begins` on."""
@@ -275,10 +273,7 @@ class Steering:
 
     def _judged(self, base: Committed, begins: float, bend: Array) -> Finding:
         """The verdict on what is committed with a bend."""
-        finding = verified(self.problem, self.bent(base, begins, bend), begins, base, hastily=True)
-        if finding.committed is not None and finding.known is not None:
-            self.recent.add(finding.committed, finding.known)
-        return finding
+        return verified(self.problem, self.bent(base, begins, bend), begins, base)
 
     def bent(self, base: Committed, begins: float, bend: Array) -> JointMotion:
         """The committed motion from `begins` on with a bend (size, n) added."""
@@ -306,15 +301,13 @@ class Steering:
         z = np.stack([*base.motion.sample(own), base.motion.jerk(own) * moving])
         sought = base.left(begins, self.sought)
         motion = replace(sought.at(grid.s, z, HORIZON, grid.nodes), moving=False)
-        known = self.recent.of(base)
-        if known is not None and known.reaches(own[-1]):
-            known.along(motion, own[grid.nodes])
-        elif sought.liquids and sought.tracking is not None:  # half way where the jerk jumps, as `Finer.midway`
+        if (
+            sought.liquids and sought.tracking is not None
+        ):  # a wave's filter takes half of a jump of the jerk as before it
             rates = motion.at_nodes[1:].copy()
             rates[2] = 0.5 * (rates[2] + base.motion.jerk(own[grid.nodes] - SAME) * moving[grid.nodes])
             motion.straying(sought.tracking.along(HORIZON * motion.shares, motion.terms, rates, shares=motion.shares))
-        whole, near = self.problem.keep_out, None if known is None else known.keep_out
-        constraints = [constraint.among(whole, near, motion.at_nodes[0]) for constraint in self.sought.constraints]
+        constraints = [constraint.near(motion.at_nodes[0]) for constraint in self.sought.constraints]
         blocks = evaluate(constraints, motion)
         more_kept = self.caution.margins(blocks)
         # What margins there are not along what is committed need not be there: only no less of them.

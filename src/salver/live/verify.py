@@ -1,29 +1,29 @@
-"""The verdict on which all rests: no motion is committed that did not pass it, whoever proposed it.
+"""The verdict on which all safety rests: no motion is committed that did not pass it, whoever proposed it.
 
-All rows of the problem are looked at, as the check of a fastest motion does, but at every millisecond for the joints
-and every two for dynamics and contact, whatever the planner's nodes were; from the state that a wrong load has brought
-the arm into. No row may be broken because the state that is inherited breaks it. What comes near to something is looked
-at between the instants too.
+`verified` evaluates the motion at instants 2 ms apart, from the state in which the committed motion is left, and goes
+through `CHECKS` in the order of their price; it ends at the first that fails. A check gives rows g <= 0, as constraints
+do (`salver.planning.fastest.constraints`). Whatever the planner's nodes were, these instants are the verdict's own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from salver.geometry import Array, Indices, Mask
-from salver.live.known import Known
-from salver.live.motion import Committed, ConstraintMargins
+from salver.geometry import Array, Indices
+from salver.live.margins import ConstraintMargins
+from salver.live.motion import Committed
 from salver.live.seal import seal_of
 from salver.models.arm_geometry import ArmGeometry
 from salver.models.arm_limits import LIMITS
-from salver.planning.fastest import Block, Constraint, MotionEvaluation, TransportProblem, evaluate
+from salver.planning.fastest import Block, Constraint, MotionEvaluation, TransportProblem
 from salver.planning.fastest.after import stays
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.constraints import (
+    FINEST,
     PER_METRE,
     Clearance,
     ContactConstraint,
@@ -32,238 +32,411 @@ from salver.planning.fastest.constraints import (
     TiltConstraint,
     TorqueLimit,
     TorqueRateLimit,
+    both_sides,
     strayed,
 )
-from salver.planning.fastest.obstacles import NEAR, KeepOut
+from salver.planning.fastest.obstacles import NEAR
 from salver.planning.follow.clearance import EXACT as TOUCHING
 from salver.planning.follow.clearance import sweep
-from salver.sensitivity.arm.finer import Finer, Smooth
 from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.terms import MotionTerms
-from salver.trajectory import JointMotion, ways
+from salver.sensitivity.arm.tracking import Deviation
+from salver.trajectory import JointMotion, extremes, hulls, ways
 
-STEP = 2e-3  # s between instants at which dynamics, contact and distances are looked at
-# s between those at which they are worked out, and what a wrong load does to the arm: from knot to knot they are smooth
-COARSE = 5e-3
-SLOW = 1e-2  # s between those at which their derivatives are: of the deviation, which is small, these are factors
-LEAST_NODES = 4  # what a filter needs
-FINER = 2  # times as many at which the joints' own motion is
-# Of the normal force at rest, that contact keeps at least: between the instants rows rise by up to 3e-4, and what a
-# wrong load does to the arm is known to 2e-4 (tests/test_live_verdict.py measures both); twice that.
-STEADY = 1e-3
-# Of its limit, that the rate of torque keeps at least: from one period to the next, wherever the periods fall, it is up
-# to 7.6e-3 more than is found (in a wild hand's session; of 72 live goals 3.1e-3: tests/test_live_verdict.py).
-UNHURRIED = 1e-2
-# Of the room of a liquid: waves are known every 5 ms, and from one motion to the next to a thousandth.
-UNSPILT = 3e-3
-KEPT: dict[type[Constraint], float] = {ContactConstraint: STEADY, TorqueRateLimit: UNHURRIED, Brim: UNSPILT}
-BESIDE = -0.05  # of their limit: rates of joints that are nearer than this are looked at between their instants
-PERIOD = 1e-3  # s: the shortest, of a loop that is told torques
-SETTLING = 2e-2  # of the normal force at rest, by which contact comes nearer to its edge after a motion's end at most
-OVERSHOOT = 5e-3  # m, than which the arm strays less further after its end: as much as is kept free
-FORGIVEN = 0.2  # of a row's margin, never of the row, that the beginning may lack: there the jerk has just changed
-BEGINNING = 0.02  # s
-AT_REST = 1e-7  # rad/s, rad/s^2: what is left of a motion's end
-CONTINUOUS = (1e-8, 1e-7, 1e-5)  # rad, rad/s, rad/s^2: by which a motion may begin elsewhere than where the arm is
+
+@dataclass(frozen=True)
+class VerdictOptions:
+    """What a verdict looks at, and what it keeps for what may happen between the instants that it looks at.
+
+    Attributes:
+        step: s between instants; every knot of the motion is one. Doubled, a verdict takes 0.6 of the time and contact
+            rows rise by more than `contact` between the instants.
+        step_with_liquids: s, the same with open liquids, whose cases cost most.
+        deriving: instants from one at which derivatives of the dynamics are worked out to the next (knots are such);
+            between them they are linear. They are factors of the deviation, which is small: measured, contact rows
+            change by 1e-5. At 1, a verdict takes 1.15 times as long.
+        contact: share of the normal force at rest that every contact row keeps. Measured: between the instants rows
+            rise by up to 5e-4 (tests/test_live_verdict.py). Doubled, friction is used to 0.1 % less.
+        torque_rate: share of its limit that the rate of torque keeps. Measured: over a period it is up to 1.3e-3 more
+            than is found along a fastest motion (tests/test_live_verdict.py), and was up to 8e-3 more in wild streams.
+        period: s, the shortest of a loop that is told torques.
+        brim: share of a liquid's room that is kept: waves are known from one motion to the next to a thousandth.
+        at_rest_instants: of the rest after the end, until the deviation has settled; closer together where it begins.
+        forgiven: share of a row's margin, never of the row itself, that may be lacking at first (`beginning`, s), where
+            the jerk has just changed. At 0, one bend in fifty is refused for a margin that the arm inherits.
+        at_rest: rad/s and rad/s^2 that may be left at the end of a motion: rounding.
+        continuous: rad, rad/s, rad/s^2 by which a motion may begin elsewhere than where the arm is: rounding.
+    """
+
+    step: float = 2.5e-3
+    step_with_liquids: float = 4e-3
+    at_rest_instants: int = 16
+    deriving: int = 4
+    contact: float = 1e-3
+    torque_rate: float = 1e-2
+    period: float = 1e-3
+    brim: float = 3e-3
+    forgiven: float = 0.2
+    beginning: float = 0.02
+    at_rest: float = 1e-7
+    continuous: tuple[float, float, float] = (1e-8, 1e-7, 1e-5)
+
+    def margin(self, block: Block, constraint: Constraint | None) -> float:
+        """What a motion keeps from the boundary of a constraint, in the unit of its rows."""
+        least = {ContactConstraint: self.contact, TorqueRateLimit: self.torque_rate, Brim: self.brim}
+        return max(block.margins[1], *(x for kind, x in least.items() if isinstance(constraint, kind)), 0.0)
+
+
+STANDARD = VerdictOptions()
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What became of a motion that was looked at: committed, or why not. excess: of the worst row, beyond its edge;
-    what: which one it is. slower: by how much longer, relatively, it would be put right; infinite when that would not
-    do. known: what was worked out for it."""
+    """What became of a motion that was looked at: committed, or why not. excess: of the worst row of the checks that
+    failed; what: which row it is. slower: by how much longer, relatively, they would be passed; infinite when time does
+    not help."""
 
     committed: Committed | None
     excess: float
     sentence: str
     what: str = ""
     slower: float = np.inf
-    known: Known | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LiveEvaluation(MotionEvaluation):
+    """A motion whose jerk jumps at its knots: jerk_before (N, n) is that just before each node, `z` has that after.
+    derived: nodes at which derivatives of the dynamics are worked out; between them they are linear."""
+
+    jerk_before: Array = field(default_factory=lambda: np.zeros(0))
+    derived: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    @cached_property
+    def terms(self) -> MotionTerms:
+        t = self.shares * self.duration
+        return MotionTerms.deriving(self.model, self.frame_id, self.at_nodes[:3], t, self.derived)
+
+    @cached_property
+    def response(self) -> Deviation | None:
+        """e'' + kd e' + kp e = M^-1 J^T dF and what late commands are short of, which jumps where the jerk does."""
+        if self.tracking is None:
+            return None
+        rates, before = self.at_nodes[1:], self.jerk_before
+        return self.tracking.along(self.shares * self.duration, self.terms, rates, before=before)
+
+    @cached_property
+    def _waves(self) -> Sloshing:
+        """A wave's filter takes what drives it for smooth: a jump falls half before its instant and half after it."""
+        response = self.response
+        if response is not None:
+            assert self.tracking is not None
+            jump = self.tracking.delay * (self.at_nodes[3] - self.jerk_before)
+            w = response.held.w.copy()
+            w[:, :6] += 0.5 * (self.terms.jacobian @ jump[:, :, None])[:, :, 0]
+            response = replace(response, held=replace(response.held, w=w))
+        return Sloshing.of(self.liquids, self.shares * self.duration, self.terms.w, response, self.past)
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A motion under a problem that begins where the arm is then, and the rest after it until the deviation has
+    settled (with open liquids: to its end, see `settles`). t: (N,) s, instants of its own time."""
+
+    problem: TransportProblem
+    motion: JointMotion
+    t: Array
+    along: LiveEvaluation
+    options: VerdictOptions
+
+    @classmethod
+    def of(cls, problem: TransportProblem, motion: JointMotion, options: VerdictOptions = STANDARD) -> Judged:
+        """Every knot is an instant, and between two of them they are evenly spaced."""
+        step = options.step_with_liquids if problem.liquids else options.step
+        counts = np.maximum(1, np.ceil(np.diff(motion.t) / step - 1e-9)).astype(int)
+        counts[0] += max(0, 4 - int(counts.sum()))  # a filter of cubics needs five
+        t, z = motion.evenly(counts)
+        before, knots = z[3].copy(), np.append(0, np.cumsum(counts))
+        before[knots] = motion.jerk_before
+        if problem.tracking is not None and not problem.liquids:
+            seconds = problem.tracking.settling
+            rest = np.zeros((4, options.at_rest_instants, problem.n))
+            rest[0], z[3, -1] = motion.q[-1], 0.0
+            t = np.append(t, t[-1] + seconds * np.linspace(0.0, 1.0, rest.shape[1] + 1)[1:] ** 2)
+            z, before = np.concatenate([z, rest], axis=1), np.concatenate([before, rest[3]])
+        whole = replace(problem, liquids=problem.every_case).at(t / t[-1], z, float(t[-1]), imposed=False)
+        derived = np.union1d(np.append(knots, len(t) - 1), np.arange(0, len(t), options.deriving))
+        more = {"jerk_before": before, "derived": derived, "moving": False, "coarsely": bool(problem.liquids)}
+        return cls(problem, motion, t, LiveEvaluation(**(vars(whole) | more)), options)
+
+    def of_kind(self, *kinds: type[Constraint]) -> list[Constraint]:
+        """The problem's constraints of exactly these kinds; the rest is left to `others`."""
+        return [constraint for constraint in self.problem.constraints if type(constraint) in kinds]
+
+    def rows(self, constraint: Constraint, blocks: Iterable[Block] | None = None) -> Iterator[Block]:
+        """A constraint's rows along the motion, or those given in their place, with their margins. A row that is no
+        number is violated; a margin that is lacking where the motion begins is forgiven in part."""
+        for block in constraint.blocks(self.along) if blocks is None else blocks:
+            margin = self.options.margin(block, constraint)
+            values = block.values + margin
+            values[np.isnan(values)] = np.inf
+            if block.inherits:
+                first = values[: np.searchsorted(self.t[block.points], self.options.beginning)]
+                first[:] = np.where(first < self.options.forgiven * margin, np.minimum(first, 0.0), first)
+            yield block.having(values=values, of=constraint)
+
+    @cached_property
+    def _hulls(self) -> list[Array]:
+        return hulls(self.t, self.along.z[:3])
+
+    def joints(self, order: int) -> Iterator[Block]:
+        """|d^k q / dt^k| at most its limit, at every time: the Bernstein coefficients between two instants bound it
+        there; of acceleration, for which that bound is wide, the extremes. To position and velocity the deviation of
+        the arm is added, the larger of that at either instant."""
+        kind = LIMITS[order]
+        for constraint in self.of_kind(JointLimit):
+            assert isinstance(constraint, JointLimit)
+            middle, half = constraint.limits.range(kind)
+            finite = np.flatnonzero(np.isfinite(half))
+            if not len(finite) or order not in constraint.orders:
+                continue
+            hull, middle, half = self._hulls[order], middle[finite], half[finite]
+            low, high = extremes(hull) if order == 2 else (hull.min(axis=0), hull.max(axis=0))
+            beyond = np.concatenate([high[:, finite] - middle, middle - low[:, finite]], axis=1) / np.tile(half, 2) - 1
+            if order < 2 and self.along.response is not None:
+                radius = self.along.joint_radius(order)[:, finite] / half
+                beyond += np.tile(np.maximum(radius[:-1], radius[1:]), 2)
+            slows = 1.5 if order == 0 else 1.0 / order + 0.02
+            row = Block(kind.name, beyond, _no_gradient, self.along.nodes[:-1], (0.0, FINEST), order > 0, slows=slows)
+            yield from self.rows(constraint, [row.having(inherits=order < 3)])
+
+
+def _no_gradient(node: Indices, row: Indices) -> Array:
+    raise NotImplementedError("a verdict needs no derivatives")
+
+
+Check = Callable[[Judged], Iterable[Block]]
+
+
+def acceleration(judged: Judged) -> Iterable[Block]:
+    """|ddq| <= limit, of the reference, as makers state their limits."""
+    return judged.joints(2)
+
+
+def jerk(judged: Judged) -> Iterable[Block]:
+    """|dddq| <= limit, of the reference; on either side of a knot, where it jumps."""
+    return judged.joints(3)
+
+
+def tilt(judged: Judged) -> Iterator[Block]:
+    """Tray level, or leaning by no more than motion.max_tilt_deg: e_z . R_SE e_z >= cos(tilt), of the reference."""
+    for constraint in judged.of_kind(LevelConstraint, TiltConstraint):
+        yield from judged.rows(constraint)
+
+
+def torque_rate(judged: Judged) -> Iterator[Block]:
+    """|tau(t + p) - tau(t)| / p <= limit over every period p of the loop, of the reference: with dtau/dt = dtau/dq dq +
+    dtau/ddq ddq + M dddq on either side of each instant, where the jerk jumps at knots, and linear between two."""
+    z, slope, n = judged.along.at_nodes, judged.along.terms.torque_z, judged.problem.n
+    after = slope @ z[1:].swapaxes(0, 1).reshape(len(slope), 3 * n, 1)
+    before = after - slope[:, :, 2 * n :] @ (z[3] - judged.along.jerk_before)[:, :, None]
+    half = np.minimum(judged.options.period / np.diff(judged.t), 1.0)[:, None] / 2  # of a step, from either end
+    for constraint in judged.of_kind(TorqueRateLimit):
+        assert isinstance(constraint, TorqueRateLimit)
+        limit = constraint.limits.torque_rate
+        some = np.flatnonzero(np.isfinite(limit))
+        if len(some):
+            first, last = after[:-1, some, 0] / limit[some], before[1:, some, 0] / limit[some]
+            either = [both_sides(first + half * (last - first)), both_sides(last + half * (first - last))]
+            points = judged.along.nodes[:-1]
+            row = Block("torque rate", np.maximum(*either), _no_gradient, points, slows=0.5, inherits=False)
+            yield from judged.rows(constraint, [row])
+
+
+def torque(judged: Judged) -> Iterator[Block]:
+    """|tau| + its radius under the uncertain set <= limit."""
+    for constraint in judged.of_kind(TorqueLimit):
+        yield from judged.rows(constraint)
+
+
+def position(judged: Judged) -> Iterable[Block]:
+    """q_min <= q - radius, q + radius <= q_max; radius: the most that the arm is off under the uncertain set."""
+    return judged.joints(0)
+
+
+def velocity(judged: Judged) -> Iterable[Block]:
+    """|dq| + its radius under the uncertain set <= limit."""
+    return judged.joints(1)
+
+
+def contact(judged: Judged) -> Iterator[Block]:
+    """C(p) w <= 0 at full speed for every parameter p of the uncertain set: C are the facets of the contact wrench cone
+    and w is what the tray feels, with the deviation that p itself makes and with what liquids push."""
+    for constraint in judged.of_kind(ContactConstraint):
+        assert isinstance(constraint, ContactConstraint)
+        if constraint.speed.factor:
+            yield from judged.rows(replace(constraint, coarsely=True))
+
+
+def contact_standing(judged: Judged) -> Iterator[Block]:
+    """C(p) w_0 <= 0 for every p, w_0 the weight alone in each posture of the arm that sags under p: so contact holds at
+    every lower speed, for w is linear in the speed squared and the cone is convex."""
+    for constraint in judged.of_kind(ContactConstraint):
+        assert isinstance(constraint, ContactConstraint)
+        if not constraint.speed.factor:
+            yield from judged.rows(replace(constraint, coarsely=True))
+
+
+def liquids(judged: Judged) -> Iterator[Block]:
+    """Crest below the brim, waves no steeper than linear theory holds for, at every fill and damping that a verdict
+    looks at, during the motion and after it."""
+    for constraint in judged.of_kind(Brim):
+        yield from judged.rows(constraint)
+
+
+def clearance(judged: Judged) -> Iterator[Block]:
+    """distance(pair) - deviation >= required, of arm, tray, load and obstacles; of pairs that come near only."""
+    out = judged.problem.keep_out
+    if out is not None:
+        yield from judged.rows(Clearance(out.near(subsample(out.parts, judged.along.at_nodes[0]))))
+
+
+def others(judged: Judged) -> Iterator[Block]:
+    """Whatever else the problem asks for: what is predicted to pass, and constraints of one's own."""
+    known = JointLimit, LevelConstraint, TiltConstraint, TorqueRateLimit, TorqueLimit, ContactConstraint, Brim
+    for constraint in judged.problem.constraints:
+        own = isinstance(constraint, Clearance) and constraint.keep_out is judged.problem.keep_out
+        if type(constraint) not in known and not own:
+            yield from judged.rows(constraint)
+
+
+# In the order of their price: the reference alone, its dynamics, the deviation, everything.
+CHECKS: tuple[Check, ...] = (
+    *(acceleration, jerk, tilt, torque_rate, torque, position, velocity),
+    *(contact_standing, contact, liquids, clearance, others),
+)
 
 
 def verified(
-    problem: TransportProblem, motion: JointMotion, begins: float, before: Committed | None, hastily: bool = False
+    problem: TransportProblem,
+    motion: JointMotion,
+    begins: float,
+    before: Committed | None,
+    options: VerdictOptions = STANDARD,
+    *,
+    thoroughly: bool = False,
 ) -> Finding:
-    """The verdict on a motion from live time `begins` on that goes on from the one before (None: from a long rest).
-    hastily: of a motion whose reference breaks a row already, whatever the arm strays from it, the worst of these."""
-    broken = _jolt(motion, begins, before)
-    if broken:
-        return Finding(None, np.inf, broken)
-    begun = problem if before is None else before.left(begins, problem)
-    evaluation, straying, knots = seen(begun, motion)
-    nodes, t = evaluation.nodes, evaluation.s * motion.duration
-    keep_out, (of_reference, constraints) = problem.keep_out, _apart_by_reference(problem.constraints)
-    blocks = [_begun(told(block, t[nodes], knots), t) for block in evaluate(of_reference, evaluation)]
-    planned, count = None, len(blocks)
-    if hastily and _kept(blocks) and problem.liquids:
-        planned, swinging = _as_planned(begun, evaluation, t[nodes], knots)
-        blocks += [_begun(block, t) for block in swinging]
-    if hastily and not _kept(blocks):
-        return _refused(blocks, _margins(blocks, begins + t, problem), t)
-    blocks = blocks[:count]
-    known = straying(planned)
-    response = known.response
-    if keep_out is not None:
-        keep_out = keep_out.near(few(keep_out.parts, evaluation.at_nodes[0]))
-    for k, constraint in enumerate(constraints):
-        if keep_out is not None and watches(constraint, problem.keep_out):
-            constraints[k] = Clearance(keep_out)
-        else:
-            constraints[k] = coarse(constraint)
-    blocks += [_begun(told(block, t[nodes], knots), t) for block in evaluate(constraints, evaluation)]
-    if response is not None:
-        blocks = [_at_rest(block, response) for block in blocks]
-    margins = _margins(blocks, begins + t, problem)
-    excess = float(margins.row.max())
+    """The verdict on a motion from live time `begins`, s, on that goes on from the one before (None: a long rest).
+    thoroughly: when a check fails, go through the others too, to say what of all is violated most."""
+    if jolt := joins(motion, begins, before, options):
+        return Finding(None, np.inf, jolt)
+    judged = Judged.of(problem if before is None else before.left(begins, problem), motion, options)
+    blocks: list[Block] = []
+    for check in CHECKS:
+        blocks += check(judged)
+        broken = [block for block in blocks if block.values.max(initial=-np.inf) > 0.0]
+        if broken and (not thoroughly or check is CHECKS[-1]):
+            return _refused(broken, judged, begins)
+    if touch := touches(judged, blocks):
+        return Finding(None, np.inf, touch)
+    committed = _committed(judged, blocks, begins)
+    excess, what = settles(judged, blocks, committed)
     if excess > 0.0:
-        return _refused(blocks, margins, t)
-    if keep_out is not None and not _apart(keep_out, blocks, t[nodes], evaluation.at_nodes[:3]):
-        met = sweep(keep_out.parts, motion).touch
-        if met is not None:
-            return Finding(None, np.inf, f"{met.first} and {met.second} would touch")
-    deviation = None
-    instants, off = t[nodes], np.zeros(len(nodes))
-    if response is not None:
-        joints, held = response.known.joints, response.known.held
-        moved, late = joints.state[:, : 2 * problem.n], np.concatenate([held.q, held.dq], axis=1)
-        deviation = -np.concatenate([moved, late[:, :, None]], axis=2).reshape(len(moved), 2, problem.n, -1)
-        instants = known.t
-        off = np.interp(instants, t[nodes], strayed(*evaluation.tray_radius()))
-    waves = None if known.sloshing is None else known.sloshing.past(known.t)
-    committed = Committed(begins, motion, begins + instants, deviation, margins, waves, off)
-    if response is not None and not problem.liquids and _at_the_edge(blocks):
-        contacts = [
-            coarse(constraint) for constraint in problem.constraints if isinstance(constraint, ContactConstraint)
-        ]
-        settling = evaluate(contacts, committed.settling(problem), margins=False)
-        worst = max(settling, key=lambda block: float(block.values.max()))
-        excess = float(worst.values.max()) + STEADY
-        if excess > 0.0:
-            sentence = f"{worst.name} would be exceeded by {100 * excess:.2g} % while the arm settles at its end"
-            return Finding(None, excess, sentence, worst.name)
-    resting = np.pad(motion.q[-1:], ((0, 3), (0, 0)))[:, None]
-    if problem.liquids and not stays(committed.left(committed.ends, problem), np.zeros(1), resting):
+        sentence = f"{what} would be exceeded by {100 * excess:.2g} % while the arm settles at its end"
+        return Finding(None, excess, sentence, what)
+    if not rests(judged, committed):
         return Finding(None, np.inf, "what is carried would not stay in the wave after it")
-    committed = replace(committed, seal=seal_of(committed, before))
-    return Finding(committed, excess, "", known=replace(known, keep_out=keep_out))
+    return Finding(replace(committed, seal=seal_of(committed, before)), -committed.margins.from_(begins)[0], "")
 
 
-def _at_rest(block: Block, response: Finer) -> Block:
-    """The block; if of distances, at the end those at rest too: the arm strays on until it has settled."""
-    if isinstance(block.of, Clearance) and block.values[-1].max() > -PER_METRE * OVERSHOOT:
-        more = strayed(*response.resting) - strayed(*response.tray_radius())[-1]
-        block.values[-1] += PER_METRE * max(0.0, float(more))
-    return block
+def joins(motion: JointMotion, begins: float, before: Committed | None, options: VerdictOptions) -> str:
+    """q, dq, ddq at its beginning are those of the committed motion then, and dq, ddq = 0 at its end; why not, or
+    nothing."""
+    states = motion.q, motion.dq, motion.ddq
+    if not all(np.all(np.isfinite(x)) for x in (motion.t, *states)) or not np.all(np.diff(motion.t) > 0):
+        return "it is no motion: its knots are not numbers in order"
+    if max(np.abs(motion.dq[-1]).max(), np.abs(motion.ddq[-1]).max()) > options.at_rest:
+        return "it does not end at rest"
+    now = (motion.q[0], 0.0, 0.0) if before is None else before.state(begins)
+    for mine, other, close in zip((x[0] for x in states), now, options.continuous, strict=True):
+        if np.abs(mine - other).max() > close:
+            return "it does not begin where the arm is then"
+    return ""
 
 
-def _at_the_edge(blocks: Sequence[Block]) -> bool:
-    """Whether contact comes so near to its edge at the end that it might break while the arm settles."""
-    return any(isinstance(b.of, ContactConstraint) and b.values[-1].max() > -SETTLING for b in blocks)
+def touches(judged: Judged, blocks: Sequence[Block]) -> str:
+    """Which parts may touch between two instants: those nearer to each other, at both together, than they may move
+    against one another in between (sum of |dq| times lever). These are swept; what touches, in words, or nothing."""
+    out = judged.problem.keep_out
+    if out is None:
+        return ""
+    mine = (
+        block
+        for block in blocks
+        if isinstance(block.of, Clearance) and block.of.keep_out.parts.model is out.parts.model
+    )
+    near = next(mine, None)
+    if near is None:
+        return ""
+    assert isinstance(near.of, Clearance)
+    parts = near.of.keep_out.parts
+    low = near.of.keep_out.least - near.values / PER_METRE
+    states = judged.along.at_nodes[:3]
+    if np.all(low[:-1] + low[1:] - ways(judged.t, states) @ parts.levers(states[0]).T > 2 * TOUCHING):
+        return ""
+    touch = sweep(parts, judged.motion).touch
+    return "" if touch is None else f"{touch.first} and {touch.second} would touch"
 
 
-def _kept(blocks: Sequence[Block]) -> bool:
-    """Whether no row is beyond its edge."""
-    return max((float(block.values.max()) for block in blocks), default=0.0) <= 0.0
+def settles(judged: Judged, blocks: Sequence[Block], committed: Committed) -> tuple[float, str]:
+    """The clearance at the end of a motion with open liquids, less what the tray strays further than there while it
+    settles. The excess, and its name. Without liquids that rest is judged with the motion."""
+    if judged.problem.tracking is None or not judged.problem.liquids:
+        return -np.inf, ""
+    rest = committed.settling(judged.problem).response
+    assert rest is not None
+    further = strayed(*rest.tray_radius())
+    more = PER_METRE * (further.max() - further[0])
+    clearances = (block for block in blocks if isinstance(block.of, Clearance) and block.values.size)
+    return max(((block.values[-1].max() + more, block.name) for block in clearances), default=(-np.inf, ""))
 
 
-def _as_planned(
-    problem: TransportProblem, evaluation: MotionEvaluation, t: Array, knots: Mask
-) -> tuple[Sloshing, tuple[Block, ...]]:
-    """Liquids on a tray that follows a motion exactly, at some of its nodes t (N,), and what becomes of their surfaces;
-    what an arm makes of them that gives way comes beside it."""
-    some = Smooth.of(t, knots, COARSE).some
-    planned = Sloshing.of(problem.every_case, t[some], evaluation.terms.w[some], None, problem.past)
-    at = replace(evaluation, nodes=evaluation.nodes[some]).sloshing_as(planned.each)
-    return planned, evaluate([brim for brim in problem.constraints if isinstance(brim, Brim)], at)
+def rests(judged: Judged, committed: Committed) -> bool:
+    """Whether what is carried stays while waves die away after the end."""
+    problem, end = judged.problem, np.pad(judged.motion.q[-1:], ((0, 3), (0, 0)))[:, None]
+    return not problem.liquids or stays(committed.left(committed.ends, problem), np.zeros(1), end)
 
 
-def _refused(blocks: Sequence[Block], margins: ConstraintMargins, t: Array) -> Finding:
-    """The verdict on a motion of which some rows are beyond their edge; t: (P,) of the margins, from its beginning."""
+def _refused(blocks: Sequence[Block], judged: Judged, begins: float) -> Finding:
+    """The verdict on a motion of which some rows are violated."""
+    margins = ConstraintMargins.of(blocks, begins + judged.t, judged.problem)
     worst = int(np.argmax(margins.row))
     excess, name = float(margins.row[worst]), margins.names[int(margins.what[worst])]
     far = name.startswith("clearance of ")  # in metres, not as a share of anything
     beyond = f"{1e3 * excess / PER_METRE:.2g} mm too small" if far else f"exceeded by {100 * excess:.2g} %"
-    sentence = f"{name} would be {beyond} {t[worst]:.2f} s after it begins"
-    return Finding(None, excess if np.isfinite(excess) else np.inf, sentence, name, _slower(blocks))
+    sentence = f"{name} would be {beyond} {judged.t[worst]:.2f} s after it begins"
+    by_time = all(block.by_time and np.isfinite(block.values.max()) for block in blocks)
+    slower = max(block.slows * float(block.values.max()) for block in blocks) if by_time else np.inf
+    return Finding(None, excess, sentence, name, slower)
 
 
-def _apart_by_reference(constraints: Sequence[Constraint]) -> tuple[list[Constraint], list[Constraint]]:
-    """Constraints on the reference alone, and those on which it bears what the arm strays from it."""
-    alone: list[Constraint] = []
-    strayed: list[Constraint] = []
-    for constraint in constraints:
-        if isinstance(constraint, JointLimit):
-            first, second = constraint.by_reference
-            alone.append(first)
-            strayed.append(second)
-        else:
-            (alone if isinstance(constraint, TorqueRateLimit | LevelConstraint | TiltConstraint) else strayed).append(
-                constraint
-            )
-    return alone, strayed
+def _committed(judged: Judged, blocks: Sequence[Block], begins: float) -> Committed:
+    """The motion with what goes on from it: until its end, the deviation e, e' of each term, and the waves. At its end
+    the tray strays by as much as it will at rest."""
+    along, t = judged.along, judged.t
+    margins = ConstraintMargins.of(blocks, begins + t, judged.problem)
+    last = int(np.searchsorted(t, judged.motion.duration - 1e-9))
+    deviation, off = None, np.zeros(last + 1)
+    if along.response is not None:
+        joints, held = along.response.joints, along.response.held
+        both = [[joints.q, joints.dq], [held.q[:, :, None], held.dq[:, :, None]]]
+        deviation = -np.concatenate([np.stack(each, axis=1)[: last + 1] for each in both], axis=3)
+        stray = strayed(*along.tray_radius())
+        off = np.append(stray[:last], stray[last:].max())
+    waves = along.left if judged.problem.liquids else None
+    return Committed(begins, judged.motion, begins + t[: last + 1], deviation, margins, waves, off)
 
 
-def seen(problem: TransportProblem, motion: JointMotion) -> tuple[MotionEvaluation, Callable[..., Known], Mask]:
-    """A motion at the instants at which it is looked at; (N,) which nodes are knots. What it returns second works out
-    what a wrong load does to the arm, and is what is known at some of the instants, from where dynamics and this are
-    continued to all nodes; it takes liquids as planned, if they are known there."""
-    counts = _counts(motion)
-    t, z = motion.evenly(FINER * counts)
-    nodes = np.arange(0, len(t), FINER)
-    knots = np.zeros(len(nodes), dtype=bool)
-    knots[np.append(0, np.cumsum(counts))] = True
-    smooth = Smooth.of(t[nodes], knots, COARSE)
-    some = nodes[smooth.some]
-    evaluation = replace(problem.at(t / motion.duration, z, motion.duration, nodes, imposed=False), moving=False)
-    evaluation = replace(evaluation, coarsely=bool(problem.liquids))
-    slow = Smooth.of(t[some], knots[smooth.some], SLOW, fewest=2)
-    terms = MotionTerms.deriving(problem.model, problem.arm.tray_id, z[:3, some], slow.some, slow.each)
-    evaluation.feeling(terms.continued(z[:3, nodes], smooth.each))
-
-    def straying(planned: Sloshing | None = None) -> Known:
-        response, sloshing = None, None
-        if problem.tracking is not None:
-            jerk = z[3, some]
-            jerk[knots[smooth.some]] = motion.jerk_before
-            response = Finer.of(problem.tracking, t[nodes], evaluation.terms, terms, z[1:, some], jerk, smooth)
-            evaluation.straying(response)
-            sag = problem.tracking.sag(terms)
-            evaluation.sagging(replace(sag, dw=smooth.each([sag.dw])[0]))
-        if problem.liquids:
-            midway = None if response is None else response.midway
-            sloshing = Sloshing.of(problem.every_case, t[some], terms.w, midway, problem.past, planned=planned)
-            each = sloshing.each.items()
-            evaluation.sloshing_as({name: tuple(x.continued(smooth.each) for x in parts) for name, parts in each})
-        return Known(t[some], knots[smooth.some], terms, response, sloshing=sloshing)
-
-    return evaluation, straying, knots
-
-
-def instants(motion: JointMotion) -> tuple[Array, Indices]:
-    """Points s (P,) of a motion's duration at which it is looked at, and indices of the nodes among them; its knots are
-    nodes."""
-    t = motion.evenly(FINER * _counts(motion))[0]
-    return t / motion.duration, np.arange(0, len(t), FINER)
-
-
-def _counts(motion: JointMotion) -> Indices:
-    """How many steps from node to node each piece of a motion has."""
-    counts = np.maximum(1, np.ceil(np.diff(motion.t) / STEP - 1e-9)).astype(int)
-    counts[0] += max(0, LEAST_NODES - int(counts.sum()))
-    return counts
-
-
-def coarse(constraint: Constraint) -> Constraint:
-    """The same, with bounds on rows that are far from their edge."""
-    return replace(constraint, coarsely=True) if isinstance(constraint, ContactConstraint) else constraint
-
-
-def watches(constraint: Constraint, keep_out: KeepOut | None) -> bool:
-    """Whether a constraint is that of these distances, and not of others of one's own."""
-    return isinstance(constraint, Clearance) and constraint.keep_out is keep_out
-
-
-def few(parts: ArmGeometry, q: Array) -> Array:
+def subsample(parts: ArmGeometry, q: Array) -> Array:
     """Of postures (N, n) along a motion so many that no pair is near (`NEAR`) at another one only: between two of them
     none comes nearer by more than half of that."""
     for every in (8, 4, 2):
@@ -271,145 +444,3 @@ def few(parts: ArmGeometry, q: Array) -> Array:
         if (np.abs(np.diff(some, axis=0)) @ parts.levers(q).T).max(initial=0.0) < NEAR:
             return some
     return q
-
-
-def _apart(keep_out: KeepOut, blocks: Sequence[Block], t: Array, states: Array) -> bool:
-    """Whether nothing can touch between nodes t (N,) with states (3, N, n) either, by how far apart things are at these
-    and how far they go; otherwise it has to be looked."""
-    parts = keep_out.parts
-    for block in blocks:
-        if isinstance(block.of, Clearance) and block.of.keep_out is keep_out:
-            low = keep_out.least - block.values / PER_METRE
-            return bool(np.all(low[:-1] + low[1:] - ways(t, states) @ parts.levers(states[0]).T > 2 * TOUCHING))
-    return not parts.pairs
-
-
-def kept(block: Block, constraint: Constraint | None) -> float:
-    """The margin that a motion keeps from the edge of a constraint's rows."""
-    return max(block.margins[1], next((least for kind, least in KEPT.items() if isinstance(constraint, kind)), 0.0))
-
-
-def told(block: Block, t: Array, knots: Mask) -> Block:
-    """The block; if of torque's rate, not over the steps between the instants t (N,) but over any period within them.
-
-    It is nearly a parabola through three steps between two knots: its peak is put where it is, and beside a knot, where
-    it has a kink, it is carried on to that. The joints' own rates are so between their instants: from rest an
-    acceleration may rise and fall within 3 ms.
-    knots: (N,) which instants are.
-    """
-    if not isinstance(block.of, JointLimit | TorqueRateLimit):
-        return block
-    most = block.values.max(axis=0)
-    if isinstance(block.of, TorqueRateLimit):  # by less than this is added to any of them
-        most += 2.5 * np.abs(np.diff(block.values, axis=0)).max(axis=0)
-    near = np.flatnonzero(most > BESIDE)
-    if not len(near):
-        return block
-    values = block.values[:, near]
-    before, at, after = values[:-2], values[1:-1], values[2:]
-    if isinstance(block.of, JointLimit):
-        kink = np.zeros(len(values), dtype=bool)
-        kink[::FINER] = knots
-        bend, tilt = 2 * at - before - after, after - before
-        # Beside a knot, where there is a kink, a peak may be nearer to that than to the instant after it. Jerk jumps
-        # there: what it is beyond says nothing.
-        within = 2.0 if block.inherits else 1.0
-        peak = (np.maximum(np.maximum(before, after), at) > BESIDE) & (np.abs(tilt) <= within * bend) & (bend > 0.0)
-        i, j = np.nonzero(peak & ~kink[1:-1, None])
-        block.values[i + 1, near[j]] += tilt[i, j] ** 2 / (8 * bend[i, j])
-        return block
-    step, kink = np.diff(t), knots[1:-1]
-    # Of three steps in one piece, which are equal: how the parabola through them bends.
-    bend = np.where((kink[:-1] | kink[1:])[:, None], 0.0, before - 2 * at + after)
-    peak = (at >= before) & (at >= after) & (bend < 0)
-    flat = (1.0 - (PERIOD / np.maximum(step[1:-1], PERIOD)) ** 2)[:, None] / 24
-    higher = np.where(peak, (after - before) ** 2 / (8 * np.maximum(-bend, 1e-12)) - flat * bend, 0.0)
-    short = np.minimum(PERIOD / step, 1.0)[:, None]
-    none = np.zeros_like(at[:1])
-    first = _edge(values[:-1], values[1:], np.vstack([bend, none]), short[:-1])
-    last = _edge(values[1:], values[:-1], np.vstack([none, bend]), short[1:])
-    first[~knots[:-2] | kink], last[~knots[2:] | kink] = 0.0, 0.0
-    values[1:-1] += higher
-    values[:-1] += first
-    values[1:] += last
-    block.values[:, near] = values
-    return block
-
-
-def _edge(at: Array, beside: Array, bend: Array, short: Array) -> Array:
-    """By how much a parabola is higher over a share `short` at an end of a step than over the step; at least 0."""
-    return np.maximum((1.0 - short) * (0.5 * (at - beside + bend) - bend * (1.0 + short) / 6), 0.0)
-
-
-def _begun(block: Block, t: Array) -> Block:
-    """The block with its margin, of which what the state that is inherited lacks is forgiven."""
-    margin = kept(block, block.of)
-    if margin != block.margins[1]:
-        block.values[:] += margin - block.margins[1]
-    if block.inherits:
-        first = block.values[: np.searchsorted(t[block.points], BEGINNING)]
-        first[:] = np.where(first < FORGIVEN * margin, np.minimum(first, 0.0), first)
-    return block
-
-
-def _slower(blocks: Sequence[Block]) -> float:
-    """By how much longer, relatively, all rows would be kept; infinite when time is not what they lack."""
-    excess = [(block, float(block.values.max(initial=0.0))) for block in blocks]
-    if not all(np.isfinite(most) and (block.by_time or most <= 0.0) for block, most in excess):
-        return np.inf
-    return max(block.slows * most for block, most in excess)
-
-
-def _jolt(motion: JointMotion, begins: float, before: Committed | None) -> str:
-    """Why a motion cannot follow what is committed, or does not end at rest; nothing when it can."""
-    states = motion.q, motion.dq, motion.ddq
-    if not all(np.all(np.isfinite(x)) for x in (motion.t, *states)) or not np.all(np.diff(motion.t) > 0):
-        return "it is no motion: its knots are not numbers in order"
-    if max(np.abs(motion.dq[-1]).max(), np.abs(motion.ddq[-1]).max()) > AT_REST:
-        return "it does not end at rest"
-    now = (motion.q[0], 0.0, 0.0) if before is None else before.state(begins)
-    for mine, other, close in zip((x[0] for x in states), now, CONTINUOUS, strict=True):
-        if np.abs(mine - other).max() > close:
-            return "it does not begin where the arm is then"
-    return ""
-
-
-def _margins(blocks: Sequence[Block], t: Array, problem: TransportProblem) -> ConstraintMargins:
-    """The largest row at each of the points t, and its name."""
-    names: list[str] = []
-    largest, what = np.full(len(t), -np.inf), np.zeros(len(t), dtype=np.intp)
-    for block in blocks:
-        if not block.values.size:
-            continue
-        value = block.values.max(axis=1)
-        value[np.isnan(value)] = np.inf
-        if isinstance(block.of, LevelConstraint) and np.all(value <= 0.0):
-            continue  # a tray that has to stay level is always as near to that as this, and nothing is limited by it
-        at = block.points[: len(value)]
-        above = np.flatnonzero(value > largest[at])
-        if len(above):
-            label = _labels(block, problem)
-            row = np.argmax(block.values[above], axis=1) if len(label) > 1 else 0  # the first that is no number, if any
-            largest[at[above]], what[at[above]] = value[above], len(names) + row
-            names += label
-    if not np.isfinite(largest).any():
-        return ConstraintMargins(t, np.full(len(t), -1.0), what, ("nothing",))
-    return ConstraintMargins(t, largest, what, tuple(names))
-
-
-def _labels(block: Block, problem: TransportProblem) -> Sequence[str]:
-    """What rows of a block are called: by joint, where there is one for each, or by what has to keep apart."""
-    if isinstance(block.of, Clearance):
-        parts = block.of.keep_out.parts
-        return [f"{block.name} of {parts.names[i]} from {parts.names[j]}" for i, j in parts.pairs]
-    if isinstance(block.of, JointLimit | TorqueLimit | TorqueRateLimit):
-        return _by_joint(block.of, block.name, problem.arm.joint_names)
-    return [block.name]
-
-
-@lru_cache(maxsize=64)
-def _by_joint(constraint: JointLimit | TorqueLimit | TorqueRateLimit, name: str, joints: tuple[str, ...]) -> list[str]:
-    """Names of rows either side of a limit."""
-    kind = next(kind for kind in LIMITS if kind.name == name)
-    finite = np.flatnonzero(np.isfinite(constraint.limits.range(kind)[1]))
-    return [f"{name} of {joints[j]}" for j in (*finite, *finite)]

@@ -3,7 +3,6 @@ by the unknowns of a motion (`salver.sensitivity.waves` has the waves)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -104,33 +103,6 @@ class Slosh:
     def at(self, index: Indices) -> Slosh:
         """The wrench at some instants."""
         return replace(self, wrench=self.wrench[:, index])
-
-    def continued(self, each: Callable[[list[Array]], list[Array]]) -> Slosh:
-        """The same at more instants, for rows that are looked at but not linearised; each: from (T, ...) to these."""
-        found = {"wrench": self.wrench} | {name: getattr(self, name) for name in ("crest", "free_height", "lightness")}
-        found |= {} if self.change is None else {"change": self.change.wrench}
-        by_time = each([x.swapaxes(0, 1) for x in found.values()])
-        found = {name: x.swapaxes(0, 1) for name, x in zip(found, by_time, strict=True)}
-        change = None if self.change is None else replace(self.change, wrench=found.pop("change"))
-        reaction = None if self.reaction is None else self.reaction.continued(each)
-        made = replace(self, wrench=found.pop("wrench"), change=change, reaction=reaction)
-        vars(made).update(found, free_left=self.free_left, left_at_once=self.left_at_once)
-        return made
-
-    def onto(
-        self, planned: Waves, some: Indices, start: Underway | None, each: Callable[[list[Array]], list[Array]]
-    ) -> Slosh:
-        """Some of the cases along the same motion from where it is left on, with an arm that gives way as it does here.
-        planned: their waves at other nodes; start: how those begin that the arm has its part in; each: from (T, ...) to
-        these nodes."""
-        assert self.change is not None
-        assert self.reaction is not None
-        known = self.waves.w - self.planned.w, self.higher, self.freer, self.change.wrench
-        by_time = each([np.asarray(x)[some].swapaxes(0, 1) for x in known])
-        dw, higher, freer, wrench = (x.swapaxes(0, 1) for x in by_time)
-        waves = planned.shifted(dw, start)
-        reaction, change = self.reaction.continued(each).part(some), replace(self.change.part(some), wrench=wrench)
-        return Slosh(waves, waves.wrench, planned, reaction, change, higher, freer, np.asarray(self.more_left)[some])
 
     def part(self, some: slice, planned: Waves | None = None) -> Slosh:
         """Some of the cases; planned: theirs, where they are known."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,18 +42,16 @@ class Sloshing:
         response: Deviation | None,
         past: Past | None = None,
         rounds: int | None = None,
-        planned: Sloshing | None = None,
     ) -> Sloshing:
         """Along w (T, 12) at t (T,), which begins at rest, or where the past is left. rounds: see `Given.along`; more
-        where there is a past unless given. planned: all of it without a response, if that is known."""
+        where there is a past unless given."""
         rounds = rounds or (ROUNDS if past is None else MORE_ROUNDS)
         found, given = [], list[Given]()
         for alike in (True, False):
             group = tuple(each for each in liquids if each and each[0].liquid.round is alike)
             if group:
                 begun = Begun() if past is None else past.begun(group)
-                known = None if planned is None else planned.given[len(given)].planned
-                given.append(Given.along(group, t, w, response, begun, rounds, known))
+                given.append(Given.along(group, t, w, response, begun, rounds))
                 found.append((group, given[-1].sloshes))
         return cls(tuple(found), tuple(given))
 
@@ -63,20 +61,6 @@ class Sloshing:
         for group, (old, *given) in self.together:
             planned = Slosh.of(along(all_cases(group), t, w, old.waves.start))
             found.append((group, (planned, *(part.along(planned.waves) for part in given))))
-        return Sloshing(tuple(found))
-
-    def onto(
-        self, liquids: Parted, t: Array, w: Array, past: Past, each: Callable[[list[Array]], list[Array]]
-    ) -> Sloshing:
-        """Some of the cases along the same motion from where it is left (past) on, at other nodes t (T,), at which the
-        tray feels w: what an arm that gives way makes of them is known. each: from (T, ...) to these nodes."""
-        found = []
-        for history, (_, (_, *given)) in zip(past.known, self.together, strict=True):
-            group = tuple(liquid for liquid in liquids if liquid and liquid[0].liquid.round is history.round)
-            if group:
-                some, begun = history.places(group), past.begun(group)
-                planned = Slosh.of(along(all_cases(group), t, w, begun.planned))
-                found.append((group, (planned, *(part.onto(planned.waves, some, begun.waves, each) for part in given))))
         return Sloshing(tuple(found))
 
     def past(self, t: Array) -> Past:
@@ -127,11 +111,10 @@ class Given:
         response: Deviation | None,
         begun: Begun,
         rounds: int = ROUNDS,
-        planned: Waves | None = None,
     ) -> Given:
         """Along what the tray feels, w (T, 12), at t (T,). rounds: in which the arm gives way to what the waves push,
-        and the waves are then others, by an eighth as much each time. planned: if they are known."""
-        planned = planned or along(all_cases(group), t, w, begun.planned)
+        and the waves are then others, by an eighth as much each time."""
+        planned = along(all_cases(group), t, w, begun.planned)
         if response is None:
             return cls(planned, begun)
         felt, drift = response.felt()

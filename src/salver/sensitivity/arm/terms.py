@@ -6,7 +6,6 @@ RSS 2018, as Pinocchio provides them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -69,29 +68,10 @@ class MotionTerms:
     torque: Array
     w: Array
 
-    def continued(
-        self, states: Array, each: Callable[[Sequence[Array]], list[Array]], derivatives: bool = False
-    ) -> MotionTerms:
-        """At more instants, with states (3, ...) there, by what continues several that are known at these, (T, ...), to
-        all; with derivatives, if these are known too."""
-        values = [getattr(self, name) for name in _VALUES]
-        found = each([*values, *vars(self.derivatives).values()] if derivatives else values)
-        terms = MotionTerms(self.model, self.frame_id, *states, *found[: len(values)])
-        if derivatives:
-            terms.__dict__["derivatives"] = Derivatives(*found[len(values) :])
-        return terms
-
     @classmethod
-    def deriving(
-        cls,
-        model: Any,
-        frame_id: int,
-        states: Array,
-        some: npt.NDArray[np.intp],
-        each: Callable[[Sequence[Array]], list[Array]],
-    ) -> MotionTerms:
-        """As `motion_terms`, at states (3, T, n), with derivatives that are worked out at some of the instants and
-        continued to all."""
+    def deriving(cls, model: Any, frame_id: int, states: Array, t: Array, some: npt.NDArray[np.intp]) -> MotionTerms:
+        """As `motion_terms`, at states (3, T, n) at t (T,), with derivatives that are worked out at some of the
+        instants, both ends among them, and are linear in between."""
         others = np.ones(states.shape[1], dtype=bool)
         others[some] = False
         (q, dq, ddq), (q_rest, dq_rest, ddq_rest) = states[:, some], states[:, others]
@@ -104,7 +84,10 @@ class MotionTerms:
             value[some], value[others] = first, second
             found.append(value)
         terms = cls(model, frame_id, *states, *found)
-        terms.__dict__["derivatives"] = Derivatives(*each([*vars(few.derivatives).values()]))
+        after = np.clip(np.searchsorted(t[some], t), 1, len(some) - 1)
+        share = ((t - t[some][after - 1]) / np.diff(t[some])[after - 1])[:, None, None]
+        slopes = ((x[after - 1], x[after]) for x in vars(few.derivatives).values())
+        terms.__dict__["derivatives"] = Derivatives(*(x + share * (y - x) for x, y in slopes))
         return terms
 
     def derived_at(self, some: npt.NDArray[np.intp]) -> MotionTerms:

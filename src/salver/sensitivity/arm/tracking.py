@@ -20,7 +20,6 @@ This is the tracking of fastest plans and of the chain alike.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
@@ -104,14 +103,6 @@ class Reaction:
     def torque(self) -> Array:
         """(T, n, K) by which the commanded torque changes, N m."""
         return commanded(self.terms, self.joints)
-
-    def continued(self, each: Callable[[list[Array]], list[Array]]) -> Reaction:
-        """The same at more instants; each: from (T, ...) to these."""
-        joints, tray = self.joints, self.tray
-        found = each([joints.state, joints.missing, tray.state, tray.w, self.torque])
-        made = Reaction(self.terms, JointDeviation(*found[:2]), TrayDeviation(*found[2:4]))
-        vars(made)["torque"] = found[4]
-        return made
 
     def part(self, some: slice | Indices) -> Reaction:
         """To some of the wrenches."""
@@ -215,6 +206,11 @@ class JointLoop:
     settle: float
     delay: float
     start: Array | None = None
+
+    @property
+    def settling(self) -> float:
+        """s at rest after which a deviation has settled: eight time constants."""
+        return float(8.0 / np.sqrt(self.kp))
 
     def begun(self, start: Array) -> JointLoop:
         """The same loop for a motion that begins in a deviation (2, n, n_c + 1), as `Deviation.state_at` gives it."""
