@@ -12,8 +12,9 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest.mock import patch
 
 import matplotlib as mpl
 
@@ -27,6 +28,7 @@ from salver.auditing import AuditOptions, audit_samples
 from salver.geometry import Array
 from salver.given import simulate_given
 from salver.models.liquid import LEANING, STEEPEST
+from salver.sensitivity import waves
 
 sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("tests", "docs")]
 import blocks
@@ -220,6 +222,32 @@ def afterwards(every: list[Predicted], first: float) -> str:
     )
 
 
+def rules(every: list[Predicted]) -> list[str]:
+    """What becomes of the prediction without one rule of the model."""
+    spun = [p for p in every if not p.name.startswith("Tilt")]
+    rising = [p for p in every if "_3D_" in p.name]
+    leant = [p for p in every if p.name.startswith("Tilt")]
+    asked: list[tuple[str, str, list[Predicted], str, object]] = [
+        ("a round vessel does not spin its water", "spun", spun, "_spin", lambda _, __, w, ___: 0 * w[..., 0]),
+        ("force along the vessel stiffens waves", "3D", rising, "_upward", lambda _, w: 0 * w[..., 0] + 9.81),
+        ("tilting at a rate raises the crest", "tilted", leant, "TILTING", 0.0),
+    ]
+    rows = [
+        "| rule | motions | n | predicted / seen, with it | without | r.m.s., mm | without | correlation | without |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for said, which, some, name, other in asked:
+        with patch.object(waves, name, other):
+            without = [replace(p, waves=waves_of(p.audit)) for p in some]
+            cells = [
+                form.format(scale * np.median([of(p) for p in group]))
+                for form, scale, of in (("{:.2f}", 1, ratio), ("{:.1f}", 1e3, off), ("{:.3f}", 1, alike))
+                for group in (some, without)
+            ]
+        rows.append(f"| {said} | {which} | {len(some)} | {' | '.join(cells)} |")
+    return rows
+
+
 def tilts(every: list[Predicted]) -> list[str]:
     """The frame of `Tilt_TRD`: predicted over seen, with the joints as published and with the tilt mirrored."""
     rows = ["| motion | highest seen, mm | as published | mirrored |", "|---|---|---|---|"]
@@ -307,6 +335,7 @@ def sloshing() -> tuple[list[Predicted], dict[str, str]]:
         "kinds": "\n".join(grouped(every, kinds)),
         "sides": "\n".join(sides(every)),
         "tilts": "\n".join(tilts(every)),
+        "rules": "\n".join(rules(every)),
         "after": afterwards(every, first),
         "damping": damped(every, first),
         "motions": "\n".join(motions(every)),
