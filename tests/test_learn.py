@@ -45,11 +45,13 @@ def test_second_trip_is_quicker_nothing_is_lost_and_the_truth_stays_within_the_r
 
 @pytest.mark.slow
 def test_tilts_raise_the_least_friction_and_stop_when_the_load_moves() -> None:
-    """Of two loads one slides early, by less than is said; what is known of both stays true, and neither is lost."""
-    wide = {"mass": "50%", "com": [0.015, 0.015, 0.015], "friction": 0.2}
-    scenario = load("panda-tall-bottle").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4)
+    """Of two loads one slides early, by less than is said; what is known of both stays true, and neither is lost.
+
+    Cubes: a tall bottle would tip before it slides."""
+    wide = {"mass": "50%", "com": [0.004, 0.004, 0.01], "friction": 0.2}
+    scenario = load("panda-cube").with_changes(objects__0__uncertainty=wide, objects__0__friction=0.4)
     first = plan_fastest(scenario)
-    for seed, slides in ((5, True), (2, False)):
+    for seed, slides in ((3, True), (8, False)):
         true = true_load(scenario, seed)
         trip = next(trips(scenario, 2, seed, first=first))
         moved = [tilt.moved for tilt in trip.tilts]

@@ -166,11 +166,11 @@ def _planned(scenario: Scenario, found: FastestMotion) -> Plan:
 
 
 def _wiggle(problem: TransportProblem, spline: RestSpline, duration: float, seed: int) -> FastestMotion:
-    """A random motion of some 0.02 rad and six half waves to begin from."""
+    """A random motion of some 0.1 rad and six half waves to begin from: at rest the gradient of information is zero."""
     rng, s = np.random.default_rng(seed), np.linspace(0.0, 1.0, 201)
     assert problem.start_posture is not None
     waves = np.sin(np.pi * s[:, None] * np.arange(1, 7)) @ rng.standard_normal((6, problem.n))
     bump = (4 * s * (1 - s))[:, None] ** 2
-    q = problem.start_posture + 0.02 * bump * waves / np.sqrt(6)
+    q = problem.start_posture + 0.1 * bump * waves / np.sqrt(6)
     status = Status("begun", "", False)
     return FastestMotion(problem, spline, spline.fit(s, q), duration, status, {}, (), 0.0, 0)

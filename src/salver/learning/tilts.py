@@ -62,11 +62,8 @@ def tilt_test(scenario: Scenario, shown: float, level: float | None = None, opti
     return _first_that_can(scenario, METHOD, headings, lean, told, options)
 
 
-def short_tilt(
-    scenario: Scenario, farthest: float | None = None, level: float | None = None, options: FrictionOptions = USUAL
-) -> Plan:
-    """A short tilt, as steep as a load of the least friction in the ranges moves by no more than
-    `options.farthest`.
+def short_tilt(scenario: Scenario, level: float | None = None, options: FrictionOptions = USUAL) -> Plan:
+    """A short tilt, as steep as a load of the least friction in the ranges moves by at most `options.farthest`.
 
     It is safe from tipping for the whole set, and the whole base stays on the tray. Raises ScenarioError when it would
     tip or has no room, or the arm cannot.
@@ -81,10 +78,8 @@ def short_tilt(
             f"{body.name} may stand {1e3 * farthest:.1f} mm from the edge of the tray; a short tilt needs "
             f"{1e3 * NEAREST:g} mm."
         )
-    lean, least = (
-        leaning(scenario, (options.levelled if level is None else level) + options.unseen),
-        payload.least_friction(body),
-    )
+    lean = leaning(scenario, (options.levelled if level is None else level) + options.unseen)
+    least = payload.least_friction(body)
     found: list[tuple[float, _Tilt]] = []
     for bend in options.bends:
         profile, low, high = _shortly(bend), 0.0, min(1.0, float(np.arctan(least)) + 0.5)
