@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -82,12 +83,13 @@ def test_errors_of_the_tray_are_those_of_a_turned_frame(tmp_path: Path) -> None:
     turned = np.array([arm.tray_pose(posture)[1] for posture in q])
     assert np.abs(np.arctan2(turned[:, 1, 0], turned[:, 0, 0])).max() > 0.3
     log_ = _log_of(t, q, dq)
-    faithful = arrays_of(plan, arm, first, log_)
+    robot = SimpleNamespace(period=1e-3, lag=0.0, takes="torque")
+    faithful = arrays_of(plan, arm, first, log_, robot)  # type: ignore[arg-type]
     assert faithful["tray_e_o"].max() < 1e-6
     assert faithful["tray_e_p"].max() < 1e-6
     away = q.copy()
     away[:, 6] += 0.02
-    assert arrays_of(plan, arm, first, replace(log_, q=away))["tray_e_o"] == pytest.approx(0.02, abs=1e-6)
+    assert arrays_of(plan, arm, first, replace(log_, q=away), robot)["tray_e_o"] == pytest.approx(0.02, abs=1e-6)
 
 
 def _log_of(t: Array, q: Array, dq: Array) -> Any:

@@ -160,9 +160,9 @@ def test_watchdog_brakes_to_rest_within_the_torque_rate(plan: Plan) -> None:
     assert np.abs(log_.dq[-1]).max() < 0.02
     assert np.abs(robot.look().dq).max() < 0.02
     assert log_.q[:, 1].max() > arm.limits.q_max[1]
-    rate = np.abs(np.diff(log_.tau[log_.t > stopped_at], axis=0)).max() / 1e-3
+    rate = np.abs(np.diff(log_.sent[log_.t > stopped_at], axis=0)).max() / 1e-3
     assert rate <= 1000.0 * (1 + 1e-9)
-    assert np.abs(log_.tau).max() <= 87.0
+    assert np.abs(log_.sent).max() <= 87.0
 
 
 @pytest.mark.slow
@@ -177,7 +177,7 @@ def test_undisturbed_the_watchdog_is_silent_and_torques_are_the_controllers(plan
     _, _, again = _parts(plan)
     for k in range(200):
         tau = again.step(ArmState(log_.q[k], log_.dq[k]), float(log_.t[k]))
-        assert np.abs(tau - log_.tau[k]).max() < 1e-9
+        assert np.abs(tau - log_.sent[k]).max() < 1e-9
 
 
 def test_watchdog_complains_in_words(plan: Plan) -> None:

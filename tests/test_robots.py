@@ -97,10 +97,10 @@ def test_a_plan_is_followed_by_who_takes_positions_or_velocities(safe: Rig, take
     assert np.abs(robot.q - joint.q[-1]).max() < 2e-3
     wanted = joint.sample(np.clip(log.t, 0, joint.duration))
     if takes == "position":
-        np.testing.assert_allclose(log.tau, wanted[0], atol=1e-9)
+        np.testing.assert_allclose(log.sent, wanted[0], atol=1e-9)
         assert np.abs(log.q - log.q_wanted).max() < 1e-9  # nothing is amiss: it is late, as it said
     else:
-        assert np.abs(log.tau - wanted[1]).max() < 0.05
+        assert np.abs(log.sent - wanted[1]).max() < 0.05
     assert np.abs(log.q - wanted[0]).max() > 0.01
 
 

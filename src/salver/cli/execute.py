@@ -22,7 +22,7 @@ def execute(
     directory: Annotated[
         Path, typer.Argument(help="A run directory, as `salver plan` makes it; with --live, a scenario or its run.")
     ],
-    robot: Annotated[str, typer.Option(help="Which arm: franka or simulated.")] = "franka",
+    robot: Annotated[str, typer.Option(help="Which arm: franka, ur or simulated.")] = "franka",
     address: Annotated[str | None, typer.Option(help="Network address of the arm's control interface.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="The simulated arm, in real time.")] = False,
     stem: Annotated[
@@ -84,6 +84,8 @@ def execute(
     if live is not None:
         if mocap is not None or move_to_start or full_speed_only or stem != "plan":
             raise SalverError("--live goes with none of --mocap, --move-to-start, --full-speed-only and --stem.")
+        if robot == "ur":
+            raise SalverError("--live drives a franka or the simulated arm; a ur is driven along plans.")
         result = _told(directory, live, out, address, dry_run, Watchdog(watchdog), realtime, yes, json)
     elif mocap is not None:
         result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))

@@ -81,7 +81,7 @@ class Watchdog:
 
 @dataclass(frozen=True)
 class ExecutionLog:
-    """What the loop saw, K periods. t (K,): s, 0 when the motion starts. q, dq, tau (K, n). q_wanted (K, n).
+    """What the loop saw, K periods. t (K,): s, 0 when the motion starts. q, dq, q_wanted (K, n). sent (K, n): commands.
 
     woken (K,): s on the clock when the state came. spent (K,): s until the torque was sent. elapsed (K,): s that the
     robot says passed since the last state. bridged (K,): whether the state is the model's, because what the robot
@@ -92,7 +92,7 @@ class ExecutionLog:
     t: Array
     q: Array
     dq: Array
-    tau: Array
+    sent: Array
     q_wanted: Array
     woken: Array
     spent: Array
@@ -371,17 +371,17 @@ class _Book:
             "elapsed": np.empty(room),
             "bridged": np.empty(room, dtype=bool),
         }
-        self._columns |= {name: np.empty((room, n)) for name in ("q", "dq", "tau", "q_wanted")}
+        self._columns |= {name: np.empty((room, n)) for name in ("q", "dq", "sent", "q_wanted")}
         self._count, self._room = 0, room
 
     @property
     def full(self) -> bool:
         return self._count == self._room
 
-    def add(self, t: float, sensed: Sensed, tau: Array, q_wanted: Array, woken: float) -> None:
+    def add(self, t: float, sensed: Sensed, sent: Array, q_wanted: Array, woken: float) -> None:
         k, c = self._count, self._columns
         c["t"][k], c["woken"][k], c["elapsed"][k], c["bridged"][k] = t, woken, sensed.elapsed, bool(sensed.wrong)
-        c["q"][k], c["dq"][k], c["tau"][k], c["q_wanted"][k] = sensed.state.q, sensed.state.dq, tau, q_wanted
+        c["q"][k], c["dq"][k], c["sent"][k], c["q_wanted"][k] = sensed.state.q, sensed.state.dq, sent, q_wanted
         c["spent"][k] = time.perf_counter() - woken
         self._count = k + 1
 

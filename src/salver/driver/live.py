@@ -331,14 +331,14 @@ def _kept(
         unjudged = f"What was commanded is no motion from rest to rest ({named(error)}); the plan is where it began."
     arm = drive.arm
     summary = {
-        **summary_of(plan, robot.source, log_, checks, watchdog),
+        **summary_of(plan, robot, log_, checks, watchdog),
         "realtime": realtime,
         "wishes": drive.prompter.notes,
         "requests": {name: getattr(drive.prompter, name) for name in ("accepted", "refused", "dropped")},
         "unjudged": unjudged,
         "provenance": provenance(plan.scenario),
     }
-    arrays = arrays_of(plan, arm, drive.bodies[0], log_)
+    arrays = arrays_of(plan, arm, drive.bodies[0], log_, robot)
     if isinstance(robot, SimulatedRobot):
         arrays, summary = seen_in_the_engine(robot, began, arrays, summary, plan)
     plan_files.make_way(plan.scenario, directory, force=True)

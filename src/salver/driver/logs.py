@@ -18,6 +18,7 @@ from salver.geometry import log, quat_wxyz_from_matrix
 from salver.run_directory import save_record
 
 if TYPE_CHECKING:
+    from salver.driver.robots import Robot
     from salver.models.arm import ArmModel
     from salver.models.bodies import Body
     from salver.planning.plan import Plan
@@ -41,16 +42,17 @@ def check_place(directory: Path) -> Check:
     return Check("log", free > ROOM, f"{folder} has {free / 1e6:.0f} MB left for the log; {ROOM / 1e6:.0f} are needed.")
 
 
-def summary_of(plan: Plan, source: str, log_: ExecutionLog, checks: list[Check], watchdog: Watchdog) -> dict[str, Any]:
+def summary_of(plan: Plan, robot: Robot, log_: ExecutionLog, checks: list[Check], watchdog: Watchdog) -> dict[str, Any]:
     """The run in figures."""
     error = np.abs(log_.q - log_.q_wanted)
     return {
-        "source": source,
+        "source": robot.source,
+        "takes": robot.takes,
         "method": plan.method,
         "outcome": "stopped" if log_.stopped else "done",
         "stopped": log_.stopped,
         "load_kept_in_stop": log_.keeps_load,
-        "timing": timing(log_, plan.scenario.physics.command_period),
+        "timing": timing(log_, robot.period),
         "bridged": int(log_.bridged.sum()),
         "joint_error_peak": float(error.max()) if len(error) else 0.0,
         "saturation": dict(log_.saturation),
@@ -60,21 +62,22 @@ def summary_of(plan: Plan, source: str, log_: ExecutionLog, checks: list[Check],
     }
 
 
-def arrays_of(plan: Plan, arm: ArmModel, first: Body, log_: ExecutionLog) -> dict[str, np.ndarray]:
-    """What the joints tell of a run: where the tray was, and how far off its reference."""
-    every = max(1, round(1 / (RECORD_RATE * plan.scenario.physics.command_period)))
+def arrays_of(plan: Plan, arm: ArmModel, first: Body, log_: ExecutionLog, robot: Robot) -> dict[str, np.ndarray]:
+    """What the joints tell of a run: where the tray was, and how far off its reference. Of a robot that follows by
+    itself, off where it should be so late."""
+    every = max(1, round(1 / (RECORD_RATE * robot.period)))
     kept = np.arange(0, len(log_.t), every)
     t, q = log_.t[kept], log_.q[kept]
     poses = [arm.tray_pose(joints) for joints in q]
     p_SE, R_SE = np.array([p for p, _ in poses]).reshape(-1, 3), np.array([R for _, R in poses]).reshape(-1, 3, 3)
-    wanted = plan.reference.sample(t)
+    wanted = plan.reference.sample(t - robot.lag)
     R_wanted = wanted.R_SB @ first.R_EB.T
     p_wanted = wanted.p_SB - np.einsum("tij,j->ti", R_wanted, first.p_EB)
     return {
         "t": t,
         "q": q,
         "dq": log_.dq[kept],
-        "tau": log_.tau[kept],
+        "tau" if robot.takes == "torque" else "command": log_.sent[kept],
         "bridged": log_.bridged[kept],
         "p_SE": p_SE,
         "quat_SE_wxyz": quat_wxyz_from_matrix(R_SE),

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 ROBOTS = {
     "simulated": "salver.driver.simulated:SimulatedRobot",
     "franka": "salver.driver.franka:FrankaRobot",
+    "ur": "salver.driver.ur:URRobot",
 }  # name: module and class
 
 

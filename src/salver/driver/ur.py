@@ -1,0 +1,276 @@
+"""Arms of Universal Robots: joint positions, 500 times a second, over the controller's Real-Time Data Exchange (RTDE).
+
+A URScript program on the controller reads joint positions from input registers and follows them with `servoj`. The
+state comes back in the same exchange. Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide" (packages,
+recipes, types) and Script Manual, e-Series SW 5.20 (`servoj`, `set_target_payload`, registers). The package ur-rtde
+does the same with a long control script of its own; a program of twenty lines that stops by itself when commands no
+longer come is less to trust, and needs no library.
+"""
+
+from __future__ import annotations
+
+import secrets
+import socket
+import struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from salver.control.arm import ArmState
+from salver.driver.preflight import Check
+from salver.driver.signals import noted_signals
+from salver.errors import SalverError
+from salver.geometry import Array
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from salver.driver.robots import Takes
+    from salver.driver.sensing import Sensed
+    from salver.models.arm import ArmModel
+    from salver.planning.plan import Plan
+    from salver.trajectory import JointMotion
+
+# From the base; URDFs put a prefix before these.
+JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
+PERIOD = 2e-3  # s, of an e-Series
+LOOKAHEAD, GAIN = 0.03, 300.0  # s, the shortest that servoj takes; its default
+PATIENCE = 100  # periods without a new command after which the program stops the arm by itself
+TIMEOUT = 2.0  # s for an answer
+RTDE_PORT, SCRIPT_PORT = 30004, 30002
+FIRST = 24  # of the registers for external clients
+SETTLING = 0.5  # s after the way to the start
+MOVES = (1, 2)  # safety modes: normal, reduced
+STOPPED = {
+    3: "a protective stop", 4: "recovery", 5: "a safeguard stop", 6: "an emergency stop of the system",
+    7: "its emergency stop", 8: "a safety violation", 9: "a fault",
+}  # fmt: skip
+STATUS = f"output_int_register_{FIRST}"  # the number that a program began with, while it runs
+OUTPUTS = {
+    "timestamp": "d", "actual_q": "6d", "actual_qd": "6d", "speed_scaling": "d", "target_speed_fraction": "d",
+    "safety_mode": "i", STATUS: "i",
+}  # fmt: skip
+INPUTS = {f"input_int_register_{FIRST}": "i"} | {f"input_double_register_{FIRST + k}": "d" for k in range(6)}
+TYPES = {"d": "DOUBLE", "6d": "VECTOR6D", "i": "INT32"}
+
+PROGRAM = """\
+def salver_follow():
+  set_target_payload({mass!r}, {com!r})
+  while read_input_integer_register({first}) != {begun}:
+    sync()
+  end
+  write_output_integer_register({first}, {begun})
+  last = {begun}
+  missed = 0
+  while missed < {patience}:
+    n = read_input_integer_register({first})
+    if n == last:
+      missed = missed + 1
+    else:
+      missed = 0
+      last = n
+    end
+    if n < 0:
+      missed = {patience}
+    else:
+      servoj({registers}, t={period!r}, lookahead_time={lookahead!r}, gain={gain!r})
+    end
+  end
+  stopj(2.0)
+  write_output_integer_register({first}, 0)
+end
+"""
+
+
+class Exchange:
+    """A client of the controller's data exchange, protocol version 2."""
+
+    def __init__(self, address: str) -> None:
+        self._socket = socket.create_connection((address, RTDE_PORT), TIMEOUT)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._came = b""
+        self._ask("V", struct.pack(">H", 2))
+        self._types(self._ask("O", struct.pack(">d", 1 / PERIOD) + ",".join(OUTPUTS).encode()), OUTPUTS)
+        self._recipe = self._types(self._ask("I", ",".join(INPUTS).encode()), INPUTS)
+        self._layout = struct.Struct(">B" + "".join(OUTPUTS.values()))
+        self._ask("S", b"")
+
+    def send(self, number: int, q: Array) -> None:
+        """Fill the input registers."""
+        self._write("U", struct.pack(">Bi6d", self._recipe, number, *q))
+
+    def newest(self) -> dict[str, Any]:
+        """The last state that came; waits for one."""
+        while True:
+            kind, body = self._package()
+            if kind == "U" and not self._waiting():
+                values = iter(self._layout.unpack(body)[1:])
+                return {
+                    name: np.array([next(values) for _ in range(6)]) if code == "6d" else next(values)
+                    for name, code in OUTPUTS.items()
+                }
+
+    def _ask(self, kind: str, body: bytes) -> bytes:
+        """The controller's answer; raises SalverError when it is no."""
+        self._write(kind, body)
+        while True:
+            came, answer = self._package()
+            if came == kind:
+                break
+        if kind in "VS" and answer != b"\x01":
+            raise SalverError(f'it refuses the request "{kind}" of the data exchange')
+        return answer
+
+    def _types(self, answer: bytes, wanted: dict[str, str]) -> int:
+        """The recipe's number; raises SalverError when a field is not there, or is taken by another client."""
+        for (name, code), said in zip(wanted.items(), answer[1:].decode().split(","), strict=True):
+            if said != TYPES[code]:
+                raise SalverError(f"{name} of the data exchange is {said}")
+        return answer[0]
+
+    def _write(self, kind: str, body: bytes) -> None:
+        self._socket.sendall(struct.pack(">HB", 3 + len(body), ord(kind)) + body)
+
+    def _waiting(self) -> bool:
+        """Whether another whole package has come."""
+        self._socket.setblocking(False)
+        try:
+            self._came += self._socket.recv(1 << 16)
+        except BlockingIOError:
+            pass
+        finally:
+            self._socket.settimeout(TIMEOUT)
+        return len(self._came) >= 3 and len(self._came) >= struct.unpack_from(">H", self._came)[0]
+
+    def _package(self) -> tuple[str, bytes]:
+        while len(self._came) < 3 or len(self._came) < struct.unpack_from(">H", self._came)[0]:
+            if not (more := self._socket.recv(1 << 16)):
+                raise SalverError("it closed the connection")
+            self._came += more
+        size, kind = struct.unpack_from(">HB", self._came)
+        body, self._came = self._came[3:size], self._came[size:]
+        return chr(kind), body
+
+
+class URRobot:
+    """An arm of Universal Robots, e-Series, in remote control. `servoj` follows `lag` late, or more."""
+
+    takes: Takes = "position"
+    period, lag = PERIOD, LOOKAHEAD
+
+    @classmethod
+    def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> URRobot:
+        return cls(address, *payload(plan, arm))
+
+    @staticmethod
+    def check(plan: Plan, arm: ArmModel) -> list[Check]:
+        names = arm.joint_names
+        fits = len(names) == len(JOINTS) and all(map(str.endswith, names, JOINTS))
+        sentence = f"The plan is for the joints {', '.join(names)}; --robot ur drives {', '.join(JOINTS)}."
+        return [Check("arm", fits, sentence)]
+
+    def __init__(self, address: str, mass: float, com_F: Array) -> None:
+        """Connect. mass, com_F (3,): kg, m in the flange's frame, of all that it carries. Raises SalverError."""
+        self._address, self._mass, self._com = address, mass, com_F
+        self.speed, self._number, self._begun, self._at, self._first = 1.0, 0, 0, 0.0, True
+        try:
+            self._exchange = Exchange(address)
+        except (OSError, SalverError, struct.error) as error:
+            raise self._said(error) from None
+        self.look()
+
+    @property
+    def source(self) -> str:
+        return f"ur at {self._address}"
+
+    def look(self) -> ArmState:
+        state = self._state()
+        self._at = state["timestamp"]
+        return ArmState(state["actual_q"], state["actual_qd"])
+
+    def start(self) -> None:
+        """Send the program, and wait until it listens. It begins with a number of its own, so that nothing counts that
+        another one left in the registers."""
+        self._begun = self._number = secrets.randbelow(2**30) + 1
+        self._first = True
+        self._send(self.look().q)
+        registers = ", ".join(f"read_input_float_register({FIRST + k})" for k in range(6))
+        program = PROGRAM.format(
+            begun=self._begun, mass=float(self._mass), com=[float(x) for x in self._com], first=FIRST,
+            patience=PATIENCE, period=PERIOD, lookahead=LOOKAHEAD, gain=GAIN, registers=f"[{registers}]",
+        )  # fmt: skip
+        try:
+            with socket.create_connection((self._address, SCRIPT_PORT), TIMEOUT) as wire:
+                wire.sendall(program.encode())
+        except OSError as error:
+            raise self._said(error) from None
+        for _ in range(round(TIMEOUT / PERIOD)):
+            if self._state()[STATUS] == self._begun:
+                self.look()
+                return
+        raise self._said(SalverError("the program does not run; is the robot in remote control?"))
+
+    def read(self) -> tuple[ArmState, float]:
+        before = self._at
+        state = self._state()
+        if state[STATUS] != self._begun:
+            raise self._said(SalverError("the program has ended"))
+        self._at = state["timestamp"]
+        first, self._first = self._first, False
+        return ArmState(state["actual_q"], state["actual_qd"]), 0.0 if first else self._at - before
+
+    def write(self, command: Array, sensed: Sensed, *, last: bool = False) -> None:
+        self._number += 1
+        self._send(command)
+
+    def stop(self) -> None:
+        """End the program, which stops what still moves; it ends by itself when nothing comes any more."""
+        self._number = -1
+        self._send(np.zeros(6))
+
+    def move(self, motion_from: Callable[[Array], JointMotion]) -> None:
+        with noted_signals() as signals:
+            motion = motion_from(self.look().q)
+            self.start()
+            try:
+                t = 0.0
+                while t < motion.duration + SETTLING:
+                    elapsed = self.read()[1]
+                    if signals.seen:
+                        raise SalverError(f"{signals.wish(t)} The arm was stopped on its way to the start.")
+                    t += elapsed
+                    self.write(motion.sample(min(t, motion.duration))[0][0], None)  # type: ignore[arg-type]
+            finally:
+                self.stop()
+
+    def _send(self, q: Array) -> None:
+        try:
+            self._exchange.send(self._number, q)
+        except OSError as error:
+            raise self._said(error) from None
+
+    def _state(self) -> dict[str, Any]:
+        """The newest; raises SalverError when there is none, or the arm was stopped by its own safety."""
+        try:
+            state = self._exchange.newest()
+        except (OSError, SalverError, struct.error) as error:
+            raise self._said(error) from None
+        if (mode := state["safety_mode"]) not in MOVES:
+            raise self._said(SalverError(STOPPED.get(mode, f"safety mode {mode}")))
+        self.speed = min(max(state["speed_scaling"] * state["target_speed_fraction"], 0.0), 1.0)
+        return state
+
+    def _said(self, error: Exception) -> SalverError:
+        return SalverError(f"The arm at {self._address} says: {error}.")
+
+
+def payload(plan: Plan, arm: ArmModel) -> tuple[float, Array]:
+    """Mass, kg, and centre of mass (3,) in the flange's frame, m, of tray and load."""
+    q = np.zeros(arm.n)
+    (p_SE, R_SE), (p_SF, R_SF) = arm.tray_pose(q), arm.link_pose(q, arm.flange)
+    masses, coms = [plan.scenario.tray.mass], [arm.tray_com_F]
+    for body in plan.scenario.payload.bodies:
+        com_S = p_SE + R_SE @ (body.p_EB + body.R_EB @ body.inertial.com_B)
+        masses.append(body.inertial.mass)
+        coms.append(R_SF.T @ (com_S - p_SF))
+    return float(sum(masses)), np.average(coms, axis=0, weights=masses)

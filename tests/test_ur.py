@@ -1,0 +1,248 @@
+"""A UR driven over RTDE, against a controller on this machine that speaks the protocol and runs the program."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from salver import scenario
+from salver.control.arm import ArmState
+from salver.driver import execute, ur
+from salver.driver.preflight import Check, check_plan
+from salver.driver.sensing import Sensed
+from salver.driver.signals import Signals
+from salver.errors import SalverError
+from salver.models.arm import load_arm
+from salver.planning.make import make_plan
+from salver.planning.plan import Plan, load_plan
+from salver.planning.stops import plan_stops, stop_problem
+from ur_server import Controller
+
+CASE = scenario.load("ur5-bottle").with_changes(physics__settle_before=0.05, physics__settle_after=0.1)
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("ur")
+    plan = make_plan(CASE, "baseline")
+    assert plan.joint is not None
+    replace(plan, stops=plan_stops(stop_problem(plan), plan.joint, 0.3, plan.space)).save(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plan(directory: Path) -> Plan:
+    return load_plan(directory)
+
+
+@pytest.fixture(scope="module")
+def checks(plan: Plan) -> list[Check]:
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+    return check_plan(plan, arm, plan.scenario.payload.bodies)
+
+
+Make = Callable[..., Controller]
+
+
+@pytest.fixture
+def controller(plan: Plan, checks: list[Check], monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
+    """Of a robot whose plan was checked already."""
+    monkeypatch.setattr(execute, "check_plan", lambda *args: list(checks))
+    made: list[Controller] = []
+
+    def make(**options: Any) -> Controller:
+        made.append(Controller(options.pop("q", plan.joint.q[0]), **options))  # type: ignore[union-attr]
+        monkeypatch.setattr(ur, "RTDE_PORT", made[-1].ports[0])
+        monkeypatch.setattr(ur, "SCRIPT_PORT", made[-1].ports[1])
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+        assert each.error is None
+
+
+def run(directory: Path, **options: Any) -> execute.Execution:
+    return execute.run_plan(directory, "ur", "127.0.0.1", **options)
+
+
+def test_a_ur_is_sent_the_plan_and_told_its_payload(directory: Path, plan: Plan, controller: Make) -> None:
+    robot = controller()
+    result = run(directory)
+    assert result.achieved
+    assert result.summary["source"] == "ur at 127.0.0.1"
+    log, joint = result.arrays, plan.joint
+    sent = np.array(robot.commands)
+    first = np.flatnonzero(np.abs(sent - joint.q[0]).max(axis=1) > 1e-9)[0] - 1  # type: ignore[union-attr]
+    t = np.clip(2e-3 * (np.arange(len(sent)) - first), 0, plan.duration)
+    np.testing.assert_allclose(sent, joint.sample(t)[0], atol=3e-3)  # type: ignore[union-attr]
+    assert np.abs(robot.q - joint.q[-1]).max() < 1e-9  # type: ignore[union-attr]
+    assert result.summary["joint_error_peak"] < 1e-9  # as late as it said
+    assert result.summary["timing"]["period"] == 2e-3
+    assert result.summary["timing"]["missed"] == 0
+    assert "tau" not in log
+    assert log["tray_e_p"].max() < 1e-3
+    mass, com = robot.payload
+    body = plan.scenario.payload.bodies[0]
+    assert mass == pytest.approx(plan.scenario.tray.mass + body.inertial.mass)
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+    assert com == pytest.approx(
+        (plan.scenario.tray.mass * arm.tray_com_F + body.inertial.mass * (arm.p_FE + body.p_EB)) / mass
+    )
+
+
+def asked_at(step: int, what: Callable[[Controller], Any]) -> Callable[[Controller], None]:
+    """Once, in a period after the program's first command that moves the arm."""
+    seen: list[int] = []
+
+    def each(robot: Controller) -> None:
+        if len(robot.commands) > step and not seen:
+            seen.append(1)
+            what(robot)
+
+    return each
+
+
+def test_a_stop_keeps_the_load_on_a_ur(directory: Path, plan: Plan, controller: Make) -> None:
+    signals = Signals()
+    robot = controller()
+    robot.each = asked_at(300, lambda _: signals.note("Asked"))
+    result = run(directory, signals=signals)
+    assert result.summary["stopped"].startswith("Asked at t = ")
+    assert result.summary["load_kept_in_stop"] is True
+    begun = float(result.summary["stopped"].split("t = ")[1].split(" s")[0])
+    course = plan.stops.course(begun)  # type: ignore[union-attr]
+    assert course.stop is not None
+    assert np.abs(robot.q - plan.stops.motion(course.stop).q[-1]).max() < 1e-9  # type: ignore[union-attr]
+    assert robot.outputs["output_int_register_24"] == 0
+    assert not result.achieved
+
+
+def test_the_speed_slider_is_honoured(directory: Path, plan: Plan, controller: Make) -> None:
+    """The slider and the controller's own scaling, 0.8 of 0.5: the plan in 1 / 0.4 of its time."""
+    robot = controller()
+    robot.slider, robot.scaling = 0.8, 0.5
+    result = run(directory)
+    assert result.summary["stopped"] == ""
+    whole = (plan.duration + 0.15) / 0.4 / 2e-3
+    assert whole - 50 < len(robot.commands) < whole + 600  # it rests 0.05 s before and 0.1 s after
+    speeds = np.abs(np.diff(robot.commands, axis=0)).max(axis=0) / 2e-3
+    np.testing.assert_allclose(speeds, 0.4 * np.abs(plan.joint.dq).max(axis=0), rtol=0.02, atol=1e-9)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("mode", "words"), [(3, "a protective stop"), (7, "its emergency stop"), (11, "safety mode 11")]
+)
+def test_a_protective_stop_is_noticed(directory: Path, controller: Make, mode: int, words: str) -> None:
+    robot = controller()
+    robot.each = asked_at(300, lambda robot: setattr(robot, "mode", mode))
+    result = run(directory)
+    assert result.summary["stopped"] == f"The arm at 127.0.0.1 says: {words}."
+    assert len(result.arrays["t"]) > 50
+    assert result.summary["load_kept_in_stop"] is None
+
+
+def test_a_reading_of_a_ur_that_cannot_be_true_stops_it(directory: Path, controller: Make) -> None:
+    robot = controller()
+
+    def jump(robot: Controller) -> None:
+        robot.t += 0.5
+
+    robot.each = asked_at(300, jump)
+    result = run(directory)
+    assert "cannot be true: its clock says that 0.502 s passed" in result.summary["stopped"]
+    assert np.abs(robot.dq).max() == 0.0
+
+
+def test_a_connection_that_breaks_ends_in_a_log_and_the_program_stops_the_arm(
+    directory: Path, controller: Make
+) -> None:
+    robot = controller()
+    robot.each = asked_at(300, lambda robot: robot.client.shutdown(2))  # type: ignore[union-attr]
+    result = run(directory)
+    assert "The arm at 127.0.0.1 says: " in result.summary["stopped"]
+    assert len(result.arrays["t"]) > 50
+
+
+def test_a_program_whose_commands_stay_away_stops_the_arm_by_itself(plan: Plan, controller: Make) -> None:
+    robot = controller(lockstep=False)
+    driven = ur.URRobot("127.0.0.1", 1.5, np.array([0.0, 0.01, 0.05]))
+    driven.start()
+    assert robot.payload == (1.5, [0.0, 0.01, 0.05])
+    q = plan.joint.q[0]  # type: ignore[union-attr]
+    for k in range(10):
+        driven.read()
+        driven.write(q + 1e-3 * (k + 1), Sensed(ArmState(q, 0 * q), 2e-3))
+    with pytest.raises(SalverError, match=r"The arm at 127\.0\.0\.1 says: the program has ended\."):
+        [driven.read() for _ in range(2000)]
+    assert 100 <= len(robot.commands) < 400
+    assert np.abs(robot.dq).max() == 0.0
+
+
+def test_old_registers_move_nothing(plan: Plan, controller: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What another session left in them: the program waits for its own first command, and holds the arm then."""
+    robot = controller(lockstep=False)
+    robot.registers |= {"input_int_register_24": 17, **{f"input_double_register_{k}": 1.0 for k in range(24, 30)}}
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    with monkeypatch.context() as patched:
+        patched.setattr(driven, "_send", lambda q: None)
+        with pytest.raises(SalverError, match="the program does not run"):
+            driven.start()
+    assert robot.commands == []
+    robot = controller(lockstep=False)
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    driven.start()
+    driven.read()
+    assert np.abs(np.array(robot.commands) - plan.joint.q[0]).max() < 1e-12  # type: ignore[union-attr]
+
+
+def test_an_arm_elsewhere_is_taken_to_the_start(directory: Path, plan: Plan, controller: Make) -> None:
+    start = plan.joint.q[0]  # type: ignore[union-attr]
+    robot = controller(q=start + 0.03)
+    result = run(directory, move_to_start=True)
+    assert result.achieved, result.summary["stopped"]
+    assert np.abs(np.diff(robot.commands[:300], axis=0)).max() / 2e-3 < 0.11 * np.pi
+
+
+@pytest.mark.parametrize("refuse", ["input_double_register_27", "safety_mode"])
+def test_a_register_that_another_client_has_is_named(directory: Path, controller: Make, refuse: str) -> None:
+    controller(refuse=refuse)
+    with pytest.raises(SalverError, match=rf"The arm at 127\.0\.0\.1 says: {refuse} of the data exchange is IN_USE\."):
+        run(directory)
+
+
+def test_nobody_at_the_address_and_no_remote_control_are_told(
+    directory: Path, controller: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = controller()
+    monkeypatch.setattr(ur, "SCRIPT_PORT", 1)
+    assert "The arm at 127.0.0.1 says: " in run(directory).summary["stopped"]
+    assert robot.commands == []
+    monkeypatch.setattr(ur, "RTDE_PORT", 1)
+    with pytest.raises(SalverError, match=r"The arm at 127\.0\.0\.1 says: .*refused"):
+        run(directory)
+
+
+def test_a_plan_for_another_arm_is_refused_before_it_is_connected(rig: Any) -> None:
+    with pytest.raises(
+        SalverError, match=r"Not moved\. The plan is for the joints panda_joint1, .* drives shoulder_pan"
+    ):
+        execute.run_plan(rig.folder, "ur", "nowhere")
+    names = ("a_" + ur.JOINTS[1], "a_" + ur.JOINTS[0], *ur.JOINTS[2:])
+    assert not ur.URRobot.check(None, SimpleNamespace(joint_names=names))[0].ok  # type: ignore[arg-type]
+
+
+def test_the_newest_of_several_states_is_read(controller: Make) -> None:
+    controller(lockstep=False)
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    driven.start()
+    assert driven.read()[1] == 0.0
+    time.sleep(0.05)
+    assert driven.read()[1] > 0.01

@@ -1,0 +1,198 @@
+"""A controller of Universal Robots as its clients see it: RTDE on one port, URScript programs on another.
+
+Programs are run as they are written: what of URScript they use is Python but for `end`, `local`, `thread` and `run`.
+`servoj` and `sync` take one period; the arm follows `servoj` a lag late. In lock-step the controller waits in every
+period for its client's registers, so that tests take no longer than they must. It speaks the protocol as the maker
+documents it; it was not compared with a real controller.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import struct
+import threading
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+
+from salver.geometry import Array
+
+PERIOD = 2e-3
+FIELDS = {
+    "timestamp": ("DOUBLE", "d"), "actual_q": ("VECTOR6D", "6d"), "actual_qd": ("VECTOR6D", "6d"),
+    "speed_scaling": ("DOUBLE", "d"), "target_speed_fraction": ("DOUBLE", "d"), "safety_mode": ("INT32", "i"),
+}  # fmt: skip
+FIELDS |= {f"output_int_register_{k}": ("INT32", "i") for k in range(24, 48)}
+INPUTS = {f"input_int_register_{k}": ("INT32", "i") for k in range(24, 48)}
+INPUTS |= {f"input_double_register_{k}": ("DOUBLE", "d") for k in range(24, 48)}
+
+
+class Ended(Exception):
+    """The program is ended from outside."""
+
+
+def python_of(program: str) -> str:
+    """A URScript program as Python."""
+    lines = [line for line in program.splitlines() if line.strip() != "end"]
+    text = "\n".join(lines)
+    text = re.sub(r"\blocal ", "", text)
+    text = re.sub(r"\bthread (\w+)\(\)", r"def \1()", text)
+    return re.sub(r"\brun (\w+)\(\)", r"run(\1)", text)
+
+
+class Controller:
+    """Joints q (6,) at rest. refuse: a field that another client has. lag: s."""
+
+    def __init__(self, q: Array, lag: float = 0.03, *, lockstep: bool = True, refuse: str = "") -> None:
+        self.q, self.dq, self.lockstep, self.refuse = np.array(q, dtype=float), np.zeros(6), lockstep, refuse
+        self.registers: dict[str, float] = dict.fromkeys(INPUTS, 0)
+        self.outputs = {name: 0 for name in FIELDS if name.startswith("output")}
+        self.t, self.scaling, self.slider, self.mode = 100.0, 1.0, 1.0, 1
+        self.late: deque[Array] = deque([self.q] * round(lag / PERIOD))
+        self.each: Any = lambda controller: None  # called in every period
+        self.payload: tuple[Any, ...] = ()
+        self.commands: list[Array] = []
+        self.steps, self.program, self.over, self.inputs = 0, "", False, 0
+        self.error: BaseException | None = None
+        self.client: socket.socket | None = None
+        self.recipes: dict[str, list[str]] = {}
+        self._came = b""
+        self._rtde, self._script = (socket.create_server(("127.0.0.1", 0)) for _ in range(2))
+        self.ports = self._rtde.getsockname()[1], self._script.getsockname()[1]
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self.over = True
+        self._thread.join(5)
+        for wire in (self._rtde, self._script, self.client):
+            if wire is not None:
+                wire.close()
+
+    def _serve(self) -> None:
+        self._script.settimeout(1e-3)
+        self.client, _ = self._rtde.accept()
+        self.client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        while not self.over:
+            try:
+                wire, _ = self._script.accept()
+            except TimeoutError:
+                with contextlib.suppress(OSError, Ended):
+                    self._period(wait=False)
+                continue
+            with wire:
+                self.program = b"".join(iter(lambda w=wire: w.recv(1 << 16), b"")).decode()  # type: ignore[misc]
+            try:
+                self.run(self.program)
+            except (Ended, OSError):
+                pass
+            except BaseException as error:
+                self.error = error
+                raise
+
+    def run(self, program: str) -> None:
+        """A program, to its end."""
+        name = re.findall(r"^def (\w+)\(\):", program, re.MULTILINE)[-1]
+        names: dict[str, Any] = {
+            "servoj": self._servoj, "stopj": self._stopj, "sync": self._sync,
+            "set_target_payload": lambda *values: setattr(self, "payload", values),
+            "write_output_integer_register": lambda k, value: self.outputs.update({f"output_int_register_{k}": value}),
+            "read_input_integer_register": lambda k: self.registers[f"input_int_register_{k}"],
+            "read_input_float_register": lambda k: self.registers[f"input_double_register_{k}"],
+        }  # fmt: skip
+        exec(python_of(program), names)
+        if f"\n{name}()" not in program:
+            names[name]()
+
+    def _servoj(self, q: list[float], *, t: float, lookahead_time: float, gain: float) -> None:
+        assert t == PERIOD
+        assert 0.03 <= lookahead_time <= 0.2
+        assert 100 <= gain <= 2000
+        self.commands.append(np.array(q))
+        self.late.append(np.array(q))
+        self._moved(self.late.popleft())
+        time.sleep(0.0 if self.lockstep else PERIOD)
+        # Not before the client's first command: it waits for a state as long.
+        self._period(
+            wait=self.lockstep and self.registers["input_int_register_24"] != self.outputs["output_int_register_24"]
+        )
+
+    def _sync(self) -> None:
+        time.sleep(2e-4)
+        self._period(wait=False)
+
+    def _stopj(self, deceleration: float) -> None:
+        dq = self.dq
+        while np.abs(dq).max() > 0:
+            dq = np.sign(dq) * np.maximum(np.abs(dq) - deceleration * PERIOD, 0)
+            self._moved(self.q + PERIOD * dq)
+            self._period(wait=False)
+
+    def _moved(self, q: Array) -> None:
+        self.dq, self.q = (q - self.q) / PERIOD, q
+
+    def _period(self, wait: bool) -> None:
+        """A state is sent, registers come."""
+        self.t += PERIOD
+        self.steps += 1
+        self.each(self)
+        if self.mode not in (1, 2):
+            self.dq = np.zeros(6)
+        if "O" in self.recipes and "S" in self.recipes:
+            values = {"timestamp": self.t, "actual_q": self.q, "actual_qd": self.dq, "speed_scaling": self.scaling,
+                      "target_speed_fraction": self.slider, "safety_mode": self.mode, **self.outputs}  # fmt: skip
+            names = self.recipes["O"]
+            flat = [x for name in names for x in np.atleast_1d(values[name]).tolist()]
+            self._send("U", struct.pack(">B" + "".join(FIELDS[name][1] for name in names), 1, *flat))
+        count = self.inputs
+        deadline = time.monotonic() + (1.0 if wait else 0.0)
+        self._hear()
+        while wait and self.inputs == count and time.monotonic() < deadline and not self.over:
+            self._hear(1e-3)
+        if self.over or self.mode not in (1, 2):
+            raise Ended
+
+    def _hear(self, patience: float = 0.0) -> None:
+        assert self.client is not None
+        self.client.settimeout(patience or None)
+        self.client.setblocking(bool(patience))
+        if patience:
+            self.client.settimeout(patience)
+        try:
+            came = self.client.recv(1 << 16)
+            if not came:
+                raise Ended
+            self._came += came
+        except (BlockingIOError, TimeoutError):
+            pass
+        self.client.setblocking(True)
+        while len(self._came) >= 3 and len(self._came) >= (size := struct.unpack_from(">H", self._came)[0]):
+            kind, body = chr(self._came[2]), self._came[3:size]
+            self._came = self._came[size:]
+            self._answer(kind, body)
+
+    def _answer(self, kind: str, body: bytes) -> None:
+        if kind == "V":
+            self._send("V", struct.pack(">B", struct.unpack(">H", body)[0] == 2))
+        elif kind in "OI":
+            names = body[8 * (kind == "O") :].decode().split(",")
+            known = FIELDS if kind == "O" else INPUTS
+            types = [known.get(name, ("NOT_FOUND",))[0] if name != self.refuse else "IN_USE" for name in names]
+            self.recipes[kind] = names
+            self._send(kind, struct.pack(">B", 1) + ",".join(types).encode())
+        elif kind == "S":
+            self.recipes["S"] = []
+            self._send("S", b"\x01")
+        elif kind == "U":
+            names = self.recipes["I"]
+            values = struct.unpack(">B" + "".join(INPUTS[name][1] for name in names), body)[1:]
+            self.registers.update(zip(names, values, strict=True))
+            self.inputs += 1
+
+    def _send(self, kind: str, body: bytes) -> None:
+        assert self.client is not None
+        self.client.sendall(struct.pack(">HB", 3 + len(body), ord(kind)) + body)
