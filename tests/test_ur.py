@@ -88,7 +88,7 @@ def test_a_ur_is_sent_the_plan_and_told_its_payload(directory: Path, plan: Plan,
     assert result.summary["timing"]["period"] == 2e-3
     assert result.summary["timing"]["missed"] < 20  # until the controller waits for its first command
     assert "tau" not in log
-    assert log["tray_e_p"].max() < 1e-3
+    assert log["tray_e_p"].max() < 1e-4
     mass, com = robot.payload
     body = plan.scenario.payload.bodies[0]
     assert mass == pytest.approx(plan.scenario.tray.mass + body.inertial.mass)

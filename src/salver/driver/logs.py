@@ -70,7 +70,7 @@ def arrays_of(plan: Plan, arm: ArmModel, first: Body, log_: ExecutionLog, robot:
     t, q = log_.t[kept], log_.q[kept]
     poses = [arm.tray_pose(joints) for joints in q]
     p_SE, R_SE = np.array([p for p, _ in poses]).reshape(-1, 3), np.array([R for _, R in poses]).reshape(-1, 3, 3)
-    wanted = plan.reference.sample(t - robot.lag)
+    wanted = plan.reference.sample(t if robot.takes == "torque" else t - robot.lag - robot.period)
     R_wanted = wanted.R_SB @ first.R_EB.T
     p_wanted = wanted.p_SB - np.einsum("tij,j->ti", R_wanted, first.p_EB)
     return {
