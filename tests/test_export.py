@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ import pytest
 from salver import scenario
 from salver.errors import FileFormatError, SalverError
 from salver.export import FORMATS, write_export
-from salver.export.motion import read_motion
+from salver.export.motion import _stops, read_motion
 from salver.planning.make import make_plan
 from salver.planning.plan import load_plan
+from salver.planning.stops import plan_stops, stop_problem
+from ur_server import Program
 
 TOLERANCE = 1e-12
 
@@ -201,6 +204,125 @@ def test_a_urscript_streams_the_joints_of_the_plan_at_its_controllers_rate(tmp_p
     assert json.loads(start[len("local start = ") :]) == plan.joint.sample(0.0)[0][0].tolist()
     assert lines[-3:] == ["stopj(2.0)", "end", "salver_motion()"]
     assert sum(line == "end" for line in lines) == sum(line.startswith(("def ", "while ", "if ")) for line in lines)
+
+
+@pytest.fixture(scope="module")
+def stoppable(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run directory of a UR whose plan has stops."""
+    folder = tmp_path_factory.mktemp("stoppable")
+    plan = make_plan(scenario.load("ur5-bottle"), "baseline")
+    assert plan.joint is not None
+    replace(plan, stops=plan_stops(stop_problem(plan), plan.joint, 0.25, plan.space)).save(folder)
+    return folder
+
+
+def test_a_urscript_that_is_stopped_follows_the_stop_of_the_instant(stoppable: Path, tmp_path: Path) -> None:
+    """Run period by period; its input is low for one period only, at instants before, at and between the stops."""
+    (path,) = write_export(stoppable, "urscript", tmp_path / "m.script", stop_input=3)
+    text, plan = path.read_text(), load_plan(stoppable)
+    joint, library = plan.joint, plan.stops
+    assert joint is not None
+    assert library is not None
+    assert len(library.taken) >= 2
+    assert f"within {library.longest:.2f} s. Checked at full speed only." in text
+    whole = Program(text, joint.q[0])
+    np.testing.assert_allclose(whole.sent, joint.sample(0.002 * np.arange(1, len(whole.sent) + 1))[0], atol=1e-9)
+    ends = set()
+    for now in (0.1, float(library.t[1]) - 0.004, float(library.t[1]) + 0.004, 0.7, plan.duration - 0.05):
+        program = Program(text, joint.q[0], low_at=now)
+        stopped = library.stopped(joint, now)
+        ends.add(len(program.sent))
+        t = np.minimum(0.002 * np.arange(1, len(program.sent) + 1), stopped.duration)
+        assert abs(len(program.sent) - stopped.duration / 0.002) <= 1
+        np.testing.assert_allclose(program.sent, stopped.sample(t)[0], atol=1e-8)
+        assert program.stopped == 2.0
+    assert len(ends) > 2
+
+
+def test_a_urscript_does_not_begin_while_its_stop_is_pressed_or_its_arm_is_elsewhere(
+    stoppable: Path, tmp_path: Path
+) -> None:
+    (path,) = write_export(stoppable, "urscript", tmp_path / "m.script", stop_input=3)
+    q = load_plan(stoppable).joint.q[0]  # type: ignore[union-attr]
+    for program, words in (
+        (Program(path.read_text(), q, low_at=0.0), "Digital input 3 is low: it is the stop, and must be high."),
+        (Program(path.read_text(), q + 0.02), "The arm is not at the start of this motion."),
+    ):
+        assert program.sent == []
+        assert program.said == [words]
+    with pytest.raises(SalverError, match="stop's digital input is 8; it must be 0 to 7"):
+        write_export(stoppable, "urscript", tmp_path / "n.script", stop_input=8)
+
+
+@pytest.mark.parametrize("form", ["yaml", "moveit"])
+@pytest.mark.parametrize("rate", [None, 100.0])
+def test_stops_are_trajectories_by_name_with_a_table_of_times(
+    stoppable: Path, tmp_path: Path, form: str, rate: float | None
+) -> None:
+    from ruamel.yaml import YAML
+
+    path = write_export(stoppable, form, tmp_path / "m.yaml", rate=rate)[-1]
+    assert path.name == "m_stops.yaml"
+    named, library = YAML(typ="safe").load(path), load_plan(stoppable).stops
+    assert library is not None
+    table = named.pop("table")
+    assert [row["name"] for row in table] == list(named)
+    for row, k in zip(table, library.taken, strict=True):
+        message = named[row["name"]]["joint_trajectory"] if form == "moveit" else named[row["name"]]
+        points = message["points"]
+        assert _seconds(row["leave_at"]) == pytest.approx(library.t[k], abs=1e-9)
+        assert _seconds(row["rests_at"]) == pytest.approx(library.t[k] + library.duration[k], abs=1e-8)
+        t = np.array([_seconds(point["time_from_start"]) for point in points])
+        assert t[0] == 0.0
+        if rate is not None:
+            ticks = (library.t[k] + t[1:-1]) * rate
+            np.testing.assert_allclose(ticks, np.round(ticks), atol=1e-6)
+        for name, values in zip(("positions", "velocities"), library.motion(k).sample(t), strict=False):
+            np.testing.assert_allclose([point[name] for point in points], values, atol=1e-9)
+
+
+def test_a_bag_has_its_stops_beside_its_motion_and_is_read_as_that(stoppable: Path, tmp_path: Path) -> None:
+    from rosbags.highlevel import AnyReader
+
+    from salver.motion_files import read
+
+    write_export(stoppable, "ros2", tmp_path / "bag")
+    library = load_plan(stoppable).stops
+    assert library is not None
+    with AnyReader([tmp_path / "bag"]) as reader:
+        stops = [
+            (stamp, reader.deserialize(raw, c.msgtype))
+            for c, stamp, raw in reader.messages()
+            if c.topic == "/salver/stops"
+        ]
+    assert [stamp for stamp, _ in stops] == [round(1e9 * library.t[k]) for k in library.taken]
+    for (stamp, message), k in zip(stops, library.taken, strict=True):
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
+        np.testing.assert_allclose(message.points[-1].positions, library.q[k, -1], atol=1e-9)
+    assert len(read(tmp_path / "bag").t) == len(read_motion(stoppable).t)
+
+
+def test_a_stop_that_is_never_the_soonest_is_not_written(stoppable: Path) -> None:
+    """The second one is at rest later than the third, so nobody leaves for it."""
+    plan = load_plan(stoppable)
+    assert plan.stops is not None
+    assert plan.stops.taken == tuple(range(len(plan.stops.t)))
+    duration = plan.stops.duration.copy()
+    duration[1] = plan.stops.t[2] + duration[2] - plan.stops.t[1] + 1e-3
+    slow = replace(plan.stops, duration=duration)
+    assert slow.taken == (0, *range(2, len(slow.t)))
+    written = [leave for leave, _ in _stops(replace(plan, stops=slow), ("a",), None)]
+    assert written == [round(1e9 * slow.t[k]) for k in slow.taken]
+
+
+def test_without_stops_there_is_no_file_of_them(directory: Path, tmp_path: Path) -> None:
+    files = write_export(directory, "yaml", tmp_path / "m.yaml", rate=10)
+    assert [f.name for f in files] == ["m.yaml", "m_tray_path.yaml", "m_object_path.yaml"]
+    assert read_motion(directory).stops == ()
+
+
+def _seconds(time: dict[str, int]) -> float:
+    return time["sec"] + 1e-9 * time["nanosec"]
 
 
 def test_urscript_is_refused_for_another_makers_arm(directory: Path, tmp_path: Path) -> None:

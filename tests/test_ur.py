@@ -20,6 +20,7 @@ from salver.driver.sensing import Sensed
 from salver.driver.signals import Signals
 from salver.errors import SalverError
 from salver.models.arm import load_arm
+from salver.models.known_arms import UR_JOINTS
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan, load_plan
 from salver.planning.stops import plan_stops, stop_problem
@@ -235,7 +236,7 @@ def test_a_plan_for_another_arm_is_refused_before_it_is_connected(rig: Any) -> N
         SalverError, match=r"Not moved\. The plan is for the joints panda_joint1, .* drives shoulder_pan"
     ):
         execute.run_plan(rig.folder, "ur", "nowhere")
-    names = ("a_" + ur.JOINTS[1], "a_" + ur.JOINTS[0], *ur.JOINTS[2:])
+    names = ("a_" + UR_JOINTS[1], "a_" + UR_JOINTS[0], *UR_JOINTS[2:])
     assert not ur.URRobot.check(None, SimpleNamespace(joint_names=names))[0].ok  # type: ignore[arg-type]
 
 

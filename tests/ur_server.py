@@ -40,8 +40,45 @@ def python_of(program: str) -> str:
     lines = [line for line in program.splitlines() if line.strip() != "end"]
     text = "\n".join(lines)
     text = re.sub(r"\blocal ", "", text)
+    for name in re.findall(r"\bglobal (\w+) =", text):
+        text = re.sub(rf"(\bglobal )?\b{name}\b(?!\()", f'everywhere["{name}"]', text)
     text = re.sub(r"\bthread (\w+)\(\)", r"def \1()", text)
     return re.sub(r"\brun (\w+)\(\)", r"run(\1)", text)
+
+
+class Program:
+    """A program without a controller, run period by period; its threads run in turn with it, each to its `sync`.
+
+    q (6,): where the arm stands. low_from: time, s, from when on its digital input is low, for one period.
+    sent: what servoj was told, one a period. said: popups.
+    """
+
+    def __init__(self, text: str, q: Array, low_at: float = np.inf) -> None:
+        self.sent: list[Array] = []
+        self.said: list[str] = []
+        self.stopped = 0.0
+        self._threads: list[Any] = []
+        names: dict[str, Any] = {
+            "everywhere": {}, "servoj": self._servoj, "stopj": lambda a: setattr(self, "stopped", a),
+            "popup": lambda text, *_, **__: self.said.append(text), "halt": None,
+            "get_actual_joint_positions": lambda: list(q), "run": lambda f: self._threads.append(iter(f())),
+            "get_standard_digital_in": lambda n: n != 3 or not low_at <= self.t < low_at + PERIOD,
+        }  # fmt: skip
+        text = re.sub(r"\bhalt\b", "raise Ended", python_of(text))
+        # A thread gives way at its `sync`.
+        text = re.sub(r"\bsync\(\)", "yield", re.sub(r"run\((\w+)\)", r"run(\1)", text))
+        with contextlib.suppress(Ended):
+            exec(text, {**names, "Ended": Ended})
+
+    @property
+    def t(self) -> float:
+        return PERIOD * len(self.sent)
+
+    def _servoj(self, q: list[float], *, t: float, lookahead_time: float, gain: float) -> None:
+        assert t == PERIOD
+        for thread in self._threads:
+            next(thread, None)
+        self.sent.append(np.array(q))
 
 
 class Controller:

@@ -27,6 +27,9 @@ def export(
         typer.Option("-s", "--scenario", help="Whose arm names the joints of a motion file that only numbers them."),
     ] = None,
     topic: Topic = None,
+    stop_input: Annotated[
+        int, typer.Option(help="urscript: the standard digital input, 0 to 7, that stops a plan with stops when low.")
+    ] = 0,
     unsafe: Unsafe = False,
     json: Json = False,
 ) -> None:
@@ -58,7 +61,7 @@ def export(
     else:
         if scenario is not None or topic is not None:
             raise SalverError(f"--scenario and --topic are for motion files; {directory} is none.")
-        paths = write_export(directory, file_format, output, stem, rate, unsafe=unsafe)
+        paths = write_export(directory, file_format, output, stem, rate, unsafe=unsafe, stop_input=stop_input)
     if json:
         print_json({"files": [str(path) for path in paths]})
     else:

@@ -21,6 +21,7 @@ from salver.driver.preflight import Check
 from salver.driver.signals import noted_signals
 from salver.errors import SalverError
 from salver.geometry import Array
+from salver.models.known_arms import UR_JOINTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,8 +32,6 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
     from salver.trajectory import JointMotion
 
-# From the base; URDFs put a prefix before these.
-JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 PERIOD = 2e-3  # s, of an e-Series
 LOOKAHEAD, GAIN = 0.03, 300.0  # s, the shortest that servoj takes; its default
 PATIENCE = 100  # periods without a new command after which the program stops the arm by itself
@@ -165,8 +164,8 @@ class URRobot:
     @staticmethod
     def check(plan: Plan, arm: ArmModel) -> list[Check]:
         names = arm.joint_names
-        fits = len(names) == len(JOINTS) and all(map(str.endswith, names, JOINTS))
-        sentence = f"The plan is for the joints {', '.join(names)}; --robot ur drives {', '.join(JOINTS)}."
+        fits = len(names) == len(UR_JOINTS) and all(map(str.endswith, names, UR_JOINTS))
+        sentence = f"The plan is for the joints {', '.join(names)}; --robot ur drives {', '.join(UR_JOINTS)}."
         return [Check("arm", fits, sentence)]
 
     def __init__(self, address: str, mass: float, com_F: Array) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,25 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
             "scenario": json.loads(plan.scenario.model_dump_json(exclude_none=True)),
         },
         verdict=plan.verdict,
+        stops=_stops(plan, names, rate),
     )
+
+
+def _stops(plan: Plan, names: tuple[str, ...], rate: float | None) -> tuple[tuple[int, MotionSeries], ...]:
+    """The stops of a plan that is sent as it is. At a rate, their samples are at the instants of the plan's."""
+    if plan.stops is None or plan.command is not None or not names:
+        return ()
+    made = []
+    for k in plan.stops.taken:
+        motion, begins = plan.stops.motion(k), float(plan.stops.t[k])
+        t = motion.t
+        if rate is not None:
+            count = np.arange(np.floor(begins * rate + 1e-6) + 1, np.ceil((begins + motion.duration) * rate - 1e-6))
+            t = np.concatenate([[0.0], count / rate - begins, [motion.duration]])
+        ns: Any = np.round(t * 1e9).astype(np.int64)
+        q, dq, ddq = motion.sample(ns * 1e-9)
+        made.append((round(begins * 1e9), MotionSeries(ns, names, q, dq, ddq)))
+    return tuple(made)
 
 
 def motion_of_file(

@@ -1,7 +1,8 @@
 """A plan as a URScript program, for the controllers of Universal Robots.
 
 The program streams joint positions with `servoj`, one line a period (Universal Robots, Script Manual, e-Series SW 5.20,
-"servoj"). It was compared with the plan, line by line; it was not run on a robot.
+"servoj"). Of a plan with stops, a thread watches a digital input, and the program leaves the motion for the next stop
+when the input was low. Tests run the program period by period; it was not run on a robot.
 """
 
 from __future__ import annotations
@@ -10,11 +11,10 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.geometry import Array
+from salver.models.known_arms import UR_JOINTS
 from salver.motion_files import MotionSeries
 from salver.motion_files.verdict import warns
 
-# The order in which `servoj` takes them; URDFs put a prefix before these.
-JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 RATE = 500.0  # Hz, the e-Series' own; a CB3 takes 125
 LOOKAHEAD, GAIN = 0.03, 300.0  # s; the shortest lag that servoj takes, its default gain
 NEAR = 0.01  # rad: further from the start no joint may be when the program begins
@@ -24,11 +24,12 @@ HEAD = """\
 # {verdict}
 # {name}: {duration:.4g} s, {samples} joint positions at {rate:g} Hz. Written by salver {version} from a plan.
 # {slider}
+# {stops}
 # Set the payload to tray and load.
 # servoj follows {lag:.0f} ms late or more and smooths: what the tray feels is not quite what was planned. Record a run
 # with the load strapped to the tray (RTDE), and let `salver track` tell what that costs before you carry it loose.
 def salver_motion():
-  local start = {start}
+{watch}  local start = {start}
   local q = get_actual_joint_positions()
   local k = 0
   while k < 6:
@@ -39,6 +40,33 @@ def salver_motion():
     k = k + 1
   end
 """
+WATCH = """\
+  global salver_stop = False
+  if not get_standard_digital_in({stop_input}):
+    popup("Digital input {stop_input} is low: it is the stop, and must be high.", "salver", error=True, blocking=True)
+    halt
+  end
+  thread salver_watch():
+    while not salver_stop:
+      if not get_standard_digital_in({stop_input}):
+        salver_stop = True
+      end
+      sync()
+    end
+  end
+  run salver_watch()
+"""
+LEAVE = """\
+  if salver_stop:
+{lines}    stopj({stop})
+    halt
+  end
+"""
+NO_STOPS = "No stops: whatever ends this program stops the arm without regard to the load. Plan with --stops."
+STOPS = (
+    "Digital input {stop_input} is the stop: when it goes low, the arm is brought to rest with the load kept, within "
+    "{longest:.2f} s. Checked at full speed only."
+)
 ANY_SPEED = (
     "Speed slider: the load is kept at any constant setting at which the controller runs all of this slower alike; how "
     "it does that was not tried."
@@ -51,19 +79,22 @@ salver_motion()
 """
 
 
-def program(motion: MotionSeries, rate: float) -> str:
-    """The program's text; every number with all its digits.
+def program(motion: MotionSeries, rate: float, stop_input: int = 0) -> str:
+    """The program's text; every number with all its digits. stop_input: the standard digital input that stops it.
 
     Raises SalverError for a motion without the six joints of such an arm, base to wrist.
     """
     names = motion.joint_names
-    if len(names) != len(JOINTS) or not all(map(str.endswith, names, JOINTS)):
+    if len(names) != len(UR_JOINTS) or not all(map(str.endswith, names, UR_JOINTS)):
         raise SalverError(
-            f"URScript is for the arms of Universal Robots, with joints {', '.join(JOINTS)} in this order; this plan "
-            f"has {', '.join(names) or 'none'}."
+            f"URScript is for the arms of Universal Robots, with joints {', '.join(UR_JOINTS)} in this order; this "
+            f"plan has {', '.join(names) or 'none'}."
         )
     assert motion.q is not None
     about = motion.about
+    leaves = np.array([leave for leave, _ in motion.stops], dtype=np.int64)
+    rests = np.array([leave + stop.ns[-1] for leave, stop in motion.stops] + [motion.ns[-1]])
+    longest = 1e-9 * (rests - np.append(0, leaves)).max()  # asked just after the instant before
     head = HEAD.format(
         verdict=motion.verdict,
         slider=FULL_SPEED if warns(motion.verdict) else ANY_SPEED,
@@ -75,10 +106,22 @@ def program(motion: MotionSeries, rate: float) -> str:
         lag=LOOKAHEAD * 1e3,
         start=_listed(motion.q[0]),
         near=NEAR,
+        watch=WATCH.format(stop_input=stop_input) if motion.stops else "",
+        stops=STOPS.format(stop_input=stop_input, longest=longest) if motion.stops else NO_STOPS,
     )
     line = f"  servoj({{}}, t={1 / rate!r}, lookahead_time={LOOKAHEAD!r}, gain={GAIN!r})\n"
+    text = [head]
     # The first instant is where the arm stands; each line then holds for one period.
-    return head + "".join(line.format(_listed(q)) for q in motion.q[1:]) + TAIL.format(stop=STOP)
+    for k, q in enumerate(motion.q):
+        if k:
+            text.append(line.format(_listed(q)))
+        until = motion.ns[k + 1] if k + 1 < len(motion.ns) else np.inf
+        for n in np.flatnonzero((leaves >= motion.ns[k]) & (leaves < until)):
+            stop = motion.stops[n][1]
+            assert stop.q is not None
+            lines = "".join("  " + line.format(_listed(x)) for x in stop.q[1:])
+            text.append(LEAVE.format(lines=lines, stop=STOP))
+    return "".join(text) + TAIL.format(stop=STOP)
 
 
 def _listed(q: Array) -> str:

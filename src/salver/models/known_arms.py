@@ -11,6 +11,10 @@ from pathlib import Path
 
 from salver.errors import MissingDependencyError
 
+# Of the arms of Universal Robots, from the base; URDFs put a prefix before these.
+UR_JOINTS = (
+    "shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
+)  # fmt: skip
 OWN_FOLDER = Path(__file__).resolve().parents[1]
 
 

@@ -12,6 +12,8 @@ from salver.display import Outlined
 from salver.geometry import Array
 from salver.motion_files.samples import JointSamples, Samples
 
+STOPS = "/salver/stops"  # topic of a bag
+
 
 @dataclass(frozen=True, repr=False)
 class MotionSeries(Outlined):
@@ -20,7 +22,9 @@ class MotionSeries(Outlined):
     ns (T,): int64, nanoseconds from the start. joint_names: n names, empty without joints; q, dq, ddq, tau (T, n).
     p_SE, quat_SE_wxyz: the tray. p_SB, quat_SB_wxyz, v_S, a_S, omega_B, alpha_B: the first object. What is not known
     is None. about: where it comes from, for the heading of a file. verdict: on the motion, one line, that begins with
-    "UNSAFE: " when it fails; empty when there is none.
+    "UNSAFE: " when it fails; empty when there is none. stops: instants, ns, at which this motion may be left for
+    another one to rest (of joints, from its own time 0): who is asked to stop takes the first that is left, or goes on
+    to the end where none is.
     """
 
     ns: Array
@@ -39,6 +43,7 @@ class MotionSeries(Outlined):
     alpha_B: Array | None = None
     about: Mapping[str, Any] = field(default_factory=dict)
     verdict: str = ""
+    stops: tuple[tuple[int, MotionSeries], ...] = ()
 
     @property
     def t(self) -> Array:

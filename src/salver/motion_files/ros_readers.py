@@ -17,6 +17,7 @@ import numpy as np
 
 from salver.errors import FileFormatError
 from salver.geometry import Array
+from salver.motion_files.motion import STOPS
 from salver.motion_files.samples import FEWEST, JointSamples, Samples, TraySamples, joint_samples, tray_samples
 
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
@@ -290,6 +291,7 @@ def _choose(connections: Sequence[Any], topic: str | None, path: Path) -> list[A
             )
         return chosen
     # Paths beside a motion of the joints are drawn from it, and that of the object from the tray's.
+    usable = [c for c in usable if c.topic != STOPS]
     usable = [c for c in usable if c.msgtype != PATH] or [c for c in usable if not c.topic.endswith(OBJECT)] or usable
     topics = {c.topic for c in usable}
     if len(topics) != 1:

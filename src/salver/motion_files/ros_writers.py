@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import secrets
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 from salver.errors import SalverError
 from salver.files import to_json, write_atomic, writing
 from salver.geometry import Array
-from salver.motion_files.motion import MotionSeries
+from salver.motion_files.motion import STOPS, MotionSeries
 from salver.motion_files.verdict import warns
 
 TOPICS = {
@@ -81,7 +82,8 @@ def _time(ns: int) -> dict[str, int]:
 
 
 def write_bag(motion: MotionSeries, path: Path) -> list[Path]:
-    """A rosbag2 directory with one mcap file, one message a topic. Raises SalverError when `path` exists."""
+    """A rosbag2 directory with one mcap file, one message a topic; of the topic STOPS one message a stop, recorded at
+    the instant at which the motion may be left for it. Raises SalverError when `path` exists."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -99,6 +101,12 @@ def write_bag(motion: MotionSeries, path: Path) -> list[Path]:
                     kind = TOPICS[topic]
                     connection = writer.add_connection(f"/salver/{topic}", kind, typestore=store)
                     writer.write(connection, 0, store.serialize_cdr(_typed(store, kind, message), kind))
+                if motion.stops:
+                    kind = TOPICS["joint_trajectory"]
+                    connection = writer.add_connection(STOPS, kind, typestore=store)
+                    for leave, stop in motion.stops:
+                        message = {**messages(stop)["joint_trajectory"], "header": _header(leave)}
+                        writer.write(connection, leave, store.serialize_cdr(_typed(store, kind, message), kind))
             temporary.rename(path)
     finally:
         shutil.rmtree(temporary.parent, ignore_errors=True)
@@ -141,14 +149,33 @@ def write_yaml(motion: MotionSeries, path: Path) -> list[Path]:
         made.append(
             write_atomic(own, _headed(motion, TOPICS[topic]) + "\n".join(_block(message, "")) + "\n", keep=True)
         )
-    return made
+    return made + _write_stops(motion, path, lambda message: message)
+
+
+def _write_stops(motion: MotionSeries, path: Path, wrapped: Callable[[dict[str, Any]], dict[str, Any]]) -> list[Path]:
+    """PATH with _stops before its ending: a table of times, and the stops as trajectories by name."""
+    if not motion.stops:
+        return []
+    table, named = [], {}
+    for k, (leave, stop) in enumerate(motion.stops):
+        name = f"stop_{k:02d}"
+        table.append({"name": name, "leave_at": _time(leave), "rests_at": _time(leave + int(stop.ns[-1]))})
+        named[name] = wrapped(messages(stop)["joint_trajectory"])
+    head = _headed(motion, "Stops that keep the load. Asked to stop, leave the motion at the next leave_at")
+    head += "# for the trajectory of that name; where none is left, finish the motion. Checked at full speed only.\n"
+    text = head + "\n".join(_block({"table": table, **named}, "")) + "\n"
+    return [write_atomic(path.with_name(f"{path.stem}_stops{path.suffix}"), text, keep=True)]
 
 
 def write_robot_trajectory(motion: MotionSeries, path: Path) -> list[Path]:
     """A moveit_msgs/RobotTrajectory. Raises SalverError for a motion without joints."""
-    message = {"joint_trajectory": _joints(motion, path), "multi_dof_joint_trajectory": _NO_OTHER_JOINTS}
+
+    def wrapped(joints: dict[str, Any]) -> dict[str, Any]:
+        return {"joint_trajectory": joints, "multi_dof_joint_trajectory": _NO_OTHER_JOINTS}
+
+    message = wrapped(_joints(motion, path))
     text = _headed(motion, "moveit_msgs/msg/RobotTrajectory") + "\n".join(_block(message, "")) + "\n"
-    return [write_atomic(path, text, keep=True)]
+    return [write_atomic(path, text, keep=True), *_write_stops(motion, path, wrapped)]
 
 
 def _headed(motion: MotionSeries, kind: str) -> str:

@@ -58,6 +58,12 @@ class StopLibrary(Shown):
         return StopCourse(max(now, self.end), None, max(now, self.end))
 
     @cached_property
+    def taken(self) -> tuple[int, ...]:
+        """The stops that are ever the soonest rest, in time: whoever is asked to stop takes the first that is left, or
+        finishes the plan where none is."""
+        return tuple(k for k, now in enumerate(self.t) if self.course(float(now)).stop == k)
+
+    @cached_property
     def _instants(self) -> Array:
         """Those just after which another course becomes the best, s."""
         changes = np.concatenate([[SAME], self.t + 2 * SAME])
