@@ -7,9 +7,10 @@ import pytest
 
 from recordings import GOAL, START, line
 from salver import scenario as scenarios
-from salver.contact_margins import margin_model, safe_speeds, time_scaling
+from salver.contact_margins import BrakingOptions, Margins, braking, margin_model, safe_speeds, time_scaling
 from salver.contact_margins.time_scaling import TimeScaled, least_root
-from salver.geometry import exp
+from salver.geometry import exp, log
+from salver.models.tray_motion import motion_vector
 from salver.trajectory import MotionSamples, min_jerk_line
 
 FRICTION = 0.3
@@ -213,3 +214,52 @@ def test_no_factor_is_looked_at_beyond_one_that_surely_fails(monkeypatch):
     monkeypatch.setattr(TimeScaled, "margin", noted)
     assert safe_speeds(scaled.model, scaled.tray, worst=False).fastest > 1.2
     assert 1 < max(asked) < 1.01 * surely < time_scaling.FASTEST**2
+
+
+# Stops on the path: by hand, and against the motion that such a stop makes --------------------------------------
+
+OPTIONS = BrakingOptions(instants=6, durations=40, steps=12)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_at_constant_speed_a_level_load_needs_speed_over_friction_and_gravity_to_stop(sign):
+    """0.5 m/s along y, friction 0.3: it slides if it stops in less than v / (mu g) = 0.170 s."""
+    t, zero = np.linspace(0.0, 4.0, 81), np.zeros((81, 3))
+    v = sign * np.array([0.0, 0.5, 0.0]) + zero
+    tray = MotionSamples(
+        t, np.outer(t, [0.0, 0.5 * sign, 0.0]), v, zero, np.broadcast_to(np.eye(3), (81, 3, 3)), zero, zero
+    )
+    found = braking(model_of(), tray, False, OPTIONS)
+    needed = 0.5 / (0.3 * 9.81)
+    first = found.durations[found.durations >= needed * (1 - 1e-9)][0]
+    np.testing.assert_allclose(found.shortest[0], first)
+    assert np.all(found.kept == (found.durations >= needed))
+
+
+def test_margins_along_a_stop_are_those_of_the_motion_that_it_makes():
+    """The tray begins turned, turns about all axes and speeds up; the stop's motion is made and differentiated."""
+    turn, rates = np.array([0.3, -0.2, 0.5]), np.array([0.2, 0.3, -0.4])
+
+    def pose(u):
+        R = exp(turn) @ exp(np.outer(0.3 * np.sin(2 * u), rates))
+        return np.stack([0.2 * u**2, -0.1 * u + 0.1 * np.sin(u), 0.05 * np.cos(u)], axis=1), R
+
+    def motion(t, clock):
+        h = 1e-4
+        p, R = zip(*(pose(clock(t + k * h)) for k in (-1, 0, 1)), strict=True)
+        one, two = log(np.swapaxes(R[0], 1, 2) @ R[1]) / h, log(np.swapaxes(R[1], 1, 2) @ R[2]) / h
+        a = (p[2] - 2 * p[1] + p[0]) / h**2
+        return MotionSamples(t, p[1], (p[2] - p[0]) / (2 * h), a, R[1], 0.5 * (one + two), (two - one) / h)
+
+    tray, model = (
+        motion(np.linspace(0.0, 1.5, 1501), lambda t: t),
+        model_of(0.35, 0.06, {"friction": 0.02, "com": [0.002] * 3}),
+    )
+    found = braking(model, tray, True, OPTIONS)
+    for k, m in ((0, 25), (2, 30), (4, 5)):
+        begin, T = found.t[k], found.durations[m]
+        s = motion(np.linspace(0.0, T, OPTIONS.steps), lambda t, begin=begin, T=T: begin + t - t**2 / (2 * T))
+        least = Margins(model, s.t, motion_vector(s.R_SB, s.a_S, s.omega_B, s.alpha_B)).exact_worst.min()
+        assert abs(found.margin[k, m] - least) < 2e-4
+    assert np.isnan(found.margin[-1, -1])
+    assert np.ptp(found.margin[np.isfinite(found.margin)]) > 0.2

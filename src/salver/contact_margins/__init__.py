@@ -12,6 +12,7 @@ too optimistic (see `salver.models.contact_rows`). By how much the closed loop l
 as a first-order tube (`tracking_motion`).
 """
 
+from salver.contact_margins.braking import Braking, BrakingOptions, braking
 from salver.contact_margins.interface import InterfaceMargins
 from salver.contact_margins.model import EDGES, MarginModel, margin_model
 from salver.contact_margins.motion import tracking_motion, tray_motion
@@ -20,10 +21,13 @@ from salver.contact_margins.whole import Margins, margins
 
 __all__ = [
     "EDGES",
+    "Braking",
+    "BrakingOptions",
     "InterfaceMargins",
     "MarginModel",
     "Margins",
     "SafeSpeeds",
+    "braking",
     "margin_model",
     "margins",
     "safe_speeds",

@@ -106,6 +106,19 @@ def margin_charts(run: ReportedRun) -> list[Spec]:
     ]
 
 
+def braking_charts(run: ReportedRun) -> list[Spec]:
+    """What a stop on the path does to the load; nothing of liquids."""
+    found = [(m, run.contact[m.stem].braking) for m in run.motions]
+    curves = [series(m, m.label, known.durations, 100 * known.kept) for m, known in found if known is not None]
+    note = (
+        "A protective or soft stop of the robot lets the speed fall evenly to zero on the path. Look up how long yours "
+        "takes: the load then stays if it begins at so many of the instants, in the worst case. Only stops that end "
+        "before the motion are counted. How the arm strays from its path is left out."
+    )
+    chart = {"title": "Stops on the path", "note": note, "x": "duration of the stop, s", "unit": "%", "range": [0, 100]}
+    return [{**chart, "y": "instants, %", "series": curves}] if curves else []
+
+
 def _tip_range(curves: list[Spec]) -> list[float] | None:
     """None for all of the curves; once a body is far over the edge of its base, the figures run away to no use."""
     values = [v for c in curves for v in c["y"] if v is not None]

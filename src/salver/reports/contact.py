@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salver.contact_margins import Margins, margins, tracking_motion
-from salver.geometry import Array, matrix_from_quat_wxyz
+from salver.contact_margins import Braking, Margins, braking, margin_model, margins, tracking_motion
+from salver.geometry import Array, invert, matrix_from_quat_wxyz
 from salver.trajectory import MotionSamples
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ class ContactCurves:
     as a coefficient when only one object stands on the tray, else None. available: its own then. nominal, worst: least
     exact margin, a share of the weight, at nominal parameters and in the worst case with the closed loop's errors.
     tip, tip_worst: least distance of a zero-moment point from its edge, m; worst of what follows the reference.
+    braking: which stops on the path keep the load, in the worst case; None with a liquid.
     """
 
     t: Array
@@ -36,6 +37,7 @@ class ContactCurves:
     worst: Array
     tip: Array
     tip_worst: Array
+    braking: Braking | None
 
 
 def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCurves:
@@ -63,6 +65,8 @@ def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCu
         slack = a["contact_slack"][keep]  # the plan's own, which knows which errors go together
         others = len(scenario.payload.liquids) + (scenario.motion.max_tilt_deg is not None)
         worst = slack[:, : slack.shape[1] - others].min(axis=1)  # brims and the limit on tilt come last
+    first, rigid = scenario.payload.first, not scenario.payload.liquids
+    tray = samples.of_frame(*invert(first.p_EB, first.R_EB))
     return ContactCurves(
         t=samples.t,
         friction=np.max(share, axis=0),
@@ -72,4 +76,5 @@ def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCu
         worst=worst,
         tip=np.min([m.tip_over for m in found.interfaces], axis=0),
         tip_worst=np.min([m.tip_over_worst for m in margins(scenario, samples).interfaces], axis=0),
+        braking=braking(margin_model(scenario), tray, worst=True) if rigid else None,
     )

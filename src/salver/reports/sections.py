@@ -79,7 +79,7 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
         "margins",
         "Margins",
         f"Four views of the distance between {run.load} and sliding, tipping or lifting.",
-        charts.margin_charts(run),
+        charts.margin_charts(run) + charts.braking_charts(run),
         speed_bar(run.plan.summary.get("speeds")),
     )
     if run.scenario.payload.liquids:
