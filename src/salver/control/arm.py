@@ -29,6 +29,8 @@ from salver.trajectory import JointMotion, Reference
 
 OBJECT_FRAME = "salver_object"
 POSTURE_GAINS = (100.0, 20.0)  # 1/s^2, 1/s: critically damped, slower than the object's own loop
+_ORIGIN = np.zeros(3)
+_GRAVITY = pin.Motion(GRAVITY_S, _ORIGIN)
 _SINGULAR = 1e-3  # smallest pivot of J J^T's Cholesky factor; below it the pseudo-inverse is damped by as much
 
 
@@ -138,12 +140,14 @@ class ArmController:
         body = bodies[0]
         self.arm, self.gains, self.feedback, self.space, self.period = arm, gains, feedback, space, period
         self.saturation = Saturation()
-        self._mass, self._inertia = body.inertial.mass, body.inertial.inertia_com
+        # B is the nominal centre of mass.
+        self._inertia = pin.Inertia(body.inertial.mass, _ORIGIN, body.inertial.inertia_com)
+        self._turn, self._turning, self._carried = pin.SE3.Identity(), pin.Motion.Zero(), pin.Motion.Zero()
+        self._kp, self._kd = np.repeat(gains.kp, 3), np.repeat(gains.kd, 3)
         self._posture_gains = posture_gains if space == "object" else (gains.kp[0], gains.kd[0])
         self._model = _with_object_frame(with_load(arm, bodies if space == "joint" else bodies[1:]), body)
         self._data = self._model.createData()
         self._frame = self._model.getFrameId(OBJECT_FRAME)
-        self._zero = np.zeros(arm.n)
         self._torque_limit = arm.limits.torque if limit_torque else np.full(arm.n, np.inf)
         self._torque_step = arm.limits.torque_rate * period if limit_torque else np.full(arm.n, np.inf)
         self._previous: Array | None = None
@@ -156,6 +160,8 @@ class ArmController:
             self._p, self._v, self._a = m.p_SB, m.v_S, m.a_S
             self._rotation, self._omega, self._alpha = m.R_SB, m.omega_B, m.alpha_B
             self._jerk, self._angular_jerk = (np.gradient(x, period, axis=0) for x in (m.a_S, m.alpha_B))
+            samples = zip(m.p_SB, m.R_SB, m.v_S, m.omega_B, m.a_S, m.alpha_B, strict=True)
+            self._at_samples = [_spatial(*sample) for sample in samples]
 
     def reset(self) -> None:
         """Forget the last torque and the counts, before another run."""
@@ -175,68 +181,67 @@ class ArmController:
         if self.space == "joint":
             return self._limited(pin.rnea(model, data, q, dq, ddq))
 
-        pin.forwardKinematics(model, data, q, dq, self._zero)
+        pin.forwardKinematics(model, data, q, dq, ddq)
         placement = pin.updateFramePlacement(model, data, self._frame)
         pin.computeJointJacobians(model, data)
         jacobian = pin.getFrameJacobian(model, data, self._frame, pin.LOCAL)
-        drift = pin.getFrameAcceleration(model, data, self._frame, pin.LOCAL).vector
-        rate, wrench_B = self._object_command(state, index, offset, placement)
-        # ddq + J^+ (rate - drift - J ddq): eq (25) with the posture's acceleration in the null space.
-        gram = jacobian @ jacobian.T
-        missing = rate - drift - jacobian @ ddq
+        by_posture = pin.getFrameAcceleration(model, data, self._frame, pin.LOCAL)
+        acceleration, wrench_B = self._object_command(state, index, offset, placement)
+        # ddq + J^+ (V'_cmd - J' dq - J ddq): eq (25) with the posture's acceleration in the null space.
+        transposed = jacobian.T
+        gram, missing = jacobian.dot(transposed), (acceleration - by_posture).vector
         factor, multiplier, failed = dposv(gram, missing)
-        if failed or factor.diagonal().min() < _SINGULAR:
+        if failed or min(factor.diagonal().tolist()) < _SINGULAR:
             multiplier = np.linalg.solve(gram + _SINGULAR**2 * np.eye(6), missing)
-        ddq = ddq + jacobian.T @ multiplier
-        return self._limited(pin.rnea(model, data, q, dq, ddq) + jacobian.T @ wrench_B)
+        ddq = ddq + transposed.dot(multiplier)
+        return self._limited(pin.rnea(model, data, q, dq, ddq) + transposed.dot(wrench_B.vector))
 
-    def _object_command(self, state: ArmState, index: int, offset: float, placement: Any) -> tuple[Array, Array]:
-        """Rate of the body twist that eq (19) asks for, (6,), and the wrench at B for it, (6,)."""
-        p_star, v_star, a_star = self._p[index], self._v[index], self._a[index]
-        R_star, omega_star, alpha_star = self._rotation[index], self._omega[index], self._alpha[index]
-        if offset:
-            p_star, v_star, a_star = _ahead(offset, p_star, v_star, a_star, self._jerk[index])
-            turn, omega_star, alpha_star = _ahead(offset, 0.0, omega_star, alpha_star, self._angular_jerk[index])
-            R_star = R_star @ pin.exp3(turn)
+    def _object_command(self, state: ArmState, index: int, offset: float, placement: Any) -> tuple[Any, Any]:
+        """Rate of the body twist that eq (19) asks for, and the wrench at B for it: spatial vectors in the axes of B.
+
+        Pinocchio's, because NumPy takes twice as long for vectors this short.
+        """
+        target, target_twist, target_acceleration = self._reference_at(index, offset)
         if self.feedback == "object":
-            p, rotation, v, omega = state.p_SB, state.R_SB, state.v_S, state.omega_B
-            if p is None or rotation is None or v is None or omega is None:
+            if state.p_SB is None or state.R_SB is None or state.v_S is None or state.omega_B is None:
                 raise ValueError("feedback from the object needs its pose and twist in the state")
+            placement = pin.SE3(state.R_SB, state.p_SB)
+            twist = pin.Motion(state.R_SB.T @ state.v_S, state.omega_B)
         else:
-            twist = pin.getFrameVelocity(self._model, self._data, self._frame, pin.LOCAL).vector
-            p, rotation = placement.translation, placement.rotation
-            v, omega = rotation @ twist[:3], twist[3:]
+            twist = pin.getFrameVelocity(self._model, self._data, self._frame, pin.LOCAL)
+        error = placement.actInv(target)
+        turn, turning, carried = self._turn, self._turning, self._carried
+        turn.rotation = error.rotation
+        wanted_twist = turn.act(target_twist)
+        wanted = turn.act(target_acceleration)
+        rate = wanted.vector  # a view: what is added changes `wanted`
+        rate += self._kd * (wanted_twist - twist).vector
+        rate += self._kp * pin.Motion(error.translation, pin.log3(error.rotation)).vector
+        # The axes of B turn: a vector that stands still has the rate -omega x itself there.
+        turning.angular = twist.angular
+        carried.linear, carried.angular = twist.linear, wanted_twist.angular
+        acceleration = wanted - turning.cross(carried)
+        # Eq (1) of the nominal object.
+        wrench_B = self._inertia * (acceleration - placement.actInv(_GRAVITY)) + self._inertia.vxiv(twist)
+        return acceleration, wrench_B
 
-        (kp, kp_R), (kd, kd_R) = self.gains.kp, self.gains.kd
-        inverse = rotation.T
-        transport = inverse @ R_star
-        transported = transport @ omega_star
-        spin = pin.skew(omega)
-        a_cmd_S = a_star + kd * (v_star - v) + kp * (p_star - p)
-        alpha_cmd = (
-            transport @ alpha_star - spin @ transported + kd_R * (transported - omega) + kp_R * pin.log3(transport)
-        )
-        rate = np.empty(6)
-        rate[:3] = inverse @ a_cmd_S - spin @ (inverse @ v)
-        rate[3:] = alpha_cmd
-        return rate, self._wrench(inverse @ (a_cmd_S - GRAVITY_S), omega, alpha_cmd)
-
-    def _wrench(self, specific_force: Array, omega: Array, alpha: Array) -> Array:
-        """Eq (1) of the nominal object: B is its centre of mass, so force and moment part."""
-        wrench = np.empty(6)
-        wrench[:3] = self._mass * specific_force
-        wrench[3:] = self._inertia @ alpha + pin.skew(omega) @ (self._inertia @ omega)
-        return wrench
+    def _reference_at(self, index: int, offset: float) -> tuple[Any, Any, Any]:
+        """The reference at an instant: pose in S, twist and acceleration (R*^T a*, alpha*) in its own axes."""
+        if not offset:
+            return self._at_samples[index]
+        p, v, a = _ahead(offset, self._p[index], self._v[index], self._a[index], self._jerk[index])
+        turn, omega, alpha = _ahead(offset, 0.0, self._omega[index], self._alpha[index], self._angular_jerk[index])
+        return _spatial(p, self._rotation[index] @ pin.exp3(turn), v, omega, a, alpha)
 
     def _limited(self, torque: Array) -> Array:
         """Cut to what the motors give, rate first; counted in `saturation`."""
         report = self.saturation
         report.steps += 1
-        share = float((np.abs(torque) / self._torque_limit).max())
+        share = max((np.abs(torque) / self._torque_limit).tolist())
         report.peak_share = max(report.peak_share, share)
         if self._previous is not None:
             change = torque - self._previous
-            if (np.abs(change) > self._torque_step).any():
+            if True in (np.abs(change) > self._torque_step).tolist():
                 report.torque_rate += 1
                 torque = self._previous + np.clip(change, -self._torque_step, self._torque_step)
         if share > 1.0:
@@ -328,6 +333,12 @@ def _ahead(dt: float, x: Any, dx: Array, ddx: Array, dddx: Array) -> tuple[Any, 
     """Value, rate and acceleration a time dt later, by Taylor's series."""
     rate = dx + dt * (ddx + (0.5 * dt) * dddx)
     return x + dt * (dx + (0.5 * dt) * (ddx + (dt / 3) * dddx)), rate, ddx + dt * dddx
+
+
+def _spatial(p: Array, rotation: Array, v: Array, omega: Array, a: Array, alpha: Array) -> tuple[Any, Any, Any]:
+    """A pose, and velocity and acceleration of its origin, linear in S, as spatial vectors in its own axes."""
+    back = rotation.T
+    return pin.SE3(rotation, p), pin.Motion(back @ v, omega), pin.Motion(back @ a, alpha)
 
 
 def _with_object_frame(arm: ArmModel, body: Body) -> Any:

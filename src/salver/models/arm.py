@@ -112,8 +112,14 @@ class ArmModel:
 
     def drift(self, q: Array, dq: Array) -> Array:
         """dJ_e/dt dq (6,): rate of E's body twist when ddq = 0."""
-        pin.forwardKinematics(self.pin_model, self.data, q, dq, np.zeros(self.n))
-        return pin.getFrameAcceleration(self.pin_model, self.data, self.tray_id, pin.LOCAL).vector.copy()
+        return self.twist_and_drift(q, dq)[1]
+
+    def twist_and_drift(self, q: Array, dq: Array) -> tuple[Array, Array]:
+        """J_e dq (6,), E's body twist, and dJ_e/dt dq (6,), its rate when ddq = 0."""
+        model, data, tray = self.pin_model, self.data, self.tray_id
+        pin.forwardKinematics(model, data, q, dq, np.zeros(self.n))
+        velocity = pin.getFrameVelocity(model, data, tray, pin.LOCAL)
+        return velocity.vector, pin.getFrameAcceleration(model, data, tray, pin.LOCAL).vector
 
     def contact_jacobian(self, q: Array, contacts: ContactSet, p_EB: Array, R_EB: Array) -> Array:
         """J_c (3 n_c, n) of eq (21), with the selection B_c^T that it needs: velocities of the tray's material

@@ -51,8 +51,9 @@ class TrayBias:
 
 def tray_bias(arm: ArmModel, q: Array, dq: Array, R_tilt: Array) -> TrayBias:
     """J-dot qdot of the real tray along (q, dq), each (N, n); R_tilt (3, 3): its axes in the assumed E."""
-    drift = np.array([arm.drift(a, b) for a, b in zip(q, dq, strict=True)]).reshape(-1, 6)
-    twist = np.array([arm.body_jacobian(a) @ b for a, b in zip(q, dq, strict=True)]).reshape(-1, 6)
+    twist, drift = np.empty((2, len(q), 6))
+    for k, (position, velocity) in enumerate(zip(q, dq, strict=True)):
+        twist[k], drift[k] = arm.twist_and_drift(position, velocity)
     linear = drift[:, :3] + np.cross(twist[:, 3:], twist[:, :3])
     return TrayBias(linear @ R_tilt, drift[:, 3:] @ R_tilt, twist[:, 3:] @ R_tilt)
 

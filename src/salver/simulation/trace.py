@@ -50,17 +50,13 @@ class Recorder:
     """Collects a `Trace`, one `take` per command, between the position stage of a step and the next step."""
 
     def __init__(self, scene: Scene, count: int) -> None:
-        n, m = scene.n, len(scene.loads)
+        n, model, swings = scene.n, scene.model, scene.swings
         self.scene = scene
         self.t = np.empty(count)
         self.q, self.dq, self.tau = (np.empty((count, n)) for _ in range(3))
-        self.bodies = np.concatenate([[scene.tray_id], scene.object_ids])
-        self.position = np.empty((count, m + 1, 3))
-        self.quaternion = np.empty((count, m + 1, 4))
-        swings = scene.swings
-        self.angles = np.array([s.qpos_ids for s in swings], dtype=int).reshape(len(swings), MODES, 2)
-        self.sensors = np.array([s.sensor + np.arange(6) for s in swings], dtype=int).reshape(len(swings), 6)
-        self.swung, self.sensed = np.empty((count, *self.angles.shape)), np.empty((count, *self.sensors.shape))
+        # Of all bodies and joints: to copy all is quicker than to pick some.
+        self.position, self.quaternion = np.empty((count, model.nbody, 3)), np.empty((count, model.nbody, 4))
+        self.qpos, self.sensed = np.empty((count, model.nq)), np.empty((count, model.nsensordata))
         self.pulled = np.tile(scene.model.opt.gravity, (count, len(swings), 1))
         self.contacts: list[tuple[Array, Array, Array, Array]] = []
         self.count = 0
@@ -73,9 +69,8 @@ class Recorder:
     def take(self, data: Any) -> None:
         """Poses and contact forces of that state: `data` has been stepped once since, so both are of its start."""
         k = self.count
-        self.position[k] = data.xpos[self.bodies]
-        self.quaternion[k] = data.xquat[self.bodies]
-        self.swung[k], self.sensed[k] = data.qpos[self.angles], data.sensordata[self.sensors]
+        self.position[k], self.quaternion[k] = data.xpos, data.xquat
+        self.qpos[k], self.sensed[k] = data.qpos, data.sensordata
         contact = data.contact
         self.contacts.append(
             (contact.geom.copy(), contact.frame.copy(), contact.efc_address.copy(), data.efc_force.copy())
@@ -96,7 +91,7 @@ class Recorder:
             self.tau,
             self.position,
             self.quaternion,
-            self.swung,
+            self.qpos,
             self.sensed,
             self.pulled,
         )
@@ -108,7 +103,8 @@ class Recorder:
     def seen_from_rest(self, motion: TrayMotion, step: int) -> None:
         """Of a tray that is the engine's world: what was just taken felt the tray's motion too, at that step of it."""
         k = self.count - 1
-        for swing, sensed, pulled in zip(self.scene.swings, self.sensed[k], self.pulled[k], strict=True):
+        for swing, pulled in zip(self.scene.swings, self.pulled[k], strict=True):
+            sensed = self.sensed[k, swing.sensor : swing.sensor + 6]
             load = self.scene.loads[swing.load]
             at = load.p_EB + load.R_EB @ load.surface_B
             pulled[:] = motion.felt_at(step, at, load.R_EB @ sensed[:3])
@@ -116,9 +112,13 @@ class Recorder:
 
     def trace(self) -> Trace:
         scene, count = self.scene, self.count
-        m = len(scene.loads)
-        R = matrix_from_quat_wxyz(self.quaternion[:count])
+        m, swings = len(scene.loads), scene.swings
+        bodies = [scene.tray_id, *scene.object_ids]
+        position, R = self.position[:count, bodies], matrix_from_quat_wxyz(self.quaternion[:count, bodies])
         R_XB = R[:, 1:]
+        angles = np.array([s.qpos_ids for s in swings], dtype=int).reshape(len(swings), MODES, 2)
+        sensors = np.array([s.sensor + np.arange(6) for s in swings], dtype=int).reshape(len(swings), 6)
+        sensed = self.sensed[:count, sensors]
         instant = np.repeat(np.arange(count), [len(c[0]) for c in self.contacts])
         geom, frame, address, rows = (np.concatenate([c[i] for c in self.contacts]) for i in range(4))
         # A contact's three rows of the constraint forces, which start anew at every instant.
@@ -152,18 +152,18 @@ class Recorder:
             q=self.q[:count],
             dq=self.dq[:count],
             tau=self.tau[:count],
-            p_XE=self.position[:count, 0],
+            p_XE=position[:, 0],
             R_XE=R[:, 0],
-            p_XB=self.position[:count, 1:],
+            p_XB=position[:, 1:],
             R_XB=R_XB,
             foot_force_B=foot_force,
             force_X=total,
             touches=touches,
             foreign=foreign,
             collides=collides,
-            swung=self.swung[:count],
-            moved=np.einsum("tkij,tkj->tki", R_XB[:, [s.load for s in scene.swings]], self.sensed[:count, :, :3]),
-            turned=self.sensed[:count, :, 3:],
+            swung=self.qpos[:count, angles],
+            moved=np.einsum("tkij,tkj->tki", R_XB[:, [s.load for s in swings]], sensed[..., :3]),
+            turned=sensed[..., 3:],
             pulled=self.pulled[:count],
         )
 
