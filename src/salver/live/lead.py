@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections import deque
 
 # s from the beginning of planning to the hand-over, before it is known how long planning takes.
-FIRST = {"tick": 0.05, "motion": 0.25, "way out": 0.2}
+FIRST = {"tick": 0.05, "motion": 0.25}
 LEADS = 5  # plans from whose times the lead is taken
 SPARE = 1.3  # of the longest of them
 LEAST_LEAD, MOST_LEAD, MOST_LEAD_WET = 0.02, 1.0, 3.0  # s; with open liquids
 
 
 class Lead:
-    """s from the beginning of planning to the hand-over, of a tick, a whole motion or a way out of the way of what
-    passes: given, or learnt from how long planning each takes. wet: with open liquids."""
+    """s from the beginning of planning to the hand-over, of a tick or a whole motion: given, or learnt from how long
+    planning each takes. wet: with open liquids."""
 
     def __init__(self, given: float | None, wet: bool) -> None:
         self._given, self._most = given, MOST_LEAD_WET if wet else MOST_LEAD
@@ -27,5 +27,4 @@ class Lead:
         """s."""
         if self._given is not None:
             return self._given
-        least = FIRST[kind] if kind == "way out" else LEAST_LEAD  # ways out take longer on the way than from rest
-        return min(max(least, SPARE * max(self._spent[kind], default=FIRST[kind] / SPARE)), self._most)
+        return min(max(LEAST_LEAD, SPARE * max(self._spent[kind], default=FIRST[kind] / SPARE)), self._most)

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.live.lead import LEAST_LEAD, Lead
+from salver.live.lead import Lead
 from salver.live.lookout import Lookout, Sighting
 from salver.live.motion import Committed, resting
 from salver.live.obstacles import Moving, predicted
@@ -129,8 +129,8 @@ class Live:
         self._sighting = Sighting()
         self._lookout = Lookout(problem)
         self._seeing = threading.Lock()  # of whoever reports obstacles
-        # From which motion no way out was found, as of which news of what passes; and what is to be expected.
-        self._resigned: tuple[Running | None, int, str] = (None, 0, "")
+        # From which motion nothing more can be done, as of which news of what passes.
+        self._resigned: tuple[Running | None, int] = (None, 0)
         # Of open liquids: which; and whether how they move is not known any more.
         self._wet = " and ".join(body.name for body in problem.payload.liquids)
         self._unknown = False
@@ -508,12 +508,6 @@ class Live:
         return seen and (self._offer is not None or self._due() is None)
 
     @property
-    def comes_in(self) -> float:
-        """s until an obstacle meets the committed motion; infinite if none does."""
-        near = self._running.outlook.near
-        return max(near[0].t - self._now, 0.0) if near and self._running.outlook.sentence(self._now) else np.inf
-
-    @property
     def state(self) -> State:
         """The State: resting, following or stopping, in words and figures."""
         committed, now = self.committed, self._now
@@ -526,10 +520,7 @@ class Live:
             if isinstance(self._asked, Halt)
             else "following"
         )
-        running, news, touched = self._resigned
         passing = self._running.outlook.sentence(now)
-        if passing and touched and running is self._running and news == self._sighting.news:
-            passing = touched
         stopped = "" if self._stopped is None else str(self._stopped)
         return State(
             doing, rests_in, limit, margin, self._refused, self._clock, self.lead, passing, stopped, self._refusals
@@ -591,7 +582,7 @@ class Live:
             if self._running is offered and not isinstance(offered.wish, Follow | Evade):
                 self._done, self._attempts = offered.wish, 0
         running = self._running
-        resigned = self._resigned[0] is running and self._resigned[1] == self._sighting.news
+        resigned = self._resigned == (running, self._sighting.news)
         if running.outlook.sentence(self._now) and not resigned and self._stopped is None and self._offer is None:
             return EVADE
         if wish is not self._done:
@@ -610,27 +601,21 @@ class Live:
         running, began, kind = self._running, time.perf_counter(), _kind(wish)
         base, begins = running.committed, self._hand_over(running.committed, kind)
         sighting, threats = self._sighting, running.outlook.near
-        if (
-            isinstance(wish, Evade) and threats
-        ):  # what is handed over later than half way to when it is there comes late
-            soon = self._now + max(self.comes_in / 3, LEAST_LEAD)
-            begins = min(begins, self._hand_over(base, kind, soon))
         if isinstance(wish, Follow) and self._now > wish.until + CALMING:
             self._done = wish  # what is committed ends at rest
             return
         if isinstance(wish, Halt) and begins >= base.ends:
             self._done = wish
             return
-        names = tuple(one.obstacle for one in threats)
-        answered = answer(Job(wish, base, begins, budget, sighting.obstacles, names, self._now))
+        answered = answer(Job(wish, base, begins, budget, sighting.obstacles, threats, self._now))
         found, status = answered.found, answered.status
         if found is not None and not sealed(found, base):  # whoever proposed it
             again = verified(self._problem, found.motion, found.begins, base)
             found, status = again.committed, Status("refused", again.sentence, False)
-        if found is not None and (denied := self._denied(found)):
+        denied = "" if found is None else self._denied(found)
+        if denied:
             found, status = None, Status("refused", denied, False)
-        if found is not None or kind != "way out":  # a search in vain says nothing of how long others take
-            self._lead.took(kind, time.perf_counter() - began)
+        self._lead.took(kind, time.perf_counter() - began)
         if answered.done and not isinstance(wish, Evade):
             self._done = wish
         late = found is not None and found.begins < self._now and base.ends <= found.begins
@@ -642,15 +627,15 @@ class Live:
         offered = None
         if found is not None:
             offered = running.then(found, wish, self._now, self._problem)
-            offered.resigned = isinstance(wish, Halt) or bool(answered.touched)
+            offered.resigned = isinstance(wish, Halt | Evade)
             self._look(offered)
             if not offered.keeps_clear:
                 if offered.outlook.sighting.news != sighting.news:
                     return  # it was planned for another world
                 status, offered = Status("refused", offered.outlook.sentence(self._now), False), None
         if isinstance(wish, Evade):
-            if offered is None or answered.touched:
-                self._resigned = (offered or running, sighting.news, answered.touched or running.outlook.sentence(0.0))
+            if answered.done or denied:
+                self._resigned = (running, sighting.news)
             if offered is not None:
                 self._offered = self._offer = offered
                 self._done = None if isinstance(self._wish, Goal) else self._wish
@@ -683,4 +668,4 @@ class Live:
 
 def _kind(wish: Wish | None) -> str:
     """Which lead it has."""
-    return "tick" if isinstance(wish, Follow) else "way out" if isinstance(wish, Evade) else "motion"
+    return "tick" if isinstance(wish, Follow | Evade) else "motion"

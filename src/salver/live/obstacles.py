@@ -7,7 +7,7 @@ and then at rest for as long as the prediction lasts, no part of the arm that ca
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -178,6 +178,11 @@ class Predicted:
         slope = (np.diff(positions, axis=0) / np.diff(times)[:, None])[k]
         slope[(t < times[0]) | (t > times[-1])] = 0.0
         return where, slope
+
+    def moved(self, by: Array) -> Predicted:
+        """The same elsewhere: by (3,), m."""
+        samples = None if self.samples is None else (self.samples[0], self.samples[1] + by)
+        return replace(self, powers=self.powers + np.outer([1.0, 0.0, 0.0], by), samples=samples)
 
     def place(self, t: float) -> Array:
         """(3,) where it is at one live time."""

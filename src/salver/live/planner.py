@@ -5,36 +5,56 @@ What it gives was verified (`salver.live.verify`); whoever asked decides whether
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from salver.errors import Status
 from salver.geometry import Array
-from salver.live.motion import SHORTEST, Committed, between, resting
+from salver.live.lookout import Near
+from salver.live.motion import Committed, resting
 from salver.live.obstacles import Movable, MovingClearance, Predicted, nearest
 from salver.live.replan import Replanner, Sought
-from salver.live.steer import Steering
+from salver.live.steer import MOST_CAUTION, Caution, Steering, TwistWanted
 from salver.live.verify import verified
 from salver.live.wishes import Evade, Follow, Goal, Halt, Wish, why_not
-from salver.planning.fastest import Anywhere, AtPose, AtPosture, End, TransportProblem
-from salver.planning.postures import PoseTarget
-from salver.trajectory import JointMotion
+from salver.planning.fastest import Anywhere, AtPosture, TransportProblem
 
-ASIDE, ASIDE_STEP = (0.15, 0.25, 0.4), 0.02  # m to which the load is put aside; s between looks at what passes it
-TURNED = (0.25, 0.5, 0.8, 1.2, 1.8)  # rad about the first joint
-BESIDE = 0.03  # m that are free there
-TRIED = 3
+ANOTHER = 0.5  # s by which what is seen again and is too near at another time is another threat
 THERE = 1e-5  # rad or m by which joints may miss a goal that they are at
 SOON = 0.1  # s: whoever is at rest by then need not look for a shorter way to it, which takes as long
+
+
+@dataclass(frozen=True)
+class EvasionOptions:
+    """How what comes is evaded.
+
+    Attributes:
+        speed: m/s at which the tray is to leave the way of what comes, as far as load and limits allow.
+        window: s from each hand-over for which it is.
+        passes: s from when it is first too near in which it is taken to pass.
+        asides: m, how far aside each direction is tried before one is chosen.
+    """
+
+    speed: float = 1.0
+    window: float = 0.3
+    passes: float = 0.3
+    asides: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4)
+
+
+@dataclass(frozen=True, eq=False)
+class Aside:
+    """Where to an obstacle is evaded that is first too near at live time t, s: in a direction (3,)."""
+
+    obstacle: str
+    t: float
+    way: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
     """wish: what for. base: what is committed; begins: live time, s, at which it may be left. budget: s. obstacles:
-    what is predicted to pass; threats: which of it what is committed does not keep clear of. now: live time, s, when it
+    what is predicted to pass; threats: where what is committed does not keep clear of it. now: live time, s, when it
     was asked."""
 
     wish: Wish
@@ -42,36 +62,37 @@ class Job:
     begins: float
     budget: float
     obstacles: tuple[Predicted, ...] = ()
-    threats: tuple[str, ...] = ()
+    threats: tuple[Near, ...] = ()
     now: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """found: a verified motion that goes on from the base, or None. done: the base fulfils the wish as well. touched:
-    when nothing was found that keeps clear of what passes: what is to be expected, in words."""
+    """found: a verified motion that goes on from the base, or None. done: nothing is to be added to the base for the
+    wish."""
 
     found: Committed | None
     status: Status
     done: bool = False
-    touched: str = ""
 
 
 class Planner:
     """Answers jobs about one problem."""
 
-    def __init__(self, problem: TransportProblem) -> None:
-        self.problem = problem
+    def __init__(self, problem: TransportProblem, evasion: EvasionOptions | None = None) -> None:
+        self.problem, self.evasion = problem, evasion or EvasionOptions()
         self._replanner = Replanner.of(problem)
         self._steering = Steering.of(problem, Sought.of(problem))
+        self._evasive = self._steering
+        self._aside: Aside | None = None
         self._movable = None if problem.keep_out is None else Movable(problem.keep_out.parts)
 
     def answer(self, job: Job) -> Answer:
         wish, base, begins = job.wish, job.base, job.begins
+        if isinstance(wish, Evade):
+            return self._evading(job)
         problem = self._among(job)
         replanner = self._replanner if problem is self.problem else Replanner.of(problem)
-        if isinstance(wish, Evade):
-            return self._evading(job, problem, replanner)
         if isinstance(wish, Follow):
             wanted = wish.wanted if job.now <= wish.until else wish.then
             steering = self._steering
@@ -113,79 +134,33 @@ class Planner:
         passing = MovingClearance(self._movable, obstacles, job.begins)
         return replace(problem, extra=(*problem.extra, passing))
 
-    def _evading(self, job: Job, problem: TransportProblem, replanner: Replanner) -> Answer:
-        """The shortest motion found to a rest that keeps clear; else a stop or what is committed, whichever goes
-        further from what passes, for the load is kept by both."""
-        if problem is self.problem or not job.threats:
+    def _evading(self, job: Job) -> Answer:
+        """What is committed, bent by one tick out of the way of what comes first: many small bends that begin soon do
+        more than one good motion that begins late."""
+        near = next((one for one in job.threats if one.until > job.begins), None)
+        if near is None:
             return Answer(None, Status("optimal", "", True), True)
-        base, begins, ends = job.base, job.begins, time.perf_counter() + job.budget
-        own = begins - base.begins
-        left = between(base.motion, own, max(base.motion.duration, own + SHORTEST))
-        status = Status("refused", "there was no time to look for a way out", False)
-        for end in self._ways_out(job):
-            if (budget := ends - time.perf_counter()) <= 0:
+        if self._aside is None or self._aside.obstacle != near.obstacle or abs(self._aside.t - near.t) > ANOTHER:
+            self._aside = Aside(near.obstacle, near.t, self._shortest_aside(job, near))
+            self._evasive = replace(self._steering, caution=Caution())
+        twist = np.append(self.evasion.speed * self._aside.way, np.zeros(3))
+        wanted = TwistWanted(twist, np.zeros(6), job.begins, window=self.evasion.window)
+        found, status = self._evasive.tick(wanted, job.base, job.begins)
+        return Answer(found, status, found is None and self._evasive.caution.weight >= MOST_CAUTION)
+
+    def _shortest_aside(self, job: Job, near: Near) -> Array:
+        """The direction (3,), across the way of what comes, up or down, in which the committed motion would be clear of
+        it soonest if all of it were put aside: the same as with what comes put the other way."""
+        assert self._movable is not None
+        obstacle = next(one for one in job.obstacles if one.name == near.obstacle)
+        t = near.t + self.evasion.passes * np.linspace(0.0, 1.0, 7)
+        q = job.base.motion.sample(np.clip(t - job.base.begins, 0.0, job.base.motion.duration))[0]
+        along = obstacle.at(t[:1])[1][0] * [1.0, 1.0, 0.0]
+        along = along / np.linalg.norm(along) if along.any() else np.array([1.0, 0.0, 0.0])
+        up = np.array([0.0, 0.0, 1.0])
+        ways = [np.cross(along, up), np.cross(up, along), up, -up]
+        for far in self.evasion.asides:
+            free = [nearest(self._movable, [obstacle.moved(-far * way)], q, t)[0] for way in ways]
+            if max(free) > 0.0:
                 break
-            found, status = replanner.to(end, base, begins, budget, around=False)
-            if found is not None:
-                return Answer(found, status)
-        stop = None
-        if (budget := ends - time.perf_counter()) > 0 and base.ends - begins > SOON:
-            stop, _ = self._replanner.to(Anywhere(), base, begins, budget, around=False)
-        motions = {"goes on": left} | ({} if stop is None else {"stops": stop.motion})
-        comes = {how: self._nearest(job, motion) for how, motion in motions.items()}
-        best = max(comes, key=lambda how: comes[how][0])
-        distance, when, name = comes[best]
-        near = f"{name} would come to within {1e3 * max(distance, 0.0):.0f} mm at {when:.2f} s"
-        touched = f"Nothing was found that keeps clear of {name}: it {best}, and {near}."
-        return Answer(stop if best == "stops" else None, status, best != "stops", touched)
-
-    def _ways_out(self, job: Job) -> Iterator[End]:
-        """Postures beside the way of what passes, in which the arm may rest, the nearest first; then, on the way, any
-        rest."""
-        yield from self._asides(job)[:TRIED]
-        if job.base.ends > job.begins:
-            yield Anywhere()
-
-    def _asides(self, job: Job) -> list[End]:
-        """Postures beside the way of what threatens, in which the arm may rest; the nearest first: the load put aside,
-        or the whole arm turned about its first joint, if that leaves the tray level. Of each way the nearest that is
-        clear."""
-        problem, first = self.problem, self.problem.items[0]
-        assert self._movable is not None
-        q, limits = job.base.state(job.begins)[0], problem.limits
-        p_SB = problem.arm.object_pose(q, first.p_EB, first.R_EB)[0]
-        threats = [one for one in job.obstacles if one.name in job.threats]
-        until = np.arange(job.begins, max((x.until for x in threats), default=0.0), ASIDE_STEP)
-        ways = [np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])]
-        for obstacle in threats:
-            v = obstacle.at(until)[1].mean(axis=0) if len(until) else np.zeros(3)
-            across = np.cross(v, [0.0, 0.0, 1.0])
-            ways += [sign * x / np.linalg.norm(x) for x in (across, v * [1, 1, 0]) if x.any() for sign in (1.0, -1.0)]
-
-        def put(way: Array, far: float) -> Array | None:
-            target = PoseTarget(p_SB + far * way, first.R_EB, first.p_EB, first.R_EB, yaw_free=True)
-            return AtPose(target).nearest(problem.arm, limits, q)
-
-        def turned(sign: float, angle: float) -> Array | None:
-            posture = q + sign * angle * np.eye(problem.n)[0]
-            tilt = problem.arm.tray_pose(posture)[1][2, 2] - problem.arm.tray_pose(q)[1][2, 2]
-            inside = limits.q_min[0] <= posture[0] <= limits.q_max[0]
-            return posture if inside and abs(tilt) < THERE else None
-
-        found: list[tuple[float, End]] = []
-        each = [(put(way, far) for far in ASIDE) for way in ways]
-        each += [(turned(sign, angle) for angle in TURNED) for sign in (1.0, -1.0)]
-        for postures in each:
-            for posture in postures:
-                if posture is not None and nearest(self._movable, threats, posture[None], until)[0] > BESIDE:
-                    found.append((float(np.abs(posture - q).max()), AtPosture(posture)))
-                    break
-        return [end for _, end in sorted(found, key=lambda pair: pair[0])]
-
-    def _nearest(self, job: Job, motion: JointMotion) -> tuple[float, float, str]:
-        assert self._movable is not None
-        threats = [one for one in job.obstacles if one.name in job.threats]
-        until = max((x.until for x in threats), default=0.0) - job.begins
-        t = np.linspace(0.0, max(until, motion.duration), 200)
-        q = motion.sample(np.minimum(t, motion.duration))[0]
-        return nearest(self._movable, threats, q, job.begins + t)
+        return ways[int(np.argmax(free))]

@@ -20,7 +20,7 @@ class Running:
     """A committed motion with what leads to it: a path. after: what it replaces from its beginning on. wish: what it is
     for. stray: (n,) rad, the most by which each joint may be off the committed motion under the uncertain set; allowed:
     that of all of the path. outlook: whether it keeps clear of what passes, as of one sighting; anew with each.
-    resigned: it is to be done though it may not keep clear: a stop, or what goes furthest from what passes."""
+    resigned: it is to be done though it may not keep clear: a stop, or a first step out of the way of what passes."""
 
     committed: Committed
     looked: Path

@@ -20,7 +20,6 @@ from salver.live.standing import live_scenario
 from salver.planning.fastest import transport_problem
 from salver.scenario import Scenario
 
-SHORTEST = 0.05  # s for any planning, however soon something comes
 PAUSE = 2e-3  # s between two looks for something to do
 SWITCH = 5e-4  # s for which Python lets one thread run when another wants to: the robot's loop must not wait for long
 PATIENCE = 20.0  # s beyond the budget, after which a process that does not answer is given up
@@ -59,12 +58,6 @@ class Worker:
         if self._process is not None:
             self._process.close()
 
-    @staticmethod
-    def budget_of(live: Live, budget: float) -> float:
-        """s that the next step of planning may take: a way out that is found later than half way to what comes is of no
-        use."""
-        return min(budget, max(0.5 * live.comes_in, SHORTEST))
-
     @property
     def alive(self) -> bool:
         return self._thread.is_alive()
@@ -81,7 +74,7 @@ class Worker:
         answer = None if self._process is None else self._process.answer
         while not self._closing.is_set():
             if not self._live.idle:
-                self._live.plan(self.budget_of(self._live, self._budget), answer)
+                self._live.plan(self._budget, answer)
             elif not (self._stops and self._live.prepare(self._budget, answer)):
                 self._closing.wait(PAUSE)
 
