@@ -249,28 +249,6 @@ def test_another_start_has_to_be_a_hundredth_shorter_than_those_that_are_refined
     assert one._beat(roughs[:2]) == np.inf
 
 
-def test_a_motion_that_differs_by_how_the_last_joint_is_turned_alone_is_the_same_again() -> None:
-    here = np.random.default_rng(4).normal(size=(9, 7))
-    found = [
-        SimpleNamespace(coefficients=here + by * np.eye(7)[joint]) for by, joint in ((0, 0), (1, 6), (1, 0), (1, 5))
-    ]
-    one: Any = SimpleNamespace(coefficients=here)
-    assert [search._alike(one, [other]) for other in found] == [True, True, False, False]
-    assert search._alike(one, found[2:] + found[:1])
-    assert not search._alike(one, [])
-
-
-def test_a_few_more_rough_optima_are_refined_where_one_falls_short(plain) -> None:
-    """Two beyond those that are refined anyway, if one may well beat the best, which is safe."""
-    one, best = searching(plain, starts=3), SimpleNamespace(status=SimpleNamespace(ok=True), duration=1.0)
-    begun: Any = [a_rough(2.0 + k).iterate for k in range(6)]
-    roughs = [(plain, a_rough(duration)) for duration in (1.5, 0.8, 0.9)]
-    for count in range(6):
-        found = one._instead(best, begun[:count], roughs, 1.1)  # type: ignore[arg-type]
-        assert [x.iterate.duration for _, x in found] == ([0.8] if count < 3 + 2 else [])
-    assert one._instead(best, begun[:1], roughs, 1.3) == []  # type: ignore[arg-type]
-
-
 def test_a_path_promises_the_less_the_deeper_it_is_in_something(behind_a_post, pair) -> None:
     line = straight(pair)
     deep, free = touches(behind_a_post, line), replace(behind_a_post, keep_out=None)

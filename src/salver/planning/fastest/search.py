@@ -15,21 +15,18 @@ import numpy as np
 
 from salver.errors import Status
 from salver.planning.fastest.blocked import why_blocked, why_touching, why_unreached
-from salver.planning.fastest.bound import least_duration
 from salver.planning.fastest.curves import FreeCurve
-from salver.planning.fastest.ends import AtPose
 from salver.planning.fastest.exchange import ROUGH_GAIN, ROUGH_ITERATIONS, rough
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.optimum import DEGREE, NEAR, REFINED, few_pieces, optimum, refitted
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.programme import Iterate
 from salver.planning.fastest.sides import past
-from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.fastest.spline import RestSpline, SplineMotion
 from salver.planning.fastest.sqp import SqpSolution
 from salver.planning.fastest.starts import (
     FEW_LOOKS,
     LOOKS,
-    WAY,
     Ends,
     Start,
     around,
@@ -46,21 +43,12 @@ from salver.planning.fastest.starts import (
 from salver.planning.fastest.watch import WHY, Watch
 
 SPILLING = 0.7  # damping of the first step after pieces have been added, when liquids come in too,
-TURNED = 0.3  # after the last joint has been turned by a right angle,
-WORSE = 1.03  # times longer: not to be refined, as first optima of such motions tell them apart by less
 NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
 BENDS = 3  # detours that are tried at last
 SIDES_TRIED = 10  # paths that are tried where something is in the way, for each pair of ends that would be else
-SHORTENED = 0.5  # of its own least time a motion hardly becomes shorter
 IN_VAIN = 6  # of them in turn that are not shorter than what was found: the others are left out,
 ENOUGH_SIDES = 3  # of those that are found for a pair, with which no way around is looked for
-DRAWN_AGAIN = 2  # times that ways around are drawn once more, where only such hold: by chance there are better ones
 DEEP = 8.0  # by which share a path counts as longer that is so deep in something, 1/m
-REFINING = 0.96  # times its duration a rough optimum takes when refined, or less, if the same conditions bind;
-NEARLY_BEATEN = 0.05  # violation at which one was given up that may become the best all the same,
-INSTEAD = 2  # of which so many are refined when the first falls short of that
-SAME = 0.1  # rad; iterates that differ by less become one
-AGAIN = 3  # times a motion that nothing hinders is made shorter
 
 
 def fastest(
@@ -117,12 +105,9 @@ class _Search:
         steps = len(first) + self.options.starts
         roughs: list[Rough] = []
         self.watch.share = 0.0
-        if self._tried(first, roughs, steps) == {WAY}:  # what was drawn holds, and nothing else: then more is drawn
-            drawn = [begin for _ in range(DRAWN_AGAIN) for begin in self._ways([])]
-            self._tried(self._promising(drawn), roughs, steps)
+        self._tried(first, roughs, steps)
         best: FastestMotion | None = None
-        begun: list[Iterate] = []
-        refining = REFINING
+        begun = 0
         while True:
             roughs.sort(key=_merit)
             hopeful = bool(roughs) and roughs[0][1].iterate.violation < NEARLY
@@ -134,21 +119,12 @@ class _Search:
             if not roughs:
                 break
             problem, rough = roughs.pop(0)
-            if not begun and isinstance(problem.goal, AtPose) and problem.goal.target.yaw_free:
-                turned = [(problem, rough), *((problem, other) for other in self._turned(problem, rough))]
-                (problem, rough), *others = sorted(turned, key=_merit)
-                roughs += others
-            found = self._refined(problem, rough.iterate)
-            begun.append(rough.iterate)
+            found, begun = self._refined(problem, rough.iterate), begun + 1
             if best is None or (found.status.ok, -found.duration) > (best.status.ok, -best.duration):
-                best, refining = found, _refining(rough.iterate, found)
+                best = found
                 self.watch.best = best.duration if best.status.ok else None
-            self.watch.share = min(1.0, (len(first) + len(begun)) / steps)
-            enough = len(begun) >= self.options.starts
-            others = self._instead(best, begun, roughs, refining) if enough else []
-            if others and not self.watch.over():
-                roughs = others
-                continue
+            self.watch.share = min(1.0, (len(first) + begun) / steps)
+            enough = begun >= self.options.starts
             if (best.status.ok and enough) or (not hopeful and enough) or self.watch.over():
                 break
         assert best is not None
@@ -186,36 +162,16 @@ class _Search:
         sentence = f"{line.status.sentence} It is the {name}, gone along slowly: nothing else was found."
         return replace(line, status=replace(line.status, sentence=sentence))
 
-    def _tried(self, first: list[Begin], roughs: list[Rough], steps: int) -> set[str]:
-        """Add the rough optima of what is begun with, as long as one may become the best; by name what led to some that
-        hold."""
-        vain, held = 0, set()
+    def _tried(self, first: list[Begin], roughs: list[Rough], steps: int) -> None:
+        """Add the rough optima of what is begun with, as long as one may become the best."""
+        vain = 0
         for done, begin in enumerate(first, 1):
             beat = self._beat(roughs)
-            if SHORTENED * begin[1].least(begin[0]) < beat:
-                found = self._rough(*begin, beat=beat)
-                roughs.append(found)
-                vain = vain + 1 if self._beat(roughs) == beat else 0
-                held |= {begin[1].name} if found[1].iterate.violation < NEARLY else set()
+            roughs.append(self._rough(*begin, beat=beat))
+            vain = vain + 1 if self._beat(roughs) == beat else 0
             self.watch.share = max(self.watch.share, min(1.0, done / steps))
             if self.watch.over() or (vain >= IN_VAIN * self.options.starts and np.isfinite(beat)):
                 break
-        return held
-
-    def _instead(
-        self,
-        best: FastestMotion,
-        begun: list[Iterate],
-        roughs: list[Rough],
-        refining: float,
-    ) -> list[Rough]:
-        """Of the rough optima that are left the one, unlike those that were begun, that may well beat the best, when it
-        takes so many times its duration refined; none if there is none, or enough were tried."""
-        if not best.status.ok or len(begun) >= self.options.starts + INSTEAD:
-            return []
-        few = [x for x in roughs if x[1].iterate.violation < NEARLY_BEATEN and not _alike(x[1].iterate, begun)]
-        few.sort(key=lambda x: x[1].iterate.duration)
-        return [x for x in few[:1] if refining * x[1].iterate.duration < best.duration]
 
     def _beat(self, roughs: list[Rough]) -> float:
         """What another rough optimum has to be shorter than to be refined, s."""
@@ -282,53 +238,23 @@ class _Search:
     def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:
         """A first optimum with few spline pieces, from a comfortable duration."""
         self.watch.trying = start.name
-        return problem, self._rough_from(problem, start.motion(problem, self._few), 1.0, beat)
-
-    def _rough_from(
-        self, problem: TransportProblem, start: SplineMotion, damping: float, beat: float = np.inf
-    ) -> SqpSolution:
-        iterations = round(self.options.iterations * ROUGH_ITERATIONS)
-        found = rough(problem, FreeCurve, start, self.options.nodes_per_span, self.watch, damping, iterations, beat)
+        begin, iterations = start.motion(problem, self._few), round(self.options.iterations * ROUGH_ITERATIONS)
+        found = rough(
+            problem, FreeCurve, begin, self.options.nodes_per_span, self.watch, iterations=iterations, beat=beat
+        )
         self.iterations += found.iterations
-        return found
-
-    def _turned(self, problem: TransportProblem, found: SqpSolution) -> Iterator[SqpSolution]:
-        """The same motion ending a quarter turn of the last joint away, optimised again: a local optimum does not
-        turn."""
-        few = self._few
-        ramp = min_jerk_blend(np.linspace(0, 1, few.size))
-        for turn in (0.5 * np.pi, -0.5 * np.pi):
-            coefficients = found.iterate.coefficients.copy()
-            coefficients[:, -1] += turn * ramp
-            within = problem.limits.q_min[-1] < coefficients[-1, -1] < problem.limits.q_max[-1]
-            longer = least_duration(problem.limits, coefficients[0], coefficients[-1]) > found.iterate.duration
-            if within and not (longer and found.iterate.violation < NEARLY and not problem.moving):
-                start = SplineMotion(few, coefficients, found.iterate.duration)
-                yield self._rough_from(problem, start, TURNED, WORSE * self._beat([(problem, found)]))
+        return problem, found
 
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
-        """The optimum with all pieces. Where nothing hinders a shorter time it is none, nor where a motion of fewer
-        pieces that knew all that hinders was shorter: then on from there."""
-        start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
+        """The optimum with all pieces."""
         self.watch.trying = f"a motion of {found.duration:.3f} s, refined"
-        spline, grid = start.spline, found.curve.grid
+        start, grid = (
+            refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans),
+            found.curve.grid,
+        )
         also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
-        damping = SPILLING if problem.liquids else REFINED
-        best = optimum(problem, self.options, start, self.watch, damping, also=also)
+        best = optimum(problem, self.options, start, self.watch, SPILLING if problem.liquids else REFINED, also=also)
         self.iterations += best.iterations
-        for _ in range(AGAIN):
-            hindered = best.binding and (best.duration < found.duration or _unknown(found, best))
-            if not best.status.ok or hindered or self.watch.over():
-                break
-            start = SplineMotion(spline, best.coefficients, best.duration)
-            again = optimum(problem, self.options, start, self.watch, REFINED)
-            self.iterations += again.iterations
-            if not again.status.ok or again.duration >= best.duration:
-                break
-            little = again.duration > (1 - ROUGH_GAIN) * best.duration
-            best = again
-            if little and best.binding:
-                break
         return best
 
     @property
@@ -344,23 +270,6 @@ def _promise(begin: Begin) -> float:
 
 def _merit(found: Rough) -> tuple[bool, float]:
     return found[1].iterate.violation >= NEARLY, found[1].iterate.duration
-
-
-def _unknown(rough: Iterate, found: FastestMotion) -> bool:
-    """Whether something hinders a motion that the rough optimum it was made of did not know. That one is then the
-    optimum of a looser problem: what it takes is less than can be had, however well it is refined."""
-    return not set(found.binding) <= {block.name for block in rough.blocks}
-
-
-def _refining(rough: Iterate, found: FastestMotion) -> float:
-    """What rough optima may take when they are refined, times their duration: where something comes in that they do not
-    know, it makes them longer, as it did one that was refined."""
-    return max(REFINING, found.duration / rough.duration) if _unknown(rough, found) else REFINING
-
-
-def _alike(found: Iterate, others: list[Iterate]) -> bool:
-    """Whether an iterate is nearly one of others with as many coefficients, but for how the last joint is turned."""
-    return any(np.abs(found.coefficients - other.coefficients)[:, :-1].max() < SAME for other in others)
 
 
 def _ended(status: Status, watch: Watch) -> Status:

@@ -14,6 +14,7 @@ from salver.models.arm_limits import POSITION
 from salver.planning.fastest.around import way_around
 from salver.planning.fastest.bound import least_duration, least_time
 from salver.planning.fastest.ends import AtPose, AtPosture, End
+from salver.planning.fastest.obstacles import APART as APART_FROM_TOUCHING
 from salver.planning.fastest.obstacles import ENOUGH_AT_ENDS
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
@@ -225,7 +226,7 @@ class _Found:
         cost, free = _cost(problem, start, goal), True
         if problem.keep_out is not None:
             distance = problem.keep_out.parts.clearance(np.stack([start, goal]))
-            free = bool(distance.min() > 0.0)
+            free = bool(distance.min() > APART_FROM_TOUCHING)
             near = float((distance - problem.keep_out.required).min())
             cost += TOO_NEAR * max(0.0, 0.03 - near)
         self.pairs.append(Ends(start, goal, cost, free))
