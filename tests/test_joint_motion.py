@@ -12,7 +12,6 @@ from salver.errors import ScenarioError
 from salver.geometry import GRAVITY_S, exp, log
 from salver.models.arm import load_arm
 from salver.models.arm_geometry import arm_geometry
-from salver.planning.follow import redundancy
 from salver.planning.follow.limits import peaks, torques, verdict
 from salver.planning.follow.motion import follow, follow_scenario
 from salver.planning.follow.redundancy import Usage, first_choice, solve_path, tray_path
@@ -123,20 +122,18 @@ def test_redundancy_brings_speeds_down(cube):
     assert max(peak.share for peak in peaks(arm, motion)) < 1.03
 
 
-EVENLY = {"_SOFT_MAX": 2, "_FAINT": 0.0}  # every share counts, not only the largest
-SINGULAR = {"_SINGULAR": 10.0}
+EVENLY = {"sharpness": 2}  # every share counts, not only the largest
+SINGULAR = {"singular": 10.0}
 
 
 @pytest.mark.parametrize(
     ("duration", "order", "weights"),
     [(0.6, 0, {}), (0.6, 1, {}), (0.6, 2, {}), (2.0, 0, {}), (0.6, 0, SINGULAR), (0.6, 1, EVENLY), (0.6, 2, EVENLY)],
 )
-def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order, weights, monkeypatch):
+def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda, duration, order, weights):
     """The derivative by s, s', s'' of C q = s(t), where the tray's motion stays, against differences: of a motion near
     the limits of speed and torque, of a slow one with a ball behind the elbow, where singular postures are what matters
     most, and where everything matters."""
-    for name, weight in weights.items():
-        monkeypatch.setattr(redundancy, name, weight)
     arm, path = panda, tray_path(tumbling(duration), *PLACES[1], np.linspace(0, duration, 31))
     postures, reached = postures_along(arm, path.p_SE, path.R_SE, start_posture_of(arm, path))
     assert reached == 31
@@ -146,9 +143,9 @@ def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda,
     choice = first_choice(arm, parts, path, postures)
     profile = choice.profile(path.t)
     joints = solve_path(arm, path, choice.path.q, choice.rows, profile)
-    usage = Usage(arm, parts, joints)
+    usage = Usage(arm, parts, joints, **weights)
     if around:
-        assert usage.cost > 1.1 * Usage(arm, arm_geometry(panda), joints).cost
+        assert usage.cost > 1.1 * Usage(arm, arm_geometry(panda), joints, **weights).cost
     gradient = usage.gradient(choice.rows)[order]
     rng = np.random.default_rng(order)
     direction = rng.normal(size=gradient.shape)
@@ -156,7 +153,7 @@ def test_how_the_use_of_the_redundancy_changes_what_is_used_of_the_limits(panda,
     for h in (-1e-5, 1e-5):
         changed = tuple(x + h * direction * (k == order) for k, x in enumerate(profile))
         joints = solve_path(arm, path, choice.path.q, choice.rows, changed)
-        costs.append(Usage(arm, parts, joints).cost)
+        costs.append(Usage(arm, parts, joints, **weights).cost)
     scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
     assert np.vdot(gradient, direction) == pytest.approx((costs[1] - costs[0]) / 2e-5, abs=1e-4 * scale)
     assert scale > 1e-3

@@ -16,7 +16,7 @@ from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.models.arm_limits import JointLimits
 from salver.planning.fastest import transport_problem
-from salver.planning.fastest.around import CUTS, STEP, FreeSpace, _cut_short
+from salver.planning.fastest.around import STEP, FreeSpace, _cut_short
 from salver.planning.fastest.constraints import PER_METRE, REACH_BEYOND_TRAY, UNSEEN, Block, Clearance
 from salver.planning.fastest.curves import launch_basis
 from salver.planning.fastest.ends import Anywhere
@@ -26,7 +26,7 @@ from salver.planning.fastest.obstacles import AT_NODES, EXACT, REACH, KeepOut
 from salver.planning.fastest.passing import ALLOWED, SCALE, Closest, PassPose, _blend
 from salver.planning.fastest.retiming import PATH_TOLERANCE, SplinePath
 from salver.planning.postures import INSIDE, PoseTarget
-from salver.planning.stops import STATES_EVERY, along
+from salver.planning.stops import along
 from salver.trajectory import JointMotion
 
 POSTURE = np.array([0.0, -0.6, 0.1, -2.2, 0.0, 1.6, 0.8])
@@ -80,7 +80,6 @@ def test_a_way_is_cut_short_where_a_straight_piece_is_free_and_nowhere_else() ->
     assert _cut_short(space, corners[:2], np.random.default_rng(0)).tolist() == corners[:2].tolist()
     bend = np.array([[0.2, 0.0], [0.6, 0.5], [1.0, 0.0]])
     assert np.abs(_cut_short(space, bend, np.random.default_rng(0))[:, 1]).max() == 0.0
-    assert CUTS > 20
 
 
 def test_a_launch_begins_with_a_speed_or_an_acceleration_and_ends_with_nothing() -> None:
@@ -204,7 +203,7 @@ def test_along_a_long_plan_the_deviation_is_known_often_enough() -> None:
         t, *_ = along(problem, motion, "joint")
         assert t[0] == 0.0
         assert t[-1] == pytest.approx(duration)
-        assert np.diff(t).max() <= STATES_EVERY * (1 + 1e-9)
+        assert np.diff(t).max() <= 4e-3 * (1 + 1e-9)
 
 
 def test_what_the_arm_strays_comes_off_its_distance_from_what_is_around() -> None:

@@ -20,7 +20,7 @@ from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.obstacles import ENOUGH_AT_ENDS, KeepOut
 from salver.planning.fastest.optimum import few_pieces
 from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.search import DEEP, IN_VAIN
+from salver.planning.fastest.search import IN_VAIN
 from salver.planning.fastest.sides import FURTHEST, SIDES, STEP, TURN, past
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.starts import (
@@ -253,31 +253,48 @@ def test_a_path_promises_the_less_the_deeper_it_is_in_something(behind_a_post, p
     line = straight(pair)
     deep, free = touches(behind_a_post, line), replace(behind_a_post, keep_out=None)
     assert deep > 0.01
-    assert search._promise((behind_a_post, line)) == pytest.approx(line.least(free) * (1 + DEEP * deep))
+    assert search._promise((behind_a_post, line)) == pytest.approx(line.least(free) * (1 + 8.0 * deep))
     assert search._promise((free, line)) == pytest.approx(line.least(free))
 
 
-def test_where_a_straight_path_is_blocked_ways_around_and_past_are_begun(behind_a_post, pair) -> None:
+def test_where_a_straight_path_is_blocked_paths_past_and_at_last_ways_around_are_begun(behind_a_post, pair) -> None:
     """Each from a start to a goal."""
-    one = searching(behind_a_post, starts=2, ways=1)
+    one = searching(behind_a_post, ways=1)
     one.pairs = [pair]
     begun = one._first()
-    names = [start.name for _, start in begun]
-    assert names[0] == "way around"
-    assert {"straight path of the joints", "path past what is in the way"} <= set(names)
-    promises = [search._promise(begin) for begin in begun if begin[1].name != "way around"]
+    assert {"straight path of the joints", "path past what is in the way"} <= {start.name for _, start in begun}
+    promises = [search._promise(begin) for begin in begun]
     assert promises == sorted(promises)
-    for problem, start in begun:
+    way = next(one._further())
+    assert way[1].name == "way around"
+    for problem, start in (*begun, way):
         assert np.abs(start.postures[0] - pair.start).max() < 1e-9
         assert np.abs(problem.goal.residual(problem.arm, start.postures[-1])[0]).max() < 1e-6
 
 
-def test_on_a_way_the_distances_are_kept_that_both_of_its_ends_keep(behind_a_post, pair) -> None:
+def test_where_few_paths_lead_past_what_is_in_the_way_the_shortest_ways_around_come_first(
+    behind_a_post, pair, monkeypatch
+) -> None:
+    """Of three times as many as are wanted."""
+    one, lengths = searching(behind_a_post, ways=1), iter((0.3, 0.0, 0.2))
+    one.pairs = [pair]
+    aside = np.linspace(0.0, 1.0, 7)
+    monkeypatch.setattr(search, "past", lambda *_: [])
+    monkeypatch.setattr(
+        search, "around", lambda *_: Start("way", np.stack([pair.start, pair.goal + next(lengths) * aside, pair.goal]))
+    )
+    first = one._first()
+    assert [start.name == "way" for _, start in first] == [True] + [False] * (len(first) - 1)
+    np.testing.assert_array_equal(first[0][1].postures[1], pair.goal)
+
+
+def test_on_a_way_the_distances_are_kept_that_both_of_its_ends_keep(behind_a_post, pair, monkeypatch) -> None:
     """Here no more than there is at the goal."""
     parts = behind_a_post.keep_out.parts
     near = replace(behind_a_post, keep_out=KeepOut(parts, parts.clearance(pair.goal[None])[0] + 1e-3))
     way = Start("way", np.stack([pair.start, 0.5 * (pair.start + pair.goal), pair.goal]))
-    ((problem, start),) = searching(near)._promising([way])
+    monkeypatch.setattr(search, "around", lambda *_: way)
+    ((problem, start),) = searching(near, ways=1)._ways()
     assert start is way
     np.testing.assert_allclose(problem.keep_out.required, between(near, pair).keep_out.required, atol=1e-5)  # to 3 um
     assert np.all(problem.keep_out.distances(pair.goal[None]) > 0)

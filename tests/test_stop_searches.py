@@ -15,7 +15,6 @@ from salver.planning.fastest.retiming import SplinePath
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.stop_library import StopLibrary
 from salver.planning.stops import (
-    IN_VAIN,
     LEAST,
     SPLINE,
     STORED,
@@ -181,8 +180,8 @@ def test_stops_are_planned_backwards_each_to_be_at_rest_before_what_is_ahead(mon
     monkeypatch.setattr(stops, "brake_on", lambda problem, path, end, now, begun, law, most: stop(now, most))
     monkeypatch.setattr(stops, "_going_on", lambda motion, now, begin, ahead: now)
     monkeypatch.setattr(stops, "_late", lambda problem, state: np.inf)  # none is sought from another beginning
-    monkeypatch.setattr(stops, "SOON", 0.0)  # nor is any too late to be worth it
-    library = plan_stops(nowhere, whole, 0.1, on_path=on_path, progress=lambda *done: told.append(done))
+    progress, soon = (lambda *done: told.append(done)), 0.0  # none is too late to be worth it
+    library = plan_stops(nowhere, whole, 0.1, on_path=on_path, progress=progress, soon=soon)
     assert told == [(k + 1, 9) for k in range(9)]
     assert [now for now, _ in asked] == pytest.approx(np.arange(9, 0, -1) / 10)
     # Until 0.8 s nothing is sooner than the end; then each has to be at rest before the one that was kept.
@@ -227,7 +226,7 @@ def test_where_a_stop_is_late_it_is_sought_anew_and_instants_are_half_as_far_apa
     finds, anew[:] = False, []
     monkeypatch.setattr(stops, "_late", lambda problem, state: 0.0)
     coarse = plan_stops(nowhere, swaying(1.0), 0.1)
-    assert len(anew) == IN_VAIN
+    assert len(anew) == 2
     assert coarse.t == pytest.approx(0.1 * np.arange(1, 7))
 
 

@@ -34,7 +34,7 @@ from salver.planning.fastest import (
 )
 from salver.planning.fastest.bound import least_time
 from salver.planning.fastest.constraints import ContactConstraint
-from salver.planning.fastest.curves import FreeCurve, Grid, launch_basis
+from salver.planning.fastest.curves import FreeCurve, Grid, launched
 from salver.planning.fastest.exchange import HOPELESS_AT_NODES, ITERATIONS, REPAIR, Checked, optimise, programme_of
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import SqpOptions, SqpSolution, minimise
@@ -193,7 +193,7 @@ def going_on(at: TransportProblem, before: Committed, begins: float) -> SplineMo
     left = max(before.ends - begins, LEAST_DURATION)
     s = np.linspace(0.0, 1.0, 121)
     q = before.motion.sample(begins - before.begins + s * left)[0]
-    return SplineMotion(SPLINE, SPLINE.fit(s, q - _launched(start, s, left)), left)
+    return SplineMotion(SPLINE, SPLINE.fit(s, q - launched(start, s, left)), left)
 
 
 def straight(at: TransportProblem) -> SplineMotion | None:
@@ -232,9 +232,3 @@ def _by_friction(at: TransportProblem, start: AtPosture, goal: Array) -> float:
     speed = float(np.linalg.norm(v_S))
     left = at.arm.tray_pose(goal)[0] - p_SE - 0.5 * speed / most * v_S
     return speed / most + 2.0 * float(np.sqrt(np.linalg.norm(left) / most))
-
-
-def _launched(start: AtPosture, s: Array, duration: float) -> Array:
-    """(len(s), n) what velocity and acceleration of a start add to the posture."""
-    powers = np.array([duration, duration**2])[:, None, None]
-    return np.asarray((launch_basis(s)[:, 0, :, None] * start.rates[:, None, :] * powers).sum(axis=0))

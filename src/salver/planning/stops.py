@@ -25,7 +25,7 @@ from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.planning.fastest.after import stays
 from salver.planning.fastest.constraints import LEVEL_TOLERANCE
-from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch_basis, united
+from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch_basis, launched, united
 from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.exchange import CurveOf, optimise
 from salver.planning.fastest.obstacles import KeepOut
@@ -46,25 +46,12 @@ from salver.trajectory import JointMotion, SampledReference
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
-EVERY = 0.02  # s from one instant to the next
 SPLINE = RestSpline(degree=5, spans=6)  # of a stop,
-NODES_PER_SPAN = 3
-FINE = RestSpline(degree=5, spans=10)  # and of one that is sought from another beginning,
-LATE, LATE_AT_LEAST = 0.9, 0.22  # because it is later than this share of `braking_time`, and so many s,
-IN_VAIN = 2  # unless that found none so many times in turn
+FINE = RestSpline(degree=5, spans=10)  # and of one that is sought from another beginning
 STORED = united(
     united(np.linspace(0.0, 1.0, 41), SPLINE.breaks()), FINE.breaks()
 )  # with the breaks: what is stored is what was checked
-FINER = 4  # times as many samples as are stored are judged
 WARM = 0.3  # damping of the first step from the stop of the next instant
-WAVY = 2.0  # times as far apart instants are with liquids: waves leave few ways to rest, so each stop is sought from
-# several beginnings: times the guess's duration, damping of the first step
-BEGINNINGS = (1.0, WARM), (1.3, 1.0), (1.15, WARM)
-GAIN = 1e-2  # relative shortening below which a stop is short enough
-STATES = 401  # instants at which the deviation along the plan is known, at least, and
-STATES_EVERY = 4e-3  # s from one to the next, at most
-SMOOTH = 0.1  # weight of acceleration, in normalised time, beside posture in the first guess
-SOON = 0.1  # s: whoever is at rest by then, going on, needs no stop of his own; along what is slow most are
 LEAST = 1e-4  # s by which a stop must be sooner at rest than what there is without it
 Progress = Callable[[int, int], None]
 Space = Literal["object", "joint"]
@@ -86,7 +73,7 @@ def stop_problem(plan: Plan) -> TransportProblem:
     Where the plan itself tilts further, or passes things more closely, a stop may too.
     """
     assert plan.joint is not None
-    q = plan.joint.sample(np.linspace(0.0, plan.joint.duration, STATES))[0]
+    q = plan.joint.sample(np.linspace(0.0, plan.joint.duration, 401))[0]
     free = plan.scenario.with_changes(arm__start_posture=None, motion__through=[])
     problem = transport_problem(free)
     tilt = max(float(np.arccos(np.clip(problem.arm.tray_pose(x)[1][2, 2], -1.0, 1.0))) for x in q)
@@ -115,27 +102,30 @@ def stopped(plan: Plan, now: float) -> Plan:
 def plan_stops(
     problem: TransportProblem,
     motion: JointMotion,
-    every: float = EVERY,
+    every: float = 0.02,
     space: Space = "joint",
     on_path: bool = False,
     progress: Progress | None = None,
+    soon: float = 0.1,
 ) -> StopLibrary:
     """Stops along a motion that the problem's constraints allow.
 
     Found backwards in time: from an instant, going on to the next one and stopping as there is a stop already, and so
     a place to begin. Instants whose own stop is no sooner at rest than that are left out, and those at which going on
-    is at rest within `SOON`. Where a stop is late for how
-    slow the arm still is, as while the tray leans into the first acceleration, it is sought from other beginnings and
-    with more pieces, and instants are half as far apart. What will be no sooner at rest than going on is given up.
-    space: where the controller closes its loop along the motion. on_path: stops that never leave the motion's own
-    path, of which only the timing is free; often there is none, as where a tray leans into the plan's acceleration.
+    is at rest `soon`. Where a stop is late for how slow the arm still is, as while the tray leans into the first
+    acceleration, it is sought from another beginning and with more pieces, and instants are half as far apart. What
+    will be no sooner at rest than going on is given up.
+    every: s from one instant to the next, twice that with a liquid; doubled, half the stops are found in half the time,
+    and the arm is at rest by up to as much later. soon: s; doubled, a slow plan has fewer stops. space:
+    where the controller closes its loop along the motion. on_path: stops that never leave the motion's own path, of
+    which only the timing is free; often there is none, as where a tray leans into the plan's acceleration.
     progress: called with how many of how many instants are done.
     Raises SalverError when the motion has no stop because it begins or ends moving.
     """
     if np.abs(motion.dq[[0, -1]]).max() > 1e-6:
         raise SalverError("Stops are planned along motions from rest to rest; this one begins or ends moving.")
     end = motion.duration
-    every = every * (WAVY if problem.liquids else 1.0)
+    every = every * (2.0 if problem.liquids else 1.0)  # waves take several beginnings each
     instants = np.arange(every, end - 0.5 * every, every)
     t, felt, strayed = along(problem, motion, space)
     past = past_of(problem, t, felt, strayed)
@@ -154,12 +144,12 @@ def plan_stops(
         begun = None if strayed is None else strayed.state_at(t, now)
         if past is not None:
             problem = replace(problem, past=replace(past, now=now))
-        if rest - now < SOON:
+        if rest - now < soon:
             found = None
         elif path is None:
             state, found, beat = state_at(now), None, rest - now - LEAST
             guess = _going_on(motion, now, begin, ahead)
-            if vain < IN_VAIN and rest - now > _late(problem, state):
+            if vain < 2 and rest - now > _late(problem, state):
                 if finely:  # so is what is ahead
                     found = stop_from(problem, state, begun, guess, spline=FINE, beat=beat)
                 if found is None:
@@ -231,7 +221,9 @@ def stop_from(
     if guess is None:
         return _shortest(problem, FreeCurve, _braking(spline, state, duration or braking_time(problem)), beat)
     duration = guess.duration if duration is None else duration
-    for longer, damping in BEGINNINGS if problem.liquids else BEGINNINGS[:1]:
+    # Waves leave few ways to rest: with them a search begins at times of 1.3 and 1.15 the guess's duration too.
+    begins = [(1.0, WARM), (1.3, 1.0), (1.15, WARM)]
+    for longer, damping in begins if problem.liquids else begins[:1]:
         begin = SplineMotion(spline, _fitted(problem, guess, longer * duration, spline), longer * duration)
         if (found := _shortest(problem, FreeCurve, begin, beat, damping)) is not None:
             return found
@@ -241,7 +233,7 @@ def stop_from(
 def _late(problem: TransportProblem, state: AtPosture) -> float:
     """s after which a stop from a state is late: in about 1.6 times the time in which joints alone fade it would be at
     rest if nothing stood on the tray."""
-    return max(LATE_AT_LEAST, LATE * braking_time(replace(problem, start=state)))
+    return max(0.22, 0.9 * braking_time(replace(problem, start=state)))
 
 
 def _anew(problem: TransportProblem, state: AtPosture, deviation: Array | None, beat: float) -> FoundStop | None:
@@ -289,10 +281,11 @@ def _shortest(
     problem: TransportProblem, curve_of: CurveOf, begin: SplineMotion, beat: float = np.inf, damping: float = WARM
 ) -> FoundStop | None:
     """The shortest motion to rest along a curve, checked between the nodes and judged; None when none was found."""
-    found = optimise(problem, curve_of, begin, NODES_PER_SPAN, damping=damping, gain=GAIN, beat=beat)
+    found = optimise(problem, curve_of, begin, nodes_per_span=3, damping=damping, gain=1e-2, beat=beat)
     if not found.status.ok:
         return None
-    s = np.interp(np.arange(FINER * (len(STORED) - 1) + 1) / FINER, np.arange(len(STORED)), STORED)
+    finer = 4  # times as many samples as are stored are judged
+    s = np.interp(np.arange(finer * (len(STORED) - 1) + 1) / finer, np.arange(len(STORED)), STORED)
     curve = curve_of(problem, Grid.of(begin.spline, s))
     z = curve.motion(found.coefficients, found.duration)
     fine = JointMotion(s * found.duration, *z[:3])
@@ -305,14 +298,14 @@ def _shortest(
     if problem.liquids and not stays(found.problem, s * found.duration, z):
         return None
     stray = np.zeros(problem.n) if motion.response is None else motion.joint_radius(0).max(axis=0)
-    law = curve.law(found.coefficients, found.duration)[0, ::FINER, 0] if isinstance(curve, BrakingCurve) else None
-    return FoundStop(JointMotion(STORED * found.duration, *z[:3, ::FINER]), stray, law)
+    law = curve.law(found.coefficients, found.duration)[0, ::finer, 0] if isinstance(curve, BrakingCurve) else None
+    return FoundStop(JointMotion(STORED * found.duration, *z[:3, ::finer]), stray, law)
 
 
 def along(problem: TransportProblem, motion: JointMotion, space: Space) -> tuple[Array, Array, Deviation | None]:
     """Instants (T,), s, what the tray feels there, (T, 12), and the deviation that a wrong load brings the arm into
     along a motion from rest, under the loop on the joints or on the object's pose; None when nothing is uncertain."""
-    t = np.linspace(0.0, motion.duration, max(STATES, int(np.ceil(motion.duration / STATES_EVERY)) + 1))
+    t = np.linspace(0.0, motion.duration, max(401, int(np.ceil(motion.duration / 4e-3)) + 1))
     tracking = problem.tracking
     q, dq, ddq = motion.sample(t)
     terms = motion_terms(problem.model, problem.arm.tray_id, q, dq, ddq)
@@ -358,17 +351,7 @@ def _braking(spline: RestSpline, state: AtPosture, duration: float) -> SplineMot
 
 
 def _fitted(problem: TransportProblem, guess: JointMotion, duration: float, spline: RestSpline = SPLINE) -> Array:
-    """(size, n) coefficients of a motion near to a guess in posture and acceleration, with its ends."""
+    """(size, n) coefficients of a motion nearest to the postures of a guess, with its ends."""
     assert isinstance(problem.start, AtPosture)
     s = np.linspace(0.0, 1.0, 121)
-    q, _, ddq = guess.sample(s * guess.duration)
-    powers = np.array([duration, duration**2])[:, None, None]
-    launch = launch_basis(s)[:, :, :, None] * problem.start.rates[:, None, None, :]
-    basis = spline.matrices(s)
-    q = q - (launch[:, 0] * powers).sum(axis=0)
-    ddq = ddq * duration**2 - (launch[:, 2] * powers).sum(axis=0)
-    ends = np.stack([q[0], q[-1]])
-    rows = np.vstack([basis[0], SMOOTH * basis[2]])
-    target = np.vstack([q, SMOOTH * ddq]) - rows[:, [0, -1]] @ ends
-    inner = np.linalg.lstsq(rows[:, 1:-1], target, rcond=None)[0]
-    return np.vstack([ends[:1], inner, ends[1:]])
+    return spline.fit(s, guess.sample(s * guess.duration)[0] - launched(problem.start, s, duration))

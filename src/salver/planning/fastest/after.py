@@ -13,9 +13,6 @@ from salver.planning.fastest.constraints import ContactConstraint, evaluate
 from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.problem import TransportProblem
 
-WATCHED = 40  # instants of a wave
-CALMER = 0.9  # of the wave that contact bears at rest, as its rows look at it, that is left to it
-
 
 def stays(problem: TransportProblem, t: Array, z: Array) -> bool:
     """Whether what is carried stays, and what is in it, to the edge of their rows: along a motion z (4, P, n) at t (P,)
@@ -37,7 +34,7 @@ def calmer(problem: TransportProblem, t: Array, z: Array) -> TransportProblem:
         return problem
     parts = [part for each in moved.sloshing.values() for part in each]
     left = max(float((part.free_left / part.waves.cases.steepest).max()) for part in parts)
-    return replace(problem, calm=CALMER * left * without / (without - most))
+    return replace(problem, calm=0.9 * left * without / (without - most))  # rows are not quite linear in the wave
 
 
 def _contact(problem: TransportProblem, motion: MotionEvaluation) -> Array:
@@ -48,7 +45,8 @@ def _contact(problem: TransportProblem, motion: MotionEvaluation) -> Array:
 
 def _rested(problem: TransportProblem, t: Array, z: Array) -> MotionEvaluation:
     """A motion and the wave after it."""
-    rest = np.zeros((4, WATCHED, problem.n))
+    instants = 40  # of one period: the peak between two of them is missed by 0.3 %
+    rest = np.zeros((4, instants, problem.n))
     rest[0] = z[0, -1]
-    t = np.concatenate([t, t[-1] + np.arange(1, WATCHED + 1) * (problem.payload.slowest_wave / WATCHED)])
+    t = np.concatenate([t, t[-1] + np.arange(1, instants + 1) * (problem.payload.slowest_wave / instants)])
     return problem.at(t / t[-1], np.concatenate([z, rest], axis=1), float(t[-1]), imposed=False)

@@ -19,12 +19,7 @@ from salver.models.arm_geometry import ArmGeometry
 from salver.planning.fastest.problem import TransportProblem
 
 STEP = 0.1  # rad, or m of a sliding joint: from one posture to the next
-ROOM = 0.01  # m that a way keeps beyond what is required, where its ends have it
-DETOUR = 1.0  # rad that a joint may go beyond the range between the ends, at first; then all it has
 LEAN = 5e-4  # rad; a tray that leans no further counts as level
-CUTS = 60  # attempts to cut a way short
-CORRECTIONS = 6  # of a posture in which the tray leans too far,
-DAMPING = 1e-6  # of each
 
 
 @dataclass(eq=False)
@@ -32,12 +27,14 @@ class FreeSpace:
     """Postures in which nothing touches, joints are within limits and the tray leans no further than `lean`, rad.
 
     parts: geometry with distances to keep set, for this space alone. looks: postures that may still be looked at.
+    corrections: steps of Newton's by which a posture is put upright, before it counts as one in which it cannot be.
     """
 
     problem: TransportProblem
     parts: ArmGeometry | None
     lean: float
     looks: int
+    corrections: int = 6
 
     @classmethod
     def between(cls, problem: TransportProblem, ends: Array, looks: int) -> FreeSpace:
@@ -48,7 +45,8 @@ class FreeSpace:
             return cls(problem, None, lean, looks)
         parts, required = problem.keep_out.parts, problem.keep_out.required
         least = parts.clearance(ends).min(axis=0)
-        apart = np.minimum(required + ROOM, np.maximum(0.9 * least, np.minimum(required, least)))
+        room = 0.01  # m that a way keeps beyond what is required, where its ends have it
+        apart = np.minimum(required + room, np.maximum(0.9 * least, np.minimum(required, least)))
         parts = parts.only(range(len(parts.pairs)))
         for request, distance in zip(parts.data.collisionRequests, apart, strict=True):
             request.security_margin = float(distance)
@@ -71,7 +69,7 @@ class FreeSpace:
     def _upright(self, q: Array) -> Array | None:
         arm = self.problem.arm
         model, data = arm.pin_model, arm.data
-        for _ in range(CORRECTIONS):
+        for _ in range(self.corrections):
             pin.computeJointJacobians(model, data, q)
             rotation = pin.updateFramePlacement(model, data, arm.tray_id).rotation
             if rotation[2, 2] >= np.cos(self.lean):
@@ -80,7 +78,7 @@ class FreeSpace:
             up = rotation[2]  # the vertical, in E; a turn w of the tray changes it by up x w
             slope = np.array([[0.0, -up[2], up[1]], [up[2], 0.0, -up[0]]]) @ turning
             (a, b), (_, d) = slope @ slope.T
-            a, d = a + DAMPING, d + DAMPING
+            a, d = a + 1e-6, d + 1e-6  # damped where the arm is singular
             q = q - np.array([d * up[0] - b * up[1], a * up[1] - b * up[0]]) / (a * d - b * b) @ slope
         return None
 
@@ -149,7 +147,8 @@ def way_around(
         return None
     limits = problem.limits
     wide_low, wide_high = np.maximum(limits.q_min, ends.min(0) - np.pi), np.minimum(limits.q_max, ends.max(0) + np.pi)
-    near_low, near_high = np.maximum(wide_low, ends.min(0) - DETOUR), np.minimum(wide_high, ends.max(0) + DETOUR)
+    # Mostly no joint goes 1 rad beyond the range between the ends; three times in ten it may go half a turn.
+    near_low, near_high = np.maximum(wide_low, ends.min(0) - 1.0), np.minimum(wide_high, ends.max(0) + 1.0)
     trees = [_Tree(np.array(starts)), _Tree(np.array(goals))]
     meeting: tuple[int, int] | None = None
     turn = 0
@@ -172,8 +171,8 @@ def way_around(
 
 def _cut_short(space: FreeSpace, way: Array, rng: np.random.Generator) -> Array:
     """The way with straight pieces in place of detours."""
-    space.looks = 200 * CUTS
-    for _ in range(CUTS):
+    space.looks = 12_000
+    for _ in range(60):  # random pieces
         if len(way) < 3:
             break
         i, j = np.sort(rng.choice(len(way), 2, replace=False))

@@ -3,6 +3,7 @@ inside an obstacle there, whatever the arm does, and what touches in every postu
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +21,6 @@ from salver.planning.follow.limits import COLLISION, blocked_end
 from salver.planning.postures import REACHED, PoseTarget, posture_at
 
 HEADINGS = np.linspace(0, 2 * np.pi, 36, endpoint=False)  # rad; at which an end that leaves it open is looked at
-TRIES = 48  # postures from which an end is sought before it is called out of reach
 
 
 def why_blocked(problem: TransportProblem) -> Status | None:
@@ -85,13 +85,20 @@ def why_unreached(problem: TransportProblem) -> Status:
 
 def _nearest(problem: TransportProblem, target: PoseTarget) -> tuple[Array, float]:
     """The posture that meets a target best that was found, and by how much it misses it (m, rad)."""
-    rng, best = np.random.default_rng(0), (np.zeros(problem.n), np.inf)
-    for attempt in range(TRIES):
-        found = posture_at(problem.arm, target, guess(problem, rng, attempt), limits=problem.limits)
+    best = (np.zeros(problem.n), np.inf)
+    for found in _sought(problem, target):
         best = min(best, found, key=lambda pair: pair[1])
         if best[1] < REACHED:
             break
     return best
+
+
+def _sought(problem: TransportProblem, target: PoseTarget) -> Iterator[tuple[Array, float]]:
+    """Postures that meet a target as well as may be, and by how much each misses it; so many that it may be called out
+    of reach."""
+    rng = np.random.default_rng(0)
+    for attempt in range(48):
+        yield posture_at(problem.arm, target, guess(problem, rng, attempt), limits=problem.limits)
 
 
 def why_touching(problem: TransportProblem, pairs: list[Ends]) -> Status | None:
@@ -118,11 +125,9 @@ def _higher(problem: TransportProblem, where: str) -> str:
     end = problem.start if where == "start" else problem.goal
     if not isinstance(end, AtPose) or problem.keep_out is None:
         return ""
-    rng = np.random.default_rng(0)
     for rise in np.linspace(0.05, 0.5, 10):
         raised = replace(end.target, p_SB=end.target.p_SB + np.array([0.0, 0.0, rise]))
-        for attempt in range(TRIES):
-            q, missed = posture_at(problem.arm, raised, guess(problem, rng, attempt), limits=problem.limits)
+        for q, missed in _sought(problem, raised):
             if missed < REACHED and problem.keep_out.parts.first_touch(q[None]) is None:
                 return f"; {rise:.2g} m higher one was found"
     return ""

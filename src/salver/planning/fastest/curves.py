@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from typing import Protocol
@@ -10,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salver.geometry import Array, Indices
-from salver.planning.fastest.ends import AtPosture
+from salver.models.arm import ArmModel
+from salver.planning.fastest.ends import AtPosture, End
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import DERIVATIVES, RestSpline, min_jerk_blend
 
@@ -132,15 +134,7 @@ class FreeCurve:
         return n * self.problem.start.given, n * self.problem.goal.given
 
     def equalities(self, coefficients: Array) -> tuple[Array, Array]:
-        size, n = coefficients.shape
-        blocks, targets = [], []
-        for end, row in ((self.problem.start, 0), (self.problem.goal, size - 1)):
-            error, jacobian = end.residual(self.problem.arm, coefficients[row])
-            block = np.zeros((len(error), size, n))
-            block[:, row] = jacobian
-            blocks.append(block.reshape(len(error), size * n))
-            targets.append(error)
-        return np.vstack(blocks), np.concatenate(targets)
+        return end_equalities(self.problem.arm, [(self.problem.start, 0), (self.problem.goal, -1)], coefficients)
 
     def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
         return np.zeros((0, coefficients.size)), np.zeros(0)
@@ -151,11 +145,7 @@ class FreeCurve:
         goal = self.problem.goal.nearest(arm, limits, coefficients[-1], 20)
         if goal is None or start is None:
             return None
-        # Moving an end alone would be a jolt: the whole motion follows it, the less the further away.
-        share = _ramp(len(coefficients))
-        moved = coefficients + (1 - share) * (start - coefficients[0]) + share * (goal - coefficients[-1])
-        moved[0], moved[-1] = start, goal
-        return np.asarray(moved)
+        return with_ends(coefficients, start, goal)
 
     @cached_property
     def _launch(self) -> Array | None:
@@ -170,6 +160,28 @@ class FreeCurve:
         return np.asarray(self._launch * duration ** (np.arange(1.0, 3.0)[:, None, None, None] - ORDERS))
 
 
+def end_equalities(arm: ArmModel, ends: Sequence[tuple[End, int]], coefficients: Array) -> tuple[Array, Array]:
+    """`Curve.equalities` of ends, each with the row of the coefficients (size, n) that is its posture."""
+    size, n = coefficients.shape
+    blocks, targets = [], []
+    for end, row in ends:
+        error, jacobian = end.residual(arm, coefficients[row])
+        block = np.zeros((len(error), size, n))
+        block[:, row] = jacobian
+        blocks.append(block.reshape(len(error), size * n))
+        targets.append(error)
+    return np.vstack(blocks), np.concatenate(targets)
+
+
+def with_ends(coefficients: Array, start: Array, goal: Array) -> Array:
+    """Coefficients (size, n) with other ends (n,): to move an end alone would be a jolt, so the whole motion follows
+    it, the less the further away."""
+    share = _ramp(len(coefficients))
+    moved = coefficients + (1 - share) * (start - coefficients[0]) + share * (goal - coefficients[-1])
+    moved[0], moved[-1] = start, goal
+    return np.asarray(moved)
+
+
 @lru_cache(maxsize=16)
 def _ramp(count: int) -> Array:
     """(count, 1) from 0 to 1, level at both ends."""
@@ -180,6 +192,12 @@ def launch_basis(s: Array) -> Array:
     """(2, 4, P) the quintics in s with slope, and with curvature, 1 at s = 0 and all else 0 at both ends, and their
     first three derivatives."""
     return np.array([[p(s) for p in each] for each in _launches()])
+
+
+def launched(start: AtPosture, s: Array, duration: float) -> Array:
+    """(len(s), n) what velocity and acceleration of a start add to the posture."""
+    powers = np.array([duration, duration**2])[:, None, None]
+    return np.asarray((launch_basis(s)[:, 0, :, None] * start.rates[:, None, :] * powers).sum(axis=0))
 
 
 @cache

@@ -31,8 +31,6 @@ from salver.planning.plan_files import begun_at
 from salver.planning.round import MultiLegPlan
 from salver.scenario import Scenario
 
-BEAM = 6  # chains of postures that are kept from leg to leg,
-BRANCHES = 3  # and goal postures that are tried from the end of each
 ROUGHS, HALF = 0.2, 0.6  # share of the work that rough optima are, about, and that and legs along the best of them
 
 
@@ -96,6 +94,7 @@ def chains(problems: Sequence[TransportProblem], rng: np.random.Generator) -> li
 
     Raises UnreachableError when no posture reaches a stop.
     """
+    beam = 6  # chains that are kept from leg to leg, from each of which three goal postures are tried
     stages = [replace(problem, goal=end) for problem in problems for end in (*problem.through, problem.goal)]
     found = [(pair.cost, [pair.start, pair.goal]) for pair in ends(stages[0], rng)]
     for k, stage in enumerate(stages):
@@ -103,14 +102,14 @@ def chains(problems: Sequence[TransportProblem], rng: np.random.Generator) -> li
             found = [
                 (cost + pair.cost, [*postures, pair.goal])
                 for cost, postures in found
-                for pair in ends(replace(stage, start=AtPosture(postures[-1])), rng)[:BRANCHES]
+                for pair in ends(replace(stage, start=AtPosture(postures[-1])), rng)[:3]
             ]
         if not found:
             raise UnreachableError(
                 f"{stage.scenario.name}: no posture within the joint limits reaches "
                 f"{'what it leads to from where it begins' if k else 'its start and what it leads to'}."
             )
-        found = sorted(found, key=lambda chain: chain[0])[:BEAM]
+        found = sorted(found, key=lambda chain: chain[0])[:beam]
     ends_at = np.cumsum([0, *(len(problem.through) + 1 for problem in problems)])
     return [[np.stack(postures[a : b + 1]) for a, b in pairwise(ends_at)] for _, postures in found]
 

@@ -71,6 +71,10 @@ class KeepOut:
         stray, m, no more than it is."""
         return np.asarray(self.parts.clearance(q, self.required + EXACT + stray) - self.required)
 
+    def depth(self, q: Array) -> float:
+        """How deep in something the arm is at its worst at postures (N, n), m; negative where it is clear."""
+        return -float(self.distances(q).min())
+
     def gradient(self, q: Array, node: Indices, pair: Indices) -> Array:
         """(r, n) derivatives of the distances at postures q[node] for pairs (r,)."""
         return self.parts.clearance_gradient(q, node, pair)

@@ -20,8 +20,6 @@ from salver.planning.postures import PoseTarget
 
 ALLOWED = 4e-4  # m, of each of six rows: all together are near enough for the plan's own check
 SCALE = 1e-2  # m, the size of the rows
-STEPS = 9  # looks between two nodes, before Newton's
-NEWTON = 3
 WEIGHTS = np.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER])
 
 
@@ -50,9 +48,9 @@ class Closest:
                 continue
             step = float(t[node + 1] - t[node])
             ends = np.stack([q[node], dq[node], q[node + 1], dq[node + 1]])
-            looks = np.linspace(0.0, 1.0, STEPS)
+            looks = np.linspace(0.0, 1.0, 9)
             u = float(min(looks, key=lambda x: np.linalg.norm(_weighted(arm, target, _blend(x, step)[0] @ ends)[0])))
-            for _ in range(NEWTON):
+            for _ in range(3):  # steps of Newton's, each of which squares what is left of an eighth of a step
                 value, slope = _blend(u, step)
                 error, jacobian = _weighted(arm, target, value @ ends)
                 along = jacobian @ (slope @ ends)

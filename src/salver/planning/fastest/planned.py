@@ -29,12 +29,7 @@ from salver.wording import listed
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
-MISSED = 4  # times that cases of a liquid are added which a motion does not keep
-CHECKED = 401  # instants at which that is looked at
 SPARE = 2e-3  # share of the room of liquids that is then kept more
-REFERENCE_STEP = 0.02  # s between samples of the tray's motion at most: its acceleration is then known to 1e-3 m/s^2
-RADII = 101  # and at which what the arm may stray is, for a plan's record
-SLOWER = (1e-4, 1e-3, 4e-3, 1.6e-2)  # by these shares of its time a motion is made slower until its check lets it pass
 
 
 def plan_fastest(
@@ -86,7 +81,7 @@ def _found(
     """The motion that is found and its plan; a liquid holds at the speeds that the problem names."""
     scenario = problem.scenario
     found = fastest(problem, options, near, watch)
-    for _ in range(MISSED):
+    for _ in range(4):  # each adds every case that is missed, and few motions miss any
         more = _missed(found) if found.status.ok else None
         if more is None:
             break
@@ -127,9 +122,10 @@ def _sterner(found: FastestMotion, plan: Plan) -> TransportProblem:
 
 
 def slow_enough(scenario: Scenario, found: FastestMotion, plan: Plan, robust: bool) -> tuple[FastestMotion, Plan]:
-    """The motion and its plan, slower by the least of `SLOWER` with which the plan's check lets it pass, which looks
-    at more instants than the optimiser; as given where none is enough: then the optimiser is at fault."""
-    for share in SLOWER:
+    """The motion and its plan, slower by the least of some shares of its time with which the plan's check lets it
+    pass, which looks at more instants than the optimiser; as given where none is enough: then the optimiser is at
+    fault."""
+    for share in (1e-4, 1e-3, 4e-3, 1.6e-2):
         duration = found.duration * (1 + share)
         status = reached(SHORTEST.sought, duration) if found.status.code == "optimal" else found.status
         slower = replace(found, duration=duration, status=status, looked=False)
@@ -192,7 +188,7 @@ def _missed(found: FastestMotion) -> TransportProblem | None:
 
 def _looked_at(found: FastestMotion) -> tuple[Array, Array]:
     """t (P,), s, and q and its derivatives (4, P, n) there."""
-    t = np.linspace(0.0, found.duration, CHECKED)
+    t = np.linspace(0.0, found.duration, 401)
     return t, np.stack(found.sample(t))
 
 
@@ -223,7 +219,8 @@ def joint_plan(
 
 def _closer(joint: JointMotion) -> JointMotion:
     """The same motion with samples so near that the tray's, quintic between them as well, is what these joints make."""
-    counts = np.maximum(1, np.ceil(np.diff(joint.t) / REFERENCE_STEP - 1e-9).astype(int))
+    step = 0.02  # s at most: the tray's acceleration is then known to 1e-3 m/s^2
+    counts = np.maximum(1, np.ceil(np.diff(joint.t) / step - 1e-9).astype(int))
     if counts.max() == 1:
         return joint
     t, z = joint.evenly(counts)
@@ -236,7 +233,7 @@ def tracking_record(found: FastestMotion) -> dict[str, float]:
     problem = found.problem
     if problem.tracking is None:
         return {}
-    s = np.linspace(0, 1, RADII)
+    s = np.linspace(0, 1, 101)
     z = np.stack(found.sample(s * found.duration))
     position, turn = problem.at(s, z, found.duration, imposed=False).tray_radius()
     return {"tray_position_radius": float(position.max()), "tray_orientation_radius": float(turn.max())}

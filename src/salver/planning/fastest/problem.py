@@ -21,6 +21,7 @@ from salver.models.payload import Payload
 from salver.models.tray_motion import FULL_SPEED, Speed, corners
 from salver.planning.fastest.brim import Brim
 from salver.planning.fastest.constraints import (
+    FINEST,
     LEVEL_TOLERANCE,
     Clearance,
     Constraint,
@@ -43,8 +44,6 @@ from salver.sensitivity.arm.past import Past
 from salver.sensitivity.arm.tracking import JointLoop, joint_loop
 from salver.sensitivity.spills import slacks
 from salver.sensitivity.wave_cases import VERDICT_APART, SloshingCase, cases
-
-SURELY_DRY = 1e-4  # of the room, that is left at every fill and damping that a verdict looks at
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +163,7 @@ def with_missed_cases(
     for known, others in zip(problem.liquids, missing, strict=True):
         parts = sloshing.get(known[0].body.name, ())
         left = np.min([np.ones(len(others)), *(slacks(part).min(axis=1) for part in parts)], axis=0)
-        found.append((*known, *(others[k] for k in np.flatnonzero(left < SURELY_DRY + margin))))
+        found.append((*known, *(others[k] for k in np.flatnonzero(left < FINEST + margin))))
     return replace(problem, liquids=tuple(found)) if found != list(problem.liquids) else None
 
 

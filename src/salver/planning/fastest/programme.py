@@ -22,19 +22,8 @@ from salver.planning.fastest.constraints import Block, Constraint, evaluate, wor
 from salver.planning.fastest.curves import Curve
 from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.objectives import Objective, Point, Scalar
-from salver.planning.fastest.trust import SHALLOWEST, Trust
+from salver.planning.fastest.trust import Trust
 from salver.sensitivity.wave_gradients import Unknowns
-
-# The metric of a step: a change of acceleration by 1 rad/s^2 counts like 0.055 rad of posture, of jerk by 1000
-# rad/s^3 like 0.03 rad.
-ACCELERATION_WEIGHT, JERK_WEIGHT = 3e-3, 1e-9
-RIDGE = 1e-9  # of the coefficients, where the metric has none
-SCALAR_RIDGE = 1e-6  # of scalar and slack, which have no metric
-PROGRAMME_TOLERANCE = 1e-5  # of rows: a fiftieth of the violation at which an iterate counts as converged
-LONGEST_STRETCH = 0.5  # of sigma, or of the margin, in one iteration: 22 % of T
-LARGEST_MOVE = 1.0  # rad of a coefficient in one iteration
-CHEAP = 1e-6  # price of a row whose curvature does not matter
-STILL_NEAR = 3.0  # times the violation of a trial: rows that are further from their edge are not for its correction
 
 
 @dataclass(frozen=True)
@@ -207,7 +196,7 @@ class Programme:
             values.append(block.values[node, column])
             scales.append(np.full(len(node), 1 + step[-1] * (free and block.scales)))
         value = np.concatenate(scales) * np.concatenate(values)
-        near = value > -max(SHALLOWEST, STILL_NEAR * trial.violation)
+        near = value > -max(0.02, 3.0 * trial.violation)
         matrix = rows.matrix[near]
         return Linearised(matrix, matrix @ step - value[near])
 
@@ -236,7 +225,7 @@ class Programme:
         for block, price in zip(path.blocks, prices, strict=True):
             if block.curvature is None:
                 continue
-            node, column = np.nonzero(price > CHEAP)
+            node, column = np.nonzero(price > 1e-6)  # what is cheaper bends nothing
             if len(node):
                 factors = block.curvature(node, column, path.unknowns(block.factor))
                 factors *= np.sqrt(price[node, column])[:, None, None]
@@ -248,7 +237,8 @@ class Programme:
         """The quadratic programme of an iteration, without its rows."""
         m, count = self.curve.width, path.coefficients.size
         model = self.objective.model(self.curve, path.point)
-        weights = trust.damping * np.array([1.0, ACCELERATION_WEIGHT, JERK_WEIGHT])
+        # A change of acceleration by 1 rad/s^2 counts like 0.055 rad of posture, of jerk by 1000 rad/s^3 like 0.03.
+        weights = trust.damping * np.array([1.0, 3e-3, 1e-9])
         weights /= path.duration ** np.array([0.0, 4.0, 6.0])
         hessian, metric = np.zeros((count + 2, count + 2)), np.tensordot(weights, self.metric, axes=1)
         for curve in range(m):  # they do not mix
@@ -258,11 +248,11 @@ class Programme:
         if prices:
             hessian[: count + 1, : count + 1] += self.bends(path, prices)
         ridge = hessian.ravel()[:: count + 3]
-        ridge[:count] += RIDGE
-        ridge[count:] += SCALAR_RIDGE
+        ridge[:count] += 1e-9  # where the metric has none
+        ridge[count:] += 1e-6  # scalar and slack have none
         cost = np.concatenate([model.slope, [model.by_scalar, trust.penalty]])
-        low, high = np.full(count + 2, -LARGEST_MOVE), np.full(count + 2, LARGEST_MOVE)
-        low[-2:], high[-2:] = (-trust.largest_shrink, 0.0), (LONGEST_STRETCH, np.inf)
+        low, high = -np.ones(count + 2), np.ones(count + 2)  # rad: no coefficient moves further in one iteration
+        low[-2:], high[-2:] = (-trust.largest_shrink, 0.0), (0.5, np.inf)  # T is longer by 22 % at most
         first, last = self.curve.fixed()
         scalar = [] if self.objective.scalar is Scalar.NONE else [count]
         free = np.array([*range(first, count - last), *scalar, count + 1])
@@ -313,7 +303,7 @@ class Subproblem:
             self.low[some],
             self.high[some],
         )
-        found = qp.solve(programme, PROGRAMME_TOLERANCE)
+        found = qp.solve(programme, 1e-5)  # of rows: a fiftieth of what counts as converged
         if found is None:
             return None
         step = np.zeros(len(self.cost))

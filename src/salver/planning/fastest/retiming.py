@@ -34,14 +34,8 @@ from salver.trajectory import JointMotion
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
-PATH_DEGREE = 5
-PATH_POINTS = (60, 120, 240, 480)  # to which a dense path is thinned out, evenly along its length: as few as will do
+DEGREE = 5  # of the path and of the time law: what is four times differentiable has continuous jerk
 PATH_TOLERANCE = 1e-3  # rad: by which that may pass the waypoints; nearer ones are taken for the same
-LAW_DEGREE = 5
-COMFORTABLE = 1.5  # times the law without jerk: where the search begins,
-CALMER, CALM_TRIES = 1.15, 15  # or, with a liquid, so many times slower, until it is calm
-CALM_AT = 81  # nodes
-TIMED_POINTS = 401  # of the path of a motion whose timing is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,33 +57,33 @@ class SplinePath:
     def through(cls, q: Array) -> SplinePath:
         """Through waypoints (K, n), of any number.
 
-        Very many are thinned out to some that meet the others within `PATH_TOLERANCE`, if `PATH_POINTS` are enough.
+        Very many are thinned out to some that meet the others within `PATH_TOLERANCE`, if 480 are enough.
         Raises ScenarioError for fewer than two different ones.
         """
         q = _apart(np.asarray(q, dtype=float))
         if len(q) < 2:
             raise ScenarioError("A path needs at least two different waypoints.")
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
-        for points in PATH_POINTS:
+        for points in (60, 120, 240, 480):  # evenly along its length: as few as will do
             if len(q) <= points:
                 break
             wanted = np.linspace(0.0, length[-1], points)
-            path = cls(make_interp_spline(wanted / length[-1], make_interp_spline(length, q, 3)(wanted), PATH_DEGREE))
+            path = cls(make_interp_spline(wanted / length[-1], make_interp_spline(length, q, 3)(wanted), DEGREE))
             path = replace(path, missed=float(np.abs(path.spline(length / length[-1]) - q).max()))
-            if path.missed < PATH_TOLERANCE or points == PATH_POINTS[-1]:
+            if path.missed < PATH_TOLERANCE or points == 480:
                 return path
-        if len(q) <= PATH_DEGREE:  # too few for the degree: fill up along straight pieces
-            wanted = np.unique(np.concatenate([length, np.linspace(0.0, length[-1], PATH_DEGREE + 3)]))
+        if len(q) <= DEGREE:  # too few for the degree: fill up along straight pieces
+            wanted = np.unique(np.concatenate([length, np.linspace(0.0, length[-1], DEGREE + 3)]))
             q = np.column_stack([np.interp(wanted, length, column) for column in q.T])
             length = wanted
-        return cls(make_interp_spline(length / length[-1], q, PATH_DEGREE))
+        return cls(make_interp_spline(length / length[-1], q, DEGREE))
 
     @classmethod
     def timed(cls, motion: JointMotion) -> SplinePath:
         """The path of a motion, u in proportion to its time instead of its length: the states are those of the motion,
         to what its own samples leave open."""
-        t = np.linspace(0.0, motion.duration, TIMED_POINTS)
-        return cls(make_interp_spline(t / motion.duration, motion.sample(t)[0], PATH_DEGREE))
+        t = np.linspace(0.0, motion.duration, 401)
+        return cls(make_interp_spline(t / motion.duration, motion.sample(t)[0], DEGREE))
 
     @classmethod
     def of(cls, motion: JointMotion) -> SplinePath:
@@ -140,7 +134,7 @@ def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, node
     """
     begun = time.perf_counter()
     problem = replace(problem, max_tilt=np.inf, keep_out=None)
-    law = RestSpline(LAW_DEGREE, spans)
+    law = RestSpline(DEGREE, spans)
     bound = reachable_law(problem, path)
     if bound is None:
         status = Status("infeasible", "No time law keeps this path: the load does not even stand still on it.", False)
@@ -154,7 +148,7 @@ def retime(problem: TransportProblem, path: SplinePath, *, spans: int = 20, node
         return PathCurve(problem, grid, path)
 
     calm = _calm(problem, curve_of, law, float(t[-1])) if problem.liquids else None
-    begin = SplineMotion(law, start, COMFORTABLE * float(t[-1])) if calm is None else calm
+    begin = SplineMotion(law, start, 1.5 * float(t[-1])) if calm is None else calm  # jerk asks for more
     found = optimise(problem, curve_of, begin, nodes_per_span)
     wall = time.perf_counter() - begun
     return RetimedMotion(
@@ -167,8 +161,8 @@ def _calm(problem: TransportProblem, curve_of: CurveOf, law: RestSpline, duratio
     far too high ends in any of many optima. None when none of those tried does."""
     s = np.linspace(0.0, 1.0, 401)
     smooth = law.fit(s, min_jerk_blend(s)[:, None])
-    curve = curve_of(problem, Grid.of(law, np.linspace(0.0, 1.0, CALM_AT)))
-    for longer in duration * CALMER ** np.arange(CALM_TRIES):
+    curve = curve_of(problem, Grid.of(law, np.linspace(0.0, 1.0, 81)))
+    for longer in duration * 1.15 ** np.arange(15):  # up to seven times as long
         motion = problem.at(curve.grid.s, curve.motion(smooth, longer), longer, curve.grid.nodes)
         if worst_of(evaluate(problem.constraints, motion))[0] <= 0:
             return SplineMotion(law, smooth, float(longer))

@@ -31,9 +31,6 @@ from salver.scenario import Scenario
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
-SHARINGS = 3  # times that the legs' shares of the time are chosen
-POWER = 5.0  # of the pace with which a leg loses margin, until it is seen: the tray leans into what it does
-
 
 def plan_safest(
     scenario: Scenario, *, robust: bool = True, options: FastestOptions | None = None, watch: Watch | None = None
@@ -168,8 +165,9 @@ def _in_shares(
     times = np.array([leg.duration for leg in quickest.legs]) * (duration / quickest.duration)
     at_rest = np.array([_margin_at_rest(begin) for begin in begins])
     best: list[FastestMotion] = []
-    before, power, seconds = (times, at_rest), POWER, 0.0
-    for sharing in range(SHARINGS):
+    # The margin falls with a power of the speed: the fifth, until it is seen, as the tray leans into what it does.
+    before, power, seconds = (times, at_rest), 5.0, 0.0
+    for sharing in range(3):  # with the power guessed, then seen, then seen from nearer
         found = [
             max(
                 optima(LeastMargin(), begin, float(time), options, watch, anew=not sharing),

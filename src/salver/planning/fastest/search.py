@@ -25,30 +25,21 @@ from salver.planning.fastest.sides import past
 from salver.planning.fastest.spline import RestSpline, SplineMotion
 from salver.planning.fastest.sqp import SqpSolution
 from salver.planning.fastest.starts import (
-    FEW_LOOKS,
-    LOOKS,
     Ends,
     Start,
     around,
-    bendable,
-    bent,
     between,
     ends,
     open_to,
     straight,
     touches,
     tray_line,
-    unlike,
 )
 from salver.planning.fastest.watch import WHY, Watch
 
 SPILLING = 0.7  # damping of the first step after pieces have been added, when liquids come in too,
 NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
-BENDS = 3  # detours that are tried at last
-SIDES_TRIED = 10  # paths that are tried where something is in the way, for each pair of ends that would be else
 IN_VAIN = 6  # of them in turn that are not shorter than what was found: the others are left out,
-ENOUGH_SIDES = 3  # of those that are found for a pair, with which no way around is looked for
-DEEP = 8.0  # by which share a path counts as longer that is so deep in something, 1/m
 
 
 def fastest(
@@ -79,7 +70,6 @@ def fastest(
         spline = RestSpline(DEGREE, options.spans)
         wall = time.perf_counter() - begun
         return FastestMotion(problem, spline, np.zeros((spline.size, problem.n)), np.inf, blocked, {}, (), wall, 0)
-    pairs = unlike(problem, pairs)
     return replace(_Search(problem, options, watch, pairs, rng).best(), wall_time=time.perf_counter() - begun)
 
 
@@ -180,60 +170,45 @@ class _Search:
         return (1 - ROUGH_GAIN) * hopeful[enough - 1] if len(hopeful) >= enough else np.inf
 
     def _first(self) -> list[Begin]:
-        """Straight paths between the most promising ends; where those cannot be gone along, ways around, which mostly
-        hold, then straight ones between others and what passes on either side, the most promising first."""
+        """Straight paths between the most promising ends; where those cannot be gone along, straight ones between
+        others and what passes on either side, the most promising first. Ways around come before these where a pair of
+        ends has few such paths: there they are often the shortest."""
         count = self.options.first(self.problem)
-        lines = self._lines(len(self.pairs))
+        lines = [(between(self.problem, pair), straight(pair)) for pair in self.pairs]
         free = [open_to(problem, line) for problem, line in lines[:count]]
         if all(free):
             return lines[:count]
         free += [open_to(problem, line) for problem, line in lines[count:]]
-        found = [line for line, is_free in zip(lines, free, strict=True) if is_free]
-        few = self.options.starts > 1
+        found, few = [line for line, is_free in zip(lines, free, strict=True) if is_free], False
         for pair, (problem, line), is_free in zip(self.pairs[: 2 * count], lines, free, strict=False):
             if not is_free:
                 beside = past(problem, pair)
-                few = few or len(beside) < ENOUGH_SIDES
+                few |= len(beside) < 3
                 found += [(problem, path) for path in (line, tray_line(problem, pair), *beside) if path is not None]
-        ways = self._promising(self._ways([])) if few else []
-        return [*ways, *sorted(found, key=_promise)[: SIDES_TRIED * count]]
+        return [*(self._ways() if few else []), *sorted(found, key=_promise)]
 
-    def _lines(self, count: int) -> list[Begin]:
-        """Straight paths between so many pairs of ends."""
-        return [(between(self.problem, pair), straight(pair)) for pair in self.pairs[:count]]
-
-    def _ways(self, pairs: list[Ends]) -> list[Start]:
-        """Ways around between the ends of each of some pairs, and from any start to any goal that is known."""
-        found = [around(self.problem, [pair], self.rng, FEW_LOOKS) for pair in pairs]
-        found += [around(self.problem, self.pairs, self.rng, LOOKS) for _ in range(self.options.ways)]
-        return [way for way in found if way is not None]
-
-    def _promising(self, found: list[Start]) -> list[Begin]:
-        """Paths with the problem between their ends, the shortest first; without those that can be bent into one that
-        is shorter."""
-        kept: list[Begin] = []
-        for start in sorted(found, key=lambda start: start.least(self.problem)):
-            problem = between(self.problem, Ends(start.postures[0], start.postures[-1], 0.0, True))
-            if not any(bendable(problem, start, other) for _, other in kept):
-                kept.append((problem, start))
-        return kept
+    def _ways(self) -> list[Begin]:
+        """The shortest of thrice as many random ways around, from any start to any goal that is known, with the problem
+        between their ends."""
+        count = self.options.ways
+        drawn = [around(self.problem, self.pairs, self.rng) for _ in range(3 * count)]
+        found = sorted((way for way in drawn if way is not None), key=lambda way: way.least(self.problem))[:count]
+        return [(between(self.problem, Ends(way.postures[0], way.postures[-1], 0.0, True)), way) for way in found]
 
     def _further(self) -> Iterator[Begin]:
         """What is tried when those fail."""
-        yield from self._promising(self._ways([]))
+        yield from self._ways()
         if self.problem.start_posture is not None:  # so far only the first of them were sought
             self.pairs = ends(self.problem, self.rng)
-        few = self.pairs[: max(2, self.options.pairs)]
-        for pair in few:
+        few = max(2, self.options.pairs)
+        for pair in self.pairs[:few]:
             line = tray_line(self.problem, pair)
             if line is not None:
                 yield between(self.problem, pair), line
         self.pairs = ends(self.problem, self.rng, more=True)
-        yield from self._promising(self._ways(self.pairs[: len(few)]))
-        for pair in self.pairs[: 2 * len(few)]:
+        yield from self._ways()
+        for pair in self.pairs[: 2 * few]:
             yield between(self.problem, pair), straight(pair)
-        for _ in range(BENDS):
-            yield between(self.problem, self.pairs[0]), bent(self.pairs[0], self.rng)
 
     def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:
         """A first optimum with few spline pieces, from a comfortable duration."""
@@ -265,7 +240,7 @@ class _Search:
 def _promise(begin: Begin) -> float:
     """About how long a motion from there may take, s: longer, the deeper the path is in something."""
     problem, start = begin
-    return start.least(problem) * (1 + DEEP * touches(problem, start))
+    return start.least(problem) * (1 + 8.0 * touches(problem, start))  # 1/m: by 8 % for each centimetre
 
 
 def _merit(found: Rough) -> tuple[bool, float]:

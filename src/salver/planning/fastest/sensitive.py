@@ -40,8 +40,6 @@ from salver.trajectory import min_jerk_line
 if TYPE_CHECKING:
     from salver.planning.plan import Plan
 
-INSTANTS = 61  # between which the cost is integrated, at least
-
 
 @dataclass(frozen=True, eq=False)
 class SensitivityCost(Objective):
@@ -108,8 +106,7 @@ class SensitivityCost(Objective):
     @cached_property
     def grid(self) -> QuadratureGrid:
         """Where the cost is integrated."""
-        steps = (INSTANTS - 1) * refinement(self.loop, self.duration / (INSTANTS - 1))
-        return self.loop.grid(np.linspace(0, self.duration, steps + 1))
+        return self.loop.grid(_instants(self.loop, self.duration))
 
     @cached_property
     def _curves(self) -> tuple[FreeCurve, FreeCurve]:
@@ -174,12 +171,17 @@ def plan_least_sensitive(
     return at_every_speed(*planned(best), again)[1]
 
 
+def _instants(loop: TrayLoop, duration: float) -> Array:
+    """Times, s, between which the cost is integrated."""
+    steps = 60  # at least: a motion's acceleration hardly bends over a sixtieth of it
+    return np.linspace(0, duration, steps * refinement(loop, duration / steps) + 1)
+
+
 def _cost_of_line(scenario: Scenario) -> float:
     """Of the straight min-jerk line in the same duration, eq (13)."""
     motion, loop = scenario.motion, tray_loop(scenario)
     assert motion.duration is not None
     ends = (np.array(motion.start.position), np.array(motion.goal.position))
     line = min_jerk_line(motion.duration, *ends, motion.start.rotation, motion.goal.rotation)
-    step = motion.duration / (INSTANTS - 1)
-    t = np.linspace(0, motion.duration, (INSTANTS - 1) * refinement(loop, step) + 1)
+    t = _instants(loop, motion.duration)
     return sensitivity_cost(scenario, t, loop.along(line, t).state)

@@ -47,13 +47,13 @@ def past(problem: TransportProblem, pair: Ends) -> list[Start]:
         for q in postures:
             if np.any(q < problem.limits.q_min) or np.any(q > problem.limits.q_max):
                 break
-            if _depth(problem, q[None]) > NEARLY_FREE:
+            if keep_out.depth(q[None]) > NEARLY_FREE:
                 continue
             for share in (one, one * (2 - one)):
                 path = line + share * (q - line[k])
-                deep = _depth(problem, path[::COARSE])
+                deep = keep_out.depth(path[::COARSE])
                 if deep < depth:
-                    deep = _depth(problem, path)
+                    deep = keep_out.depth(path)
                 if deep < depth:
                     depth, best = deep, path
             if depth < NEARLY_FREE:
@@ -61,12 +61,6 @@ def past(problem: TransportProblem, pair: Ends) -> list[Start]:
         if best is not None:
             found.append(Start("path past what is in the way", best))
     return found
-
-
-def _depth(problem: TransportProblem, q: Array) -> float:
-    """How deep in something the arm is at its worst at postures (N, n), m."""
-    assert problem.keep_out is not None
-    return -float(problem.keep_out.distances(q).min())
 
 
 def _moved(problem: TransportProblem, pair: Ends, q: Array) -> Iterator[Iterator[Array]]:

@@ -17,10 +17,6 @@ if TYPE_CHECKING:
 
 Found = TypeVar("Found", bound=Any)  # a motion with its `problem`, as `joint_motion()`
 
-FACTORS = (0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 0.95)  # speed factors at which a plan without liquids is looked at
-INSTANTS = 401  # at which it is
-ROUNDS = 8  # of adding speeds
-
 
 def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Found, Plan]]) -> tuple[Found, Plan]:
     """A motion and its plan, sought again until it holds at every speed, if the scenario asks for that. What the tray
@@ -29,7 +25,7 @@ def at_every_speed(found: Found, plan: Plan, again: Callable[[Found], tuple[Foun
 
     again: a motion and its plan from one that was found, with a problem that asks for more.
     """
-    for _ in range(ROUNDS):
+    for _ in range(8):  # at most: each adds a speed that was not looked at
         lacking = _lacking(found, plan) if plan.status.ok and plan.scenario.motion.speeds == "any" else ()
         if not lacking:
             break
@@ -44,10 +40,11 @@ def _lacking(found: Found, plan: Plan) -> tuple[Speed, ...]:
     if problem.liquids:
         return tuple(Speed(max(factor, SLOWEST)) for factor in plan.speeds.lacking)
     joint = found.joint_motion()
-    t = np.linspace(0.0, joint.duration, INSTANTS)
+    t = np.linspace(0.0, joint.duration, 401)
     motion = problem.at(t / t[-1], np.stack([*joint.sample(t), joint.jerk(t)]), joint.duration, imposed=False)
     rates = {speed.rate for speed in problem.speeds}
-    between = [Speed(factor, rate) for factor in FACTORS for rate in sorted(rates)]
+    factors = (0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 0.95)  # closer where the square of the factor changes most
+    between = [Speed(factor, rate) for factor in factors for rate in sorted(rates)]
 
     def fails(speed: Speed) -> bool:
         contacts = [

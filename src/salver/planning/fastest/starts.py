@@ -33,14 +33,9 @@ APART = 0.3  # rad between pairs of ends that count as different,
 AT_LIMITS = 0.1  # s that a posture at the limit of a joint counts for
 TOO_NEAR = 3.0  # s/m, that it counts for to be nearer than 3 cm to something
 NEAR_BY, ALIKE = 0.03, 0.03  # m and share of the cost by which the arm stands and moves otherwise
-UNLIKE = 0.1  # m by which it stands so otherwise that another motion may come of it
 LEVER = 0.1  # m, at which the tray's heading counts
 ALONG = 31  # postures by which a path is looked at
-LOOKS, FEW_LOOKS = 6000, 1500  # postures that are looked at for a way around, and for one between two given ones
 TOUCHES = 5e-3  # m; where something is touched by more than this
-OTHERWISE = 1.0  # rad; ends that are further apart are never of the same way
-WAY = "way around"  # name of one
-BEND = 0.25  # rad; standard deviation of what a bent path strays
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,18 +170,6 @@ def _shape(problem: TransportProblem, q: Array) -> Array:
     return np.array([*(placement.translation for placement in arm.data.oMi.tolist()[1:]), LEVER * heading])
 
 
-def unlike(problem: TransportProblem, pairs: list[Ends]) -> list[Ends]:
-    """The same pairs, those first in which the arm stands otherwise than in all before them."""
-    kept: list[Ends] = []
-    shapes: list[Array] = []
-    for pair in pairs:
-        shape = np.stack([_shape(problem, q) for q in (pair.start, pair.goal)])
-        if all(np.abs(shape - other).max() > UNLIKE for other in shapes):
-            kept.append(pair)
-            shapes.append(shape)
-    return [*kept, *(pair for pair in pairs if pair not in kept)]
-
-
 def _cost(problem: TransportProblem, start: Array, goal: Array) -> float:
     """About how long a motion between two postures takes, s; dearer near joint limits."""
     limits = problem.limits
@@ -302,13 +285,6 @@ def straight(pair: Ends) -> Start:
     return Start("straight path of the joints", np.stack([pair.start, pair.goal]))
 
 
-def bent(pair: Ends, rng: np.random.Generator) -> Start:
-    """A random bend beside the straight path."""
-    u = np.linspace(0, 1, ALONG)[:, None]
-    bell = (4 * u * (1 - u)) ** 3 * rng.normal(0.0, BEND, len(pair.start))
-    return Start("random bend", pair.start + u * (pair.goal - pair.start) + bell)
-
-
 def tray_line(problem: TransportProblem, pair: Ends) -> Start | None:
     """The tray straight from pose to pose, as plans of a given duration carry it; None where the arm cannot."""
     arm, limits = problem.arm, problem.limits
@@ -326,13 +302,13 @@ def tray_line(problem: TransportProblem, pair: Ends) -> Start | None:
     return Start("straight path of the tray", postures)
 
 
-def around(problem: TransportProblem, pairs: list[Ends], rng: np.random.Generator, looks: int = LOOKS) -> Start | None:
+def around(problem: TransportProblem, pairs: list[Ends], rng: np.random.Generator) -> Start | None:
     """A way that touches nothing, from a start to a goal of the pairs; None when none was found."""
     starts, goals = (
         _different(problem, postures) for postures in zip(*((p.start, p.goal) for p in pairs), strict=True)
     )
-    way = way_around(problem, starts, goals, rng, looks)
-    return None if way is None else Start(WAY, way)
+    way = way_around(problem, starts, goals, rng, looks=6000)  # postures; half a second, where there is no way
+    return None if way is None else Start("way around", way)
 
 
 def _different(problem: TransportProblem, postures: Iterable[Array]) -> list[Array]:
@@ -342,15 +318,6 @@ def _different(problem: TransportProblem, postures: Iterable[Array]) -> list[Arr
         if all(_apart(problem, q, other) > APART for other in found):
             found.append(q)
     return found
-
-
-def bendable(problem: TransportProblem, start: Start, other: Start) -> bool:
-    """Whether one of two paths can be bent into the other, as far as half way between them tells."""
-    u = np.linspace(0, 1, ALONG)
-    one, two = start.path(u), other.path(u)
-    if np.abs(one[[0, -1]] - two[[0, -1]]).max() > OTHERWISE:
-        return False
-    return not touches(problem, Start("between", 0.5 * (one + two)))
 
 
 def open_to(problem: TransportProblem, start: Start) -> bool:
@@ -373,7 +340,7 @@ def touches(problem: TransportProblem, start: Start) -> float:
     """How deep in something a path is at its worst, m: 0 where nothing comes nearer than required."""
     if problem.keep_out is None:
         return 0.0
-    return max(0.0, -float(problem.keep_out.distances(start.path(np.linspace(0, 1, ALONG))).min()))
+    return max(0.0, problem.keep_out.depth(start.path(np.linspace(0, 1, ALONG))))
 
 
 def braking_time(problem: TransportProblem) -> float:

@@ -15,18 +15,17 @@ import numpy as np
 
 from salver.geometry import Array, Indices
 from salver.planning.fastest.constraints import Block, Constraint, evaluate
-from salver.planning.fastest.curves import ORDERS, Grid
+from salver.planning.fastest.curves import ORDERS, Grid, end_equalities, with_ends
+from salver.planning.fastest.ends import End
 from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.planning.fastest.exchange import ROUGH_GAIN, ROUGH_ITERATIONS, SHORTEST
 from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.programme import Iterate, Programme
-from salver.planning.fastest.spline import DERIVATIVES, RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.fastest.spline import DERIVATIVES, RestSpline, SplineMotion
 from salver.planning.fastest.sqp import SqpOptions, minimise
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
-
-LARGEST_CHANGE = 0.2  # of the log of a leg's share of the time, in one iteration
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,18 +105,15 @@ class LegsCurve:
         return self.width * self.problem.start.given, unused * self.width - self.count
 
     def equalities(self, coefficients: Array) -> tuple[Array, Array]:
-        size, n = coefficients.shape
-        blocks, targets = [], []
-        ends = [(self.problem.start, 0), *((p.goal, self.rows(k).stop - 1) for k, p in enumerate(self.problems))]
-        for end, row in ends:
-            error, jacobian = end.residual(self.problem.arm, coefficients[row])
-            block = np.zeros((len(error), size, n))
-            block[:, row] = jacobian
-            blocks.append(block.reshape(len(error), size * n))
-            targets.append(error)
-        whole = np.zeros((1, size * n))  # the shares make one
+        rows, targets = end_equalities(self.problem.arm, self.ends, coefficients)
+        whole = np.zeros((1, coefficients.size))  # the shares make one
         whole[0, self.columns_of_shares] = self.shares * np.exp(self.logs(coefficients))
-        return np.vstack([*blocks, whole]), np.append(np.concatenate(targets), 0.0)
+        return np.vstack([rows, whole]), np.append(targets, 0.0)
+
+    @property
+    def ends(self) -> list[tuple[End, int]]:
+        """Where it begins and where each leg ends, with the row of coefficients that is the posture there."""
+        return [(self.problem.start, 0), *((p.goal, self.rows(k).stop - 1) for k, p in enumerate(self.problems))]
 
     @property
     def columns_of_shares(self) -> Indices:
@@ -126,22 +122,18 @@ class LegsCurve:
     def inequalities(self, coefficients: Array) -> tuple[Array, Array]:
         rows = np.zeros((self.count, coefficients.size))
         rows[np.arange(self.count), self.columns_of_shares] = 1.0
-        return np.vstack([rows, -rows]), np.full(2 * self.count, LARGEST_CHANGE)
+        return np.vstack([rows, -rows]), np.full(2 * self.count, 0.2)  # a fifth of a leg's time in one iteration
 
     def repaired(self, coefficients: Array) -> Array | None:
         arm, limits = self.problem.arm, self.problem.limits
         out = coefficients.copy()
-        ends = [(self.problem.start, 0), *((p.goal, self.rows(k).stop - 1) for k, p in enumerate(self.problems))]
-        for end, row in ends:
+        for end, row in self.ends:
             found = end.nearest(arm, limits, coefficients[row], 20)
             if found is None:
                 return None
             out[row] = found
-        blend = min_jerk_blend(np.linspace(0, 1, self.spline.size))[1:-1, None]
-        for k in range(self.count):
-            first, last = self.rows(k).start, self.rows(k).stop - 1
-            moved = (1 - blend) * (out[first] - coefficients[first]) + blend * (out[last] - coefficients[last])
-            out[first + 1 : last] += moved
+        for rows in map(self.rows, range(self.count)):
+            out[rows] = with_ends(coefficients[rows], out[rows.start], out[rows.stop - 1])
         logs = self.logs(out)
         out[self.postures :].ravel()[: self.count] = logs - np.log(self.shares @ np.exp(logs))
         return out

@@ -8,12 +8,7 @@ import numpy as np
 
 from salver.geometry import Array
 
-DEEPEST = 0.2  # rows further than this from their edge are left out of a programme ...
-SHALLOWEST = 0.02  # ... or than this, when steps have become small
-LARGEST_SHRINK = 0.36  # of sigma in one iteration: 20 % of T
-HOPELESS = 1e7  # damping at which no step of any use is left
-DEAREST = 1e4  # price of a violation at which it is taken for infeasible
-LEAST_PENALTY = 1.0  # s, or the objective's unit, per unit of violation
+SHRINK = 0.36  # of sigma = T^2 in one iteration at most: 20 % of T
 
 
 @dataclass
@@ -24,14 +19,14 @@ class Trust:
     """
 
     damping: float = 1.0
-    depth: float | Array = DEEPEST
+    depth: float | Array = 0.2
     penalty: float = 0.0
-    largest_shrink: float = LARGEST_SHRINK
+    largest_shrink: float = SHRINK
     least_damping: float = 0.0
 
     @property
     def hopeless(self) -> bool:
-        return self.damping > HOPELESS
+        return self.damping > 1e7  # where a step of 1 mrad costs more than any duration
 
     def priced(self, slack: float, worth: float) -> None:
         """After a programme: `slack` it left, `worth` of a unit of violation to it.
@@ -41,11 +36,11 @@ class Trust:
         if slack > 1e-6:
             self.penalty *= 3
         elif self.penalty > 3 * worth:
-            self.penalty = max(2 * worth, 0.3 * self.penalty, LEAST_PENALTY)
+            self.penalty = max(2 * worth, 0.3 * self.penalty, 1.0)
 
     def dearer(self) -> bool:
         """After an end with a violation: begin again with ten times its price; False when that is too much."""
-        if self.penalty >= DEAREST or self.hopeless:
+        if self.penalty >= 1e4 or self.hopeless:
             return False
         self.penalty, self.damping = 10 * self.penalty, 1.0
         return True
@@ -53,14 +48,14 @@ class Trust:
     def accepted(self, ratio: float, share: float, change: Array) -> None:
         """After a step that brought `ratio` of what was hoped for, of which a `share` was taken, and which changed
         rows of each block by `change` (B,) at most."""
-        self.depth = np.clip(2 * change, SHALLOWEST, DEEPEST)
+        self.depth = np.clip(2 * change, 0.02, 0.2)  # what the next step may reach
         if share < 1.0:
             factor = min(1 / share, 4.0)
         else:
             factor = 0.33 if ratio > 0.9 else 0.5 if ratio > 0.6 else 2.0 if ratio < 0.3 else 1.0
         self.damping = max(self.damping * factor, self.least_damping)
         if ratio > 0.3:
-            self.largest_shrink = min(1.5 * self.largest_shrink, LARGEST_SHRINK)
+            self.largest_shrink = min(1.5 * self.largest_shrink, SHRINK)
 
     def rejected(self) -> None:
         """After a step that was of no use."""

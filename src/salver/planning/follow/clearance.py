@@ -15,10 +15,8 @@ from salver.geometry import Array, Indices
 from salver.models.arm_geometry import ArmGeometry
 from salver.trajectory import JointMotion
 
-FIRST_INSTANTS = 33
 RESOLUTION = 1e-4  # m: parts that may have come nearer than this count as touching
 EXACT = 1e-5  # m: Coal's distances are not known better
-LEAST = 1e-3  # m: how exactly the least distance is found
 
 
 @dataclass(frozen=True)
@@ -43,12 +41,12 @@ class Sweep:
 
 
 def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
-    """All pairs of `parts` along the whole of a motion, distances to `LEAST` exactly."""
+    """All pairs of `parts` along the whole of a motion, the least distance to 1 mm."""
     if not parts.pairs:
         return Sweep(None, None, None)
     reach = parts.levers(motion.q)
     around = np.array([j >= len(parts.names) - parts.obstacles for _, j in parts.pairs])
-    t = np.linspace(0.0, motion.duration, FIRST_INSTANTS)
+    t = np.linspace(0.0, motion.duration, 33)
     distance = parts.clearance(motion.sample(t)[0])
     least, when = distance.min(axis=0), t[np.argmin(distance, axis=0)]
     touch = _first_touch(t, distance, np.arange(len(least)))
@@ -63,7 +61,7 @@ def sweep(parts: ArmGeometry, motion: JointMotion) -> Sweep:
         enough = np.zeros(len(pairs))  # what must be left, for an interval to need no further look
         if touch is None:
             nearest_obstacle = least[around].min(initial=np.inf)
-            enough = np.where(around[pairs], max(nearest_obstacle, least.min()), least.min()) - LEAST
+            enough = np.where(around[pairs], max(nearest_obstacle, least.min()), least.min()) - 1e-3
         open_ = (left <= np.maximum(enough, EXACT)) & ~settled
         if touch is not None:
             open_ &= (begin < touch[0])[:, None]

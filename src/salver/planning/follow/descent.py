@@ -13,9 +13,6 @@ from salver.geometry import Array
 
 Slope = Callable[[Array], tuple[float, Array]]  # x (k,) to a value and its gradient (k,)
 
-_FALL = 1e-4  # Armijo's condition: share of the fall that a slope promises
-_TRIALS = 10  # of steps along a line, each half as long
-
 
 def descend(at: Slope, x: Array, steps: int, flat: float) -> Array:
     """Walk downhill from x (k,), so many steps at most, until no entry of the gradient exceeds `flat` or no step leads
@@ -27,9 +24,9 @@ def descend(at: Slope, x: Array, steps: int, flat: float) -> Array:
         if not np.abs(slope).max() > flat:
             break
         way = -inverse @ slope
-        for share in 0.5 ** np.arange(_TRIALS):
+        for share in 0.5 ** np.arange(10.0):
             there, gradient = at(x + share * way)
-            if there <= value + _FALL * share * float(slope @ way):
+            if there <= value + 1e-4 * share * float(slope @ way):  # Armijo's condition
                 break
         else:
             break

@@ -20,8 +20,6 @@ from salver.trajectory import JointMotion
 from salver.wording import listed
 
 WITHIN_LIMITS, LIMIT_EXCEEDED, COLLISION = "within_limits", "limit_exceeded", "collision"
-_TOLERANCE = 1e-9  # relative; a motion planned up to a limit touches it
-LOOKS = 200  # at a motion, at least: where its samples are further apart, between them too
 BETWEEN = 5e-3  # of a limit: more than what a motion that keeps it at a planner's instants asks for between them
 
 
@@ -49,7 +47,7 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
     """The largest share of each kind of the scenario's limits (`arm.planning_limits`).
 
     Position is measured from the middle of the range. Between samples too: the spline is looked at twice as finely, and
-    where samples are far apart (two of them may be a whole motion) at `LOOKS` instants.
+    where samples are far apart (two of them may be a whole motion) at 200 instants.
     """
     motion, limits = _finely(motion), arm.planning_limits
     t = np.sort(np.concatenate([motion.t, 0.5 * (motion.t[1:] + motion.t[:-1])]))
@@ -73,8 +71,8 @@ def peaks(arm: ArmModel, motion: JointMotion, bodies: Sequence[Body] = ()) -> li
 
 
 def _finely(motion: JointMotion) -> JointMotion:
-    """The same motion with no samples further apart than a share 1 / `LOOKS` of it."""
-    counts = np.ceil(np.diff(motion.t) * LOOKS / (motion.t[-1] - motion.t[0]) - 1e-9).astype(np.intp)
+    """The same motion with no samples further apart than a 200th of it."""
+    counts = np.ceil(np.diff(motion.t) * 200 / (motion.t[-1] - motion.t[0]) - 1e-9).astype(np.intp)
     if counts.max(initial=1) <= 1 or not all(np.isfinite(x).all() for x in (motion.q, motion.dq, motion.ddq)):
         return motion
     t, z = motion.evenly(counts)
@@ -142,7 +140,7 @@ def verdict(
     details |= {"unchecked": blind, "limit_sources": arm.limit_sources, "pairs_left_out": parts.left_out}
     rooms = {kind.name: _room(arm, kind, between) for kind in LIMITS}
     broken = sorted(
-        (p for p in found if not p.share <= rooms[p.kind][arm.joint_names.index(p.joint)] + _TOLERANCE),
+        (p for p in found if not p.share <= rooms[p.kind][arm.joint_names.index(p.joint)] + 1e-9),
         key=lambda peak: -peak.share,
     )
     sentences = [

@@ -23,11 +23,6 @@ from salver.planning.postures import PoseTarget, candidate_postures, postures_al
 from salver.scenario import Scenario
 from salver.trajectory import JointMotion, Reference
 
-GRID_STEP = 5e-3  # s between samples of the joint motion; quintic in between
-COARSE_NODES = 31  # instants at which redundancy is resolved
-_IMPROVED = 2  # how many candidate start postures are optimised at most ...
-_PROMISING = 1.3  # ... those that come this near to the best one before they are
-
 
 def follow(
     arm: ArmModel,
@@ -50,7 +45,7 @@ def follow(
     parts, the time and by how much (the motion is returned all the same); or "unreachable", with no motion.
     Raises ScenarioError when `q_start` is wrong (`salver.planning.postures.start_posture`).
     """
-    path = tray_path(reference, p_EB, R_EB, np.linspace(0.0, reference.duration, COARSE_NODES))
+    path = tray_path(reference, p_EB, R_EB, np.linspace(0.0, reference.duration, 31))  # redundancy is smooth
     parts = arm_geometry(arm, bodies, obstacles)
     stuck = blocked_end(parts, {name: (path.p_SE[k], path.R_SE[k]) for name, k in (("start", 0), ("goal", -1))})
     if stuck is not None:
@@ -114,9 +109,8 @@ def _choices(
     """Ways to use the redundancy, the most promising few improved and the best of them first."""
     choices = [choice for postures in whole if (choice := first_choice(load, parts, path, postures)) is not None]
     choices.sort(key=lambda choice: choice.cost)
-    few = [choice for choice in choices[:_IMPROVED] if choice.cost < _PROMISING * choices[0].cost]
     yield from sorted(
-        (improved(load, parts, path, choice, free_start) for choice in few), key=lambda choice: choice.cost
+        (improved(load, parts, path, choice, free_start) for choice in choices[:2]), key=lambda choice: choice.cost
     )
     yield from choices
 
@@ -125,7 +119,8 @@ def _sampled(
     arm: ArmModel, reference: Reference, p_EB: Array, R_EB: Array, path: TrayPath, choice: Choice
 ) -> JointMotion | None:
     """The joint motion of a choice on a fine grid."""
-    count = max(2 * COARSE_NODES, int(np.ceil(reference.duration / GRID_STEP)) + 1)
+    step = 5e-3  # s, and a sixtieth of the motion, at most; quintic in between
+    count = max(2 * len(path.t), int(np.ceil(reference.duration / step)) + 1)
     fine = tray_path(reference, p_EB, R_EB, np.linspace(0.0, reference.duration, count))
     guess, _, _ = JointMotion(path.t, choice.path.q, choice.path.dq, choice.path.ddq).sample(fine.t)
     joints = solve_path(arm, fine, guess, choice.rows, choice.profile(fine.t))

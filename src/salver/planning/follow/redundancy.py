@@ -31,15 +31,6 @@ from salver.planning.follow.descent import descend
 from salver.planning.postures import REACHED
 from salver.trajectory import MotionSamples, Reference
 
-BUMPS = 3  # polynomial terms of s(t) besides its step from start to end
-_SOFT_MAX = 20  # exponent of the norm that stands for "the largest of all"
-_CLEAR = 0.04  # m; parts of the arm that are further apart than this do not count, 0 is a full limit
-_NEAR = 0.2  # m; parts further apart than this along the first guess are not looked at again
-_FAINT = 1e-6  # share of the largest effect on the cost below which a distance is not differentiated
-_SEARCH = 1e-6  # m and rad; accuracy of postures while coefficients are searched for
-_STEPS, _FLAT = 12, 1e-3  # of the search for coefficients: how many, and the slope of the cost at which it ends
-_SINGULAR = 0.04  # smallest singular value of the body Jacobian (m or 1 per rad) that counts as a full limit
-
 
 @dataclass(frozen=True)
 class TrayPath:
@@ -136,7 +127,7 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 @dataclass(frozen=True)
 class Choice:
-    """One way to use the redundancy: rows C (r, n), start s_0 (r,), coefficients (1 + bumps, r) of s(t)."""
+    """One way to use the redundancy: rows C (r, n), start s_0 (r,), coefficients (4, r) of s(t)."""
 
     rows: Array
     start: Array
@@ -150,14 +141,14 @@ class Choice:
 
 @lru_cache(maxsize=8)
 def _basis(count: int) -> tuple[Array, Array, Array]:
-    """Values and two derivatives (N, 1 + bumps) of the terms of s(u) at N equidistant u in [0, 1].
+    """Values and two derivatives (N, 4) of the terms of s(u) at N equidistant u in [0, 1].
 
     All are at rest at both ends: a quintic step, and u^3 (1 - u)^3 times 1, w, w^2 with w = 2 u - 1.
     """
     u = np.linspace(0.0, 1.0, count)
     step = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
     bump = 64 * np.polynomial.Polynomial([0, 0, 0, 1]) * np.polynomial.Polynomial([1, -1]) ** 3
-    terms = [step, *(bump * np.polynomial.Polynomial([-1, 2]) ** k for k in range(BUMPS))]
+    terms = [step, *(bump * np.polynomial.Polynomial([-1, 2]) ** k for k in range(3))]
     values, first, second = (np.stack([term.deriv(d)(u) if d else term(u) for term in terms], axis=1) for d in range(3))
     return values, first, second
 
@@ -173,12 +164,18 @@ def _profile(start: Array, coefficients: Array, t: Array) -> tuple[Array, ...]:
 class Usage:
     """How near a path comes to the limits: a smooth stand-in for the largest of all shares, 1 at a limit.
 
-    `arm` includes what is carried. shares: (N, m) of each kind, unclipped.
+    `arm` includes what is carried. sharpness: exponent of the norm that stands for "the largest of all"; doubled, less
+    is done about what is second. clear: m; parts that are further apart do not count, 0 is a full limit. singular:
+    smallest singular value of the body Jacobian (m or 1 per rad) that counts as a full limit. Doubled, either is kept
+    from twice as far, at the price of speed.
     """
 
     arm: ArmModel
     parts: ArmGeometry
     joints: FollowedPath
+    sharpness: float = 20
+    clear: float = 0.04
+    singular: float = 0.04
 
     @cached_property
     def _torque(self) -> Array:
@@ -197,15 +194,15 @@ class Usage:
         curves = {"position": joints.q, "velocity": joints.dq, "acceleration": joints.ddq, "torque": self._torque}
         return {
             **self.arm.planning_limits.shares(curves),
-            "singular": _SINGULAR / self._singular_values[0][:, None],
-            "clearance": np.maximum(0.0, 1 - self.parts.clearance(joints.q, _CLEAR) / _CLEAR),
+            "singular": self.singular / self._singular_values[0][:, None],
+            "clearance": np.maximum(0.0, 1 - self.parts.clearance(joints.q, self.clear) / self.clear),
         }
 
     @cached_property
     def cost(self) -> float:
         shares = np.abs(np.hstack(list(self._shares.values())))
         largest = shares.max()
-        return float(largest * np.mean((shares / largest) ** _SOFT_MAX) ** (1 / _SOFT_MAX))
+        return float(largest * np.mean((shares / largest) ** self.sharpness) ** (1 / self.sharpness))
 
     def gradient(self, rows: Array) -> tuple[Array, Array, Array]:
         """Derivative of the cost by s, s', s'' (N, r) at each instant, where [J; C] dq = [V; s'] and so on hold: the
@@ -213,7 +210,7 @@ class Usage:
         arm, joints, cost = self.arm, self.joints, self.cost
         count = sum(shares.size for shares in self._shares.values())
         by = {
-            key: np.sign(shares) * (np.abs(shares) / cost) ** (_SOFT_MAX - 1) / count
+            key: np.sign(shares) * (np.abs(shares) / cost) ** (self.sharpness - 1) / count
             for key, shares in self._shares.items()
         }
         by_value = {kind.key: by[kind.key] / arm.planning_limits.range(kind)[1] for kind in LIMITS if kind.key in by}
@@ -230,16 +227,16 @@ class Usage:
             # How the Jacobian turns is how the velocity of one direction of the joints changes with the posture.
             pin.computeForwardKinematicsDerivatives(model, data, q, right[k], ddq)
             turned = pin.getFrameVelocityDerivatives(model, data, frame, pin.LOCAL)[0]
-            by_q[k] -= by["singular"][k, 0] * _SINGULAR / smallest[k] ** 2 * left[k] @ turned
+            by_q[k] -= by["singular"][k, 0] * self.singular / smallest[k] ** 2 * left[k] @ turned
             pin.computeForwardKinematicsDerivatives(model, data, q, dq, ddq)
             velocity_by_q[k], acceleration_by_q[k], acceleration_by_dq[k], _ = pin.getFrameAccelerationDerivatives(
                 model, data, frame, pin.LOCAL
             )
         torque, mirrored = by_value["torque"][:, :, None], np.swapaxes(np.triu(masses, 1), 1, 2)
         by_ddq += (np.triu(masses) @ torque + mirrored @ torque)[:, :, 0]  # Pinocchio fills the upper half
-        node, pair = np.nonzero(by["clearance"] > _FAINT * max(np.abs(b).max() for b in by.values()))
+        node, pair = np.nonzero(by["clearance"])
         distance_by_q = self.parts.clearance_gradient(joints.q, node, pair)
-        np.subtract.at(by_q, node, by["clearance"][node, pair, None] / _CLEAR * distance_by_q)
+        np.subtract.at(by_q, node, by["clearance"][node, pair, None] / self.clear * distance_by_q)
         transposed = np.swapaxes(_extended(joints.jacobian, rows), 1, 2)
         multiplier = _solved(transposed, by_ddq)
         by_q -= np.einsum("ti,tij->tj", multiplier[:, :6], acceleration_by_q)
@@ -277,7 +274,7 @@ def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, f
     if free == 0:
         return start
     best = start
-    parts = parts.near(start.path.q, _NEAR)
+    parts = parts.near(start.path.q, 0.2)  # m: further parts do not come near in a few steps
     duration = float(path.t[-1])
     values, first, second = _basis(len(path.t))
 
@@ -285,7 +282,7 @@ def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, f
         nonlocal best
         s_0, coefficients = start.start + x[:free], x[free:].reshape(-1, free)
         profile = _profile(s_0, coefficients, path.t)
-        joints = solve_path(arm, path, best.path.q, rows, profile, _SEARCH)
+        joints = solve_path(arm, path, best.path.q, rows, profile, tolerance=1e-6)
         if joints is None:
             return 10 * best.cost, np.zeros(len(x))
         usage = Usage(arm, parts, joints)
@@ -296,5 +293,5 @@ def improved(arm: ArmModel, parts: ArmGeometry, path: TrayPath, start: Choice, f
         return usage.cost, np.concatenate([by_s.sum(axis=0) * free_start, by_coefficients.ravel()])
 
     x = np.concatenate([np.zeros(free), start.coefficients.ravel()])
-    descend(at, x, _STEPS, _FLAT)
+    descend(at, x, steps=12, flat=1e-3)
     return best
