@@ -29,7 +29,8 @@ def test_the_fuzzer_notices_a_defect(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(
         "import salver.motion_files.readers as readers\n"
         "def broken(*_):\n    raise ZeroDivisionError('planted')\n"
-        "readers._table = broken\n"
+        "assert readers.read_table\n"
+        "readers.read_table = broken\n"
     )
     done = subprocess.run(
         [sys.executable, ROOT / "tools" / "fuzz", "-n", "20", "--only", "trajectory"],
