@@ -20,7 +20,11 @@ from salver.campaigns.summary import read_table
 from salver.cli import main
 from salver.errors import FileFormatError, SalverError, ScenarioError, Status
 from salver.export import write_export
+from salver.export.motion import read_motion
+from salver.files import load_npz
 from salver.geometry import log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
+from salver.models.arm import load_arm
+from salver.motion_files import read
 from salver.planning.fastest import transport_problem
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.exchange import SHORTEST
@@ -36,6 +40,7 @@ from salver.planning.round import load_round
 from salver.planning.stops import with_stops
 from salver.reports.page import write_report
 from salver.scenario.legs import Leg, loads
+from salver.simulation.record import load_record
 
 CYLINDER = {"type": "cylinder", "radius": 0.03, "height": 0.1}
 
@@ -314,16 +319,61 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
     assert "second" in written.with_name("report-leg2.html").read_text()
     assert [path.name for path in write_export(directory, "csv", stem="leg2")] == ["leg2.csv"]
     for refused in (
-        ("export", directory, "--format", "csv"),
+        ("export", directory, "--format", "mujoco"),
+        ("export", directory, "--format", "csv", "--stem", "leg2", "--pause", "1"),
+        ("export", directory, "--format", "csv", "--pause", "-1"),
         ("figures", directory),
-        ("render", directory),
         ("execute", directory, "--dry-run"),
         ("campaign", directory, "--stem", "leg1"),
         ("campaign", directory, "--stops"),
         ("simulate", directory, "--stop-at", "0.1"),
+        ("simulate", directory, "--stop-at", "9"),
     ):
         assert main_of(*refused) == 2
-        assert "leg" in capsys.readouterr().err
+        assert re.search("leg|no stops", capsys.readouterr().err)
+
+
+def test_a_file_of_all_legs_has_each_at_its_time_with_the_arm_at_rest_between(planned, directory, tmp_path, capsys):
+    """Against the plans of the legs themselves, and read back from the file that the command writes."""
+    motion = read_motion(directory, rate=200.0, pause=0.7)
+    begins = 0.0
+    for k, leg in enumerate(planned.legs):
+        t = np.array([0.3, 0.61]) * leg.duration
+        q = [np.interp(begins + t, motion.t, column) for column in motion.q.T]
+        np.testing.assert_allclose(np.transpose(q), leg.joint.sample(t)[0], atol=1e-3)
+        arrives = begins + leg.duration
+        still = (motion.t > arrives + 1e-6) & (motion.t < arrives + 0.7 - 1e-6)
+        assert still.sum() == (139 if k == 0 else 0)
+        np.testing.assert_array_equal(motion.q[still], np.broadcast_to(leg.joint.q[-1], (still.sum(), 7)))
+        assert not motion.dq[still].any()
+        begins = arrives + 0.7
+    assert motion.t[-1] == pytest.approx(planned.duration + 0.7, abs=1e-8)
+    assert np.diff(motion.t).min() > 0
+    assert motion.p_SB is None  # the first object is another one from leg to leg
+    tray = load_arm(planned.scenario.arm, planned.scenario.tray).tray_pose(motion.q[-1])[0]
+    np.testing.assert_allclose(motion.p_SE[-1], tray, atol=1e-9)
+    assert motion.verdict == planned.verdict
+    assert main_of("export", directory, "--format", "yaml", "-o", tmp_path / "all.yaml", "--rate", 50) == 0
+    assert "rests for 5 s between two legs" in capsys.readouterr().err
+    again = read(tmp_path / "all.yaml")
+    assert again.t[-1] == pytest.approx(planned.duration + 5.0, abs=1e-8)
+    with pytest.raises(SalverError, match="must be from 0 to 3600 s"):
+        read_motion(directory, pause=-1.0)
+
+
+@pytest.mark.slow
+def test_a_run_of_all_legs_is_one_film_and_one_file(directory, tmp_path, capsys):
+    assert main_of("simulate", directory, "--write", tmp_path / "done.csv") == 0
+    records = [load_record(directory, f"leg{k}") for k in (1, 2)]
+    done = read(tmp_path / "done.csv", as_path=True)
+    assert len(done.t) == sum(len(record.t) for record in records)
+    np.testing.assert_allclose(done.q[len(records[0].t)], records[1].q[0])
+    assert main_of("render", directory, "-o", tmp_path / "f.gif", "--rate", 4, "--width", 32, "--height", 32) == 0
+    pictures = sum(int(4 * record.t[-1] + 1e-9) + 1 for record in records)
+    assert f"{pictures} pictures" in capsys.readouterr().err
+    assert main_of("simulate", directory, "--speed", 0.5) == 0
+    slow = load_npz(directory / "simulation" / "leg2-slow.npz")
+    assert slow["t"][-1] > 1.5 * records[1].t[-1]
 
 
 def test_options_that_are_not_for_several_legs_are_refused(tmp_path, capsys):

@@ -19,9 +19,12 @@ def export(
         Path | None, typer.Option("-o", "--output", help="File to write (ros2, mujoco: new directory).")
     ] = None,
     stem: Annotated[
-        str, typer.Option(help="Which motion: plan, baseline or nominal; or a leg: leg1, leg2 ...")
+        str, typer.Option(help="Which motion: plan (all its legs), baseline or nominal; or a leg: leg1, leg2 ...")
     ] = "plan",
     rate: Annotated[float | None, typer.Option(help="Samples per second; the plan's own instants by default.")] = None,
+    pause: Annotated[
+        float | None, typer.Option(help="Of a plan of several legs: seconds at rest between two; 5 by default.")
+    ] = None,
     scenario: Annotated[
         str | None,
         typer.Option("-s", "--scenario", help="Whose arm names the joints of a motion file that only numbers them."),
@@ -52,8 +55,10 @@ def export(
     if is_motion_file(directory):
         from salver import scenario as scenarios
 
-        if rate is not None or stem != "plan":
-            raise SalverError("--rate and --stem are for run directories; a motion file keeps its own instants.")
+        if rate is not None or stem != "plan" or pause is not None:
+            raise SalverError(
+                "--rate, --stem and --pause are for run directories; a motion file keeps its own instants."
+            )
         chosen = None if scenario is None else scenarios.load(scenario)
         paths, notes = convert(directory, file_format, output, chosen, topic, unsafe=unsafe)
         for note in notes:
@@ -61,7 +66,15 @@ def export(
     else:
         if scenario is not None or topic is not None:
             raise SalverError(f"--scenario and --topic are for motion files; {directory} is none.")
-        paths = write_export(directory, file_format, output, stem, rate, unsafe=unsafe, stop_input=stop_input)
+        from salver.export.motion import PAUSE
+        from salver.planning.round import has_legs
+
+        legs = stem == "plan" and has_legs(directory)
+        if pause is not None and not legs:
+            raise SalverError(f"--pause is for all legs of a plan of several; {directory}, {stem}, is one motion.")
+        paths = write_export(directory, file_format, output, stem, rate, pause=pause, unsafe=unsafe, stop_input=stop_input)
+        if legs:
+            say(f"salver: the arm rests for {PAUSE if pause is None else pause:g} s between two legs (--pause).")
     if json:
         print_json({"files": [str(path) for path in paths]})
     else:

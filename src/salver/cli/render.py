@@ -16,7 +16,8 @@ def render(
         Path | None, typer.Option("-o", "--output", help="Film to write: .mp4, .mkv, .webm, .gif or .webp.")
     ] = None,
     stem: Annotated[
-        str, typer.Option(help="plan, baseline, nominal, or both side by side; or a leg: leg1, leg2 ...")
+        str,
+        typer.Option(help="plan (all its legs), baseline, nominal, or both side by side; or a leg: leg1, leg2 ..."),
     ] = "both",
     rate: Annotated[float, typer.Option(help="Pictures a second.")] = 30.0,
     speed: Annotated[float, typer.Option(help="Speed of time; 0.25 is four times slower.")] = 1.0,

@@ -13,7 +13,7 @@ from salver.cli.common import Json, headed, of_a_run, print_json, result_console
 from salver.errors import ScenarioError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from salver.planning.plan import Plan
     from salver.planning.round import MultiLegPlan
@@ -94,7 +94,7 @@ def simulate(
             raise ScenarioError("--write is for one run; name its plan with --stem.")
     if scenario is not None:
         results = _motion(asked, scenario, topic)
-    elif stem == "plan" and has_legs(directory):
+    elif stem in ("plan", "both") and has_legs(directory):
         _legs(asked, json)
         return
     else:
@@ -162,7 +162,7 @@ def _plans(asked: _Asked) -> dict[str, SimulationRecord]:
         record = results[name] = run_physics(moved, parameters=asked.parameters, seed=asked.seed, stop_at=stop_at)
         record.save(directory, name, "-stop" if stop_at is not None else "" if moved is plan else "-slow")
         if asked.write is not None:
-            _write(record, plan.scenario, asked.write, plan.verdict)
+            _write([record], plan.scenario, asked.write, plan.verdict)
     return results
 
 
@@ -171,18 +171,16 @@ def _legs(asked: _Asked, json: bool) -> None:
     from salver.planning.round import load_round
     from salver.simulation.round import simulate_round
 
-    if asked.stop_at is not None:
-        raise ScenarioError("--stop-at is a time on one leg: name that too, as --stem leg1.")
-    if asked.write is not None:
-        raise ScenarioError("--write is for one leg: name it, as --stem leg1.")
-    if asked.speed != 1.0:
-        raise ScenarioError("--speed is for one leg: name it, as --stem leg1.")
     directory = asked.directory
     plan = load_round(directory)
+    if asked.speed != 1.0:
+        plan = replace(plan, legs=tuple(leg.at_speed(asked.speed) for leg in plan.legs))
     for k, leg in enumerate(plan.legs, 1):
         _warn(leg, f"leg{k}")
     record = simulate_round(plan, parameters=asked.parameters, seed=asked.seed, stop_at=asked.stop(plan))
-    record.save(directory)
+    record.save(directory, "" if asked.speed == 1.0 else "-slow")
+    if asked.write is not None:
+        _write(record.legs, plan.scenario, asked.write, plan.verdict)
     if json:
         print_json({"plan": {"parameters": record.parameters, **record.summary}})
         return
@@ -194,16 +192,22 @@ def _legs(asked: _Asked, json: bool) -> None:
     say(f"Written to {directory / 'simulation'}.")
 
 
-def _write(record: SimulationRecord, scenario: Scenario, path: Path, verdict: str) -> None:
-    """What happened, as a motion file; one that says so where the motion is unsafe, or the load was not kept."""
+def _write(records: Sequence[SimulationRecord], scenario: Scenario, path: Path, verdict: str) -> None:
+    """What happened, leg after leg, as a motion file; one that says so where the motion is unsafe, or the load was not
+    kept."""
     from salver.models.arm import load_arm
-    from salver.motion_files import write
+    from salver.motion_files import MotionSeries, write
     from salver.motion_files.verdict import UNSAFE, one_line
 
-    arm = None if scenario.arm is None or not record.q.shape[1] else load_arm(scenario.arm, scenario.tray)
+    first = records[0]
+    arm = None if scenario.arm is None or not first.q.shape[1] else load_arm(scenario.arm, scenario.tray)
     if not verdict.startswith(UNSAFE):
-        verdict = "" if record.outcome == "holds" else one_line(f"{UNSAFE}: {' '.join(sentences(record))}")
-    motion = replace(record.motion(arm.joint_names if arm else ()), verdict=verdict)
+        lost = [sentence for record in records if record.outcome != "holds" for sentence in sentences(record)]
+        verdict = one_line(f"{UNSAFE}: {' '.join(lost)}") if lost else ""
+    parts = [record.motion(arm.joint_names if arm else ()) for record in records]
+    step = float(first.t[1] - first.t[0])
+    motion = MotionSeries.in_turn(parts, 0.0, step) if len(parts) > 1 else parts[0]
+    motion = replace(motion, verdict=verdict)
     for file in write(motion, path, unsafe=True):
         say(f"Wrote {file}")
 
@@ -220,7 +224,7 @@ def _motion(asked: _Asked, scenario: str, topic: str | None) -> dict[str, Simula
     samples = read_for(chosen, path, topic)
     record = simulate_given(samples, chosen, asked.parameters)
     if asked.write is not None:
-        _write(record, chosen, asked.write, samples.verdict)
+        _write([record], chosen, asked.write, samples.verdict)
     return {path.name: record}
 
 

@@ -14,15 +14,20 @@ from salver.files import provenance
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.motion_files import JointSamples, MotionSeries, TraySamples, read
 from salver.motion_files.samples import reordered
-from salver.planning.plan import COMMAND_LEAD, Plan, plan_of
-from salver.planning.plan_files import read_plan
+from salver.planning.plan import COMMAND_LEAD, Plan
+from salver.planning.round import MultiLegPlan, load
 from salver.scenario import Scenario
 
 MOST_SAMPLES = 1e6
+PAUSE, LONGEST_PAUSE = 5.0, 3600.0  # s between two legs in a file: unless another is given, and at most
+STILL = 0.01  # s between samples of a pause: an audit takes no recording with gaps of over 20 ms
 
 
-def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = None) -> MotionSeries:
-    """The motion `stem` of a run directory, at its own instants or at `rate` samples per second.
+def read_motion(
+    directory: str | Path, stem: str = "plan", rate: float | None = None, pause: float = PAUSE
+) -> MotionSeries:
+    """The motion `stem` of a run directory, at its own instants or at `rate` samples per second; of a plan of several
+    legs all of them, with the arm at rest for `pause` s between two.
 
     Raises FileFormatError for a directory without such a plan, SalverError for a rate that is not positive.
     """
@@ -30,14 +35,31 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
         raise SalverError(
             f"A rate of {rate:g} samples per second was asked for; it must be above 0 and at most 100000."
         )
-    files = read_plan(directory, stem)
-    plan = plan_of(files, Path(directory) / stem)
-    if rate is not None and rate * plan.duration > MOST_SAMPLES:
+    if not 0 <= pause <= LONGEST_PAUSE:
         raise SalverError(
-            f"{rate:g} samples per second make {rate * plan.duration:.2g} samples of this motion; at most "
+            f"A pause of {pause:g} s between two legs was asked for; it must be from 0 to {LONGEST_PAUSE:g} s."
+        )
+    plan = load(directory, stem)
+    legs = plan.legs if isinstance(plan, MultiLegPlan) else (plan,)
+    seconds = plan.duration + pause * (len(legs) - 1)
+    if rate is not None and rate * seconds > MOST_SAMPLES:
+        raise SalverError(
+            f"{rate:g} samples per second make {rate * seconds:.2g} samples of this motion; at most "
             f"{MOST_SAMPLES:.2g} are written."
         )
-    t, duration, lead = files.arrays["t"], plan.duration, 0.0
+    parts = [_series(leg, rate) for leg in legs]
+    motion = MotionSeries.in_turn(parts, pause, STILL if rate is None else 1 / rate) if len(parts) > 1 else parts[0]
+    about = {
+        "provenance": provenance(plan.scenario),
+        "method": plan.method,
+        "scenario": json.loads(plan.scenario.model_dump_json(exclude_none=True)),
+    }
+    return replace(motion, about=about, verdict=plan.verdict)
+
+
+def _series(plan: Plan, rate: float | None) -> MotionSeries:
+    """One motion, without what its file says of it."""
+    t, duration, lead = plan.t, plan.duration, 0.0
     if plan.command is not None:  # it begins before the plan, and goes on until the arm is where it should be
         t, duration, lead = np.union1d(t, plan.command.t), plan.command.duration, COMMAND_LEAD
     ns = _instants(t, duration, rate)
@@ -62,12 +84,6 @@ def read_motion(directory: str | Path, stem: str = "plan", rate: float | None = 
         a_S=samples.a_S,
         omega_B=samples.omega_B,
         alpha_B=samples.alpha_B,
-        about={
-            "provenance": provenance(plan.scenario),
-            "method": plan.method,
-            "scenario": json.loads(plan.scenario.model_dump_json(exclude_none=True)),
-        },
-        verdict=plan.verdict,
         stops=_stops(plan, names, rate),
     )
 

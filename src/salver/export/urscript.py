@@ -94,7 +94,10 @@ def program(motion: MotionSeries, rate: float, stop_input: int = 0) -> str:
     about = motion.about
     leaves = np.array([leave for leave, _ in motion.stops], dtype=np.int64)
     rests = np.array([leave + stop.ns[-1] for leave, stop in motion.stops] + [motion.ns[-1]])
-    longest = 1e-9 * (rests - np.append(0, leaves)).max()  # asked just after the instant before
+    asked = np.append(0, leaves)  # at the latest: just after the instant before
+    ends = np.array([*(stop.q[-1] for _, stop in motion.stops if stop.q is not None), motion.q[-1]])
+    there = (motion.q[np.searchsorted(motion.ns, asked)] == ends).all(axis=1)  # in a pause it rests already
+    longest = 1e-9 * (rests - asked)[~there].max()
     head = HEAD.format(
         verdict=motion.verdict,
         slider=FULL_SPEED if warns(motion.verdict) else ANY_SPEED,

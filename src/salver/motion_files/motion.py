@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,35 @@ class MotionSeries(Outlined):
             return cls(ns, p_SB=samples.p, quat_SB_wxyz=samples.quat_wxyz, verdict=samples.verdict)
         return cls(ns, p_SE=samples.p, quat_SE_wxyz=samples.quat_wxyz, verdict=samples.verdict)
 
+    @classmethod
+    def in_turn(cls, parts: Sequence[MotionSeries], pause: float, step: float) -> MotionSeries:
+        """Motions one after the other, of joints and tray alone: which object is the first changes between them.
 
+        pause: s of standing still from the end of one to the start of the next, at least `step`; a sample every `step`.
+        Where there are stops, whoever asks for one before the next motion begins gets none of it.
+        """
+        pause_ns, step_ns = round(max(pause, step) * 1e9), round(step * 1e9)
+        names = [name for name in OF_ALL if all(getattr(part, name) is not None for part in parts)]
+        ns, rows = parts[0].ns, {name: [getattr(parts[0], name)] for name in names}
+        stops = list(parts[0].stops)
+        for before, after in pairwise(parts):
+            begins = ns[-1] + pause_ns
+            still = np.arange(ns[-1] + step_ns, begins, step_ns)
+            if before.stops or after.stops:
+                q = np.repeat(before.q[-1:], 2, axis=0)
+                stay = cls(np.array([0, step_ns]), before.joint_names, q, 0.0 * q, 0.0 * q)
+                stops += [(int(ns[-1]), stay), (int(begins), stay)]
+            stops += [(int(begins) + leave, stop) for leave, stop in after.stops]
+            ns = np.concatenate([ns, still, begins + after.ns - after.ns[0]])
+            for name in names:
+                last = getattr(before, name)[-1:] * (0.0 if name in RATES else 1.0)
+                rows[name] += [np.repeat(last, len(still), axis=0), getattr(after, name)]
+        joined: dict[str, Any] = {name: np.concatenate(values) for name, values in rows.items()}
+        return cls(ns, parts[0].joint_names, **joined, stops=tuple(stops))
+
+
+RATES = ("dq", "ddq")
+OF_ALL = ("p_SE", "quat_SE_wxyz", "q", *RATES, "tau")
 QUANTITIES = (
     "p_SE", "quat_SE_wxyz", "p_SB", "quat_SB_wxyz", "v_S", "a_S", "omega_B", "alpha_B", "q", "dq", "ddq", "tau",
 )  # fmt: skip

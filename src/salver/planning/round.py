@@ -47,6 +47,11 @@ class MultiLegPlan(Shown):
         return sum(leg.duration for leg in self.legs)
 
     @property
+    def by_stem(self) -> dict[str, Plan]:
+        """The legs by the names under which commands know them: "leg1" and so on."""
+        return {f"leg{k}": leg for k, leg in enumerate(self.legs, 1)}
+
+    @property
     def apart(self) -> float:
         """The most by which a leg begins in another posture than that in which the one before it ended; rad, m."""
         joints = [leg.joint for leg in self.legs]

@@ -8,6 +8,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -18,8 +19,8 @@ from salver.errors import MissingDependencyError, SalverError
 from salver.files import put_in_place, write_atomic, writing
 from salver.motion_files.verdict import UNSAFE
 from salver.planning.plan import load_plan
+from salver.planning.round import has_legs, load_round
 from salver.run_directory import STEMS, leg_number, scenario_of
-from salver.scenario import load
 from salver.simulation.record import FOLDER, SimulationRecord, load_record
 
 if TYPE_CHECKING:
@@ -54,7 +55,8 @@ def write_film(
     width: int = 960,
     height: int = 720,
 ) -> Film:
-    """Film of the simulations that a run directory holds; "both" shows plan and comparison side by side.
+    """Film of the simulations that a run directory holds; "both" shows plan and comparison side by side. The legs of a
+    plan of several follow one another, as far as they were run.
 
     rate: pictures a second. speed: of time in the film; 0.25 shows it four times slower. width, height: of a picture.
     Formats by the ending of `path`: mp4, mkv, webm through ffmpeg; gif, webp without it. Raises SalverError for
@@ -72,56 +74,73 @@ def write_film(
         raise SalverError(f"A picture of {width} x {height} pixels was asked for; each side must be from 16 to 4096.")
     width, height = width - width % 2, height - height % 2  # the encoder halves both
     save = _ffmpeg(path) if path.suffix in FILMS else _pillow(path)
-    scenario, records, verdicts = _records(Path(directory), stem)
-    end = max(float(r.t[-1]) for r in records.values())
-    if end * rate / speed > MOST_PICTURES:
+    scenes = _scenes(Path(directory), stem)
+    seconds = sum(scene.seconds for scene in scenes)
+    if seconds * rate / speed > MOST_PICTURES:
         raise SalverError(
-            f"{rate:g} pictures a second at {speed:g} times the speed make {end * rate / speed:.2g} pictures; at most "
-            f"{MOST_PICTURES} are drawn."
+            f"{rate:g} pictures a second at {speed:g} times the speed make {seconds * rate / speed:.2g} pictures; at "
+            f"most {MOST_PICTURES} are drawn."
         )
-    times = np.arange(0.0, end + 1e-9, speed / rate)
-    pictures, renderer, note = _pictures(records, verdicts, scenario, times, width, height)
-    save(pictures, rate, len(times))
-    return Film(path, len(times), renderer, note, verdicts)
+    times = [np.arange(0.0, scene.seconds + 1e-9, speed / rate) for scene in scenes]
+    note = _no_opengl(scenes[0])
+    save(chain(*(_pictures(*each, note, width, height) for each in zip(scenes, times, strict=True))), rate)
+    verdicts = {stem: verdict for scene in scenes for stem, verdict in scene.verdicts.items()}
+    return Film(path, sum(map(len, times)), "matplotlib" if note else "mujoco", note, verdicts)
 
 
-def _records(directory: Path, stem: str) -> tuple[Scenario, dict[str, SimulationRecord], dict[str, str]]:
+@dataclass(frozen=True)
+class _Scene:
+    """Runs that are shown side by side, by stem, and the verdicts on their plans."""
+
+    scenario: Scenario
+    records: Mapping[str, SimulationRecord]
+    verdicts: Mapping[str, str]
+
+    @property
+    def seconds(self) -> float:
+        return max(float(record.t[-1]) for record in self.records.values())
+
+
+def _scenes(directory: Path, stem: str) -> list[_Scene]:
+    """What the film shows, one after the other."""
     if stem not in (*STEMS, "both") and leg_number(stem) is None:
         raise SalverError(f'There is no motion "{stem}" to show; known are {", ".join(STEMS)} and both.')
-    if leg_number(stem) is None and (legs := len(load(scenario_of(directory)).legs)):
+    scenario_of(directory)
+    legs = stem in ("plan", "both") and has_legs(directory)
+    plans = load_round(directory).by_stem if legs else {}
+    asked = plans or (STEMS if stem == "both" else (stem,))
+    wanted = [s for s in asked if (directory / FOLDER / f"{s}.npz").is_file()]
+    if not wanted:
+        name = "plan" if stem == "both" else stem
         raise SalverError(
-            f"{directory} is of a task of {legs} legs, each a film of its own: give --stem leg1 and so on."
+            f"{directory} holds no simulation of {name}; make one with `salver simulate "
+            f"{quote(str(directory))} --stem {name}`."
         )
-    wanted = [stem] if stem != "both" else [s for s in STEMS if (directory / FOLDER / f"{s}.npz").is_file()]
-    missing = [s for s in wanted or ["plan"] if not (directory / FOLDER / f"{s}.npz").is_file()]
-    if missing:
-        raise SalverError(
-            f"{directory} holds no simulation of {missing[0]}; make one with `salver simulate "
-            f"{quote(str(directory))} --stem {missing[0]}`."
-        )
-    plans = {s: load_plan(directory, s) for s in wanted}
-    verdicts = {s: plan.verdict for s, plan in plans.items()}
-    return plans[wanted[0]].scenario, {s: load_record(directory, s) for s in wanted}, verdicts
+    plans = plans or {s: load_plan(directory, s) for s in wanted}
+    records = {s: load_record(directory, s) for s in wanted}
+    verdicts = {s: plans[s].verdict for s in wanted}
+    if legs:
+        return [_Scene(plans[s].scenario, {s: records[s]}, {s: verdicts[s]}) for s in wanted]
+    return [_Scene(plans[wanted[0]].scenario, records, verdicts)]
 
 
-def _pictures(
-    records: dict[str, SimulationRecord],
-    verdicts: Mapping[str, str],
-    scenario: Scenario,
-    times: np.ndarray,
-    width: int,
-    height: int,
-) -> tuple[Iterator[np.ndarray], str, str]:
-    """Pictures at `times`, the records side by side; by MuJoCo, or the plain drawing when there is no OpenGL."""
-    from salver.simulation.render import NoOpenGLError, frames_at, painter, snapshots
+def _no_opengl(scene: _Scene) -> str:
+    """Why MuJoCo cannot draw here; empty where it can."""
+    from salver.simulation.render import NoOpenGLError, painter
 
-    note = ""
     try:
-        first = next(iter(records.values()))
-        with painter(first, scenario, 16, 16) as paint:
+        with painter(next(iter(scene.records.values())), scene.scenario, 16, 16) as paint:
             paint(0)
     except NoOpenGLError as error:
-        note = str(error)
+        return str(error)
+    return ""
+
+
+def _pictures(scene: _Scene, times: np.ndarray, note: str, width: int, height: int) -> Iterator[np.ndarray]:
+    """Pictures at `times`, the records side by side; by MuJoCo, or the plain drawing where `note` says why not."""
+    from salver.simulation.render import frames_at, painter, snapshots
+
+    records, verdicts, scenario = scene.records, scene.verdicts, scene.scenario
 
     def film(record: SimulationRecord) -> Iterator[np.ndarray]:
         if note:
@@ -132,18 +151,15 @@ def _pictures(
             for k in frames_at(record, times):
                 yield paint(int(k))
 
-    def together() -> Iterator[np.ndarray]:
-        # One renderer at a time: two OpenGL contexts would have to take turns at every picture.
-        *before, last = records.values()
-        parts = [*(_spooled(film(record)) for record in before), film(last)]
-        for row in zip(*parts, strict=True):
-            titles = [
-                f"{f'{UNSAFE}, ' if verdicts[stem].startswith(UNSAFE) else ''}{LABELS.get(stem, stem)}: {found.outcome}"
-                for stem, found in records.items()
-            ]
-            yield _side_by_side([_titled(p, t) for p, t in zip(row, titles, strict=True)])
-
-    return together(), "matplotlib" if note else "mujoco", note
+    # One renderer at a time: two OpenGL contexts would have to take turns at every picture.
+    *before, last = records.values()
+    parts = [*(_spooled(film(record)) for record in before), film(last)]
+    for row in zip(*parts, strict=True):
+        titles = [
+            f"{f'{UNSAFE}, ' if verdicts[stem].startswith(UNSAFE) else ''}{LABELS.get(stem, stem)}: {found.outcome}"
+            for stem, found in records.items()
+        ]
+        yield _side_by_side([_titled(p, t) for p, t in zip(row, titles, strict=True)])
 
 
 def _spooled(pictures: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
@@ -183,7 +199,7 @@ def _side_by_side(pictures: list[np.ndarray]) -> np.ndarray:
     return np.concatenate(row, axis=1)
 
 
-Save = Callable[[Iterator[np.ndarray], float, int], None]
+Save = Callable[[Iterator[np.ndarray], float], None]
 
 
 def find_ffmpeg() -> str | None:
@@ -206,7 +222,7 @@ def _ffmpeg(path: Path) -> Save:
             f"file that ends in {' or '.join(STILLS)}."
         )
 
-    def save(pictures: Iterator[np.ndarray], rate: float, count: int) -> None:
+    def save(pictures: Iterator[np.ndarray], rate: float) -> None:
         first = next(pictures)
         height, width = first.shape[:2]
         with writing(path):
@@ -251,7 +267,7 @@ def _ffmpeg(path: Path) -> Save:
 
 
 def _pillow(path: Path) -> Save:
-    def save(pictures: Iterator[np.ndarray], rate: float, count: int) -> None:
+    def save(pictures: Iterator[np.ndarray], rate: float) -> None:
         from PIL import Image
 
         images = [Image.fromarray(np.ascontiguousarray(p)) for p in pictures]

@@ -44,10 +44,10 @@ class RoundRecord:
     def outcome(self) -> str:
         return str(self.summary["outcome"])
 
-    def save(self, directory: str | Path) -> Path:
+    def save(self, directory: str | Path, kind: str = "") -> Path:
         """Write DIRECTORY/simulation/leg1.npz and .json and so on, of a stopped run leg1-stop; returns the path of the
-        last."""
-        kind = "-stop" if "stop_at" in self.summary else ""
+        last. kind: added to the names of what is no run of the plan at full speed."""
+        kind = "-stop" if "stop_at" in self.summary else kind
         return [leg.save(directory, f"leg{k}", kind) for k, leg in enumerate(self.legs, 1)][-1]
 
 
@@ -68,6 +68,11 @@ class RoundExperiment:
         """One run of all legs. stop_at: s of all motions together, one after the other, at which a stop is asked for;
         it ends the run. Raises ScenarioError for parameters that cannot be, and for a stop that cannot."""
         true = _known(self.plan.scenario, parameters or {})
+        if stop_at is not None and stop_at > self.plan.duration:
+            raise ScenarioError(
+                f"The stop is asked for at {stop_at:g} s; it must be after 0 and not after {self.plan.duration:.4g} s, "
+                "the end of all legs."
+            )
         last, now = (None, 0.0) if stop_at is None else self._of_leg(stop_at)
         moved: dict[Parameter, float] = {}  # by which what remains stands elsewhere
         records: list[SimulationRecord] = []
