@@ -12,8 +12,9 @@ import pytest
 
 from salver import scenario
 from salver.errors import FileFormatError, SalverError
-from salver.export import FORMATS, write_export
+from salver.export import FORMATS, urscript, write_export
 from salver.export.motion import _stops, read_motion
+from salver.motion_files import MotionSeries
 from salver.planning.make import make_plan
 from salver.planning.plan import load_plan
 from salver.planning.stops import plan_stops, stop_problem
@@ -237,6 +238,25 @@ def test_a_urscript_that_is_stopped_follows_the_stop_of_the_instant(stoppable: P
         np.testing.assert_allclose(program.sent, stopped.sample(t)[0], atol=1e-8)
         assert program.stopped == 2.0
     assert len(ends) > 2
+
+
+def test_a_program_of_two_legs_that_is_stopped_in_the_pause_does_not_begin_the_next(stoppable: Path) -> None:
+    motion, library = read_motion(stoppable, rate=500.0), load_plan(stoppable).stops
+    assert motion.q is not None
+    assert library is not None
+    both = MotionSeries.in_turn([motion, motion], 0.3, 0.002)
+    text = urscript.program(replace(both, about=motion.about, verdict=motion.verdict), 500.0, 3)
+    assert f"within {library.longest:.2f} s. Checked at full speed only." in text  # the pause is no braking
+    end, start = motion.t[-1], motion.q[0]
+    whole = Program(text, start)
+    assert len(whole.sent) == pytest.approx((2 * end + 0.3) / 0.002, abs=2)
+    np.testing.assert_array_equal(whole.sent[int((end + 0.2) / 0.002)], motion.q[-1])
+    paused = Program(text, start, low_at=end + 0.1)
+    np.testing.assert_array_equal(paused.sent[-1], motion.q[-1])
+    assert len(paused.sent) == pytest.approx((end + 0.3) / 0.002, abs=2)
+    stopped = Program(text, start, low_at=end + 0.3 + float(library.t[1]) + 0.004)
+    rest = library.motion(library.taken[2]).q[-1]
+    np.testing.assert_allclose(stopped.sent[-1], rest, atol=1e-8)
 
 
 def test_a_urscript_does_not_begin_while_its_stop_is_pressed_or_its_arm_is_elsewhere(

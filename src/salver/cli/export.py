@@ -72,7 +72,9 @@ def export(
         legs = stem == "plan" and has_legs(directory)
         if pause is not None and not legs:
             raise SalverError(f"--pause is for all legs of a plan of several; {directory}, {stem}, is one motion.")
-        paths = write_export(directory, file_format, output, stem, rate, pause=pause, unsafe=unsafe, stop_input=stop_input)
+        paths = write_export(
+            directory, file_format, output, stem, rate, pause=pause, unsafe=unsafe, stop_input=stop_input
+        )
         if legs:
             say(f"salver: the arm rests for {PAUSE if pause is None else pause:g} s between two legs (--pause).")
     if json:

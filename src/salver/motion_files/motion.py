@@ -81,7 +81,7 @@ class MotionSeries(Outlined):
         for before, after in pairwise(parts):
             begins = ns[-1] + pause_ns
             still = np.arange(ns[-1] + step_ns, begins, step_ns)
-            if before.stops or after.stops:
+            if (before.stops or after.stops) and before.q is not None:
                 q = np.repeat(before.q[-1:], 2, axis=0)
                 stay = cls(np.array([0, step_ns]), before.joint_names, q, 0.0 * q, 0.0 * q)
                 stops += [(int(ns[-1]), stay), (int(begins), stay)]
