@@ -344,7 +344,8 @@ def test_a_file_of_all_legs_has_each_at_its_time_with_the_arm_at_rest_between(pl
         arrives = begins + leg.duration
         still = (motion.t > arrives + 1e-6) & (motion.t < arrives + 0.7 - 1e-6)
         assert still.sum() == (139 if k == 0 else 0)
-        np.testing.assert_array_equal(motion.q[still], np.broadcast_to(leg.joint.q[-1], (still.sum(), 7)))
+        np.testing.assert_allclose(motion.q[still], np.broadcast_to(leg.joint.q[-1], (still.sum(), 7)), atol=1e-12)
+        assert not np.diff(motion.q[still], axis=0).any()
         assert not motion.dq[still].any()
         begins = arrives + 0.7
     assert motion.t[-1] == pytest.approx(planned.duration + 0.7, abs=1e-8)
