@@ -32,12 +32,7 @@ if TYPE_CHECKING:
     from salver.models.bodies import Body
 
 STOP_ROOM = 60.0  # s that the log has for a stop
-AT_REST = 0.02  # rad/s; torque control is not left at more, unless it takes longer than
-LONGEST_WAIT = 1.0  # s after a stop should have been over
-ELSEWHERE = 0.02  # rad from where the model had taken the arm
-MOST_RENEWALS = 3  # of a stop, because the arm was elsewhere
 ATTEMPTS = 3  # to leave control
-VELOCITY_GAIN = 5.0  # 1/s; how fast an arm that takes velocities is drawn back to its reference
 MOST_INTERRUPTIONS = 100  # that are taken as one wish to stop
 
 
@@ -46,11 +41,18 @@ class Watchdog:
     """When to stop. joint_error: rad off the reference. velocity_share: of the maker's limit.
 
     late_periods: control periods in a row that were missed.
+    at_rest: rad/s; control is not left at more, unless it takes longer than longest_wait, s, after the stop should have
+    been over.
+    elsewhere: rad from where the model had taken the arm, from where on a stop begins anew; renewals: how often.
     """
 
     joint_error: float = 0.05
     velocity_share: float = 1.0
     late_periods: int = 20
+    at_rest: float = 0.02
+    longest_wait: float = 1.0
+    elsewhere: float = 0.02
+    renewals: int = 3
 
     def complaint(self, arm: ArmModel, state: ArmState, q_wanted: Array, missed: int, t: float) -> str:
         """One sentence when something is wrong, else an empty one."""
@@ -127,6 +129,8 @@ class Drive:
     def __post_init__(self) -> None:
         self.loaded, self.period = with_load(self.arm, self.bodies), self.robot.period
         self.by_torque = self.robot.takes == "torque"
+        self.gains = (self.controller.gains.kp[0], self.controller.gains.kd[0])
+        self.drawn_back = self.gains[0] / self.gains[1]  # 1/s; an arm that takes velocities, to its reference
         self.t = self.start  # s of the motion
         joint = self.joint
         self.wanted: Course = JointTable(joint, self.controller.period) if isinstance(joint, JointMotion) else joint
@@ -290,7 +294,7 @@ class Drive:
         if self.by_torque:
             return self.controller.step(state, self.t) if self.stop is None else self.stop.step(state, self.s)
         q, dq, _ = self.reference()
-        return q if self.robot.takes == "position" else dq + VELOCITY_GAIN * (self.q_wanted - state.q)
+        return q if self.robot.takes == "position" else dq + self.drawn_back * (self.q_wanted - state.q)
 
     @property
     def s(self) -> float:
@@ -302,8 +306,8 @@ class Drive:
         if not self.by_torque:  # an arm that follows by itself goes on from what it was commanded
             state = ArmState(*self.reference()[:2])
         if self.stop is None and self.factor < 1.0 and (rate := self.speed_rate):
-            factor, gains = self.factor, (self.controller.gains.kp[0], self.controller.gains.kd[0])
-            self.stops[0] = lambda state, t: PathStop(self.loaded, gains, state, self.wanted, t, factor, rate)
+            factor = self.factor
+            self.stops[0] = lambda state, t: PathStop(self.loaded, self.gains, state, self.wanted, t, factor, rate)
         self.since, self.stopping = self.t, 0
         while self.stops:
             try:
@@ -317,8 +321,8 @@ class Drive:
 
     def seen_again(self, state: ArmState) -> None:
         """A stop that began on what the model said begins anew where the arm really is, when that is elsewhere."""
-        elsewhere = np.abs(state.q - self.state.q).max() > ELSEWHERE
-        if self.by_torque and self.stop is not None and elsewhere and self.renewals < MOST_RENEWALS:
+        elsewhere = np.abs(state.q - self.state.q).max() > self.watchdog.elsewhere
+        if self.by_torque and self.stop is not None and elsewhere and self.renewals < self.watchdog.renewals:
             self.renewals += 1
             stop, s = self.stop, self.s
             self.stops.insert(0, lambda state, t: stop.renewed(state, s))
@@ -334,7 +338,10 @@ class Drive:
             if not self.senses.sees:
                 # Who does not see does not hold: what the model is wrong by adds up until torque control ends.
                 return min(self.s, self.stopping * self.period) >= self.stop.duration - HOLD_AFTER_STOP
-        return due and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.sent, AT_REST))
+        return due and (waited >= self.watchdog.longest_wait or self.at_rest(sensed))
+
+    def at_rest(self, sensed: Sensed) -> bool:
+        return self.senses.rests(sensed.state, self.sent, self.watchdog.at_rest)
 
     def leave(self) -> None:
         """Out of torque control, in more than one attempt if need be."""

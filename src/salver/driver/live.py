@@ -19,7 +19,7 @@ import numpy as np
 
 from salver.control.arm import ArmController, ArmState, controller_for
 from salver.driver.execute import Execution, seen_in_the_engine
-from salver.driver.execution import AT_REST, LONGEST_WAIT, Drive, ExecutionLog, Watchdog, named
+from salver.driver.execution import Drive, ExecutionLog, Watchdog, named
 from salver.driver.franka import FR3, FrankaRobot, check_franka, within_fr3
 from salver.driver.gate import Gate
 from salver.driver.logs import arrays_of, check_place, keep, summary_of
@@ -171,7 +171,7 @@ class LiveDrive(Drive):
             return self.patience < 0
         self.rested += self.period
         waited = self.rested - self.rest_after
-        return waited >= 0 and (waited >= LONGEST_WAIT or self.senses.rests(sensed.state, self.sent, AT_REST))
+        return waited >= 0 and (waited >= self.watchdog.longest_wait or self.at_rest(sensed))
 
 
 def dry_run_live(

@@ -12,6 +12,7 @@ from __future__ import annotations
 import secrets
 import socket
 import struct
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,12 +34,8 @@ if TYPE_CHECKING:
     from salver.trajectory import JointMotion
 
 PERIOD = 2e-3  # s, of an e-Series
-LOOKAHEAD, GAIN = 0.03, 300.0  # s, the shortest that servoj takes; its default
-PATIENCE = 100  # periods without a new command after which the program stops the arm by itself
-TIMEOUT = 2.0  # s for an answer
 RTDE_PORT, SCRIPT_PORT = 30004, 30002
 FIRST = 24  # of the registers for external clients
-SETTLING = 0.5  # s after the way to the start
 MOVES = (1, 2)  # safety modes: normal, reduced
 STOPPED = {
     3: "a protective stop", 4: "recovery", 5: "a safeguard stop", 6: "an emergency stop of the system",
@@ -51,6 +48,23 @@ OUTPUTS = {
 }  # fmt: skip
 INPUTS = {f"input_int_register_{FIRST}": "i"} | {f"input_double_register_{FIRST + k}": "d" for k in range(6)}
 TYPES = {"d": "DOUBLE", "6d": "VECTOR6D", "i": "INT32"}
+
+
+@dataclass(frozen=True)
+class UROptions:
+    """How an arm of Universal Robots is driven.
+
+    lookahead, gain: s, 0.03 to 0.2, and 100 to 2000, of `servoj`; more lookahead is smoother and later.
+    patience: periods without a new command after which the program stops the arm by itself.
+    timeout: s within which the controller must answer. settling: s at rest after the way to the start.
+    """
+
+    lookahead: float = 0.03
+    gain: float = 300.0
+    patience: int = 100
+    timeout: float = 2.0
+    settling: float = 0.5
+
 
 PROGRAM = """\
 def salver_follow():
@@ -84,8 +98,9 @@ end
 class Exchange:
     """A client of the controller's data exchange, protocol version 2."""
 
-    def __init__(self, address: str) -> None:
-        self._socket = socket.create_connection((address, RTDE_PORT), TIMEOUT)
+    def __init__(self, address: str, timeout: float) -> None:
+        self._timeout = timeout
+        self._socket = socket.create_connection((address, RTDE_PORT), timeout)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._came = b""
         self._ask("V", struct.pack(">H", 2))
@@ -138,7 +153,7 @@ class Exchange:
         except BlockingIOError:
             pass
         finally:
-            self._socket.settimeout(TIMEOUT)
+            self._socket.settimeout(self._timeout)
         return len(self._came) >= 3 and len(self._came) >= struct.unpack_from(">H", self._came)[0]
 
     def _package(self) -> tuple[str, bytes]:
@@ -155,7 +170,7 @@ class URRobot:
     """An arm of Universal Robots, e-Series, in remote control. `servoj` follows `lag` late, or more."""
 
     takes: Takes = "position"
-    period, lag = PERIOD, LOOKAHEAD
+    period = PERIOD
 
     @classmethod
     def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> URRobot:
@@ -168,12 +183,13 @@ class URRobot:
         sentence = f"The plan is for the joints {', '.join(names)}; --robot ur drives {', '.join(UR_JOINTS)}."
         return [Check("arm", fits, sentence)]
 
-    def __init__(self, address: str, mass: float, com_F: Array) -> None:
+    def __init__(self, address: str, mass: float, com_F: Array, options: UROptions = UROptions()) -> None:
         """Connect. mass, com_F (3,): kg, m in the flange's frame, of all that it carries. Raises SalverError."""
-        self._address, self._mass, self._com = address, mass, com_F
+        self._address, self._mass, self._com, self._options = address, mass, com_F, options
+        self.lag = options.lookahead
         self.speed, self._number, self._begun, self._at, self._first = 1.0, 0, 0, 0.0, True
         try:
-            self._exchange = Exchange(address)
+            self._exchange = Exchange(address, options.timeout)
         except (OSError, SalverError, struct.error) as error:
             raise self._said(error) from None
         self.look()
@@ -191,19 +207,19 @@ class URRobot:
         """Send the program, and wait until it listens. It begins with a number of its own, so that nothing counts that
         another one left in the registers."""
         self._begun = self._number = secrets.randbelow(2**30) + 1
-        self._first = True
+        self._first, options = True, self._options
         self._send(self.look().q)
         registers = ", ".join(f"read_input_float_register({FIRST + k})" for k in range(6))
         program = PROGRAM.format(
-            begun=self._begun, mass=float(self._mass), com=[float(x) for x in self._com], first=FIRST,
-            patience=PATIENCE, period=PERIOD, lookahead=LOOKAHEAD, gain=GAIN, registers=f"[{registers}]",
+            begun=self._begun, mass=float(self._mass), com=[float(x) for x in self._com], first=FIRST, period=PERIOD,
+            patience=options.patience, lookahead=options.lookahead, gain=options.gain, registers=f"[{registers}]",
         )  # fmt: skip
         try:
-            with socket.create_connection((self._address, SCRIPT_PORT), TIMEOUT) as wire:
+            with socket.create_connection((self._address, SCRIPT_PORT), self._options.timeout) as wire:
                 wire.sendall(program.encode())
         except OSError as error:
             raise self._said(error) from None
-        for _ in range(round(TIMEOUT / PERIOD)):
+        for _ in range(round(self._options.timeout / PERIOD)):
             if self._state()[STATUS] == self._begun:
                 self.look()
                 return
@@ -233,7 +249,7 @@ class URRobot:
             self.start()
             try:
                 t = 0.0
-                while t < motion.duration + SETTLING:
+                while t < motion.duration + self._options.settling:
                     elapsed = self.read()[1]
                     if signals.seen:
                         raise SalverError(f"{signals.wish(t)} The arm was stopped on its way to the start.")
