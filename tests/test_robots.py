@@ -100,7 +100,7 @@ def test_a_plan_is_followed_by_who_takes_positions_or_velocities(safe: Rig, take
         np.testing.assert_allclose(log.sent, wanted[0], atol=1e-9)
         assert np.abs(log.q - log.q_wanted).max() < 1e-9  # nothing is amiss: it is late, as it said
     else:
-        assert np.abs(log.sent - wanted[1]).max() < 0.05
+        assert np.abs(log.sent - wanted[1])[log.t > 0.6].max() < 0.02
     assert np.abs(log.q - wanted[0]).max() > 0.01
 
 
@@ -172,7 +172,7 @@ def test_a_reading_that_cannot_be_true_stops_a_robot_that_follows_by_itself(safe
     robot.spoil = lambda state, t: ArmState(state.q, state.dq + (NAN if 0.5 < t < 0.503 else 0.0))
     log = drive(safe, robot)
     assert log.stopped.startswith("What the arm reports at t = 0.50")
-    assert log.keeps_load is (takes == "position")
+    assert log.keeps_load is True
 
 
 def test_an_arm_that_is_blocked_is_stopped(safe: Rig) -> None:
