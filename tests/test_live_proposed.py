@@ -10,7 +10,7 @@ from live_runs import LEAD, drive, executed, place
 from salver.live import Live, seal, verify
 from salver.live.motion import between, joined, resting
 from salver.live.planner import Job, Planner
-from salver.live.replan import STRETCHED, Replanner
+from salver.live.replan import Replanner, ReplanOptions
 from salver.live.seal import sealed
 from salver.live.verify import Judged, verified
 from salver.live.wishes import Goal, Halt
@@ -212,7 +212,7 @@ def test_a_motion_that_is_a_little_too_quick_between_the_nodes_is_made_longer_on
         goal = rng.uniform([0.40, -0.40, 0.35], [0.55, 0.15, 0.60])
         looks.clear()
         drive(live, wait, [(0.0, lambda live, goal=goal: live.goto(goal))], begins=live.now)
-        if len(looks) > 1 and looks[0][1].slower < STRETCHED:
+        if len(looks) > 1 and looks[0][1].slower < ReplanOptions().stretched:
             (first, _), (second, finding) = looks[:2]
             mended.append(finding.committed is not None)
             assert second < 1.005 * first

@@ -3,21 +3,38 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
-# s from the beginning of planning to the hand-over, before it is known how long planning takes.
-FIRST = {"tick": 0.05, "motion": 0.25}
-LEADS = 5  # plans from whose times the lead is taken
-SPARE = 1.3  # of the longest of them
-LEAST_LEAD, MOST_LEAD, MOST_LEAD_WET = 0.02, 1.0, 3.0  # s; with open liquids
+
+@dataclass(frozen=True)
+class LeadOptions:
+    """How a lead is learnt.
+
+    Attributes:
+        tick, motion: s from the beginning of planning to the hand-over, before it is known how long planning takes.
+        of: plans of late from whose times the lead is taken.
+        spare: times the longest of them.
+        least: s.
+        most, most_with_liquids: s.
+    """
+
+    tick: float = 0.05
+    motion: float = 0.25
+    of: int = 5
+    spare: float = 1.3
+    least: float = 0.02
+    most: float = 1.0
+    most_with_liquids: float = 3.0
 
 
 class Lead:
     """s from the beginning of planning to the hand-over, of a tick or a whole motion: given, or learnt from how long
     planning each takes. wet: with open liquids."""
 
-    def __init__(self, given: float | None, wet: bool) -> None:
-        self._given, self._most = given, MOST_LEAD_WET if wet else MOST_LEAD
-        self._spent: dict[str, deque[float]] = {kind: deque(maxlen=LEADS) for kind in FIRST}
+    def __init__(self, given: float | None, wet: bool, options: LeadOptions | None = None) -> None:
+        self._given, self._options = given, options or LeadOptions()
+        self._most = self._options.most_with_liquids if wet else self._options.most
+        self._spent: dict[str, deque[float]] = {kind: deque(maxlen=self._options.of) for kind in ("tick", "motion")}
 
     def took(self, kind: str, seconds: float) -> None:
         """Planning one took so long."""
@@ -27,4 +44,6 @@ class Lead:
         """s."""
         if self._given is not None:
             return self._given
-        return min(max(LEAST_LEAD, SPARE * max(self._spent[kind], default=FIRST[kind] / SPARE)), self._most)
+        options, spent = self._options, self._spent[kind]
+        first = options.tick if kind == "tick" else options.motion
+        return min(max(options.least, options.spare * max(spent) if spent else first), self._most)

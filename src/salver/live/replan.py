@@ -44,18 +44,41 @@ from salver.planning.postures import candidate_postures
 from salver.trajectory import JointMotion
 
 SPLINE = RestSpline(degree=5, spans=8)
-NODES_PER_SPAN, FEW_NODES = 6, 2  # of a motion that is judged at once; to which nodes are added
-DISTANCES = 2.0
-# times a motion is made longer, each by at most so much, relatively, while what it is short of becomes less than half,
-STRETCHES, STRETCHED = 4, 0.02
-# and by so many times what would do from rest, and a little: one that begins moving does not become slower as a whole,
-# and to look again takes longer than that
-AMPLY, A_LITTLE = 2.0, 6e-4
-GAIN = 1e-2  # relative shortening below which an iteration counts as idle
-LEAST_DURATION = 0.1  # s of a first guess,
-LIKELY = 1.1  # times what every joint, and friction, take at least; and
-SLOWLY = 1.4  # times as much, where that led nowhere
-OTHERS = 16  # guesses from which a goal's postures are sought when none is near
+
+
+@dataclass(frozen=True)
+class ReplanOptions:
+    """How a whole motion is sought, and what is done when it misses a constraint by little.
+
+    Attributes:
+        nodes_per_span: nodes of a motion that is judged at once.
+        few_nodes: nodes a span to which nodes are added where that led nowhere.
+        gain: relative shortening below which an iteration counts as idle.
+        stretches: times that a motion is made longer at most, while what it is short of becomes less than half.
+        stretched: relative, by which each at most.
+        amply: times what would do from rest, by which a motion is made longer: one that begins moving does not become
+            slower as a whole.
+        a_little: relative, by which it is made longer beyond that: another look takes more time than this costs.
+        least_duration: s of a first guess at least.
+        likely: times what every joint, and friction, take at least, that a first guess lasts.
+        slowly: times as long a guess is where that led nowhere.
+        others: guesses from which a goal's postures are sought when none is near.
+    """
+
+    nodes_per_span: int = 6
+    few_nodes: int = 2
+    gain: float = 1e-2
+    stretches: int = 4
+    stretched: float = 0.02
+    amply: float = 2.0
+    a_little: float = 6e-4
+    least_duration: float = 0.1
+    likely: float = 1.1
+    slowly: float = 1.4
+    others: int = 16
+
+
+STANDARD_REPLANNING = ReplanOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +89,7 @@ class Firm(Constraint):
 
     judged: Constraint
     times: float = 2.0
+    distances: ClassVar[float] = 2.0
 
     def near(self, q: Array) -> Constraint:
         judged = self.judged
@@ -75,7 +99,7 @@ class Firm(Constraint):
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         for block in self.judged.blocks(motion):
             nodes, check = block.margins[0], STANDARD.margin(block, self.judged)
-            times = DISTANCES if block.kinked else self.times
+            times = self.distances if block.kinked else self.times
             yield block.having(values=block.values + check, margins=(times * nodes, 0.5 * nodes))
 
 
@@ -111,6 +135,7 @@ class Replanner:
 
     problem: TransportProblem
     sought: TransportProblem
+    options: ReplanOptions = STANDARD_REPLANNING
 
     @classmethod
     def of(cls, problem: TransportProblem) -> Replanner:
@@ -124,7 +149,8 @@ class Replanner:
         began = time.perf_counter()
         start = AtPosture(*before.state(begins))
         at = before.left(begins, replace(self.sought, start=start, goal=end))
-        guess = going_on(at, before, begins) if isinstance(end, Anywhere) else straight(at)
+        options = self.options
+        guess = going_on(at, before, begins, options) if isinstance(end, Anywhere) else straight(at, options)
         if guess is None:
             return None, Status("unreachable", "no posture of the arm within its limits reaches it", False)
         found, finding = self._shortest(at, guess, before, begins, Watch(time_limit))
@@ -148,29 +174,31 @@ class Replanner:
         """
         damping = 1.0
         if not at.liquids and not at.extra:
-            programme = programme_of(at, FreeCurve, guess, guess.spline.nodes(NODES_PER_SPAN))
+            programme = programme_of(at, FreeCurve, guess, guess.spline.nodes(self.options.nodes_per_span))
             begun = programme.begin(guess.coefficients, guess.duration)
-            solution = minimise(programme, begun, SqpOptions(ITERATIONS, watch, gain=GAIN))
+            solution = minimise(programme, begun, SqpOptions(ITERATIONS, watch, gain=self.options.gain))
             best = solution.iterate
             motion = SplineMotion(guess.spline, best.coefficients, best.duration)
             finding = self._stretched(at, motion, before, begins)
             if finding.committed is not None:
                 return solution, finding
             if best.violation > HOPELESS_AT_NODES:  # from another beginning, perhaps
-                guess = replace(guess, duration=SLOWLY * guess.duration)
+                guess = replace(guess, duration=self.options.slowly * guess.duration)
             else:
                 guess, damping = SplineMotion(guess.spline, best.coefficients, best.duration), REPAIR
-        found = optimise(at, FreeCurve, guess, FEW_NODES, watch, damping=damping, gain=GAIN)
+        found = optimise(at, FreeCurve, guess, self.options.few_nodes, watch, damping=damping, gain=self.options.gain)
         motion = SplineMotion(guess.spline, found.coefficients, found.duration)
         return found, self._stretched(at, motion, before, begins)
 
     def _stretched(self, at: TransportProblem, motion: SplineMotion, before: Committed, begins: float) -> Finding:
         """The verdict on a motion, or on one that takes a little longer, if that is what it lacks."""
         finding = self._judged(at, motion, before, begins)
-        for _ in range(STRETCHES):
-            if finding.committed is not None or finding.slower > STRETCHED:
+        for _ in range(self.options.stretches):
+            if finding.committed is not None or finding.slower > self.options.stretched:
                 break
-            motion = replace(motion, duration=motion.duration * (1.0 + AMPLY * finding.slower + A_LITTLE))
+            motion = replace(
+                motion, duration=motion.duration * (1.0 + self.options.amply * finding.slower + self.options.a_little)
+            )
             excess, finding = finding.excess, self._judged(at, motion, before, begins)
             if finding.excess > 0.5 * excess:
                 break
@@ -186,17 +214,19 @@ class Replanner:
         return verified(self.problem, motion, begins, before, thoroughly=True)
 
 
-def going_on(at: TransportProblem, before: Committed, begins: float) -> SplineMotion:
+def going_on(
+    at: TransportProblem, before: Committed, begins: float, options: ReplanOptions = STANDARD_REPLANNING
+) -> SplineMotion:
     """A first guess of a stop: what is committed."""
     start = at.start
     assert isinstance(start, AtPosture)
-    left = max(before.ends - begins, LEAST_DURATION)
+    left = max(before.ends - begins, options.least_duration)
     s = np.linspace(0.0, 1.0, 121)
     q = before.motion.sample(begins - before.begins + s * left)[0]
     return SplineMotion(SPLINE, SPLINE.fit(s, q - launched(start, s, left)), left)
 
 
-def straight(at: TransportProblem) -> SplineMotion | None:
+def straight(at: TransportProblem, options: ReplanOptions = STANDARD_REPLANNING) -> SplineMotion | None:
     """A first guess of the way to a goal: straight on to the nearest of its postures; None when there is none."""
     start = at.start
     assert isinstance(start, AtPosture)
@@ -204,11 +234,13 @@ def straight(at: TransportProblem) -> SplineMotion | None:
     ahead = np.clip(start.q + 0.5 * braking * start.rates[0], at.limits.q_min, at.limits.q_max)
     goal = next((q for near in (ahead, start.q) if (q := at.goal.nearest(at.arm, at.limits, near)) is not None), None)
     if goal is None and isinstance(at.goal, AtPose):
-        others = candidate_postures(at.arm, at.goal.target, seeds=OTHERS)
+        others = candidate_postures(at.arm, at.goal.target, seeds=options.others)
         goal = min(others, key=lambda q: float(np.abs(q - start.q).max()), default=None)
     if goal is None:
         return None
-    duration = max(LEAST_DURATION, LIKELY * max(_by_joints(at.limits, start, goal), _by_friction(at, start, goal)))
+    duration = max(
+        options.least_duration, options.likely * max(_by_joints(at.limits, start, goal), _by_friction(at, start, goal))
+    )
     s = np.linspace(0, 1, 121)
     return SplineMotion(SPLINE, SPLINE.fit(s, start.q + min_jerk_blend(s)[:, None] * (goal - start.q)), duration)
 
