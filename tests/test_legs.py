@@ -323,7 +323,7 @@ def test_commands_take_a_task_of_several_legs(directory, capsys):
         ("export", directory, "--format", "csv", "--stem", "leg2", "--pause", "1"),
         ("export", directory, "--format", "csv", "--pause", "-1"),
         ("figures", directory),
-        ("execute", directory, "--dry-run"),
+        ("execute", directory, "--yes", "--address", "172.16.0.2"),
         ("campaign", directory, "--stem", "leg1"),
         ("campaign", directory, "--stops"),
         ("simulate", directory, "--stop-at", "0.1"),
@@ -363,7 +363,7 @@ def test_a_file_of_all_legs_has_each_at_its_time_with_the_arm_at_rest_between(pl
 
 
 @pytest.mark.slow
-def test_a_run_of_all_legs_is_one_film_and_one_file(directory, tmp_path, capsys):
+def test_a_run_of_all_legs_is_one_film_and_one_file(planned, directory, tmp_path, capsys):
     assert main_of("simulate", directory, "--write", tmp_path / "done.csv") == 0
     records = [load_record(directory, f"leg{k}") for k in (1, 2)]
     done = read(tmp_path / "done.csv", as_path=True)
@@ -372,6 +372,11 @@ def test_a_run_of_all_legs_is_one_film_and_one_file(directory, tmp_path, capsys)
     assert main_of("render", directory, "-o", tmp_path / "f.gif", "--rate", 4, "--width", 32, "--height", 32) == 0
     pictures = sum(int(4 * record.t[-1] + 1e-9) + 1 for record in records)
     assert f"{pictures} pictures" in capsys.readouterr().err
+    assert main_of("execute", directory, "--dry-run", "--no-realtime") == 0
+    assert "leg 1 is done, then first taken off; leg 2 follows" in capsys.readouterr().err
+    for number, leg in enumerate(planned.legs, 1):
+        log_ = load_npz(directory / "execution" / f"leg{number}.npz")
+        np.testing.assert_allclose(log_["q"][-1], leg.joint.q[-1], atol=2e-3)
     assert main_of("simulate", directory, "--speed", 0.5) == 0
     slow = load_npz(directory / "simulation" / "leg2-slow.npz")
     assert slow["t"][-1] > 1.5 * records[1].t[-1]

@@ -26,7 +26,7 @@ def execute(
     address: Annotated[str | None, typer.Option(help="Network address of the arm's control interface.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="The simulated arm, in real time.")] = False,
     stem: Annotated[
-        str, typer.Option(help="Which motion: plan, baseline or nominal; or a leg: leg1, leg2 ...")
+        str, typer.Option(help="Which motion: plan (all its legs), baseline or nominal; or a leg: leg1, leg2 ...")
     ] = "plan",
     watchdog: Annotated[float, typer.Option(help="Stop when a joint is this far off its reference, rad.")] = 0.05,
     move_to_start: Annotated[
@@ -68,6 +68,9 @@ def execute(
     With --live nothing is planned beforehand: what the lines say is planned while the arm moves, every motion is
     verified before it is committed and ends at rest with the load in place; what was commanded is kept as a plan.
 
+    The legs of a plan of several run one after the other, each with its own question and its own log; one that does
+    not end as it should ends the run.
+
     Ends with 0 when the motion ran to its end (with --mocap: and the load held as far as it was seen), with 1 when it
     did not or all that the lines requested was refused, with 3 when motion capture cannot tell.
 
@@ -76,11 +79,14 @@ def execute(
     from salver.driver.execute import merge_mocap, run_plan
     from salver.driver.execution import Watchdog
     from salver.driver.robots import robot_class
+    from salver.run_directory import scenario_of
+    from salver.scenario import load
 
     robot_class(robot)
     dry_run = dry_run or robot == "simulated"
     if not 0 < watchdog < 1:
         raise SalverError(f"--watchdog is {watchdog:g} rad; it must be above 0 and below 1.")
+    done: list[dict[str, Any]] = []
     if live is not None:
         if mocap is not None or move_to_start or full_speed_only or stem != "plan":
             raise SalverError("--live goes with none of --mocap, --move-to-start, --full-speed-only and --stem.")
@@ -90,19 +96,32 @@ def execute(
     elif mocap is not None:
         result = merge_mocap(directory, stem, mocap, mocap_object, mocap_tray, mocap_offset, _pose(mocap_world))
     else:
-        result = run_plan(
-            directory,
-            "simulated" if dry_run else robot,
-            "" if dry_run else _given(address),
-            stem,
-            Watchdog(watchdog),
-            move_to_start=move_to_start,
-            realtime=realtime,
-            full_speed_only=full_speed_only,
-            confirm=_warned if dry_run else _assent(yes, json),
-        )
+        legs = load(scenario_of(directory)).legs if stem == "plan" else []
+        if legs and yes and not dry_run:
+            raise SalverError(
+                "--yes cannot tell when the tray is ready for the next leg: leave it out, or name a leg with --stem."
+            )
+        for k in range(max(1, len(legs))):
+            if k:
+                if not json:
+                    _tell(result)
+                say(f"salver: leg {k} is done, then {legs[k - 1].handling}; leg {k + 1} follows.")
+            result = run_plan(
+                directory,
+                "simulated" if dry_run else robot,
+                "" if dry_run else _given(address),
+                f"leg{k + 1}" if legs else stem,
+                Watchdog(watchdog),
+                move_to_start=move_to_start and not k,
+                realtime=realtime,
+                full_speed_only=full_speed_only,
+                confirm=_warned if dry_run else _assent(yes, json),
+            )
+            done.append({"log": result.path, **result.summary})
+            if not result.achieved:
+                break
     if json:
-        print_json({"log": result.path, **result.summary})
+        print_json({"legs": done} if len(done) > 1 else {"log": result.path, **result.summary})
     else:
         _tell(result)
     if not result.achieved:

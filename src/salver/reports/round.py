@@ -34,12 +34,7 @@ def overview(
                 Markup('<a href="{}">leg {}</a>').format(quote(place.name), k),
                 listed([item.name for item in run.scenario.objects]),
                 f"({x:.3f}, {y:.3f}, {z:.3f}) m" + (f", through {len(leg.through)} poses" if leg.through else ""),
-                "; ".join(
-                    f"{listed(names)} {what}"
-                    for names, what in ((leg.taken, "taken off"), (leg.added, "put on"))
-                    if names
-                )
-                or "–",
+                leg.handling if leg.taken or leg.added else "–",
                 f"{run.plan.duration:.3f} s",
                 percent(float(run.contact["plan"].worst.min())),
                 "yes" if run.plan.summary.get("ok") else "NO",

@@ -10,6 +10,7 @@ from pydantic import Field
 from salver.scenario.fields import Model
 from salver.scenario.objects import CarriedObject
 from salver.scenario.task import Pose
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.models.bodies import Body
@@ -38,6 +39,12 @@ class Leg(Model):
     @property
     def added(self) -> list[str]:
         return _listed(self.put)
+
+    @property
+    def handling(self) -> str:
+        """What is done at its end, in words: "cup taken off; plate put on"."""
+        done = ((self.taken, "taken off"), (self.added, "put on"))
+        return "; ".join(f"{listed(names)} {what}" for names, what in done if names) or "nothing taken off or put on"
 
 
 def loads(objects: Sequence[CarriedObject], legs: Sequence[Leg]) -> list[list[CarriedObject]]:
