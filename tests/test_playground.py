@@ -75,6 +75,28 @@ def test_a_wild_hand_drops_nothing_until_the_protection_is_off_and_all_of_it_is_
     assert became(world) == [""]
 
 
+def test_a_recording_may_begin_where_an_earlier_goal_has_left_the_arm(tmp_path):
+    """The scenario's start posture is elsewhere: recordings failed for the rest of the session."""
+    world = World(sv.load_scenario("panda-cube"), lead=0.02, keep_in=tmp_path / "kept")
+    first = world.frame()["objects"][0][:3]
+    assert world.say({"goto": [first[0], first[1] - 0.1, first[2]]}).ok
+    run(world, 1.2, 60)
+    q = world._data.qpos[:7].copy()
+    assert world.say({"record": True}).ok
+    assert world.say({"goto": first}).ok
+    run(world, 0.4, 60)
+    assert world.say({"record": False}).ok
+    run(world, 1.0, 120)
+    end = time.monotonic() + 60
+    while not world.note.startswith("The recording is in") and "could not" not in world.note:
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    plan = load_plan(tmp_path / "kept")
+    assert plan.ok, (plan.verification.sentence, plan.arm_status.sentence)
+    np.testing.assert_allclose(plan.joint.q[0], q, atol=1e-3)
+    assert np.linalg.norm(np.subtract(plan.scenario.motion.goal.position, first)) < 1e-3
+
+
 def test_without_protection_the_arm_keeps_its_own_limits():
     scenario = sv.load_scenario("panda-cube")
     arm = load_arm(scenario.arm, scenario.tray)

@@ -54,11 +54,11 @@ TOO_LONG = 10.0  # s after the last wish, at rest, in which the planner may find
 
 
 def commanded(scenario: Scenario, joint: JointMotion) -> Plan:
-    """What was commanded, from rest to rest, as a plan: judged like any motion of the joints."""
+    """What was commanded, from rest to rest, as a plan: judged like any motion of the joints, from where it began."""
     q = joint.q
     assert scenario.arm is not None
     first, arm = scenario.payload.bodies[0], load_arm(scenario.arm, scenario.tray)
-    ends = {}
+    ends: dict[str, Any] = {"arm__start_posture": q[0].tolist()}
     for name, posture in (("start", q[0]), ("goal", q[-1])):
         p, R = arm.object_pose(posture, first.p_EB, first.R_EB)
         ends[f"motion__{name}"] = {"position": p.tolist(), "quat_wxyz": quat_wxyz_from_matrix(R).tolist()}
