@@ -97,6 +97,22 @@ def test_a_recording_may_begin_where_an_earlier_goal_has_left_the_arm(tmp_path):
     assert np.linalg.norm(np.subtract(plan.scenario.motion.goal.position, first)) < 1e-3
 
 
+def test_a_ball_that_touches_the_load_has_hit_it():
+    """It had "come to -41 mm"; one that nothing moves away from is thrown at the middle of what is carried."""
+    world = World(sv.load_scenario("panda-cube"))
+    assert world.say({"protected": False}).ok
+    assert world.say({"throw": True}).ok
+    said, touched = [], []
+    for k in range(1400):
+        world.advance()
+        touched.append(world.ball._geom in world._data.contact.geom)
+        if k % 50 == 0:
+            said.append((k, world.frame()["said"]))
+    first = touched.index(True)
+    assert all("has come to" in text and "-" not in text for k, text in said if k < first)
+    assert {text for k, text in said if k >= first} == {"The ball has hit the cube."}
+
+
 def test_without_protection_the_arm_keeps_its_own_limits():
     scenario = sv.load_scenario("panda-cube")
     arm = load_arm(scenario.arm, scenario.tray)

@@ -11,8 +11,10 @@ from salver.live import Moving
 from salver.live.obstacles import Movable, predicted
 from salver.models.arm import ArmModel
 from salver.models.arm_geometry import arm_geometry
+from salver.models.bodies import TRAY
 from salver.models.payload import Payload
 from salver.playground.surroundings import BALL, RADIUS
+from salver.simulation.elements import TRAY_GEOM, hull_name
 
 FLIGHT = 1.2  # s until it would be at the tray
 AWAY = 1.8  # m from there
@@ -33,7 +35,14 @@ class Ball:
         self._rng = np.random.default_rng(0)
         self._since: float | None = None
         self._seen = -np.inf
+        self._geom = int(model.body_geomadr[model.body(BALL).id])
+        self._feel = {model.geom(hull_name(k)).id: body.name for k, body in enumerate(payload.bodies)}
+        self._feel[model.geom(TRAY_GEOM).id] = TRAY
+        self._forget()
+
+    def _forget(self) -> None:
         self.passed = np.inf  # m, the least distance from what moves of arm, tray and load
+        self._hit = self._through = ""  # what felt it first; the link that it flew through last
 
     def throw(self, data: Any, t: float, p_SE: Array) -> None:
         """At what stands on the tray, from the side."""
@@ -44,15 +53,23 @@ class Ball:
         data.qpos[self._qpos : self._qpos + 7] = [*begin, 1.0, 0.0, 0.0, 0.0]
         data.qvel[self._qvel : self._qvel + 6] = 0.0
         data.qvel[self._qvel : self._qvel + 3] = (target - begin) / FLIGHT - 0.5 * FLIGHT * GRAVITY_S
-        self._since, self._seen, self.passed = t, -np.inf, np.inf
-
-    def thrown_by(self, rng: np.random.Generator) -> None:
-        """From where it is thrown, is drawn by `rng` from now on."""
-        self._rng = rng
+        self._since, self._seen = t, -np.inf
+        self._forget()
 
     @property
     def flies(self) -> bool:
         return self._since is not None
+
+    @property
+    def sentence(self) -> str:
+        """How near it came, or what it hit, while it flies."""
+        if not self.flies or not np.isfinite(self.passed):
+            return ""
+        if self._hit:
+            return f"The ball has hit the {self._hit}."
+        if self._through:
+            return f"The ball has hit {self._through}, which does not feel it: it flies through."
+        return f"The ball has come to {1e3 * max(self.passed, 0.0):.0f} mm."
 
     def state(self, data: Any) -> tuple[Array, Array]:
         return data.qpos[self._qpos : self._qpos + 3].copy(), data.qvel[self._qvel : self._qvel + 3].copy()
@@ -63,6 +80,8 @@ class Ball:
             data.qpos[self._qpos : self._qpos + 7] = self._away
             data.qvel[self._qvel : self._qvel + 6] = 0.0
             return None
+        for geom in data.contact.geom[np.any(data.contact.geom == self._geom, axis=1)].ravel():
+            self._hit = self._hit or self._feel.get(int(geom), "")
         p, v = self.state(data)
         if t - self._since > OVER:
             self._since = None
@@ -82,5 +101,8 @@ class Ball:
             return
         p, _ = self.state(data)
         here = predicted(Moving("ball", "sphere", p, radius=RADIUS), 0.0)
-        distances = self._movable.distances(q[None], here, p[None])  # type: ignore[arg-type]
+        distances = self._movable.distances(q[None], here, p[None])[0]  # type: ignore[arg-type]
         self.passed = min(self.passed, float(distances.min()))
+        nearest = self._movable.names[int(np.argmin(distances))]
+        if distances.min() <= 0.0 and nearest not in self._feel.values():
+            self._through = nearest

@@ -326,6 +326,7 @@ class World:
             state, words = self.live.state, self._displaced()
             used = self.friction_used()
             self.measure()
+            live = (state.stopped, state.passing, state.refused) if self.protected else ()
             ball = [{"p": np.round(self.ball.state(data)[0], 4).tolist(), "r": RADIUS}] if self.ball.flies else []
             return {
                 "t": round(self.t, 3),
@@ -340,16 +341,16 @@ class World:
                 "protected": self.protected,
                 "stopped": bool(state.stopped) and self.protected,
                 "doing": state.doing if self.protected else "unprotected",
+                "planning": self.protected and not self.live.settled,
                 "restsIn": round(state.rests_in, 3),
                 "limit": state.limit,
                 "nearest": state.nearest,
                 "margin": round(state.margin, 4),
-                "said": " ".join(filter(None, (state.stopped, state.passing, state.refused, self.note))),
+                "said": " ".join(filter(None, (*live, self.ball.sentence, self.note))),
                 "lead": round(state.lead, 3),
                 "recording": None if self._recording is None else round(self._recording.seconds, 2),
                 "path": self._path(),
                 "balls": ball,
-                "passed": round(self.ball.passed, 4) if np.isfinite(self.ball.passed) else None,
             }
 
     def _path(self) -> list[list[float]]:

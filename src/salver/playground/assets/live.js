@@ -36,6 +36,9 @@ function buildMarks() {
   marks.ball = { shape: viewer.upload(sphere(1)), model: identity, colour: [0.80, 0.15, 0.25, 1] };
 }
 
+// Where the ring is: at the goal; without one around the load, where it is taken hold of.
+const ring = () => state.goal || state.frame.goal || state.frame.objects[0].slice(0, 3);
+
 function sphere(radius, rings = 12) {
   const profile = [];
   for (let i = 0; i <= rings; i++) profile.push([radius * Math.sin((Math.PI * i) / rings), -radius * Math.cos((Math.PI * i) / rings)]);
@@ -53,15 +56,10 @@ function paint() {
   });
   viewer.options.path = frame.path.length > 1;
   if (viewer.options.path) viewer.refill(live.path, tube(frame.path, 0.0025));
-  const goal = state.goal || frame.goal;
-  viewer.marks.length = 0;
-  if (goal) {
-    const shown = [...goal];
-    marks.ring.model = at(shown);
-    const height = Math.max(shown[2] - scene.floor, 1e-3);
-    marks.drop.model = Mat.pose([...shown, 1, 0, 0, 0], 0, [1, 1, height]);
-    viewer.marks.push(marks.ring, marks.drop);
-  }
+  const goal = ring();
+  marks.ring.model = at(goal);
+  marks.drop.model = Mat.pose([...goal, 1, 0, 0, 0], 0, [1, 1, Math.max(goal[2] - scene.floor, 1e-3)]);
+  viewer.marks.splice(0, viewer.marks.length, marks.ring, marks.drop);
   for (const ball of frame.balls || []) {
     marks.ball.model = Mat.pose([...ball.p, 1, 0, 0, 0], 0, [ball.r, ball.r, ball.r]);
     viewer.marks.push({ ...marks.ball });
@@ -72,16 +70,21 @@ function paint() {
 const WORDS = { resting: "The arm rests", following: "Following", stopping: "Stopping", unprotected: "Without protection" };
 const BECAME = { lost: "is off the tray", fallen: "has fallen over", slid: "has slid", spilt: "has spilt" };
 
+const TRY = "Drag the ring over the table, or hold W A S D: the arm follows, and its load stays in place. Try to make it slide, fall or spill; then uncheck “protected” and try again.";
+const UNPROTECTED = "The same hand moves the arm, and nothing keeps the load on its tray. Check “protected” again when it rests, or begin again.";
+
 function tell() {
   const frame = state.frame, gone = frame.load.filter((item) => item.became);
-  const bad = gone.length > 0;
+  const bad = gone.length > 0, planning = frame.doing === "resting" && frame.protected && (frame.planning || dragged !== null);
   byId("verdict").className = `verdict ${bad ? "bad" : frame.protected ? "" : "warning"}`;
   byId("doing").textContent = bad
     ? `The ${gone.map((item) => `${item.name} ${BECAME[item.became]}`).join(", the ")}.`
     : frame.doing === "following" || frame.doing === "stopping"
       ? `${WORDS[frame.doing]}: at rest in ${frame.restsIn.toFixed(2)} s, ${frame.nearest}.`
-      : `${WORDS[frame.doing]}.`;
-  byId("detail").textContent = [state.answer, frame.said, frame.balls.length && frame.passed !== null ? `The ball has come to ${(1000 * frame.passed).toFixed(0)} mm.` : ""].filter(Boolean).join(" ");
+      : planning
+        ? "Planning a safe way to the ring."
+        : `${WORDS[frame.doing]}.`;
+  byId("detail").textContent = [state.answer, frame.said].filter(Boolean).join(" ") || (frame.doing === "resting" && !planning ? TRY : frame.doing === "unprotected" && !bad ? UNPROTECTED : "");
   byId("protected").checked = frame.protected;
   byId("stop").firstChild.textContent = frame.stopped ? "Resume " : "Stop ";
   byId("limit").textContent = frame.protected ? `${(100 * frame.margin).toFixed(1)} % at ${frame.limit}` : "nothing is committed";
@@ -218,7 +221,7 @@ function onPlane(event, p, upright) {
 }
 
 function nearGoal(event) {
-  const goal = state.goal || state.frame.goal || state.frame.objects[0].slice(0, 3);
+  const goal = ring();
   const box = byId("canvas").getBoundingClientRect();
   const [eye, way] = viewer.ray((event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
   const to = Vec.sub(goal, eye), along = Vec.dot(to, way), off = Vec.norm(Vec.sub(to, Vec.scale(way, along)));
@@ -233,6 +236,7 @@ function drag(event) {
   dragged = event.shiftKey ? [dragged[0], dragged[1], p[2]] : [p[0], p[1], dragged[2]];
   dragged[2] = Math.max(scene.floor + 0.02, dragged[2]);
   state.goal = dragged;
+  turned = true;  // the ring is drawn at once, not with the next frame
   if (performance.now() - said < 80) return;
   said = performance.now();
   say({ goto: dragged });
