@@ -71,7 +71,7 @@ def _report() -> None:
 
 def _photograph(browser: Browser, name: str, time: float | None, section: str | None = None) -> None:
     if time is not None:
-        browser.script("salver.setTime(arguments[0])", time)
+        browser.script("salver.setPlaying(false); salver.setTime(arguments[0])", time)
     if section:
         browser.script("document.getElementById(arguments[0]).scrollIntoView({behavior: 'instant'})", section)
     picture = Image.open(io.BytesIO(browser.screenshot())).convert("RGB")

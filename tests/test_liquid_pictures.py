@@ -138,7 +138,7 @@ def test_the_brim_on_the_page_is_marked_from_the_spill_on(spilling):
         chromium.script("salver.state.viewer.options.camera = 'close'; byId('canvas').scrollIntoView()")
         pictures = []
         for t in (spilt - 0.02, spilt + 0.01):
-            chromium.script("salver.setTime(arguments[0])", t)
+            chromium.script("salver.setPlaying(false); salver.setTime(arguments[0])", t)
             url = chromium.script("return byId('canvas').toDataURL()")
             pictures.append(np.array(Image.open(BytesIO(base64.b64decode(url.split(",")[1])))))
         assert chromium.log("browser") == []

@@ -79,8 +79,11 @@ def test_a_recording_may_begin_where_an_earlier_goal_has_left_the_arm(tmp_path):
     """The scenario's start posture is elsewhere: recordings failed for the rest of the session."""
     world = World(sv.load_scenario("panda-cube"), lead=0.02, keep_in=tmp_path / "kept")
     first = world.frame()["objects"][0][:3]
+    assert not world.frame()["planning"]
     assert world.say({"goto": [first[0], first[1] - 0.1, first[2]]}).ok
+    assert (world.frame()["doing"], world.frame()["planning"]) == ("resting", True)  # what the page says at once
     run(world, 1.2, 60)
+    assert not world.frame()["planning"]
     q = world._data.qpos[:7].copy()
     assert world.say({"record": True}).ok
     assert world.say({"goto": first}).ok
@@ -272,10 +275,20 @@ def test_in_a_browser_the_goal_is_dragged_and_nothing_is_asked_of_others():
             canvas.setPointerCapture = () => {};
             const send = (kind, x, y) => canvas.dispatchEvent(new PointerEvent(kind, at(x, y)));
             send("pointerdown", best[1], best[2]);
+            window.up = () => send("pointerup", best[1] + 0.04, best[2]);
+            window.first = document.getElementById("detail").textContent;
+            window.before = salver.viewer.marks.length;
             send("pointermove", best[1] + 0.04, best[2]);
-            send("pointerup", best[1] + 0.04, best[2]);
             """
         )
+        assert "Drag the ring" in browser.script("return first")
+        assert browser.script("return before") == 2  # the ring is there before there is a goal
+        drawn = browser.script(
+            "return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() =>"
+            "done([...salver.viewer.marks[0].model.slice(12, 15), ...salver.state.goal]))))"
+        )
+        assert drawn[:3] == pytest.approx(drawn[3:], abs=1e-6)
+        browser.script("up()")
         browser.wait_for("salver.state.frame.doing === 'following'")
         browser.wait_for("salver.state.frame.doing === 'resting'")
         assert became(playground.world) == [""]

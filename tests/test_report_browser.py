@@ -12,6 +12,7 @@ import pytest
 
 from browser import Browser, chromium, missing
 from pages import data_of
+from salver.files import versions
 from salver.reports.page import write_report
 from salver.reports.run import read_run
 
@@ -47,6 +48,7 @@ def _open(browser: Browser, page: Path) -> None:
     browser.log("browser")
     browser.open(page)
     browser.wait_for("window.salver && window.salver.state.viewer")
+    browser.script("salver.setPlaying(false); salver.setTime(0)")  # it begins to play by itself
 
 
 def test_in_a_browser_it_loads_quietly_and_asks_for_nothing(browser: Browser, page: Path, cube_plans: Path) -> None:
@@ -99,6 +101,19 @@ def test_in_a_browser_the_controls_work(browser: Browser, page: Path) -> None:
     browser.script(choose, "camera", "close")
     assert (np.abs(_picture(browser) - middle).max(axis=2) > 20).sum() > 20000
     assert browser.log("browser") == []
+
+
+def test_in_a_browser_it_begins_to_play_and_says_what_is_seen(browser: Browser, cube_run: Path, page: Path) -> None:
+    browser.open(page)
+    browser.wait_for("window.salver && salver.state.time > 0")
+    _open(browser, page)
+    said = browser.script("return [...document.querySelectorAll('#names div div')].map((d) => d.textContent)")
+    assert said[0] == "planned for the ranges"
+    assert "the straight line in the same time" in said
+    legend = "return document.querySelector('[data-chart=margins-3]').parentNode.querySelector('.range').textContent"
+    least, most = browser.script(legend).strip("( N)").replace("−", "-").split(" to ")
+    floor = read_run(cube_run).plan.cone_floor.min(axis=1)
+    assert [float(least), float(most)] == pytest.approx([floor.min(), floor.max()], rel=6e-3)
 
 
 def test_in_a_browser_a_chart_moves_the_time_of_all(browser: Browser, cube_run: Path, page: Path) -> None:
@@ -164,6 +179,13 @@ def test_in_a_browser_it_is_legible_in_the_dark(browser: Browser, page: Path) ->
 
 def test_in_a_browser_it_prints(browser: Browser, page: Path) -> None:
     _open(browser, page)
+    shown = "const e = document.querySelector('.review'); return e.checkVisibility() ? e.innerText : ''"
+    assert browser.script(shown) == ""
+    browser.devtools("Emulation.setEmulatedMedia", media="print")
+    review = browser.script(shown)
+    browser.devtools("Emulation.setEmulatedMedia", media="")
+    for part in ("mass", f"salver {versions()['salver']} on 20", "Reviewed by", "Signature", "±"):
+        assert part in review, part
     document = browser.pdf()
     assert document.startswith(b"%PDF")
     assert 3 <= len(re.findall(rb"/Type\s*/Page\b", document)) <= 9

@@ -20,7 +20,7 @@ from salver.planning.plan import Plan
 from salver.reports.cells import number, table
 from salver.reports.charts import Spec, thin, time_chart
 from salver.reports.page import filled, replay
-from salver.reports.parameters import half_range, pretty
+from salver.reports.parameters import ranges
 from salver.reports.run import ReportedMotion, ReportedRun
 from salver.reports.sections import Sections, tile_list
 from salver.reports.speed_bar import speed_bar
@@ -66,6 +66,7 @@ def audit_page(audit: Audit) -> str:
         notes=audit.motion.notes,
         tiles=_tiles(audit),
         source=audit.source,
+        scenarios=[audit.scenario],
     )
 
 
@@ -150,16 +151,12 @@ def _sections(audit: Audit) -> Sections:
 
 def _known(audit: Audit) -> Markup:
     seen = audit.motion.recording
-    uncertain = audit.scenario.payload.uncertain
-    ranges = [
-        [f"± {pretty(p)}", half_range(p, nominal, half)]
-        for p, nominal, half in zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
-    ]
+    widths = [[f"± {name}", half] for name, _, half in ranges(audit.scenario.payload.uncertain)]
     rows = [
         ["read from", audit.source],
         ["judged", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, by salver {versions()['salver']}"],
         ["for", f"scenario {audit.scenario.name}, digest {audit.scenario.digest}"],
-        *(ranges or [["ranges", "none: the nominal values alone"]]),
+        *(widths or [["ranges", "none: the nominal values alone"]]),
         ["nominal", audit.nominal.sentence],
         ["worst case", audit.worst.sentence],
     ]

@@ -156,6 +156,7 @@ def cone_charts(run: ReportedRun) -> list[Spec]:
                 f"{m.label}: {nominal.shape[1]} coefficients and their tubes",
                 "Λ, N",
                 curves,
+                unit="N",
                 bands=bands,
                 range=[min(low - pad, 0.0 - pad), high + pad],
                 lines=[{"y": 0, "label": ""}],
@@ -250,7 +251,7 @@ def joint_charts(run: ReportedRun, limits: JointLimits) -> list[Spec]:
                 t, y = thin(m.t, column)
                 joints.append({"name": f"joint {j + 1}", "colour": CYCLE[j % len(CYCLE)], "width": 1.4, "x": t, "y": y})
             lines = [{"y": s * 100, "label": "limit" if s > 0 else "", "optional": True} for s in (1, -1)]
-            charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", joints, lines=lines))
+            charts.append(time_chart(f"{m.label}: joint {what}", "% of the limit", joints, unit="%", lines=lines))
     return charts
 
 

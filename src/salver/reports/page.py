@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,14 +19,17 @@ from salver.files import output_file, versions, write_atomic
 from salver.planning.plan_files import read_files
 from salver.planning.round import has_legs
 from salver.reports import sections
-from salver.reports.cells import NOTHING, joined
+from salver.reports.cells import NOTHING, joined, table
 from salver.reports.charts import thin
+from salver.reports.parameters import ranges
 from salver.reports.replay import replay_scene
 from salver.reports.round import overview
 from salver.reports.run import ReportedMotion, ReportedRun, read_campaign, read_leg, read_run
 from salver.reports.sections import Sections
 from salver.reports.style import ROLE_COLOURS
 from salver.reports.words import Verdict, asked, outcome_in_words, true_parameters, verdict
+from salver.scenario import Scenario
+from salver.wording import listed
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -65,8 +69,9 @@ def _write_legs(directory: Path, target: Path, say: Callable[[str], None], *, ke
     answer, made, task, shown = overview(files, runs, places, campaign)
     name, source = files.scenario.name, directory.name or str(directory)
     whole = filled(
-        answer, made, None, name=name, asked=task, notes=[*warned(files.record), *notes], tiles=shown, source=source
-    )
+        answer, made, None, name=name, asked=task, notes=[*warned(files.record), *notes], tiles=shown, source=source,
+        scenarios=[run.scenario for run in runs],
+    )  # fmt: skip
     return write_atomic(target, whole, keep=keep)
 
 
@@ -83,6 +88,7 @@ def page(run: ReportedRun, others: Markup = NOTHING) -> str:
         notes=[*warned(run.plan.summary), *run.notes],
         tiles=sections.tiles(run),
         source=run.directory.name or str(run.directory),
+        scenarios=[run.scenario],
         others=others,
     )
 
@@ -102,6 +108,7 @@ def filled(
     notes: Sequence[str],
     tiles: Markup,
     source: str,
+    scenarios: Sequence[Scenario],
     others: Markup = NOTHING,
 ) -> str:
     """The template with everything in its place: what any page of salver is. shown: its replay; None for a page of
@@ -124,12 +131,32 @@ def filled(
         navigation=others + joined(Markup('<a href="#{}">{}</a>').format(key, title) for key, title in titles),
         replay=NOTHING if shown is None else Markup(asset("replay.html")),
         sections=made.html,
+        review=review(scenarios),
         version=versions()["salver"],
+        date=_today(),
         directory=source,
         # "<" could end the script element, or begin a comment in it; in JSON "\\u003c" is the same text.
         data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
         script=Markup(script),
     )
+
+
+def review(scenarios: Sequence[Scenario]) -> Markup:
+    """What is on paper besides, for a safety review: the ranges of the verdict, what made it, a line to sign."""
+    rows = dict.fromkeys(
+        (name, f"{nominal} ± {half}") for s in scenarios for name, nominal, half in ranges(s.payload.uncertain)
+    )
+    known = (
+        table(("The verdict is for", ""), rows) if rows else Markup("<p>The verdict is for the exact values alone.</p>")
+    )
+    lines = joined(Markup("<span>{}</span>").format(text) for text in ("Reviewed by", "Date", "Signature"))
+    digests = listed(list(dict.fromkeys(s.digest for s in scenarios)))
+    made = f"Scenario {digests}; page made by salver {versions()['salver']} on {_today()}."
+    return Markup('{}<p>{}</p><div class="sign">{}</div>').format(known, made, lines)
+
+
+def _today() -> str:
+    return f"{datetime.now(UTC):%Y-%m-%d}"
 
 
 def policy(script: str, asks: str = "'none'") -> Markup:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from salver.models.parameters import Parameter
+from salver.models.parameters import Parameter, UncertainSet
 
 _UNITS = {
     "mass": (1e3, "g"),
@@ -37,3 +37,9 @@ def half_range(parameter: Parameter, nominal: float, half: float) -> str:
     """ "25 g (10 %)"; without the share where 0 is no less of it: 3 mm about a centre of mass at 1 mm is not 300 %."""
     share = nominal and parameter.kind in _SHARES
     return quantity(parameter, half) + (f" ({100 * half / abs(nominal):.3g} %)" if share else "")
+
+
+def ranges(uncertain: UncertainSet) -> list[tuple[str, str, str]]:
+    """Of each parameter that is not known exactly: its name, its nominal value, and the half-width of its range."""
+    whole = zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
+    return [(pretty(p), quantity(p, nominal), half_range(p, nominal, half)) for p, nominal, half in whole]

@@ -70,6 +70,16 @@ class ReportedMotion:
         return str(method).replace("-", " ").capitalize() if method in searched else "Robust"
 
     @property
+    def planned_for(self) -> str:
+        """What the motion is, in a line below its name; nothing of one that nobody planned."""
+        if self.stem == "baseline":
+            return "the straight line in the same time"
+        robust = (self.summary.get("solver") or {}).get(
+            "robust", True if self.summary.get("method") == "robust" else None
+        )
+        return {True: "planned for the ranges", False: "planned for nominal values"}.get(robust, "")
+
+    @property
     def t(self) -> Array:
         return self.arrays["t"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from salver.files import write_atomic
 from salver.models.arm_limits import LIMITS
 from salver.planning.object.conditions import UNITS
-from salver.reports.parameters import half_range, pretty
+from salver.reports.parameters import ranges
 
 if TYPE_CHECKING:
     from salver.models.arm import ArmModel
@@ -58,10 +58,7 @@ def scenario_rows(run: ReportedRun) -> Rows:
             (item.name, f"{item.mass:g} kg, friction {item.friction:g}, {body.contacts.count} contacts"),
             (f"{item.name}, inertia", _vector(np.diag(inertia), "kg m²")),
         ]
-    rows += [
-        (f"± {pretty(p)}", half_range(p, nominal, half))
-        for p, nominal, half in zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
-    ]
+    rows += [(f"± {name}", half) for name, _, half in ranges(uncertain)]
     rows += [
         ("uncertain set", uncertain.kind),
         ("gains K_p", f"{s.control.kp[0]:g}, {s.control.kp[1]:g} 1/s² (translation, rotation)"),

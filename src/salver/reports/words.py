@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salver.reports.charts import record_curve
-from salver.reports.parameters import half_range, pretty, quantity
+from salver.reports.parameters import pretty, quantity, ranges
 from salver.wording import listed
 
 if TYPE_CHECKING:
@@ -128,11 +128,7 @@ def _unknown(run: ReportedRun) -> str:
     uncertain = run.scenario.payload.uncertain
     if not uncertain.size:
         return "Everything about it is taken as known."
-    ranges = [
-        f"{pretty(p)} ±{half_range(p, nominal, half)}"
-        for p, nominal, half in zip(uncertain.parameters, uncertain.nominal, uncertain.half_range, strict=True)
-    ]
-    return f"Not known exactly: {listed(ranges)}."
+    return f"Not known exactly: {listed([f'{name} ±{half}' for name, _, half in ranges(uncertain)])}."
 
 
 def outcome_in_words(outcome: str) -> str:

@@ -70,7 +70,7 @@ function paint() {
 const WORDS = { resting: "The arm rests", following: "Following", stopping: "Stopping", unprotected: "Without protection" };
 const BECAME = { lost: "is off the tray", fallen: "has fallen over", slid: "has slid", spilt: "has spilt" };
 
-const TRY = "Drag the ring over the table, or hold W A S D: the arm follows, and its load stays in place. Try to make it slide, fall or spill; then uncheck “protected” and try again.";
+const TRY = "Drag the ring, or hold W A S D: the arm follows and its load stays. Try to make it slide, fall or spill; then uncheck “protected” and try again.";
 const UNPROTECTED = "The same hand moves the arm, and nothing keeps the load on its tray. Check “protected” again when it rests, or begin again.";
 
 function tell() {

@@ -28,9 +28,11 @@ function paint() {
       title.textContent = variant.label + (keys.length > 1 && key !== keys[0] ? " (ghost)" : "");
       title.className = "series";
       title.style.color = `rgb(${variant.colour.map((c) => Math.round(255 * c)).join()})`;
-      const line = document.createElement("span");
-      line.textContent = variant.caption;
-      box.append(title, line);
+      box.append(title, ...[variant.about, variant.caption].filter(Boolean).map((text) => {
+        const line = document.createElement("div");
+        line.textContent = text;
+        return line;
+      }));
     }
     return box;
   }));
@@ -63,6 +65,12 @@ function drawTimeline() {
     const line = strip.x.map((t, i) => `${i ? "L" : "M"}${X(t).toFixed(1)} ${Y(strip.y[i]).toFixed(1)}`).join("");
     svg("path", { d: `${line}L${X(strip.x[strip.x.length - 1])} 34L${X(strip.x[0])} 34Z`, fill: strip.colour, opacity: 0.16 }, image);
   }
+}
+
+// When the plan has the most friction in use: the moment that is on paper.
+function nearestToLimit() {
+  const { x, y } = data.replay.strips[0];
+  return x[y.indexOf(Math.max(...y))];
 }
 
 function buildCharts() {
@@ -143,9 +151,11 @@ function buildReplay() {
 buildReplay();
 buildCharts();
 setTime(0);
+if (state.viewer && !window.matchMedia("(prefers-reduced-motion: reduce)").matches) setPlaying(true);
 window.addEventListener("beforeprint", () => {
   redrawAll(true);
-  paint();
+  setPlaying(false);
+  setTime(nearestToLimit());
 });
 window.addEventListener("afterprint", () => redrawAll(false));
 window.salver = { state, data, setTime, setPlaying };

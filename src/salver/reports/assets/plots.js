@@ -145,7 +145,7 @@ function attachCursor(host, image, box, xRange, X, Y, spec, onTime) {
       const y = interpolate(s.x, s.y, Math.max(xRange[0], Math.min(xRange[1], t))), visible = Number.isFinite(y);
       dots[i].setAttribute("visibility", visible ? "visible" : "hidden");
       if (visible) [["cx", X(t)], ["cy", Y(y)]].forEach(([key, v]) => dots[i].setAttribute(key, v));
-      if (values[i]) values[i].textContent = shown(y) + values[i].dataset.unit;
+      if (values[i]) values[i].textContent = shown(y) + (visible ? values[i].dataset.unit : "");
     });
   };
   if (host.cursor) cursors.splice(cursors.indexOf(host.cursor), 1);
@@ -160,17 +160,29 @@ function attachCursor(host, image, box, xRange, X, Y, spec, onTime) {
   move(chart.time || 0);
 }
 
-// Legend above a chart: one entry a named series, with the value under the cursor.
+// Least and largest of curves that may have gaps.
+function extremes(curves, unit) {
+  const values = curves.flat().filter((v) => v !== null && Number.isFinite(v));
+  return values.length ? `${shown(Math.min(...values))} to ${shown(Math.max(...values))}${unit}` : "";
+}
+
+// Legend above a chart: one entry a named series, with its extremes and the value under the cursor.
 function legend(host, spec) {
+  const unit = spec.unit ? ` ${spec.unit}` : "", quiet = spec.series.filter((s) => s.quiet);
+  if (quiet.length) host.append(`lines ${extremes(quiet.map((s) => s.y), unit)} · tubes ${extremes((spec.bands || []).flatMap((b) => [b.low, b.high]), unit)}`);
   for (const s of spec.series.filter((x) => x.name && !x.quiet)) {
     const entry = document.createElement("span");
     const image = svg("svg", { width: 22, height: 8, "aria-hidden": "true" }, entry);
     svg("line", { x1: 0, x2: 22, y1: 4, y2: 4, stroke: s.colour, "stroke-width": s.width ? 1.2 : 2.4, "stroke-dasharray": s.dash || "none", opacity: s.opacity || 1 }, image);
     entry.append(` ${s.name} `);
     if (spec.time) {
+      const range = document.createElement("span");
+      range.className = "range";
+      range.textContent = `(${extremes([s.y], unit)})`;
+      entry.append(range, " ");
       const value = document.createElement("b");
       value.dataset.value = "";
-      value.dataset.unit = spec.unit ? ` ${spec.unit}` : "";
+      value.dataset.unit = unit;
       entry.append(value);
     }
     host.append(entry);
