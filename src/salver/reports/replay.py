@@ -106,7 +106,7 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
     return {
         "key": motion.stem,
         "label": motion.label,
-        "about": motion.planned_for,
+        "about": motion.planned_for(ranges=run.scenario.payload.uncertain.size > 0),
         "colour": rgb(ROLE_COLOURS[motion.stem]),
         "source": "plan" if record is None else "run",
         "t": np.round(t[keep], 5).tolist(),

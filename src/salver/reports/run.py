@@ -69,15 +69,14 @@ class ReportedMotion:
         searched = ("fastest", "safest", "least-sensitive", "live", "excite", "tilt")
         return str(method).replace("-", " ").capitalize() if method in searched else "Robust"
 
-    @property
-    def planned_for(self) -> str:
-        """What the motion is, in a line below its name; nothing of one that nobody planned."""
+    def planned_for(self, ranges: bool) -> str:
+        """What the motion is, in a line below its name; nothing of one that nobody planned. ranges: there are some."""
         if self.stem == "baseline":
             return "the straight line in the same time"
-        robust = (self.summary.get("solver") or {}).get(
-            "robust", True if self.summary.get("method") == "robust" else None
-        )
-        return {True: "planned for the ranges", False: "planned for nominal values"}.get(robust, "")
+        robust = (self.summary.get("solver") or {}).get("robust")
+        if robust or self.summary.get("method") == "robust":
+            return "planned for the ranges" if ranges else "planned for exact values"
+        return "" if robust is None else "planned for nominal values"
 
     @property
     def t(self) -> Array:
