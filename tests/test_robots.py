@@ -10,6 +10,7 @@ import pytest
 
 from driver_rig import Rig
 from salver.control.arm import ArmState, controller_for
+from salver.driver import execution
 from salver.driver.execution import Drive, ExecutionLog, Watchdog
 from salver.driver.robots import robot_class
 from salver.driver.signals import Signals
@@ -181,6 +182,16 @@ def test_an_arm_that_is_blocked_is_stopped(safe: Rig) -> None:
     log = drive(safe, robot)
     assert "rad off its reference at t = 0.4" in log.stopped
     assert log.keeps_load is False
+
+
+def test_a_run_that_is_paused_for_long_is_stopped_with_its_load(safe: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The log has room for the motion and half a second, twice; a stop gets half a second of it."""
+    monkeypatch.setattr(execution, "STOP_ROOM", 0.5)
+    robot = Follower(safe, "position", speeds=lambda t: 0.8 if t < 0.3 else 0.0)
+    log = drive(safe, robot, rate=2.0)
+    assert log.stopped.startswith("The run took longer than any run may at t = ")
+    assert log.keeps_load is True
+    assert len(log.t) < 2 * (safe.plan.duration + 0.15 + 0.5) / robot.period
 
 
 def test_a_path_stop_is_smooth_and_renewed_where_it_is(safe: Rig) -> None:

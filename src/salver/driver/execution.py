@@ -224,7 +224,7 @@ class Drive:
                 self.signals.note(
                     "Interrupted" if isinstance(error, KeyboardInterrupt) else f"The log failed ({named(error)})"
                 )
-            if self.book.full and not last:
+            if not self.book.left and not last:
                 raise SalverError("The run took longer than any run may.")
             return last
         except KeyboardInterrupt:  # where no handler could be set
@@ -267,6 +267,8 @@ class Drive:
         if self.stop is not None:
             # An arm that cannot follow a planned stop is braked as it is; the last stop goes on, come what may.
             return self.watchdog.astray(self.arm, sensed.state, self.q_wanted, self.t) if self.stops else ""
+        if self.book.left < STOP_ROOM / self.period:  # slowed or paused for long
+            return f"The run took longer than any run may at t = {self.t:.3f} s."
         if sensed.wrong:
             return f"What the arm reports at t = {self.t:.3f} s cannot be true: {sensed.wrong}."
         missed = round(sensed.elapsed / self.period) - 1
@@ -382,8 +384,8 @@ class _Book:
         self._count, self._room = 0, room
 
     @property
-    def full(self) -> bool:
-        return self._count == self._room
+    def left(self) -> int:
+        return self._room - self._count
 
     def add(self, t: float, sensed: Sensed, sent: Array, q_wanted: Array, woken: float) -> None:
         k, c = self._count, self._columns
