@@ -162,7 +162,9 @@ def test_a_narrow_place_between_the_nodes_is_gone_through_slowly_and_every_step_
     assert len(steps) > 1
     assert found.iterations == sum(steps)
     q, dq = Grid.of(spline, np.linspace(0, 1, 4001)).motion(found.coefficients, found.duration)[:2]
-    checked = Grid.of(spline, spline.nodes(3), exchange.CHECK_FACTOR).motion(found.coefficients, found.duration)[0]
+    checked = Grid.of(spline, spline.nodes(3), exchange.ExchangeOptions().finer).motion(
+        found.coefficients, found.duration
+    )[0]
     step = np.diff(checked[np.abs(checked - 0.3) < 0.03]).max()
     assert step < 0.02
     assert np.max(dq / most(q)) < 1 + 0.15 * (0.5 * step / 0.02) ** 2  # half way between two points of the check

@@ -18,10 +18,9 @@ from salver.planning.fastest.constraints import Clearance, evaluate
 from salver.planning.fastest.ends import AtPose, AtPosture
 from salver.planning.fastest.obstacles import AT_NODES, KeepOut
 from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.sides import DEEPEST, past
+from salver.planning.fastest.sides import DetourOptions, past
 from salver.planning.fastest.starts import (
-    ATTEMPTS,
-    BATCHES,
+    EndOptions,
     Ends,
     Start,
     _sought,
@@ -156,7 +155,7 @@ def test_paths_pass_a_post_over_it_and_on_the_near_side(behind_a_post):
     for start in past(problem, pair):
         assert np.array_equal(start.postures[0], pair.start)
         assert np.array_equal(start.postures[-1], pair.goal)
-        assert touches(problem, start) <= DEEPEST < touches(problem, straight(pair))
+        assert touches(problem, start) <= DetourOptions().deepest < touches(problem, straight(pair))
         p = np.array([problem.arm.tray_pose(q)[0] for q in start.path(np.linspace(0, 1, 60))])
         there = p[np.abs(p[:, 1] + 0.02).argmin()]
         side = "over" if there[2] > 0.55 else "before" if there[0] < 0.5 else "through"
@@ -342,8 +341,8 @@ def test_a_start_posture_is_followed_once(monkeypatch):
         return nearest(end, arm, limits, q, *more)
 
     monkeypatch.setattr(AtPose, "nearest", noted)
-    _sought(problem, np.random.default_rng(0), 0)
+    _sought(problem, np.random.default_rng(0), 0, options := EndOptions())
     apart = [np.abs(one - other).max() for k, one in enumerate(goals) for other in goals[:k]]
-    assert len(starts) == ATTEMPTS // BATCHES
+    assert len(starts) == options.attempts // options.batches
     assert 2 <= len(goals) < len(starts)
     assert min(apart) > 1e-6

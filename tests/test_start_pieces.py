@@ -20,16 +20,10 @@ from salver.planning.fastest.found import FastestMotion
 from salver.planning.fastest.obstacles import ENOUGH_AT_ENDS, KeepOut
 from salver.planning.fastest.optimum import few_pieces
 from salver.planning.fastest.problem import TransportProblem
-from salver.planning.fastest.search import IN_VAIN
-from salver.planning.fastest.sides import FURTHEST, SIDES, STEP, TURN, past
+from salver.planning.fastest.sides import DetourOptions, past
 from salver.planning.fastest.spline import RestSpline
 from salver.planning.fastest.starts import (
-    ALIKE,
-    AT_LIMITS,
-    BATCHES,
-    NEAR_BY,
-    OTHERS,
-    TOO_NEAR,
+    EndOptions,
     Ends,
     Start,
     _apart,
@@ -46,6 +40,8 @@ from salver.planning.fastest.starts import (
     touches,
 )
 from salver.planning.fastest.watch import Watch
+
+SOUGHT, PAST = EndOptions(), DetourOptions()
 
 
 @pytest.fixture(scope="module")
@@ -73,29 +69,29 @@ def test_whole_turns_bring_an_arm_nowhere_and_rails_do() -> None:
 
 
 def test_a_pair_of_ends_is_dearer_where_a_joint_is_at_its_limit(plain) -> None:
-    """Without a way to go a pair costs nothing in the middle of the joints' ranges, and AT_LIMITS at their ends."""
+    """Without a way to go a pair costs nothing in the middle of the joints' ranges, and `at_limits` at their ends."""
     centre, half = plain.limits.range(POSITION)
-    assert _cost(plain, centre, centre) == pytest.approx(0.0, abs=1e-9)
+    assert _cost(plain, centre, centre, SOUGHT) == pytest.approx(0.0, abs=1e-9)
     for joint in range(plain.n):
         for side in (-1, 1):
             q = centre + side * half * np.eye(plain.n)[joint]
-            assert _cost(plain, q, q) == pytest.approx(AT_LIMITS)
+            assert _cost(plain, q, q, SOUGHT) == pytest.approx(SOUGHT.at_limits)
 
 
 def test_a_pair_of_ends_is_dearer_where_something_is_near(behind_a_post, pair) -> None:
     keep_out = behind_a_post.keep_out
     there = keep_out.parts.clearance(np.stack([pair.start, pair.goal])).min(axis=0)
-    base, costs = _cost(behind_a_post, pair.start, pair.goal), []
+    base, costs = _cost(behind_a_post, pair.start, pair.goal, SOUGHT), []
     for room in (0.01, 0.02, 0.05):
-        found = _Found(replace(behind_a_post, keep_out=KeepOut(keep_out.parts, there - room)))
+        found = _Found(replace(behind_a_post, keep_out=KeepOut(keep_out.parts, there - room)), SOUGHT)
         found.add(pair.start, pair.goal)
         costs.append(found.pairs[0].cost - base)
         assert found.pairs[0].free
-    assert costs == pytest.approx([0.02 * TOO_NEAR, 0.01 * TOO_NEAR, 0.0], abs=1e-5)  # distances to 3 um
+    assert costs == pytest.approx([0.02 * SOUGHT.too_near, 0.01 * SOUGHT.too_near, 0.0], abs=1e-5)  # distances to 3 um
 
 
 def test_pairs_differ_by_what_both_of_their_ends_do(plain, pair) -> None:
-    found = _Found(plain)
+    found = _Found(plain, SOUGHT)
     for start, goal in ((0.0, 0.0), (0.1, 0.1), (0.2, 0.2), (0.0, 0.4)):
         found.add(pair.start + start, pair.goal + goal)
     assert [round(float((x.goal - pair.goal)[0]), 6) for x in found.pairs] == [0.0, 0.2, 0.4]
@@ -128,24 +124,23 @@ def test_goals_are_sought_from_where_a_moving_arm_would_coast_to_and_from_furthe
     monkeypatch.setattr(AtPose, "nearest", lambda end, arm, limits, q, *more: asked.append(q))
     ends(moving, np.random.default_rng(3))
     coasted, rng = pair.start + 0.5 * velocity * braking_time(moving), np.random.default_rng(3)
-    for k, q in enumerate(asked[:OTHERS]):
-        assert q == pytest.approx(coasted + k / OTHERS * (guess(moving, rng, k) - coasted))
+    for k, q in enumerate(asked[: SOUGHT.others]):
+        assert q == pytest.approx(coasted + k / SOUGHT.others * (guess(moving, rng, k) - coasted))
     assert asked[0] == pytest.approx(coasted)
 
 
-def test_of_postures_in_which_an_arm_stands_and_moves_alike_one_is_kept(monkeypatch) -> None:
+def test_of_postures_in_which_an_arm_stands_and_moves_alike_one_is_kept() -> None:
     """An arm with a spherical shoulder and wrist, of which each posture has twins."""
     case = scenario.load("gen3-cup").with_changes(arm__start_posture=None, arm__gains=None)
     problem = transport_problem(case)
-    monkeypatch.setattr("salver.planning.fastest.starts.ATTEMPTS", 20 * BATCHES)
-    found = _sought(problem, np.random.default_rng(0), 0)
+    found = _sought(problem, np.random.default_rng(0), 0, EndOptions(attempts=20, batches=1))
     shapes = [np.stack([_shape(problem, q) for q in pair[1:]]) for pair in found]
     costs = [cost for cost, _, _ in found]
     assert costs == sorted(costs)
     for k in range(len(found)):
         for j in range(k):
-            stands_alike = np.abs(shapes[k] - shapes[j]).max() < NEAR_BY
-            assert not (stands_alike and costs[k] < (1 + ALIKE) * costs[j])
+            stands_alike = np.abs(shapes[k] - shapes[j]).max() < 0.03
+            assert not (stands_alike and costs[k] < 1.03 * costs[j])
     assert 2 < len(found) < 15  # of 20
 
 
@@ -171,23 +166,23 @@ def moved(problem: TransportProblem, pair: Ends) -> tuple[Array, Array, list[lis
     """The middle of the straight path, which way the tray goes, and the postures to each side."""
     q = straight(pair).path(np.array([0.5]))[0]
     p_0, p_1 = (problem.arm.tray_pose(x)[0] for x in (pair.start, pair.goal))
-    return q, p_1 - p_0, [list(postures) for postures in sides._moved(problem, pair, q)]
+    return q, p_1 - p_0, [list(postures) for postures in sides._moved(problem, pair, q, PAST)]
 
 
 def test_the_tray_is_moved_across_its_way_to_eight_sides_step_by_step(behind_a_post, pair) -> None:
     q, along, found = moved(behind_a_post, pair)
     arm, (p, _) = behind_a_post.arm, behind_a_post.arm.tray_pose(q)
-    away = [np.array([arm.tray_pose(x)[0] - p for x in postures]) for postures in found[:SIDES]]
-    directions = np.array([way[0] for way in away if len(way)]) / STEP
+    away = [np.array([arm.tray_pose(x)[0] - p for x in postures]) for postures in found[: PAST.sides]]
+    directions = np.array([way[0] for way in away if len(way)]) / PAST.step
     assert len(directions) >= 6
     assert np.abs(directions @ along).max() < 1e-4
     assert np.linalg.norm(directions, axis=1) == pytest.approx(1.0, abs=1e-4)
     nearest = [np.sort(directions @ x)[-2] for x in directions]
     assert np.max(nearest) == pytest.approx(np.sqrt(0.5), abs=1e-3)  # 45 degrees apart
     for way in away:
-        assert np.linalg.norm(way, axis=1) == pytest.approx(STEP * np.arange(1, len(way) + 1), abs=1e-4)
-    assert max(len(way) for way in away) == round(FURTHEST / STEP)
-    for postures in found[:SIDES]:
+        assert np.linalg.norm(way, axis=1) == pytest.approx(PAST.step * np.arange(1, len(way) + 1), abs=1e-4)
+    assert max(len(way) for way in away) == round(PAST.furthest / PAST.step)
+    for postures in found[: PAST.sides]:
         assert all(arm.tray_pose(x)[1][2, 2] > 1 - 1e-6 for x in postures)
 
 
@@ -203,13 +198,13 @@ def test_an_arm_with_a_joint_to_spare_is_turned_about_its_tray_to_both_sides(beh
     monkeypatch.setattr(np.linalg, "svd", either)
     q, _, found = moved(behind_a_post, pair)
     arm, (p, _) = behind_a_post.arm, behind_a_post.arm.tray_pose(q)
-    ways = [np.array(postures) for postures in found[SIDES:]]
+    ways = [np.array(postures) for postures in found[PAST.sides :]]
     assert len(ways) == 2
     for way in ways:
         assert len(way) >= 2
         assert np.abs(np.array([arm.tray_pose(x)[0] for x in way]) - p).max() < 1e-5
         steps = np.diff(way, axis=0)
-        assert np.all(np.linalg.norm(steps[:3], axis=1) > 0.5 * TURN)  # less only at a joint's limit
+        assert np.all(np.linalg.norm(steps[:3], axis=1) > 0.5 * PAST.turn)  # less only at a joint's limit
         assert np.all(np.sum(steps[1:] * steps[:-1], axis=1) > 0)  # it does not turn back
     assert (ways[0][0] - q) @ (ways[1][0] - q) < 0
 
@@ -223,7 +218,7 @@ def test_a_path_past_something_is_moved_as_far_as_was_looked_and_no_further(behi
     for start in found:
         p = np.array([arm.tray_pose(q)[0] for q in start.postures])
         far = np.linalg.norm(p[:, None] - line, axis=2).min(axis=1)
-        assert far.max() < FURTHEST + 0.05
+        assert far.max() < PAST.furthest + 0.05
         assert far[[0, -1]].max() < 1e-9
 
 
@@ -323,6 +318,6 @@ def test_the_shortest_safe_motion_is_kept_and_what_brings_nothing_is_given_up(pl
     found = one.best()
     assert found.status.ok
     assert found.duration == 0.9
-    assert len(rough_s) == 4 + IN_VAIN * 4
+    assert len(rough_s) == 4 + FastestOptions().patience * 4
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx((60 + 3) / (60 + 4))  # when the last refinement began

@@ -35,7 +35,7 @@ from salver.planning.fastest import (
 from salver.planning.fastest.bound import least_time
 from salver.planning.fastest.constraints import ContactConstraint
 from salver.planning.fastest.curves import FreeCurve, Grid, launched
-from salver.planning.fastest.exchange import HOPELESS_AT_NODES, ITERATIONS, REPAIR, Checked, optimise, programme_of
+from salver.planning.fastest.exchange import Checked, ExchangeOptions, optimise, programme_of
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.fastest.sqp import SqpOptions, SqpSolution, minimise
 from salver.planning.fastest.starts import braking_time
@@ -172,20 +172,20 @@ class Replanner:
         What is broken between the nodes is mostly little, and kept by a motion that takes as much longer; only where
         that does not help are nodes added. Among what moves, it seldom does.
         """
-        damping = 1.0
+        damping, how = 1.0, ExchangeOptions()
         if not at.liquids and not at.extra:
             programme = programme_of(at, FreeCurve, guess, guess.spline.nodes(self.options.nodes_per_span))
             begun = programme.begin(guess.coefficients, guess.duration)
-            solution = minimise(programme, begun, SqpOptions(ITERATIONS, watch, gain=self.options.gain))
+            solution = minimise(programme, begun, SqpOptions(watch=watch, gain=self.options.gain))
             best = solution.iterate
             motion = SplineMotion(guess.spline, best.coefficients, best.duration)
             finding = self._stretched(at, motion, before, begins)
             if finding.committed is not None:
                 return solution, finding
-            if best.violation > HOPELESS_AT_NODES:  # from another beginning, perhaps
+            if best.violation > how.hopeless_at_nodes:  # from another beginning, perhaps
                 guess = replace(guess, duration=self.options.slowly * guess.duration)
             else:
-                guess, damping = SplineMotion(guess.spline, best.coefficients, best.duration), REPAIR
+                guess, damping = SplineMotion(guess.spline, best.coefficients, best.duration), how.repair
         found = optimise(at, FreeCurve, guess, self.options.few_nodes, watch, damping=damping, gain=self.options.gain)
         motion = SplineMotion(guess.spline, found.coefficients, found.duration)
         return found, self._stretched(at, motion, before, begins)

@@ -11,16 +11,11 @@ import numpy as np
 from salver.geometry import Array, Indices
 from salver.models.bodies import Body
 from salver.models.tray_motion import FULL_SPEED, Speed
-from salver.planning.fastest.constraints import FINEST, ROWS_OF_SEVERAL, Block, Constraint, Gradient
+from salver.planning.fastest.constraints import FINEST, Block, Constraint, Gradient
 from salver.planning.fastest.evaluation import MotionEvaluation
 from salver.sensitivity.slosh_rows import of_parts
 from salver.sensitivity.sloshing import LIGHTEST, Slosh
 from salver.sensitivity.wave_gradients import Unknowns
-
-WAVE_ROWS = 2  # cases of a liquid at one node, of several `ROWS_OF_SEVERAL`: those of a fill and a damping are alike
-WAVE_REACH = 0.1  # of the room of a liquid: rows further from their edge are left out of a programme
-WAVE_MARGIN = 5e-3  # of the room of a liquid, kept at nodes: between them waves are driven by what was interpolated
-LEFT_MARGIN = 0.03  # and of what may be left at the end, which all of that adds up to
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +64,15 @@ class Brim(Constraint):
                 factor=self.speed.factor,
             )
             if len(rows) == 1:
-                return found.having(margins=(LEFT_MARGIN + self.margin, finest))
-            margins = (WAVE_MARGIN + self.margin, finest)
-            return found.having(points=motion.nodes, margins=margins, most=most, reach=WAVE_REACH)
+                return found.having(margins=(0.03 + self.margin, finest))  # all of what follows adds up to what is left
+            margins = (5e-3 + self.margin, finest)  # between nodes waves are driven by what was interpolated
+            return found.having(points=motion.nodes, margins=margins, most=most, reach=0.1)
 
         def joined(values: Iterable[Array]) -> Array:
             return np.concatenate(list(values))
 
         finest = max(self.margin, FINEST)
-        most = WAVE_ROWS if len(motion.sloshing) < 2 else ROWS_OF_SEVERAL
+        most = 2 if len(motion.sloshing) < 2 else 1  # those of a fill and a damping are alike
         name, room = self.body.name, joined(x.room for x in which)
         steepest = joined(x.steepest for x in which)
         yield block(

@@ -34,13 +34,8 @@ FINEST = 1e-4  # of a limit, for what may happen between the points of the check
 LEVEL_TOLERANCE = 1e-3  # rad; what "level" means to the planner; contact is judged on the true motion
 LEVEL_SCALE = 1e-3  # rows of "level" in rad, the size at which a tilt matters to contact
 REACH_BEYOND_TRAY = 0.2  # m; lever at which the tray's rotation error moves what stands on it
-CONTACT_ROWS = 4  # facets of one contact wrench cone at one node: a fine cone has hundreds, nearly parallel
-ROWS_OF_SEVERAL = 1  # and of one beside which there are others, with liquids
-JOINING = 3  # times as many may join, where a step led beyond rows that had been left out
 UNSEEN = -0.02  # a row left out of a programme is put in when its step brings it nearer than this to its edge
-SLOSH_REACH = 0.05  # of the weight: nearer than this, contact rows have the derivatives of the slosh in them
 PER_METRE = 10.0  # rows of distances, in m
-INHERITED = 1e-4  # by which the state that a motion begins in may break a row: what the plan before it was checked to
 
 
 def of_its_limit(excess: float) -> str:
@@ -118,7 +113,7 @@ class Block:
 
     def joining(self, known: np.ndarray) -> np.ndarray:
         """(N, m) True for rows at or beyond their edge that a programme should have known of beside `known`."""
-        return self._foremost(JOINING) & (self.values > UNSEEN) & ~known
+        return self._foremost(3) & (self.values > UNSEEN) & ~known
 
     def _foremost(self, times: int) -> np.ndarray:
         """(N, m) or (1, 1), True for the `most` rows of each node, times some, that are furthest out."""
@@ -150,7 +145,7 @@ def evaluate(constraints: Sequence[Constraint], motion: MotionEvaluation, margin
                 values = block.values + margin
             else:
                 values = block.values + margin * motion.eased(block.points[: len(block.values)])[:, None]
-                values[0] = np.where(values[0] < INHERITED, np.minimum(values[0], 0.0), values[0])
+                values[0] = np.where(values[0] < 1e-4, np.minimum(values[0], 0.0), values[0])
             values[np.isnan(values)] = np.inf
             blocks.append(block.having(values=values, of=constraint))
     return tuple(blocks)
@@ -329,7 +324,7 @@ class ContactConstraint(Constraint):
                 rows[:, 3 * n :] = ((side - 1) * tracking.delay * speed.factor)[:, None] * rows[:, 2 * n : 3 * n]
             return rows
 
-        most = CONTACT_ROWS if len(sloshing) < 2 else ROWS_OF_SEVERAL
+        most = 4 if len(sloshing) < 2 else 1  # of facets: a fine cone has hundreds, nearly parallel
         carried = " and ".join(body.name for body in self.rows.network.bodies)
         margins = (self.margin + 1e-3, max(self.margin, FINEST))
         name = f"contact of {carried}{speed.words}{' when the arm follows exactly' * self.exactly}"
@@ -342,7 +337,7 @@ class ContactConstraint(Constraint):
             scales=speed.factor > 0,
             most=most,
             history=history,
-            remembers=SLOSH_REACH,
+            remembers=0.05,
             factor=speed.factor,
             in_words=_of_the_weight,
         )

@@ -25,37 +25,42 @@ from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
 
 ROUGH_GAIN = 1e-2  # relative shortening below which a rough optimum is good enough
-GAIN = 1e-3  # and one at which an optimum is
-ROUGH_ITERATIONS = 25  # at most, of a rough optimum
-ITERATIONS = 60  # and of one
-REPAIR_ITERATIONS = 15  # of each round of adding nodes
-HASTE = 0.8  # of a duration at which a path keeps its rows, that is tried next
-HASTENED = 0.03  # damping of the first step from the shortest of these
-ROUGH_EXCHANGES = 2  # rounds of adding nodes to a rough optimum,
-LOOKS = 4  # that is looked at so often from one node to the next,
 BINDING = 0.02  # rows nearer than this to their edge, in their unit, bind
-EXCHANGES = 6  # rounds of adding nodes
-HOPELESS = 0.2  # a row broken by this share of its scale will not be repaired by more nodes
-HOPELESS_AT_NODES = 1e-2  # and nor will one that is broken at the nodes already
-REPAIR = 0.4  # damping of the first step after nodes were added: ever more mending, ever less search
-SLUGGISH = 10.0  # times that, with liquids
-LEFT = 9e-4  # violation that is then left to a repair: what the nodes keep from the edge and the check does not,
-MENDED = 3e-4  # or less, with liquids
-LOOSE_GAIN, LOOSE = 5e-3, 1e-2  # gain and violation of the first optimum with liquids, which shows what cases it lacks
-LOOSELY_POOR = 0.6  # share of what was hoped for below which a step towards that is corrected
-EARNEST = 0.5  # of the gain: of the next one, in which what the arm gives way to the liquids is given
-REPAIR_DEPTH = 0.02  # what is near enough to matter to such a step
-SMALL_EXCESS = 2e-3  # what is left to a slightly longer duration instead of another round of optimisation
-SMALL_EXCESS_OF_WAVES = 5e-4  # with liquids: waves need not become lower
-WAVES_PER_SPAN = 1  # nodes more, where liquids remember what was between them
-POINTS = 2  # from node to node, where joint limits are imposed
-CHECK_FACTOR = 6  # the check between nodes uses a grid this much finer
-CHECK_FACTOR_OF_WAVES = 4  # where nodes are closer already
-POINTS_CHECKED = 5  # and where the joints' limits are, from one point of that grid to the next
 
 SHORTEST = Duration()
 
 CurveOf = Callable[[TransportProblem, Grid], Curve]
+
+
+@dataclass(frozen=True)
+class ExchangeOptions:
+    """How an optimum is kept between the nodes of its programme.
+
+    rounds: of adding nodes, at most; doubled, what six do not mend is tried for longer. repairs: iterations of each, at
+    most. repair: damping of the first step of the first round, four times more in each that follows; doubled, a repair
+    stays nearer to what is repaired.
+    added: nodes of each spline piece beside what is asked for; as liquids remember what was between them.
+    finer: the check's points from node to node; doubled, it takes twice the time.
+    hopeless: a row broken by this share of its scale on the check's grid, or by `hopeless_at_nodes` at the nodes, is
+    not repaired.
+    left: violation that is left to a repair: what the nodes keep from the edge and the check does not.
+    excess: what is broken by less is left to a slightly longer duration; doubled, fewer rounds and longer motions.
+    """
+
+    rounds: int = 6
+    repairs: int = 15
+    repair: float = 0.4
+    added: int = 0
+    finer: int = 6
+    hopeless: float = 0.2
+    hopeless_at_nodes: float = 1e-2
+    left: float = 9e-4
+    excess: float = 2e-3
+
+    @classmethod
+    def of(cls, problem: TransportProblem) -> ExchangeOptions:
+        """The usual ones; waves need not become lower in a longer time."""
+        return cls(repair=4.0, added=1, finer=4, left=3e-4, excess=5e-4) if problem.liquids else cls()
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,7 @@ def programme_of(
     start: SplineMotion,
     nodes: Array,
     objective: Objective = SHORTEST,
-    points: int = POINTS,
+    points: int = 2,
     watched: Sequence[Constraint] | None = None,
 ) -> Programme:
     """The programme at nodes (N,) in [0, 1], watching, for a shorter time, only what comes near along the start.
@@ -109,8 +114,8 @@ def optimise(
     watch: Watch | None = None,
     damping: float = 1.0,
     objective: Objective = SHORTEST,
-    iterations: int = ITERATIONS,
-    gain: float = GAIN,
+    iterations: int = 60,
+    gain: float = 1e-3,
     also: Array | None = None,
     beat: float = np.inf,
 ) -> Checked:
@@ -119,22 +124,21 @@ def optimise(
     gain: relative improvement below which an iteration counts as idle. also: more nodes, s in [0, 1]. beat: s; given up
     where it will hardly be shorter than this: nodes that are added only make it longer.
     """
-    watch = watch or Watch()
+    watch, how = watch or Watch(), ExchangeOptions.of(problem)
     spline = start.spline
-    nodes = spline.nodes(nodes_per_span + WAVES_PER_SPAN * bool(problem.liquids))
+    nodes = spline.nodes(nodes_per_span + how.added)
     nodes = nodes if also is None else united(nodes, also)
-    finer = CHECK_FACTOR_OF_WAVES if problem.liquids else CHECK_FACTOR
-    check = Grid.of(spline, Grid.of(spline, nodes, finer).s, POINTS_CHECKED)
+    check = Grid.of(spline, Grid.of(spline, nodes, how.finer).s, 5)  # the joints' limits are looked at so much finer
     fine = curve_of(problem, check)
 
     programme = programme_of(problem, curve_of, start, nodes, objective)
     begun = programme.begin(start.coefficients, start.duration)
     first = SqpOptions(iterations, watch, gain=gain, beat=beat)
-    if problem.liquids:  # more cases of them will join
-        first = SqpOptions(iterations, watch, gain=LOOSE_GAIN, violation=LOOSE, poor=LOOSELY_POOR)
+    if problem.liquids:  # more cases of them will join, which a loose optimum shows as well
+        first = SqpOptions(iterations, watch, gain=5e-3, violation=1e-2, poor=0.6)
     solution = minimise(programme, begun, first, Trust(damping))
     done = solution.iterations
-    for exchange in range(EXCHANGES + 1):
+    for exchange in range(how.rounds + 1):
         point = solution.iterate.point
         if point.duration > beat:
             status = Status("beaten", f"No safe motion in less than {beat:.4f} s was found.", False)
@@ -146,16 +150,16 @@ def optimise(
             seen = _seen(fine, point).feeling(seen.terms).straying(seen.response)
         worst, binding, slower, peaks = _between(fine, objective, point, seen)
         if objective.scalar is Scalar.DURATION:
-            worst, binding, point = _slowed(fine, objective, point, worst, binding, slower)
+            worst, binding, point = _slowed(fine, objective, point, worst, binding, slower, how.excess)
         excess = max(worst.values())
         late = watch.over()
-        hopeless = excess > HOPELESS or solution.iterate.violation > HOPELESS_AT_NODES
-        if excess <= 0.0 or hopeless or exchange == EXCHANGES or late:
+        hopeless = excess > how.hopeless or solution.iterate.violation > how.hopeless_at_nodes
+        if excess <= 0.0 or hopeless or exchange == how.rounds or late:
             break
         before, nodes = nodes, united(nodes, fine.grid.s[peaks])
         if len(nodes) == len(before):  # what is broken is driven by what was between them: waves
             nodes = united(nodes, 0.5 * (nodes[1:] + nodes[:-1]))
-        options, repair = _repair(problem, exchange, iterations, gain, watch)
+        options, repair = _repair(problem, how, exchange, iterations, gain, watch)
         # A repair leads nowhere else: unless something that was not watched came too near, the same is watched.
         same = all(value <= 0.0 or name in binding for name, value in worst.items())
         watched = programme.constraints if same else None
@@ -163,25 +167,23 @@ def optimise(
         programme = programme_of(problem, curve_of, start, nodes, objective, watched=watched)
         programme = replace(programme, given=bool(problem.liquids))
         begun = programme.begin(start.coefficients, start.duration)
-        solution = minimise(programme, begun, options, Trust(repair, REPAIR_DEPTH))
+        solution = minimise(programme, begun, options, Trust(repair, 0.02))  # of rows only what is near
         done += solution.iterations
-    status = _status(solution, worst, objective.sought, fine, point)
+    status = _status(solution, worst, objective.sought, fine, point, how)
     looked = point is solution.iterate.point
     return Checked(problem, point.coefficients, point.duration, point.margin, status, worst, binding, done, looked)
 
 
 def _repair(
-    problem: TransportProblem, exchange: int, iterations: int, gain: float, watch: Watch
+    problem: TransportProblem, how: ExchangeOptions, exchange: int, iterations: int, gain: float, watch: Watch
 ) -> tuple[SqpOptions, float]:
-    """How a programme is solved once more, with the nodes that it lacked, and the damping of its first step."""
-    damping = REPAIR * 4.0**exchange
-    kept = SqpOptions(REPAIR_ITERATIONS, watch, gain=gain, violation=LEFT, least_damping=damping, mending=True)
-    if not problem.liquids:
-        return kept, damping
-    damping *= SLUGGISH
-    if exchange == 0:  # what was loose is now sought in earnest
-        return SqpOptions(iterations, watch, gain=EARNEST * gain), damping
-    return replace(kept, violation=MENDED, least_damping=damping), damping
+    """How a programme is solved once more, with the nodes that it lacked, and the damping of its first step: ever more
+    mending, ever less search."""
+    damping = how.repair * 4.0**exchange
+    if problem.liquids and exchange == 0:  # what was loose is now sought in earnest
+        return SqpOptions(iterations, watch, gain=0.5 * gain), damping
+    kept = SqpOptions(how.repairs, watch, gain=gain, violation=how.left, least_damping=damping, mending=True)
+    return kept, damping
 
 
 def rough(
@@ -191,7 +193,7 @@ def rough(
     nodes_per_span: int,
     watch: Watch,
     damping: float = 1.0,
-    iterations: int = ROUGH_ITERATIONS,
+    iterations: int = 25,
     beat: float = np.inf,
 ) -> SqpSolution:
     """A first optimum with few pieces: a start for one with more. Between its nodes only what touches is looked at: a
@@ -199,19 +201,19 @@ def rough(
 
     beat: s; given up where it will hardly be shorter than this. Nodes that are added only make it longer.
     """
-    nodes, at, done = start.spline.nodes(nodes_per_span), start, 0
-    for exchange in range(ROUGH_EXCHANGES + 1):
+    nodes, at, done, how = start.spline.nodes(nodes_per_span), start, 0, ExchangeOptions()
+    for exchange in range(3):
         programme = programme_of(problem.roughly, curve_of, at, nodes, points=1)
         begun = programme.begin(at.coefficients, at.duration)
         first = begun if exchange else hastened(programme, begun)
-        trust = Trust(damping if first is begun else min(damping, HASTENED))
+        trust = Trust(damping if first is begun else min(damping, 0.03))
         solution = minimise(programme, first, SqpOptions(iterations, watch, gain=ROUGH_GAIN, beat=beat), trust)
         done += solution.iterations
-        touched = _touched(curve_of(problem, Grid.of(start.spline, nodes, LOOKS)), solution.iterate)
+        touched = _touched(curve_of(problem, Grid.of(start.spline, nodes, 4)), solution.iterate)
         beaten = solution.iterate.duration > beat
-        if beaten or solution.iterate.violation > HOPELESS_AT_NODES or not len(touched) or watch.over():
+        if beaten or solution.iterate.violation > how.hopeless_at_nodes or not len(touched) or watch.over():
             break
-        nodes, damping, iterations = united(nodes, touched), REPAIR, min(iterations, REPAIR_ITERATIONS)
+        nodes, damping, iterations = united(nodes, touched), how.repair, min(iterations, how.repairs)
         at = SplineMotion(start.spline, solution.iterate.coefficients, solution.iterate.duration)
     return replace(solution, iterations=done)
 
@@ -230,7 +232,7 @@ def _touched(fine: Curve, found: Iterate) -> Array:
 def hastened(programme: Programme, begun: Iterate) -> Iterate:
     """The same path in less time, as long as no row that depends on time comes near its edge."""
     while True:
-        point = replace(begun.point, duration=HASTE * begun.duration)
+        point = replace(begun.point, duration=0.8 * begun.duration)
         shorter = programme.at(point)
         if any(block.by_time and block.values.max() > 0 for block in shorter.blocks):
             return begun
@@ -242,11 +244,13 @@ def reached(sought: str, duration: float) -> Status:
     return Status("optimal", f"The {sought} safe motion found takes {duration:.4f} s.", True)
 
 
-def _status(solution: SqpSolution, worst: dict[str, float], sought: str, fine: Curve, point: Point) -> Status:
+def _status(
+    solution: SqpSolution, worst: dict[str, float], sought: str, fine: Curve, point: Point, how: ExchangeOptions
+) -> Status:
     excess = max(worst.values())
     if excess <= 0.0:
         return reached(sought, point.duration)
-    if excess > HOPELESS and not solution.status.ok:
+    if excess > how.hopeless and not solution.status.ok:
         return solution.status
     found = violated(evaluate(fine.problem.constraints, _seen(fine, point)))
     return Status("infeasible", f"No safe motion was found: the best attempt violates {found}.", False, worst)
@@ -260,11 +264,16 @@ def _seen(fine: Curve, point: Point) -> MotionEvaluation:
 
 
 def _slowed(
-    fine: Curve, objective: Objective, point: Point, worst: dict[str, float], binding: tuple[str, ...], slower: float
+    fine: Curve,
+    objective: Objective,
+    point: Point,
+    worst: dict[str, float],
+    binding: tuple[str, ...],
+    slower: float,
+    small: float,
 ) -> tuple[dict[str, float], tuple[str, ...], Point]:
-    """A motion that oversteps by little between the nodes, as much slower as keeps everything: its largest rows, what
-    binds it, the motion; as given where that is not enough. The last three: of the motion, from `_between`."""
-    small = SMALL_EXCESS_OF_WAVES if fine.problem.liquids else SMALL_EXCESS
+    """A motion that oversteps by less than `small` between the nodes, as much slower as keeps everything: its largest
+    rows, what binds it, the motion; as given where that is not enough. worst, binding, slower: from `_between`."""
     if 0.0 < max(worst.values()) < small:
         longer = replace(point, duration=point.duration * (1.0 + slower))
         stretched, still, _, _ = _between(fine, objective, longer, _seen(fine, longer))

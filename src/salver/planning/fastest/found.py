@@ -17,10 +17,16 @@ from salver.trajectory import JointMotion, MotionSamples, SampledReference
 
 @dataclass(frozen=True)
 class FastestOptions:
-    """spans: number of polynomial pieces. nodes_per_span: where conditions are imposed.
-    pairs: of end postures from which the search begins when the start posture is free; ways: around what stands in the
-    way, for each of them. starts: local optima refined, of which the best is taken. iterations: of each at most, as a
-    multiple of the usual. seed: of everything random. time_limit: s, None for none: then no clock decides anything.
+    """How a fastest motion is searched for.
+
+    spans: polynomial pieces of a motion; doubled, there are twice as many unknowns, and motions are no longer.
+    nodes_per_span: instants of each at which conditions are imposed; between them they are checked.
+    pairs: of end postures from which the search begins when the start posture is free. ways: around what stands in the
+    way, the shortest of thrice as many. starts: local optima refined, of which the best is taken. Doubling any of these
+    three at most doubles the work; a hard task may gain by it. patience: rough optima in turn, for each of `starts`,
+    that are no shorter than what was found, after which the others are left out.
+    iterations: of each optimum at most, as a multiple of the usual 60, and of the 25 of a rough one. seed: of all that
+    is random. time_limit: s, None for none: then no clock decides anything.
     """
 
     spans: int = 20
@@ -28,9 +34,20 @@ class FastestOptions:
     pairs: int = 2
     ways: int = 2
     starts: int = 1
+    patience: int = 6
     iterations: float = 1.0
     seed: int = 0
     time_limit: float | None = None
+
+    @property
+    def most(self) -> int:
+        """Iterations of an optimum, at most."""
+        return round(60 * self.iterations)
+
+    @property
+    def most_roughly(self) -> int:
+        """Iterations of a rough optimum, at most."""
+        return round(25 * self.iterations)
 
     def first(self, problem: TransportProblem) -> int:
         """Pairs that are tried first: fewer when one of the two postures is given."""

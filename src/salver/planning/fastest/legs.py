@@ -16,7 +16,6 @@ import numpy as np
 from salver.errors import ScenarioError, Status, UnreachableError
 from salver.geometry import Array, quat_wxyz_from_matrix
 from salver.planning.fastest.ends import AtPosture
-from salver.planning.fastest.exchange import ROUGH_ITERATIONS
 from salver.planning.fastest.found import FastestOptions, object_motion
 from salver.planning.fastest.optimum import few_pieces, refitted
 from salver.planning.fastest.planned import plan_problem
@@ -74,12 +73,11 @@ def _begins(
     it ends, which no rough optimum of all may have led to."""
     roughs: list[tuple[bool, float, list[SplineMotion]]] = []
     few, rng = few_pieces(options), np.random.default_rng(options.seed)
-    iterations = round(options.iterations * ROUGH_ITERATIONS)
     tried = chains(problems, rng)[: options.pairs]
     for chain in tried:
         each = [between(p, Ends(q[0], q[-1], 0.0, True)) for p, q in zip(problems, chain, strict=True)]
         begin = [Start("straight", q).motion(problem, few) for problem, q in zip(each, chain, strict=True)]
-        found, violation = together(each, begin, options.nodes_per_span, watch, iterations)
+        found, violation = together(each, begin, options.nodes_per_span, watch, options.most_roughly)
         roughs.append((violation >= NEARLY, sum(motion.duration for motion in found), found))
         watch.share = ROUGHS * len(roughs) / len(tried)
         if watch.over():

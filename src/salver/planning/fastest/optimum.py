@@ -11,7 +11,7 @@ from salver.errors import UnreachableError
 from salver.geometry import Array
 from salver.planning.fastest.blocked import why_unreached
 from salver.planning.fastest.curves import FreeCurve
-from salver.planning.fastest.exchange import ITERATIONS, SHORTEST, optimise
+from salver.planning.fastest.exchange import SHORTEST, optimise
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.objectives import Objective
 from salver.planning.fastest.problem import TransportProblem
@@ -77,9 +77,8 @@ def optimum(
 ) -> FastestMotion:
     """The optimum from a start that is near it, checked between the nodes. also: nodes beside the usual ones."""
     begun = time.perf_counter()
-    iterations = round(options.iterations * ITERATIONS)
     per_span = options.nodes_per_span
-    found = optimise(problem, FreeCurve, start, per_span, watch, damping, objective, iterations, also=also)
+    found = optimise(problem, FreeCurve, start, per_span, watch, damping, objective, options.most, also=also)
     wall, result = time.perf_counter() - begun, (found.coefficients, found.duration, found.status, found.worst)
     spent = wall, found.iterations
     return FastestMotion(found.problem, start.spline, *result, found.binding, *spent, found.margin, found.looked)

@@ -16,7 +16,7 @@ import numpy as np
 from salver.errors import Status
 from salver.planning.fastest.blocked import why_blocked, why_touching, why_unreached
 from salver.planning.fastest.curves import FreeCurve
-from salver.planning.fastest.exchange import ROUGH_GAIN, ROUGH_ITERATIONS, rough
+from salver.planning.fastest.exchange import ROUGH_GAIN, rough
 from salver.planning.fastest.found import FastestMotion, FastestOptions
 from salver.planning.fastest.optimum import DEGREE, NEAR, REFINED, few_pieces, optimum, refitted
 from salver.planning.fastest.problem import TransportProblem
@@ -37,9 +37,7 @@ from salver.planning.fastest.starts import (
 )
 from salver.planning.fastest.watch import WHY, Watch
 
-SPILLING = 0.7  # damping of the first step after pieces have been added, when liquids come in too,
 NEARLY = 1e-2  # violation of a rough optimum that more pieces may mend
-IN_VAIN = 6  # of them in turn that are not shorter than what was found: the others are left out,
 
 
 def fastest(
@@ -160,7 +158,7 @@ class _Search:
             roughs.append(self._rough(*begin, beat=beat))
             vain = vain + 1 if self._beat(roughs) == beat else 0
             self.watch.share = max(self.watch.share, min(1.0, done / steps))
-            if self.watch.over() or (vain >= IN_VAIN * self.options.starts and np.isfinite(beat)):
+            if self.watch.over() or (vain >= self.options.patience * self.options.starts and np.isfinite(beat)):
                 break
 
     def _beat(self, roughs: list[Rough]) -> float:
@@ -213,22 +211,18 @@ class _Search:
     def _rough(self, problem: TransportProblem, start: Start, beat: float = np.inf) -> Rough:
         """A first optimum with few spline pieces, from a comfortable duration."""
         self.watch.trying = start.name
-        begin, iterations = start.motion(problem, self._few), round(self.options.iterations * ROUGH_ITERATIONS)
-        found = rough(
-            problem, FreeCurve, begin, self.options.nodes_per_span, self.watch, iterations=iterations, beat=beat
-        )
+        begin, per_span, most = start.motion(problem, self._few), self.options.nodes_per_span, self.options.most_roughly
+        found = rough(problem, FreeCurve, begin, per_span, self.watch, iterations=most, beat=beat)
         self.iterations += found.iterations
         return problem, found
 
     def _refined(self, problem: TransportProblem, found: Iterate) -> FastestMotion:
         """The optimum with all pieces."""
         self.watch.trying = f"a motion of {found.duration:.3f} s, refined"
-        start, grid = (
-            refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans),
-            found.curve.grid,
-        )
+        grid = found.curve.grid
+        start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
         also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
-        best = optimum(problem, self.options, start, self.watch, SPILLING if problem.liquids else REFINED, also=also)
+        best = optimum(problem, self.options, start, self.watch, 0.7 if problem.liquids else REFINED, also=also)
         self.iterations += best.iterations
         return best
 

@@ -9,6 +9,7 @@ side is the shortest it alone can tell.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,51 +20,65 @@ from salver.planning.fastest.spline import min_jerk_blend
 from salver.planning.fastest.starts import ALONG, Ends, Start, straight
 from salver.planning.postures import PoseTarget, posture_at
 
-SIDES = 8  # directions across the way in which the tray is moved,
-STEP, FURTHEST = 0.05, 0.5  # m, by which, and at most
-TURN, TURNS = 0.25, 6  # rad by which an arm is turned about its tray, and how often
-NEARLY_FREE, DEEPEST = 0.02, 0.05  # m that a path should be in something at most, and may be if none is better
-COARSE = 4  # every so many of its postures are looked at first
-MIDDLE = (0.2, 0.8)  # share of the path in which it is moved most
-REACHED = 1e-6  # m and rad that a posture may miss
-JUMP = 0.8  # rad; a larger step is another branch
 UP = np.array([0.0, 0.0, 1.0])
-ITERATIONS = 15  # of a step's inverse kinematics
 
 
-def past(problem: TransportProblem, pair: Ends) -> list[Start]:
+@dataclass(frozen=True)
+class DetourOptions:
+    """Where paths past something are looked for.
+
+    sides: directions across the way in which the tray is moved; doubled, twice the work, and paths in between.
+    step, furthest: m, by which it is moved, and at most; with a doubled step gaps are missed, with half of `furthest`
+    ways over what is tall. turn, turns: rad by which an arm is turned about its tray, and how often to either side.
+    free, deepest: m that a path should be in something at most, and may be if none is better; what is deeper is seldom
+    mended by the optimiser.
+    """
+
+    sides: int = 8
+    step: float = 0.05
+    furthest: float = 0.5
+    turn: float = 0.25
+    turns: int = 6
+    free: float = 0.02
+    deepest: float = 0.05
+
+
+USUAL = DetourOptions()
+
+
+def past(problem: TransportProblem, pair: Ends, options: DetourOptions = USUAL) -> list[Start]:
     """Paths beside the straight one between a pair of ends, on each side the nearest that is nearly free."""
     keep_out = problem.keep_out
     if keep_out is None:
         return []
     u = np.linspace(0.0, 1.0, ALONG)
     line = straight(pair).path(u)
-    within = (u >= MIDDLE[0]) & (u <= MIDDLE[1])
-    k = int(np.argmin(np.where(within, keep_out.distances(line).min(axis=1), np.inf)))
+    middle = (u >= 0.2) & (u <= 0.8)  # nearer to an end a path would have to leave it sideways
+    k = int(np.argmin(np.where(middle, keep_out.distances(line).min(axis=1), np.inf)))
     one = np.where(u <= u[k], min_jerk_blend(u / u[k]), min_jerk_blend((1 - u) / (1 - u[k])))[:, None]
     found = []
-    for postures in _moved(problem, pair, line[k]):
-        depth, best = DEEPEST, None
+    for postures in _moved(problem, pair, line[k], options):
+        depth, best = options.deepest, None
         for q in postures:
             if np.any(q < problem.limits.q_min) or np.any(q > problem.limits.q_max):
                 break
-            if keep_out.depth(q[None]) > NEARLY_FREE:
+            if keep_out.depth(q[None]) > options.free:
                 continue
             for share in (one, one * (2 - one)):
                 path = line + share * (q - line[k])
-                deep = keep_out.depth(path[::COARSE])
+                deep = keep_out.depth(path[::4])
                 if deep < depth:
                     deep = keep_out.depth(path)
                 if deep < depth:
                     depth, best = deep, path
-            if depth < NEARLY_FREE:
+            if depth < options.free:
                 break
         if best is not None:
             found.append(Start("path past what is in the way", best))
     return found
 
 
-def _moved(problem: TransportProblem, pair: Ends, q: Array) -> Iterator[Iterator[Array]]:
+def _moved(problem: TransportProblem, pair: Ends, q: Array, options: DetourOptions) -> Iterator[Iterator[Array]]:
     """For each side: postures (n,) further and further to it from q."""
     arm = problem.arm
     (p_0, _), (p_1, _), (p_SE, R_SE) = (arm.tray_pose(posture) for posture in (pair.start, pair.goal, q))
@@ -76,14 +91,16 @@ def _moved(problem: TransportProblem, pair: Ends, q: Array) -> Iterator[Iterator
     over = np.cross(along, aside)
     over = over / np.linalg.norm(over) if np.linalg.norm(over) > 0 else UP
     R_level = exp([0.0, 0.0, np.arctan2(R_SE[1, 0], R_SE[0, 0])])
-    for angle in 2 * np.pi * np.arange(SIDES) / SIDES:
-        yield _shifted(problem, q, p_SE, np.cos(angle) * aside + np.sin(angle) * over, R_level)
+    for angle in 2 * np.pi * np.arange(options.sides) / options.sides:
+        yield _shifted(problem, q, p_SE, np.cos(angle) * aside + np.sin(angle) * over, R_level, options)
     if arm.n > 6:
-        yield from (_turned(problem, q, p_SE, R_level, sign) for sign in (1.0, -1.0))
+        yield from (_turned(problem, q, p_SE, R_level, sign, options) for sign in (1.0, -1.0))
 
 
-def _shifted(problem: TransportProblem, q: Array, p_SE: Array, direction: Array, R_SE: Array) -> Iterator[Array]:
-    for away in np.arange(STEP, FURTHEST + 1e-9, STEP):
+def _shifted(
+    problem: TransportProblem, q: Array, p_SE: Array, direction: Array, R_SE: Array, options: DetourOptions
+) -> Iterator[Array]:
+    for away in np.arange(options.step, options.furthest + 1e-9, options.step):
         new = _posture(problem, p_SE + away * direction, R_SE, q)
         if new is None:
             return
@@ -91,10 +108,12 @@ def _shifted(problem: TransportProblem, q: Array, p_SE: Array, direction: Array,
         q = new
 
 
-def _turned(problem: TransportProblem, q: Array, p_SE: Array, R_SE: Array, sign: float) -> Iterator[Array]:
+def _turned(
+    problem: TransportProblem, q: Array, p_SE: Array, R_SE: Array, sign: float, options: DetourOptions
+) -> Iterator[Array]:
     """With the tray where it is: by the freedom that is left."""
     new, last = _posture(problem, p_SE, R_SE, q), None
-    for _ in range(TURNS):
+    for _ in range(options.turns):
         if new is None:
             return
         free = np.linalg.svd(PoseTarget(p_SE, R_SE).residual(problem.arm, new)[1])[2][-1]
@@ -102,7 +121,7 @@ def _turned(problem: TransportProblem, q: Array, p_SE: Array, R_SE: Array, sign:
             free = sign * free * np.sign(free[np.argmax(np.abs(free))])
         elif free @ last < 0:
             free = -free
-        new, last = _posture(problem, p_SE, R_SE, new + TURN * free), free
+        new, last = _posture(problem, p_SE, R_SE, new + options.turn * free), free
         if new is not None:
             yield new
 
@@ -111,5 +130,5 @@ def _posture(problem: TransportProblem, p_SE: Array, R_SE: Array, q: Array) -> A
     """The posture (n,) near q with the tray at a pose, which way it points left open where the goal leaves it open."""
     yaw_free = isinstance(problem.goal, AtPose) and problem.goal.target.yaw_free
     target = PoseTarget(p_SE, R_SE, yaw_free=yaw_free)
-    new, missed = posture_at(problem.arm, target, q, limits=problem.limits, iterations=ITERATIONS)
-    return new if missed < REACHED and np.abs(new - q).max() < JUMP else None
+    new, missed = posture_at(problem.arm, target, q, limits=problem.limits, iterations=15)
+    return new if missed < 1e-6 and np.abs(new - q).max() < 0.8 else None  # rad; beyond is another branch

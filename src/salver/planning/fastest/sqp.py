@@ -20,25 +20,24 @@ from salver.planning.fastest.programme import Iterate, Programme
 from salver.planning.fastest.trust import Trust
 from salver.planning.fastest.watch import Watch
 
-KEPT = -0.3  # a row that has joined stays in until it is further away than this
-BENT = 2e-4  # violation of a trial, beyond the programme's own, that is worth a correction
-POOR, GOOD = 0.8, 0.3  # shares of what was hoped for: below, a correction is tried; above, a step is taken as it is
-LITTLE, IN_VAIN = 3.0, 6.0  # times what counts as none, that is hoped for at an end; where a step has led nowhere
-BELIEVED = 0.5  # share of what a path is said to become longer by: from afar it is said to be too much
-LEAST_RATIO = 0.01  # of what was hoped for that a step must bring
-FUTILE = 6  # iterations in turn of which none promises or reaches less violation, by ...
-LESS = 0.05  # ... this share, than one before did: another start is better
-NEARLY = 0.05  # violation from which a motion mostly becomes longer
-STRIDING = 0.15  # share of itself that a step at its longest promises: no telling yet how far it goes
-
 
 @dataclass(frozen=True)
 class SqpOptions:
-    """iterations: when to stop; watch: may stop sooner. gain: relative improvement that counts as none.
-    violation: largest violation of a margin-tightened row that counts as converged. penalty: first price of a unit of
-    violation, in the unit of the objective. least_damping: of the proximal term. mending: to end with the first step
-    that keeps all rows. poor: share of what was hoped for below which a correction is tried. beat: the search ends
-    where nothing below this is to be expected.
+    """How a local optimum is sought.
+
+    iterations: at most. watch: may end the search sooner.
+    gain: relative improvement that counts as none; doubled, a search ends with less work, up to twice as far from its
+    optimum.
+    violation: largest violation of a margin-tightened row that counts as converged; doubled, more is left to the rounds
+    of adding nodes.
+    penalty: first price of a unit of violation, in the unit of the objective; it is adapted at every step.
+    least_damping: of the proximal term. mending: to end with the first step that keeps all rows.
+    poor: share of the improvement that was hoped for below which a second-order correction is tried; doubled, at every
+    step. bent: violation of a trial, beyond the programme's own, that is worth one; doubled, there are fewer.
+    kept: a row that joined stays until it is further from its edge than this; doubled, programmes have more rows.
+    futile: iterations in turn that neither promise nor reach a violation lower by `less`, a share, after which the
+    start is given up; doubled, hopeless starts take longer.
+    beat: the search ends where nothing below this is to be expected.
     """
 
     iterations: int = 60
@@ -48,14 +47,20 @@ class SqpOptions:
     penalty: float = 20.0
     least_damping: float = 1e-5
     mending: bool = False
-    poor: float = POOR
+    poor: float = 0.8
+    bent: float = 2e-4
+    kept: float = 0.3
+    futile: int = 6
+    less: float = 0.05
     beat: float = np.inf
 
     def beaten(self, path: Iterate, hoped: float) -> bool:
         """Whether a path that nearly keeps its rows, and of which a step promises so much, will not come below."""
-        striding = hoped > STRIDING * abs(path.cost)
-        likely = max(hoped, BELIEVED * hoped)
-        return path.violation < NEARLY and not striding and path.cost - likely > self.beat
+        if path.violation >= 0.05:  # it mostly becomes longer, but how much is not known yet
+            return False
+        striding = hoped > 0.15 * abs(path.cost)  # a step at its longest: no telling yet how far it goes
+        likely = max(hoped, 0.5 * hoped)  # what it is said to become longer by is too much, from afar
+        return not striding and path.cost - likely > self.beat
 
 
 @dataclass(frozen=True)
@@ -117,14 +122,15 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
             code = "beaten"
             break
         # Far from every edge a programme promises too much: that what was reached gets less is progress as well.
-        nearer = path.violation < (1 - LESS) * lowest
-        futile = futile + 1 if attempt.slack > max(options.violation, (1 - LESS) * least) and not nearer else 0
+        nearer = path.violation < (1 - options.less) * lowest
+        stuck = attempt.slack > max(options.violation, (1 - options.less) * least) and not nearer
+        futile = futile + 1 if stuck else 0
         least, lowest = min(least, attempt.slack), min(lowest, path.violation)
         enough = options.gain * programme.objective.scale(path.point, path.cost)
         forced = tuple(mask | more for mask, more in zip(forced, attempt.unseen, strict=True))
-        if attempt.trial is not None and attempt.ratio > LEAST_RATIO:
+        if attempt.trial is not None and attempt.ratio > 0.01:
             before, path = path, attempt.trial
-            forced = tuple(mask & (b.values > KEPT) for mask, b in zip(forced, path.blocks, strict=True))
+            forced = tuple(mask & (b.values > -options.kept) for mask, b in zip(forced, path.blocks, strict=True))
             trust.accepted(attempt.ratio, attempt.share, _change(before, path))
             idle = idle + 1 if attempt.gained < enough else 0
             mended = options.mending
@@ -132,10 +138,10 @@ def minimise(programme: Programme, start: Iterate, options: SqpOptions, trust: T
             trust.rejected()
             idle += attempt.predicted < enough
             mended = False
-        little = (LITTLE if path is attempt.trial else IN_VAIN) * enough
+        little = (3.0 if path is attempt.trial else 6.0) * enough  # a step that led nowhere says less
         if path.violation <= options.violation and (mended or attempt.hoped < little):
             idle = 2
-        if futile >= FUTILE:
+        if futile >= options.futile:
             code = "stalled"
             break
         if idle >= 2 or trust.hopeless:
@@ -180,7 +186,7 @@ def _attempt(
     if (
         trial is not None
         and merit - trial.merit(trust.penalty) < options.poor * predicted
-        and trial.violation > max(BENT, 2 * slack)
+        and trial.violation > max(options.bent, 2 * slack)
     ):
         # Rows that were thought to be far away join, linearised where the others were.
         unseen = tuple(b.joining(m) for b, m in zip(trial.blocks, masks, strict=True))
@@ -211,7 +217,7 @@ def _along_arc(
     corrected = None if second is None else programme.moved(path, second[0])
     if second is not None and corrected is not None and corrected.merit(penalty) < trial.merit(penalty):
         trial, bend, power = corrected, second[0] - step, 3
-    if path.merit(penalty) - trial.merit(penalty) >= GOOD * predicted:
+    if path.merit(penalty) - trial.merit(penalty) >= 0.3 * predicted:
         return trial, 1.0
     left = max(trial.violation - max(path.violation, slack), 1e-12)
     best = (max(predicted, 0.0) / (power * penalty * left)) ** (1 / (power - 1))

@@ -20,22 +20,38 @@ from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
 from salver.planning.postures import postures_along
 
-ATTEMPTS, BATCHES = 120, 3  # random postures from which the ends are sought, no more than are needed,
-MORE_ATTEMPTS = 100  # and from which each of them is when more are wanted,
-STEPS = 25  # of the inverse kinematics: of those that arrive 97 % have by then,
-SAME = 1e-6  # rad; what differs by less is one,
-ENOUGH = 6  # until there are so many different ones in which nothing touches
-ROUNDABOUT = 1.5  # times what friction takes on the way to the first: a nearer one is sought,
-OTHERS = 6  # goal postures that are sought from a start posture that is given
-SLIDES, SLIDE = 12, 0.15  # steps, rad, by which an end posture that touches something is slid free,
-IN_VAIN = 4  # of which so many in turn may bring nothing
 APART = 0.3  # rad between pairs of ends that count as different,
-AT_LIMITS = 0.1  # s that a posture at the limit of a joint counts for
-TOO_NEAR = 3.0  # s/m, that it counts for to be nearer than 3 cm to something
-NEAR_BY, ALIKE = 0.03, 0.03  # m and share of the cost by which the arm stands and moves otherwise
-LEVER = 0.1  # m, at which the tray's heading counts
 ALONG = 31  # postures by which a path is looked at
 TOUCHES = 5e-3  # m; where something is touched by more than this
+
+
+@dataclass(frozen=True)
+class EndOptions:
+    """How end postures are sought.
+
+    attempts: random postures from which both are, in so many `batches`, no more than are needed. again: from which each
+    of them is when more are wanted, until so many as are `enough` are different and touch nothing. others: goal
+    postures that are sought from a start posture that is given. Doubled, each takes twice the time where postures that
+    touch nothing are rare, and finds more of them.
+    roundabout: times what friction takes on the way: a goal posture to which the joints take longer is followed by
+    others. at_limits: s that a posture at the limit of a joint counts for. too_near: s/m, that it counts for to be
+    nearer than 3 cm to something. Doubled, searches begin further from what limits them, with longer ways.
+    slides, slide: steps, and rad of each, by which an end posture that touches something is slid free.
+    """
+
+    attempts: int = 120
+    batches: int = 3
+    again: int = 100
+    enough: int = 6
+    others: int = 6
+    roundabout: float = 1.5
+    at_limits: float = 0.1
+    too_near: float = 3.0
+    slides: int = 12
+    slide: float = 0.15
+
+
+USUAL = EndOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +101,13 @@ class Start:
         return SplineMotion(spline, spline.fit(s, q), duration)
 
 
-def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False, few: int | None = None) -> list[Ends]:
+def ends(
+    problem: TransportProblem,
+    rng: np.random.Generator,
+    more: bool = False,
+    few: int | None = None,
+    options: EndOptions = USUAL,
+) -> list[Ends]:
     """Pairs of end postures, the most promising first; without any that touch something, unless there are no others.
 
     With the start posture given: its goal posture is the one nearest to it, then others, unless that one touches
@@ -95,40 +117,43 @@ def ends(problem: TransportProblem, rng: np.random.Generator, more: bool = False
     few: so many are enough. With the start posture given nothing random decides of the first.
     """
     given = problem.start_posture
-    found = _Found(problem)
+    found = _Found(problem, options)
     if given is None:
-        for attempt in range(0, ATTEMPTS, ATTEMPTS // BATCHES):
-            new = found.nearby(_sought(problem, rng, attempt), few)
+        for attempt in range(0, options.attempts, options.attempts // options.batches):
+            new = found.nearby(_sought(problem, rng, attempt, options), few)
             if not new or few is None or sum(pair.free for pair in found.pairs) >= few:
                 break
     else:
         coasting = np.zeros(problem.n)  # a moving start goes on for a while
         if isinstance(problem.start, AtPosture) and problem.start.moving:
             coasting = 0.5 * problem.start.rates[0] * braking_time(problem)
-        for attempt in range(OTHERS):
-            random, spread = guess(problem, rng, attempt), attempt / OTHERS
+        for attempt in range(options.others):
+            random, spread = guess(problem, rng, attempt), attempt / options.others
             found.add(
                 given,
                 problem.goal.nearest(problem.arm, problem.limits, (1 - spread) * (given + coasting) + spread * random),
             )
-            if few is not None and len(found.pairs) >= few and _fine(problem, found.pairs[0]):
+            if few is not None and len(found.pairs) >= few and _fine(problem, found.pairs[0], options):
                 break
     pairs = found.pairs
     if more or not any(pair.free for pair in pairs):
-        starts = _free_postures(problem, problem.start, [e.start for e in pairs], rng) if given is None else [given]
-        for goal in _free_postures(problem, problem.goal, [e.goal for e in pairs], rng):
+        if given is None:
+            starts = _free_postures(problem, problem.start, [e.start for e in pairs], rng, options)
+        else:
+            starts = [given]
+        for goal in _free_postures(problem, problem.goal, [e.goal for e in pairs], rng, options):
             for start in starts:
                 found.add(start, goal)
-    if given is None or not all(_fine(problem, pair) for pair in pairs[:1]):
+    if given is None or not all(_fine(problem, pair, options) for pair in pairs[:1]):
         pairs.sort(key=lambda pair: pair.cost)
     return [pair for pair in pairs if pair.free] or pairs
 
 
-def _fine(problem: TransportProblem, pair: Ends) -> bool:
+def _fine(problem: TransportProblem, pair: Ends, options: EndOptions) -> bool:
     """Whether nothing touches in either of two postures, and the joints do not take far longer from one to the other
     than friction takes: then they go a roundabout way, and another goal posture is nearer."""
     way = float(np.linalg.norm(np.subtract(*(problem.arm.tray_pose(q)[0] for q in (pair.start, pair.goal)))))
-    return pair.free and pair.cost < ROUNDABOUT * _by_contact(problem, way)
+    return pair.free and pair.cost < options.roundabout * _by_contact(problem, way)
 
 
 def guess(problem: TransportProblem, rng: np.random.Generator, attempt: int) -> Array:
@@ -138,25 +163,27 @@ def guess(problem: TransportProblem, rng: np.random.Generator, attempt: int) -> 
     return np.asarray(centre + (0.7 * half * rng.uniform(-1, 1, problem.n) if attempt else 0.0))
 
 
-def _sought(problem: TransportProblem, rng: np.random.Generator, first: int) -> list[tuple[float, Array, Array]]:
+def _sought(
+    problem: TransportProblem, rng: np.random.Generator, first: int, options: EndOptions
+) -> list[tuple[float, Array, Array]]:
     """Costs and pairs of postures, the goal's near the start's, the cheapest first: of those in which the arm stands
     and moves alike only the cheapest."""
     arm, limits = problem.arm, problem.limits
     found: list[tuple[float, Array, Array]] = []
     starts: list[Array] = []
-    for attempt in range(first, first + ATTEMPTS // BATCHES):
-        start = problem.start.nearest(arm, limits, guess(problem, rng, attempt), STEPS)
-        if start is None or any(np.abs(start - other).max() < SAME for other in starts):
+    for attempt in range(first, first + options.attempts // options.batches):
+        start = problem.start.nearest(arm, limits, guess(problem, rng, attempt), 25)  # of 97 %, by then
+        if start is None or any(np.abs(start - other).max() < 1e-6 for other in starts):
             continue
         starts.append(start)
         goal = problem.goal.nearest(arm, limits, start)
         if goal is not None:
-            found.append((_cost(problem, start, goal), start, goal))
+            found.append((_cost(problem, start, goal, options), start, goal))
     found.sort(key=lambda pair: pair[0])
     shapes = [np.stack([_shape(problem, q) for q in pair[1:]]) for pair in found]
     kept: list[int] = []
     for k, (cost, _, _) in enumerate(found):
-        alike = (cost < (1 + ALIKE) * found[j][0] and np.abs(shapes[k] - shapes[j]).max() < NEAR_BY for j in kept)
+        alike = (cost < 1.03 * found[j][0] and np.abs(shapes[k] - shapes[j]).max() < 0.03 for j in kept)
         if not any(alike):
             kept.append(k)
     return [found[k] for k in kept]
@@ -167,16 +194,16 @@ def _shape(problem: TransportProblem, q: Array) -> Array:
     is flipped over has the same."""
     arm = problem.arm
     heading = arm.tray_pose(q)[1][:, 0]
-    return np.array([*(placement.translation for placement in arm.data.oMi.tolist()[1:]), LEVER * heading])
+    return np.array([*(placement.translation for placement in arm.data.oMi.tolist()[1:]), 0.1 * heading])
 
 
-def _cost(problem: TransportProblem, start: Array, goal: Array) -> float:
+def _cost(problem: TransportProblem, start: Array, goal: Array, options: EndOptions) -> float:
     """About how long a motion between two postures takes, s; dearer near joint limits."""
     limits = problem.limits
     centre, half = limits.range(POSITION)
     half = np.where(np.isfinite(half), half, np.pi)
     near = float(np.max(np.abs((np.stack([start, goal]) - centre) / half)) ** 8)
-    return least_duration(limits, start, goal) + AT_LIMITS * near
+    return least_duration(limits, start, goal) + options.at_limits * near
 
 
 @dataclass(eq=False)
@@ -184,6 +211,7 @@ class _Found:
     """Pairs that were found so far."""
 
     problem: TransportProblem
+    options: EndOptions
     pairs: list[Ends] = field(default_factory=list)
 
     def nearby(self, sought: list[tuple[float, Array, Array]], few: int | None) -> bool:
@@ -193,56 +221,58 @@ class _Found:
         for cost, start, goal in sought:
             if few is not None and sum(pair.free and pair.cost <= cost for pair in self.pairs) >= few:
                 break
-            free = _slid_free(problem, problem.start, start)
+            free = _slid_free(problem, problem.start, start, self.options)
             self.add(free, goal if free is start else problem.goal.nearest(problem.arm, problem.limits, free))
         return len(self.pairs) > before
 
     def add(self, start: Array, goal: Array | None) -> None:
         """A pair, its goal slid free where it can be, unless one that hardly differs is there."""
         problem = self.problem
-        goal = None if goal is None else _slid_free(problem, problem.goal, goal)
+        goal = None if goal is None else _slid_free(problem, problem.goal, goal, self.options)
         if goal is None:
             return
         others = (_apart(problem, goal, e.goal) + _apart(problem, start, e.start) for e in self.pairs)
         if min(others, default=np.inf) <= APART:
             return
-        cost, free = _cost(problem, start, goal), True
+        cost, free = _cost(problem, start, goal, self.options), True
         if problem.keep_out is not None:
             distance = problem.keep_out.parts.clearance(np.stack([start, goal]))
             free = bool(distance.min() > APART_FROM_TOUCHING)
             near = float((distance - problem.keep_out.required).min())
-            cost += TOO_NEAR * max(0.0, 0.03 - near)
+            cost += self.options.too_near * max(0.0, 0.03 - near)
         self.pairs.append(Ends(start, goal, cost, free))
 
 
-def _free_postures(problem: TransportProblem, end: End, known: list[Array], rng: np.random.Generator) -> list[Array]:
+def _free_postures(
+    problem: TransportProblem, end: End, known: list[Array], rng: np.random.Generator, options: EndOptions = USUAL
+) -> list[Array]:
     """Different postures at an end in which nothing touches, those that are known first; as many as are enough."""
     limits = problem.limits
     low, high = np.maximum(limits.q_min, -np.pi), np.minimum(limits.q_max, np.pi)
     found: list[Array] = []
-    candidates = chain(known, (end.nearest(problem.arm, limits, rng.uniform(low, high)) for _ in range(MORE_ATTEMPTS)))
+    candidates = chain(known, (end.nearest(problem.arm, limits, rng.uniform(low, high)) for _ in range(options.again)))
     for q in candidates:
         if q is None or min((_apart(problem, q, other) for other in found), default=np.inf) <= APART:
             continue
         if problem.keep_out is None or problem.keep_out.parts.first_touch(q[None]) is None:
             found.append(q)
-        if len(found) >= ENOUGH:
+        if len(found) >= options.enough:
             break
     return found
 
 
-def _slid_free(problem: TransportProblem, end: End, q: Array) -> Array:
+def _slid_free(problem: TransportProblem, end: End, q: Array, options: EndOptions = USUAL) -> Array:
     """A posture in which nothing touches, slid to from one at an end by the freedom that the end leaves; as far as it
     came, when it did not come free."""
     keep_out, arm = problem.keep_out, problem.arm
     if keep_out is None:
         return q
     free, vain = -np.inf, 0
-    for _ in range(SLIDES):
+    for _ in range(options.slides):
         distance = keep_out.distances(q[None])[0] - ENOUGH_AT_ENDS
         vain = 0 if distance.min() > free else vain + 1
         free = max(free, float(distance.min()))
-        if free >= 0 or vain >= IN_VAIN:
+        if free >= 0 or vain >= 4:
             break
         near = np.flatnonzero(distance < 0)
         away = -distance[near] @ keep_out.gradient(q[None], np.zeros_like(near), near)
@@ -251,7 +281,7 @@ def _slid_free(problem: TransportProblem, end: End, q: Array) -> Array:
         size = float(np.abs(away).max())
         if size < 1e-6:
             break
-        slid = end.nearest(arm, problem.limits, q + SLIDE * away / size, 20)
+        slid = end.nearest(arm, problem.limits, q + options.slide * away / size, 20)
         if slid is None:
             break
         q = slid

@@ -18,7 +18,7 @@ from salver.planning.fastest.constraints import Block, Constraint, evaluate
 from salver.planning.fastest.curves import ORDERS, Grid, end_equalities, with_ends
 from salver.planning.fastest.ends import End
 from salver.planning.fastest.evaluation import MotionEvaluation
-from salver.planning.fastest.exchange import ROUGH_GAIN, ROUGH_ITERATIONS, SHORTEST
+from salver.planning.fastest.exchange import ROUGH_GAIN, SHORTEST
 from salver.planning.fastest.objectives import Point
 from salver.planning.fastest.problem import TransportProblem
 from salver.planning.fastest.programme import Iterate, Programme
@@ -175,7 +175,7 @@ def together(
     begin: Sequence[SplineMotion],
     nodes_per_span: int,
     watch: Watch,
-    iterations: int = ROUGH_ITERATIONS,
+    iterations: int = 25,
 ) -> tuple[list[SplineMotion], float]:
     """A first optimum of all legs, unchecked between nodes and without what liquids do, and its largest violation.
 
