@@ -12,10 +12,6 @@ from salver.simulation.outcome import liquid_room, surfaces
 from salver.simulation.scene import Scene
 from salver.simulation.trace import Recorder, Trace
 
-CALM = 2e-4  # m over the level; lower waves count as none
-STEEPEST = 0.1  # cosine of a container's tilt
-LOOKED = 0.1  # s of samples, after which they are looked at whether anybody asks or not
-
 
 class LiquidSurfaces:
     """What was seen of them lately. Part of a surface follows what its container feels, as a mean over some time: so it
@@ -27,7 +23,7 @@ class LiquidSurfaces:
         modes = [scene.loads[swing.load].modes for swing in scene.swings]
         self._late = max((max(1, round(0.5 / (m.following * period))) for m in modes), default=0)  # samples
         self._half_wave = max((np.pi / float(m.omega.min()) for m in modes), default=0.0)  # s, of the slowest
-        self._recorder = Recorder(scene, 2 * self._late + max(1, round(LOOKED / period)))
+        self._recorder = Recorder(scene, 2 * self._late + max(1, round(0.1 / period)))  # 0.1 s more of samples
         self.begin()
 
     def begin(self) -> None:
@@ -78,8 +74,9 @@ class LiquidSurfaces:
             )
             if over.any():
                 self._spilt.setdefault(k, float(t[np.argmax(over)]))
-            if (waves > CALM).any():
-                self._rough = float(t[waves > CALM][-1])
+            rough = waves > 2e-4  # m over the level
+            if rough.any():
+                self._rough = float(t[rough][-1])
             now = seen[[max(0, len(trace.t) - 1 - self._late)], k, :2]
             assert load.fill is not None
             self._shown[k] = DrawnSurface.of_heights(load.nominal, load.fill, now, self._spilt.get(k))
@@ -89,4 +86,4 @@ class LiquidSurfaces:
 def _level(trace: Trace, k: int) -> Array:
     """(N, 2) slopes of a level surface along x and y of object k, as long as that has not fallen over."""
     up_B = trace.R_XB[:, k, 2]
-    return np.asarray(-up_B[:, :2] / np.maximum(up_B[:, 2:], STEEPEST))
+    return np.asarray(-up_B[:, :2] / np.maximum(up_B[:, 2:], 0.1))

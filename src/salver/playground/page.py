@@ -11,15 +11,12 @@ from markupsafe import Markup
 from salver.files import versions
 from salver.reports.page import asset, fill, policy
 from salver.reports.replay import joint_poses, liquid, stage
-from salver.reports.style import rgb
+from salver.reports.style import BLUE, rgb
 
 if TYPE_CHECKING:
     from salver.playground.world import World
 
 OURS = "salver.playground"
-PATH_COLOUR = "#0072b2"
-REACH = 0.2  # m around the arm and the load, in the picture
-OBLIQUE = 0.6  # rad, of the camera off the direction in which the arm reaches
 
 
 def page(world: World) -> str:
@@ -49,7 +46,7 @@ def _scene(world: World) -> dict[str, Any]:
         "variants": [
             {
                 "key": "live",
-                "colour": rgb(PATH_COLOUR),
+                "colour": rgb(BLUE),
                 "t": [0.0],
                 "joints": "",
                 "tray": "",
@@ -63,8 +60,8 @@ def _scene(world: World) -> dict[str, Any]:
                 "path": [base.tolist(), base.tolist()],
             }
         ],
-        "bounds": [(corners.min(axis=0) - [REACH, REACH, 0]).tolist(), (corners.max(axis=0) + REACH).tolist()],
+        "bounds": [(corners.min(axis=0) - [0.2, 0.2, 0]).tolist(), (corners.max(axis=0) + 0.2).tolist()],
         "floor": float(base[2]) if world.scenario.floor is None else world.scenario.floor,
-        "azimuth": float(np.arctan2(out[1], out[0])) + OBLIQUE,
+        "azimuth": float(np.arctan2(out[1], out[0])) + 0.6,  # rad off the way in which the arm reaches
         "first": first,
     }

@@ -26,17 +26,16 @@ from salver.simulation.scene import Scene
 from salver.simulation.trace import Recorder
 from salver.trajectory import JointMotion
 
-AT_REST = 1e-2  # rad/s, rad/s^2
-LONGEST = 120.0  # s of one recording
-
 
 class SessionRecording:
     """Samples of one session; begun and ended at rest."""
 
+    longest = 120.0  # s
+
     def __init__(self, scenario: Scenario, parameters: Mapping[str, float], scene: Scene, since: float) -> None:
         self.scenario, self.parameters, self.scene, self.since = scenario, dict(parameters), scene, since
         self.every = max(1, round(1 / (RECORD_RATE * scenario.physics.command_period)))
-        room = int(LONGEST / (self.every * scenario.physics.command_period)) + 1
+        room = int(self.longest / (self.every * scenario.physics.command_period)) + 1
         self._recorder = Recorder(scene, room)
         self._wanted = np.empty((3, room, scene.n))
         self._due = 0
@@ -53,7 +52,7 @@ class SessionRecording:
     def rests(self) -> bool:
         """Whether what was commanded last is to rest."""
         last = self._recorder.count - 1
-        return last >= 0 and bool(np.abs(self._wanted[1:, last]).max() < AT_REST)
+        return last >= 0 and bool(np.abs(self._wanted[1:, last]).max() < 1e-2)  # rad/s, rad/s^2
 
     def due(self) -> bool:
         """Whether this period is one that is kept; asked once in each."""

@@ -20,11 +20,6 @@ from salver.playground.page import page
 from salver.playground.world import World
 
 HOST = "127.0.0.1"
-FRAMES = 30.0  # a second
-BATCH = 2e-3  # s that the loop sleeps between looks at the clock
-BEHIND = 0.05  # s behind the clock, from where on the world's clock is slowed instead of caught up
-LARGEST = 10_000  # bytes of a message
-PACE = 1.0  # s over which the pace is told
 
 
 class Playground:
@@ -88,26 +83,27 @@ class Playground:
         """The world, as fast as the clock; slower where the machine does not keep up, and it says so."""
         world, offset = self.world, time.perf_counter()
         due, marks = 0.0, [(time.perf_counter(), world.t)]
+        behind = 0.05  # s behind the clock, from where on the world's clock is slowed instead of caught up
         while not self._closing.is_set():
             try:
                 now = time.perf_counter()
-                if now - offset - world.t > BEHIND:
-                    offset = now - world.t - BEHIND
+                if now - offset - world.t > behind:
+                    offset = now - world.t - behind
                 while world.t <= now - offset:
                     world.advance()
-                    if time.perf_counter() - now > BEHIND:
+                    if time.perf_counter() - now > behind:
                         break
                 if now >= due:
-                    due = now + 1 / FRAMES
-                    marks = [mark for mark in marks if now - mark[0] < PACE] + [(now, world.t)]
+                    due = now + 1 / 30
+                    marks = [mark for mark in marks if now - mark[0] < 1.0] + [(now, world.t)]
                     spent = now - marks[0][0]
-                    self.pace = (world.t - marks[0][1]) / spent if spent > 0.2 * PACE else self.pace
+                    self.pace = (world.t - marks[0][1]) / spent if spent > 0.2 else self.pace
                     self._show()
             except SalverError as error:
                 world.note = str(error)
                 self._show()
                 return
-            time.sleep(BATCH)
+            time.sleep(2e-3)
 
     def _show(self) -> None:
         frame = {**self.world.frame(), "pace": round(self.pace, 3), "planner": self._worker.alive}
@@ -141,7 +137,7 @@ class _Handler(BaseHTTPRequestHandler):
             length = int(self.headers.get("Content-Length", ""))
         except ValueError:
             length = -1
-        if not 0 <= length <= LARGEST:
+        if not 0 <= length <= 10_000:
             return self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         try:
             message = json.loads(self.rfile.read(length))

@@ -6,24 +6,35 @@ velocities and accelerations. The tray is kept level.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from salver.geometry import Array
 from salver.models.arm import ArmModel
 
-RESPONSE = 0.02  # s in which a velocity is taken up, where accelerations allow
-DAMPING = 1e-2
-LEVELLING = 10.0  # 1/s
-APPROACH = 8.0  # m/s^2 by which it brakes towards a goal
-FASTEST = 2.0  # m/s towards a goal
-ROOM = 0.02  # rad before a joint's end
+
+@dataclass(frozen=True)
+class Jogging:
+    """How a hand without protection moves the arm.
+
+    response: s in which a velocity is taken up, where accelerations allow. damping: of the pseudo-inverse. levelling:
+    1/s. approach, fastest: m/s^2 by which it brakes towards a goal, m/s towards it. room: rad before a joint's end.
+    """
+
+    response: float = 0.02
+    damping: float = 1e-2
+    levelling: float = 10.0
+    approach: float = 8.0
+    fastest: float = 2.0
+    room: float = 0.02
 
 
 class Unprotected:
     """From a state q, dq (n,); `step` moves it on."""
 
-    def __init__(self, arm: ArmModel, q: Array, dq: Array) -> None:
-        self._arm = arm
+    def __init__(self, arm: ArmModel, q: Array, dq: Array, jogging: Jogging | None = None) -> None:
+        self._arm, self._jogging = arm, jogging or Jogging()
         self.q, self.dq, self.ddq = q.copy(), dq.copy(), np.zeros_like(q)
 
     def towards(self, p_SE: Array) -> Array:
@@ -32,23 +43,24 @@ class Unprotected:
         distance = float(np.linalg.norm(away))
         if distance < 1e-6:
             return np.zeros(3)
-        speed = min(FASTEST, np.sqrt(2 * APPROACH * distance), distance / (2 * RESPONSE))
+        how = self._jogging
+        speed = min(how.fastest, np.sqrt(2 * how.approach * distance), distance / (2 * how.response))
         return np.asarray(away * (speed / distance))
 
     def step(self, v_S: Array, omega_S: Array, dt: float) -> None:
         """dt, s, on, with the tray at v_S, m/s, and turning at omega_S, rad/s, as far as the arm can."""
-        arm, limits = self._arm, self._arm.limits
+        arm, limits, how = self._arm, self._arm.limits, self._jogging
         _, R_SE = arm.tray_pose(self.q)
         jacobian = arm.body_jacobian(self.q)
-        level_E = LEVELLING * np.cross([0.0, 0.0, 1.0], R_SE[2])  # R_SE[2]: the vertical, in E
+        level_E = how.levelling * np.cross([0.0, 0.0, 1.0], R_SE[2])  # R_SE[2]: the vertical, in E
         twist_E = np.concatenate([R_SE.T @ v_S, R_SE.T @ omega_S + level_E])
-        dq = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + DAMPING**2 * np.eye(6), twist_E)
+        dq = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + how.damping**2 * np.eye(6), twist_E)
         dq = dq / max(1.0, float((np.abs(dq) / limits.velocity).max()))
         # So fast at most that it can still brake before a joint's end.
         most = np.where(np.isfinite(limits.acceleration), limits.acceleration, 1e3)
-        up = np.sqrt(2 * most * np.maximum(limits.q_max - ROOM - self.q, 0.0))
-        down = np.sqrt(2 * most * np.maximum(self.q - limits.q_min - ROOM, 0.0))
+        up = np.sqrt(2 * most * np.maximum(limits.q_max - how.room - self.q, 0.0))
+        down = np.sqrt(2 * most * np.maximum(self.q - limits.q_min - how.room, 0.0))
         dq = np.clip(dq, -down, up)
-        self.ddq = np.clip((dq - self.dq) / RESPONSE, -most, most)
+        self.ddq = np.clip((dq - self.dq) / how.response, -most, most)
         self.q = self.q + dt * self.dq + 0.5 * dt**2 * self.ddq
         self.dq = self.dq + dt * self.ddq

@@ -19,23 +19,14 @@ from salver.geometry import Array, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.live import Live, LiveCourse
 from salver.live.wishes import numbers
 from salver.models.arm import load_arm
-from salver.playground.ball import Ball
+from salver.playground.ball import Ball, Throw, furnish
 from salver.playground.liquids import LiquidSurfaces
-from salver.playground.recording import LONGEST, SessionRecording
-from salver.playground.surroundings import RADIUS, furnish
+from salver.playground.recording import SessionRecording
 from salver.playground.unprotected import Unprotected
 from salver.scenario import Scenario
 from salver.simulation.engine import mujoco
 from salver.simulation.loads import true_world
 from salver.simulation.scene import build
-
-FALLEN = float(np.deg2rad(10.0))  # rad out of its resting orientation
-GONE = 5e-3  # m from its place, from where on a load is not where a plan takes it to be
-SILENCE = 0.1  # s after a twist at which an unprotected hand counts no more
-ENOUGH = 5.0  # s in which any motion comes to rest
-SETTLING = 50  # periods after which what was put down bears its weight
-STILL = 1e-3  # rad/s; an arm that is slower rests
-PATH_POINTS = 40  # of what is committed, as it is drawn
 
 
 class World:
@@ -53,16 +44,16 @@ class World:
 
         Raises ScenarioError when there is no arm, or the load is not safe at rest where the motion begins.
         """
-        self.scenario, self.live = scenario, Live(scenario, lead=lead)
+        self.scenario, self.live, throw = scenario, Live(scenario, lead=lead), Throw()
         assert scenario.arm is not None  # a live motion has one
         self.arm = load_arm(scenario.arm, scenario.tray)
         self.scene = build(
-            scenario, true_world(scenario, parameters), self.arm, also=lambda spec: furnish(spec, self.arm)
+            scenario, true_world(scenario, parameters), self.arm, also=lambda spec: furnish(spec, self.arm, throw)
         )
         self.period = scenario.physics.command_period
         self._steps = round(self.period / scenario.physics.timestep)
         self._data = mujoco.MjData(self.scene.model)
-        self.ball = Ball(self.scene.model, self.arm, scenario.payload)
+        self.ball = Ball(self.scene.model, self.arm, scenario.payload, throw)
         self.liquids = LiquidSurfaces(self.scene, self.period)
         self._lock = threading.RLock()
         self._course = LiveCourse(self.live)
@@ -96,7 +87,7 @@ class World:
 
     def _moved_freely(self, free: Unprotected) -> None:
         heard, v, omega = self._hand
-        if self.t - heard > SILENCE:
+        if self.t - heard > 0.1:  # s of silence after a twist
             v = omega = np.zeros(3)
             if self._goal is not None:
                 first = self.scenario.payload.bodies[0]
@@ -190,7 +181,7 @@ class World:
             self.live.stop("it is steered without protection", source="monitor")
             return Status("accepted", "Without protection.", True)
         assert self._free is not None
-        if np.abs(self._free.dq).max() > STILL:
+        if not self._resting:
             return Status("refused", "The arm moves; press stop first.", False)
         if any(self._displaced()):
             return Status("refused", "The load is not where it stood; begin again.", False)
@@ -206,7 +197,7 @@ class World:
     @property
     def _resting(self) -> bool:
         if self._free is not None:
-            return bool(np.abs(self._free.dq).max() < STILL)
+            return bool(np.abs(self._free.dq).max() < 1e-3)  # rad/s
         return self.live.committed.at_rest or self.live.now >= self.live.committed.ends
 
     def _record(self, wanted: bool) -> Status:
@@ -226,8 +217,8 @@ class World:
         return status if stopped or not self.protected else self.live.resume()  # it only has to come to rest
 
     def _watch(self, recording: SessionRecording) -> None:
-        """A recording that is to end, does so at rest; one that is too long is to end."""
-        if recording.seconds > LONGEST - ENOUGH and not self._ending:
+        """A recording that is to end, does so at rest; one that is too long is to end, 5 s before it is full."""
+        if recording.seconds > recording.longest - 5.0 and not self._ending:
             self._record(False)
         if (self._ending and recording.rests) or recording.full:
             self._recording = None
@@ -261,7 +252,7 @@ class World:
         self._data.qacc_warmstart[:] = 0
         self._controller.reset()
         self._course.instant(self.t)
-        for _ in range(SETTLING):
+        for _ in range(50):  # until it bears its weight
             self.advance()
         self._rest = self._on_tray()
 
@@ -285,7 +276,9 @@ class World:
             off = p[k, 2] < 0 or bool(np.any(np.abs(p[k, :2]) > half))
             slid = float(np.linalg.norm((p[k] - p0[k])[:2]))
             spilt = "spilt" if self.liquids.spilt(k) else ""
-            words.append("lost" if off else "fallen" if tip > FALLEN else spilt or ("slid" if slid > GONE else ""))
+            words.append(
+                "lost" if off else "fallen" if tip > np.deg2rad(10.0) else spilt or ("slid" if slid > 5e-3 else "")
+            )
         return words
 
     def friction_used(self) -> list[float]:
@@ -327,7 +320,11 @@ class World:
             used = self.friction_used()
             self.measure()
             live = (state.stopped, state.passing, state.refused) if self.protected else ()
-            ball = [{"p": np.round(self.ball.state(data)[0], 4).tolist(), "r": RADIUS}] if self.ball.flies else []
+            ball = (
+                [{"p": np.round(self.ball.state(data)[0], 4).tolist(), "r": self.ball.radius}]
+                if self.ball.flies
+                else []
+            )
             return {
                 "t": round(self.t, 3),
                 "joints": np.round(joint_poses(q[None], self.arm)[0], 5).ravel().tolist(),
@@ -358,5 +355,5 @@ class World:
         committed, now = self.live.committed, self.live.now
         if not self.protected or now >= committed.ends:
             return []
-        t = np.linspace(max(now - committed.begins, 0.0), committed.motion.duration, PATH_POINTS)
+        t = np.linspace(max(now - committed.begins, 0.0), committed.motion.duration, 40)
         return [np.round(self.arm.tray_pose(q)[0], 4).tolist() for q in committed.motion.sample(t)[0]]
