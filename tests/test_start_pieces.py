@@ -186,29 +186,6 @@ def test_the_tray_is_moved_across_its_way_to_eight_sides_step_by_step(behind_a_p
         assert all(arm.tray_pose(x)[1][2, 2] > 1 - 1e-6 for x in postures)
 
 
-def test_an_arm_with_a_joint_to_spare_is_turned_about_its_tray_to_both_sides(behind_a_post, pair, monkeypatch) -> None:
-    """Whatever sign a singular vector comes with."""
-    svd, calls = np.linalg.svd, []
-
-    def either(matrix: Array) -> Any:
-        calls.append(matrix)
-        u, sizes, vectors = svd(matrix)
-        return u, sizes, vectors * (-1) ** len(calls)
-
-    monkeypatch.setattr(np.linalg, "svd", either)
-    q, _, found = moved(behind_a_post, pair)
-    arm, (p, _) = behind_a_post.arm, behind_a_post.arm.tray_pose(q)
-    ways = [np.array(postures) for postures in found[PAST.sides :]]
-    assert len(ways) == 2
-    for way in ways:
-        assert len(way) >= 2
-        assert np.abs(np.array([arm.tray_pose(x)[0] for x in way]) - p).max() < 1e-5
-        steps = np.diff(way, axis=0)
-        assert np.all(np.linalg.norm(steps[:3], axis=1) > 0.5 * PAST.turn)  # less only at a joint's limit
-        assert np.all(np.sum(steps[1:] * steps[:-1], axis=1) > 0)  # it does not turn back
-    assert (ways[0][0] - q) @ (ways[1][0] - q) < 0
-
-
 def test_a_path_past_something_is_moved_as_far_as_was_looked_and_no_further(behind_a_post, pair) -> None:
     """Beside the straight one by what was found there, wherever that is the most."""
     arm, u = behind_a_post.arm, np.linspace(0, 1, 61)

@@ -1,9 +1,8 @@
 """Past what stands in the way, on every side: paths whose middle is moved off the straight one.
 
 Where the straight path is deepest in something, the tray is moved across its way, further and further, in each of eight
-directions, level; an arm with a joint to spare is turned about its tray too, to either side. The rest of the path
-follows the less, the further away. What comes of it nearly touches nothing; the optimiser does the rest, and which
-side is the shortest it alone can tell.
+directions, level. The rest of the path follows the less, the further away. What comes of it nearly touches nothing; the
+optimiser does the rest, and which side is the shortest it alone can tell.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ class DetourOptions:
 
     sides: directions across the way in which the tray is moved; doubled, twice the work, and paths in between.
     step, furthest: m, by which it is moved, and at most; with a doubled step gaps are missed, with half of `furthest`
-    ways over what is tall. turn, turns: rad by which an arm is turned about its tray, and how often to either side.
+    ways over what is tall.
     free, deepest: m that a path should be in something at most, and may be if none is better; what is deeper is seldom
     mended by the optimiser.
     """
@@ -37,8 +36,6 @@ class DetourOptions:
     sides: int = 8
     step: float = 0.05
     furthest: float = 0.5
-    turn: float = 0.25
-    turns: int = 6
     free: float = 0.02
     deepest: float = 0.05
 
@@ -93,8 +90,6 @@ def _moved(problem: TransportProblem, pair: Ends, q: Array, options: DetourOptio
     R_level = exp([0.0, 0.0, np.arctan2(R_SE[1, 0], R_SE[0, 0])])
     for angle in 2 * np.pi * np.arange(options.sides) / options.sides:
         yield _shifted(problem, q, p_SE, np.cos(angle) * aside + np.sin(angle) * over, R_level, options)
-    if arm.n > 6:
-        yield from (_turned(problem, q, p_SE, R_level, sign, options) for sign in (1.0, -1.0))
 
 
 def _shifted(
@@ -106,24 +101,6 @@ def _shifted(
             return
         yield new
         q = new
-
-
-def _turned(
-    problem: TransportProblem, q: Array, p_SE: Array, R_SE: Array, sign: float, options: DetourOptions
-) -> Iterator[Array]:
-    """With the tray where it is: by the freedom that is left."""
-    new, last = _posture(problem, p_SE, R_SE, q), None
-    for _ in range(options.turns):
-        if new is None:
-            return
-        free = np.linalg.svd(PoseTarget(p_SE, R_SE).residual(problem.arm, new)[1])[2][-1]
-        if last is None:
-            free = sign * free * np.sign(free[np.argmax(np.abs(free))])
-        elif free @ last < 0:
-            free = -free
-        new, last = _posture(problem, p_SE, R_SE, new + options.turn * free), free
-        if new is not None:
-            yield new
 
 
 def _posture(problem: TransportProblem, p_SE: Array, R_SE: Array, q: Array) -> Array | None:
