@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import salver as sv
 from run_files import rewrite
 from salver import scenario as scenarios
+from salver.auditing import audit_legs
 from salver.campaigns import run_campaign
 from salver.campaigns.definition import instant_of_run
 from salver.campaigns.engine import TABLE
@@ -24,7 +25,8 @@ from salver.export.motion import read_motion
 from salver.files import load_npz
 from salver.geometry import log, matrix_from_quat_wxyz, quat_wxyz_from_matrix
 from salver.models.arm import load_arm
-from salver.motion_files import read
+from salver.motion_files import JointSamples, read
+from salver.motion_files.samples import cut_at_rests
 from salver.planning.fastest import transport_problem
 from salver.planning.fastest.curves import FreeCurve, Grid
 from salver.planning.fastest.exchange import SHORTEST
@@ -360,6 +362,36 @@ def test_a_file_of_all_legs_has_each_at_its_time_with_the_arm_at_rest_between(pl
     assert again.t[-1] == pytest.approx(planned.duration + 5.0, abs=1e-8)
     with pytest.raises(SalverError, match="must be from 0 to 3600 s"):
         read_motion(directory, pause=-1.0)
+
+
+def test_an_audit_cuts_a_file_of_all_legs_at_its_rest_and_knows_what_is_taken_there(planned, directory, tmp_path):
+    (path,) = write_export(directory, "csv", tmp_path / "all.csv", pause=0.8)
+    first, second = audit_legs(path, planned.scenario)
+    assert [len(one.scenario.payload.bodies) for one in (first, second)] == [4, 3]
+    for one, leg in ((first, planned.legs[0]), (second, planned.legs[1])):
+        assert one.ok, one.worst
+        assert one.motion.samples.t[-1] == pytest.approx(leg.duration + 0.4, abs=0.03)
+        least = min(m.exact_worst.min() for m in leg.margins.interfaces)
+        assert min(m.exact_worst.min() for m in one.margins.interfaces) == pytest.approx(least, abs=3e-3)
+    (alone,) = write_export(directory, "csv", tmp_path / "leg1.csv", stem="leg1")
+    with pytest.raises(FileFormatError, match=r"rests 0 times on its way.*2 legs need 1\."):
+        audit_legs(alone, planned.scenario)
+
+
+def test_a_motion_is_cut_in_the_middle_of_its_longest_rests():
+    t = np.arange(0.0, 10.0, 0.01)
+    moves = ((t > 1) & (t < 2)) | ((t > 4) & (t < 5)) | ((t > 5.2) & (t < 6)) | ((t > 8) & (t < 9))
+    q = np.cumsum(np.where(moves, 0.003, 0.0))[:, None] * [1.0, -2.0]
+    samples = JointSamples(t, ("a", "b"), q, None, None, "mine.csv")
+    parts = cut_at_rests(samples, 3)
+    assert [part.t[0] for part in parts] == [0.0] * 3
+    assert [part.t[-1] for part in parts] == pytest.approx([3.0, 4.0, 2.99], abs=0.02)
+    begins = len(parts[0].t) - 1
+    np.testing.assert_array_equal(parts[1].q, q[begins : begins + len(parts[1].t)])
+    np.testing.assert_allclose(np.ptp(parts[1].q, axis=0), [0.003 * 178, 0.006 * 178], atol=0.013)
+    assert len(cut_at_rests(samples, 4)) == 4
+    with pytest.raises(FileFormatError, match=r"mine\.csv rests 3 times on its way.*5 legs need 4\."):
+        cut_at_rests(samples, 5)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from salver.errors import FileFormatError, SalverError, ScenarioError
 from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.motion_files import JointSamples, Samples, read_path
+from salver.motion_files.samples import AT_REST
 from salver.motion_files.verdict import SPEED, UNSAFE, one_line
 from salver.planning.plan import Plan, load_plan
 from salver.run_directory import SCENARIO
@@ -30,7 +31,6 @@ MOST_WAYPOINTS = 1_000_000
 FASTEST, SLOWEST = 0.05, 20.0  # of the time
 _STEP = 1.02  # between paces that are tried, from the one at which the margin is 0
 _TRIES = 40
-_AT_REST = 0.02  # m/s
 _APART = 1e-6  # s
 
 
@@ -149,7 +149,7 @@ def simulate_given(
     kept = np.diff(motion.t, prepend=-np.inf) > _APART
     motion = MotionSamples(*(getattr(motion, field.name)[kept] for field in fields(motion)))
     speed = float(np.linalg.norm(motion.v_S[0]))
-    if speed > _AT_REST:
+    if speed > AT_REST:
         raise SalverError(
             f"{samples.source} begins at {speed:.2g} m/s; a run in the engine begins at rest, so the motion must."
         )

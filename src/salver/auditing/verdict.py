@@ -26,6 +26,7 @@ from salver.files import provenance
 from salver.geometry import Array, Indices, invert
 from salver.models.tray_motion import at_rest, motion_vector
 from salver.motion_files import JointSamples, Samples, of_columns, read
+from salver.motion_files.samples import cut_at_rests
 from salver.scenario import Scenario
 from salver.sensitivity.spills import Liquids, Spill
 from salver.tables import Table, Tabular
@@ -336,6 +337,17 @@ def audit(
     topic: of a bag. Raises SalverError, one sentence for each mistake.
     """
     return audit_samples(read_for(scenario, path, topic), scenario, options)
+
+
+def audit_legs(
+    path: str | Path | Mapping[str, Any],
+    scenario: Scenario,
+    topic: str | None = None,
+    options: AuditOptions = DEFAULT,
+) -> tuple[Audit, ...]:
+    """`audit` of a motion of several legs, which rests between them: each leg with what is then on the tray."""
+    parts = cut_at_rests(read_for(scenario, path, topic), len(scenario.legs))
+    return tuple(audit_samples(part, leg, options) for part, leg in zip(parts, scenario.each_leg, strict=True))
 
 
 def read_for(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salver.cli.common import NO_SAFE_PLAN, Json, print_json, result_console
-from salver.wording import millimetres
+from salver.wording import listed, millimetres
 
 if TYPE_CHECKING:
     from salver.auditing import Audit
@@ -51,15 +51,29 @@ def audit(
     Exit code 0: everything holds in the worst case of the scenario's uncertain parameters, for every motion that the
     samples allow; 3: it does not, or the samples cannot tell; 2: wrong use.
 
+    A motion of several legs is cut at its longest rests, and each leg judged with what is then on the tray.
+
     CSV columns: t (s), then x, y, z (m), qw, qx, qy, qz of the tray, or the arm's joint names or q1 ... qn (rad).
 
     Example: `salver audit motion.csv --scenario panda-cube`
     """
     from salver import scenario as model
-    from salver.auditing import AuditOptions
+    from salver.auditing import AuditOptions, audit_legs
     from salver.auditing import audit as run
 
-    result = run(trajectory, model.load(scenario), topic, AuditOptions(highest, noise, gap))
+    case, options_given = model.load(scenario), AuditOptions(highest, noise, gap)
+    if case.legs:
+        legs = audit_legs(trajectory, case, topic, options_given)
+        if json:
+            print_json({"legs": [leg.summary() for leg in legs]})
+        for number, leg in enumerate(legs, 1):
+            if not json:
+                result_console().print(f"Leg {number}, with {listed([item.name for item in leg.scenario.objects])}:")
+                _show(leg)
+        if not all(leg.ok for leg in legs):
+            raise typer.Exit(NO_SAFE_PLAN)
+        return
+    result = run(trajectory, case, topic, options_given)
     if json:
         print_json(result.summary())
     else:
@@ -74,8 +88,8 @@ def _needed(friction: float) -> str:
     return f"{friction:.3f}" if friction < float("inf") else "(none suffices)"
 
 
-def _show(result: Audit, given: str, options: str) -> None:
-    """given, options: what a command is told to take the same motion in the same way."""
+def _show(result: Audit, given: str = "", options: str = "") -> None:
+    """given, options: what a command is told to take the same motion in the same way, where one can."""
     out = result_console()
     motion, margins = result.motion, result.margins
     lines = [
@@ -101,9 +115,10 @@ def _show(result: Audit, given: str, options: str) -> None:
         lines.append(f"Speeds, {case}: {speeds.sentence}")
         lines.append(f"Pace, {case}: {_pace_words(speeds.pace)}")
     factor = result.speeds_worst.pace.details["factor"]
-    if factor is not None and abs(factor - 1) > 5e-3:
+    if given and factor is not None and abs(factor - 1) > 5e-3:
         lines.append(f"Written so that it holds, in the same format: salver retime {given} --pace least{options}")
-    lines.append(f"As a page, with a replay: salver report {given}{options}")
+    if given:
+        lines.append(f"As a page, with a replay: salver report {given}{options}")
     for line in lines:
         out.print(line)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from salver.geometry import Array
 
 FEWEST = 8  # samples of a recording: below that no acceleration can be told from noise
 SHORTEST_STEP = 1e-5  # s
+AT_REST = 0.02  # m/s, rad/s: below that a motion rests between two legs
 
 
 @dataclass(frozen=True, repr=False)
@@ -65,6 +67,28 @@ class JointSamples(Outlined):
 
 
 Samples = TraySamples | JointSamples
+
+
+def cut_at_rests(samples: Samples, count: int) -> list[Samples]:
+    """The motion in `count` parts, each from rest to rest, cut in the middle of its longest rests.
+
+    Raises FileFormatError when it rests less often on its way.
+    """
+    t = samples.t
+    x = samples.q if isinstance(samples, JointSamples) else np.hstack([samples.p, samples.quat_wxyz])
+    still = np.abs(np.diff(x, axis=0)).max(axis=1) < AT_REST * np.diff(t)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
+    rests = [(t[b] - t[a], a, b) for a, b in edges.reshape(-1, 2) if a > 0 and b < len(t) - 1]
+    if len(rests) < count - 1:
+        raise FileFormatError(
+            f"{samples.source} rests {len(rests)} times on its way, below {AT_REST:g} m/s or rad/s from sample to "
+            f"sample; {count} legs need {count - 1}."
+        )
+    cuts = [0, *sorted((a + b) // 2 for _, a, b in sorted(rests)[len(rests) - count + 1 :]), len(t) - 1]
+    each = [slice(a, b + 1) for a, b in pairwise(cuts)]
+    arrays = {name: value for name, value in vars(samples).items() if isinstance(value, np.ndarray)}
+    parts = [{name: value[some] for name, value in arrays.items()} for some in each]
+    return [replace(samples, **{**part, "t": part["t"] - part["t"][0]}) for part in parts]
 
 
 def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) -> TraySamples:
