@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from salver.models.arm import ArmModel
 
 UNCHECKED = "Not checked: whether an arm can follow the motion, and whether anything collides."
-INSTANTS = 4001  # of the motion that is drawn
 HEADLINES = {
     "holds": ("good", "Everything stays where it is, whatever is carried within its ranges"),
     "cannot_tell": ("warning", "It cannot be told whether everything stays"),
@@ -179,7 +178,7 @@ def _run(audit: Audit) -> tuple[ReportedRun, ArmModel | None]:
     scenario = audit.scenario
     first = scenario.payload.first
     samples = audit.motion.samples.of_frame(first.p_EB, first.R_EB)
-    keep = np.unique(np.linspace(0, len(samples.t) - 1, min(len(samples.t), INSTANTS)).astype(int))
+    keep = np.unique(np.linspace(0, len(samples.t) - 1, min(len(samples.t), 4001)).astype(int))
     keep = keep[np.diff(samples.t[keep], prepend=-np.inf) > 1e-6]
     thinned = MotionSamples(*(getattr(samples, name)[keep] for name in _NAMES))
     plan = Plan(scenario, "given", SampledReference(thinned), Status("given", audit.source, True))

@@ -20,16 +20,12 @@ if TYPE_CHECKING:
     from salver.reports.run import Record, ReportedMotion, ReportedRun
 
 Spec = dict[str, Any]
-TIP_WORTH_SHOWING = 1e-3  # rad; less is the softness of the contact
-WORTH_A_CURVE = 0.02  # of the largest effect of a parameter
-CLEARANCE_SAMPLES = 121
-POINTS = 240  # per curve: more than the pixels of a chart
 DASH = {"plan": "", "baseline": "6 3", "nominal": "6 3"}
 
 
 def thin(t: Array, *curves: Array) -> list[list[float | None]]:
-    """Time and curves at no more than POINTS instants, to five digits."""
-    keep = np.unique(np.round(np.linspace(0, len(t) - 1, min(len(t), POINTS))).astype(int))
+    """Time and curves at no more than 240 instants, more than the pixels of a chart, to five digits."""
+    keep = np.unique(np.round(np.linspace(0, len(t) - 1, min(len(t), 240))).astype(int))
     return [_digits(x[keep]) for x in (t, *curves)]
 
 
@@ -209,7 +205,7 @@ def _by_parameter(plan: ReportedMotion, parameters: list[Parameter]) -> Spec:
     half = plan.arrays["parameter_half_range"]
     effect = np.abs(plan.arrays["input_sensitivity"] * half).max(axis=1)
     peak = effect.max(axis=0)
-    order = [int(i) for i in np.argsort(-peak, kind="stable") if peak[i] >= WORTH_A_CURVE * peak.max()][: len(CYCLE)]
+    order = [int(i) for i in np.argsort(-peak, kind="stable") if peak[i] >= 0.02 * peak.max()][: len(CYCLE)]
     curves = []
     for colour, i in zip(CYCLE, order, strict=False):
         t, y = thin(plan.t, effect[:, i])
@@ -217,7 +213,7 @@ def _by_parameter(plan: ReportedMotion, parameters: list[Parameter]) -> Spec:
     small = [pretty(p) for i, p in enumerate(parameters) if i not in order]
     note = "Share of each parameter in the widest tube."
     if small:
-        note += f" Less than {100 * WORTH_A_CURVE:.0f} % of the largest: {', '.join(small)}."
+        note += f" Less than 2 % of the largest: {', '.join(small)}."
     return time_chart(f"{plan.label}: which parameter matters", "largest |Θ δ|, N", curves, note, "N", zero=True)
 
 
@@ -268,7 +264,7 @@ def clearance_charts(run: ReportedRun, arm: ArmModel) -> list[Spec]:
     around = [k for k, (_, j) in enumerate(parts.pairs) if j >= len(parts.names) - parts.obstacles]
     whole, near = [], []
     for m in run.motions:
-        keep = np.unique(np.linspace(0, len(m.t) - 1, CLEARANCE_SAMPLES).astype(int))
+        keep = np.unique(np.linspace(0, len(m.t) - 1, 121).astype(int))
         distance = 1e3 * parts.clearance(m.arrays["q"][keep])
         whole.append(series(m, m.label, m.t[keep], distance.min(axis=1)))
         if around:
@@ -338,7 +334,7 @@ def run_charts(records: list[tuple[ReportedMotion, Record]]) -> list[Spec]:
         if not found:
             continue
         peak = max(float(np.nanmax(v)) for _, _, v in found)
-        if key == "tip_angle" and peak < TIP_WORTH_SHOWING:
+        if key == "tip_angle" and peak < 1e-3:  # rad; less is the softness of the contact
             continue
         unit, factor = next(((u, f) for u, f in units if f * peak >= 0.1), units[-1])
         curves = [series(m, m.label, t, factor * v) for m, t, v in found]

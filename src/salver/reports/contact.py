@@ -15,8 +15,6 @@ from salver.trajectory import MotionSamples
 if TYPE_CHECKING:
     from salver.scenario import Scenario
 
-INSTANTS = 301  # enough for curves; a plan's own check is ten times finer than its nodes
-
 
 @dataclass(frozen=True)
 class ContactCurves:
@@ -42,7 +40,7 @@ class ContactCurves:
 
 def contact_curves(scenario: Scenario, a: Mapping[str, np.ndarray]) -> ContactCurves:
     """All margins of a planned motion, given by the arrays of its plan."""
-    keep = np.unique(np.round(np.linspace(0, len(a["t"]) - 1, min(len(a["t"]), INSTANTS))).astype(int))
+    keep = np.unique(np.round(np.linspace(0, len(a["t"]) - 1, min(len(a["t"]), 301))).astype(int))
     samples = MotionSamples(
         a["t"][keep],
         a["p_SB"][keep],

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 FORMATS = ("pdf", "svg", "png")
 AXES = ("x", "y", "z")
-NEARBY = 0.15  # m around the paths, in which obstacles are drawn
 
 
 def write_figures(
@@ -122,7 +121,7 @@ def trajectories(motions: Iterable[ReportedMotion], obstacles: Sequence[Obstacle
 def _in_space(ax: Any, motions: list[ReportedMotion], obstacles: Sequence[Obstacle]) -> None:
     """Paths of the object to one scale in all three directions, with start, goal and, dotted, the paths from above."""
     points = np.vstack([m.arrays["p_SB"] for m in motions])
-    around = within(obstacles, points.min(axis=0) - NEARBY, points.max(axis=0) + NEARBY)
+    around = within(obstacles, points.min(axis=0) - 0.15, points.max(axis=0) + 0.15)  # m around the paths
     points = np.vstack([points, *(vertices for vertices, _ in around)])
     middle, half = 0.5 * (points.max(axis=0) + points.min(axis=0)), 0.55 * np.ptp(points, axis=0).max()
     spans = np.maximum(np.ptp(points, axis=0) * 0.6, 0.35 * half)

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from salver.planning.plan import Plan
     from salver.simulation.record import SimulationRecord
 
-HEIGHT = 760  # px, in a notebook
-
 
 @dataclass(frozen=True, repr=False)
 class Page:
@@ -35,8 +33,8 @@ class Page:
 
     def _repr_html_(self) -> str:
         """A frame of its own: the page's script sees nothing of the notebook."""
-        frame = Markup('<iframe srcdoc="{}" sandbox="allow-scripts" style="width:100%;height:{}px;border:0"></iframe>')
-        return str(frame.format(self.html, HEIGHT))
+        frame = Markup('<iframe srcdoc="{}" sandbox="allow-scripts" style="width:100%;height:760px;border:0"></iframe>')
+        return str(frame.format(self.html))
 
 
 def page_of(of: Plan | Audit | str | Path, run: SimulationRecord | None = None, path: str | Path | None = None) -> Page:

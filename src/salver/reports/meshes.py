@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 # Below this many triangles a link of the Panda visibly loses its shape; above it only the file grows.
 TRIANGLES_PER_LINK = 2200
-CAREFUL = 3  # of the simplifier's 0 to 10: 7, its default, leaves spikes of a millimetre on these links
 
 
 @dataclass(frozen=True)
@@ -96,8 +95,8 @@ def decimate(vertices: Array, triangles: np.ndarray, target: int) -> tuple[Array
 
     if len(triangles) <= target:
         return vertices, triangles
-    points, faces = fast_simplification.simplify(
-        vertices.astype(np.float32), triangles.astype(np.int32), target_count=target, agg=CAREFUL
+    points, faces = fast_simplification.simplify(  # agg of 7, its default, leaves spikes of a millimetre on links
+        vertices.astype(np.float32), triangles.astype(np.int32), target_count=target, agg=3
     )
     return np.asarray(points, dtype=float), np.asarray(faces)
 

@@ -23,8 +23,6 @@ HISTOGRAMS = (
     ("e_p_peak", "Largest position error in each run", "e_p", (("mm", 1e3), ("µm", 1e6))),
     ("cone_least", "Least cone coefficient in each run", "min Λ", (("N", 1.0),)),
 )
-BINS = 24
-START = 0.02  # share of the duration that counts as its very start
 
 
 def section(run: ReportedRun, campaign: dict[str, Any]) -> tuple[str, list[Spec], Markup]:
@@ -95,7 +93,7 @@ def _at_start(run: ReportedRun, m: ReportedMotion) -> str:
     if "tube_excess_time" not in run.runs:
         return ""
     out = (run.runs["stem"] == m.stem) & (run.runs["tube_excess"].astype(float) > 0)
-    if not np.any(out) or np.max(run.runs["tube_excess_time"][out].astype(float)) > START * m.duration:
+    if not np.any(out) or np.max(run.runs["tube_excess_time"][out].astype(float)) > 0.02 * m.duration:
         return ""
     return ", all at the very start"
 
@@ -127,7 +125,7 @@ def _histogram(
     values, low, high = factor * values, factor * float(finite.min()), factor * float(finite.max())
     if low > 0 and low < 0.5 * high:
         low = 0.0
-    edges = np.linspace(low, high if high > low else low + max(abs(low), 1e-6), BINS + 1)
+    edges = np.linspace(low, high if high > low else low + max(abs(low), 1e-6), 25)
     groups = []
     for m in run.motions:
         own = (run.runs["stem"] == m.stem) & np.isfinite(values)

@@ -25,13 +25,6 @@ if TYPE_CHECKING:
     from salver.reports.run import ReportedMotion, ReportedRun
     from salver.scenario import Scenario
 
-FRAME_RATE = 60.0  # Hz; the viewer interpolates between frames
-CONE_HEIGHT = 0.03  # m, of a drawn friction cone
-NEARBY = 0.3  # m around the motion, in which obstacles are kept in the picture
-OBLIQUE = 0.45  # rad, of the camera off the direction across the motion
-TRIANGLES_PER_OBJECT = 3000  # of a carried mesh, at most
-REST_FORCE_LENGTH = 0.024  # m, of the arrow of a contact force at rest
-
 
 def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> dict[str, Any]:
     """What the viewer needs to know of arm, tray, objects and obstacles before anything moves, ready for JSON."""
@@ -53,7 +46,7 @@ def stage(scenario: Scenario, bodies: Sequence[Body], arm: ArmModel | None) -> d
         "contacts": {
             "normal": first.contacts.R_BC[0, :, 2].tolist(),
             "owner": first.name,
-            "coneHeight": CONE_HEIGHT,
+            "coneHeight": 0.03,  # m
         },
         "brim": {"dry": liquid_surface.BRIM_COLOUR, "spilt": liquid_surface.SPILT_COLOUR},
         "wallOpacity": liquid_surface.WALL_OPACITY,
@@ -115,7 +108,8 @@ def _variant(motion: ReportedMotion, run: ReportedRun, arm: ArmModel | None) -> 
         "objects": _pack(objects),
         "contactCount": len(points_B),
         "friction": _true_friction(motion, body, lone=len(run.bodies) == 1),
-        "metresPerNewton": REST_FORCE_LENGTH * len(points_B) / (body.inertial.mass * abs(GRAVITY_S[2])),
+        # An arrow of 24 mm at rest.
+        "metresPerNewton": 0.024 * len(points_B) / (body.inertial.mass * abs(GRAVITY_S[2])),
         "contacts": _pack(contacts),
         "forces": _pack(np.einsum("tij,tcj->tci", R, forces_B)),
         "liquids": [s and liquid(s, keep) for s in surfaces(motion, run)],
@@ -221,7 +215,7 @@ def _outline(body: Body, shape: object, colour: str) -> dict[str, Any]:
         }
     points, triangles = body.solid.bounding_points_G, hulls.triangles(body.solid.bounding_points_G)
     if body.solid.surface is not None:
-        points, triangles = decimate(*body.solid.surface, TRIANGLES_PER_OBJECT)
+        points, triangles = decimate(*body.solid.surface, 3000)
     return {"points": np.round(points + offset, 6).tolist(), "triangles": triangles.tolist(), "colour": rgb(colour)}
 
 
@@ -237,10 +231,10 @@ def _bounds(run: ReportedRun, arm: ArmModel | None) -> list[list[float]]:
         )
         low, high = np.minimum(low, joints.min(axis=0)), np.maximum(high, joints.max(axis=0))
     around = [mesh.vertices for mesh in _obstacles(run.scenario)]
-    if around:  # as much of them as is near
+    if around:  # as much of them as is within 0.3 m
         corners = np.vstack(around)
-        low = np.minimum(low, np.maximum(corners.min(axis=0), low - NEARBY))
-        high = np.maximum(high, np.minimum(corners.max(axis=0), high + NEARBY))
+        low = np.minimum(low, np.maximum(corners.min(axis=0), low - 0.3))
+        high = np.maximum(high, np.minimum(corners.max(axis=0), high + 0.3))
     return [low.tolist(), high.tolist()]
 
 
@@ -257,12 +251,12 @@ def _azimuth(run: ReportedRun, arm: ArmModel | None) -> float:
     outward = path[:, :2].mean(axis=0) - base
     across = np.array([-along[1], along[0]]) if np.linalg.norm(along) > 0.05 else outward
     across = across if across @ outward >= 0 else -across
-    return float(np.arctan2(across[1], across[0])) + OBLIQUE
+    return float(np.arctan2(across[1], across[0])) + 0.45  # rad
 
 
 def _frames(t: Array) -> np.ndarray:
-    """Indices of about FRAME_RATE samples per second, both ends included."""
-    return _spread(len(t), int(np.ceil((t[-1] - t[0]) * FRAME_RATE)) + 1)
+    """Indices of about 60 samples per second, between which the viewer interpolates, both ends included."""
+    return _spread(len(t), int(np.ceil((t[-1] - t[0]) * 60.0)) + 1)
 
 
 def _spread(count: int, wanted: int) -> np.ndarray:
