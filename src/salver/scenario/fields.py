@@ -25,4 +25,4 @@ File = Annotated[str, Field(max_length=4096, pattern=r"^[^\x00]+$", description=
 
 
 class Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, defer_build=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
