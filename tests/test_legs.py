@@ -33,6 +33,7 @@ from salver.planning.fastest.exchange import SHORTEST
 from salver.planning.fastest.legs import _end_of, _merit, _status, chains
 from salver.planning.fastest.passing import PassPose
 from salver.planning.fastest.programme import Programme
+from salver.planning.fastest.retiming import plan_retimed_legs
 from salver.planning.fastest.spline import RestSpline, min_jerk_blend
 from salver.planning.fastest.together import LegsCurve, LegsProgramme
 from salver.planning.fastest.watch import Watch
@@ -392,6 +393,24 @@ def test_a_motion_is_cut_in_the_middle_of_its_longest_rests():
     assert len(cut_at_rests(samples, 4)) == 4
     with pytest.raises(FileFormatError, match=r"mine\.csv rests 3 times on its way.*5 legs need 4\."):
         cut_at_rests(samples, 5)
+
+
+@pytest.mark.slow
+def test_the_legs_of_a_round_are_timed_anew_each_on_its_own_path(planned, directory, tmp_path, capsys):
+    """With more friction it goes faster, on the same path; the plan comes back from its file as it was written."""
+    slippery = [{**item, "friction": 0.5} for item in task()["objects"]]
+    (tmp_path / "rough.toml").write_text(tomli_w.dumps(task(objects=slippery)))
+    assert main_of("retime", directory, "-s", tmp_path / "rough.toml", "-o", tmp_path / "again") == 0
+    assert "the legs take" in capsys.readouterr().out
+    again = load_round(tmp_path / "again")
+    assert again.ok, again.verdict
+    assert again.apart < 1e-9
+    for one, other in zip(planned.legs, again.legs, strict=True):
+        assert 0.6 * one.duration < other.duration < 1.02 * one.duration
+        far = np.abs(one.joint.q[:, None] - other.joint.sample(np.linspace(0, other.duration, 801))[0]).max(axis=2)
+        assert far.min(axis=1).max() < 0.02
+    with pytest.raises(ScenarioError, match="round has 2 legs, and paths of 1 were given"):
+        plan_retimed_legs(planned.scenario, [planned.legs[0].joint.q])
 
 
 @pytest.mark.slow

@@ -66,10 +66,11 @@ def retime(
     """
     from salver import scenario as scenarios
     from salver.export.motion import read_motion
-    from salver.given import read_waypoints
+    from salver.given import read_waypoints, waypoints_of
     from salver.motion_files import form_of
     from salver.motion_files import write as write_motion
-    from salver.planning.fastest.retiming import plan_retimed
+    from salver.planning.fastest.retiming import plan_retimed, plan_retimed_legs
+    from salver.planning.round import MultiLegPlan, load_round
     from salver.run_directory import SCENARIO, check_free
 
     if scenario is None:
@@ -96,14 +97,22 @@ def retime(
         return
     directory = out if out is not None else Path("runs") / f"{chosen.name}-retimed"
     check_free(directory)
-    plan = plan_retimed(chosen, read_waypoints(path, chosen, topic), robust=robust)
+    plan: Plan | MultiLegPlan
+    if chosen.legs:
+        paths = [waypoints_of(leg) for leg in load_round(path).legs]
+        plan = plan_retimed_legs(chosen, paths, robust=robust)
+    else:
+        plan = plan_retimed(chosen, read_waypoints(path, chosen, topic), robust=robust)
     if stops:
         plan = stopping(plan, lambda: save_plans(directory, {"plan": plan}))
     save_plans(directory, {"plan": plan})
     if json:
         print_json({"directory": directory, "plan": plan.summary()})
     else:
-        _tell(plan)
+        for leg in plan.legs if isinstance(plan, MultiLegPlan) else [plan]:
+            _tell(leg)
+        if isinstance(plan, MultiLegPlan):
+            result_console().print(plan.status.sentence)
         say(f"Written to {directory}; next: salver simulate {quote(str(directory))}")
     if write is not None:
         for file in write_motion(read_motion(directory), write, unsafe=unsafe):

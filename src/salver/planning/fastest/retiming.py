@@ -10,6 +10,7 @@ tracking among them.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ from salver.planning.fastest.exchange import CurveOf, optimise
 from salver.planning.fastest.problem import TransportProblem, transport_problem
 from salver.planning.fastest.speeds import at_every_speed
 from salver.planning.fastest.spline import RestSpline, SplineMotion, min_jerk_blend
+from salver.planning.round import MultiLegPlan
 from salver.scenario import Scenario
 from salver.sensitivity.arm.terms import motion_terms
 from salver.trajectory import JointMotion
@@ -207,6 +209,32 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
 
     plan = planned(found)[1]
     return at_every_speed(found, plan, lambda known: planned(retime(known.problem, path)))[1] if robust else plan
+
+
+def plan_retimed_legs(scenario: Scenario, paths: Sequence[Array], *, robust: bool = True) -> MultiLegPlan:
+    """A plan along joint waypoints of every leg: of each its fastest safe time law (`plan_retimed`).
+
+    Raises ScenarioError when there are not as many paths as legs.
+    """
+    if len(paths) != len(scenario.legs):
+        raise ScenarioError(f"{scenario.name} has {len(scenario.legs)} legs, and paths of {len(paths)} were given.")
+    legs = []
+    for leg, path in zip(scenario.each_leg, paths, strict=True):
+        plan = plan_retimed(leg.with_changes(motion__through=[]), path, robust=robust)
+        begin = plan.scenario.motion.start if scenario.motion.goal_yaw == "free" else leg.motion.start
+        # With the poses to pass: the verdict looks whether the path still passes them.
+        motion = leg.motion.model_copy(update={"start": begin})
+        legs.append(replace(plan, scenario=plan.scenario.model_copy(update={"motion": motion})))
+    each = ", ".join(f"{leg.duration:.4f} s" for leg in legs)
+    status = Status(
+        "optimal", f"Along these paths the legs take {sum(leg.duration for leg in legs):.4f} s ({each}).", True
+    )
+    for number, timed in enumerate(legs, 1):
+        if not timed.ok:
+            status = Status("infeasible", f"Leg {number}: {timed.verdict}", False)
+            break
+    record = {"name": legs[0].solver["name"], "seconds": sum(leg.solver["seconds"] for leg in legs), "robust": robust}
+    return MultiLegPlan(scenario.with_changes(contact__condition="exact"), tuple(legs), status, record)
 
 
 def _within_limits(scenario: Scenario, problem: TransportProblem, waypoints: Array) -> None:
