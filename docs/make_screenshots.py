@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 from PIL import Image
@@ -47,8 +48,11 @@ def _live() -> None:
         browser.call("POST", "url", {"url": playground.url})
         browser.wait_for("window.salver && salver.state.frames > 3")
         world.say({"goto": [0.45, 0.15, 0.5]})
-        browser.wait_for("salver.state.frame.speed > 0.5")
-        _photograph(browser, "live.png", None)
+        while world.frame()["speed"] < 0.5:
+            time.sleep(0.01)
+        with world._lock:  # the world stands still for its picture
+            time.sleep(0.5)
+            _photograph(browser, "live.png", None)
 
 
 def _report() -> None:
@@ -75,7 +79,7 @@ def _photograph(browser: Browser, name: str, time: float | None, section: str | 
     if section:
         browser.script("document.getElementById(arguments[0]).scrollIntoView({behavior: 'instant'})", section)
     picture = Image.open(io.BytesIO(browser.screenshot())).convert("RGB")
-    picture.quantize(200).save(HERE / "images" / name, optimize=True)
+    picture.quantize(256, Image.Quantize.MAXCOVERAGE).save(HERE / "images" / name, optimize=True)
 
 
 if __name__ == "__main__":
