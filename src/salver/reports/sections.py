@@ -78,7 +78,7 @@ def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
     page.add(
         "margins",
         "Margins",
-        f"Four views of the distance between {run.load} and sliding, tipping or lifting.",
+        f"How far {run.load} is from sliding, tipping or lifting, and what a stop of the robot does.",
         charts.margin_charts(run) + charts.braking_charts(run),
         speed_bar(run.plan.summary.get("speeds")),
     )
