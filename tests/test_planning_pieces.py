@@ -150,7 +150,7 @@ def test_a_swivel_of_the_elbow_is_improved_along_the_slope_that_differences_give
     path, seen = crossing(0.3), []
     arm = load_arm(CUBE.arm.model_copy(update={"torque_scale": weak}), CUBE.tray)
 
-    def looked(at: Any, x: Array, *_: Any) -> None:
+    def looked(at: Any, x: Array, **_: Any) -> None:
         x = x + 0.05 * np.random.default_rng(0).normal(size=len(x))
         for step in (np.eye(len(x))[0], np.random.default_rng(1).normal(size=len(x))):
             behind, ahead = (at(x + h * step)[0] for h in (-1e-5, 1e-5))

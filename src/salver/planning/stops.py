@@ -25,7 +25,7 @@ from salver.geometry import Array
 from salver.models.arm import load_arm
 from salver.planning.fastest.after import stays
 from salver.planning.fastest.constraints import LEVEL_TOLERANCE
-from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch_basis, launched, united
+from salver.planning.fastest.curves import BrakingCurve, FreeCurve, Grid, launch_basis, united
 from salver.planning.fastest.ends import Anywhere, AtPosture
 from salver.planning.fastest.exchange import CurveOf, optimise
 from salver.planning.fastest.obstacles import KeepOut
@@ -351,7 +351,17 @@ def _braking(spline: RestSpline, state: AtPosture, duration: float) -> SplineMot
 
 
 def _fitted(problem: TransportProblem, guess: JointMotion, duration: float, spline: RestSpline = SPLINE) -> Array:
-    """(size, n) coefficients of a motion nearest to the postures of a guess, with its ends."""
+    """(size, n) coefficients of a motion near to a guess in posture and acceleration, with its ends."""
     assert isinstance(problem.start, AtPosture)
-    s = np.linspace(0.0, 1.0, 121)
-    return spline.fit(s, guess.sample(s * guess.duration)[0] - launched(problem.start, s, duration))
+    s, smooth = np.linspace(0.0, 1.0, 121), 0.1  # weight of acceleration, in normalised time, beside posture
+    q, _, ddq = guess.sample(s * guess.duration)
+    powers = np.array([duration, duration**2])[:, None, None]
+    launch = launch_basis(s)[:, :, :, None] * problem.start.rates[:, None, None, :]
+    basis = spline.matrices(s)
+    q = q - (launch[:, 0] * powers).sum(axis=0)
+    ddq = ddq * duration**2 - (launch[:, 2] * powers).sum(axis=0)
+    ends = np.stack([q[0], q[-1]])
+    rows = np.vstack([basis[0], smooth * basis[2]])
+    target = np.vstack([q, smooth * ddq]) - rows[:, [0, -1]] @ ends
+    inner = np.linalg.lstsq(rows[:, 1:-1], target, rcond=None)[0]
+    return np.vstack([ends[:1], inner, ends[1:]])
