@@ -297,11 +297,11 @@ def picture(every: list[Predicted], path: Path) -> None:
         right.plot(p.seen_t, 1e3 * p.seen, "k", lw=0.9, label="seen")
         right.plot(p.t, 1e3 * p.waves.crest[0], "C0", lw=1.1, label="predicted")
         right.axvline(p.end, color="0.6", lw=0.8)
-        right.set(xlim=(0.5, p.end + 2.5), ylabel="mm")
+        right.set(xlim=(0.5, p.end + 2.5), ylabel="height, mm")
         right.set_title(f"{name}: predicted / seen {ratio(p):.2f}", fontsize=9)
         if k == 0:
             right.legend(fontsize=8)
-    right.set_xlabel("s")
+    right.set_xlabel("time, s")
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
@@ -402,9 +402,9 @@ def picture_of_forces(p: Pushed, path: Path) -> None:
     for axis, k, name in zip(axes, (1, 2), ("along the motion", "upward"), strict=True):
         axis.plot(p.t - p.end, filtfilt(*low, p.wrench[:, k]), "k", lw=0.9, label=f"measured, below {SMOOTH:g} Hz")
         axis.plot(p.t - p.end, np.roll(p.water[:, k], delay), "C0", lw=1.1, label="predicted of the waves")
-        axis.set(xlim=(LATER, 4.0), ylim=np.array([-1, 1]) * (0.45, 0.12)[k - 1], ylabel=f"N, {name}")
+        axis.set(xlim=(LATER, 4.0), ylim=np.array([-1, 1]) * (0.45, 0.18)[k - 1], ylabel=f"force {name}, N")
     axes[0].legend(fontsize=8, loc="upper right")
-    axes[1].set_xlabel("s after the motion")
+    axes[1].set_xlabel("time after the motion, s")
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
@@ -487,16 +487,21 @@ def slips() -> tuple[str, dict[str, str], list[Run]]:
             f"{1e3 * run.off:.1f} | {run.friction:.3f} | {run.outcome.replace('_', ' ')} |"
         )
     others = [run for run in runs if run.name != FITTED]
-    close = [run.largest[1] / run.largest[0] for run in others if not run.name.endswith(("20", "50"))]
-    fast = [run.largest[1] / run.largest[0] for run in others if run.name.endswith("50")]
+    slow, close, fast = (
+        [run.largest[1] / run.largest[0] for run in others if run.name.endswith(speed)]
+        for speed in ("20", ("30", "40"), "50")
+    )
+    slips = [1e3 * run.largest[0] for run in others if run.name.endswith("20")]
     by_speed = [[run.friction for run in runs if run.name.endswith(speed)] for speed in ("20", "30", "40", "50")]
     means = ", ".join(f"{np.mean(x):.3f}" for x in by_speed)
     held = sum(run.outcome == "holds" for run in runs)
     found = (
         f"3. **Slip.** One Coulomb coefficient ({mu:.3f}), fitted to one of twelve transports of a real cube, predicts "
         f"the largest slip of the others in the engine at {min(close):.2f} to {max(close):.2f} of what was seen at "
-        f"middle speeds and at {min(fast):.2f} to {max(fast):.2f} at the highest: the friction that fits grows with "
-        f"speed ({means} from slow to fast); an audit says of {held} of the {len(runs)} runs that the cube holds."
+        f"middle speeds, at {min(fast):.2f} to {max(fast):.2f} at the highest and at {min(slow):.2f} to "
+        f"{max(slow):.2f} at the lowest, where it slips by {min(slips):.1f} to {max(slips):.1f} mm: the friction that "
+        f"fits grows with speed ({means} from slow to fast), so a value fitted at middle speeds is too high for slow "
+        f"motions; an audit says of {held} of the {len(runs)} runs that the cube holds."
     )
     return found, {"slips": "\n".join(rows), "clock": clock(), "jolt": jolt()}, runs
 
@@ -560,7 +565,7 @@ def picture_of_slips(runs: list[Run], path: Path) -> None:
     for axis in axes[:, 0]:
         axis.set_ylabel("slip, mm")
     for axis in axes[-1]:
-        axis.set_xlabel("s")
+        axis.set_xlabel("time, s")
     figure.savefig(path, dpi=100)
     plt.close(figure)
 
@@ -626,8 +631,8 @@ def picture_of_cups(every: list[Cup], path: Path) -> None:
         axis.plot(cup.seen_t, 1e3 * cup.seen, "k", lw=0.9, label="seen")
         axis.plot(cup.t, 1e3 * cup.crest, "C0", lw=1.1, label="predicted")
         axis.axhline(15, color="0.6", lw=0.8, label="their limit")
-        axis.set(xlim=(0.8, 4.0), title=f"cup {k}", xlabel="s")
-    axes[0].set_ylabel("mm")
+        axis.set(xlim=(0.8, 4.0), title=f"cup {k}", xlabel="time, s")
+    axes[0].set_ylabel("height, mm")
     axes[-1].legend(fontsize=8)
     figure.savefig(path, dpi=100)
     plt.close(figure)

@@ -17,6 +17,7 @@ FILM = Path(__file__).parent / "images" / "bottle.gif"
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         found = bottle(Path(name), n=20, seed=0, quiet=True)
+        FILM.unlink(missing_ok=True)  # or it would be kept beside the new one
         film = write_film(name, FILM, rate=20, speed=0.5, width=360, height=300)
     for stem, plan in found["campaign"]["plans"].items():
         print(stem, found[stem]["duration"], {name: rate["count"] for name, rate in plan["outcomes"].items()})

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from salver.cli.common import Json, print_json, result_console, say
+from salver.cli.progress import step
 
 if TYPE_CHECKING:
     from salver.campaigns.engine import Campaign
@@ -122,6 +123,7 @@ def _campaign(out: Path, n: int, seed: int, quiet: bool) -> Campaign:
 
 
 def _head(number: int, text: str) -> None:
+    step(0, 1)  # what was told of the part before is over
     say(f"\n[{number}/{STEPS}] {text}")
 
 
