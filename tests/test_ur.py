@@ -24,7 +24,7 @@ from salver.models.known_arms import UR_JOINTS
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan, load_plan
 from salver.planning.stops import plan_stops, stop_problem
-from ur_server import Controller
+from ur_server import Controller, package
 
 CASE = scenario.load("ur5-bottle").with_changes(physics__settle_before=0.05, physics__settle_after=0.1)
 
@@ -212,11 +212,98 @@ def test_an_arm_elsewhere_is_taken_to_the_start(directory: Path, plan: Plan, con
     assert np.abs(np.diff(robot.commands[:300], axis=0)).max() / 2e-3 < 0.11 * np.pi
 
 
+def test_a_clock_that_jumps_on_the_way_to_the_start_does_not_make_the_arm_jump(plan: Plan, controller: Make) -> None:
+    start = plan.joint.q[0]  # type: ignore[union-attr]
+    robot = controller(q=start + 0.03)
+    robot.each = asked_at(150, lambda robot: setattr(robot, "t", robot.t + 0.1))
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+    driven.move(lambda q: execute.approach(q, start, arm))
+    assert np.abs(np.diff(robot.commands, axis=0)).max() / 2e-3 < 0.11 * np.pi
+    assert np.abs(robot.commands[-1] - start).max() < 1e-12
+
+
 @pytest.mark.parametrize("refuse", ["input_double_register_27", "safety_mode"])
 def test_a_register_that_another_client_has_is_named(directory: Path, controller: Make, refuse: str) -> None:
     controller(refuse=refuse)
     with pytest.raises(SalverError, match=rf"The arm at 127\.0\.0\.1 says: {refuse} of the data exchange is IN_USE\."):
         run(directory)
+
+
+def test_a_plan_for_another_arm_of_the_maker_is_not_sent(directory: Path, plan: Plan, controller: Make) -> None:
+    """The joints of a UR5 and of a UR5e have the same names; its shoulder is 73 mm higher."""
+    robot = controller(model="ur5e")
+    with pytest.raises(SalverError, match=r"the flange is 94\.0 mm and 0\.0 degrees from where ur5 has tool0; 10 mm"):
+        run(directory)
+    assert robot.program == ""
+    controller()
+    arm = plan.scenario.arm.model_copy(update={"flange": "ee_link"})  # type: ignore[union-attr]
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    with pytest.raises(SalverError, match=r"says: the flange is 0\.0 mm and 120\.0 degrees from where ur5 has ee_link"):
+        driven.recognise(load_arm(arm, plan.scenario.tray))
+
+
+def test_an_arm_is_recognised_wherever_it_stands_and_however_its_base_is_turned(
+    plan: Plan, controller: Make, tmp_path: Path
+) -> None:
+    """In today's descriptions of these arms the first joint's parent is turned by half a turn to base_link."""
+    controller(q=np.array([0.3, -1.2, 1.5, -0.4, 0.8, 2.0]))
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    arm = plan.scenario.arm.model_copy(update={"base_position": (0.5, -2.0, 0.8), "base_yaw_deg": 40.0})  # type: ignore[union-attr]
+    moved = load_arm(arm, plan.scenario.tray)
+    driven.recognise(moved)
+    text = moved.urdf_path.read_text()
+    half = text.replace(
+        '<origin rpy="0.0 0.0 0.0" xyz="0.0 0.0 0.089159"/>', '<origin rpy="0 0 3.14159265359" xyz="0 0 0.089159"/>'
+    )
+    assert half != text
+    (tmp_path / "ur5.urdf").write_text(half)
+    described = arm.model_copy(update={"model": str(tmp_path / "ur5.urdf"), "flange": "tool0", "collisions": "ignore"})
+    driven.recognise(load_arm(described, plan.scenario.tray))
+
+
+def test_a_cb3_is_refused_by_its_version(directory: Path, controller: Make) -> None:
+    controller(version=(3, 15, 4, 0))
+    with pytest.raises(SalverError, match=r"says: its software is 3\.15; --robot ur drives arms with 5\.10 and later"):
+        run(directory)
+
+
+@pytest.mark.parametrize(
+    ("kind", "answer", "words"),
+    [
+        ("O", b"\x01DOUBLE,VECTOR6D", "tells the types of 2 of 9 fields"),
+        ("I", b"", "tells the types of 1 of 7 fields"),
+        ("I", b"\x01\xff\xfe", "tells the types of 1 of 7 fields"),
+        ("v", b"\0", "unpack requires a buffer of 16 bytes"),
+        ("S", b"\0", 'refuses the request "S"'),
+        ("V", b"\0", 'refuses the request "V"'),
+        ("U", b"\x01", "unpack_requires"),
+    ],
+)
+def test_an_answer_that_is_none_is_a_sentence(
+    directory: Path, controller: Make, kind: str, answer: bytes, words: str
+) -> None:
+    controller(odd=lambda k, body: package(k, answer if k == kind else body))
+    with pytest.raises(SalverError, match=rf"^The arm at 127\.0\.0\.1 says: .*{words.replace('_', ' ')}"):
+        run(directory)
+
+
+def test_a_package_shorter_than_its_head_does_not_hold_the_client(directory: Path, controller: Make) -> None:
+    controller(odd=lambda kind, body: b"\0\0V" + package(kind, body))
+    with pytest.raises(SalverError, match="a package of the data exchange has 0 bytes"):
+        run(directory)
+
+
+def test_messages_between_states_delay_none(plan: Plan, controller: Make) -> None:
+    """A text message comes with each state, after it. The controller waits up to 1 s for the answer to a state."""
+    controller(odd=lambda kind, body: package(kind, body) + package("M", b"\x02hi\x00\x01"))
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    driven.start()
+    q, began = plan.joint.q[0], time.monotonic()  # type: ignore[union-attr]
+    for _ in range(5):
+        driven.read()
+        driven.write(q, Sensed(ArmState(q, 0 * q), 2e-3))
+    assert time.monotonic() - began < 1.0
 
 
 def test_nobody_at_the_address_and_no_remote_control_are_told(

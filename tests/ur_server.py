@@ -15,20 +15,38 @@ import struct
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from salver.geometry import Array
 
 PERIOD = 2e-3
 FIELDS = {
     "timestamp": ("DOUBLE", "d"), "actual_q": ("VECTOR6D", "6d"), "actual_qd": ("VECTOR6D", "6d"),
+    "actual_TCP_pose": ("VECTOR6D", "6d"), "tcp_offset": ("VECTOR6D", "6d"),
     "speed_scaling": ("DOUBLE", "d"), "target_speed_fraction": ("DOUBLE", "d"), "safety_mode": ("INT32", "i"),
 }  # fmt: skip
 FIELDS |= {f"output_int_register_{k}": ("INT32", "i") for k in range(24, 48)}
+# Denavit-Hartenberg parameters as the maker publishes them: d (6,), a (6,), m; alpha (6,), rad.
+DH = {
+    "ur5": ((0.089159, 0, 0, 0.10915, 0.09465, 0.0823), (0, -0.425, -0.39225, 0, 0, 0)),
+    "ur5e": ((0.1625, 0, 0, 0.1333, 0.0997, 0.0996), (0, -0.425, -0.3922, 0, 0, 0)),
+}
+ALPHA = np.pi / 2 * np.array([1, 0, 0, 1, -1, 0])
 INPUTS = {f"input_int_register_{k}": ("INT32", "i") for k in range(24, 48)}
 INPUTS |= {f"input_double_register_{k}": ("DOUBLE", "d") for k in range(24, 48)}
+
+
+def flange(model: str, q: Array) -> Array:
+    """Pose (4, 4) of an arm's flange in its base."""
+    pose = np.eye(4)
+    for theta, d, a, alpha in zip(q, *DH[model], ALPHA, strict=True):
+        (c, s), (ca, sa) = (np.cos(theta), np.sin(theta)), (np.cos(alpha), np.sin(alpha))
+        pose = pose @ [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+    return pose
 
 
 class Ended(Exception):
@@ -81,10 +99,20 @@ class Program:
         self.sent.append(np.array(q))
 
 
-class Controller:
-    """Joints q (6,) at rest. refuse: a field that another client has. lag: s."""
+def package(kind: str, body: bytes) -> bytes:
+    return struct.pack(">HB", 3 + len(body), ord(kind)) + body
 
-    def __init__(self, q: Array, lag: float = 0.03, *, lockstep: bool = True, refuse: str = "") -> None:
+
+class Controller:
+    """Joints q (6,) at rest. refuse: a field that another client has. lag: s. tcp (6,): its tool's pose in the flange.
+    odd: called with each answer of the data exchange (kind, body); gives the bytes that are sent."""
+
+    def __init__(
+        self, q: Array, lag: float = 0.03, *, lockstep: bool = True, refuse: str = "", model: str = "ur5",
+        tcp: tuple[float, ...] = (0.01, -0.02, 0.1, 0.3, 0.2, -0.4), version: tuple[int, ...] = (5, 20, 1, 7),
+        odd: Callable[[str, bytes], bytes] = package,
+    ) -> None:  # fmt: skip
+        self.model, self.tcp, self.version, self.odd = model, np.array(tcp), version, odd
         self.q, self.dq, self.lockstep, self.refuse = np.array(q, dtype=float), np.zeros(6), lockstep, refuse
         self.registers: dict[str, float] = dict.fromkeys(INPUTS, 0)
         self.outputs = {name: 0 for name in FIELDS if name.startswith("output")}
@@ -181,7 +209,8 @@ class Controller:
             self.dq = np.zeros(6)
         if "O" in self.recipes and "S" in self.recipes:
             values = {"timestamp": self.t, "actual_q": self.q, "actual_qd": self.dq, "speed_scaling": self.scaling,
-                      "target_speed_fraction": self.slider, "safety_mode": self.mode, **self.outputs}  # fmt: skip
+                      "target_speed_fraction": self.slider, "safety_mode": self.mode, "tcp_offset": self.tcp,
+                      "actual_TCP_pose": self._tcp_pose(), **self.outputs}  # fmt: skip
             names = self.recipes["O"]
             flat = [x for name in names for x in np.atleast_1d(values[name]).tolist()]
             self._send("U", struct.pack(">B" + "".join(FIELDS[name][1] for name in names), 1, *flat))
@@ -192,6 +221,12 @@ class Controller:
             self._hear(1e-3)
         if self.over or self.mode not in (1, 2):
             raise Ended
+
+    def _tcp_pose(self) -> Array:
+        tool = np.eye(4)
+        tool[:3, :3], tool[:3, 3] = Rotation.from_rotvec(self.tcp[3:]).as_matrix(), self.tcp[:3]
+        pose = flange(self.model, self.q) @ tool
+        return np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_rotvec()])
 
     def _hear(self, patience: float = 0.0) -> None:
         assert self.client is not None
@@ -215,6 +250,8 @@ class Controller:
     def _answer(self, kind: str, body: bytes) -> None:
         if kind == "V":
             self._send("V", struct.pack(">B", struct.unpack(">H", body)[0] == 2))
+        elif kind == "v":
+            self._send("v", struct.pack(">4I", *self.version))
         elif kind in "OI":
             names = body[8 * (kind == "O") :].decode().split(",")
             known = FIELDS if kind == "O" else INPUTS
@@ -232,4 +269,4 @@ class Controller:
 
     def _send(self, kind: str, body: bytes) -> None:
         assert self.client is not None
-        self.client.sendall(struct.pack(">HB", 3 + len(body), ord(kind)) + body)
+        self.client.sendall(self.odd(kind, body))

@@ -4,7 +4,7 @@ A URScript program on the controller reads joint positions from input registers 
 state comes back in the same exchange. Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide" (packages,
 recipes, types) and Script Manual, e-Series SW 5.20 (`servoj`, `set_target_payload`, registers). The package ur-rtde
 does the same with a long control script of its own; a program of twenty lines that stops by itself when commands no
-longer come is less to trust, and needs no library.
+longer come is less to trust, and needs no library. The controller's own kinematics tell whether the arm is the plan's.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from salver.control.arm import ArmState
 from salver.driver.preflight import Check
 from salver.driver.signals import noted_signals
 from salver.errors import SalverError
-from salver.geometry import Array
+from salver.geometry import Array, compose, exp, invert
+from salver.geometry import log as rotation_vector
 from salver.models.known_arms import UR_JOINTS
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 PERIOD = 2e-3  # s, of an e-Series
 RTDE_PORT, SCRIPT_PORT = 30004, 30002
+LEAST_VERSION = (5, 10)  # of the controller's software: has `set_target_payload`; before 5 it is a CB3, of 125 Hz
 FIRST = 24  # of the registers for external clients
 MOVES = (1, 2)  # safety modes: normal, reduced
 STOPPED = {
@@ -44,7 +46,7 @@ STOPPED = {
 STATUS = f"output_int_register_{FIRST}"  # the number that a program began with, while it runs
 OUTPUTS = {
     "timestamp": "d", "actual_q": "6d", "actual_qd": "6d", "speed_scaling": "d", "target_speed_fraction": "d",
-    "safety_mode": "i", STATUS: "i",
+    "safety_mode": "i", STATUS: "i", "actual_TCP_pose": "6d", "tcp_offset": "6d",
 }  # fmt: skip
 INPUTS = {f"input_int_register_{FIRST}": "i"} | {f"input_double_register_{FIRST + k}": "d" for k in range(6)}
 TYPES = {"d": "DOUBLE", "6d": "VECTOR6D", "i": "INT32"}
@@ -57,6 +59,8 @@ class UROptions:
     lookahead, gain: s, 0.03 to 0.2, and 100 to 2000, of `servoj`; more lookahead is smoother and later.
     patience: periods without a new command after which the program stops the arm by itself.
     timeout: s within which the controller must answer. settling: s at rest after the way to the start.
+    near, turned: m and rad by which the flange may be elsewhere by the controller's kinematics, which are calibrated,
+    than by the plan's model of the arm.
     """
 
     lookahead: float = 0.03
@@ -64,6 +68,8 @@ class UROptions:
     patience: int = 100
     timeout: float = 2.0
     settling: float = 0.5
+    near: float = 0.01
+    turned: float = 0.05
 
 
 PROGRAM = """\
@@ -104,6 +110,12 @@ class Exchange:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._came = b""
         self._ask("V", struct.pack(">H", 2))
+        version = struct.unpack(">4I", self._ask("v", b""))
+        if version < LEAST_VERSION:
+            raise SalverError(
+                f"its software is {version[0]}.{version[1]}; --robot ur drives arms with {LEAST_VERSION[0]}."
+                f"{LEAST_VERSION[1]} and later, no CB3"
+            )
         self._types(self._ask("O", struct.pack(">d", 1 / PERIOD) + ",".join(OUTPUTS).encode()), OUTPUTS)
         self._recipe = self._types(self._ask("I", ",".join(INPUTS).encode()), INPUTS)
         self._layout = struct.Struct(">B" + "".join(OUTPUTS.values()))
@@ -115,14 +127,15 @@ class Exchange:
 
     def newest(self) -> dict[str, Any]:
         """The last state that came; waits for one."""
-        while True:
+        state = b""
+        while not state or self._waiting():
             kind, body = self._package()
-            if kind == "U" and not self._waiting():
-                values = iter(self._layout.unpack(body)[1:])
-                return {
-                    name: np.array([next(values) for _ in range(6)]) if code == "6d" else next(values)
-                    for name, code in OUTPUTS.items()
-                }
+            state = body if kind == "U" else state
+        values = iter(self._layout.unpack(state)[1:])
+        return {
+            name: np.array([next(values) for _ in range(6)]) if code == "6d" else next(values)
+            for name, code in OUTPUTS.items()
+        }
 
     def _ask(self, kind: str, body: bytes) -> bytes:
         """The controller's answer; raises SalverError when it is no."""
@@ -137,7 +150,10 @@ class Exchange:
 
     def _types(self, answer: bytes, wanted: dict[str, str]) -> int:
         """The recipe's number; raises SalverError when a field is not there, or is taken by another client."""
-        for (name, code), said in zip(wanted.items(), answer[1:].decode().split(","), strict=True):
+        types = answer[1:].decode("ascii", "replace").split(",")
+        if len(types) != len(wanted):
+            raise SalverError(f"it tells the types of {len(types)} of {len(wanted)} fields of the data exchange")
+        for (name, code), said in zip(wanted.items(), types, strict=True):
             if said != TYPES[code]:
                 raise SalverError(f"{name} of the data exchange is {said}")
         return answer[0]
@@ -162,6 +178,8 @@ class Exchange:
                 raise SalverError("it closed the connection")
             self._came += more
         size, kind = struct.unpack_from(">HB", self._came)
+        if size < 3:
+            raise SalverError(f"a package of the data exchange has {size} bytes")
         body, self._came = self._came[3:size], self._came[size:]
         return chr(kind), body
 
@@ -174,7 +192,9 @@ class URRobot:
 
     @classmethod
     def connect(cls, address: str, plan: Plan, arm: ArmModel, realtime: bool) -> URRobot:
-        return cls(address, *payload(plan, arm))
+        robot = cls(address, *payload(plan, arm))
+        robot.recognise(arm)
+        return robot
 
     @staticmethod
     def check(plan: Plan, arm: ArmModel) -> list[Check]:
@@ -202,6 +222,29 @@ class URRobot:
         state = self._state()
         self._at = state["timestamp"]
         return ArmState(state["actual_q"], state["actual_qd"])
+
+    def recognise(self, arm: ArmModel) -> None:
+        """Raises SalverError when the flange is elsewhere than the model has it, from the base: another arm, or another
+        frame than the one in which the controller takes the payload's centre of mass."""
+        state, options, model = self._state(), self._options, arm.pin_model
+        base = model.frames[model.frames[model.getFrameId(arm.joint_names[0])].parentFrame].name
+        q, tcp, offset = state["actual_q"], state["actual_TCP_pose"], state["tcp_offset"]
+        p, R = compose(tcp[:3], exp(tcp[3:]), *invert(offset[:3], exp(offset[3:])))
+        p_BF, R_BF = compose(*invert(*arm.link_pose(q, base)), *arm.link_pose(q, arm.flange))
+        half_turn = np.diag([-1.0, -1.0, 1.0])  # of ROS's base_link to the controller's base
+        off = (
+            (float(np.linalg.norm(p - by @ p_BF)), float(np.linalg.norm(rotation_vector(R.T @ by @ R_BF))))
+            for by in (np.eye(3), half_turn)
+        )
+        away, turn = min(off, key=lambda pair: pair[0] / options.near + pair[1] / options.turned)
+        if not (away <= options.near and turn <= options.turned):
+            raise self._said(
+                SalverError(
+                    f"the flange is {1e3 * away:.1f} mm and {np.rad2deg(turn):.1f} degrees from where {arm.name} has "
+                    f"{arm.flange}; {1e3 * options.near:g} mm and {np.rad2deg(options.turned):.1f} degrees are "
+                    "accepted. The plan is for another arm, or its arm.flange is not the frame tool0"
+                )
+            )
 
     def start(self) -> None:
         """Send the program, and wait until it listens. It begins with a number of its own, so that nothing counts that
@@ -235,8 +278,7 @@ class URRobot:
         return ArmState(state["actual_q"], state["actual_qd"]), 0.0 if first else self._at - before
 
     def write(self, command: Array, sensed: Sensed, *, last: bool = False) -> None:
-        self._number += 1
-        self._send(command)
+        self._follow(command)
 
     def stop(self) -> None:
         """End the program, which stops what still moves; it ends by itself when nothing comes any more."""
@@ -250,13 +292,17 @@ class URRobot:
             try:
                 t = 0.0
                 while t < motion.duration + self._options.settling:
-                    elapsed = self.read()[1]
+                    self.read()
                     if signals.seen:
                         raise SalverError(f"{signals.wish(t)} The arm was stopped on its way to the start.")
-                    t += elapsed
-                    self.write(motion.sample(min(t, motion.duration))[0][0], None)  # type: ignore[arg-type]
+                    t += PERIOD  # whatever its clock says: no command is further on
+                    self._follow(motion.sample(min(t, motion.duration))[0][0])
             finally:
                 self.stop()
+
+    def _follow(self, q: Array) -> None:
+        self._number += 1
+        self._send(q)
 
     def _send(self, q: Array) -> None:
         try:
