@@ -99,6 +99,15 @@ def test_every_step_of_every_part_of_a_search_is_counted(monkeypatch):
     assert (again.wall_time, again.iterations) == (3.5, 8)
 
 
+def test_a_way_around_nothing_is_not_tried_after_the_straight_path():
+    leaning = scenario.load("panda-coffee").with_changes(motion__goal__rpy_deg=[12.0, 0.0, 0.0])
+    problem, rng = transport_problem(leaning), np.random.default_rng(0)
+    found = search._Search(problem, FastestOptions(), Watch(), ends(problem, rng)[:1], rng)
+    first, ways = found._first(), found._ways()
+    assert ways
+    assert list(found._new([*first, *ways])) == first
+
+
 @pytest.mark.slow
 def test_a_coffee_is_refined_once(monkeypatch):
     """Its rough motions know of no waves: 0.709 s; with them none takes less than 0.72 s."""

@@ -248,6 +248,16 @@ def test_the_tray_goes_straight_along_its_line():
     assert np.abs(problem.goal.residual(problem.arm, line.postures[-1])[0]).max() < 1e-9
 
 
+def test_the_tray_leans_evenly_along_its_line_to_a_goal_that_leans():
+    free = {"motion__orientation": "free", "motion__max_tilt_deg": 20.0, "motion__goal__rpy_deg": [12.0, 0.0, 0.0]}
+    problem = transport_problem(scenario.load("panda-cube").with_changes(**free))
+    line = tray_line(problem, ends(problem, np.random.default_rng(0))[0])
+    assert line is not None
+    up = np.array([problem.arm.tray_pose(q)[1][:, 2] for q in line.postures])
+    angles = np.rad2deg(np.arccos(np.clip(up @ up[0], -1.0, 1.0)))
+    assert angles == pytest.approx(np.linspace(0.0, 12.0, len(up)), abs=1e-5)
+
+
 def cube_from(q: list[float], orientation: str) -> TransportProblem:
     """The paper's cube, friction .4 and nothing uncertain, carried from a posture to the paper's goal."""
     case = scenario.load("panda-cube").with_changes(

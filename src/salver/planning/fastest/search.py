@@ -8,12 +8,13 @@ checks it between the nodes; here is the search over local optima, from few spli
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from salver.errors import Status
+from salver.geometry import Array
 from salver.planning.fastest.blocked import why_blocked, why_touching, why_unreached
 from salver.planning.fastest.curves import FreeCurve
 from salver.planning.fastest.exchange import ROUGH_GAIN, rough
@@ -25,6 +26,7 @@ from salver.planning.fastest.sides import past
 from salver.planning.fastest.spline import RestSpline, SplineMotion
 from salver.planning.fastest.sqp import SqpSolution
 from salver.planning.fastest.starts import (
+    ALONG,
     Ends,
     Start,
     around,
@@ -84,12 +86,13 @@ class _Search:
     watch: Watch
     pairs: list[Ends]
     rng: np.random.Generator
+    tried: list[Array] = field(default_factory=list)
     iterations: int = 0
 
     def best(self) -> FastestMotion:
         """The best of the first few rough optima is refined; when none is feasible, the next that is; at last the
         others."""
-        first, further = self._first(), self._further()
+        first, further = list(self._new(self._first())), self._new(self._further())
         steps = len(first) + self.options.starts
         roughs: list[Rough] = []
         self.watch.share = 0.0
@@ -166,6 +169,14 @@ class _Search:
         hopeful = sorted(found.iterate.duration for _, found in roughs if found.iterate.violation < NEARLY)
         enough = self.options.starts
         return (1 - ROUGH_GAIN) * hopeful[enough - 1] if len(hopeful) >= enough else np.inf
+
+    def _new(self, begins: Iterable[Begin]) -> Iterator[Begin]:
+        """Those along paths not tried before: where nothing is in the way, a way around is the straight path."""
+        for problem, start in begins:
+            path = start.path(np.linspace(0, 1, ALONG))
+            if all(np.abs(path - other).max() > 0.01 for other in self.tried):  # rad; nearer ones end alike
+                self.tried.append(path)
+                yield problem, start
 
     def _first(self) -> list[Begin]:
         """Straight paths between the most promising ends; where those cannot be gone along, straight ones between

@@ -9,7 +9,7 @@ from itertools import chain
 
 import numpy as np
 
-from salver.geometry import GRAVITY_S, Array
+from salver.geometry import GRAVITY_S, Array, exp
 from salver.models.arm_limits import POSITION
 from salver.planning.fastest.around import way_around
 from salver.planning.fastest.bound import least_duration, least_time
@@ -316,13 +316,17 @@ def straight(pair: Ends) -> Start:
 
 
 def tray_line(problem: TransportProblem, pair: Ends) -> Start | None:
-    """The tray straight from pose to pose, as plans of a given duration carry it; None where the arm cannot."""
+    """The tray straight from pose to pose, as plans of a given duration carry it, leaning evenly from how it leans at
+    one to how at the other; None where the arm cannot."""
     arm, limits = problem.arm, problem.limits
     if not isinstance(problem.goal, AtPose):
         return None
-    (p_0, R_0), (p_1, _) = arm.tray_pose(pair.start), arm.tray_pose(pair.goal)
+    (p_0, R_0), (p_1, R_1) = arm.tray_pose(pair.start), arm.tray_pose(pair.goal)
     u = np.linspace(0, 1, ALONG)[:, None]
-    postures, reached = postures_along(arm, p_0 + u * (p_1 - p_0), np.tile(R_0, (ALONG, 1, 1)), pair.start)
+    axis = np.cross(R_0[:, 2], R_1[:, 2])  # of the least turn from one lean to the other; which way it points is free
+    size = float(np.linalg.norm(axis))
+    lean = axis * (np.arctan2(size, R_0[:, 2] @ R_1[:, 2]) / max(size, 1e-12))
+    postures, reached = postures_along(arm, p_0 + u * (p_1 - p_0), exp(u * lean) @ R_0, pair.start)
     last = problem.goal.nearest(arm, limits, postures[-1])
     if reached < ALONG or last is None or np.any(postures < limits.q_min) or np.any(postures > limits.q_max):
         return None
