@@ -304,7 +304,7 @@ def others(judged: Judged) -> Iterator[Block]:
     """Whatever else the problem asks for: what is predicted to pass, and constraints of one's own."""
     known = JointLimit, LevelConstraint, TiltConstraint, TorqueRateLimit, TorqueLimit, ContactConstraint, Brim
     for constraint in judged.problem.constraints:
-        own = isinstance(constraint, Clearance) and constraint.keep_out is judged.problem.keep_out
+        own = type(constraint) is Clearance and constraint.keep_out is judged.problem.keep_out
         if type(constraint) not in known and not own:
             yield from judged.rows(constraint)
 
