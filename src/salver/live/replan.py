@@ -99,6 +99,8 @@ class Firm(Constraint):
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
         for block in self.judged.blocks(motion):
             nodes, check = block.margins[0], STANDARD.margin(block, self.judged)
+            if isinstance(self.judged, ContactConstraint):
+                nodes -= check - STANDARD.contact  # what the scenario asks for is kept once
             times = self.distances if block.kinked else self.times
             yield block.having(values=block.values + check, margins=(times * nodes, 0.5 * nodes))
 

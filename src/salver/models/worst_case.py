@@ -173,9 +173,14 @@ class WorstCase:
     values: Array
 
     @classmethod
-    def of(cls, rows: UncertainRows, w: Array, drift: Drift | None = None, coarsely: bool = False) -> WorstCase:
-        """See `UncertainRows.worst`. coarsely: of rows that are surely beyond `SURE` a bound is enough."""
-        return cls(rows, w, drift, values_near(rows, w, drift) if coarsely else _values(rows, w, drift))
+    def of(
+        cls, rows: UncertainRows, w: Array, drift: Drift | None = None, coarsely: bool = False, margin: float = 0.0
+    ) -> WorstCase:
+        """See `UncertainRows.worst`. coarsely: of rows surely beyond `SURE`, and beyond twice the margin that they are
+        to keep, a bound is enough."""
+        if not coarsely:
+            return cls(rows, w, drift, _values(rows, w, drift))
+        return cls(rows, w, drift, values_near(rows, w, drift, margin=max(0.0, SURE + 2.0 * margin)))
 
     def attained(self, node: Indices, row: Indices) -> Array:
         """(r, 12) derivative of the worst case by w, at nodes and rows (r,); that of the drift is left out."""

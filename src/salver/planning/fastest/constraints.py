@@ -308,7 +308,7 @@ class ContactConstraint(Constraint):
             worst, history = self._near(sloshing, w, drift), None
             values = worst.values
         else:
-            worst = WorstCase.of(self.rows, w, drift, self.coarsely)
+            worst = WorstCase.of(self.rows, w, drift, self.coarsely, self.margin)
             values, history = worst.values, None
             if sloshing:
                 sloshed = Sloshed.of(self.rows, sloshing)
