@@ -189,17 +189,21 @@ def test_mujoco_scene_of_a_stack_without_an_arm_stands(tmp_path: Path) -> None:
     assert sum(normal) == pytest.approx(weight, rel=1e-3)
 
 
-def test_a_urscript_streams_the_joints_of_the_plan_at_its_controllers_rate(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("rate", "period"), [(None, 0.008), (500.0, 0.002)])
+def test_a_urscript_streams_the_joints_of_the_plan_at_its_controllers_rate(
+    tmp_path: Path, rate: float | None, period: float
+) -> None:
     """Read as a robot's controller would: every servoj holds for one period, from the start to rest at the goal."""
     make_plan(scenario.load("ur5-bottle"), "baseline").save(tmp_path / "run", "plan")
-    (path,) = write_export(tmp_path / "run", "urscript")
+    (path,) = write_export(tmp_path / "run", "urscript", rate=rate)
     plan = load_plan(tmp_path / "run", "plan")
     assert path.name == "plan.script"
     lines = [line.strip() for line in path.read_text().splitlines()]
     sent = [json.loads(line[len("servoj(") : line.index("]") + 1]) for line in lines if line.startswith("servoj(")]
-    assert all("t=0.002," in line for line in lines if line.startswith("servoj("))
-    instants = np.minimum(0.002 * np.arange(1, len(sent) + 1), plan.duration)
-    assert plan.duration <= 0.002 * len(sent) < plan.duration + 0.002
+    assert all(f"t={period}," in line for line in lines if line.startswith("servoj("))
+    assert any("For the arm ur5 only" in line and ("For an e-Series" in line) == (rate is not None) for line in lines)
+    instants = np.minimum(period * np.arange(1, len(sent) + 1), plan.duration)
+    assert plan.duration <= period * len(sent) < plan.duration + period
     np.testing.assert_allclose(sent, plan.joint.sample(instants)[0], atol=1e-9)  # instants in whole nanoseconds
     (start,) = [line for line in lines if line.startswith("local start = ")]
     assert json.loads(start[len("local start = ") :]) == plan.joint.sample(0.0)[0][0].tolist()
@@ -217,24 +221,28 @@ def stoppable(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_urscript_that_is_stopped_follows_the_stop_of_the_instant(stoppable: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("period", [0.002, 0.008])
+def test_a_urscript_that_is_stopped_follows_the_stop_of_the_instant(
+    stoppable: Path, tmp_path: Path, period: float
+) -> None:
     """Run period by period; its input is low for one period only, at instants before, at and between the stops."""
-    (path,) = write_export(stoppable, "urscript", tmp_path / "m.script", stop_input=3)
+    (path,) = write_export(stoppable, "urscript", tmp_path / "m.script", stop_input=3, rate=1 / period)
     text, plan = path.read_text(), load_plan(stoppable)
     joint, library = plan.joint, plan.stops
     assert joint is not None
     assert library is not None
     assert len(library.taken) >= 2
     assert f"within {library.longest:.2f} s. Checked at full speed only." in text
-    whole = Program(text, joint.q[0])
-    np.testing.assert_allclose(whole.sent, joint.sample(0.002 * np.arange(1, len(whole.sent) + 1))[0], atol=1e-9)
+    whole = Program(text, joint.q[0], period=period)
+    t = np.minimum(period * np.arange(1, len(whole.sent) + 1), joint.duration)
+    np.testing.assert_allclose(whole.sent, joint.sample(t)[0], atol=1e-9)
     ends = set()
-    for now in (0.1, float(library.t[1]) - 0.004, float(library.t[1]) + 0.004, 0.7, plan.duration - 0.05):
-        program = Program(text, joint.q[0], low_at=now)
+    for now in (0.1, *(float(library.t[1]) + np.array([-2, 2]) * period), 0.7, plan.duration - 0.05):
+        program = Program(text, joint.q[0], low_at=now, period=period)
         stopped = library.stopped(joint, now)
         ends.add(len(program.sent))
-        t = np.minimum(0.002 * np.arange(1, len(program.sent) + 1), stopped.duration)
-        assert abs(len(program.sent) - stopped.duration / 0.002) <= 1
+        t = np.minimum(period * np.arange(1, len(program.sent) + 1), stopped.duration)
+        assert abs(len(program.sent) - stopped.duration / period) <= 1
         np.testing.assert_allclose(program.sent, stopped.sample(t)[0], atol=1e-8)
         assert program.stopped == 2.0
     assert len(ends) > 2
@@ -244,25 +252,33 @@ def test_a_program_of_two_legs_that_is_stopped_in_the_pause_does_not_begin_the_n
     motion, library = read_motion(stoppable, rate=500.0), load_plan(stoppable).stops
     assert motion.q is not None
     assert library is not None
-    both = MotionSeries.in_turn([motion, motion], 0.3, 0.002)
+    both = MotionSeries.in_turn([motion, motion], 1.0, 0.002)
     text = urscript.program(replace(both, about=motion.about, verdict=motion.verdict), 500.0, 3)
     assert f"within {library.longest:.2f} s. Checked at full speed only." in text  # the pause is no braking
     end, start = motion.t[-1], motion.q[0]
     whole = Program(text, start)
-    assert len(whole.sent) == pytest.approx((2 * end + 0.3) / 0.002, abs=2)
+    assert len(whole.sent) == pytest.approx((2 * end + 1.0) / 0.002, abs=2)
     np.testing.assert_array_equal(whole.sent[int((end + 0.2) / 0.002)], motion.q[-1])
     paused = Program(text, start, low_at=end + 0.1)
     np.testing.assert_array_equal(paused.sent[-1], motion.q[-1])
-    assert len(paused.sent) == pytest.approx((end + 0.3) / 0.002, abs=2)
-    stopped = Program(text, start, low_at=end + 0.3 + float(library.t[1]) + 0.004)
+    assert len(paused.sent) == pytest.approx((end + 1.0) / 0.002, abs=2)
+    stopped = Program(text, start, low_at=end + 1.0 + float(library.t[1]) + 0.004)
     rest = library.motion(library.taken[2]).q[-1]
     np.testing.assert_allclose(stopped.sent[-1], rest, atol=1e-8)
+
+
+def test_a_plan_that_was_tuned_takes_no_stops_along(stoppable: Path, tmp_path: Path) -> None:
+    """Its stops begin where the plan is, not where the joints are told to be."""
+    plan = load_plan(stoppable)
+    replace(plan, command=plan.joint).save(tmp_path / "run")
+    assert read_motion(stoppable).stops
+    assert read_motion(tmp_path / "run").stops == ()
 
 
 def test_a_urscript_does_not_begin_while_its_stop_is_pressed_or_its_arm_is_elsewhere(
     stoppable: Path, tmp_path: Path
 ) -> None:
-    (path,) = write_export(stoppable, "urscript", tmp_path / "m.script", stop_input=3)
+    (path,) = write_export(stoppable, "urscript", tmp_path / "m.script", stop_input=3, rate=500)
     q = load_plan(stoppable).joint.q[0]  # type: ignore[union-attr]
     for program, words in (
         (Program(path.read_text(), q, low_at=0.0), "Digital input 3 is low: it is the stop, and must be high."),
@@ -272,6 +288,13 @@ def test_a_urscript_does_not_begin_while_its_stop_is_pressed_or_its_arm_is_elsew
         assert program.said == [words]
     with pytest.raises(SalverError, match="stop's digital input is 8; it must be 0 to 7"):
         write_export(stoppable, "urscript", tmp_path / "n.script", stop_input=8)
+
+
+@pytest.mark.parametrize("rate", [1000.0, 300.0, 10.0])
+def test_a_urscript_at_a_rate_that_no_controller_keeps_is_refused(stoppable: Path, tmp_path: Path, rate: float) -> None:
+    """At 1000 Hz a controller of 500 Hz would take twice the plan's time."""
+    with pytest.raises(SalverError, match=rf"A URScript of {rate:g} positions per second .* must be 500, 250 or"):
+        write_export(stoppable, "urscript", tmp_path / "n.script", rate=rate)
 
 
 @pytest.mark.parametrize("form", ["yaml", "moveit"])

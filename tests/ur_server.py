@@ -65,13 +65,14 @@ def python_of(program: str) -> str:
 
 
 class Program:
-    """A program without a controller, run period by period; its threads run in turn with it, each to its `sync`.
+    """A program without a controller, run in periods, s; its threads run in turn with it, each to its `sync`.
 
     q (6,): where the arm stands. low_from: time, s, from when on its digital input is low, for one period.
     sent: what servoj was told, one a period. said: popups.
     """
 
-    def __init__(self, text: str, q: Array, low_at: float = np.inf) -> None:
+    def __init__(self, text: str, q: Array, low_at: float = np.inf, period: float = PERIOD) -> None:
+        self.period = period
         self.sent: list[Array] = []
         self.said: list[str] = []
         self.stopped = 0.0
@@ -80,7 +81,7 @@ class Program:
             "everywhere": {}, "servoj": self._servoj, "stopj": lambda a: setattr(self, "stopped", a),
             "popup": lambda text, *_, **__: self.said.append(text), "halt": None,
             "get_actual_joint_positions": lambda: list(q), "run": lambda f: self._threads.append(iter(f())),
-            "get_standard_digital_in": lambda n: n != 3 or not low_at <= self.t < low_at + PERIOD,
+            "get_standard_digital_in": lambda n: n != 3 or not low_at <= self.t < low_at + period,
         }  # fmt: skip
         text = re.sub(r"\bhalt\b", "raise Ended", python_of(text))
         # A thread gives way at its `sync`.
@@ -90,10 +91,10 @@ class Program:
 
     @property
     def t(self) -> float:
-        return PERIOD * len(self.sent)
+        return self.period * len(self.sent)
 
     def _servoj(self, q: list[float], *, t: float, lookahead_time: float, gain: float) -> None:
-        assert t == PERIOD
+        assert t == self.period
         for thread in self._threads:
             next(thread, None)
         self.sent.append(np.array(q))

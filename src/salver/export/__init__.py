@@ -34,12 +34,12 @@ def write_export(
 ) -> list[Path]:
     """Write the motion `stem` of a run directory in a format; returns the files. By default DIR/export/STEM + ending.
 
-    rate: samples per second, the plan's own instants when None (urscript: 500). pause: s at rest between two legs of a
-    plan of several (5 when None). Another file that stands there is kept, numbered. unsafe: write also a motion that
-    fails its verdict (plan, check, arm), with UNSAFE in its name and first in the file. stop_input: of urscript, the
-    standard digital input, 0 to 7, that stops a plan with stops. Raises UnsafeError for a motion that fails its verdict
-    without it, SalverError for an unknown format, an arm that a format is not for, or a place that is taken,
-    FileFormatError for a directory without such a plan.
+    rate: samples per second, the plan's own instants when None (urscript: its controller's). pause: s at rest between
+    two legs of a plan of several (5 when None). Another file that stands there is kept, numbered. unsafe: write also a
+    motion that fails its verdict (plan, check, arm), with UNSAFE in its name and first in the file. stop_input: of
+    urscript, the standard digital input, 0 to 7, that stops a plan with stops. Raises UnsafeError for a motion that
+    fails its verdict without it, SalverError for an unknown format, an arm or a rate that a format is not for, or a
+    place that is taken, FileFormatError for a directory without such a plan.
     """
     if file_format not in FORMATS:
         raise SalverError(f'There is no export format "{file_format}"; known are {", ".join(FORMATS)}.')
@@ -53,8 +53,10 @@ def write_export(
     pause = PAUSE if pause is None else pause
     if file_format == "urscript":
         from salver.export import urscript
+        from salver.planning.round import load
 
-        rate = urscript.RATE if rate is None else rate
+        arm = load(directory, stem).scenario.arm
+        rate = urscript.own_rate(arm.model if arm else "") if rate is None else rate
         motion = read_motion(directory, stem, rate, pause)
         if stop_input not in range(8):
             raise SalverError(f"The stop's digital input is {stop_input}; it must be 0 to 7.")

@@ -11,11 +11,11 @@ import numpy as np
 
 from salver.errors import SalverError
 from salver.geometry import Array
-from salver.models.known_arms import UR_JOINTS
+from salver.models.known_arms import KNOWN_ARMS, UR_JOINTS
 from salver.motion_files import MotionSeries
-from salver.motion_files.verdict import warns
+from salver.motion_files.verdict import one_line, warns
 
-RATE = 500.0  # Hz, the e-Series' own; a CB3 takes 125
+RATES = (500.0, 250.0, 125.0)  # Hz at which controllers take positions: an e-Series all of them, a CB3 the last
 LOOKAHEAD, GAIN = 0.03, 300.0  # s; the shortest lag that servoj takes, its default gain
 NEAR = 0.01  # rad: further from the start no joint may be when the program begins
 STOP = 2.0  # rad/s^2, of stopj; the arm rests by then
@@ -23,6 +23,7 @@ STOP = 2.0  # rad/s^2, of stopj; the arm rests by then
 HEAD = """\
 # {verdict}
 # {name}: {duration:.4g} s, {samples} joint positions at {rate:g} Hz. Written by salver {version} from a plan.
+# For the arm {arm} only: another model of the maker goes elsewhere by the same joints. {series}
 # {slider}
 # {stops}
 # Set the payload to tray and load.
@@ -48,9 +49,7 @@ WATCH = """\
   end
   thread salver_watch():
     while not salver_stop:
-      if not get_standard_digital_in({stop_input}):
-        salver_stop = True
-      end
+      salver_stop = not get_standard_digital_in({stop_input})
       sync()
     end
   end
@@ -72,6 +71,8 @@ ANY_SPEED = (
     "it does that was not tried."
 )
 FULL_SPEED = "Speed slider at 100 %, no reduced mode: run slower, this motion does not keep its load."
+E_SERIES = "For an e-Series: a CB3 would be slower (salver export --rate 125)."
+ANY_SERIES = "For a CB3 or an e-Series."
 TAIL = """\
   stopj({stop})
 end
@@ -82,8 +83,13 @@ salver_motion()
 def program(motion: MotionSeries, rate: float, stop_input: int = 0) -> str:
     """The program's text; every number with all its digits. stop_input: the standard digital input that stops it.
 
-    Raises SalverError for a motion without the six joints of such an arm, base to wrist.
+    Raises SalverError for a motion without the six joints of such an arm, base to wrist, and for a rate at which its
+    controller does not take positions.
     """
+    if rate not in RATES:
+        raise SalverError(
+            f"A URScript of {rate:g} positions per second was asked for; the rate must be 500, 250 or, for a CB3, 125."
+        )
     names = motion.joint_names
     if len(names) != len(UR_JOINTS) or not all(map(str.endswith, names, UR_JOINTS)):
         raise SalverError(
@@ -101,7 +107,9 @@ def program(motion: MotionSeries, rate: float, stop_input: int = 0) -> str:
     head = HEAD.format(
         verdict=motion.verdict,
         slider=FULL_SPEED if warns(motion.verdict) else ANY_SPEED,
-        name=about["scenario"]["name"].replace("\n", " "),
+        name=about["scenario"]["name"],
+        arm=one_line(about["scenario"]["arm"]["model"]),
+        series=ANY_SERIES if rate == RATES[-1] else E_SERIES,
         duration=motion.t[-1],
         samples=len(motion.t),
         rate=rate,
@@ -125,6 +133,11 @@ def program(motion: MotionSeries, rate: float, stop_input: int = 0) -> str:
             lines = "".join("  " + line.format(_listed(x)) for x in stop.q[1:])
             text.append(LEAVE.format(lines=lines, stop=STOP))
     return "".join(text) + TAIL.format(stop=STOP)
+
+
+def own_rate(arm: str) -> float:
+    """Hz, of the controller of an arm: those known by name are CB3."""
+    return RATES[-1] if arm in KNOWN_ARMS else RATES[0]
 
 
 def _listed(q: Array) -> str:
