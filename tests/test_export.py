@@ -262,7 +262,7 @@ def test_a_program_of_two_legs_that_is_stopped_in_the_pause_does_not_begin_the_n
     paused = Program(text, start, low_at=end + 0.1)
     np.testing.assert_array_equal(paused.sent[-1], motion.q[-1])
     assert len(paused.sent) == pytest.approx((end + 1.0) / 0.002, abs=2)
-    stopped = Program(text, start, low_at=end + 1.0 + float(library.t[1]) + 0.004)
+    stopped = Program(text, start, low_at=end + 1.0 + float(library.t[1]) + 0.005)
     rest = library.motion(library.taken[2]).q[-1]
     np.testing.assert_allclose(stopped.sent[-1], rest, atol=1e-8)
 
