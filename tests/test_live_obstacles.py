@@ -11,14 +11,17 @@ import pytest
 from live_runs import drive, in_turn, rows_of
 from salver.live import Live, Moving
 from salver.live.lookout import Lookout, Sighting
+from salver.live.motion import resting
 from salver.live.obstacles import Movable, MovingClearance, nearest, predicted
 from salver.live.planner import Job
 from salver.live.steer import TICK
-from salver.live.verify import subsample
+from salver.live.verify import Judged, subsample, verified
 from salver.live.wishes import Evade
 from salver.models.arm_geometry import arm_geometry
 from salver.planning.fastest import evaluate
+from salver.planning.fastest.constraints import strayed
 from salver.planning.fastest.obstacles import NEAR, SAFETY
+from salver.trajectory import JointMotion
 
 G = (0.0, 0.0, -9.81)
 
@@ -82,6 +85,36 @@ def test_derivatives_by_posture_and_duration_match_differences(problem):
         assert np.abs((up - down)[i, f] / 2e-6 - slope[:, joint]).max() < 0.02
     up, down = (rows(z, duration * np.exp(sign * 1e-5))["clearance of ball"].values for sign in (1, -1))
     assert np.abs((up - down)[i, f] / 2e-5 - here.by_duration[i, f]).max() < 0.02
+
+
+@pytest.mark.parametrize(("above", "kept"), [(0.13, True), (0.09, True), (0.06, False)])
+def test_at_rest_what_passes_fast_is_looked_at_often_enough_to_be_known_to_miss(problem, above, kept):
+    """At 3 m/s, 0.3 s after the arm has come to rest, and 6 cm, 2 cm or no way from it."""
+    still, movable = resting(problem.start.q), Movable(problem.keep_out.parts.apart())
+    at, v = problem.arm.tray_pose(still.q[0])[0] + np.array([0.0, 0.0, above]), np.array([0.0, 3.0, 0.0])
+    ball = predicted(Moving("ball", "sphere", at - 0.3 * v, v, radius=0.03, uncertainty=0.0, growth=0.0), 0.0)
+    assert (nearest(movable, [ball], still.q[:1], np.arange(0.0, 0.6, 1e-3))[0] > 0.0) == kept
+    found = verified(replace(problem, extra=(MovingClearance(movable, (ball,), 0.0),)), still, 0.0, None)
+    assert (found.committed is not None) == kept
+    assert kept or re.match(r"clearance of ball at rest would be \d+ mm too small", found.sentence)
+
+
+def test_at_rest_what_the_arm_strays_before_it_has_settled_counts(bottle):
+    """Stopped in a fifth of a second it strays further than at the motion's end."""
+    live = Live(bottle)
+    problem = live.problem
+    q = live.committed.motion.q[0] + np.array([[0.0] * 7, [0.1, -0.05, 0.05, 0.05, 0.1, 0.05, -0.1]])
+    still = np.zeros((2, 7))
+    judged = Judged.of(problem, JointMotion(np.array([0.0, 0.2]), q, still, still))
+    off = strayed(*judged.along.tray_radius())[judged.t > 0.2 - 1e-9]
+    assert off.max() > off[0] + 5e-5  # m
+    movable = Movable(problem.keep_out.parts.apart())
+    at = problem.arm.tray_pose(q[1])[0] + np.array([0.0, 0.0, 0.15])
+    seen = predicted(Moving("ball", "sphere", at, radius=0.03, uncertainty=0.0, growth=0.0), 0.0)
+    *_, rest = MovingClearance(movable, (seen,), 0.0).blocks(judged.along)
+    free = movable.distances(q[1:], seen, at[None])[0] - SAFETY - off.max()
+    assert np.any(free < 0.1)
+    assert -0.1 * rest.values[0][free < 0.1] == pytest.approx(free[free < 0.1], abs=1e-9)
 
 
 def test_between_the_postures_that_are_looked_at_no_pair_moves_unseen(problem):

@@ -316,11 +316,16 @@ class MovingClearance(Constraint):
     begins: float
 
     def blocks(self, motion: MotionEvaluation) -> Iterator[Block]:
-        q, dq = motion.at_nodes[:2]
-        t = motion.s[motion.nodes] * motion.duration
-        stray = np.zeros(len(t))
+        nodes = motion.nodes
+        if not motion.imposed:  # until it rests: the rest is looked at by itself
+            moving = np.flatnonzero((motion.at_nodes[0] != motion.at_nodes[0, -1]).any(axis=1))
+            nodes = nodes[: moving.max(initial=-1) + 2]
+        q, dq = motion.z[:2, nodes]
+        t = motion.s[nodes] * motion.duration
+        stray, at_rest_stray = np.zeros(len(t)), 0.0
         if motion.response is not None:
-            stray = strayed(*motion.tray_radius())
+            whole = strayed(*motion.tray_radius())
+            stray, at_rest_stray = whole[: len(t)], float(whole[len(t) - 1 :].max())
         steps = np.pad(np.diff(t), 1)
         longest = 0.5 * np.maximum(steps[:-1], steps[1:])  # half of the time to the next look
         movable, middles = self.movable, self.movable.middles(q)
@@ -351,7 +356,7 @@ class MovingClearance(Constraint):
                 name,
                 -PER_METRE * free,
                 gradient,
-                motion.nodes,
+                nodes,
                 margins,
                 scales=False,
                 by_duration=by_duration() if motion.imposed else None,
@@ -363,7 +368,7 @@ class MovingClearance(Constraint):
             # At rest, until nothing is known any more.
             late, v_late = obstacle.at(self.begins + rest)
             faster = np.linalg.norm(v_late, axis=1) + obstacle.growth
-            kept = SAFETY + obstacle.around(self.begins + rest) + stray[-1] + 0.5 * REST_STEP * faster
+            kept = SAFETY + obstacle.around(self.begins + rest) + at_rest_stray + 0.5 * REST_STEP * faster
             there = movable.distances(q[-1:], obstacle, late, middles[-1:]) - kept[:, None]
             there[self.begins + rest > obstacle.until] = FAR
             worst = np.argmin(there, axis=0)
@@ -375,10 +380,10 @@ class MovingClearance(Constraint):
                 return padded(-PER_METRE * movable.slopes(postures, late, obstacle, k[f], f)[0], motion.n)
 
             yield Block(
-                f"rest clear of {obstacle.name}",
+                f"clearance of {obstacle.name} at rest",
                 -PER_METRE * there[worst, np.arange(there.shape[1])][None],
                 at_rest,
-                motion.nodes[-1:],
+                nodes[-1:],
                 margins,
                 scales=False,
                 reach=PER_METRE * 0.5 * FAR,
