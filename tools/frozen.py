@@ -27,7 +27,8 @@ from salver.live import Live
 from salver.planning.fastest import joint_plan, plan_fastest
 from salver.planning.make import make_plan
 from salver.planning.plan import Plan
-from salver.planning.stops import with_stops
+from salver.planning.stop_library import StopLibrary
+from salver.planning.stops import plan_stops, stop_problem, with_stops
 from salver.sampling import draw
 from salver.simulation.physics import Experiment
 
@@ -51,7 +52,7 @@ PLANS: list[tuple[str, str | None, dict[str, Any]]] = [
     ("upright-arch", "fastest", {}),
     ("upright-bottle", "fastest", {}),
     ("panda-coffee", None, {}),
-    ("panda-coffee", "robust", {"motion__duration": 1.6}),
+    ("panda-coffee", "robust", {"motion__duration": 1.6, "motion__orientation": "fixed", "motion__goal_yaw": "fixed"}),
     ("ur10-beaker", None, {}),
 ]
 SURVEY = range(24)
@@ -95,7 +96,15 @@ def stops() -> Iterator[tuple[str, dict[str, Any]]]:
     for name in ("panda-tall-bottle", "panda-cube"):
         found = with_stops(plan_fastest(sv.load_scenario(name))).stops
         assert found is not None
-        yield name, {"duration": found.longest, "count": len(found.t), "all": float(found.duration.sum())}
+        yield name, of_stops(found)
+    slow = make_plan(sv.load_scenario("panda-coffee", motion__duration=1.6), "safest")
+    assert slow.joint is not None
+    every = 0.1  # s, with a liquid doubled: all stops would take minutes
+    yield "panda-coffee in 1.6 s", of_stops(plan_stops(stop_problem(slow), slow.joint, every, slow.space))
+
+
+def of_stops(found: StopLibrary) -> dict[str, Any]:
+    return {"duration": found.longest, "count": len(found.t), "all": float(found.duration.sum())}
 
 
 def ticks() -> Iterator[tuple[str, dict[str, Any]]]:
