@@ -19,6 +19,7 @@ from salver.planning.make import make_plan
 from salver.reports.page import write_report
 from salver.reports.parameters import half_range
 from salver.reports.run import ReportedRun, read_run
+from salver.reports.sections import build
 from salver.reports.words import asked, verdict
 
 pytestmark = pytest.mark.slow
@@ -155,8 +156,12 @@ def test_room_below_a_brim_is_no_share_of_a_weight(tmp_path: Path) -> None:
     plan.save(tmp_path, "plan")
     brim = plan.evaluation.slack[:, [owner.startswith("liquid in") for owner in plan.evaluation.slack_owner]]
     assert brim.min() < 0  # of the room
-    left = read_run(tmp_path).contact["plan"].worst.min()
+    run = read_run(tmp_path)
+    left = run.contact["plan"].worst.min()
     assert left > 0
+    html = build(run, None).html  # of stops on the path nothing is known with a liquid, and the page says so
+    assert "Stops on the path" not in html
+    assert "but not what a stop of the robot does: liquids slosh." in html
     assert plan.left == pytest.approx(left, rel=0.02)
     assert plan.facts()["left in the worst case"] == f"{100 * plan.left:.3g} % of the weight"
 

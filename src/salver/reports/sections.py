@@ -75,11 +75,13 @@ class Sections:
 def build(run: ReportedRun, arm: ArmModel | None) -> Sections:
     """All sections for what the run directory has."""
     page = Sections()
+    stops = charts.braking_charts(run)
+    stopping = "and what a stop of the robot does" if stops else "but not what a stop of the robot does: liquids slosh"
     page.add(
         "margins",
         "Margins",
-        f"How far {run.load} is from sliding, tipping or lifting, and what a stop of the robot does.",
-        charts.margin_charts(run) + charts.braking_charts(run),
+        f"How far {run.load} is from sliding, tipping or lifting, {stopping}.",
+        charts.margin_charts(run) + stops,
         speed_bar(run.plan.summary.get("speeds")),
     )
     if run.scenario.payload.liquids:
