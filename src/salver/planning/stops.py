@@ -78,7 +78,7 @@ def stop_problem(plan: Plan) -> TransportProblem:
     problem = transport_problem(free)
     tilt = max(float(np.arccos(np.clip(problem.arm.tray_pose(x)[1][2, 2], -1.0, 1.0))) for x in q)
     if tilt > max(problem.max_tilt, LEVEL_TOLERANCE):
-        problem = replace(problem, max_tilt=1.01 * tilt)
+        problem = replace(problem, max_tilt=1.01 * tilt)  # between the instants that were looked at it may be more
     if problem.keep_out is not None:
         problem = replace(problem, keep_out=KeepOut.of(problem.keep_out.parts, q))
     return problem
@@ -164,7 +164,7 @@ def plan_stops(
             kept.append((now, found))
             ahead, rest, begin = found.motion, now + found.motion.duration, now
         before = left[-1] if left else 0.0
-        finer = path is None and not vain and now - before > 0.9 * every
+        finer = path is None and not vain and now - before > 0.9 * every  # not halved already
         if finer and rest - before > _late(problem, state_at(before)):
             left.append(0.5 * (before + now))
         elif progress:
@@ -232,7 +232,8 @@ def stop_from(
 
 def _late(problem: TransportProblem, state: AtPosture) -> float:
     """s after which a stop from a state is late: in about 1.6 times the time in which joints alone fade it would be at
-    rest if nothing stood on the tray."""
+    rest if nothing stood on the tray. Smaller, more stops are sought from another beginning, each a
+    search of its own."""
     return max(0.22, 0.9 * braking_time(replace(problem, start=state)))
 
 

@@ -206,7 +206,7 @@ def rough(
         programme = programme_of(problem.roughly, curve_of, at, nodes, points=1)
         begun = programme.begin(at.coefficients, at.duration)
         first = begun if exchange else hastened(programme, begun)
-        trust = Trust(damping if first is begun else min(damping, 0.03))
+        trust = Trust(damping if first is begun else min(damping, 0.03))  # hastened, it has far to go: long steps
         solution = minimise(programme, first, SqpOptions(iterations, watch, gain=ROUGH_GAIN, beat=beat), trust)
         done += solution.iterations
         touched = _touched(curve_of(problem, Grid.of(start.spline, nodes, 4)), solution.iterate)
@@ -230,7 +230,8 @@ def _touched(fine: Curve, found: Iterate) -> Array:
 
 
 def hastened(programme: Programme, begun: Iterate) -> Iterate:
-    """The same path in less time, as long as no row that depends on time comes near its edge."""
+    """The same path in less time, by a fifth at a time as one iteration may at most, as long as no row that depends on
+    time comes near its edge."""
     while True:
         point = replace(begun.point, duration=0.8 * begun.duration)
         shorter = programme.at(point)

@@ -196,7 +196,7 @@ class Programme:
             values.append(block.values[node, column])
             scales.append(np.full(len(node), 1 + step[-1] * (free and block.scales)))
         value = np.concatenate(scales) * np.concatenate(values)
-        near = value > -max(0.02, 3.0 * trial.violation)
+        near = value > -max(0.02, 3.0 * trial.violation)  # what the correction of such a violation may reach
         matrix = rows.matrix[near]
         return Linearised(matrix, matrix @ step - value[near])
 

@@ -133,7 +133,7 @@ class _Search:
                 if line is None:
                     continue
                 begin = line.motion(problem, spline)
-                for slower in 2.0 ** np.arange(5):
+                for slower in 2.0 ** np.arange(5):  # sixteen times the comfortable time at most
                     self.watch.trying = f"{line.name}, slowly"
                     slow = replace(begin, duration=slower * begin.duration)
                     found = optimum(problem, at_once, slow, Watch(), NEAR)
@@ -192,7 +192,7 @@ class _Search:
         for pair, (problem, line), is_free in zip(self.pairs[: 2 * count], lines, free, strict=False):
             if not is_free:
                 beside = past(problem, pair)
-                few |= len(beside) < 3
+                few |= len(beside) < 3  # of eight sides
                 found += [(problem, path) for path in (line, tray_line(problem, pair), *beside) if path is not None]
         return [*(self._ways() if few else []), *sorted(found, key=_promise)]
 
@@ -233,7 +233,8 @@ class _Search:
         grid = found.curve.grid
         start = refitted(SplineMotion(self._few, found.coefficients, found.duration), self.options.spans)
         also = np.setdiff1d(grid.s[grid.nodes], self._few.nodes(self.options.nodes_per_span))
-        best = optimum(problem, self.options, start, self.watch, 0.7 if problem.liquids else REFINED, also=also)
+        damping = 0.7 if problem.liquids else REFINED  # waves are new to a rough motion: its first step is shorter
+        best = optimum(problem, self.options, start, self.watch, damping, also=also)
         self.iterations += best.iterations
         return best
 

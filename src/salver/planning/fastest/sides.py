@@ -63,7 +63,7 @@ def past(problem: TransportProblem, pair: Ends, options: DetourOptions = USUAL) 
                 continue
             for share in (one, one * (2 - one)):
                 path = line + share * (q - line[k])
-                deep = keep_out.depth(path[::4])
+                deep = keep_out.depth(path[::4])  # mostly deep enough to tell
                 if deep < depth:
                     deep = keep_out.depth(path)
                 if deep < depth:
@@ -107,5 +107,5 @@ def _posture(problem: TransportProblem, p_SE: Array, R_SE: Array, q: Array) -> A
     """The posture (n,) near q with the tray at a pose, which way it points left open where the goal leaves it open."""
     yaw_free = isinstance(problem.goal, AtPose) and problem.goal.target.yaw_free
     target = PoseTarget(p_SE, R_SE, yaw_free=yaw_free)
-    new, missed = posture_at(problem.arm, target, q, limits=problem.limits, iterations=15)
+    new, missed = posture_at(problem.arm, target, q, limits=problem.limits, iterations=15)  # from one near by
     return new if missed < 1e-6 and np.abs(new - q).max() < 0.8 else None  # rad; beyond is another branch

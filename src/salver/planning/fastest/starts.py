@@ -183,6 +183,7 @@ def _sought(
     shapes = [np.stack([_shape(problem, q) for q in pair[1:]]) for pair in found]
     kept: list[int] = []
     for k, (cost, _, _) in enumerate(found):
+        # Alike: by 3 % of the cost, and by 3 cm where the joints are.
         alike = (cost < 1.03 * found[j][0] and np.abs(shapes[k] - shapes[j]).max() < 0.03 for j in kept)
         if not any(alike):
             kept.append(k)
@@ -190,8 +191,8 @@ def _sought(
 
 
 def _shape(problem: TransportProblem, q: Array) -> Array:
-    """(joints + 1, 3) where the joints are, and which way the tray points, m: a posture of which a shoulder or a wrist
-    is flipped over has the same."""
+    """(joints + 1, 3) where the joints are, and which way the tray points at 0.1 m from its middle, m: a posture of
+    which a shoulder or a wrist is flipped over has the same."""
     arm = problem.arm
     heading = arm.tray_pose(q)[1][:, 0]
     return np.array([*(placement.translation for placement in arm.data.oMi.tolist()[1:]), 0.1 * heading])
@@ -272,7 +273,7 @@ def _slid_free(problem: TransportProblem, end: End, q: Array, options: EndOption
         distance = keep_out.distances(q[None])[0] - ENOUGH_AT_ENDS
         vain = 0 if distance.min() > free else vain + 1
         free = max(free, float(distance.min()))
-        if free >= 0 or vain >= 4:
+        if free >= 0 or vain >= 4:  # slides in turn that came no further
             break
         near = np.flatnonzero(distance < 0)
         away = -distance[near] @ keep_out.gradient(q[None], np.zeros_like(near), near)
