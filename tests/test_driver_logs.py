@@ -75,7 +75,7 @@ def test_errors_of_the_tray_are_those_of_a_turned_frame(tmp_path: Path) -> None:
     """Joint 7 of a level tray turns it about the vertical: its error is that very angle, wherever the tray looks."""
     case = scenario.load("panda-cube-yaw").with_changes(motion__nodes=21)
     plan = make_plan(case)
-    arm, first = load_arm(case.arm, case.tray), case.payload.first  # type: ignore[arg-type]
+    arm = load_arm(case.arm, case.tray)  # type: ignore[arg-type]
     joint = plan.joint
     assert joint is not None
     t = np.linspace(0, joint.duration, 301)
@@ -83,13 +83,13 @@ def test_errors_of_the_tray_are_those_of_a_turned_frame(tmp_path: Path) -> None:
     turned = np.array([arm.tray_pose(posture)[1] for posture in q])
     assert np.abs(np.arctan2(turned[:, 1, 0], turned[:, 0, 0])).max() > 0.3
     log_ = _log_of(t, q, dq)
-    robot = SimpleNamespace(period=1e-3, lag=0.0, takes="torque")
-    faithful = arrays_of(plan, arm, first, log_, robot)  # type: ignore[arg-type]
+    robot: Any = SimpleNamespace(period=1e-3, takes="torque")
+    faithful = arrays_of(arm, log_, robot)
     assert faithful["tray_e_o"].max() < 1e-6
     assert faithful["tray_e_p"].max() < 1e-6
     away = q.copy()
     away[:, 6] += 0.02
-    assert arrays_of(plan, arm, first, replace(log_, q=away), robot)["tray_e_o"] == pytest.approx(0.02, abs=1e-6)
+    assert arrays_of(arm, replace(log_, q=away), robot)["tray_e_o"] == pytest.approx(0.02, abs=1e-6)
 
 
 def _log_of(t: Array, q: Array, dq: Array) -> Any:

@@ -123,6 +123,7 @@ def test_a_stop_keeps_the_load_on_a_ur(directory: Path, plan: Plan, controller: 
     assert course.stop is not None
     assert np.abs(robot.q - plan.stops.motion(course.stop).q[-1]).max() < 1e-9  # type: ignore[union-attr]
     assert robot.outputs["output_int_register_24"] == 0
+    assert result.arrays["tray_e_p"].max() < 1e-4
     assert not result.achieved
 
 
@@ -135,6 +136,7 @@ def test_the_speed_slider_is_honoured(directory: Path, plan: Plan, controller: M
     whole = (plan.duration + 0.15) / 0.4 / 2e-3
     assert whole - 50 < len(robot.commands) < whole + 600  # it rests 0.05 s before and 0.1 s after
     speeds = np.abs(np.diff(robot.commands, axis=0)).max(axis=0) / 2e-3
+    assert result.arrays["tray_e_p"].max() < 1e-3
     np.testing.assert_allclose(speeds, 0.4 * np.abs(plan.joint.dq).max(axis=0), rtol=0.02, atol=1e-9)  # type: ignore[union-attr]
 
 

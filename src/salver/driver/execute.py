@@ -104,7 +104,7 @@ def run_plan(
     with noted_signals():  # nothing may come between the run and its log
         log_ = _run(plan, arm, carried, driven, watchdog, -plan.scenario.physics.settle_before, signals)
         summary = summary_of(plan, driven, log_, checks, watchdog)
-        arrays = arrays_of(plan, arm, carried[0], log_, driven)
+        arrays = arrays_of(arm, log_, driven)
         if isinstance(driven, SimulatedRobot):
             arrays, summary = seen_in_the_engine(driven, began, arrays, {**summary, "realtime": realtime})
         return _kept(directory, stem, arrays, summary, checks)

@@ -338,7 +338,7 @@ def _kept(
         "unjudged": unjudged,
         "provenance": provenance(plan.scenario),
     }
-    arrays = arrays_of(plan, arm, drive.bodies[0], log_, robot)
+    arrays = arrays_of(arm, log_, robot)
     if isinstance(robot, SimulatedRobot):
         arrays, summary = seen_in_the_engine(robot, began, arrays, summary, plan)
     plan_files.make_way(plan.scenario, directory, force=True)

@@ -20,7 +20,6 @@ from salver.run_directory import save_record
 if TYPE_CHECKING:
     from salver.driver.robots import Robot
     from salver.models.arm import ArmModel
-    from salver.models.bodies import Body
     from salver.planning.plan import Plan
 
 FOLDER = "execution"
@@ -62,19 +61,16 @@ def summary_of(plan: Plan, robot: Robot, log_: ExecutionLog, checks: list[Check]
     }
 
 
-def arrays_of(plan: Plan, arm: ArmModel, first: Body, log_: ExecutionLog, robot: Robot) -> dict[str, np.ndarray]:
-    """What the joints tell of a run: where the tray was, and how far off its reference. Of a robot that follows by
-    itself, off where it should be so late."""
-    every = max(1, round(1 / (RECORD_RATE * robot.period)))
-    kept = np.arange(0, len(log_.t), every)
-    t, q = log_.t[kept], log_.q[kept]
-    poses = [arm.tray_pose(joints) for joints in q]
-    p_SE, R_SE = np.array([p for p, _ in poses]).reshape(-1, 3), np.array([R for _, R in poses]).reshape(-1, 3, 3)
-    wanted = plan.reference.sample(t if robot.takes == "torque" else t - robot.lag - robot.period)
-    R_wanted = wanted.R_SB @ first.R_EB.T
-    p_wanted = wanted.p_SB - np.einsum("tij,j->ti", R_wanted, first.p_EB)
+def arrays_of(arm: ArmModel, log_: ExecutionLog, robot: Robot) -> dict[str, np.ndarray]:
+    """What the joints tell of a run: where the tray was, and how far off where the joints' references had it."""
+    kept = np.arange(0, len(log_.t), max(1, round(1 / (RECORD_RATE * robot.period))))
+    q = log_.q[kept]
+    (p_SE, R_SE), (p_wanted, R_wanted) = (
+        (np.array([p for p, _ in poses]).reshape(-1, 3), np.array([R for _, R in poses]).reshape(-1, 3, 3))
+        for poses in ([arm.tray_pose(joints) for joints in each] for each in (q, log_.q_wanted[kept]))
+    )
     return {
-        "t": t,
+        "t": log_.t[kept],
         "q": q,
         "dq": log_.dq[kept],
         "tau" if robot.takes == "torque" else "command": log_.sent[kept],
