@@ -167,6 +167,19 @@ def test_a_motion_for_full_speed_only_is_stopped_where_the_robot_is_slowed(safe:
     assert log.keeps_load is True
 
 
+def test_a_motion_whose_speed_may_not_change_underway_is_stopped_where_the_robot_is_slowed(safe: Rig) -> None:
+    """`motion.speed_rate = 0`. Slowed before it begins it runs at that speed; its stops are for full speed."""
+    log = drive(safe, Follower(safe, "position", speeds=lambda t: 1.0 if t < 0.5 else 0.5), rate=0.0)
+    assert log.stopped == "The robot's speed is at 50 %, and this motion keeps its load at constant speed only."
+    assert log.keeps_load is True
+    signals = Signals()
+    robot = Follower(safe, "position", speeds=lambda t: 0.5)
+    robot.asked = lambda t: signals.note("Asked") if t > 0.5 else None
+    log = drive(safe, robot, signals, rate=0.0)
+    assert log.stopped.startswith("Asked at t = 0.2")
+    assert log.keeps_load is False
+
+
 @pytest.mark.parametrize("takes", ["position", "velocity"])
 def test_a_reading_that_cannot_be_true_stops_a_robot_that_follows_by_itself(safe: Rig, takes: str) -> None:
     robot = Follower(safe, takes)

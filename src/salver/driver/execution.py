@@ -240,8 +240,9 @@ class Drive:
         target = self.robot.speed
         if self.stop is not None or target == self.factor:
             return ""
-        if self.speed_rate is None:
-            return f"The robot's speed is at {100 * target:.0f} %, and this motion keeps its load at full speed only."
+        if self.speed_rate is None or (self.speed_rate == 0 and self.t > 0):
+            kept = "full" if self.speed_rate is None else "constant"
+            return f"The robot's speed is at {100 * target:.0f} %, and this motion keeps its load at {kept} speed only."
         most = self.speed_rate * elapsed if self.t > 0 else 1.0
         self.factor += min(max(target - self.factor, -most), most)
         return ""
@@ -307,9 +308,12 @@ class Drive:
         self.stopped = " ".join([*filter(None, [self.stopped]), why])
         if not self.by_torque:  # an arm that follows by itself goes on from what it was commanded
             state = ArmState(*self.reference()[:2])
-        if self.stop is None and self.factor < 1.0 and (rate := self.speed_rate):
+        if self.stop is None and self.factor < 1.0:  # the motion's own stops were checked at full speed
+            del self.stops[0]
             factor = self.factor
-            self.stops[0] = lambda state, t: PathStop(self.loaded, self.gains, state, self.wanted, t, factor, rate)
+            if rate := self.speed_rate:
+                path = self.wanted
+                self.stops.insert(0, lambda state, t: PathStop(self.loaded, self.gains, state, path, t, factor, rate))
         self.since, self.stopping = self.t, 0
         while self.stops:
             try:
