@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from live_runs import drive, in_turn, rows_of
-from salver.live import Live, Moving
+from salver.live import Live, Moving, verify
 from salver.live.lookout import Lookout, Sighting
 from salver.live.motion import resting
 from salver.live.obstacles import Movable, MovingClearance, nearest, predicted
 from salver.live.planner import Job
 from salver.live.steer import TICK
-from salver.live.verify import Judged, subsample, verified
+from salver.live.verify import STANDARD, Judged, subsample, verified
 from salver.live.wishes import Evade
 from salver.models.arm_geometry import arm_geometry
-from salver.planning.fastest import evaluate
+from salver.planning.fastest import evaluate, transport_problem
 from salver.planning.fastest.constraints import strayed
 from salver.planning.fastest.obstacles import NEAR, SAFETY
 from salver.trajectory import JointMotion
@@ -128,6 +128,31 @@ def test_between_the_postures_that_are_looked_at_no_pair_moves_unseen(problem):
         assert np.array_equal(subsample(parts, q[::-1]), looked[::-1])
         assert np.array_equal(looked[[0, -1]], q[[0, -1]])
     assert len(subsample(parts, problem.start.q + np.zeros((65, 1)))) == 9
+
+
+@pytest.mark.parametrize(("there", "touch"), [(0.01, False), (0.05, True)])
+def test_what_touches_between_two_instants_is_found(cube, problem, monkeypatch, there, touch):
+    """There and back between two of them, towards a ball that is 2 cm away at both."""
+    q, movable = problem.start.q, Movable(problem.keep_out.parts.apart())
+    tray = problem.arm.tray_pose(q)[0]
+    way = np.cross([0.0, 0.0, 1.0], tray) / np.hypot(*tray[:2])  # in which the first joint turns it
+
+    def away(far):
+        here = predicted(Moving("ball", "sphere", tray + far * way, radius=0.01), 0.0)
+        return float(movable.distances(q[None], here, (tray + far * way)[None])[0].min())
+
+    far = 0.2 - away(0.2) + 0.02
+    ball = {"name": "ball", "type": "sphere", "radius": 0.01, "position": (tray + far * way).tolist()}
+    beside = transport_problem(cube.with_changes(obstacles=[ball]))
+    t, rate = np.append(np.linspace(0.0, 0.2, 5), 0.4), np.zeros((6, 7))
+    rate[4, 0] = there / np.hypot(*tray[:2]) / (0.2 * 5 / 16)  # of a quintic from +rate to -rate: its height
+    rate[5, 0] = -rate[4, 0]
+    swing = JointMotion(t, np.tile(q, (6, 1)), rate, np.zeros((6, 7)))
+    monkeypatch.setattr(verify, "CHECKS", (verify.clearance,))  # it is much too quick
+    options = replace(STANDARD, step=1.0, at_rest=np.inf)
+    found = verified(replace(beside, tracking=None), swing, 0.0, None, options)
+    assert found.sentence == "tray and ball would touch" * touch
+    assert (found.committed is None) == touch
 
 
 @pytest.mark.slow
