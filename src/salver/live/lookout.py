@@ -21,7 +21,7 @@ from salver.trajectory import JointMotion
 
 STEP = 0.02  # s of the coarse grid
 WITHIN = 5  # instants in each of its steps at which the joints' rates are looked at
-FINEST = 2e-3  # s between exact looks, as between those of the verdict
+FINEST = 2e-3  # s between exact looks
 
 
 @dataclass(frozen=True, eq=False)
