@@ -386,6 +386,58 @@ def test_what_comes_is_evaded_to_the_nearer_side(cube, aside):
         assert way @ aside < -0.99 * np.linalg.norm(aside)
 
 
+def test_what_is_thrown_once_more_is_evaded_anew(cube):
+    """First above the tray and then below it, by the same name. As long as it is the same throw the way stays."""
+    live = Live(cube, lead=0.1)
+    live.command(0.0)
+    tray, v, ways = live.problem.arm.tray_pose(live.problem.start.q)[0], np.array([-2.0, 0.0, 0.0]), []
+    for above, seconds in ((0.08, 0.6), (-0.12, 0.65), (-0.12, 1.4)):
+        begin = tray + np.array([0.0, 0.0, above]) - seconds * v
+        ball = Moving("ball", "sphere", begin, v, radius=0.04, uncertainty=0.0, growth=0.0, lasts=2.0)
+        assert live.obstacles([ball]).ok
+        near = live._running.outlook.near
+        live._planner.answer(Job(Evade(), live.committed, 0.02, 1.0, live._sighting.obstacles, near))
+        ways.append(live._planner._aside.way)
+    assert ways[0] @ [0, 0, 1] < -0.99
+    assert ways[1] is ways[0]
+    assert ways[2] @ [0, 0, 1] > -0.5
+
+
+def test_while_a_stop_is_latched_what_comes_is_announced_and_not_evaded(cube):
+    live, jobs = Live(cube, lead=0.1), []
+    live.command(0.0)
+    planner = live._planner
+
+    def noted(job):
+        jobs.append(type(job.wish).__name__)
+        return planner.answer(job)
+
+    ball = thrown(live.problem.arm.tray_pose(live.problem.start.q)[0] + [0.0, 0.0, 0.06], 1.2, (0.4, -1.7, 0.2))
+    assert live.stop("enough").ok
+    assert live.obstacles([ball]).ok
+    live.plan(60.0, noted)
+    assert jobs == []
+    assert live.state.passing.startswith("ball comes too near")
+    live.resume()
+    live.plan(60.0, noted)
+    assert jobs == ["Evade"]
+
+
+def test_after_an_evasion_on_its_way_the_arm_goes_on_to_its_goal(cube):
+    live = Live(cube, lead=0.1)
+    drive(live, 0.2, [(0.0, lambda live: live.goto((0.45, 0.1, 0.45)))])
+    at, goal = live.problem.arm.tray_pose(live.committed.state(live.now + 0.35)[0])[0], live.committed.motion.q[-1]
+    ball = thrown(np.add(at, [0.0, 0.0, 0.06]), 0.35, (1.5, 0.3, 0.2))
+    assert live.obstacles([replace(ball, growth=0.02, lasts=0.5)]).ok
+    assert live.state.passing
+    drive(live, 0.3, begins=0.2)
+    assert isinstance(live._running.wish, Evade)
+    told = drive(live, 2.5, begins=0.5)
+    assert live.settled
+    there = live.problem.arm.tray_pose(told[0][-1])[0]
+    assert there == pytest.approx(live.problem.arm.tray_pose(goal)[0], abs=1e-3)
+
+
 def test_what_stands_still_and_is_reported_a_hundred_times_a_second_takes_no_planning(cube):
     """Neither do forty things that stand still; ticks go on."""
     live, jobs = Live(cube, lead=0.02), []

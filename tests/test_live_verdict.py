@@ -9,6 +9,7 @@ import pytest
 import salver as sv
 from live_runs import JUST, Linear
 from salver.live import Live
+from salver.live.margins import ConstraintMargins
 from salver.live.motion import resting
 from salver.live.verify import STANDARD, Judged, _committed, clearance, torque_rate, verified
 from salver.models.arm_limits import LIMITS
@@ -131,6 +132,7 @@ def test_a_motion_keeps_as_clear_of_things_while_it_rests_as_before(motion):
     change = np.diff(block.values[at_rest[block.points]], axis=0)
     assert change == pytest.approx(np.repeat(10.0 * np.diff(off[at_rest])[:, None], change.shape[1], axis=1), abs=1e-9)
     assert np.ptp(off[at_rest]) > 1e-4  # m
+    assert _committed(judged, [], 0.0).off[-1] == off[at_rest].max() > off[at_rest][0]
 
 
 def test_what_late_commands_do_is_known_where_the_jerk_jumps(motion):
@@ -248,6 +250,25 @@ def test_a_swing_counts_on_either_side():
     assert all(np.any(found > side + 1e-3) for side in sides)
 
 
+def test_extremes_are_those_of_a_fine_scan():
+    """Of cubics that turn twice, once or not at all, and of lines and constants."""
+    cubics = np.random.default_rng(2).normal(size=(4, 300))
+    cubics[:, :3] = np.array([[0, 1, 2, 3], [1, 1, 1, 1], [0, 1, 1, 0]]).T
+    u = np.linspace(0.0, 1.0, 4001)[:, None, None]
+    weights = np.concatenate([(1 - u) ** 3, 3 * u * (1 - u) ** 2, 3 * u**2 * (1 - u), u**3], axis=1)
+    values = (weights * cubics).sum(axis=1)
+    assert extremes(cubics) == pytest.approx(np.array([values.min(axis=0), values.max(axis=0)]), abs=1e-6)
+    assert np.mean(values.max(axis=0) > cubics[[0, 3]].max(axis=0) + 1e-2) > 0.1
+
+
+def test_what_limits_a_motion_is_what_is_ahead_of_it():
+    margins = ConstraintMargins(
+        np.array([0.0, 1.0, 2.0]), np.array([-0.1, -0.4, -0.3]), np.array([0, 1, 1]), ("a", "b")
+    )
+    assert margins.from_(0.0) == (0.1, "a")
+    assert margins.from_(0.5) == margins.from_(1.5) == (0.3, "b")
+
+
 def test_an_acceleration_that_rises_and_falls_between_two_instants_is_seen():
     """From rest to rest within one step of the verdict."""
     problem = transport_problem(sv.load_scenario("panda-cube"))
@@ -329,13 +350,14 @@ def test_the_room_of_a_liquid_alone_refuses_a_motion(coffee):
     assert verified(replace(problem, spare=1.5), still, 0.0, None).what.endswith(" in cup")
 
 
-def test_distances_of_a_kind_of_ones_own_are_looked_at_too(motion):
-    """Of the very pairs that are looked at anyway, with another metre."""
+@pytest.mark.parametrize("more", [10.0, np.nan])
+def test_distances_of_a_kind_of_ones_own_are_looked_at_too(motion, more):
+    """Of the very pairs that are looked at anyway, with another metre, or with what is no number."""
 
     class Wide(Clearance):
         def blocks(self, motion):
             for block in super().blocks(motion):
-                yield block.having(values=block.values + 10.0)
+                yield block.having(values=block.values + more)
 
     problem, given = motion
     whole = transport_problem(problem.scenario)

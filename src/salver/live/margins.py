@@ -42,7 +42,7 @@ class ConstraintMargins:
                 row = np.argmax(block.values[above], axis=1) if len(label) > 1 else 0
                 largest[at[above]], what[at[above]] = value[above], len(names) + row
                 names += label
-        if not np.isfinite(largest).any():
+        if np.isneginf(largest).all():
             return cls(t, np.full(len(t), -1.0), what, ("nothing",))
         return cls(t, largest, what, tuple(names))
 
