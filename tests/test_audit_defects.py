@@ -10,8 +10,10 @@ import salver as sv
 from salver import scenario as scenarios
 from salver.auditing import audit
 from salver.auditing.defects import channels_of, repaired
+from salver.auditing.motion import continuous
 from salver.auditing.noise import filtered_at
 from salver.auditing.options import DEFAULT
+from salver.geometry import quat_wxyz_from_matrix
 from salver.models.arm import load_arm
 from salver.motion_files.samples import TraySamples
 from salver.planning.fastest import plan_fastest
@@ -159,3 +161,19 @@ def test_a_motion_that_was_computed_was_not_filtered(name, rest):
     names = load_arm(plan.scenario.arm, plan.scenario.tray).joint_names
     found = sv.audit({"t": t, **{f"q_{joint}": x for joint, x in zip(names, q.T, strict=True)}}, plan.scenario)
     assert "filtered" not in found.nominal.details.get("reasons", ())
+
+
+@pytest.mark.parametrize(("of", "rate"), [("joints", 100.0), ("tray", 1000.0)])
+def test_a_plan_in_four_digits_is_not_said_to_lose_its_load(of, rate):
+    """The plan uses all its margin; where it rests before and after, and moves slowly, rounding is no white noise."""
+    plan = plan_fastest(scenarios.load("ur5-bottle"))
+    t = np.arange(-0.3, plan.duration + 0.3, 1 / rate)
+    q = plan.joint.sample(np.clip(t, 0.0, plan.duration))[0]
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)
+    columns = {f"q_{joint}": x for joint, x in zip(arm.joint_names, q.T, strict=True)}
+    if of == "tray":
+        p, R = (np.array(x) for x in zip(*map(arm.tray_pose, q), strict=True))
+        poses = np.hstack([p, continuous(quat_wxyz_from_matrix(R))])
+        columns = dict(zip(("x", "y", "z", "qw", "qx", "qy", "qz"), poses.T, strict=True))
+    found = sv.audit({"t": t, **{name: np.round(x, 4) for name, x in columns.items()}}, plan.scenario)
+    assert found.outcome == "cannot_tell"

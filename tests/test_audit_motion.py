@@ -182,6 +182,14 @@ def test_quaternions_of_nearly_unit_norm_are_made_unit_and_others_refused():
             tray_samples(t, p, wrong, "E", "by hand")
 
 
+def test_four_digits_of_quaternions_are_a_resolution(tmp_path):
+    t = np.arange(500) / 500
+    quat = quat_wxyz_from_matrix(exp(np.outer(t**2, [0.1, 0.2, 0.3])))
+    path = write_csv(tmp_path / "a.csv", HEADER, t, np.tile(START, (len(t), 1)), np.round(quat, 4))
+    s = read(path)
+    assert sensor_of(s.t, s.p, s.quat_wxyz).orientation.step == pytest.approx(1e-4, rel=1e-4)
+
+
 def test_uneven_times_are_no_noise(tmp_path):
     rng = np.random.default_rng(3)
     t = np.arange(1501) / 1000 + 2e-4 * rng.uniform(-1, 1, 1501)

@@ -76,7 +76,7 @@ def read_motion(t: Array, p: Array, quat_wxyz: Array, sensor: Sensor, options: A
     for curve, seen, metres in ((position, sensor.position, 1.0), (turning, sensor.orientation, 2 * LEVER)):
         error = np.hypot(error, metres * options.certain * seen.whole * curve.acceleration_error(grid, 1 / rate))
         if seen.blur:  # steps last as long as the motion takes to pass one: no number of samples averages them out
-            steps = seen.step / np.sqrt(12) * curve.acceleration_error(grid, curve.spacing(grid))
+            steps = options.certain * seen.step / np.sqrt(12) * curve.acceleration_error(grid, curve.spacing(grid))
             error = np.hypot(error, metres * steps)
     # Near the sampling's own limit a spline misses some of the acceleration: a quarter at the limit, by trial.
     fast = np.interp(grid, t, bandwidth)

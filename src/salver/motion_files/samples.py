@@ -20,9 +20,10 @@ AT_REST = 0.02  # m/s, rad/s: below that a motion rests between two legs
 class TraySamples(Outlined):
     """Poses of the tray frame E (or of the object frame B) in S.
 
-    t (N,) s from the first sample; p (N, 3) m; quat_wxyz (N, 4), continuous in sign. frame: "E" or "B".
-    notes: what was repaired on reading, as sentences. form: of the file, one of `salver.motion_files.FORMS`.
-    verdict: "UNSAFE: why" where the file says so of itself, else empty.
+    t (N,) s from the first sample; p (N, 3) m; quat_wxyz (N, 4), continuous in sign, of norm 1 up to what
+    the file rounds. frame: "E" or "B". notes: what was repaired on reading, as sentences.
+    form: of the file, one of `salver.motion_files.FORMS`. verdict: "UNSAFE: why" where the file says so of itself, else
+    empty.
     """
 
     t: Array
@@ -105,7 +106,7 @@ def tray_samples(t: Array, p: Array, quat_wxyz: Array, frame: str, source: str) 
         raise FileFormatError(
             f"{source}: the position of sample {k + 1} is {np.abs(p[k]).max():.4g} m away; positions are in metres."
         )
-    quat = quat_wxyz / norm[:, None]
+    quat = quat_wxyz / np.median(norm)  # one factor for all: what the file rounds to stays a step
     flips = np.cumprod(np.where(np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0, -1.0, 1.0))
     quat = quat * np.concatenate([[1.0], flips])[:, None]
     t, keep, notes = _clock(t, np.hstack([p, quat]), source)
