@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -223,6 +225,32 @@ def test_a_clock_that_jumps_on_the_way_to_the_start_does_not_make_the_arm_jump(p
     driven.move(lambda q: execute.approach(q, start, arm))
     assert np.abs(np.diff(robot.commands, axis=0)).max() / 2e-3 < 0.11 * np.pi
     assert np.abs(robot.commands[-1] - start).max() < 1e-12
+    time.sleep(0.2)
+    assert robot.outputs["output_int_register_24"] == 0  # the program was told to end
+
+
+def test_ctrl_c_on_the_way_to_the_start_stops_the_arm(plan: Plan, controller: Make) -> None:
+    start = plan.joint.q[0]  # type: ignore[union-attr]
+    robot = controller(q=start + 0.03)
+    robot.each = asked_at(150, lambda _: os.kill(os.getpid(), signal.SIGINT))
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    arm = load_arm(plan.scenario.arm, plan.scenario.tray)  # type: ignore[arg-type]
+    with pytest.raises(SalverError, match=r"The arm was stopped on its way to the start\."):
+        driven.move(lambda q: execute.approach(q, start, arm))
+    time.sleep(0.2)
+    assert robot.outputs["output_int_register_24"] == 0
+    assert np.abs(robot.dq).max() == 0.0
+    assert np.abs(robot.q - start).max() > 0.01
+
+
+@pytest.mark.parametrize(("scaling", "speed"), [(1.3, 1.0), (-0.1, 0.0), (np.nan, 0.0), (0.7, 0.7)])
+def test_a_speed_is_a_share_of_full_speed(controller: Make, scaling: float, speed: float) -> None:
+    robot = controller()
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    robot.scaling = scaling
+    for _ in range(10):
+        driven.look()
+    assert driven.speed == speed
 
 
 @pytest.mark.parametrize("refuse", ["input_double_register_27", "safety_mode"])

@@ -318,7 +318,7 @@ class URRobot:
             raise self._said(error) from None
         if (mode := state["safety_mode"]) not in MOVES:
             raise self._said(SalverError(STOPPED.get(mode, f"safety mode {mode}")))
-        self.speed = min(max(state["speed_scaling"] * state["target_speed_fraction"], 0.0), 1.0)
+        self.speed = min(max(0.0, state["speed_scaling"] * state["target_speed_fraction"]), 1.0)
         return state
 
     def _said(self, error: Exception) -> SalverError:
