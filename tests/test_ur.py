@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -206,6 +207,27 @@ def test_old_registers_move_nothing(plan: Plan, controller: Make, monkeypatch: p
     driven.start()
     driven.read()
     assert np.abs(np.array(robot.commands) - plan.joint.q[0]).max() < 1e-12  # type: ignore[union-attr]
+
+
+def test_an_arm_that_was_moved_since_it_was_seen_is_held_where_it_is(plan: Plan, controller: Make) -> None:
+    """While a person is asked, states wait in the connection: the first that are read then are old."""
+    old: list[bytes] = []
+
+    def late(kind: str, body: bytes) -> bytes:
+        if kind == "U" and not robot.program:
+            old.append(body)
+            body = old[0]
+        return package(kind, body)
+
+    robot = controller(odd=late)
+    driven = ur.URRobot("127.0.0.1", 1.0, np.zeros(3))
+    robot.q = moved = robot.q + 0.05
+    robot.late = deque([moved] * 15)
+    driven.start()
+    driven.read()
+    time.sleep(0.05)
+    assert len(robot.commands) > 0
+    assert np.abs(np.array(robot.commands) - moved).max() < 1e-12
 
 
 def test_an_arm_elsewhere_is_taken_to_the_start(directory: Path, plan: Plan, controller: Make) -> None:

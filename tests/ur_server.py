@@ -168,6 +168,7 @@ class Controller:
             "set_target_payload": lambda *values: setattr(self, "payload", values),
             "write_output_integer_register": lambda k, value: self.outputs.update({f"output_int_register_{k}": value}),
             "read_input_integer_register": lambda k: self.registers[f"input_int_register_{k}"],
+            "get_actual_joint_positions": lambda: self.q.tolist(),
             "read_input_float_register": lambda k: self.registers[f"input_double_register_{k}"],
         }  # fmt: skip
         exec(python_of(program), names)

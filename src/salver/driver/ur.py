@@ -80,6 +80,7 @@ def salver_follow():
   end
   write_output_integer_register({first}, {begun})
   last = {begun}
+  q = get_actual_joint_positions()
   missed = 0
   while missed < {patience}:
     n = read_input_integer_register({first})
@@ -88,11 +89,12 @@ def salver_follow():
     else:
       missed = 0
       last = n
+      q = {registers}
     end
     if n < 0:
       missed = {patience}
     else:
-      servoj({registers}, t={period!r}, lookahead_time={lookahead!r}, gain={gain!r})
+      servoj(q, t={period!r}, lookahead_time={lookahead!r}, gain={gain!r})
     end
   end
   stopj(2.0)
@@ -248,10 +250,10 @@ class URRobot:
 
     def start(self) -> None:
         """Send the program, and wait until it listens. It begins with a number of its own, so that nothing counts that
-        another one left in the registers."""
+        another one left in the registers, and holds the arm where it then is until the first command."""
         self._begun = self._number = secrets.randbelow(2**30) + 1
         self._first, options = True, self._options
-        self._send(self.look().q)
+        self._send(np.zeros(6))
         registers = ", ".join(f"read_input_float_register({FIRST + k})" for k in range(6))
         program = PROGRAM.format(
             begun=self._begun, mass=float(self._mass), com=[float(x) for x in self._com], first=FIRST, period=PERIOD,
