@@ -1,6 +1,6 @@
 """How fast, and does it survive? Ten scenarios by six ways of finding the shortest duration.
 
-    python benchmarks/fastest.py [-n 1000] [--all] [--only "tall bottle" ...] [--again] [--jobs 2] [--docs]
+    python benchmarks/fastest.py [-n 1000] [--all] [--only "tall bottle" ...] [--again] [--jobs 2]
 
     line     the straight level min-jerk line, as fast as limits and nominal contact allow
     TOPP     the same line with the time-optimal law for nominal contact (no jerk, as TOPP-RA)
@@ -14,7 +14,7 @@ corners first, the same for every way; line and paper, which are slow, at most 3
 runs of a motion are a campaign in runs/fastest/SCENARIO/WAY: what was stopped goes on where it was, and
 `salver simulate runs/fastest/SCENARIO/WAY --run K` shows a run. --again finds the motions anew.
 
-Results are kept in docs/data/fastest.json; with --docs the page docs/fastest.md is written from them.
+Results are kept in docs/data/fastest.json; docs/peers.md says of the paper's way what they are.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ import numpy as np
 
 from salver.campaigns import run_campaign
 from salver.errors import SalverError, Status
-from salver.files import read_json, write_atomic, write_json
+from salver.files import read_json, write_json
 from salver.geometry import Array
 from salver.planning.fastest import fastest, object_motion
 from salver.planning.fastest.constraints import evaluate, worst_of
@@ -308,73 +308,6 @@ def study(
         yield out
 
 
-def page(results: dict[str, Any]) -> str:
-    """docs/fastest.md."""
-
-    def table(cell: Callable[[dict[str, Any]], str], last: list[str] | None = None) -> list[str]:
-        rows = [[name, *(cell(methods.get(m, {})) for m in METHODS)] for name, methods in results.items()]
-        rows += [last] if last else []
-        head = ["| scenario | " + " | ".join(METHODS) + " |", "|---|" + "---|" * len(METHODS)]
-        return [*head, *(f"| {' | '.join(row)} |" for row in rows)]
-
-    def runs(found: dict[str, Any]) -> int:
-        return sum(found.get("outcomes", {}).values())
-
-    def held(found: dict[str, Any]) -> int:
-        return int(found.get("outcomes", {}).get("holds", 0))
-
-    def survived(found: dict[str, Any]) -> str:
-        if "duration" not in found:
-            return "none"
-        return f"{found['duration']:.3f} s" + (f", {held(found)}/{runs(found)}" if runs(found) else "")
-
-    def failures(found: dict[str, Any]) -> str:
-        kinds = sorted(found.get("outcomes", {}).items(), key=lambda kind: -kind[1])
-        return ", ".join(f"{count} {kind}" for kind, count in kinds if kind != "holds")
-
-    def price(method: str, other: str) -> float:
-        """Median over the loads of what a method takes longer than another, as a share."""
-        both = [(f[method], f[other]) for f in results.values() if "duration" in f[method] and "duration" in f[other]]
-        return float(np.median([one["duration"] / two["duration"] - 1 for one, two in both]))
-
-    every = {m: [methods.get(m, {}) for methods in results.values()] for m in METHODS}
-    total = [f"{sum(map(held, every[m]))}/{sum(map(runs, every[m]))}" for m in METHODS]
-    lines = [
-        "# Fastest motions of ten loads",
-        "",
-        f"- Planned for the uncertain set, {total[METHODS.index('tilting')]} perturbed runs keep load and limits;",
-        f"  planned for the nominal values, {total[METHODS.index('nominal')]}.",
-        f"- Planning for the set costs {100 * price('tilting', 'nominal'):.0f} % of the time (median of the loads).",
-        f"- A tray that may tilt saves {-100 * price('tilting', 'level'):.0f} % of the time of a level one.",
-        "",
-        "Each cell: duration, and in how many perturbed runs in the physics engine the load stays and the arm",
-        "keeps its limits. Columns: *line*, the straight level min-jerk line, as fast as limits and nominal",
-        "contact allow; *TOPP*, the same line with the time-optimal law (no jerk limit, as TOPP-RA;",
-        "`benchmarks/peers.py --agreement` compares it with toppra); *paper*, the paper's polynomial plan and",
-        "condition, for objects on the tray only; *nominal*, the fastest motion for nominal parameters; *level*",
-        "and *tilting*, the fastest robust motions. The parameters are the extreme points of the uncertain set,",
-        "then points drawn from it, the same for all columns. Line and paper are slow and may have fewer runs.",
-        "",
-        *table(survived, ["all", *total]),
-        "",
-        "## Runs that did not hold",
-        "",
-        "The worst outcome of each run. *limit*: the load stays, but a joint is too fast, needs too much torque or",
-        "leaves its range.",
-        "",
-        *table(failures),
-        "",
-        "## Processor time, s",
-        "",
-        "Robust motions include the check for all parameters on a finer grid.",
-        "",
-        *table(lambda found: f"{found['seconds']:.2f}" if "seconds" in found else ""),
-        "",
-        "Numbers: `docs/data/fastest.json`, from `python benchmarks/fastest.py -n 1000 --docs`.",
-    ]
-    return "\n".join(lines) + "\n"
-
-
 def main() -> None:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("-n", type=int, default=20, help="perturbed runs of each motion")
@@ -382,7 +315,6 @@ def main() -> None:
     options.add_argument("--only", nargs="*", help="names of scenarios")
     options.add_argument("--again", action="store_true", help="forget the motions and runs that there are")
     options.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
-    options.add_argument("--docs", action="store_true", help="write docs/fastest.md")
     chosen = options.parse_args()
 
     def runs_of(method: str) -> int:
@@ -399,9 +331,6 @@ def main() -> None:
         for found in study(name, scenario, runs_of, chosen.jobs, results.get(name, {})):
             results[name] = found
             write_json(DATA, results)
-    if chosen.docs:
-        ordered = {name: results[name] for name in scenarios() if name in results}
-        write_atomic(ROOT / "docs" / "fastest.md", page(ordered))
 
 
 if __name__ == "__main__":

@@ -1,13 +1,13 @@
 """Counted runs of identification and of learning while carrying: how often ranges cover the truth, what is dropped.
 
-python benchmarks/learning.py --logs 112 [--docs]    # 12 cases of 112 loads, and the same with the noise doubled
-python benchmarks/learning.py --defects 50 [--docs]    # sensors that are wrong, within their bounds and beyond
-python benchmarks/learning.py --loads 100 --friction open --sensor wrist [--docs]    # careful first, then fast
+python benchmarks/learning.py --logs 112    # 12 cases of 112 loads, and the same with the noise doubled
+python benchmarks/learning.py --defects 50    # sensors that are wrong, within their bounds and beyond
+python benchmarks/learning.py --loads 100 --friction open --sensor wrist    # careful first, then fast
 
 Logs are made by `salver.learning.sensors`, whose errors are not those that the estimator assumes. Loads are drawn
 within mass +-50 %, centre of mass +-15 mm and friction 0.2 to 0.6, of which nothing else is known (open), or which is
 known to 10 %, for the tall bottle on a Panda; a count goes on where it was stopped (--runs). Each row of the tables is
-kept in docs/data/learning.json.
+kept in docs/data/learning.json; `make pages` writes docs/howto from it.
 """
 
 from __future__ import annotations
@@ -243,7 +243,6 @@ def main() -> None:
     asked.add_argument("--only", default="", help="cases whose motion and sensor hold this, as in the table")
     asked.add_argument("--loads", type=int, default=0)
     asked.add_argument("--trips", type=int, default=2)
-    asked.add_argument("--docs", action="store_true", help="write the tables into docs/howto, from all rows kept")
     asked.add_argument("--friction", choices=FRICTION, default="open")
     asked.add_argument("--sensor", choices=get_args(Sensor), default="wrist")
     asked.add_argument(
@@ -273,24 +272,28 @@ def main() -> None:
     if given.loads:
         row = carried(given.friction, given.sensor, given.loads, given.trips, given.runs)
         keep("learnt", row, ("friction", "sensor", "count"))
+
+
+def pieces() -> dict[str, str]:
+    """The tables of docs/howto/identify.md and learn.md, from docs/data/learning.json."""
     kept = read_json(KEPT)
-    heads = (
-        "| motion | sensor | logs | 95 %: mass; x, y, z; xx, yy, zz | inside | to plan with | inside | refused | time |"
-    )
-    rows = sorted(kept.get("identified", []), key=lambda row: row["times"])
-    written(
-        "identified", DOCS / "howto" / "identify.md", [heads, "|---" * 9 + "|", *map(of_coverage, rows)], given.docs
-    )
-    heads = "| error | bound | loads | held, refused, missed: as large as the bound | 3 times | 10 times |"
-    rows = kept.get("wrong sensors", [])
-    lines = [heads, "|---" * 6 + "|", *map(of_wrong_sensors, rows)]
-    written("wrong sensors", DOCS / "howto" / "identify.md", lines, given.docs)
-    heads = (
-        "| friction | sensor | loads | trip 1, median | trip 2 | second over first, median | worst | sixth | "
-        "held, with steps of .5 ms | tilts, lost, moved at most | truth in the ranges; of friction |"
-    )
-    rows = kept.get("learnt", [])
-    written("learnt", DOCS / "howto" / "learn.md", [heads, "|---" * 11 + "|", *map(of_carried, rows)], given.docs)
+    identified = sorted(kept["identified"], key=lambda row: row["times"])
+    heads = {
+        "identified": "motion | sensor | logs | 95 %: mass; x, y, z; xx, yy, zz | inside | to plan with | inside "
+        "| refused | time",
+        "wrong": "error | bound | loads | held, refused, missed: as large as the bound | 3 times | 10 times",
+        "learnt": "friction | sensor | loads | trip 1, median | trip 2 | second over first, median | worst | sixth "
+        "| held, with steps of .5 ms | tilts, lost, moved at most | truth in the ranges; of friction",
+    }
+    rows = {
+        "identified": map(of_coverage, identified),
+        "wrong": map(of_wrong_sensors, kept["wrong sensors"]),
+        "learnt": map(of_carried, kept["learnt"]),
+    }
+    return {
+        name: "\n".join([f"| {head} |", "|---" * (head.count("|") + 1) + "|", *rows[name]])
+        for name, head in heads.items()
+    }
 
 
 def keep(table: str, row: dict[str, Any], keys: Sequence[str]) -> None:
@@ -298,16 +301,6 @@ def keep(table: str, row: dict[str, Any], keys: Sequence[str]) -> None:
     kept = read_json(KEPT) if KEPT.exists() else {}
     rows = [old for old in kept.get(table, []) if [old.get(key) for key in keys] != [row[key] for key in keys]]
     write_json(KEPT, kept | {table: [*rows, row]})
-
-
-def written(name: str, page: Path, rows: list[str], into: bool) -> None:
-    """Print a table, and put it into its page."""
-    print("\n".join(rows), end="\n\n")
-    if into:
-        sys.path.insert(0, str(DOCS))
-        import blocks
-
-        blocks.replace(page, name, "\n".join(rows))
 
 
 if __name__ == "__main__":

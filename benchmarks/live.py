@@ -1,12 +1,12 @@
 """Live motions: how long a change takes, what is followed, and whether anything is dropped.
 
-python benchmarks/live.py [-n RUNS] [--engine EVERY] [--seconds S] [--docs]     # --docs writes docs/live.md
+python benchmarks/live.py [-n RUNS] [--engine EVERY] [--seconds S]
     python benchmarks/live.py -n 1000 --length 10 --engine 1 --data docs/data/live-long.json    # long streams
-    python benchmarks/live.py --liquids -n 4 --engine 1 --docs    # open liquids; writes a table into docs/liquids.md
+    python benchmarks/live.py --liquids -n 4 --engine 1    # open liquids
     python benchmarks/live.py -n 100 --kinds arrivals    # how long new goals take beside the best known
 
 Runs are kept in docs/data/live.json, of liquids in live-liquids.json, and are not made again (--again: all anew), so
-that counts can be gone on with.
+that counts can be gone on with. `make pages` writes docs/live.md and a table of docs/liquids.md from them.
 Times are CPU times of one core, in the same process. What was executed is judged as one motion, at every millisecond
 and from its own beginning; every so many runs (--engine) it is then run in the physics engine, where the load is as far
 from nominal as it may be, beside what a filter makes of the same stream that knows the arm's limits and no load.
@@ -23,15 +23,12 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "docs"))
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from blocks import replace as written
-
 import salver as sv
 from live_arrivals import HIGHEST, LOWEST, arrival, arrived
-from live_page import HEAD, TABLE, faster, longer, loop, obstacles, row
+from live_page import faster, row
 from live_runs import EVERY, drive, executed, halted, in_turn, rows_of
-from live_streams import SECONDS, SPARED, STREAMS, clipped, stream
+from live_streams import SECONDS, STREAMS, clipped, stream
 from salver.campaigns.summary import DROPPED, FAR
 from salver.errors import Status
 from salver.files import read_json, write_atomic
@@ -49,8 +46,7 @@ SILENCE = 1.4  # s after a stream
 LAGS = np.arange(0.0, 0.06, 1e-3)  # s
 NOTHING = Status("optimal", "", True)
 DOCS = Path(__file__).parent.parent / "docs"
-PAGE, DATA, LONG = DOCS / "live.md", DOCS / "data" / "live.json", DOCS / "data" / "live-long.json"
-LIQUIDS_PAGE, LIQUIDS_DATA = DOCS / "liquids.md", DOCS / "data" / "live-liquids.json"
+DATA, LIQUIDS_DATA = DOCS / "data" / "live.json", DOCS / "data" / "live-liquids.json"
 
 
 class Planned:
@@ -187,7 +183,6 @@ def main() -> None:
     parser.add_argument("--again", action="store_true", help="forget what is kept")
     parser.add_argument("--liquids", nargs="*", choices=LIQUIDS, help="of open liquids: these, or all")
     parser.add_argument("--data", type=Path, help="where runs are kept")
-    parser.add_argument("--docs", action="store_true", help="write docs/live.md, or the table in docs/liquids.md")
     asked = parser.parse_args()
     wet = asked.liquids is not None
     asked.data = asked.data or (LIQUIDS_DATA if wet else DATA)
@@ -212,22 +207,9 @@ def main() -> None:
     changes = [arrived(name, kept) for name in scenarios if (kept := runs.pop(f"{name}, {ARRIVALS}", []))]
     rows = [row(*what.split(", "), kept) for what, kept in runs.items() if kept]
     print("\n".join(rows), faster(runs), ";\n".join(changes), sep="\n", flush=True)
-    if asked.docs and wet:
-        nearest = max(x["worst"] for kept in runs.values() for x in kept)
-        said = f"The nearest to an edge (0) that any came: {nearest:.1e} of what is limited."
-        written(LIQUIDS_PAGE, "live", "\n".join([TABLE, *rows, "", said]))
-    if not asked.docs or wet:
-        return
-    median, most = commands(sv.load_scenario(SCENARIOS[0]))
-    print(f"command: {median:.1f} us, {most:.1f} us at 99.9 %")
-    long = {what: kept for what, kept in read_json(LONG).items() if kept} if LONG.is_file() else {}
-    worst = max(x["worst"] for kept in (*runs.values(), *long.values()) for x in kept)
-    words = {"table": TABLE, "changes": ";\n".join(changes), "longer": longer(long, TIMED), "spared": 100 * SPARED}
-    beside = {"obstacles": obstacles(), "loop": loop()}
-    numbers = {"median": median, "most": most, "worst": worst, **beside}
-    PAGE.write_text(
-        HEAD.format(n=asked.n, rows="\n".join(rows), faster=faster(runs), **words, **numbers), encoding="utf-8"
-    )
+    if not wet:
+        median, most = commands(sv.load_scenario(SCENARIOS[0]))
+        print(f"`command` takes {median:.1f} us at the median and {most:.0f} us at 99.9 %.")
 
 
 if __name__ == "__main__":

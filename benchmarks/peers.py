@@ -17,16 +17,17 @@ Live planners need their packages (pip install toppra ruckig drake). What is not
 frozen motions: benchmarks/frozen/PLANNER/SCENARIO.csv (columns t and the joints' names, dq_, ddq_), with
 provenance.toml beside them, which says who planned them, with which version and how. --freeze writes them.
 
-Results are kept in runs/peers; with --docs the page docs/peers.md is written from them. Your own planner: see there.
+Results are kept in runs/peers; --docs keeps them in docs/data/peers.json and draws the plot, and `make pages`
+writes the tables of docs/peers.md and the README from it. Your own planner: see there.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import platform
 import shutil
-import sys
 import time
 import tomllib
 from collections.abc import Iterator
@@ -54,7 +55,6 @@ from salver.statistics import clopper_pearson
 from salver.trajectory import JointMotion
 
 PUBLISHED = ROOT / "docs" / "data" / "peers.json"
-PAGE = ROOT / "docs" / "peers.md"
 PLOT = ROOT / "docs" / "images" / "peers.png"
 FROZEN = Path(__file__).parent / "frozen"
 WORK = ROOT / "runs" / "peers"
@@ -204,7 +204,7 @@ def _between(rows: list[dict[str, Any]]) -> tuple[float, float]:
 
 
 def counts(results: dict[str, Any]) -> str:
-    """How many runs, of which loads, and by which packages."""
+    """How many runs, of which loads."""
     total, loads = 0, dict[str, list[str]]()
     for load, found in results.items():
         runs = [row["runs"] for row in found.values() if "runs" in row]
@@ -212,9 +212,17 @@ def counts(results: dict[str, Any]) -> str:
         each = f"{min(runs)}" if min(runs) == max(runs) else f"{min(runs)} to {max(runs)}"
         loads.setdefault(each, []).append(load)
     of_each = "; ".join(f"{each} of each motion for *{'*, *'.join(names)}*" for each, names in loads.items())
-    packages = {DISTRIBUTIONS.get(p.package, p.package) for p in PLANNERS.values() if p.package and not p.missing}
-    versions = ", ".join(f"{name} {metadata.version(name)}" for name in sorted(packages))
-    return f"{total} runs in all: {of_each}.{f' {versions}.' if versions else ''}"
+    return f"{total} runs in all: {of_each}."
+
+
+def pieces() -> dict[str, str]:
+    """The tables of docs/peers.md and the README, from docs/data/peers.json."""
+    results: dict[str, Any] = read_json(PUBLISHED)
+    few = ["| planner | mean duration | kept |", "|---|---|---|"]
+    for name in PLANNERS:
+        if all_ := totals(results, name):
+            few.append(f"| {name} | {all_['duration']:.2f} s | {math.floor(1e3 * all_['kept share']) / 10} % |")
+    return {"summary": "\n".join(few), "score": "\n".join(tables(results))}
 
 
 def tables(results: dict[str, Any]) -> list[str]:
@@ -361,7 +369,9 @@ def main() -> None:
     options.add_argument("--again", action="store_true", help="forget what is known of these loads and planners")
     options.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options.add_argument("--work", type=Path, default=WORK, help="folder of motions, runs and results")
-    options.add_argument("--docs", action="store_true", help="write the tables and the plot of docs/peers.md")
+    options.add_argument(
+        "--docs", action="store_true", help="keep them in docs/data and draw the plot of docs/peers.md"
+    )
     options.add_argument(
         "--freeze",
         nargs="*",
@@ -394,11 +404,7 @@ def main() -> None:
         write_json(data, found)
     print("\n".join(tables(results)))
     if chosen.docs:
-        sys.path.insert(0, str(ROOT / "docs"))
-        import blocks
-
         write_json(PUBLISHED, results)
-        blocks.replace(PAGE, "score", "\n".join(tables(results)))
         plot(results, PLOT)
 
 

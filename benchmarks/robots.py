@@ -4,8 +4,8 @@ python benchmarks/robots.py -n 1000 [--no-logs | --seeds 8 --seed 105] [--docs] 
 
 Each robot is tuned with the nominal load strapped to its tray; then the same loose loads, the 32 corners of the ranges
 first, are carried by the untuned and by the tuned plan: campaigns in runs/robots (--runs), which go on where they were
-stopped. Rows are kept in docs/data/robots.json. Another table has the excess found from noisy logs against the true
-one.
+stopped. Rows are kept in docs/data/robots.json; `make pages` writes docs/howto/track.md from them. Another table has
+the excess found from noisy logs against the true one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from salver.planning.plan import Plan, load_plan
 from salver.simulation.physics import Experiment
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGE, KEPT = DOCS / "learning.md", DOCS / "data" / "robots.json"
+PAGE, KEPT = DOCS / "howto" / "track.md", DOCS / "data" / "robots.json"
 LOGS = ((0.0, 1), (2e-5, 1), (1e-4, 1), (2e-5, 5), (1e-4, 5))  # rad of noise, and which samples are kept
 SPREAD = (1.2, 0.8, 1.0, 1.1, 0.9, 1.2, 0.8)
 
@@ -104,6 +104,24 @@ def of_robot(row: dict[str, Any]) -> str:
     return f"| {row['robot']} | {excess} | {row['cure']} | {price} | {of[0]} | {of[1]} |"
 
 
+def pieces() -> dict[str, str]:
+    """The table of docs/howto/track.md, and what it shows, from docs/data/robots.json."""
+    rows = read_json(KEPT)
+    tuned = [row for row in rows if row.get("tuned") is not None]
+    lost = sum(row["n"] - row["tuned"] for row in tuned)
+    cheap = sum(row["price"] <= 0.02 for row in tuned)
+    heads = ["| robot | first excess | cure | price | untuned | tuned |", "|---|---|---|---|---|---|"]
+    taken = 100 * max(row["excess"] or 0.0 for row in rows)
+    findings = (
+        f"- `salver tune` makes {len(tuned)} of {len(rows)} simulated robots keep the load, {cheap} for up to 2 % of "
+        f"the duration and one for {100 * max(row['price'] for row in tuned):.0f} %; it refuses those with friction "
+        f"that nobody compensates.\n- Tuned robots lost {lost} loads in {sum(row['n'] for row in tuned)} runs.\n"
+        f"- Tracking errors take up to {taken:.0f} % of the weight from the contact margin; an equal lag of all joints "
+        "takes nothing."
+    )
+    return {"robots": "\n".join([*heads, *map(of_robot, rows)]), "findings": findings}
+
+
 def logs(plan: Plan, seeds: int, seed: int, only: str) -> str:
     heads = [f"{noise:g} rad, {1000 // every} a second" for noise, every in LOGS]
     rows = [f"| robot | true | {' | '.join(heads)} |", f"|---|---|{'---|' * len(heads)}"]
@@ -130,7 +148,7 @@ def logs(plan: Plan, seeds: int, seed: int, only: str) -> str:
                 seen = track(real, joint_samples(t[::every], names, noisy, None, None, "log"), judge)
                 found.append((100 * (seen.excess - true), 100 * seen.uncertainty))
             off, known = np.array(found).T
-            cells.append(f"{off.min():+.1f} to {off.max():+.1f} (told +- {np.median(known):.1f})")
+            cells.append(f"{off.min():+.1f} to {off.max():+.1f} (± {np.median(known):.1f})")
         rows.append(f"| {name} | {100 * true:.1f} | {' | '.join(cells)} |")
         print(rows[-1], file=sys.stderr, flush=True)
     return "\n".join(rows)
@@ -144,24 +162,23 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=5, help="of their noise")
     parser.add_argument("--only", default="", help="robots whose name holds this")
     parser.add_argument("--runs", type=Path, default=Path("runs/robots"), help="where plans and campaigns are kept")
-    parser.add_argument("--docs", action="store_true", help="write the tables into docs/learning.md")
+    parser.add_argument("--docs", action="store_true", help="write the table of noisy logs into docs/howto/track.md")
     chosen = parser.parse_args()
     plan = chosen.runs / "plan"
     if not plan.exists():
         sv.plan("panda-tall-bottle", "fastest").save(plan)
     made = load_plan(plan)
-    tables = {} if chosen.no_logs else {"track": logs(made, chosen.seeds, chosen.seed, chosen.only)}
     if chosen.n:
         robots(made, chosen.n, chosen.only, chosen.runs)
-    rows = ["| robot | first excess | cure | price | untuned | tuned |", "|---|---|---|---|---|---|"]
-    tables["robots"] = "\n".join([*rows, *map(of_robot, read_json(KEPT))])
-    for name, table in tables.items():
-        print(table, end="\n\n")
+    print(pieces()["robots"])
+    if not chosen.no_logs:
+        table = logs(made, chosen.seeds, chosen.seed, chosen.only)
+        print(table)
         if chosen.docs:
             sys.path.insert(0, str(DOCS))
             import blocks
 
-            blocks.replace(PAGE, name, table)
+            blocks.replace(PAGE, "track", table)
 
 
 if __name__ == "__main__":

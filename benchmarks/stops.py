@@ -1,17 +1,15 @@
 """Can it be stopped at any time? Five loads: stops along their fastest motion, taken at random instants in the engine.
 
-    python benchmarks/stops.py [-n 50] [--cool 20] [--jobs 1] [--only cube ...] [--again] [--docs]
-    python benchmarks/stops.py --early 60 [--only cube ...] [--docs]    # stops anew along the same plans
-    python benchmarks/stops.py --times [--only cube ...] [--docs]       # likewise, and no runs
+    python benchmarks/stops.py [-n 50] [--cool 20] [--jobs 1] [--only cube ...] [--again]
+    python benchmarks/stops.py --times [--only cube ...]    # stops anew along the same plans, and no runs
 
 Each of n runs is stopped at an instant of its own, with the corners of the uncertain set first and then parameters
 drawn from it: `salver campaign runs/stops/LOAD --stops --method corners`, which goes on where it was stopped. The first
 runs (--cool) once more with the cool stop, which brakes the joints and knows nothing of the load. --again plans anew.
---early plans only the stops anew and runs so many in the first fifth of the plan, where they changed since the others
-were run; what was counted before is kept. --times also plans them for an arm whose commands act at once: what of a late
-stop is due to commands that are held for a period, while what is carried is at the edge of its contact.
+--times plans only the stops anew, also for an arm whose commands act at once, which shows what of a late stop is due to
+the zero-order hold of commands.
 
-Results are kept in docs/data/stops.json; with --docs the page docs/stops.md is written from them.
+Results are kept in docs/data/stops.json; `make pages` writes docs/stops.md from them.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from salver.campaigns import instant_of_run, parameters_of_run, run_campaign
 from salver.campaigns.summary import DROPPED, FAR
 from salver.control.arm import ArmState
 from salver.driver.stops import CoolStop
-from salver.files import read_json, write_atomic, write_json
+from salver.files import read_json, write_json
 from salver.models.arm import ArmModel, load_arm, with_load
 from salver.planning.fastest import FastestOptions, plan_fastest
 from salver.planning.fastest.constraints import ContactConstraint
@@ -46,7 +44,6 @@ DATA = ROOT / "docs" / "data" / "stops.json"
 WORK = ROOT / "runs" / "stops"
 INSTANTS = 200  # at which stops are compared
 AIM = 1.6  # times the cool stop's time: no stop should take more
-FIRST = 0.2  # of a plan: before that, arms lean into its first acceleration
 
 
 def scenarios() -> dict[str, Scenario]:
@@ -207,86 +204,52 @@ def anew(place: Path, scenario: Scenario) -> tuple[Plan, dict[str, Any]]:
     return plan, found
 
 
-def early(place: Path, scenario: Scenario, n: int) -> dict[str, Any]:
-    """Stops anew along the plan, how long they take, and n runs stopped in the first fifth of it, at corners."""
-    plan, found = anew(place, scenario)
-    rng, uncertain, lost = np.random.default_rng(5), plan.uncertain, 0
-    for run in range(n):
-        corner = uncertain.nominal + uncertain.half_range * rng.choice([-1, 1], len(uncertain.names))
-        parameters = dict(zip(map(str, uncertain.names), corner.tolist(), strict=True))
-        record = simulate(plan, parameters=parameters, seed=run, stop_at=rng.uniform(0.0, FIRST) * plan.duration)
-        lost += record.outcome in DROPPED or max(x["peak_slip"] for x in record.summary["objects"]) > FAR
-    return {**found, "early": {"runs": n, "lost": lost}}
-
-
-HEAD = """# Load-safe stops
-
-- Of {runs} runs that were stopped in the physics engine at random instants, {lost} lost the load.
+FINDINGS = """- Of {runs} runs that were stopped in the physics engine at random instants, {lost} lost the load.
 - Of {others} of these runs that were repeated with a controlled stop, which brakes the joints without regard to the
   load, {dropped} lost it.
-- The longest of all stops takes {longest:.2f} s.
-
-Runs: {loads} loads, each on its fastest robust motion, with [load-safe stops](howto/fastest.md#stop-at-any-time).
-Parameters are the corners of the uncertain set, then drawn from it. Lost means slipped over 5 mm, tipped, lifted
-off or off the tray. Numbers: `docs/data/stops.json`, from `python benchmarks/stops.py -n {n} --cool {cool} --docs`;
-one run: `salver simulate runs/stops/cube --run 3 --folder stops`.
-
-| load | stopped runs | lost | kept, arm beyond a limit | largest slip, mm | lost by the controlled stop |
-|---|---|---|---|---|---|
-"""
-MIDDLE = """
-## How long a stop takes
-
-Over instants all along the plan. A stop is stored every 20 ms if it is sooner at rest than the next one, and if the
-plan itself does not stop within 0.1 s; so none is later than finishing the plan. CPU times are of one core of a
-busy machine.
-
-| load | plan, s | stops (CPU) | takes, s: median, longest | of finishing | of the controlled stop: median, most |
-|---|---|---|---|---|---|
-"""
-EARLY = """
-Stops of the first fifth of a plan became faster after those runs: {runs} more runs, stopped there at corners,
-lost {lost}.
-"""
-LATE = """
-Of {instants} instants of each plan, {late} have a stop that takes more than {aim:g} times the controlled stop's time,
-all in the first {share:.0f} % of the plan. There the tray leans into the first acceleration and the load is at its
-contact constraint; the controlled stop violates it at {slides} of these. The main cause is the zero-order hold of
-commands: a jerk acts one period late. Without the hold the longest stops take, of the controlled stop's time,
-{once}.
-"""
+- The longest of all stops takes {longest:.2f} s."""
+LATE = """Of {instants} instants of each plan, {late}
+have a stop that takes more than {aim:g} times the controlled stop's time, all in the first {share:.0f} % of the plan.
+There the tray leans into the first acceleration and the load is at its contact constraint; the controlled stop violates
+it at {slides} of these. The main cause is the zero-order hold of commands: a jerk acts one period late. Without the
+hold the longest stops take, of the controlled stop's time,
+{once}."""
 
 
-def page(results: dict[str, Any]) -> str:
-    """docs/stops.md."""
-    kept, times, sooner = "", "", ""
+def pieces() -> dict[str, str]:
+    """What docs/stops.md says in numbers, from docs/data/stops.json."""
+    kept: dict[str, Any] = read_json(DATA)
+    results = {name: kept[name] for name in scenarios() if name in kept}
+    every = results.values()
+    heads = "stopped runs | lost | kept, arm beyond a limit | largest slip, mm | lost by the controlled stop"
+    rows = [f"| load | {heads} |", "|---" * 6 + "|"]
+    heads = "plan, s | stops (CPU) | takes, s: median, longest | of finishing | of the controlled stop: median, most"
+    times = [f"| load | {heads} |", "|---" * 6 + "|"]
     for name, r in results.items():
-        kept += f"| {name} | {r['runs']} | {r['lost']} | {r['beyond_a_limit']} | {1e3 * r['slip']:.2f} "
-        kept += f"| {r['cool']['lost']} of {r['cool']['runs']} |\n" if r["cool"]["runs"] else "| not run |\n"
-        times += f"| {name} | {r['duration']:.2f} | {r['stops']} of {r['instants']} ({r['seconds']['stops']:.0f} s) "
-        times += f"| {r['median']:.2f}, {r['longest']:.2f} | {r['of_finishing']:.2f} "
-        times += f"| {r['of_cool']:.2f}, {r['of_cool_most']:.2f} |\n"
-    runs, lost = (sum(r[key] for r in results.values()) for key in ("runs", "lost"))
-    others, dropped = (sum(r["cool"][key] for r in results.values()) for key in ("runs", "lost"))
-    again = [r["early"] for r in results.values() if "early" in r]
-    if again:
-        sooner = EARLY.format(**{key: sum(each[key] for each in again) for key in ("runs", "lost")})
-    if all("at_once" in r for r in results.values()):
-        sooner += LATE.format(
-            aim=AIM,
-            late=", ".join(f"{r['late']} ({name})" for name, r in results.items()),
-            instants=INSTANTS,
-            slides=", ".join(str(r["late_cool_slides"]) for r in results.values()),
-            share=100 * max(r["late_until"] for r in results.values()),
-            once=", ".join(f"{r['at_once']['of_cool_most']:.2f} ({name})" for name, r in results.items()),
+        cool = f"{r['cool']['lost']} of {r['cool']['runs']}" if r["cool"]["runs"] else "not run"
+        rows.append(f"| {name} | {r['runs']} | {r['lost']} | {r['beyond_a_limit']} | {1e3 * r['slip']:.2f} | {cool} |")
+        times.append(
+            f"| {name} | {r['duration']:.2f} | {r['stops']} of {r['instants']} ({r['seconds']['stops']:.0f} s) "
+            f"| {r['median']:.2f}, {r['longest']:.2f} | {r['of_finishing']:.2f} "
+            f"| {r['of_cool']:.2f}, {r['of_cool_most']:.2f} |"
         )
-    first = next(iter(results.values()))
-    longest = max(r["longest"] for r in results.values())
-    numbers = {"n": first["runs"], "cool": first["cool"]["runs"], "longest": longest}
-    head = HEAD.format(loads=len(results), runs=runs, lost=lost, others=others, dropped=dropped, **numbers)
-    if missing := [name for name in scenarios() if name not in results]:
-        kept += f"\nNot run to the end: {', '.join(missing)}.\n"
-    return head + kept + MIDDLE + times + sooner
+    out = {"runs": "\n".join(rows), "times": "\n".join(times)}
+    out["findings"] = FINDINGS.format(
+        runs=sum(r["runs"] for r in every),
+        lost=sum(r["lost"] for r in every),
+        others=sum(r["cool"]["runs"] for r in every),
+        dropped=sum(r["cool"]["lost"] for r in every),
+        longest=max(r["longest"] for r in every),
+    )
+    out["late"] = LATE.format(
+        aim=AIM,
+        late=", ".join(f"{r['late']} ({name})" for name, r in results.items()),
+        instants=INSTANTS,
+        slides=", ".join(str(r["late_cool_slides"]) for r in every),
+        share=100 * max(r["late_until"] for r in every),
+        once=", ".join(f"{r['at_once']['of_cool_most']:.2f} ({name})" for name, r in results.items()),
+    )
+    return out
 
 
 def main() -> None:
@@ -296,9 +259,7 @@ def main() -> None:
     options.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     options.add_argument("--only", nargs="+", help="these loads")
     options.add_argument("--again", action="store_true", help="plan anew")
-    options.add_argument("--early", type=int, default=0, help="stops anew, and so many runs in the first fifth")
     options.add_argument("--times", action="store_true", help="stops anew, and without held commands; no runs")
-    options.add_argument("--docs", action="store_true", help="write docs/stops.md")
     chosen = options.parse_args()
     cases = scenarios()
     results = read_json(DATA) if DATA.is_file() else {}
@@ -307,14 +268,10 @@ def main() -> None:
         if chosen.times:
             plan, found = anew(place, cases[name])
             results[name] |= {**found, "at_once": at_once(plan)}
-        elif chosen.early:
-            results[name] |= early(place, cases[name], chosen.early)
         else:
             results[name] = study(name, cases[name], chosen.n, chosen.cool, chosen.jobs, chosen.again)
         write_json(DATA, results)
         print(name, results[name], flush=True)
-    if chosen.docs:
-        write_atomic(ROOT / "docs" / "stops.md", page({name: results[name] for name in cases if name in results}))
 
 
 if __name__ == "__main__":

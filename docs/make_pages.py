@@ -10,18 +10,17 @@ keys: Motion               the keys of a table of the scenario file, from the mo
 example: cost              a file of examples/extending or benchmarks
 api: salver.trajectory     the public names of a module, each with the first sentence of its docstring (on the site, all
                            of it with signatures: `docs/hooks.py`)
-data: peers                the planners of docs/data/peers.json in few columns (README)
+data: stops.findings       a piece of what a module of benchmarks says of the runs in docs/data
 """
 
 from __future__ import annotations
 
 import importlib
 import inspect
-import json
-import math
 import re
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -83,16 +82,16 @@ def names_of(module: str) -> str:
     return "\n".join(rows)
 
 
-def results_of(name: str) -> str:
-    """A table of mean duration and share of runs kept, over all loads, of each planner in `docs/data/NAME.json`."""
-    loads = json.loads((DOCS / "data" / f"{name}.json").read_text(encoding="utf-8")).values()
-    rows = ["| planner | mean duration | kept |", "|---|---|---|"]
-    for planner in dict.fromkeys(planner for load in loads for planner in load):
-        found = [load[planner] for load in loads if load.get(planner, {}).get("runs")]
-        kept = sum(run["outcomes"].get("holds", 0) / run["runs"] for run in found) / len(found)
-        mean = sum(run["duration"] for run in found) / len(found)
-        rows.append(f"| {planner} | {mean:.2f} s | {math.floor(1e3 * kept) / 10} % |")
-    return "\n".join(rows)
+def data_of(name: str) -> str:
+    """What `pieces()` of a module of `benchmarks` says of the runs that docs/data keeps."""
+    module, piece = name.split(".")
+    return _pieces(module)[piece]
+
+
+@cache
+def _pieces(module: str) -> dict[str, str]:
+    sys.path[:0] = [str(DOCS.parent / folder) for folder in ("benchmarks", "tests")]
+    return importlib.import_module(module).pieces()
 
 
 def _first_sentence(thing: object) -> str:
@@ -125,7 +124,7 @@ WRITERS: dict[str, Callable[[str], str]] = {
     "keys": keys_of,
     "api": names_of,
     "example": example_of,
-    "data": results_of,
+    "data": data_of,
 }
 
 
