@@ -45,6 +45,7 @@ from salver.trajectory import (
     position_boundary,
 )
 
+MISSED = 1e-7  # N (or the row's own unit) by which a solution may miss a constraint
 _SMOOTH = 1e-9  # share of the jerk in what is minimised
 
 
@@ -73,12 +74,11 @@ class Problem:
 
     scenario: Scenario
     nodes: int
-    tightening: float = 0.0
 
     @property
     def margin(self) -> float:
-        """What slacks must exceed: the scenario's margin and, after a failed check between the nodes, some more."""
-        return self.scenario.contact.margin + self.tightening
+        """What slacks must exceed: the scenario's margin, and at least what a solution may miss it by."""
+        return max(self.scenario.contact.margin, MISSED)
 
     @cached_property
     def duration(self) -> float:

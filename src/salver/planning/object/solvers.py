@@ -9,7 +9,7 @@ import numpy as np
 from salver.errors import Status
 from salver.geometry import GRAVITY_S, Array, exp, log
 from salver.planning.object.conditions import apart, unit_of
-from salver.planning.object.problem import Linearisation, Problem
+from salver.planning.object.problem import MISSED, Linearisation, Problem
 from salver.planning.object.subproblem import TOLERANCE, Step, solve_model
 
 _PROGRESS = 1e-6  # the sequential method ends when a step promises less, relative to the cost
@@ -107,7 +107,7 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
         merit = _merit(model, margin, penalty)
         predicted = merit - _model_merit(model, step, margin, penalty)
         if predicted <= _PROGRESS * _cost(model):
-            if _violation(model, margin) > 1e-7 and penalty < _HIGHEST_PENALTY * scale:
+            if _violation(model, margin) > MISSED and penalty < _HIGHEST_PENALTY * scale:
                 penalty *= 10
                 continue
             reason = "optimal"
@@ -130,7 +130,7 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
             break
     z, model, d = _meet_goal(problem, z, model)
     violation = _violation(model, margin, d)
-    if violation > 1e-7:
+    if violation > MISSED:
         status = infeasible(problem, model, d, False)
     else:
         words = {
