@@ -248,6 +248,8 @@ def page(records: list[dict[str, Any]], ran: list[dict[str, Any]], others: list[
     lines = [
         "# A survey of random tasks",
         "",
+        *_findings(records, ran),
+        "",
         "Written by `python benchmarks/survey.py --docs`; one line for each task is in `docs/data/survey.jsonl`.",
         "",
         f"Tasks {records[0]['number']} to {records[-1]['number']} of the survey: random ends, loads and cells on",
@@ -276,6 +278,20 @@ def page(records: list[dict[str, Any]], ran: list[dict[str, Any]], others: list[
             "",
         ]
     return "\n".join(lines)
+
+
+def _findings(records: list[dict[str, Any]], ran: list[dict[str, Any]]) -> list[str]:
+    found = [(r["default"]["duration"], best) for r in records if (best := best_known(r))]
+    near = sum(bool(duration) and duration <= 1.03 * best for duration, best in found)
+    cpu = np.median([r["default"]["cpu"] for r in records])
+    numbers = {r["number"] for r in records}
+    held, runs = (sum(run[key] for run in ran if run["number"] in numbers) for key in ("held", "runs"))
+    return [
+        f"- Of {len(found)} random tasks that have a known solution the default effort solves "
+        f"{sum(bool(duration) for duration, _ in found)}, {near} within 3 % of the best known duration.",
+        f"- A task takes {cpu:.2f} s of processor time at the median.",
+        f"- In the physics engine {held} of {runs} runs with the worst loads hold.",
+    ]
 
 
 def _exceptions(records: list[dict[str, Any]]) -> list[str]:

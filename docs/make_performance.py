@@ -2,8 +2,8 @@
 
     python docs/make_performance.py [NAME ...]
 
-Names are those of the blocks in the page; by default all but toppra, which needs that package,
-and against, which needs the history in git. Run it on an idle machine.
+Names are those of the blocks in the page; by default all but toppra, which needs that package.
+Run it on an idle machine.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ COMMANDS = {
 }
 PEERS = {
     "toppra": ["peers.py", "--agreement", "--only", "cube, friction 0.4", "tall bottle"],
-    "against": ["against.py", "fd9b03a", "-n", "7", "--unheld"],
 }
 PROCESSES = (
     "salver --help",

@@ -173,6 +173,26 @@ def test_what_pages_take_from_the_program_is_what_it_says_now():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.parametrize("name", ["performance", "physics", "reproduction"])
+def test_findings_written_by_hand_are_numbers_of_their_page(name):
+    """Each number of the list that opens the page stands in what a command wrote into it, too."""
+    _, opening, rest = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8").split("\n\n", 2)
+    measured = set(re.findall(NUMBER, "".join(re.findall(r"<!-- written: .*?<!-- end -->", rest, re.S))))
+    stated = {number for number in re.findall(rf"(?<![\w.]){NUMBER}", opening) if len(number) > 2}
+    assert stated
+    assert stated <= measured, stated - measured
+
+
+def test_the_readme_says_of_real_robots_what_their_page_says():
+    written = [
+        re.search(rf"<!-- written: {block} -->(.*?)<!-- end -->", (ROOT / page).read_text(encoding="utf-8"), re.S)[1]
+        for page, block in (("README.md", "reality"), ("docs/reality.md", "findings"))
+    ]
+    ours, theirs = (set(re.findall(NUMBER, text)) for text in written)
+    assert len(ours) > 3
+    assert ours <= theirs, ours - theirs
+
+
 def anchors(page):
     """The anchors of a page's headings, as the site makes them."""
     headings = re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.M)
