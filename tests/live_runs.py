@@ -121,11 +121,8 @@ def _rows(problem, motion, t, jerk):
     if problem.tracking is not None:
         problem = replace(problem, tracking=Linear(**vars(problem.tracking)))
     at = problem.at(t / motion.duration, np.stack([*motion.sample(t), jerk]), motion.duration, imposed=False)
-    at.sloshing_as(
-        Sloshing.of(
-            problem.liquids, t, at.terms.w, at.response, rounds=int(ROUNDS * max(1.0, 0.5 * motion.duration))
-        ).each
-    )
+    rounds = int(ROUNDS * max(1.0, 0.5 * motion.duration))
+    at = at.knowing(waves=Sloshing.of(problem.liquids, t, at.terms.w, at.response, rounds=rounds))
     constraints = [constraint.near(motion.q[::5]) for constraint in problem.constraints]
     if problem.payload.liquids and not problem.liquids:
         constraints = [constraint for constraint in constraints if not isinstance(constraint, ContactConstraint)]

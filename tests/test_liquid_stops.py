@@ -37,8 +37,7 @@ def seen(problem: TransportProblem, motion: JointMotion, t: np.ndarray, since: f
     q, dq, ddq = motion.sample(t)
     takes = END - since
     at = problem.at((t - since) / takes, np.stack([q, dq, ddq, motion.jerk(t)]), takes, imposed=False)
-    sloshing = Sloshing.of(problem.liquids, t - since, at.terms.w, at.response, problem.past, ROUNDS)
-    return at.sloshing_as(sloshing.each)
+    return at.knowing(waves=Sloshing.of(problem.liquids, t - since, at.terms.w, at.response, problem.past, ROUNDS))
 
 
 def left(problem: TransportProblem, motion: JointMotion, now: float = NOW) -> TransportProblem:

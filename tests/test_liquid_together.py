@@ -71,8 +71,8 @@ def test_several_side_by_side_are_each_as_if_alone(glasses: TransportProblem) ->
 
 
 def test_taken_to_give_way_as_itself_a_motion_is_what_it_was(glasses: TransportProblem) -> None:
-    motion, same = moved(glasses), moved(glasses)
-    same.giving_way_as(motion)
+    motion = moved(glasses)
+    same = moved(glasses).giving_way_as(motion)
     for name, parts in motion.sloshing.items():
         for part, other in zip(parts, same.sloshing[name], strict=True):
             np.testing.assert_allclose(other.crest, part.crest, atol=1e-12)
@@ -81,8 +81,8 @@ def test_taken_to_give_way_as_itself_a_motion_is_what_it_was(glasses: TransportP
 
 
 def test_taken_to_give_way_as_one_near_by_waves_err_by_less_than_they_change(glasses: TransportProblem) -> None:
-    motion, truly, taken = moved(glasses), moved(glasses, 1.01), moved(glasses, 1.01)
-    taken.giving_way_as(motion)
+    motion, truly = moved(glasses), moved(glasses, 1.01)
+    taken = moved(glasses, 1.01).giving_way_as(motion)
     for name, parts in truly.sloshing.items():
         before, after, guessed = (x.sloshing[name][1].crest for x in (motion, truly, taken))
         assert np.abs(guessed - after).max() < 0.25 * np.abs(after - before).max(), name

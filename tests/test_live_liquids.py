@@ -16,6 +16,7 @@ from salver.live.steer import HORIZON, TICK, Steering, TwistWanted
 from salver.live.verify import Judged, verified
 from salver.planning.fastest import evaluate, joint_plan
 from salver.planning.fastest.brim import Brim
+from salver.planning.fastest.evaluation import NOTHING
 from salver.sensitivity.arm.liquids import Sloshing
 from salver.sensitivity.arm.past import Past
 from transport import cup_and_jar
@@ -116,7 +117,7 @@ def test_rows_of_waves_change_with_a_bend_as_differences_say(changed, monkeypatc
     bend[[0, -1]] = 0.0
 
     def values(sign):
-        bent = replace(motion, z=motion.z + sign * steering.grid.motion(bend, HORIZON))
+        bent = replace(motion, z=motion.z + sign * steering.grid.motion(bend, HORIZON), known=NOTHING)
         return evaluate(constraints, bent.giving_way_as(motion))
 
     constraints = list(dict.fromkeys(block.of for block in blocks))

@@ -306,7 +306,9 @@ class Steering:
         ):  # a wave's filter takes half of a jump of the jerk as before it
             rates = motion.at_nodes[1:].copy()
             rates[2] = 0.5 * (rates[2] + base.motion.jerk(own[grid.nodes] - SAME) * moving[grid.nodes])
-            motion.straying(sought.tracking.along(HORIZON * motion.shares, motion.terms, rates, shares=motion.shares))
+            terms, shares = motion.terms, motion.shares
+            strayed = sought.tracking.along(HORIZON * shares, terms, rates, shares=shares)
+            motion = motion.knowing(terms=terms, response=strayed)
         constraints = [constraint.near(motion.at_nodes[0]) for constraint in self.sought.constraints]
         blocks = evaluate(constraints, motion)
         more_kept = self.caution.margins(blocks)
@@ -350,8 +352,9 @@ class Steering:
                 break  # the verdict is another's
             bent = replace(sought.at(grid.s, z + added, HORIZON, grid.nodes), moving=False)
             # What the arm strays from what is committed is nearly what it strays from a bend of it.
-            bent.feeling(motion_terms(bent.model, bent.frame_id, *bent.at_nodes[:3]))
-            trial = evaluate(constraints, bent.giving_way_as(motion) if sought.liquids else bent.straying_as(motion))
+            bent = bent.knowing(terms=motion_terms(bent.model, bent.frame_id, *bent.at_nodes[:3]))
+            bent = bent.giving_way_as(motion) if sought.liquids else bent.straying_as(motion)
+            trial = evaluate(constraints, bent)
             for block, lack in zip(trial, lacking, strict=True):
                 block.values[:] -= lack
             excess = max(float(block.values.max()) for block in trial)
@@ -371,7 +374,6 @@ class Steering:
             more = [block.joining(mask & (block.values <= BENT)) for block, mask in zip(trial, masks, strict=True)]
             masks = [mask | joining for mask, joining in zip(masks, more, strict=True)]
             where += [np.nonzero(mask) for mask in more]
-            bent.terms.derived_at(_nodes(grid, trial, more))
             rows = self._rows(trial, more, unknowns)
             values = np.concatenate([block.values[mask] for block, mask in zip(trial, more, strict=True)])
             matrix, bound = np.vstack([matrix, rows]), np.append(bound, rows @ bend.ravel() - values)
@@ -403,17 +405,6 @@ class Steering:
                     rows[near] += block.history(node[near], column[near], unknowns)
             matrices.append(rows)
         return np.vstack(matrices)
-
-
-def _nodes(grid: Grid, blocks: Sequence[Block], masks: Sequence[Mask]) -> Indices:
-    """Indices of the nodes that the rows that masks name are at; of the next ones too, where rows couple two."""
-    some = np.zeros(len(grid.s), dtype=bool)
-    for block, mask in zip(blocks, masks, strict=True):
-        due = np.flatnonzero(np.any(mask, axis=1))
-        some[block.points[due]] = True
-        if block.following is not None:
-            some[block.points[due + 1]] = True
-    return np.flatnonzero(some[grid.nodes])
 
 
 def _programme(hessian: Array, cost: Array, matrix: Array, bound: Array, fixed: int) -> qp.Quadratic:

@@ -23,6 +23,20 @@ EASING = 0.25  # of a motion that begins moving: over this share of it margins g
 
 
 @dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of a motion already, or taken from one like it; None is worked out. See `MotionEvaluation` for what
+    they are."""
+
+    terms: MotionTerms | None = None
+    response: Deviation | None = None
+    sag: Drift | None = None
+    waves: Sloshing | None = None
+
+
+NOTHING = Known()
+
+
+@dataclass(frozen=True, eq=False)
 class MotionEvaluation:
     """A motion at points s (P,) in [0, 1] of its duration (s): z (4, P, n) is q and its three time derivatives there.
 
@@ -31,7 +45,7 @@ class MotionEvaluation:
     looked at; the joints' own motion costs little and is looked at at all points. imposed: whether the rows are
     conditions of a programme; otherwise they are checked between its nodes. moving: whether it begins moving. liquids:
     the cases of each; past: what they come from, if not from rest. coarsely: whether of rows that are far from their
-    edge a bound is enough.
+    edge a bound is enough. known: quantities that need not be worked out.
 
     All further quantities are computed when they are first read, and once.
     """
@@ -48,6 +62,11 @@ class MotionEvaluation:
     liquids: tuple[tuple[SloshingCase, ...], ...] = ()
     past: Past | None = None
     coarsely: bool = False
+    known: Known = NOTHING
+
+    def __post_init__(self) -> None:
+        if self.known.terms is not None and not np.array_equal(self.known.terms.q, self.z[0, self.nodes]):
+            raise ValueError("the terms that are known are another motion's")
 
     @property
     def n(self) -> int:
@@ -67,14 +86,16 @@ class MotionEvaluation:
     @cached_property
     def terms(self) -> MotionTerms:
         """What the tray feels and the torque it takes at the nodes; derivatives too, when they are read."""
+        if self.known.terms is not None:
+            return self.known.terms
         q, dq, ddq = self.at_nodes[:3]
         return motion_terms(self.model, self.frame_id, q, dq, ddq, deriving=self.tracking is not None)
 
     @cached_property
     def response(self) -> Deviation | None:
         """What a wrong load and held commands do to the arm at the nodes."""
-        if self.tracking is None:
-            return None
+        if self.tracking is None or self.known.response is not None:
+            return self.known.response
         shares = self.shares
         return self.tracking.along(shares * self.duration, self.terms, self.at_nodes[1:], shares=shares)
 
@@ -97,7 +118,8 @@ class MotionEvaluation:
         known: dict[float, MotionEvaluation] = self._at_factors
         if factor not in known:
             powers = factor ** np.arange(4.0)[:, None, None]
-            known[factor] = replace(self, z=self.z * powers, duration=self.duration / factor)
+            z = self.z * powers
+            known[factor] = replace(self, z=z, duration=self.duration / factor, known=NOTHING)
         return known[factor]
 
     @cached_property
@@ -107,63 +129,45 @@ class MotionEvaluation:
     @cached_property
     def sag(self) -> Drift | None:
         """What a wrong load does to the arm where it stands still in the postures of the nodes."""
-        return None if self.tracking is None else self.tracking.sag(self.terms)
+        if self.tracking is None or self.known.sag is not None:
+            return self.known.sag
+        return self.tracking.sag(self.terms)
+
+    def knowing(self, **known: Any) -> MotionEvaluation:
+        """This motion, with some of the fields of `Known`."""
+        return replace(self, known=replace(self.known, **known))
 
     def straying_as(self, other: MotionEvaluation) -> MotionEvaluation:
         """This motion, with an arm that strays from it as from a motion like it, at the same instants."""
         like = other.response
         if like is None:
             return self
-        return self.straying(like.along(self.terms)).sagging(other.sag)
+        return self.knowing(terms=self.terms, response=like.along(self.terms), sag=other.sag)
 
     def giving_way_as(self, other: MotionEvaluation) -> MotionEvaluation:
         """This motion, with an arm that gives way to its load and to its waves as along a motion like it, at the same
         shares of its time."""
-        self.straying_as(other)
-        return self.swinging(other._waves.along(self.shares * self.duration, self.terms.w))
-
-    def swinging(self, waves: Sloshing) -> MotionEvaluation:
-        """This motion, with the waves of all cases known."""
-        self.__dict__["_waves"] = waves
-        return self
-
-    def straying(self, response: Any) -> MotionEvaluation:
-        """This motion, with what the arm does to it known."""
-        self.__dict__["response"] = response  # where the cached property would keep it
-        return self
-
-    def sagging(self, sag: Drift | None) -> MotionEvaluation:
-        """This motion, with what a wrong load does to the arm that stands still known."""
-        self.__dict__["sag"] = sag
-        return self
-
-    def sloshing_as(self, sloshing: dict[str, tuple[Slosh, ...]]) -> MotionEvaluation:
-        """This motion, with what its liquids do known."""
-        self.__dict__["sloshing"] = sloshing
-        return self
-
-    def feeling(self, terms: MotionTerms) -> MotionEvaluation:
-        """This motion, with its terms known."""
-        self.__dict__["terms"] = terms
-        return self
+        straying = self.straying_as(other)
+        return straying.knowing(waves=other.waves.along(self.shares * self.duration, straying.terms.w))
 
     @cached_property
     def sloshing(self) -> dict[str, tuple[Slosh, ...]]:
         """What each body's liquid does, by the body's name: its cases."""
-        return self._waves.each
+        return self.waves.each
 
     @cached_property
-    def _waves(self) -> Sloshing:
-        return Sloshing.of(self.liquids, self.shares * self.duration, self.terms.w, self.response, self.past)
+    def waves(self) -> Sloshing:
+        """The waves of all cases of its liquids."""
+        return self.known.waves or Sloshing.of(self.liquids, self.shares * self.duration, self.terms.w, self.response, self.past)
 
     @property
     def left(self) -> Past:
         """The waves along it, for a motion that goes on from it: at instants of its own time, s."""
-        return self._waves.past(self.shares * self.duration)
+        return self.waves.past(self.shares * self.duration)
 
     def rested(self, seconds: float) -> Past:
         """The same after so many seconds at rest in which it ends."""
-        return self._waves.rested(seconds + np.array([0.0, self.steps[-1]]))
+        return self.waves.rested(seconds + np.array([0.0, self.steps[-1]]))
 
     def joint_radius(self, order: int) -> Array:
         """(N, n) most by which the joints' position (order 0) or velocity (1) can differ from the plan's at the nodes:

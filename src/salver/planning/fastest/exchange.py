@@ -147,7 +147,7 @@ def optimise(
         more = with_missed_cases(problem, seen, point.margin)
         if more is not None:  # fills and dampings that no row stood for
             problem, fine = more, curve_of(more, check)
-            seen = _seen(fine, point).feeling(seen.terms).straying(seen.response)
+            seen = _seen(fine, point).knowing(terms=seen.terms, response=seen.response)
         worst, binding, slower, peaks = _between(fine, objective, point, seen)
         if objective.scalar is Scalar.DURATION:
             worst, binding, point = _slowed(fine, objective, point, worst, binding, slower, how.excess)

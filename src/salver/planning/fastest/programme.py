@@ -120,7 +120,7 @@ class Programme:
         z = self.curve.motion(point.coefficients, point.duration)
         motion = self.curve.problem.at(grid.s, z, point.duration, grid.nodes)
         if like is not None:
-            motion.giving_way_as(like)
+            motion = motion.giving_way_as(like)
         blocks = self.objective.demanded(evaluate(self.constraints, motion), point.margin)
         return Iterate(point, self.curve, motion, blocks, self.objective.value(self.curve, point))
 

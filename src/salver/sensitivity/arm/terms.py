@@ -6,7 +6,7 @@ RSS 2018, as Pinocchio provides them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -50,7 +50,8 @@ class Derivatives:
 class MotionTerms:
     """At T instants of an arm with n joints; E is the tray's frame, everything of it in E.
 
-    Values are there from the beginning; derivatives, which cost seven times as much, from when the first is read.
+    Values are there from the beginning; derivatives, which cost seven times as much, from when the first is read, unless
+    they are `known`.
 
     p_SE (T, 3), R_SE (T, 3, 3). twist (T, 6); spatial (T, 6), its spatial acceleration. torque (T, n) N m with the
     load. w (T, 12) what the tray feels (`salver.models.tray_motion`).
@@ -67,6 +68,7 @@ class MotionTerms:
     spatial: Array
     torque: Array
     w: Array
+    known: Derivatives | None = None
 
     @classmethod
     def deriving(cls, model: Any, frame_id: int, states: Array, t: Array, some: npt.NDArray[np.intp]) -> MotionTerms:
@@ -83,26 +85,16 @@ class MotionTerms:
             value = np.empty((len(others), *first.shape[1:]))
             value[some], value[others] = first, second
             found.append(value)
-        terms = cls(model, frame_id, *states, *found)
         after = np.clip(np.searchsorted(t[some], t), 1, len(some) - 1)
         share = ((t - t[some][after - 1]) / np.diff(t[some])[after - 1])[:, None, None]
         slopes = ((x[after - 1], x[after]) for x in vars(few.derivatives).values())
-        terms.__dict__["derivatives"] = Derivatives(*(x + share * (y - x) for x, y in slopes))
-        return terms
-
-    def derived_at(self, some: npt.NDArray[np.intp]) -> MotionTerms:
-        """The same, with derivatives at some of the instants only; elsewhere, where nobody asks, they are zero."""
-        known = vars(_all_of(self.model, self.frame_id, self.q[some], self.dq[some], self.ddq[some])[1])
-        found = {name: np.zeros((len(self.q), *value.shape[1:])) for name, value in known.items()}
-        for name, value in known.items():
-            found[name][some] = value
-        self.__dict__["derivatives"] = Derivatives(**found)
-        return self
+        known = Derivatives(*(x + share * (y - x) for x, y in slopes))
+        return cls(model, frame_id, *states, *found, known)
 
     @cached_property
     def derivatives(self) -> Derivatives:
-        """By Pinocchio, at every instant."""
-        return _all_of(self.model, self.frame_id, self.q, self.dq, self.ddq)[1]
+        """By Pinocchio, at every instant, unless they are known."""
+        return self.known or _all_of(self.model, self.frame_id, self.q, self.dq, self.ddq)[1]
 
     @property
     def twist_q(self) -> Array:
@@ -201,9 +193,7 @@ def motion_terms(model: Any, frame_id: int, q: Array, dq: Array, ddq: Array, der
     """
     if deriving:
         values, derivatives = _all_of(model, frame_id, q, dq, ddq)
-        terms = _of_values(model, frame_id, q, dq, ddq, *values)
-        terms.__dict__["derivatives"] = derivatives
-        return terms
+        return replace(_of_values(model, frame_id, q, dq, ddq, *values), known=derivatives)
     (count, n), data, frame = q.shape, model.createData(), model.frames[frame_id]
     p, rotation = np.empty((count, 3)), np.empty((count, 3, 3))  # of the last joint, as twist and acceleration first
     twist, spatial, torque = np.empty((count, 6)), np.empty((count, 6)), np.empty((count, n))
