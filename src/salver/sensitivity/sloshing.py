@@ -17,7 +17,6 @@ from salver.sensitivity.wave_gradients import Unknowns, at_node, surface_by
 from salver.sensitivity.waves import Waves
 
 LIGHTEST = 1 - LEAST_WEIGHT  # share of its weight that a liquid may be relieved of
-_OF_SURFACE = "crest", "free_height", "lightness", "free_left", "left_at_once"
 LESS = STEEPEST / LEANING
 LEAST_SIZE = 1e-4  # m; waves smaller than this turn as fast as they like
 
@@ -94,12 +93,6 @@ class Slosh:
         """(K,) m, see `Waves.left`, at the worst of what is uncertain."""
         return self.left_at_once if seconds is None else self.waves.left(seconds, self.more_left)
 
-    def prepared(self) -> Slosh:
-        """With all of it known that becomes of the surface, side by side for all cases: parts need not work it out."""
-        for name in _OF_SURFACE:
-            getattr(self, name)
-        return self
-
     def at(self, index: Indices) -> Slosh:
         """The wrench at some instants."""
         return replace(self, wrench=self.wrench[:, index])
@@ -111,19 +104,13 @@ class Slosh:
             planned = waves if self.planned is self.waves else self.planned.part(some)
         reaction = None if self.reaction is None else self.reaction.part(some)
         change = None if self.change is None else self.change.part(some)
-        return self._known_to(Slosh(waves, self.wrench[some], planned, reaction, change, *self._more(some)), some)
+        return Slosh(waves, self.wrench[some], planned, reaction, change, *self._more(some))
 
     def only(self, k: int) -> Slosh:
         """What becomes of the surface in one case."""
         some = slice(k, k + 1)
         waves, (higher, freer, more) = self.waves.part(some), self._more(some)
-        found = Slosh(waves, self.wrench[some], waves, higher=higher, freer=freer, more_left=more)
-        return self._known_to(found, some)
-
-    def _known_to(self, part: Slosh, some: slice) -> Slosh:
-        """A part, with what is known of it already."""
-        vars(part).update({name: vars(self)[name][some] for name in _OF_SURFACE if name in vars(self)})
-        return part
+        return Slosh(waves, self.wrench[some], waves, higher=higher, freer=freer, more_left=more)
 
     def _more(self, some: slice) -> list[Array | float]:
         return [x if np.ndim(x) == 0 else np.asarray(x)[some] for x in (self.higher, self.freer, self.more_left)]

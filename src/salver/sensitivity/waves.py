@@ -104,17 +104,12 @@ class Waves:
         return replace(self, r=r, rate=rate, second=second)
 
     def part(self, some: slice) -> Waves:
-        """Some of the cases, with what is known of them."""
+        """Some of the cases."""
         which, filters = Cases.of(self.cases.each[some]), self.filters.only((some,))
         names = ("w", "upward", "spin", "at_modes", "r", "rate", "second")
         start = None if self.start is None else self.start.part(some)
         felt = {name: getattr(self, name)[some] for name in names}
-        found = replace(self, cases=which, filters=filters, start=start, **felt)
-        for name in ("force", "slope", "eta", "free", "crest", "wrench", "tail", "ending", "peak"):
-            if name in self.__dict__:
-                known = self.__dict__[name]
-                found.__dict__[name] = tuple(x[some] for x in known) if isinstance(known, tuple) else known[some]
-        return found
+        return replace(self, cases=which, filters=filters, start=start, **felt)
 
     def shifted(self, dw: Array, start: Underway | None = None) -> Waves:
         """The waves of w + dw (K, T, 12), to first order in dw, which begins with the motion; start: how they begin, if

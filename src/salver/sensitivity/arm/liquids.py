@@ -78,7 +78,7 @@ class Sloshing:
         """The cases of each liquid, by the name of its body, in parts."""
         found = {}
         for group, parts in self.together:
-            planned, *given = (part.prepared() for part in parts)
+            planned, *given = parts
             begin = 0
             for liquid in group:
                 some = slice(begin, begin + len(liquid))
