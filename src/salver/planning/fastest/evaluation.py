@@ -158,7 +158,9 @@ class MotionEvaluation:
     @cached_property
     def waves(self) -> Sloshing:
         """The waves of all cases of its liquids."""
-        return self.known.waves or Sloshing.of(self.liquids, self.shares * self.duration, self.terms.w, self.response, self.past)
+        return self.known.waves or Sloshing.of(
+            self.liquids, self.shares * self.duration, self.terms.w, self.response, self.past
+        )
 
     @property
     def left(self) -> Past:

@@ -50,7 +50,7 @@ class Derivatives:
 class MotionTerms:
     """At T instants of an arm with n joints; E is the tray's frame, everything of it in E.
 
-    Values are there from the beginning; derivatives, which cost seven times as much, from when the first is read, unless
+    Values are there from the beginning; derivatives, which cost seven times as much, from when the first is read unless
     they are `known`.
 
     p_SE (T, 3), R_SE (T, 3, 3). twist (T, 6); spatial (T, 6), its spatial acceleration. torque (T, n) N m with the
