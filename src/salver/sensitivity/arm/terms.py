@@ -89,7 +89,7 @@ class MotionTerms:
         share = ((t - t[some][after - 1]) / np.diff(t[some])[after - 1])[:, None, None]
         slopes = ((x[after - 1], x[after]) for x in vars(few.derivatives).values())
         known = Derivatives(*(x + share * (y - x) for x, y in slopes))
-        return cls(model, frame_id, *states, *found, known=known)
+        return replace(cls(model, frame_id, *states, *found), known=known)
 
     @cached_property
     def derivatives(self) -> Derivatives:
