@@ -9,7 +9,7 @@ DOCS   := $(VENV)/.docs-ready
 OUT    ?= out/demo
 SOURCES = src tests $(wildcard benchmarks examples docs tools)
 
-.PHONY: help setup demo test quick mutate fuzz lint format types layers check bench scenario-table pages docs dist lock clean
+.PHONY: help setup demo test quick mutate fuzz lint format types layers check bench scenario-table pages notebooks docs dist lock clean
 
 help:
 	@echo "make demo    the paper's experiment and a tall bottle, planned, checked and simulated; pages and figures in $(OUT)"
@@ -21,6 +21,7 @@ help:
 	@echo "make bench   run the speed benchmarks and write docs/performance.md"
 	@echo "make scenario-table   docs/scenarios.md: the shortest safe durations, checked in the engine"
 	@echo "make pages   write options, keys and names of the program into the pages of docs/ again"
+	@echo "make notebooks   run the notebooks and keep them with their outputs"
 	@echo "make docs    build the documentation into site/"
 	@echo "make dist    build wheel and sdist into dist/, the same bytes each time"
 	@echo "make lock    resolve the dependencies again"
@@ -87,6 +88,9 @@ scenario-table: $(READY)
 
 pages: $(READY)
 	$(BIN)/python docs/make_pages.py
+
+notebooks: $(READY)
+	$(BIN)/python docs/make_notebooks.py
 
 docs: $(DOCS)
 	$(BIN)/python docs/make_figures.py
