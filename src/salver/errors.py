@@ -38,7 +38,7 @@ class UnreachableError(SalverError):
 
 
 def reason(error: BaseException) -> str:
-    """What an exception says, in small letters and without number and file where the system raised it."""
+    """The message of an exception in small letters, without the system's number and file."""
     return str(getattr(error, "strerror", None) or "").lower() or str(error)
 
 

@@ -59,7 +59,7 @@ def write_atomic(path: str | Path, data: bytes | str, *, keep: bool = False) -> 
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Errors of the disk as a SalverError that names `path`: for what is written by others than `write_atomic`."""
+    """Turn errors of the disk into a SalverError that names `path`, for writers other than `write_atomic`."""
     try:
         yield
     except OSError as error:
@@ -67,7 +67,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def put_in_place(made: Path, path: Path, *, keep: bool) -> None:
-    """Rename a finished file to `path`; keep: set aside what stands there, unless it is the same.
+    """Rename a finished file to `path`; with keep, an existing different file is set aside first.
 
     Raises SalverError for a device or a pipe, which a file would replace.
     """
@@ -79,7 +79,7 @@ def put_in_place(made: Path, path: Path, *, keep: bool) -> None:
 
 
 def set_aside(*paths: Path) -> None:
-    """Keep what stands at `paths` under the first number that is free for all of them: plan.npz as plan-1.npz."""
+    """Rename existing files `paths` with the first number that is free for all: plan.npz becomes plan-1.npz."""
     number = next(k for k in itertools.count(1) if not any(_numbered(path, k).exists() for path in paths))
     for path in paths:
         if path.exists():
@@ -91,7 +91,7 @@ def _numbered(path: Path, number: int) -> Path:
 
 
 def output_file(path: str | Path, endings: tuple[str, ...]) -> Path:
-    """The place that a user named for an output, when it has one of the endings, or none, and is no file of a run.
+    """Check the output path of a user: it has one of the endings or none, and is no file of a run directory.
 
     Raises SalverError: a page over a scenario, a table over a plan, would destroy what cannot be made again.
     """
@@ -131,7 +131,7 @@ def read_result(path: str | Path, required: tuple[str, ...] = ()) -> tuple[dict[
 
 
 def npz_bytes(arrays: Mapping[str, npt.ArrayLike]) -> bytes:
-    """What a file of named arrays holds."""
+    """The bytes of a file of named arrays."""
     made = {name: np.asarray(value) for name, value in arrays.items()}
     for name, array in made.items():
         if array.dtype.hasobject:
@@ -196,7 +196,7 @@ def read_json(path: str | Path) -> Any:
 
 
 def read_object(path: str | Path) -> dict[str, Any]:
-    """`read_json` of a file that holds an object. Raises FileFormatError when it holds something else."""
+    """Read a JSON file that must hold an object. Raises FileFormatError when it holds something else."""
     found = read_json(path)
     if not isinstance(found, dict):
         raise FileFormatError(f"{path} is not a file that salver wrote: it holds a {type(found).__name__}.")
@@ -204,13 +204,13 @@ def read_object(path: str | Path) -> dict[str, Any]:
 
 
 def sealed(obj: Mapping[str, Any]) -> dict[str, Any]:
-    """The object as JSON has it, with the digest of it all: a result that is edited by hand is no result."""
+    """A JSON object with its digest, so that a result edited by hand is noticed."""
     plain: dict[str, Any] = _plain(obj)
     return {**plain, "digest": _digest(plain)}
 
 
 def read_sealed(path: str | Path) -> dict[str, Any]:
-    """`read_object` of what was written with `sealed`. Raises FileFormatError when it was edited since."""
+    """Read a JSON object that `sealed` made, and check its digest. Raises FileFormatError when it was edited since."""
     found = read_object(path)
     if found.pop("digest", None) != _digest(found):
         raise FileFormatError(f"{path} was edited or damaged since salver wrote it; make it again.")
@@ -222,7 +222,7 @@ def _digest(obj: Any) -> str:
 
 
 class Asked(Protocol):
-    """What names a task: a scenario."""
+    """A scenario as far as a result names it."""
 
     @property
     def name(self) -> str: ...
@@ -233,7 +233,7 @@ class Asked(Protocol):
 
 
 def provenance(scenario: Asked) -> dict[str, Any]:
-    """What made a result: scenario, its content hash and seed, versions. The same run gives the same record."""
+    """Provenance of a result: scenario, its content hash and seed, versions. The same run gives the same record."""
     own, python, system, *packages = versions().items()
     return {
         "salver": own[1],
@@ -247,7 +247,7 @@ def provenance(scenario: Asked) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Of salver, Python, the platform, and the packages that can change numbers."""
+    """Versions of salver, Python, the platform, and the packages that can change numbers."""
     return {
         "salver": _version("salver"),
         "python": platform.python_version(),

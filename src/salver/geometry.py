@@ -1,4 +1,4 @@
-"""SO(3) and SE(3): the few maps that everything else needs, on stacks of vectors.
+"""SO(3) and SE(3): their maps, on stacks of vectors.
 
 Every function takes leading axes, so a whole trajectory is one call. Rotations act on column vectors;
 perturbations are on the right, R <- R Exp(theta). Formulas: Sola, Deray, Atchuthan, "A micro Lie theory
@@ -29,7 +29,7 @@ def hat(x: npt.ArrayLike) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """a x b of vectors (..., 3): what NumPy's gives, in a fifth of its time."""
+    """Cross product a x b of vectors (..., 3), in a fifth of NumPy's time."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]

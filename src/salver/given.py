@@ -1,4 +1,4 @@
-"""Motions that are given, in files: timed anew, or run in the engine.
+"""Motions from files: retimed, or run in the engine.
 
 `read_waypoints` gives the path for `salver.planning.fastest.retiming.plan_retimed`. `at_pace` does what
 `Audit.speeds_worst` says, and judges what comes of it as it will be written. `simulate_given` moves the tray.

@@ -1,4 +1,4 @@
-"""Samples of the uncertain parameters: what the perturbed runs of a campaign are made of.
+"""Samples of the uncertain parameters for the perturbed runs of a campaign.
 
 Every method fills the *set* of the scenario, a box (eq 8 of the paper) or an ellipsoid (eq 9), and keeps
 only combinations that a physical object can have. Run k is reproducible from (seed, k) alone with `uniform`,

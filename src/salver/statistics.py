@@ -1,4 +1,4 @@
-"""What can be said from counts: intervals for rates, two plans on the same samples, quantiles."""
+"""Statistics of counts: intervals of rates, two plans on the same samples, quantiles."""
 
 from __future__ import annotations
 

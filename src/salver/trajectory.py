@@ -58,7 +58,7 @@ class MotionSamples:
 
 
 class Reference(Protocol):
-    """A motion that can be asked for at any time; at rest before its start and after its end."""
+    """A motion as a function of time; at rest before its start and after its end."""
 
     @property
     def duration(self) -> float: ...

@@ -10,7 +10,7 @@ from salver.errors import SalverError
 
 @dataclass(frozen=True)
 class AuditOptions:
-    """What an audit assumes, what it ignores, and how sure it is; each with what happens when it is doubled.
+    """Options of an audit: its assumptions and confidence, each with the effect of doubling it.
 
     highest: Hz, above which nothing shakes the tray. Twice the sampling rate is asked for, and noise hides four times
         the acceleration at the highest frequency.

@@ -44,7 +44,7 @@ AT_REST = 1e-3  # m/s or rad/s
 
 @dataclass(frozen=True, repr=False)
 class Audit(Shown, Tabular):
-    """A motion and everything that follows from it for the scenario's objects; computed when asked for.
+    """A motion and its consequences for the scenario's objects; each is computed when it is first read.
 
     source: what was read. motion: the tray's, with what had to be repaired or assumed. given: as it was read.
     """
@@ -353,7 +353,7 @@ def audit_legs(
 def read_for(
     scenario: Scenario, path: str | Path | Mapping[str, Any], topic: str | None = None, joints_first: bool = False
 ) -> Samples:
-    """A motion file, or columns by name, where joints go by the names of the scenario's arm.
+    """Read a motion file, or columns by name, with the joint names of the scenario's arm.
 
     joints_first: a file with tray and joints is one of the joints, if there is an arm. Raises FileFormatError.
     """
@@ -368,7 +368,7 @@ def read_for(
 
 
 def audit_samples(samples: Samples, scenario: Scenario, options: AuditOptions = DEFAULT) -> Audit:
-    """`audit` of what was read."""
+    """`audit` of samples that were read."""
     first = scenario.payload.first
     joints = _arm(scenario) if isinstance(samples, JointSamples) else None
     motion = tray_motion(samples, joints, *invert(first.p_EB, first.R_EB), options)

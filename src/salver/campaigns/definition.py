@@ -109,12 +109,12 @@ def samples(directory: Path, definition: Definition) -> tuple[tuple[str, ...], A
 
 
 def seed_of_run(seed: int, run: int) -> int:
-    """Seed of what is random inside run number `run` (sensor noise), the same for every plan."""
+    """Seed of the sensor noise of run number `run`, the same for every plan."""
     return int(np.random.default_rng([seed, run, 1]).integers(2**31))
 
 
 def instant_of_run(seed: int, run: int, duration: float) -> float:
-    """When run number `run` of a campaign of stops is asked to stop, s: anywhere in the plan's duration."""
+    """Instant of the stop request of run number `run` of a campaign of stops, s, within the plan's duration."""
     return float(np.random.default_rng([seed, run, 2]).uniform(0.0, duration))
 
 
@@ -149,6 +149,6 @@ def parameters_of_run(directory: str | Path, run: int, folder: str = DEFAULT_FOL
 
 
 def stop_of_run(directory: str | Path, run: int, duration: float, folder: str = DEFAULT_FOLDER) -> float | None:
-    """When run number `run` of a directory's campaign stops a plan of that duration, s; None where it does not."""
+    """Instant at which run number `run` of a directory's campaign stops a plan of that duration, s, or None."""
     definition = read_definition(directory, folder)
     return instant_of_run(definition.seed, run, duration) if definition.stops else None

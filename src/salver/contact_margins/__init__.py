@@ -1,4 +1,4 @@
-"""How safe a motion of the tray is for everything on it: all margins, over time, nominal and worst case.
+"""Contact margins of all objects along a motion of the tray: over time, nominal and worst case.
 
 For every interface (object on tray, object on object):
 - cone coefficients: the least of Lambda = pinv(G F-hat) F, the paper's condition (eq 16), N;

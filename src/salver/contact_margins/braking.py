@@ -20,7 +20,7 @@ from salver.trajectory import MotionSamples
 
 @dataclass(frozen=True)
 class BrakingOptions:
-    """Which stops are looked at.
+    """The stops that are checked.
 
     Attributes:
         instants: at which a stop begins, evenly over the motion. Doubled, twice the time.
@@ -37,7 +37,7 @@ class BrakingOptions:
 
 @dataclass(frozen=True)
 class Braking:
-    """Which stops on the path keep the load.
+    """The stops on the path that keep the load.
 
     t (K,): s at which a stop begins. durations (M,): s that it takes. margin (K, M): the least contact margin along it,
     as a share of the weight; NaN where the motion itself ends sooner.

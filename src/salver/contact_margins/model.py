@@ -22,7 +22,7 @@ EDGES = 8  # of the friction pyramids, at least: at most 8 % short of the round 
 
 @dataclass(frozen=True, repr=False)
 class MarginModel(Outlined):
-    """Everything of a scenario that does not depend on the motion; made once by `margin_model`.
+    """The part of a scenario's margins that does not depend on the motion; made by `margin_model`.
 
     payload: with `edges` to its friction pyramids; own_edges: as the scenario has them.
     """

@@ -121,7 +121,7 @@ class SafeSpeeds:
 
 
 def safe_speeds(model: MarginModel, tray: MotionSamples, worst: bool, *, rate: bool = True) -> SafeSpeeds:
-    """At which speeds a motion of the tray frame E keeps the load.
+    """The speed factors at which a motion of the tray frame E keeps the load.
 
     tray: (T,) instants of E at full speed. worst: over the whole uncertain set, else at nominal parameters. rate:
     whether the rate of the factor is asked for; of no liquid it is known.

@@ -42,7 +42,7 @@ def margins(
 
 @dataclass(frozen=True, repr=False)
 class Margins(Shown, RowValues):
-    """Margins of everything on the tray along one motion; computed when asked for."""
+    """Margins of all objects along one motion; each is computed when it is first read."""
 
     def facts(self) -> dict[str, str]:
         """What a notebook shows of them."""

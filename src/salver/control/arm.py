@@ -36,7 +36,7 @@ _SINGULAR = 1e-3  # smallest pivot of J J^T's Cholesky factor; below it the pseu
 
 @dataclass(slots=True)
 class ArmState:
-    """What the controller is told: joints q, dq (n,) in rad, rad/s; and, if the object is seen, its pose and twist.
+    """The measured state: joints q, dq (n,) in rad, rad/s; pose and twist of the object if it is seen.
 
     p_SB (3,), R_SB (3, 3), v_S (3,), omega_B (3,) as in docs/conventions.md; needed with feedback = "object" only.
     """
@@ -51,7 +51,7 @@ class ArmState:
 
 @dataclass
 class Saturation:
-    """How often the controller asked for more than the motors give, and how near it came.
+    """How often commanded torques were saturated, and how near they came to the limits.
 
     steps: control periods so far. torque, torque_rate: periods in which some joint was cut back to its
     limit. peak_share: largest demanded torque over its limit, before cutting.
@@ -64,7 +64,7 @@ class Saturation:
 
 
 class Course(Protocol):
-    """What the joints are to do, as a loop asks for it: `at(*instant(t))` is q, dq, ddq (n,) at time t, s."""
+    """The reference of the joints as a loop reads it: `at(*instant(t))` is q, dq, ddq (n,) at time t, s."""
 
     def instant(self, t: float) -> tuple[int, float]: ...
 
@@ -97,7 +97,7 @@ class JointTable:
 
 
 def wanted_acceleration(reference: tuple[Array, Array, Array], state: ArmState, gains: tuple[float, float]) -> Array:
-    """(n,) of the loop on the joints: that of the reference q, dq, ddq, and what its errors ask for."""
+    """Commanded acceleration (n,) of the loop on the joints, from the reference q, dq, ddq and the tracking errors."""
     q, dq, ddq = reference
     kp, kd = gains
     return np.asarray(ddq + kp * (q - state.q) + kd * (dq - state.dq))

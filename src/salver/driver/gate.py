@@ -1,4 +1,4 @@
-"""The last thing a command passes on its way to an arm."""
+"""The last check of a command before it goes to an arm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from salver.geometry import Array
 
 
 class Gate:
-    """Lets out numbers only, within the limits of a command and of its rate, whatever comes in.
+    """Passes finite numbers only, within the limits of a command and of its rate.
 
     Where no number comes in, the joint keeps the command it had. closed: how often that was so. cut: how often
     limits were asked to be overstepped.

@@ -1,4 +1,4 @@
-"""What a robot is to the loop that drives it, and which robots are known by name.
+"""Robots as the control loop drives them, and the robots that are known by name.
 
 A robot is asked for its state and given a command, once per period; `salver.driver.execution` does both, and checks,
 watchdog, gate, stops and log are the same for all. Another robot is a class with these methods and a line in `ROBOTS`.

@@ -1,4 +1,4 @@
-"""Which readings of an arm can be true. A reading that cannot be true stops the arm (`salver.driver.execution`).
+"""Plausibility of an arm's readings. A reading that cannot be true stops the arm (`salver.driver.execution`).
 
 A reading is a position and a speed. The reading of a joint is plausible if
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Plausible:
-    """How far a plausible reading may be from what is expected. rad stands for m at prismatic joints.
+    """Thresholds of plausible readings. rad stands for m at prismatic joints.
 
     outside: rad beyond the maker's range. speed_share: of the maker's speed limit. speed_change: share of that limit by
     which a speed may change in one period.

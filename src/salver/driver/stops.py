@@ -1,4 +1,4 @@
-"""Ways to rest: what the loop falls back on when it must not go on."""
+"""Stops: how the loop brings the arm to rest."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ StopFrom = Callable[[ArmState, float], Stop]
 
 
 class Fading:
-    """A velocity that goes to zero along a quintic step, so that neither acceleration nor torque jumps."""
+    """Quintic braking: a velocity that goes to zero without a jump of acceleration or torque."""
 
     def __init__(self, q: Array, dq: Array, acceleration: Array) -> None:
         """From q with dq, within accelerations (n,)."""
@@ -79,13 +79,13 @@ class Fading:
 
 
 def cool_stops(arm: ArmModel, bodies: Sequence[Body]) -> StopFrom:
-    """Cool stops of an arm with its load, whatever the state."""
+    """Controlled stops of an arm with its load, from any state."""
     loaded = with_load(arm, bodies)
     return lambda state, t: CoolStop(loaded, state)
 
 
 class CoolStop:
-    """Brings the arm to rest from any state, smoothly and within a share of its acceleration, and holds it there.
+    """A controlled stop: brings the arm to rest from any state within a share of its acceleration, and holds it there.
 
     It asks nothing of the contact: what lies on the tray may slide or fall. Without a load, or where nothing else is
     left. A joint that cannot be braked within its range is wanted at the range's end: who pulled it beyond, against
@@ -123,12 +123,12 @@ class CoolStop:
 
 
 def stops_of(plan: Plan, controller: ArmController, arm: ArmModel, bodies: Sequence[Body]) -> StopFrom:
-    """The stops that a plan has (`salver.planning.stops`); cool ones when it has none."""
+    """The stops of a plan (`salver.planning.stops`), or controlled stops if it has none."""
     return cool_stops(arm, bodies) if plan.stops is None else PlannedStops(plan, controller, arm, bodies)
 
 
 class PlannedStops:
-    """The load-safe stops of a plan, at the periods of a loop: all is worked out before it starts.
+    """The load-safe stops of a plan, sampled at the loop's periods before it starts.
 
     controller: that follows the plan.
     """
@@ -147,7 +147,7 @@ class PlannedStops:
 
 
 class Along(ABC):
-    """To rest along a motion that keeps the load.
+    """A stop along a motion that keeps the load.
 
     Who follows it goes on, so nothing jumps when a stop begins. An arm that is far off its reference is not drawn back
     to it, which would be a jolt: the way to rest begins where it is, and its speed beyond the reference's fades.
@@ -251,7 +251,7 @@ class PlannedStop(Along):
 
 
 class PathStop(Along):
-    """To rest along the path of a motion that is run at a part of its speed: the speed factor goes to 0."""
+    """A stop on the path of a motion that runs slowed: the speed factor goes to 0."""
 
     def __init__(
         self, loaded: ArmModel, gains: tuple[float, float], state: ArmState, path: Course, t: float, factor: float,

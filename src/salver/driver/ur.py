@@ -54,7 +54,7 @@ TYPES = {"d": "DOUBLE", "6d": "VECTOR6D", "i": "INT32"}
 
 @dataclass(frozen=True)
 class UROptions:
-    """How an arm of Universal Robots is driven.
+    """Options of driving an arm of Universal Robots.
 
     lookahead, gain: s, 0.03 to 0.2, and 100 to 2000, of `servoj`; more lookahead is smoother and later.
     patience: periods without a new command after which the program stops the arm by itself.

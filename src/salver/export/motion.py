@@ -1,4 +1,4 @@
-"""The motion of a plan as the motion files know it; of a plan that was tuned, the joints as the robot is told."""
+"""The motion of a plan for motion files; for a tuned plan, the commanded joints."""
 
 from __future__ import annotations
 
@@ -108,8 +108,10 @@ def _stops(plan: Plan, names: tuple[str, ...], rate: float | None) -> tuple[tupl
 def motion_of_file(
     path: Path, scenario: Scenario | None = None, topic: str | None = None
 ) -> tuple[MotionSeries, tuple[str, ...]]:
-    """What a motion file tells of joints (with velocities and accelerations) and, in the same table, of the tray; and
-    what was mended on reading. scenario: whose arm names the joints. Raises FileFormatError."""
+    """The motion of a file: joints with velocities and accelerations, the tray if it is in the same table, and repairs.
+
+    scenario: whose arm names the joints. Raises FileFormatError.
+    """
     names: tuple[str, ...] = ()
     if scenario is not None and scenario.arm is not None:
         from salver.models.arm import load_arm

@@ -124,7 +124,7 @@ def _add_servos(spec: Any, arm: ArmModel) -> None:
 
 
 def with_all_digits(xml: str, model: Any) -> str:
-    """MuJoCo rounds numbers when it writes XML; put the poses and inertias of bodies and keyframes back in full."""
+    """Restore poses and inertias, which MuJoCo rounds when it writes XML, to all digits."""
     root = ElementTree.fromstring(xml)
     compiler = root.find("compiler")
     if compiler is not None:

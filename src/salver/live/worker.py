@@ -1,4 +1,4 @@
-"""Who plans for a live motion whenever there is something to plan: a process of its own, or a thread."""
+"""The planner of a live motion, in a process of its own or in a thread."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ class _Process:
 
 
 def serve(descriptor: int) -> None:
-    """The other process: answers jobs until nobody is left who could ask."""
+    """The planner's process: answers jobs until the process that asks has ended."""
     with Connection(descriptor) as pipe:
         try:
             scenario, robust, key = pipe.recv()

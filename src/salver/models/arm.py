@@ -219,7 +219,7 @@ def load_arm(arm: ArmDescription, tray: TrayDescription) -> ArmModel:
 
 
 def with_load(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
-    """The arm with bodies stuck to its tray: what its motors feel while nothing moves on the tray."""
+    """The arm with bodies fixed to its tray: the load of its motors while nothing slides."""
     model = arm.pin_model.copy()
     frame = model.frames[arm.tray_id]
     for body in bodies:
@@ -229,7 +229,7 @@ def with_load(arm: ArmModel, bodies: Sequence[Body]) -> ArmModel:
 
 
 def moved_links(model: Any) -> dict[int, str]:
-    """The link that each joint of Pinocchio's model of a URDF moves, by the joint's number; others are fixed to it."""
+    """The link that each joint of Pinocchio's model of a URDF moves, by the joint's number."""
     links = [frame for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint > 0]
     return dict(sorted({frame.parentJoint: frame.name for frame in reversed(links)}.items()))
 

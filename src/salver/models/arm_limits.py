@@ -108,7 +108,7 @@ class JointLimits:
 def joint_limits(
     n: int, given: Sequence[tuple[str, Mapping[str, Any]]]
 ) -> tuple[JointLimits, dict[str, tuple[str | None, ...]]]:
-    """Limits of n joints from several sources, later ones over earlier ones, and who gave each.
+    """Limits of n joints from several sources, of which later ones override earlier ones, and the source of each.
 
     given: (source in words, name of a `JointLimits` field -> n numbers, NaN where the source says nothing).
     Returns the limits, and for each kind of limit the source for each joint, None where nobody gave one.

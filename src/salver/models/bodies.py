@@ -1,4 +1,4 @@
-"""From objects to bodies at rest on a tray, and whether such objects can exist and stand there at all."""
+"""Objects as bodies at rest on a tray, with checks that they can exist and stand there."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def _standing_on(polygon: Array, centre_E: Array, R_EB: Array, surface_E: Array 
 
 
 def check(item: LooseObject) -> None:
-    """Raise ValueError when no such object can exist: one sentence, with the value."""
+    """Raise ValueError, one sentence with the value, if no such object can exist."""
     principal = np.linalg.eigvalsh(item.inertial.inertia_com)
     if principal[0] <= 0:
         raise ValueError(
@@ -229,7 +229,7 @@ def check(item: LooseObject) -> None:
 
 
 def check_standing(items: Sequence[Body], tray_half: Array) -> None:
-    """Raise ValueError when bodies on a tray of half size (2,) stand askew, beside their supports or in each other."""
+    """Raise ValueError if bodies on a tray of half size (2,) stand askew, beside their supports or in each other."""
     made = {body.name: body for body in items}
     for body in items:
         for name, count in zip(body.supports, body.regions, strict=True):

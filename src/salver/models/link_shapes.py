@@ -1,4 +1,4 @@
-"""The shapes of an arm's links, convex, for telling what touches: from the URDF's geometry, or fitted to what is known.
+"""Convex shapes of an arm's links for collision checks: from the URDF's geometry, or estimated.
 
 A mesh becomes its convex hull, which is larger than the link, or the hulls of a few slabs of it
 (`salver.models.convex_shapes`). Of a link without collision geometry the visual one is taken. Of a link whose geometry

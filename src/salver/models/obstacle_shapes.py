@@ -1,4 +1,4 @@
-"""Convex shapes of the obstacles, placed in the world."""
+"""Convex shapes of the obstacles in the world."""
 
 from __future__ import annotations
 

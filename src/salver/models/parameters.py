@@ -32,7 +32,7 @@ SetKind = Literal["box", "ellipsoid"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that may be uncertain; `name` is what files and users call it.
+    """One parameter that may be uncertain; `name` is its name in files and commands.
 
     owner: the object it belongs to; "" for the tray (tilt), and for the parameters of a model of one's own.
     kind: mass, com, inertia, friction, position, fill, damping or tilt; whatever else, of one's own. axis: "" for a
@@ -75,17 +75,17 @@ TILT = (Parameter("", "tilt", "x"), Parameter("", "tilt", "y"))
 
 
 def parameters_of(owner: str, lone: bool) -> tuple[Parameter, ...]:
-    """Everything that may be uncertain about one object."""
+    """All parameters of one object that may be uncertain."""
     return tuple(Parameter(owner, kind, axis, lone) for kind, axes in _AXES.items() for axis in axes)
 
 
 def all_parameters(objects: Sequence[str]) -> tuple[Parameter, ...]:
-    """Everything that may be uncertain about these objects on a tray."""
+    """All parameters of objects on a tray that may be uncertain."""
     return (*(p for owner in objects for p in parameters_of(owner, len(objects) == 1)), *TILT)
 
 
 def parse(name: str, objects: Sequence[str]) -> Parameter:
-    """The parameter of a name that a user or a file gives. Raises ValueError when these objects have none such."""
+    """The parameter with a name from a file or a command. Raises ValueError when these objects have none such."""
     for parameter in all_parameters(objects):
         if parameter.name == name:
             return parameter
@@ -165,12 +165,12 @@ NOTHING = UncertainSet((), np.zeros(0), np.zeros(0))
 
 
 def inertial_vector(body: RigidBody) -> Array:
-    """(10,) the values of `INERTIAL` for a body: mass, com_B, inertia about the centre of mass."""
+    """Values (10,) of `INERTIAL` for a body: mass, com_B, inertia about the centre of mass."""
     return np.concatenate([[body.mass], body.com_B, inertia_entries(body.inertia_com)])
 
 
 def phi_of(inertial: Array) -> Array:
-    """phi (..., 10) of values (..., 10) of `INERTIAL`, exactly."""
+    """Inertial parameters phi (..., 10) from values (..., 10) of `INERTIAL`, exactly."""
     mass, c = inertial[..., 0], inertial[..., 1:4]
     moment = mass[..., None] * c
     inertia_B = inertial[..., 4:] + inertia_entries(parallel_axis(mass, c))

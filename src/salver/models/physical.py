@@ -49,7 +49,7 @@ def second_moments(values: Array) -> Array:
 
 
 def realisable(body: Body, values: npt.ArrayLike, *, within_shape: bool = True) -> Mask:
-    """(n,) whether a mass distribution can have the values (n, 10) of `parameters.INERTIAL`, in B.
+    """Whether a mass distribution can have each of the values (n, 10) of `parameters.INERTIAL`, in B.
 
     within_shape: whether it lies within the shape's convex hull (necessary conditions, see above); otherwise the
     centre of mass lies within the hull and the inertia is that of some distribution anywhere.
@@ -108,7 +108,7 @@ def nearest(body: Body, phi: Array, covariance: Array, *, within_shape: bool = T
 
 
 def random_inertia(body: Body, com: Array, rng: np.random.Generator, points: int = 6) -> Array:
-    """(6,) inertia about the centre of mass com (3,), per mass, of random point masses within the shape's hull.
+    """Inertia (6,) per mass of random point masses within the shape's hull, about their centre of mass com (3,).
 
     com lies within the hull. The last of the masses stands where it brings the centre of mass to its place.
     """

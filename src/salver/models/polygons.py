@@ -18,7 +18,7 @@ def half_planes(polygon: Array) -> tuple[Array, Array]:
 
 
 def convex_hull(points: Array) -> Array:
-    """Vertices (n, 2) of the convex hull of points (m, 2), from the one of least x on; empty when they lie in a line.
+    """Vertices (n, 2) of the convex hull of points (m, 2), least x first; empty if the points lie in a line.
 
     By the monotone chain (Andrew 1979). A vertex at which it turns by rounding only is none.
     """
@@ -81,7 +81,7 @@ def inset(polygon: Array, distance: float) -> Array:
 
 
 def simplified(polygon: Array, most: int) -> Array:
-    """At most `most` of the vertices, those that matter: a polygon inside the given one."""
+    """A polygon inside the given one, with at most `most` of its vertices."""
     while len(polygon) > most:
         before, after = np.roll(polygon, 1, axis=0) - polygon, np.roll(polygon, -1, axis=0) - polygon
         ear = np.abs(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0])
@@ -90,7 +90,7 @@ def simplified(polygon: Array, most: int) -> Array:
 
 
 def eroded(polygon: Array, half_range: Array) -> Array:
-    """The part that stays covered however the polygon is shifted within |dx|, |dy| <= half_range (2,)."""
+    """The part that all shifts of the polygon within |dx|, |dy| <= half_range (2,) have in common."""
     if not np.any(half_range) or len(polygon) < 3:
         return polygon
     normal, offset = half_planes(polygon)

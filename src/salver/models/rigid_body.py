@@ -16,7 +16,7 @@ _ROW, _COLUMN = (list(side) for side in zip(*_INERTIA_INDEX, strict=True))
 
 
 def inertia_matrix(six: npt.ArrayLike) -> Array:
-    """Symmetric (..., 3, 3) of the six entries (xx, xy, yy, xz, yz, zz)."""
+    """Symmetric matrices (..., 3, 3) from their six entries (xx, xy, yy, xz, yz, zz)."""
     six = np.asarray(six, dtype=float)
     matrix = np.empty((*six.shape[:-1], 3, 3))
     for k, (i, j) in enumerate(_INERTIA_INDEX):
@@ -30,7 +30,7 @@ def inertia_entries(matrix: npt.ArrayLike) -> Array:
 
 
 def parallel_axis(mass: npt.ArrayLike, c: npt.ArrayLike) -> Array:
-    """What a mass at c adds to the inertia about the origin: m (|c|^2 1 - c c^T), (..., 3, 3)."""
+    """Contribution (..., 3, 3) of a mass at c to the inertia about the origin: m (|c|^2 1 - c c^T)."""
     skew = hat(c)
     return -np.asarray(mass, dtype=float)[..., None, None] * (skew @ skew)
 
@@ -85,7 +85,7 @@ def _inertia_regressor(x: Array) -> Array:
 
 
 def regressor(R_SB: Array, a_S: Array, omega_B: Array, alpha_B: Array) -> Array:
-    """Y (..., 6, 10): the wrench at B that the motion needs is Y phi, linear in phi.
+    """Regressor Y (..., 6, 10) of the motion: the wrench at B is Y phi.
 
     a_S (..., 3) is the world acceleration of the origin of B; R_SB (..., 3, 3), omega_B and alpha_B
     (..., 3) as in docs/conventions.md. Eq (1) written in its parameters; see Atkeson, An, Hollerbach 1986.

@@ -22,7 +22,7 @@ MOST_VERTICES = 16  # of the base of a composite or mesh: the number of facets g
 
 @dataclass(frozen=True)
 class Solid:
-    """What the rest of salver needs to know of a shape.
+    """A shape as the other modules use it: hull, support points, mass properties.
 
     height: m along z. base_polygon: (n, 2) vertices, counter-clockwise, of the convex support polygon
     in G, m. centroid_G: (3,) centre of volume. unit_inertia: (3, 3) about it, kg m^2 per kg.

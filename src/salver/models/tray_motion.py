@@ -1,4 +1,4 @@
-"""What a frame that moves rigidly feels, as twelve numbers in which every contact wrench is linear.
+"""The motion regressor of a rigid frame: twelve numbers in which every contact wrench is linear.
 
     w = (f, alpha, omega_x^2, omega_x omega_y, omega_y^2, omega_x omega_z, omega_y omega_z, omega_z^2),
 
@@ -26,7 +26,7 @@ _SPIN = _PRODUCT_MATRICES - np.trace(_PRODUCT_MATRICES, axis1=1, axis2=2)[:, Non
 
 
 def motion_vector(R_SX: Array, a_S: Array, omega_X: Array, alpha_X: Array) -> Array:
-    """w (T, 12) of a frame X: R_SX (T, 3, 3), world acceleration of its origin (T, 3), omega and alpha in X."""
+    """Motion regressor w (T, 12) of a frame X: R_SX (T, 3, 3), a_S (T, 3) of its origin, omega and alpha in X."""
     force = np.einsum("tji,tj->ti", R_SX, a_S - GRAVITY_S)
     return np.hstack([force, alpha_X, inertia_entries(omega_X[:, :, None] * omega_X[:, None, :])])
 

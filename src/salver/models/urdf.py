@@ -1,4 +1,4 @@
-"""Reading a URDF: the chain from its root to the flange, mesh files found, what is not an arm told in a sentence.
+"""Reading a URDF: the chain from its root to the flange, and its mesh files.
 
 xacro is a language whose files are run to give a URDF; loading a scenario runs nothing, so such a file is
 refused and has to be converted first.
@@ -35,7 +35,7 @@ _NESTED = 2  # folders between one that is searched and a package in it
 
 @dataclass(frozen=True)
 class Chain:
-    """An arm out of a URDF. urdf: text of what is left of it. links: from the root to the flange, root first.
+    """An arm from a URDF. urdf: text of what is left of it. links: from the root to the flange, root first.
     all_links, all_joints: names of everything that the file has.
     """
 
@@ -46,7 +46,7 @@ class Chain:
 
 
 def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Chain:
-    """The URDF, cut to the chain from its root to the flange.
+    """Read a URDF and keep the chain from its root to the flange.
 
     What hangs beyond the flange (a gripper) is left off; joints beside the chain are fixed at zero. A continuous
     joint becomes a revolute one of `TURNS` turns either way; soft limits of a safety controller that are narrower than
@@ -105,7 +105,7 @@ def read_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Ch
 
 
 def installed_chain(path: Path, flange: str, package_dirs: Sequence[Path] = ()) -> Chain:
-    """`read_chain`, once for all, of a URDF that a package brought: such a file does not change while it is in use."""
+    """`read_chain` of a URDF that is part of an installed package, cached."""
     return _read_once(path, flange, tuple(package_dirs), tuple(_ros_folders()))
 
 
@@ -115,7 +115,7 @@ def _read_once(path: Path, flange: str, package_dirs: tuple[Path, ...], ros_fold
 
 
 def read_disabled_pairs(path: Path, links: Collection[str]) -> frozenset[tuple[str, str]]:
-    """Pairs of links that an SRDF (MoveIt's semantic description) says need not be compared, names in order.
+    """Pairs of links, names in order, whose collisions an SRDF (MoveIt's semantic description) disables.
 
     Raises ScenarioError: it cannot be read, or names none of the robot's links.
     """
@@ -131,7 +131,7 @@ def read_disabled_pairs(path: Path, links: Collection[str]) -> frozenset[tuple[s
 
 
 def find_mesh(name: str, urdf: Path, package_dirs: Sequence[Path] = ()) -> str:
-    """Absolute path of a mesh file that a URDF names; the name as it is when no such file is found.
+    """Absolute path of a mesh file that a URDF names; the name itself if no such file is found.
 
     `package://PACKAGE/FILE` is looked for in `package_dirs`, then in AMENT_PREFIX_PATH and ROS_PACKAGE_PATH, then
     among the models that come with salver, in every folder above the URDF, in example-robot-data where that is

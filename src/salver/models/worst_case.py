@@ -1,4 +1,4 @@
-"""The worst case of rows over the uncertain set: the one place where it is taken.
+"""The worst case of constraints over the uncertain set; it is taken here and nowhere else.
 
 A row is c(p) . w <= 0 with w what the tray feels (`salver.models.tray_motion`) and c a polynomial of the uncertain
 parameters p. Written in half-ranges s of the parameters, its worst case is
@@ -44,7 +44,7 @@ _CHUNK = 160_000  # terms worked on at once: they fit in the cache, and the prod
 
 @dataclass(frozen=True)
 class Drift:
-    """How what the tray feels changes with the parameters, through the closed loop that carries it.
+    """Tracking perturbation: change of the tray's motion regressor per unit of each parameter, in the closed loop.
 
     terms: the factors of each of n_k terms, one parameter or a product of two. dw: (T, 12, n_k) for one half-range of
     each. swing: (T, 12) to either side, whatever the parameters; None for nothing.
@@ -57,7 +57,7 @@ class Drift:
 
 @dataclass(frozen=True)
 class UncertainRows:
-    """n rows over w (12,) that are linear in it for any parameters.
+    """n constraints that are linear in the motion regressor w (12,) for all parameters.
 
     nominal: (n, 12) c_0. acting: the n_p parameters in `parameter` (n_p, n, 12), c_k, per half-range. remainder:
     (n_r, n, 12) d_l. spread: (n_p, n_p) A of an ellipsoid, None for a box. masses, mass_signs: masses that are taken at
@@ -165,7 +165,7 @@ class UncertainRows:
 
 @dataclass(frozen=True)
 class WorstCase:
-    """values (T, n) of rows at their worst along w (T, 12), and which terms are at work there."""
+    """Worst-case values (T, n) of constraints along w (T, 12), and the terms that are active there."""
 
     rows: UncertainRows
     w: Array

@@ -1,4 +1,4 @@
-"""The contact wrench cone: which wrenches unilateral frictional contacts can give, exactly.
+"""The contact wrench cone: exactly the wrenches that unilateral frictional contacts can transmit.
 
 The cone is {G F-hat Lambda : Lambda >= 0} (paper, eqs 2 to 5; Balkcom and Trinkle 2002). The paper asks for
 pinv(G F-hat) F >= 0, which singles out one distribution of the internal forces: sufficient, not necessary.
@@ -42,7 +42,7 @@ class Facets:
 
 
 def facets(contacts: ContactSet) -> Array:
-    """A (n_f, 6) with A F <= 0 if and only if the contacts can give the wrench F_B (see `Facets.rows`)."""
+    """A (n_f, 6) with A F <= 0 if and only if the contacts can transmit the wrench F_B (see `Facets.rows`)."""
     return cone_facets(contacts).rows
 
 
@@ -71,7 +71,7 @@ def margin(rows: Array, wrench_B: Array) -> Array:
 
 
 def support_length(contacts: ContactSet) -> float:
-    """Largest distance of a contact point from the centre of all, m; 1 for a single point."""
+    """Largest distance of a contact point from the mean of all, m; 1 for a single point."""
     radius = float(np.linalg.norm(contacts.p_BC - contacts.p_BC.mean(axis=0), axis=1).max())
     return radius if radius > 0 else 1.0
 

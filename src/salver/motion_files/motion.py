@@ -1,4 +1,4 @@
-"""What a motion file holds: joints, tray, object, sampled at the same instants, as far as they are known."""
+"""The content of a motion file: joints, tray and object, as far as known, at the same instants."""
 
 from __future__ import annotations
 

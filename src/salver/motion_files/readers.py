@@ -47,7 +47,7 @@ BAGS = (".bag", ".mcap", ".db3")
 
 
 def no_joints() -> tuple[str, ...]:
-    """For files of tray motions."""
+    """No joint names: the default for files of tray motions."""
     return ()
 
 
@@ -99,7 +99,7 @@ def _read(path: Path, joint_names: JointNames, topic: str | None, as_path: bool)
 
 
 def is_motion_file(path: Path) -> bool:
-    """Whether it is a file or a bag, and so no run directory."""
+    """Whether a path is a motion file or a bag, and not a run directory."""
     return _exists(path) and (path.is_file() or (path / "metadata.yaml").is_file())
 
 

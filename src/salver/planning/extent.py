@@ -1,4 +1,4 @@
-"""What a motion does, in figures that a person can picture: how far it leans, turns and rises, how fast, how near."""
+"""Extremes of a motion that a person can picture: tilt, turn, height, speed, clearance."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _WORTH, _LEVEL = 5e-3, 0.05  # m, deg: less is not said
 
 @dataclass(frozen=True)
 class Extent:
-    """The most of each along a motion.
+    """The extremes along a motion.
 
     lean: angle between the tray's normal and the vertical, rad. turn: of the heading of the tray (its x axis, seen from
     above) away from that at the start, rad. rise, sink: of the first object's frame B above and below both ends, m.
@@ -56,7 +56,7 @@ class Extent:
 
 
 def extent(samples: MotionSamples, R_EB: Array, arm: Status | None) -> Extent:
-    """How far a motion of B goes.
+    """The extremes of a motion of B.
 
     Args:
         samples: the motion of B in S, T instants.

@@ -122,7 +122,7 @@ def plan_pair(
     options: FastestOptions | None = None,
     watch: Watch | None = None,
 ) -> tuple[Plan, Plan]:
-    """The plan asked for and what it is compared with.
+    """The requested plan and the plan that it is compared with.
 
     beside: "baseline", the straight line of the same duration, from the same start posture; or "nominal", the fastest
     motion for someone who believes the nominal parameters. options, watch: of the search for fastest and safest

@@ -1,4 +1,4 @@
-"""A plan: a reference trajectory with everything that follows from it, which checks itself, saves and loads."""
+"""A plan: a reference trajectory with everything that follows from it, and its check of itself."""
 
 from __future__ import annotations
 
@@ -464,7 +464,7 @@ def load_plan(directory: str | Path, stem: str = "plan") -> Plan:
 
 
 def plan_of(files: PlanFiles, path: Path) -> Plan:
-    """The plan that files hold. Raises FileFormatError, naming `path`."""
+    """The plan that the files of a run directory hold. Raises FileFormatError, naming `path`."""
     arrays, record = files.arrays, files.record
     try:
         return Plan(
@@ -515,10 +515,10 @@ def _margin_record(m: InterfaceMargins) -> dict[str, float]:
 
 
 def status_record(status: Status) -> dict[str, Any]:
-    """A status as plan.json holds it."""
+    """Convert a status to its record in plan.json."""
     return {"code": status.code, "ok": status.ok, "sentence": status.sentence, "details": dict(status.details)}
 
 
 def status_from(record: Mapping[str, Any]) -> Status:
-    """A status that plan.json holds."""
+    """Convert a record of plan.json to a status."""
     return Status(record["code"], record["sentence"], record["ok"], record["details"])

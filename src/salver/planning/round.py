@@ -1,4 +1,4 @@
-"""A plan of several legs, each a plan of its own with what is then on the tray; one file, which checks itself."""
+"""A plan of several legs: one file of plans, one for each leg with the load of that leg."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def load(directory: str | Path, stem: str = "plan") -> Plan | MultiLegPlan:
 
 
 def has_legs(directory: str | Path) -> bool:
-    """Whether a run directory is of a task of several legs. Raises ScenarioError."""
+    """Whether a run directory holds a task of several legs. Raises ScenarioError."""
     from salver.scenario import load
 
     path = Path(directory) / "scenario.toml"

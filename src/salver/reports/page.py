@@ -111,7 +111,7 @@ def filled(
     scenarios: Sequence[Scenario],
     others: Markup = NOTHING,
 ) -> str:
-    """The template with everything in its place: what any page of salver is. shown: its replay; None for a page of
+    """A page of salver: the template with all its parts. shown: its replay; None for a page of
     words and tables alone."""
     data = {} if shown is None else {"replay": shown, "charts": made.specs}
     titles = made.titles if shown is not None else [title for title in made.titles if title[0] != "replay"]
@@ -142,7 +142,7 @@ def filled(
 
 
 def review(scenarios: Sequence[Scenario]) -> Markup:
-    """What is on paper besides, for a safety review: the ranges of the verdict, what made it, a line to sign."""
+    """The part of a printed page for a safety review: ranges of the verdict, versions, a line to sign."""
     rows = dict.fromkeys(
         (name, f"{nominal} ± {half}") for s in scenarios for name, nominal, half in ranges(s.payload.uncertain)
     )
@@ -160,7 +160,7 @@ def _today() -> str:
 
 
 def policy(script: str, asks: str = "'none'") -> Markup:
-    """What the page may do: run this very script, and none that came in with what it shows. asks: whom it may ask."""
+    """The page's content security policy: only the page's own script may run. asks: whom it may ask."""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return Markup(
         "default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{}'; img-src data:; connect-src "
@@ -168,7 +168,7 @@ def policy(script: str, asks: str = "'none'") -> Markup:
 
 
 def fill(template: str, **parts: str) -> str:
-    """Each {{key}} of the template replaced, in one pass: what is put in is not searched again.
+    """Replace each {{key}} of a template in one pass; inserted text is not searched again.
 
     What is not `Markup` is text.
     """

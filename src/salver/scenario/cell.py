@@ -135,7 +135,7 @@ class Obstacle(Model):
 
 
 class Surroundings(Model):
-    """What is around the arm beside the obstacles.
+    """The surroundings of the arm other than the obstacles: the floor.
 
     floor: height in S, m, of the plane above which links, tray and load stay, but for those on which the arm stands.
     "base": where the arm's base is; "none": nothing is below, as where an arm hangs or stands on a wall.
@@ -155,7 +155,7 @@ Friction = Annotated[
 
 
 class RobotBehaviour(Model):
-    """How the simulated robot follows what it is told.
+    """How the simulated robot follows its command.
 
     control: "torque": by salver's own controller; "position": by the robot's own, into which nobody sees: each joint
     follows its command like a second-order lag of this bandwidth (Hz, natural frequency) and damping (of critical;
@@ -185,7 +185,7 @@ class RobotBehaviour(Model):
 
 
 class Physics(Model):
-    """Physics engine and what lies between controller and arm."""
+    """Settings of the physics engine, and disturbances between controller and arm."""
 
     timestep: Annotated[Number, Field(ge=1e-5, le=5e-3)] = 5e-4
     command_period: Annotated[Number, Field(ge=1e-4, le=0.02)] = 1e-3

@@ -38,7 +38,7 @@ LONGEST = 5.0  # s that a motion is taken to last where its duration is left ope
 
 
 class Scenario(Shown, Model):
-    """Everything that a plan depends on. Same scenario, same seed: same plan."""
+    """A task: everything that a plan depends on. Same scenario, same seed: same plan."""
 
     name: Annotated[
         str,

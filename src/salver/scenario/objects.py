@@ -146,7 +146,7 @@ Range6 = Annotated[
 
 
 class Uncertainty(Model):
-    """Half-ranges of what is not known exactly about an object: eq (8).
+    """Half-ranges of an object's uncertain parameters: eq (8).
 
     A percentage is relative to the nominal value; a number is absolute, in SI units. `inertia` takes three
     (xx, yy, zz) or six (xx, xy, yy, xz, yz, zz) half-ranges; a percentage means the three on the diagonal. Of a

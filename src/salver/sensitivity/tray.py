@@ -24,8 +24,7 @@ from salver.trajectory import MotionSamples, Reference
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """What the object feels along a motion: rotation, specific force R^T (a - g), omega, alpha, and its velocity, in B;
-    (T, 1, 3).
+    """The object's motion in B, (T, 1, 3) each: rotation, specific force R^T (a - g), omega, alpha, velocity.
 
     Of a motion that does not turn, rotation, omega and alpha are kept at one instant and broadcast.
     """

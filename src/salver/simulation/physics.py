@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """A plan, to be run any number of times. What the true parameters do not change is made once, by the first run.
+    """A plan that can be run many times. What the true parameters do not change is made once, by the first run.
 
     stop_at: s of the plan's time at which a stop is asked for; None: never.
     One run at a time: they share the arm's work space and the controller.

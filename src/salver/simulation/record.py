@@ -1,4 +1,4 @@
-"""The record of one run: what happened, as arrays and as a summary; saved and loaded."""
+"""The record of one run as arrays and a summary, saved and loaded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One run in the physics engine: what is simulated, and what of its trace is measured, judged and kept."""
+"""One run in the physics engine: simulation, measurement, judgement, record."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Run:
-    """One run: what is simulated, and how. wanted: the reference at the commands."""
+    """One run: the scene and its settings. wanted: the reference at the commands."""
 
     scenario: Scenario
     parameters: Mapping[str, float]

@@ -45,7 +45,7 @@ def of_its_limit(excess: float) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Rows of one kind along a motion.
+    """Constraints of one kind along a motion.
 
     values (N, m), at most 0 where the row is kept; points: the points of the grid at which they are taken.
     gradient(node, row): (r, 4 n) derivatives by z = (q, dq, ddq, dddq) at the node, for rows (r,) that are asked for.
@@ -136,7 +136,7 @@ class Constraint(ABC):
 
 
 def evaluate(constraints: Sequence[Constraint], motion: MotionEvaluation, margins: bool = True) -> tuple[Block, ...]:
-    """All rows of a motion, margins included unless they are not wanted. A row that is no number is not kept."""
+    """All constraints of a motion, by default with their margins. A row that is no number is not kept."""
     blocks = []
     for constraint in constraints:
         for block in constraint.blocks(motion):
@@ -163,7 +163,7 @@ def violated(blocks: Sequence[Block]) -> str:
 
 
 def padded(rows: Array, n: int) -> Array:
-    """Derivatives by (q, dq, ddq) or fewer, filled up with zeros to 4 n columns."""
+    """Derivatives by (q, dq, ddq) or fewer, padded with zeros to 4 n columns."""
     out = np.zeros((len(rows), 4 * n))
     out[:, : rows.shape[1]] = rows
     return out

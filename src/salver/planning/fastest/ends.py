@@ -17,7 +17,7 @@ from salver.planning.postures import INSIDE, REACHED, PoseTarget, posture_at
 
 
 class End(Protocol):
-    """What the optimiser needs to know of an end."""
+    """A boundary condition as the optimiser uses it."""
 
     @property
     def given(self) -> bool:

@@ -17,7 +17,7 @@ from salver.trajectory import JointMotion, MotionSamples, SampledReference
 
 @dataclass(frozen=True)
 class FastestOptions:
-    """How a fastest motion is searched for.
+    """Options of the search for a fastest motion.
 
     spans: polynomial pieces of a motion; doubled, there are twice as many unknowns, and motions are no longer.
     nodes_per_span: instants of each at which conditions are imposed; between them they are checked.

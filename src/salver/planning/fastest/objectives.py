@@ -39,7 +39,11 @@ class Point:
 
 @dataclass(frozen=True)
 class QuadraticModel:
-    """Slope by the coefficients (size m,) and by the scalar, and curvature (size m, size m) by the coefficients."""
+    """A quadratic model of an objective.
+
+    slope: gradient by the coefficients (size m,). by_scalar: by the scalar. The Hessian (size m, size m) is by the
+    coefficients.
+    """
 
     slope: Array
     by_scalar: float = 0.0

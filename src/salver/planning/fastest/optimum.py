@@ -44,7 +44,7 @@ def nearby(
     begin: Start | None = None,
     watch: Watch | None = None,
 ) -> FastestMotion:
-    """The motion with the least objective at a duration (s), near one that was found; under the same constraints.
+    """Find the motion of least objective at a duration (s), near a motion that was found, under the same constraints.
 
     begin: a path between the same ends to begin from instead.
     """

@@ -200,7 +200,7 @@ def joint_plan(
     record: Mapping[str, Any],
     method: str = "fastest",
 ) -> Plan:
-    """A motion of the joints as a plan under the exact contact condition, judged by the arm's own verdict."""
+    """A plan from a joint motion, under the exact contact condition and with the arm's verdict."""
     from salver.planning.follow.limits import torques, verdict
     from salver.planning.plan import Plan
 

@@ -48,7 +48,7 @@ from salver.sensitivity.wave_cases import VERDICT_APART, SloshingCase, cases
 
 @dataclass(frozen=True, eq=False)
 class TransportProblem:
-    """Everything the optimiser needs.
+    """A transport problem as the optimiser needs it.
 
     arm: the arm with its tray. model: its Pinocchio model with all objects bolted on at nominal parameters.
     payload: what is carried, with what is uncertain about it. start, goal: how the motion begins and ends
@@ -189,7 +189,7 @@ def transport_problem(
     extra: Sequence[Constraint] = (),
     passing: bool = False,
 ) -> TransportProblem:
-    """The problem a scenario poses. Arguments that are given override the scenario.
+    """The transport problem of a scenario. Arguments that are given override the scenario.
 
     level: tray level all along (as motion.orientation says); otherwise it may tilt, up to motion.max_tilt_deg.
     robust: keep the contact for the whole uncertain set, or only for nominal parameters.

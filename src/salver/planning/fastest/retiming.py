@@ -1,4 +1,4 @@
-"""The fastest safe time law along a path that is given: joint waypoints, or the path of a plan.
+"""The fastest safe time law along a given path: joint waypoints, or the path of a plan.
 
 Two stages. Without limits on jerk and torque rate, and for nominal parameters, every condition is linear in
 x = (du/dt)^2 and its slope, and the time-optimal law is the largest x everywhere (Bobrow, Dubowsky, Gibson 1985;
@@ -212,7 +212,7 @@ def plan_retimed(scenario: Scenario, waypoints: Array, *, robust: bool = True) -
 
 
 def plan_retimed_legs(scenario: Scenario, paths: Sequence[Array], *, robust: bool = True) -> MultiLegPlan:
-    """A plan along joint waypoints of every leg: of each its fastest safe time law (`plan_retimed`).
+    """A plan along joint waypoints of every leg, each with its fastest safe time law (`plan_retimed`).
 
     Raises ScenarioError when there are not as many paths as legs.
     """

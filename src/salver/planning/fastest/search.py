@@ -48,7 +48,7 @@ def fastest(
     near: FastestMotion | SplineMotion | None = None,
     watch: Watch | None = None,
 ) -> FastestMotion:
-    """Shortest safe motion that is found of a problem (see `transport_problem`). Never raises for numerical reasons:
+    """Find the shortest safe motion of a problem (see `transport_problem`). Never raises for numerical reasons:
     see `status`.
 
     near: a motion of a similar problem, tried first. watch: may end the search early.

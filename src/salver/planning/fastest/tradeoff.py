@@ -1,4 +1,4 @@
-"""Duration against robustness: the fastest plan for ever larger uncertainty."""
+"""Duration against robustness: the fastest plan for growing uncertainty."""
 
 from __future__ import annotations
 
@@ -65,9 +65,12 @@ def _times(value: Any, factor: float) -> Any:
 
 @dataclass(frozen=True)
 class TradeoffTask:
-    """What a curve is of. scenario: with its duration left open, and something uncertain. own: the scale that is the
-    given scenario's own set. tray: what it may do. assumed: what was taken to be uncertain, as the scenario names
-    nothing; "" if it does. left_open: s, the duration that was; None if none was given."""
+    """The task of a trade-off curve.
+
+    scenario: without a duration, and with ranges. own: the scale of the given scenario's own set. tray: whether it may
+    tilt. assumed: the ranges that were assumed; "" if the scenario names some. left_open: s, the scenario's duration,
+    or None.
+    """
 
     scenario: Scenario
     own: float

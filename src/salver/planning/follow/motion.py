@@ -1,4 +1,4 @@
-"""From a motion of the object to a motion of the joints, and whether the arm can follow it at all.
+"""The joint motion that follows a motion of the object, and whether the arm can follow it.
 
 The start posture is chosen among many (`salver.planning.postures`), the redundancy resolved for each
 (`salver.planning.follow.redundancy`), and the best motion that keeps clear of itself and of obstacles is judged against

@@ -51,8 +51,9 @@ _SMOOTH = 1e-9  # share of the jerk in what is minimised
 
 @dataclass(frozen=True)
 class Linearisation:
-    """The problem around z. Residuals (n_r,) with cost = |residual|^2; constraints on T instants, n_c each.
+    """Cost and constraints linearised at z.
 
+    Residuals (n_r,), with cost = |residual|^2; constraints at T instants, n_c each.
     rows: the contact conditions.
     goal and goal_jacobian (m, n_z): what is left to the goal orientation; empty when orientation is fixed.
     """

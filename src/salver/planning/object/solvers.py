@@ -21,7 +21,7 @@ _PENALTY = 10.0  # first price of a unit of violation in the sequential method, 
 
 @dataclass(frozen=True)
 class Solution:
-    """A point z, what it costs, and how that was established.
+    """A point z with its cost and how it was found.
 
     cost: integral (13). lower_bound: a proven bound on it, or None where nothing is proven.
     iterations: convex programmes solved. violation: how far the worst constraint on the grid is from kept.
@@ -44,7 +44,10 @@ class Solution:
 
 
 def solve(problem: Problem, start: Array | None = None) -> Solution:
-    """Solve a planning problem by the method that its structure allows. Never raises for an infeasible one."""
+    """Solve a planning problem: as a convex programme if it is one, else by a sequence of convex programmes.
+
+    An infeasible problem is a status, not an exception.
+    """
     if problem.is_affine:
         return solve_convex(problem)
     solution = solve_sequential(problem, start)
@@ -144,7 +147,7 @@ def solve_sequential(problem: Problem, start: Array | None = None, iteration_lim
 
 
 def infeasible(problem: Problem, model: Linearisation, d: Array | None, proven: bool) -> Status:
-    """Which constraint fails worst, when, and by how much: after the step d of the model, of least violation."""
+    """The constraint that is violated most after the step d of least violation, with instant and amount."""
     contact = problem.scenario.contact
     worst = min(model.rows, key=lambda rows: float(rows.slack(d)[0].min()))
     slack = worst.slack(d)[0]

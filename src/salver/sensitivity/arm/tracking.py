@@ -1,4 +1,4 @@
-"""How far a joint motion is missed because the load is not what the controller thinks, and because commands are held.
+"""Tracking errors of a joint motion from parameter errors of the load and from the zero-order hold.
 
 With computed torque for the nominal load, M the mass matrix of the arm with it, J_E the tray's body Jacobian and dF the
 wrench that the unknown part of the load needs along the motion (`salver.sensitivity.arm.load`), the acceleration
@@ -76,7 +76,7 @@ class TrayDeviation:
 
 
 class Law(Protocol):
-    """What a loop makes of a missing acceleration."""
+    """Response of a loop to a missing acceleration."""
 
     def __call__(
         self, missing: Array, before: Array, start: Array | None = None
@@ -88,7 +88,7 @@ class Law(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Reaction:
-    """How an arm whose motion is `terms` gives way to each of K wrenches that its controller does not know of."""
+    """Compliance of an arm along `terms` to each of K wrenches that its controller does not know."""
 
     terms: MotionTerms
     joints: JointDeviation
@@ -115,7 +115,7 @@ class Reaction:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """How far held commands put the nominal motion off: q, dq, torque (T, n), tray, w (T, 12), see `Deviation`.
+    """Deviation of the nominal motion by the zero-order hold: q, dq, torque (T, n), tray, w (T, 12), see `Deviation`.
 
     These are means over a period. swing: (T, 12) by which w is ahead of its mean when a command begins, and behind when
     it ends. late: (T, n) rad/s^2, what a command that is late is short of.
@@ -136,7 +136,7 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Deviation:
-    """What a wrong load makes of a motion at T instants, per unit of each of its n_c terms; and held commands.
+    """Deviation of a motion at T instants per unit of each of n_c terms of the parameter error, and by held commands.
 
     terms: the motion as planned. joints, tray: deviations. torque: (T, n, n_c) commanded, N m. law: of the loop.
     """
@@ -299,7 +299,7 @@ def commanded(terms: MotionTerms, joints: JointDeviation) -> Array:
 
 
 def late(terms: MotionTerms, rates: Array, delay: float, alone: bool = False) -> Array:
-    """(T, n) M^-1 dtau/dt times the delay: what a late command is short of. rates: (3, T, n) dq, ddq, dddq.
+    """Missing acceleration (T, n) of the hold delay: M^-1 dtau/dt times the delay. rates: (3, T, n) dq, ddq, dddq.
 
     alone: whether nothing else will ask for M^-1.
     """
@@ -309,7 +309,7 @@ def late(terms: MotionTerms, rates: Array, delay: float, alone: bool = False) ->
 
 
 def deviation(load: LoadChange, terms: MotionTerms, late: Array, law: Law, start: Array | None = None) -> Deviation:
-    """What a law makes of a wrong load and of commands that act late, second order in the load included. start: as of
+    """Deviation of a law by parameter errors, with second order, and by the hold delay. start: as of
     `JointLoop`."""
     n_p, n_c = load.uncertain.size, len(load.half_range)
     missing = missing_acceleration(load, terms)
