@@ -96,7 +96,7 @@ docs: $(DOCS)
 	$(BIN)/python docs/make_figures.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@! grep -rnoE '<(script|link|img|iframe)[^>]*(src|href)="?(https?:)?//[^ >]*' site --include='*.html' | grep -v 'rel="canonical"' || { echo 'the site would ask other servers' >&2; exit 1; }
-	@echo "Open site/index.html; for the search serve it: $(BIN)/python -m http.server -d site"
+	@echo "Open site/index.html"
 
 dist: $(READY)
 	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python tools/dist.py
