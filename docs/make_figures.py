@@ -1,10 +1,11 @@
-"""Makes the pictures of the concept pages from salver itself: python docs/make_figures.py [NAME ...]
+"""Makes pictures of concepts from salver itself and of results from docs/data: python docs/make_figures.py [NAME ...]
 
 Every curve is computed here; nothing is drawn by hand except arrows, labels and frames.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,7 @@ from salver.models.wrench_cone import facets, margin
 from salver.reports import style
 
 IMAGES = Path(__file__).parent / "images"
+DATA = Path(__file__).parent / "data"
 
 
 def cone() -> Any:
@@ -155,7 +157,40 @@ def shaped() -> Any:
     return figure
 
 
-FIGURES: dict[str, Callable[[], Any]] = {f.__name__: f for f in (cone, acceleration, tube, frames, shaped)}
+def speeds() -> Any:
+    """Durations of docs/data/speeds.jsonl: what a level tray costs, and what holding at every speed costs."""
+    lines = [json.loads(line) for line in (DATA / "speeds.jsonl").read_text(encoding="utf-8").splitlines()]
+    loads = {line["name"]: line for line in lines if line["kind"] == "loads"}
+    labels = {"level": "every speed, level tray", "any": "every speed (default)", "full": "full speed alone"}
+    return _bars(list(loads), {label: [x[key] for x in loads.values()] for key, label in labels.items()})
+
+
+def stops() -> Any:
+    """How long the stops of docs/data/stops.json take, beside the motions that they stop."""
+    loads = json.loads((DATA / "stops.json").read_text(encoding="utf-8"))
+    labels = {"duration": "the whole motion", "longest": "longest stop", "median": "median stop"}
+    return _bars(list(loads), {label: [x[key] for x in loads.values()] for key, label in labels.items()})
+
+
+FIGURES: dict[str, Callable[[], Any]] = {
+    f.__name__: f for f in (cone, acceleration, tube, frames, shaped, speeds, stops)
+}
+
+
+def _bars(names: list[str], series: dict[str, list[float]]) -> Any:
+    """Durations in s: a group of bars for each name, one bar for each series."""
+    figure = _figure(6.4, 0.6 + 0.38 * len(names))
+    axes = figure.add_subplot()
+    places, height = np.arange(len(names)), 0.8 / len(series)
+    for k, (label, values) in enumerate(series.items()):
+        colour = (style.GREY, style.BLUE, style.SKY)[k]
+        axes.barh(places + (k - (len(series) - 1) / 2) * height, values, 0.9 * height, color=colour, label=label)
+    axes.set_yticks(places, names)
+    axes.invert_yaxis()
+    axes.set(xlabel="duration, s")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.4, 1.1 if len(names) > 5 else 1.25), ncols=3, frameon=False)
+    figure.tight_layout()
+    return figure
 
 
 def _figure(width: float, height: float) -> Any:
