@@ -46,13 +46,13 @@ def calibrate(
 ) -> None:
     """Friction of a load on the tray, as a range, by a slow tilt.
 
-    From a scenario the test is planned: the tray tilts slowly where the motion starts, and back, so far that a load
-    which does not slide has at least the friction --shows. It cannot tip, whatever its ranges; it may slide: have a
-    hand near. Then carry it out, and give the run directory: with nothing else, the load did not slide. A run of any
-    plan without a slip proves some friction; what slid on the test has at most what was needed there.
+    From a scenario it plans the test: where the motion starts the tray tilts slowly and back, so far that a load which
+    does not slide has at least the friction --shows. The load cannot tip, whatever its ranges; it may slide: have a
+    hand near. Carry the test out and give its run directory: without further options the load did not slide. A run of
+    any plan without a slip proves some friction; a load that slid in the test has at most the friction needed there.
 
-    A `--short` tilt goes as steep as the least friction of the ranges allows, so that the load moves by 20 mm at most;
-    from how far it did (against a mark, to 1 mm) follows how much friction there is at least, and the next is steeper.
+    A `--short` tilt is as steep as the least friction of the ranges allows, so that the load moves by 20 mm at most.
+    Its displacement (against a mark, to 1 mm) gives a lower bound of friction, and the next tilt is steeper.
 
     Example: `salver calibrate friction panda-cube --shows 0.4 -o runs/tilt`
 

@@ -17,10 +17,10 @@ def excite(
     duration: Annotated[float, typer.Option(help="Of the motion, s.")] = 2.0,
     json: Json = False,
 ) -> None:
-    """Plan an excitation trajectory: a safe motion that shows most of what the load is, for salver identify.
+    """Plan an excitation trajectory: a safe motion whose logs show most of the load, for salver identify.
 
-    From where the scenario's motion starts and back to it, in the given time, safe for the ranges that the scenario has
-    now: of such motions one that lets a wrist sensor tell mass and centre of mass best (D-optimal; a local optimum).
+    The motion begins and ends where the scenario's motion starts, takes the given time and is safe for the scenario's
+    ranges. It is the one from which a wrist sensor tells mass and centre of mass best (D-optimal; a local optimum).
     Carry it out with the empty tray and with the load.
 
     Example: `salver excite panda-tall-bottle --duration 2 -o runs/shown`

@@ -61,18 +61,17 @@ def execute(
     """Run a plan on an arm, with checks before, a watchdog during, and a log after.
 
     First `--dry-run` (or `--robot simulated`): the same loop on the simulated arm, which tells how well this machine
-    keeps 1 kHz. The log goes
-    to DIR/execution; `salver report DIR` shows it. Stop with Ctrl-C: by the plan's own stops the load stays
-    (`salver plan --stops`); a plan without them brakes smoothly, and what it carries may fall.
+    keeps 1 kHz. The log goes to DIR/execution; `salver report DIR` shows it. Ctrl-C stops the arm: the load stays if
+    the plan has stops (`salver plan --stops`), otherwise it may fall.
 
-    With --live nothing is planned beforehand: what the lines say is planned while the arm moves, every motion is
-    verified before it is committed and ends at rest with the load in place; what was commanded is kept as a plan.
+    With --live, requests are planned while the arm moves: each motion is verified before it is committed, and ends at
+    rest with the load in place. The commanded motion is kept as a plan.
 
-    The legs of a plan of several run one after the other, each with its own question and its own log; one that does
-    not end as it should ends the run.
+    A plan of several legs runs leg by leg, with a question before each and a log of each; a leg that does not end as
+    it should ends the run.
 
     Ends with 0 when the motion ran to its end (with --mocap: and the load held as far as it was seen), with 1 when it
-    did not or all that the lines requested was refused, with 3 when motion capture cannot tell.
+    did not or every request was refused, with 3 when motion capture cannot tell.
 
     Example: `salver execute runs/panda-cube --dry-run`
     """

@@ -34,18 +34,18 @@ def identify(
 ) -> None:
     """Mass, centre of mass and inertia of the load, as ranges that cover the truth, from joint or wrist torques.
 
-    The load is what logs with it show beyond a log of the same motion with the empty tray: the arm's own model error
+    Logs with the load are compared with a log of the same motion with the empty tray, so the arm's own model error
     cancels. Logs are what `salver execute` writes (t, q, tau), or CSV with the columns t, q1 ... qn (rad) and tau1 ...
     taun (N m), or fx, fy, fz, tx, ty, tz at the flange (N, N m; tared with the empty tray), or ROS bags with a
     JointState that has efforts, a WrenchStamped of the flange, or both. Ranges of the scenario are narrowed, never
-    widened. The centre of mass is found relative to the sensor: where the object stands on the tray
-    (uncertainty.position) stays as uncertain as it was. Ranges of inertia are written where the scenario has them;
+    widened. The centre of mass is found relative to the sensor, so the range of the object's place on the tray
+    (uncertainty.position) stays. Ranges of inertia are written where the scenario has them;
     friction keeps its range. A sensor's bias, scale, cross-talk, place and delay do not average out over logs: the
     ranges allow for them up to bounds, which `--bound` states, and logs that show more are refused.
 
     Example: `salver identify loaded.csv --plan runs/panda-tall-bottle --empty empty.csv -o learnt.toml`
 
-    Ends with 0 when the logs were used, whatever they show.
+    Ends with 0 when the logs were used, whatever their result.
     """
     import tomli_w
 

@@ -37,12 +37,12 @@ def learn(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Carry a load whose ranges are wide carefully, learn what it is, and carry it ever faster.
+    """Carry a load with wide ranges carefully, learn its parameters, and carry it ever faster.
 
-    Each trip is the fastest safe motion for what is known; the load, which is hidden, is carried in the physics engine;
-    what the arm's sensors felt narrows the ranges for the next. Between the first and the second the arm makes an
-    excitation trajectory, and the tray tilts, a little steeper each time, for a lower bound of friction. See `salver
-    excite`, `salver identify` and `salver calibrate` for real arms.
+    Each trip is the fastest safe motion for the ranges so far. A hidden load is carried in the physics engine, and the
+    readings of the arm's sensors narrow the ranges for the next trip. Between the first trip and the second the arm
+    makes an excitation trajectory, and the tray tilts, a little steeper each time, for a lower bound of friction. See
+    `salver excite`, `salver identify` and `salver calibrate` for real arms.
 
     Example: `salver learn panda-tall-bottle --trips 6 -o learnt.toml`
 

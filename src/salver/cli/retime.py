@@ -54,14 +54,14 @@ def retime(
     unsafe: Unsafe = False,
     json: Json = False,
 ) -> None:
-    """Run through joint waypoints, or along the path of a motion or a plan, as fast as is safe for what is carried.
+    """Find the fastest safe timing of joint waypoints, or of the path of a motion or a plan.
 
-    With --pace the motion is left as it is but for its pace, also one of the tray, and audited as it is written
-    (--highest, --noise, --gap: see `salver audit`).
+    --pace only scales the time of a motion, also of a motion of the tray, and audits the result (--highest, --noise,
+    --gap: see `salver audit`).
 
     Example: `salver retime waypoints.csv --scenario panda-cube -o runs/retimed`
 
-    Ends with 0 when the path can be run safely, with 3 when it cannot; a file of it (--write, --pace) is then written
+    Ends with 0 when the path can be run safely, with 3 when it cannot; its file (--write, --pace) is then written
     with --unsafe only.
     """
     from salver import scenario as scenarios

@@ -23,16 +23,16 @@ def track(
     topic: Topic = None,
     json: Json = False,
 ) -> None:
-    """Compare what a robot did with the plan, and tell what the difference takes from the load's hold.
+    """Compare a robot's motion with the plan, and say what the difference takes from the contact margin.
 
     The log holds joint positions (rad) over time (s), 90 samples a second or more, from rest to rest; its clock may
-    begin anywhere. The time by which all joints together are late is taken off: it costs nothing. What the tray really
-    felt is then judged as the plan was, for every load of the scenario's ranges: the excess is what is missing, as a
-    share of the weight. Tells which joint causes most of it, and the cures in their order.
+    begin anywhere. A common delay of all joints is removed, because it costs nothing. The executed motion of the tray
+    is then judged like the plan, for every load of the scenario's ranges: the excess is the missing margin, as a share
+    of the weight. Names the joint that causes most of it, and the remedies in their order.
 
     Example: `salver track runs/panda-tall-bottle runs/panda-tall-bottle/execution/plan.npz`
 
-    Ends with 0 when nothing is missing on what was executed, with 3 when something is.
+    Ends with 0 when the executed motion lacks no margin, with 3 when it does.
     """
     from salver.learning.executed import read_joints
     from salver.learning.track import Judge

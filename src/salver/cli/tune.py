@@ -29,14 +29,13 @@ def tune(
     seed: Annotated[int, typer.Option(min=0, help="Of the encoders' noise in the engine.")] = 0,
     json: Json = False,
 ) -> None:
-    """Make a robot do what was planned: correct its command, buy a margin for the rest, or refuse.
+    """Correct a robot's command so that it does what was planned, add margin for the remaining error, or refuse.
 
     Without --log the robot is that of the scenario's [physics] in the physics engine, with the nominal load strapped to
-    its tray: run after run, what the joints missed is added to what they are told, while that helps; then
-    contact.margin is raised by what is still missing and the motion planned again; what asks too much is refused. With
-    --log one step of this is made from a log of your robot, which did the plan of DIRECTORY with the load strapped to
-    the tray: write the new command with `salver export`, carry it out, and tune OUT again with its log, until it is
-    done.
+    its tray. Each run's tracking error is added to the command, while that helps; then contact.margin is raised by the
+    remaining excess and the motion is planned again. A robot that needs too much margin is refused. With --log one such
+    step is made from a log of your robot, which carried out the plan of DIRECTORY with the load strapped to the tray:
+    write the new command with `salver export`, carry it out, and tune OUT again with its log, until it is done.
 
     Example: `salver tune runs/panda-tall-bottle -o runs/tuned`
 
